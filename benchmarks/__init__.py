@@ -1,1 +1,1 @@
-"""Benchmarks beside the libraries that a user would pick instead."""
+"""Benchmarks against the libraries that a user would otherwise choose."""

@@ -1,4 +1,4 @@
-"""Baseline of the load benchmark: a websocket that echoes."""
+"""Baseline of the load benchmark: a websocket echo server."""
 
 import asyncio
 import socket

@@ -12,7 +12,7 @@ TOOLS: Final = 10
 
 
 def _serve(listener: socket.socket) -> None:
-    """Send frames to whoever comes, made by pyigtl itself, each at its due time."""
+    """Send messages encoded by pyigtl to each client, each at its due time."""
     import numpy as np
     import pyigtl
 

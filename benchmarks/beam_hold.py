@@ -21,7 +21,7 @@ STEPS: Final = 2000
 
 @dataclass(frozen=True)
 class HoldSignal:
-    """A change of a hold, as it came.
+    """A received change of a beam hold.
 
     Args:
         hold: its id.
@@ -40,7 +40,7 @@ class HoldSignal:
 
 @dataclass
 class ReceivedSignals:
-    """What two clients heard: one of changes only, one of every frame.
+    """Signals received by two clients: one of changes only, one of every frame.
 
     Args:
         signals: changes, in order.
@@ -57,7 +57,7 @@ class ReceivedSignals:
 
 @dataclass(frozen=True)
 class Figures:
-    """What one hold did at all movements.
+    """Latencies, missed and false signals of one hold over all movements.
 
     Args:
         movements: how often the true position left the tolerance.
@@ -90,7 +90,7 @@ class Figures:
 
 
 def step_us() -> dict[str, float]:
-    """Return the CPU time of a monitor's step [us]: of a tool, and of four markers, at rest."""
+    """Return the CPU time of a monitor's step [us]: for a tool and for four markers, stationary."""
     from compute.pose.beam_hold.beam_hold_limits import BeamHoldLimits
     from compute.pose.beam_hold.beam_hold_monitor import (
         MarkerDeviationMonitor,
@@ -120,7 +120,7 @@ def step_us() -> dict[str, float]:
 def listen(
     url: str, told: str, seconds: float, progress: Callable[[float], None] | None = None
 ) -> ReceivedSignals:
-    """Hear changes and frames of all holds for some seconds.
+    """Receive changes and frames of all holds for some seconds.
 
     Args:
         url: of the stream of the device, without content.
@@ -187,7 +187,7 @@ def _keep(heard: ReceivedSignals, message: dict[str, Any], told: str) -> None:
 
 
 def beginning(shifts: dict[int, tuple[float, ...]], truth_mm: Array) -> int:
-    """Return where in its cycle the device was at frame 0: where the shifts fit the truth best.
+    """Return the device's phase in its cycle at frame 0: the best fit of the shifts.
 
     Args:
         shifts: measured, by number of the frame [mm].
@@ -211,7 +211,7 @@ def beginning(shifts: dict[int, tuple[float, ...]], truth_mm: Array) -> int:
 def summed(
     heard: ReceivedSignals, hold: str, truth_mm: Array, limit_mm: float, late_ms: float, begin: int
 ) -> Figures:
-    """Return the figures of one hold.
+    """Return the statistics of one hold.
 
     Args:
         heard: what was heard.
@@ -284,7 +284,7 @@ def _held_at(changes: list[HoldSignal], number: int) -> bool:
 
 
 def _runs(true: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Return first and behind-last index of each run of true values."""
+    """Return first index and end index of each run of true values."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], true, [False]]).astype(np.int8)))
     return [(int(first), int(last)) for first, last in edges.reshape(-1, 2)]
 

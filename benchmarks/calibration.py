@@ -1,4 +1,4 @@
-"""Benchmark of calibration, beside SciPy and pyceres: ``python -m benchmarks.calibration``.
+"""Benchmark of calibration against SciPy and pyceres: ``python -m benchmarks.calibration``.
 
 19 control points and four sensors, readings with 1 px of noise, three jobs, each by all:
 
@@ -82,7 +82,7 @@ class Frame:
 
     @property
     def sensors(self) -> list[SensorGeometry]:
-        """What is known of the sensors."""
+        """Known properties of the sensors."""
         return [SensorGeometry(model.name, model.pixels) for model in self.models]
 
 
@@ -115,13 +115,13 @@ def near_start(model: SensorModel, rng: np.random.Generator) -> Array:
 
 
 def thesis_start(model: SensorModel) -> Array:
-    """Return coefficients off from the true ones as Table 5.11 is from Table 5.10."""
+    """Return true coefficients with the errors of Table 5.11 relative to Table 5.10."""
     sensor = SensorGeometry(model.name, model.pixels)
     return StepGrid.around(collinearity_parameters_of(model), sensor).first
 
 
 def run(seconds: float = 0.3) -> list[Row]:
-    """Measure all, in one run; ``times_ours`` is beside our time for the same job and start."""
+    """Measure all methods; ``times_ours`` is relative to our time for the same task and start."""
     sets = frames()
     solvers: dict[str, Solver | str] = {
         "scipy least_squares, lm": by_scipy,
@@ -131,7 +131,7 @@ def run(seconds: float = 0.3) -> list[Row]:
         solvers["pyceres, dense QR"] = pyceres_solver()
     except ImportError:
         solvers["pyceres, dense QR"] = "not installed: pip install pyceres"
-    least = [_least(frame) for frame in sets]
+    least = [_min_squares(frame) for frame in sets]
     rows = []
     for job, label in (
         *((MINIMUM, label) for label in STARTS),
@@ -163,7 +163,7 @@ def run(seconds: float = 0.3) -> list[Row]:
 
 
 def _as_models(frame: Frame, starts: Sequence[Array]) -> list[SensorModel]:
-    """Return starts as metric cameras: what of the eleven coefficients is not gauge."""
+    """Return start values as metric cameras, without the gauge freedom of the coefficients."""
     middle = frame.points_mm.mean(axis=0)
     return [
         model_from_collinearity(from_array(x), sensor, middle)
@@ -185,7 +185,7 @@ def _minimum_and_covariance(
 def our_minimum(
     frame: Frame, models: Sequence[SensorModel], *, covariance: bool
 ) -> tuple[list[float], CameraStack, Array | None]:
-    """Return squares, cameras and, if asked for, covariances (4, 7, 7) of our search."""
+    """Return sums of squares, cameras and optional covariances (4, 7, 7) of our adjustment."""
     weights = np.ones(frame.readings_px.shape)
     ended = minimise(CameraStack.of(models), frame.points_mm, frame.readings_px, weights)
     squares = [float(one) for one in ended.squares]
@@ -232,8 +232,8 @@ def _starts(frame: Frame, label: str, seed: int) -> list[Array]:
     return [near_start(model, rng) for model in frame.models]
 
 
-def _least(frame: Frame) -> list[float]:
-    """Return the least squares of each sensor: from the true coefficients, or ours if lower."""
+def _min_squares(frame: Frame) -> list[float]:
+    """Return each sensor's minimal sum of squares: from the true coefficients, or ours."""
     true = [to_array(collinearity_parameters_of(model)) for model in frame.models]
     return [
         min(bundle.squares(by_scipy(bundle, x).x), other)
@@ -268,7 +268,7 @@ def _row(
 
 
 def _times(calls: Sequence[Callable[[], object]], seconds: float) -> list[float]:
-    """Return the least time of each call [s], of five turns at least (of one without time)."""
+    """Return the shortest time of each call [s], of at least five repetitions."""
     times: list[list[float]] = [[] for _ in calls]
     end = time.perf_counter() + seconds * len(calls)
     while len(times[0]) < (5 if seconds > 0.0 else 1) or time.perf_counter() < end:

@@ -101,10 +101,10 @@ class Bundle:
 
 
 class Solver(Protocol):
-    """Minimises one sensor's squares."""
+    """Minimises one sensor's sum of squares."""
 
     def __call__(self, bundle: Bundle, start: Array, covariance: bool = False) -> "Minimum":
-        """Minimise from ``start`` (11,); with the coefficients' covariance where it is asked."""
+        """Minimise from ``start`` (11,), optionally with the coefficients' covariance."""
         ...
 
 
@@ -122,7 +122,7 @@ def variance(bundle: Bundle, squares: float) -> float:
 
 
 def _of_slopes(bundle: Bundle, x: Array) -> Array:
-    """Return the covariance from the slopes (19, 11) at the minimum: the usual one, of rank 7."""
+    """Return the covariance from the Jacobian (19, 11) at the minimum, of rank 7."""
     _, singular, right = np.linalg.svd(bundle.slopes(x), full_matrices=False)
     known = right[:RANK] / singular[:RANK, None]
     return np.asarray(known.T @ known * variance(bundle, bundle.squares(x)))
@@ -138,7 +138,7 @@ def by_scipy(bundle: Bundle, start: Array, covariance: bool = False) -> Minimum:
 
 
 def by_scipy_numerical(bundle: Bundle, start: Array, covariance: bool = False) -> Minimum:
-    """Minimise likewise with slopes by differences, which is what one writes first."""
+    """Minimise likewise with a finite-difference Jacobian."""
     found = least_squares(
         bundle.values, start, method="lm", x_scale="jac", max_nfev=12 * MAX_EVALUATIONS
     )

@@ -1,4 +1,4 @@
-"""Agreement of the peaks by CPU and CUDA in a million random scans.
+"""Agreement of CPU and CUDA peak detection in a million random scans.
 
 ``python -m benchmarks.cpu_cuda_agreement --write FILE`` works them out on the CPU;
 ``--compare FILE --device cuda:0``, there or on another machine, says how far its own are from
@@ -29,7 +29,7 @@ NOISE = SensorNoise.of(GAIN, READ, OFFSET, FULL)
 
 
 def random_lines(seed: int, count: int) -> NDArray[np.uint16]:
-    """Return lines of every kind, uint16, shape (``count``, PIXELS)."""
+    """Return random scans of every kind, uint16, shape (``count``, PIXELS)."""
     rng = np.random.default_rng(seed)
     edges = np.arange(PIXELS + 1) - 0.5
     counts = np.full((count, PIXELS), 12.0)
@@ -52,7 +52,7 @@ def random_lines(seed: int, count: int) -> NDArray[np.uint16]:
 
 
 def both(device: str) -> Iterator[tuple[str, PeakBatch]]:
-    """Yield the methods' peaks, block after block of the million lines."""
+    """Yield the peaks of both methods in blocks of the million scans."""
     centroid = CentroidFinder(BLOCK, PIXELS, CentroidSettings(max_peaks=ROOM), NOISE, device)
     search = CentroidSettings(max_peaks=ROOM, min_width_px=1)
     fit = FitFinder(BLOCK, PIXELS, FitSettings(search, 1.2), NOISE, device=device)
@@ -76,7 +76,7 @@ def write(path: Path, device: str) -> None:
 
 
 def compare(path: Path, device: str) -> dict[str, dict[str, float]]:
-    """Return, for each method, lines, peaks, lines that differ, and the largest difference.
+    """Return per method the scans, peaks, differing scans and largest difference.
 
     A line differs when its peaks or their flags do; the difference is of positions in their
     stated standard deviations, over all others.
@@ -107,7 +107,7 @@ def compare(path: Path, device: str) -> dict[str, dict[str, float]]:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Write the CPU's peaks, or print how far a device's are from them."""
+    """Write the CPU's peaks, or print the differences of a device's peaks."""
     parser = argparse.ArgumentParser(prog="benchmarks.cpu_cuda_agreement", description=__doc__)
     parser.add_argument("--write", type=Path, help="file to write the peaks to (.npz)")
     parser.add_argument("--compare", type=Path, help="file to compare with")

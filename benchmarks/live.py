@@ -15,7 +15,7 @@ PERCENTILES = (50.0, 90.0, 99.0, 99.9)
 
 @dataclass(frozen=True)
 class LiveFigures:
-    """What one client received.
+    """Frames, losses and latency at one client.
 
     Args:
         seconds: from the first frame's exposure to the last's.
@@ -69,7 +69,7 @@ def receive(url: str, seconds: float) -> Iterator[tuple[dict[str, Any], int]]:
 def measure(
     url: str, seconds: float, progress: Callable[[float], None] | None = None
 ) -> LiveFigures:
-    """Receive for some seconds and sum up; ``progress`` gets the seconds that have passed."""
+    """Receive for some seconds and summarise; ``progress`` gets the elapsed seconds."""
     latencies: list[int] = []
     sequences: list[int] = []
     first = last = 0
@@ -97,7 +97,7 @@ def summarise(
     missed: int = 0,
     without_position: int = 0,
 ) -> LiveFigures:
-    """Sum up what was received: sequence numbers, latencies, first and last exposure."""
+    """Summarise sequence numbers, latencies, first and last exposure."""
     if len(sequences) < 2:
         raise RuntimeError(f"{len(sequences)} frames were received; two at least make a rate")
     milliseconds = np.array(latencies_ns) / 1e6

@@ -40,7 +40,7 @@ from benchmarks.mapped_reconstruction_peers import (
 from benchmarks.triangulation import rig
 from compute.mapping.grid import VoxelGrid
 from compute.mapping.table import CorrectionTable, Degree
-from compute.reconstruction.native.launch import CudaLaunch
+from compute.reconstruction.native.cuda_launch import CudaLaunch
 from compute.reconstruction.solver import PointSolver
 
 Array = NDArray[np.float64]
@@ -93,7 +93,7 @@ def readings_of(task: Task, count: int) -> Array:
 
 
 def flops_of_equations(degree: int, sensors: int = 4) -> int:
-    """Return the operations of one setting-up of a point's equations, and the step after it.
+    """Return the operations of assembling and solving a point's equations once.
 
     Splines and their three slopes, summed along z, then y, then x: 4 operations a node, 6 a line,
     8 a sheet, for each sensor; the weights. Then for each sensor projection and slopes 38,
@@ -145,7 +145,7 @@ def run(device: str | None = None, seconds: float = 1.0, most: int = SIZES[-1]) 
 
 
 def cpu_peers(task: Task) -> list[tuple[str, Callable[[Array], Any]]]:
-    """Return what a user would write with NumPy and SciPy: readings to positions and more."""
+    """Return the implementations with NumPy and SciPy."""
     interpolators = [("map_coordinates", by_map_coordinates(task, np, map_coordinates))]
     if task.corrections.degree == 1:
         interpolators.append(("RegularGridInterpolator", by_regular_grid(task)))
@@ -158,7 +158,7 @@ def cpu_peers(task: Task) -> list[tuple[str, Callable[[Array], Any]]]:
 def _cuda_peers(
     task: Task, readings: Array, expected: Array, seconds: float
 ) -> list[tuple[str, float, float]]:
-    """Return name, time of a point [s] and difference of CuPy's arrays, copies left out."""
+    """Return name, time per point [s] and difference of CuPy's methods, without copies."""
     import cupy as cp
     from cupyx.scipy.ndimage import map_coordinates as on_device
 
@@ -174,7 +174,7 @@ def _cuda_peers(
 
 
 def _resident(solver: PointSolver, readings: Array, seconds: float) -> tuple[float, float]:
-    """Return the time of a point [s] where readings and points stay on the device."""
+    """Return the time per point [s] with readings and points in device memory."""
     launch = solver.launch
     assert isinstance(launch, CudaLaunch)
     count = min(len(readings), launch.most)
@@ -189,7 +189,7 @@ def _resident(solver: PointSolver, readings: Array, seconds: float) -> tuple[flo
 
 
 def _limits(solver: PointSolver) -> tuple[float, float]:
-    """Return operations and bytes a second that the device reaches."""
+    """Return the measured operations and bytes per second of the device."""
     if isinstance(solver.launch, CudaLaunch):
         from benchmarks.float64_rates import float64_rates
 
@@ -229,7 +229,7 @@ def _row(
 
 
 def _time(call: Callable[[], object], seconds: float) -> float:
-    """Return the median time of a call [s], of three at least, after one that does not count."""
+    """Return the median time of a call [s], of at least three after a warm-up."""
     call()
     times: list[float] = []
     end = time.perf_counter() + seconds

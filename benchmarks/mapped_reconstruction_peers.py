@@ -18,7 +18,7 @@ MAX_ITERATIONS = 30
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """What all methods are given: cameras without distortion, a table, and the noise."""
+    """Input of all methods: cameras without distortion, a correction table, the noise."""
 
     cameras: CameraStack
     corrections: CorrectionTable
@@ -107,7 +107,7 @@ def arrays_method(task: Task, xp: Any, interpolate: Interpolate) -> Callable[[An
 
 
 def in_blocks(solve: Callable[[Any], Any], block: int) -> Callable[[Array], tuple[Array, Array]]:
-    """Return the method on so many points at a time, which then stay in the cache."""
+    """Return the method applied to blocks of points that fit into the cache."""
 
     def all_of_them(readings: Array) -> tuple[Array, Array]:
         parts = [solve(readings[at : at + block]) for at in range(0, len(readings), block)]

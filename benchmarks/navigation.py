@@ -40,7 +40,7 @@ class Received:
 
 @dataclass(frozen=True)
 class Figures:
-    """Latency from mid exposure to the client's hands, and how evenly transforms come.
+    """Latency from mid exposure to reception, and jitter of the transforms.
 
     Args:
         seconds: from the first to the last.
@@ -90,7 +90,7 @@ def transforms(
 
 
 def summed(received: list[Received]) -> Figures:
-    """Return the figures of one device's transforms.
+    """Return the statistics of one device's transforms.
 
     Raises:
         RuntimeError: there are fewer than two.
@@ -134,7 +134,7 @@ def _crc(data: bytes) -> int:
 
 
 def _taken(waiting: bytearray, now: int) -> Iterator[Received]:
-    """Yield the transforms that are there as a whole, and take all whole messages away."""
+    """Yield the complete transforms and remove all complete messages from the buffer."""
     place = 0
     while len(waiting) >= place + _HEADER.size:
         version, kind, device, whole, part, size, _ = _HEADER.unpack_from(waiting, place)

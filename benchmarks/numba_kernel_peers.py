@@ -1,4 +1,4 @@
-"""Steps of poses and tracks in Numba, beside the kernels: for ``benchmarks.numba_kernels``."""
+"""Numba versions of pose and track kernels, for ``benchmarks.numba_kernels``."""
 
 # mypy: disable-error-code="no-untyped-def, no-untyped-call, untyped-decorator"
 
@@ -46,7 +46,7 @@ def rotation_matrix(w):
 
 @njit
 def predict_by_arrays(before, after, switching, states, begun, brief, terms, scratch):  # noqa: ARG001
-    """As Regimes.predict, with the products of stacks written mode by mode."""
+    """As the IMM prediction, with products of stacks written mode by mode."""
     h, count, wide = STEP_S, len(brief), IMM_STATES + ERRORS
     chance = before[POSE : POSE + count]
     first = POSE + count
@@ -172,7 +172,7 @@ def predict_by_loops(before, after, switching, states, begun, brief, terms, scra
 
 @njit
 def propagate(h, turned, x):
-    """States after a time, in each column."""
+    """Propagate states, one per column."""
     columns, half = x.shape[1], 0.5 * h * h
     for c in range(columns):
         a, b, d = x[0, c], x[1, c], x[2, c]
@@ -267,7 +267,7 @@ def update_by_loops(m, p, q, slopes, bias, noise, off):
 
 @njit
 def _copy(state, start, other, to, n):
-    """Copy one partial event to another's place."""
+    """Copy one partial event over another."""
     weight, taken, read, merged, which = state
     weight_to, taken_to, read_to, merged_to, which_to = other
     weight_to[to], taken_to[to], read_to[to] = weight[start], taken[start], read[start]

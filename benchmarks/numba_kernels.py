@@ -1,4 +1,4 @@
-"""The kernels that run on the CPU only beside Numba: is one source in Python fast enough?
+"""Benchmark of the CPU kernels in C++ against the same algorithms in Numba.
 
 Run: ``python -m benchmarks.numba_kernels``. Three steps on which poses and tracks spend most of
 their time, by the kernels' C++ as Warp compiles it and by Numba: the prediction of a tool's modes
@@ -35,7 +35,7 @@ REPEATS: Final = 2000
 
 
 def main() -> None:
-    """Print microseconds a step, and how many times the kernel's."""
+    """Print the time per step [us], and its ratio to the kernel's."""
     for name, kernel, others in (_prediction(), _joint_update(), _joint_events()):
         native, *found = _best([kernel, *others.values()])
         print(f"{name}: C++ {native:.2f} us", end="")
@@ -45,7 +45,7 @@ def main() -> None:
 
 
 def _best(calls: list[Callable[[], object]]) -> list[float]:
-    """Return the shortest of the times of REPEATS steps each, per step [us]; they take turns."""
+    """Return the shortest time per step [us] of REPEATS steps, measured alternately."""
     for call in calls:
         call()
     times: list[list[float]] = [[] for _ in calls]

@@ -1,4 +1,4 @@
-"""What pyigtl receives from an OpenIGTLink server while another client stalls.
+"""Benchmark of an OpenIGTLink server: a pyigtl client while another client stalls.
 
 Run in a process of its own: ``python -m benchmarks.openigtlink_clients PORT``. It ends when its
 standard input does, and prints its figures as JSON.
@@ -24,7 +24,7 @@ PERCENTILES: Final = (50.0, 99.0, 99.9)
 
 @dataclass
 class Received:
-    """What came of each tool.
+    """Received messages of each tool.
 
     Args:
         numbers: of the frames, which the first coordinate of every pose is.
@@ -40,7 +40,7 @@ class Received:
 
 
 class _Kept(dict[str, Any]):
-    """Takes the place of what pyigtl keeps, the last message of each name, and keeps all."""
+    """Replaces pyigtl's message store, which keeps the last of each name, and keeps all."""
 
     def __init__(self, into: Received) -> None:
         super().__init__()
@@ -71,7 +71,7 @@ def _check_checksums(into: Received) -> None:
 
 
 def _stall(port: int, ended: Event, times: list[float]) -> None:
-    """Connect, read nothing, leave; and again."""
+    """Connect, read nothing, disconnect; repeatedly."""
     while not ended.is_set():
         with socket.create_connection(("127.0.0.1", port)):
             begin = time.monotonic()
@@ -115,7 +115,7 @@ def _percentiles(values: NDArray[np.float64]) -> dict[str, float]:
 
 
 def main() -> int:
-    """Receive until standard input ends; ``--alone`` leaves the other client out."""
+    """Receive until standard input ends; ``--alone`` omits the stalling client."""
     import pyigtl
 
     port, alone = int(sys.argv[1]), "--alone" in sys.argv

@@ -1,4 +1,4 @@
-"""A peer in a process of its own."""
+"""Runs a benchmark's peer in a separate process."""
 
 import socket
 import subprocess

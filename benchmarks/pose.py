@@ -1,4 +1,4 @@
-"""Benchmark of tool poses, beside SciPy: ``python -m benchmarks.pose [--json]``.
+"""Benchmark of tool poses against SciPy: ``python -m benchmarks.pose [--json]``.
 
 Ten tools of four markers before four sensors, as a tracking server has them each frame:
 
@@ -57,7 +57,7 @@ SIGMA: Final = np.full((4, 4), SIGMA_PX)
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """One fit: a tool, where it is, its readings (M, S), and the pose of the frame before."""
+    """One fit: a tool, its true pose, its readings (M, S), and the previous frame's pose."""
 
     tool: RigidBody
     rotation: Array
@@ -68,7 +68,7 @@ class Task:
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """What a method found: the translation (3,) [mm] and the weighted squares."""
+    """Result of a method: the translation (3,) [mm] and the weighted sum of squares."""
 
     translation_mm: Array
     chi2: float
@@ -87,7 +87,7 @@ def tools() -> list[RigidBody]:
 
 
 def tasks(cameras: CameraStack) -> list[Task]:
-    """Return a fit of each tool, from 2 mm and a degree off."""
+    """Return one fit per tool, starting 2 mm and one degree from the truth."""
     rng = np.random.default_rng(1)
     made = []
     for tool in tools():
@@ -147,7 +147,7 @@ def _left_jacobian(vector: Array) -> Array:
 
 
 def by_many_starts(cameras: CameraStack, task: Task) -> Found:
-    """Fit by SciPy from rotations all over, as one does without a start."""
+    """Fit by SciPy from many start rotations, without an initial pose."""
     rotations = Rotation.random(PEER_STARTS, random_state=np.random.default_rng(2)).as_matrix()
     place = np.array([0.0, 0.0, 1500.0])
     found = [
@@ -158,7 +158,7 @@ def by_many_starts(cameras: CameraStack, task: Task) -> Found:
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """What a tracker is given of a frame: peaks (4, K), and the lit marker."""
+    """Input of a tracker for a frame: peaks (4, K), and the lit marker."""
 
     peaks_px: Array
     marker: int | None
@@ -202,7 +202,7 @@ def frames(cameras: CameraStack, *, strobed: bool) -> tuple[list[RigidBody], lis
 
 @dataclass(frozen=True, eq=False)
 class Steps:
-    """A tracker's run: time of a frame [s], the thread's own, and the poses after the last."""
+    """A tracker's run: thread time per frame [s], and the final poses."""
 
     seconds: float
     poses: tuple[ToolPose, ...]
@@ -211,7 +211,7 @@ class Steps:
 def track(
     cameras: CameraStack, trackers: Sequence[ToolTracker], made: Sequence[Frame], cycle: int
 ) -> list[Steps]:
-    """Run frames through trackers that take turns; finding the tools at first is not timed.
+    """Run frames through trackers alternately; the initial acquisition is not timed.
 
     Args:
         cameras: the frames are of.
@@ -250,7 +250,7 @@ def track(
 
 
 def steps(cameras: CameraStack, *, strobed: bool) -> list[Row]:
-    """Return rows of what a frame of all tools takes [us]."""
+    """Return rows of the time per frame of all tools [us]."""
     bodies, made = frames(cameras, strobed=strobed)
     methods = {OURS: ToolTrackerSettings()}
     if strobed:
@@ -271,7 +271,7 @@ def steps(cameras: CameraStack, *, strobed: bool) -> list[Row]:
 
 
 def run(seconds: float = 0.5) -> list[Row]:
-    """Measure all; times are of one tool [us]."""
+    """Measure all methods; times per tool [us]."""
     cameras = rig()
     model = MeasurementModel.of(cameras)
     made = tasks(cameras)

@@ -1,4 +1,4 @@
-"""Benchmark of ray tracing, beside optiland: ``python -m benchmarks.ray_tracing``.
+"""Benchmark of ray tracing against optiland: ``python -m benchmarks.ray_tracing``.
 
 Through the plano-convex cylinder of thesis section 3.4, lens to sensor, both polarisations'
 transmittances and the optical path included (optiland gives the path, and no transmittances).
@@ -47,7 +47,7 @@ def thesis_lens() -> SurfaceStack:
 
 
 def rays_to_lens(count: int, seed: int = 1) -> tuple[Array, Array]:
-    """Return origins all over the field at 1.5 m, and directions to points all over the lens."""
+    """Return origins across the field at 1.5 m, and directions to points across the lens."""
     rng = np.random.default_rng(seed)
     target = np.zeros((count, 3))
     target[:, 0], target[:, 1] = rng.uniform(-8.0, 8.0, count), rng.uniform(-18.0, 18.0, count)
@@ -58,7 +58,7 @@ def rays_to_lens(count: int, seed: int = 1) -> tuple[Array, Array]:
 
 
 class _Counting(np.ndarray[Any, np.dtype[Any]]):
-    """An array that counts what is done with it, by the name of the operation."""
+    """An array that counts its arithmetic operations by name."""
 
     counts: ClassVar[Counter[str]] = Counter()
 
@@ -104,7 +104,7 @@ def operations_per_ray(stack: SurfaceStack) -> dict[str, float]:
 
 
 def run(device: str | None = None, seconds: float = 0.5, *, peer: bool = True) -> list[Row]:
-    """Time every way to trace; one row for each.
+    """Time every tracing method; one row each.
 
     Rows have the keys rays, method, device, time_us (median of a call), rays_per_s, times_numpy
     (how many times the speed of NumPy), and where the peer is there times_peer.
@@ -135,7 +135,7 @@ def run(device: str | None = None, seconds: float = 0.5, *, peer: bool = True) -
 
 
 def limits(device: str, rays_per_s: float) -> Row:
-    """Return what binds the kernel on a CUDA device, and the share of it that is reached."""
+    """Return the limiting resource of the CUDA kernel, and the fraction of it reached."""
     from benchmarks.float64_rates import float64_rates
 
     rates = float64_rates(device)
@@ -171,7 +171,7 @@ def _row(rays: int, method: str, device: str, time_us: float) -> Row:
 
 
 def _median_us(call: Callable[[], object], seconds: float) -> float:
-    """Return the median time of a call [us], after one that does not count."""
+    """Return the median time of a call [us], after a warm-up call."""
     call()
     times: list[int] = []
     while len(times) < 3 or (sum(times) < seconds * 1e9 and len(times) < 10_000):
@@ -232,7 +232,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def print_limits(bound: Row) -> None:
-    """Print what binds the kernel."""
+    """Print the limiting resource of the kernel."""
     for kind in ("adds", "divisions", "roots"):
         print(
             f"float64 {kind}: {bound[f'{kind}_per_ray']:.0f} of a ray, "

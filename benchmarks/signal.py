@@ -1,4 +1,4 @@
-"""Benchmark of peak finding, beside plain array code: ``python -m benchmarks.signal``.
+"""Benchmark of peak detection against array code: ``python -m benchmarks.signal``.
 
 Three tables: *throughput* (raw counts in memory to peaks), *latency* (one frame of 4 x 2048
 pixels from the host's memory to peaks in the host's memory) and, on the CPU, what the positions
@@ -35,19 +35,19 @@ FRAME = (4, 2048)
 
 
 def centroid_finder(count: int, pixels: int, device: str | None) -> CentroidFinder:
-    """Return a finder with room for as many peaks as the lines have."""
+    """Return a centroid finder with capacity for all peaks of the scans."""
     return CentroidFinder(count, pixels, CentroidSettings(max_peaks=PEAKS), NOISE, device)
 
 
 def fit_finder(count: int, pixels: int, device: str | None, width_log_sigma: float) -> FitFinder:
-    """Return a finder that fits the lines' shape, its width known or not."""
+    """Return a finder that fits the line spread function, of known or unknown width."""
     search = CentroidSettings(max_peaks=PEAKS, min_width_px=1)
     settings = FitSettings(search, WIDTH_PX, width_log_sigma)
     return FitFinder(count, pixels, settings, NOISE, device=device)
 
 
 def throughput(device: str | None = None, seconds: float = 0.3) -> list[Row]:
-    """Time all methods on large batches that lie in the device's memory.
+    """Time all methods on large batches in device memory.
 
     Rows have the keys lines, pixels, peaks, method, time_us, million_lines_per_s,
     million_peaks_per_s, gigabytes_per_s (of raw counts), share_of_copy (of the bandwidth of a
@@ -91,7 +91,7 @@ def _fits(count: int, device: str | None, limit: float, seconds: float) -> list[
 
 
 def batch(count: int, pixels: int, peaks: int) -> Lines:
-    """Return lines to time with; of large batches 4096 are different, and repeated."""
+    """Return scans for timing; large batches repeat 4096 different ones."""
     block = measured_lines(min(count, 4096), pixels, peaks)[0]
     return block if count <= 4096 else np.resize(block, (count, pixels))
 
@@ -121,7 +121,7 @@ def latency(device: str | None = None, frames: int = 5000) -> list[Row]:
 
 
 def accuracy() -> list[Row]:
-    """What the positions of the methods are worth: rows with method, found and rms_error_px."""
+    """Accuracy of the methods: rows with method, found and rms_error_px."""
     lines, truth = measured_lines(1000, 2048)
     finder = centroid_finder(1000, 2048, "cpu")
     fits = fit_finder(1000, 2048, "cpu", 0.5)
@@ -171,7 +171,7 @@ def queued_us(finder: PeakFinder, count: int, seconds: float) -> float:
 
 
 def median_us(call: Callable[[], object], seconds: float) -> float:
-    """Return the median time of a call [us], after one that does not count."""
+    """Return the median time of a call [us], after a warm-up call."""
     call()
     times: list[float] = []
     while len(times) < 3 or (sum(times) < seconds and len(times) < 10_000):

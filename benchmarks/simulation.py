@@ -94,7 +94,7 @@ class Scene:
         return detectors.expose(signal, self._rng)
 
     def ideal(self) -> Callable[[int], Array]:
-        """Return what renders batches of Gaussian lines as wide as those of the lens."""
+        """Return a renderer of Gaussian stripes as wide as those of the lens."""
         placed = [
             place_sensor(
                 sensor.name,
@@ -161,7 +161,7 @@ def run(seconds: float = 2.0) -> list[Row]:
 
 
 def _measured(name: str, render: Callable[[int], object], seconds: float) -> Row:
-    """Render batches for so many seconds, three at least."""
+    """Render batches for ``seconds``, at least three."""
     render(0)
     process: list[int] = []
     wall: list[int] = []

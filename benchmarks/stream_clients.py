@@ -1,4 +1,4 @@
-"""Many clients of one stream, some of them stalled: what each kind receives, and when.
+"""Benchmark of one stream with many clients, some stalled: losses and latencies.
 
 Run in a process of its own: ``python -m benchmarks.stream_clients URL --seconds 60``.
 """
@@ -22,7 +22,7 @@ STALL_S: Final = 60.0
 
 @dataclass
 class Received:
-    """What the clients of one kind received, together.
+    """Messages received by all clients of one kind.
 
     Args:
         clients: how many.
@@ -84,7 +84,7 @@ async def _frames(url: str, end: float, into: Received, *, every: bool) -> None:
 
 
 async def _stalled(url: str, end: float, into: Received) -> None:
-    """Connect, and read nothing; drop the connection after a while and do it again."""
+    """Connect and read nothing; reconnect after a while."""
     from websockets.asyncio.client import connect
 
     into.clients += 1
@@ -97,7 +97,7 @@ async def _stalled(url: str, end: float, into: Received) -> None:
 
 
 async def _echoed(url: str, size: int, end: float, latencies_ns: list[int]) -> None:
-    """Send payloads of this size to a bare echo and take the time until they are back."""
+    """Measure round-trip times of payloads of this size at an echo server."""
     from websockets.asyncio.client import connect
 
     async with connect(url, compression=None, max_size=None) as socket:
@@ -112,7 +112,7 @@ async def _echoed(url: str, size: int, end: float, latencies_ns: list[int]) -> N
 async def receive(
     stream: str, echo: str, seconds: float, displays: int, lossless: int, stalled: int
 ) -> dict[str, Any]:
-    """Run all clients and return what each kind received.
+    """Run all clients and return the statistics of each kind.
 
     Args:
         stream: the stream's URL with its device.
@@ -145,7 +145,7 @@ async def receive(
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Print what was received as JSON."""
+    """Print the statistics as JSON."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("stream")
     parser.add_argument("echo")

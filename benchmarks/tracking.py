@@ -65,7 +65,7 @@ PEER = "Stone Soup JPDA, given"
 
 
 def ours(scene: Scene, motion: Motion, *, given: bool) -> list[Tracked]:
-    """Return what our tracker reports, from the first exposure on.
+    """Return our tracker's reports from the first exposure on.
 
     Args:
         scene: what is seen.
@@ -116,7 +116,7 @@ def run(
     *,
     peer: bool = True,
 ) -> list[Row]:
-    """Measure all; rows of the same keys, means over the seeds."""
+    """Measure all trackers; rows of the same keys, means over the seeds."""
     rows: list[Row] = []
     for count in markers:
         for sensor_count in sensors:

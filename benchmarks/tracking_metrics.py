@@ -18,7 +18,7 @@ DISTINGUISHABLE_MM = 6.0
 
 @dataclass(frozen=True, eq=False)
 class Tracked:
-    """What a tracker reports of one exposure.
+    """A tracker's report of one exposure.
 
     Args:
         identity: shape (T,).
@@ -34,7 +34,7 @@ class Tracked:
 
 
 def score(tracked: list[Tracked], positions_mm: Array) -> dict[str, float]:
-    """Return the figures of a run beside the true places (F, N, 3).
+    """Return the metrics of a run against the true positions (F, N, 3).
 
     ``switches`` counts how often a marker is followed by another track than the last that followed
     it while no other marker was near; ``held`` is the share of markers and exposures that are

@@ -25,7 +25,7 @@ _PLACE = [0, 3, 6]
 
 
 def stone_soup(scene: Scene, first: int, jerk_psd: float, detection: float) -> list[Tracked]:
-    """Return what it reports of the exposures from ``first`` on."""
+    """Return the peer's reports of the exposures from ``first`` on."""
     from stonesoup.dataassociator.probability import JPDAwithEHM2
     from stonesoup.functions import gm_reduce_single
     from stonesoup.hypothesiser.probability import PDAHypothesiser
@@ -96,7 +96,7 @@ def stone_soup(scene: Scene, first: int, jerk_psd: float, detection: float) -> l
 
 
 def measurement_models(scene: Scene) -> list[Any]:
-    """Return a measurement model of Stone Soup's for each sensor, with its exact slope."""
+    """Return a Stone Soup measurement model for each sensor, with an exact Jacobian."""
     from stonesoup.base import Property
     from stonesoup.models.measurement.nonlinear import NonLinearGaussianMeasurement
     from stonesoup.types.array import StateVector

@@ -45,7 +45,7 @@ class Scene:
 
 @dataclass(frozen=True, eq=False)
 class Starts:
-    """What is known of N markers at an exposure: place and velocity.
+    """Initial states of N markers at an exposure: position and velocity.
 
     Args:
         position_mm: shape (N, 3).
@@ -61,7 +61,7 @@ START_SIGMA = (0.5, 20.0, 1000.0)
 
 
 def starts_at(scene: "Scene", exposure: int) -> Starts:
-    """Return the true places and velocities with errors of ``START_SIGMA``."""
+    """Return the true positions and velocities with errors of ``START_SIGMA``."""
     rng = np.random.default_rng(exposure)
     place, velocity = scene.positions_mm[exposure], scene.velocity_mm_s[exposure]
     return Starts(
@@ -91,7 +91,7 @@ def ring(sensors: int) -> CameraStack:
 
 
 def crossing_paths(markers: int, times_s: Array, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Return places and velocities (F, N, 3) of pairs that pass each other by 1 to 5 mm.
+    """Return positions and velocities (F, N, 3) of pairs that pass each other at 1 to 5 mm.
 
     Speeds are 50 to 400 mm/s, accelerations up to some m/s^2.
     """
@@ -131,7 +131,7 @@ def scene_of(markers: int, sensors: int, frames: int, seed: int) -> Scene:
 
 
 def _peaks(readings: Array, false_peaks: float, rng: np.random.Generator) -> Array:
-    """Return the peaks that S sensors find of readings (N, S), shape (S, K)."""
+    """Return the peaks of S sensors from readings (N, S), shape (S, K)."""
     lines = []
     for line in readings.T:
         seen = np.sort(

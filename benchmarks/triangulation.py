@@ -1,4 +1,4 @@
-"""Benchmark of triangulation, beside SciPy: ``python -m benchmarks.triangulation``.
+"""Benchmark of triangulation against SciPy: ``python -m benchmarks.triangulation``.
 
 Points seen by four sensors with noise, once with unequal deviations: what a weighted fit of all
 points at once costs and gains beside the linear solution and beside ``scipy.optimize`` point by
@@ -20,8 +20,7 @@ from scipy.optimize import least_squares
 
 from compute.camera.stack import CameraStack
 from compute.optics.sensor_placement import place_sensor
-from compute.reconstruction.linear_triangulation import triangulate_linear
-from compute.reconstruction.triangulation import reconstruct
+from compute.reconstruction.triangulation import reconstruct, triangulate_linear
 
 Array = NDArray[np.float64]
 Row = dict[str, str | int | float]
@@ -35,7 +34,7 @@ SIGMA_PX = np.array([0.02, 0.02, 0.02, 0.4])
 
 @dataclass(frozen=True)
 class Method:
-    """A way to reconstruct: its name, most points, and readings (N, 4) to points (N, 3)."""
+    """A reconstruction method: name, maximum number of points, readings (N, 4) to points (N, 3)."""
 
     name: str
     most: int
@@ -62,7 +61,7 @@ def rig() -> CameraStack:
 
 
 def run(seconds: float = 0.3) -> list[Row]:
-    """Measure all methods and sizes; the peers' times are beside ours of the same run."""
+    """Measure all methods and sizes; the peers' times are relative to ours."""
     cameras = rig()
     methods = (
         Method("lumiline reconstruct", 10**9,
@@ -109,7 +108,7 @@ def _each_point(cameras: CameraStack, readings: Array) -> Array:
 
 
 def _time(call: Callable[[], object], seconds: float) -> float:
-    """Return the median time of a call [s], of five at least."""
+    """Return the median time of a call [s], of at least five."""
     times: list[float] = []
     end = time.perf_counter() + seconds
     while len(times) < 5 or time.perf_counter() < end:

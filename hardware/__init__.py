@@ -1,1 +1,1 @@
-"""Sources of line scans behind one small protocol: simulated, replay."""
+"""Drivers of line sensors: serial, GenICam, TCD1304, simulated, replay."""

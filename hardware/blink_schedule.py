@@ -1,4 +1,4 @@
-"""The blink schedule: markers that are lit together and dimmed by codes, a bit an exposure.
+"""The blink schedule: simultaneous markers dimmed by binary codes, one bit per exposure.
 
 Thesis, section 4.6: a target's pulses "could also be modulated for easier identification".
 """
@@ -13,13 +13,13 @@ from pydantic import ConfigDict, Field
 from compute.errors import InvalidParameter
 
 MAX_CODE_BITS: Final = 20
-"""Bits of a word at most, as of ``compute.tracking.blink_codes``."""
+"""Maximum length of a code word [bits], as in ``compute.tracking.blink_codes``."""
 MAX_CODE_WORDS: Final = 64
 
 
 @dataclass(frozen=True)
 class BlinkSchedule:
-    """Words that markers show again and again, each a bit an exposure, in phases of their own.
+    """Cyclic code words of the markers, one bit per exposure, each with its own phase.
 
     Args:
         words: of marker 0, 1, ..., all equally long: "1" full light, "0" little.
@@ -59,7 +59,7 @@ class BlinkSchedule:
             )
 
     def light(self, sequence: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Return the light of M markers in F exposures relative to full, shape (F, M).
+        """Return the relative light of M markers in F exposures, shape (F, M); 1 is full light.
 
         Args:
             sequence: the exposures' numbers, shape (F,).

@@ -1,11 +1,11 @@
-"""A device's clock on the host's: when an exposure was, from when its frame arrived.
+"""Clock synchronisation: host times of exposures from device ticks and frame arrivals.
 
 A frame arrives late, never early: the line, the operating system and a busy host add delays of
 one sign. A regression averages them in; the earliest arrivals do not have them. So the clock is
 the highest straight line below the arrivals (Moon, Skelly, Towsley, "Estimation and removal of
 clock skew from network delay measurements", IEEE INFOCOM 1999, doi 10.1109/INFCOM.1999.749287),
-over the earliest arrival of each quarter of a second, older ones with less weight. docs/how-to/devices.md
-has the figures of both beside each other.
+over the earliest arrival of each quarter of a second, older ones with less weight.
+docs/how-to/devices.md compares both.
 """
 
 import math
@@ -17,30 +17,30 @@ from typing import Final
 from compute.errors import InvalidParameter
 
 BUCKET_NS: Final = 250_000_000
-"""Of the arrivals in so long a time the earliest is kept."""
+"""Length of a bucket; only the earliest arrival of each bucket is kept."""
 BUCKETS: Final = 240
 DECAY_NS: Final = 20e9
-"""An arrival so long ago weighs 1/e of one now."""
+"""Time constant of the exponential weights of past arrivals."""
 RATE_PRIOR: Final = 1e-4
-"""How far a crystal's rate may be off: what a rate is drawn to until the arrivals say better."""
+"""Prior standard deviation of a crystal's relative rate error."""
 MAX_LEAD_NS: Final = 500_000_000
-"""A clock that is so far ahead of what is possible, or goes back, began anew."""
+"""A clock further ahead of its arrivals than this, or one that goes back, was reset."""
 MIN_WRAP_NS: Final = 50_000_000
-"""Turns that are shorter cannot be counted: arrivals are late by as much."""
+"""Shortest wrap-around period that can be counted; arrivals are late by as much."""
 RECENT_NS: Final = 1_000_000_000
-"""When all arrivals in so long a time lie above the line, the line may be wrong by so much."""
+"""Window of the lower bound of the error: the smallest recent distance above the line."""
 MIN_UNCERTAINTY_NS: Final = 1_000.0
-"""No uncertainty below that is stated."""
+"""Lower bound of the stated uncertainty."""
 
 
 @dataclass(frozen=True, slots=True)
 class ExposureTimestamp:
-    """When an exposure was.
+    """Time of an exposure on the device's clock and on the host's.
 
     Args:
-        device_ns: on the device's clock, counted on when the clock begins anew [ns].
+        device_ns: on the device's clock, continued over resets of the clock [ns].
         host_ns: on the host's monotonic clock [ns].
-        restarted: the clock began anew with this exposure.
+        restarted: whether the clock was reset before this exposure.
     """
 
     device_ns: int
@@ -49,16 +49,16 @@ class ExposureTimestamp:
 
 
 class DeviceClock:
-    """Maps ticks that may begin anew after 2**bits of them to the host's monotonic clock.
+    """Maps ticks of a clock that wraps after 2**bits to the host's monotonic clock.
 
     Args:
         ticks_per_s: the clock's nominal rate.
-        bits: its width. Turns are counted right while no exposure arrives late by more than a
-            turn less MAX_LEAD_NS, or, where that is less, by half a turn.
+        bits: its width. Wrap-arounds are counted correctly while no exposure arrives late by
+            more than a wrap period less MAX_LEAD_NS, or, where that is less, by half a period.
         delay_ns: known time from the moment of the ticks to the earliest possible arrival.
 
     Raises:
-        InvalidParameter: it begins anew after less than MIN_WRAP_NS.
+        InvalidParameter: it wraps after less than MIN_WRAP_NS.
     """
 
     def __init__(self, ticks_per_s: int, bits: int = 64, delay_ns: int = 0) -> None:
@@ -72,16 +72,16 @@ class DeviceClock:
 
     @property
     def uncertainty_ns(self) -> float:
-        """Standard deviation of host times, beyond the shortest delay; inf before the first."""
+        """Standard deviation of host times, beyond the shortest delay [ns]; inf at first."""
         return self._uncertainty_ns
 
     @property
     def rate(self) -> float:
-        """How much longer a second of the device is on the host's clock, less one."""
+        """Relative rate error: length of a device second on the host's clock, less one."""
         return self._rate
 
     def stamp(self, ticks: int, arrival_ns: int) -> ExposureTimestamp:
-        """Return when an exposure was whose frame arrived at a time of the monotonic clock [ns]."""
+        """Return the time of an exposure from its ticks and its monotonic arrival time [ns]."""
         unwrapped = self._unwrap(ticks, arrival_ns)
         restarted = unwrapped is None and self._last_ticks is not None
         if unwrapped is None:
@@ -100,7 +100,7 @@ class DeviceClock:
         return ExposureTimestamp(self._base_ns + elapsed_ns, host_ns, restarted)
 
     def restart(self, arrival_ns: int, *, counted: bool = True) -> None:
-        """Begin anew with the next exposure: the device was reset; the rate stays."""
+        """Restart with the next exposure, after a reset of the device; the rate is kept."""
         if self._last_ticks is not None:
             self.restarts += counted
             gone_ns = arrival_ns - self._origin_ns - round(self._offset_ns)
@@ -109,10 +109,10 @@ class DeviceClock:
         self._begin(arrival_ns, self._rate)
 
     def reconfigure(self, ticks_per_s: int, bits: int, delay_ns: int, now_ns: int) -> bool:
-        """Go on as another clock, from a time of the monotonic clock [ns]; raises as the class.
+        """Continue with another clock from a monotonic time [ns]; raises as the class does.
 
         Returns:
-            Whether it is another: one of which only the delay is new is the same clock.
+            Whether the rate or the width changed; another delay alone is the same clock.
         """
         other = (ticks_per_s, 2**bits) != (self._per_s, self._wrap)
         self._set(ticks_per_s, bits, delay_ns)
@@ -149,7 +149,7 @@ class DeviceClock:
         self._points: deque[tuple[int, int]] = deque(maxlen=BUCKETS)
 
     def _unwrap(self, ticks: int, arrival_ns: int) -> int | None:
-        """Return the ticks since the clock began, turns included; None: it began anew."""
+        """Return the ticks with wrap-arounds added; None: the clock was reset."""
         if self._last_ticks is None:
             return None
         # What the clock shows now: an exposure is not after its arrival, but for the slack.
@@ -163,7 +163,7 @@ class DeviceClock:
         return unwrapped if unwrapped <= most + ahead else None
 
     def _add_arrival(self, elapsed_ns: int, late_ns: int) -> None:
-        """Keep the earliest arrival of each bucket; with each new bucket lay the line anew."""
+        """Keep the earliest arrival of each bucket; refit the line with each new bucket."""
         bucket = elapsed_ns // BUCKET_NS
         if self._earliest is not None and bucket != self._bucket:
             self._points.append(self._earliest)
@@ -176,7 +176,7 @@ class DeviceClock:
         self._offset_ns = min(self._offset_ns, beyond)
 
     def _fit_hull_edge(self) -> None:
-        """Lay the highest line below the kept arrivals that weighs their distances least."""
+        """Fit the line below the kept arrivals with the smallest weighted sum of distances."""
         points = self._points
         now = points[-1][0]
         weights = [math.exp((x - now) / DECAY_NS) for x, _ in points]
@@ -185,22 +185,22 @@ class DeviceClock:
         rate = (right[1] - left[1]) / (right[0] - left[0]) if right[0] > left[0] else self._rate
         offset = min(y - rate * x for x, y in points)
         above = _median([y - rate * x - offset for x, y in points], weights)
-        spread = max(1.5 * above * (1.0 + 2.0 / len(points)), MIN_UNCERTAINTY_NS)
-        # The rate between two arrivals that are each so far off; beside it, what crystals are.
-        doubt = 2.0 * spread / max(right[0] - left[0], 1)
-        share = RATE_PRIOR**2 / (RATE_PRIOR**2 + doubt**2)
-        self._rate = self._rate_known + share * (rate - self._rate_known)
+        sigma = max(1.5 * above * (1.0 + 2.0 / len(points)), MIN_UNCERTAINTY_NS)
+        # Weight of the fitted rate against the prior: both arrivals may be off by sigma.
+        rate_sigma = 2.0 * sigma / max(right[0] - left[0], 1)
+        weight = RATE_PRIOR**2 / (RATE_PRIOR**2 + rate_sigma**2)
+        self._rate = self._rate_known + weight * (rate - self._rate_known)
         self._offset_ns = min(y - self._rate * x for x, y in points)
         # A clock that lost ticks, or became slower: all that comes now is above the line.
         recent = (x_y for x_y in reversed(points) if x_y[0] > now - RECENT_NS)
         beyond = min(y - self._rate * x for x, y in recent) - self._offset_ns
-        self._uncertainty_ns = max(spread, beyond)
+        self._uncertainty_ns = max(sigma, beyond)
 
 
 def _edge_below(
     points: list[tuple[int, int]], centre_ns: float
 ) -> tuple[tuple[int, int], tuple[int, int]]:
-    """Return the edge of the points' lower hull at an abscissa; points go from left to right."""
+    """Return the edge of the lower convex hull at an abscissa; points are sorted by x."""
     hull: list[tuple[int, int]] = []
     for x, y in points:
         while len(hull) > 1:
@@ -216,7 +216,7 @@ def _edge_below(
 
 
 def _median(values: list[float], weights: list[float]) -> float:
-    """Return the weighted median: a stall of the host leaves it as it is."""
+    """Return the weighted median, which is robust against stalls of the host."""
     half, below = 0.5 * sum(weights), 0.0
     ordered = sorted(zip(values, weights, strict=True))
     for value, weight in ordered:

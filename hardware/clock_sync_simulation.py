@@ -1,4 +1,4 @@
-"""How well a device's clock is known on the host's: simulated arrivals, and estimators beside ours.
+"""Accuracy of clock synchronisation on simulated arrivals, beside linear regression.
 
 The peer is a decayed linear regression of the arrivals on the device's clock, as in Klipper's
 bulk sensors, with the same memory as ours.
@@ -24,15 +24,15 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class SimulatedClock:
-    """A device and its line.
+    """A simulated device clock and the delays of its link.
 
     Args:
         name: in words.
         rate_hz: exposures per second.
         jitter_s: mean of the exponential delay beyond the shortest [s].
         skew: by how much the device's clock is fast.
-        stall_every_s: so often the host stalls [s]; 0: never.
-        stall_s: mean length of a stall [s], in which all that comes waits.
+        stall_every_s: time between stalls of the host [s]; 0: none.
+        stall_s: mean length of a stall [s], during which all arrivals wait.
         drift_per_s: change of the skew [1/s].
         lost_s: what the device's clock loses at once, half a minute after the begin [s].
     """
@@ -49,7 +49,8 @@ class SimulatedClock:
 
 CASES: Final = (
     SimulatedClock("1 kHz, jitter 0.1 ms, 50 ppm", 1000.0, 1e-4, 5e-5),
-    SimulatedClock("1 kHz, jitter 0.5 ms, stalls of 20 ms each second", 1000.0, 5e-4, 5e-5, 1.0, 0.02),
+    SimulatedClock("1 kHz, jitter 0.5 ms, stalls of 20 ms each second", 1000.0, 5e-4, 5e-5, 1.0,
+         0.02),
     SimulatedClock("100 Hz, jitter 2 ms, stalls of 100 ms each 2 s", 100.0, 2e-3, -8e-5, 2.0, 0.1),
     SimulatedClock("10 Hz, jitter 2 ms", 10.0, 2e-3, 3e-5),
     SimulatedClock("1 kHz, jitter 0.1 ms, a clock 1 % fast", 1000.0, 1e-4, 1e-2),
@@ -79,7 +80,7 @@ class ClockErrors:
 
 
 def arrivals(case: SimulatedClock, seconds: float, seed: int) -> tuple[Array, Array]:
-    """Return when N exposures were and when each arrived, shapes (N,) [s]."""
+    """Return the times of N exposures and of their arrivals, shapes (N,) [s]."""
     rng = np.random.default_rng(seed)
     true_s = np.arange(int(case.rate_hz * seconds)) / case.rate_hz
     arrived_s = true_s + MIN_DELAY_S + rng.exponential(case.jitter_s, len(true_s))
@@ -92,7 +93,7 @@ def arrivals(case: SimulatedClock, seconds: float, seed: int) -> tuple[Array, Ar
 
 
 def device_ticks(case: SimulatedClock, true_s: Array) -> NDArray[np.int64]:
-    """Return what the device's clock shows at times, shape (N,)."""
+    """Return the device clock's ticks at times, shape (N,)."""
     shown_s = true_s * (1.0 + case.skew) + 0.5 * case.drift_per_s * true_s**2
     shown_s = shown_s - case.lost_s * (true_s > LOST_AT_S)
     return np.round(shown_s * _TICKS_PER_S).astype(np.int64)
@@ -101,7 +102,7 @@ def device_ticks(case: SimulatedClock, true_s: Array) -> NDArray[np.int64]:
 def map_ticks(
     clock: DeviceClock, ticks: NDArray[np.int64], arrived_s: Array
 ) -> tuple[Array, Array]:
-    """Return a clock's host times and what it says of their deviation, shapes (N,) [s]."""
+    """Return a clock's host times and their stated standard deviations, shapes (N,) [s]."""
     host, stated = [], []
     for tick, arrived in zip(ticks.tolist(), np.round(arrived_s * 1e9).tolist(), strict=True):
         host.append(clock.stamp(tick, round(arrived)).host_ns)
@@ -125,7 +126,7 @@ def regression_estimate(ticks: NDArray[np.int64], arrived_s: Array, rate_hz: flo
 
 
 def errors(case: SimulatedClock, seconds: float = 60.0, seed: int = 1) -> ClockErrors:
-    """Simulate a case."""
+    """Simulate a case and return the RMS errors of the estimators."""
     true_s, arrived_s = arrivals(case, seconds, seed)
     ticks = device_ticks(case, true_s)
     host_s, stated_s = map_ticks(DeviceClock(_TICKS_PER_S, 32), ticks, arrived_s)

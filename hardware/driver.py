@@ -1,4 +1,4 @@
-"""The driver protocol: what every source of line scans offers to the core."""
+"""The driver protocol: the interface of every source of line scans."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -7,13 +7,13 @@ from typing import Literal, Protocol
 from hardware.line_frame import LineFrame
 
 Readout = Literal["lines", "coded-window", "gray-tracks"]
-"""What the pixels of a line show: images of the markers as lines of light, the shadow of a coded
-window, or the outputs of the detectors behind a plate's Gray tracks."""
+"""Content of a scan: stripe images of the markers, the shadow of a coded window, or the outputs of
+the detectors behind a plate's Gray tracks."""
 
 
 PeakMethod = Literal["fit", "centroid"]
-"""How the peaks of light lines are measured: by a weighted fit of the line's shape, or by threshold
-and centre of gravity."""
+"""Method of peak detection: a weighted fit of the line spread function, or a threshold and the
+centre of gravity."""
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class SensorDescription:
 
 @dataclass(frozen=True)
 class DeviceDescription:
-    """What a device is, as its driver knows it before the first frame.
+    """Static properties of a device, known before the first frame.
 
     Args:
         name: the device's name.
@@ -38,11 +38,11 @@ class DeviceDescription:
         read_noise_electrons: standard deviation of the read noise.
         offset_counts: electronic offset, the count without light.
         markers: number of strobed markers, 0 when the markers are lit together.
-        readout: what the pixels of a line show.
-        peaks: how the peaks of light lines are measured; nothing else reads by it.
-        line_sigma_px: standard deviation of all light lines, where they are Gaussian and it is
-            known; None: it is not, or differs from place to place.
-        profile: name of the device's profile, from which more is known of its lines; None: none.
+        readout: content of a scan.
+        peaks: method of peak detection.
+        line_sigma_px: standard deviation of Gaussian stripe images, where it is known and the
+            same everywhere; None: it is not.
+        profile: name of the device profile that describes its optics and detector; None: none.
     """
 
     name: str
@@ -60,11 +60,19 @@ class DeviceDescription:
 
 
 class Driver(Protocol):
-    """A source of line scans: a blocking generator; the core owns the thread that runs it."""
+    """A source of line scans, a blocking generator that the caller runs in its own thread."""
 
     @property
     def description(self) -> DeviceDescription:
-        """What the device is; valid after ``open``."""
+        """The device's properties; valid after ``open``."""
+        ...
+
+    @property
+    def lossless(self) -> bool:
+        """Whether the source waits for its consumer, so that no frame is ever dropped.
+
+        True for a replay as fast as frames are consumed; a live device cannot wait.
+        """
         ...
 
     def open(self) -> None:
@@ -72,7 +80,7 @@ class Driver(Protocol):
         ...
 
     def frames(self) -> Iterator[LineFrame]:
-        """Yield frames as they are exposed, until the source ends or ``close`` is called."""
+        """Yield frames until the source ends or ``close`` is called."""
         ...
 
     def close(self) -> None:

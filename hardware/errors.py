@@ -1,21 +1,21 @@
-"""Errors of drivers that their device causes: it is not there, or is another one."""
+"""Driver errors: device not connected, device changed, library missing."""
 
 from compute.errors import LumilineError
 
 
 class DeviceNotConnected(LumilineError):
-    """The device does not answer: unplugged, switched off, taken by another program, or silent."""
+    """The device does not answer: unplugged, switched off, in use by another program, or silent."""
 
     code = "device-not-connected"
 
 
 class DeviceChanged(LumilineError):
-    """What is connected now has other sensors than before, or other values of them."""
+    """The reconnected device has other sensors, or other sensor properties, than before."""
 
     code = "device-changed"
 
 
 class MissingLibrary(LumilineError):
-    """A driver needs a library of the system that is not installed."""
+    """A system library that the driver needs is not installed."""
 
     code = "missing-library"

@@ -1,25 +1,26 @@
-"""The link to a device that may go and come back: its state, and drivers that tell of it."""
+"""Connection state of a device that may be unplugged: phases, counters, report to a listener."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from threading import Lock
 from typing import Literal, Protocol, runtime_checkable
 
 LinkPhase = Literal["connected", "silent", "garbled", "disconnected"]
-"""Frames come; connected, but nothing comes; something comes, but no frames; not there."""
+"""Frames arrive; connected without data; data without valid frames; device not present."""
 
 
 @dataclass(frozen=True)
 class LinkCounters:
-    """What came over a link since the driver was opened.
+    """Traffic and error counters of a link since the driver was opened.
 
     Args:
-        bytes_received: bytes that came.
-        frames: whole frames handed on.
-        frames_garbled: messages thrown away: damaged, cut short, or of another protocol.
-        frames_incomplete: exposures of which parts were missing, thrown away.
+        bytes_received: bytes received.
+        frames: complete frames delivered.
+        frames_garbled: messages discarded: damaged, truncated, or of another protocol.
+        frames_incomplete: exposures discarded because parts were missing.
         frames_lost: exposures missing in the device's own sequence numbers.
-        reconnects: how often the device came back.
-        clock_restarts: how often its clock began anew.
+        reconnects: number of reconnections.
+        clock_restarts: number of resets of the device's clock.
     """
 
     bytes_received: int = 0
@@ -33,15 +34,15 @@ class LinkCounters:
 
 @dataclass(frozen=True)
 class LinkState:
-    """How a link stands.
+    """State of a link.
 
     Args:
         state: connected, silent, garbled or disconnected.
-        reason: why it is not connected, and what is done about it; None when it is.
-        counters: what came over it.
+        reason: why it is not connected, and the remedy; None when it is.
+        counters: its traffic and errors.
         clock_uncertainty_us: of exposures' host times, beyond the shortest delay of the link [us];
             None: not known, or not yet.
-        temperature_c: what the device last said of its temperature [degrees C]; None: nothing.
+        temperature_c: temperature last reported by the device [degrees C]; None: none.
     """
 
     state: LinkPhase
@@ -53,7 +54,7 @@ class LinkState:
 
 @runtime_checkable
 class LinkedDriver(Protocol):
-    """A driver whose device may go and come back; beside ``hardware.driver.Driver``.
+    """A driver that survives loss of its device; in addition to ``hardware.driver.Driver``.
 
     Its ``open`` raises DeviceNotConnected where the device is not there (it may be tried again),
     within a few seconds, and at once when ``close`` is called meanwhile. Its ``frames`` goes on
@@ -63,9 +64,50 @@ class LinkedDriver(Protocol):
     """
 
     def listen(self, changed: Callable[[LinkState], None]) -> None:
-        """Have each change of the state or its reason told, from the thread of ``frames``."""
+        """Register the listener of state changes; called from the thread of ``frames``."""
         ...
 
     def link(self) -> LinkState:
-        """Return how the link stands; callable from any thread."""
+        """Return the state of the link; callable from any thread."""
         ...
+
+
+class LinkReport:
+    """Mutable state and counters of a link, with one listener; callable from any thread."""
+
+    def __init__(self) -> None:
+        self._lock = Lock()
+        self._state = LinkState("connected")
+        self._changed: Callable[[LinkState], None] | None = None
+
+    def listen(self, changed: Callable[[LinkState], None]) -> None:
+        """Register the listener of state changes; called from the thread that causes them."""
+        self._changed = changed
+
+    @property
+    def state(self) -> LinkState:
+        """The state of the link, with the counters."""
+        with self._lock:
+            return self._state
+
+    def count(self, **more: int) -> None:
+        """Add to counters, by their names in ``LinkCounters``."""
+        with self._lock:
+            old = self._state.counters
+            sums = {name: getattr(old, name) + number for name, number in more.items()}
+            self._state = replace(self._state, counters=replace(old, **sums))
+
+    def set_state(self, phase: LinkPhase, reason: str | None = None) -> None:
+        """Set the state; notify the listener when the state or its reason changed."""
+        with self._lock:
+            changed = (phase, reason) != (self._state.state, self._state.reason)
+            if changed:
+                self._state = replace(self._state, state=phase, reason=reason)
+            state = self._state
+        if changed and self._changed is not None:
+            self._changed(state)
+
+    def reset(self) -> None:
+        """Reset: connected, with all counters at zero."""
+        with self._lock:
+            self._state = LinkState("connected", None, LinkCounters())

@@ -1,4 +1,4 @@
-"""Replay: a recorded file as a driver, frame by frame the same bits."""
+"""Replay of a recording as a driver; frames are bit-identical."""
 
 import math
 import time
@@ -15,20 +15,19 @@ from hardware.timing import host_time_ns, wait_until
 
 
 class ReplayDriver:
-    """Plays a recording; lines, sequence numbers, device times, markers and flags as recorded.
+    """Replays a recording: scans, sequence numbers, device times, markers and flags as recorded.
 
-    Paced, a frame is handed out when its exposure comes round again, at ``speed`` times the
-    pace of the device's clock, and ``exposure_host_ns`` is stamped anew with that moment: the
-    recorded one is long past, and whoever measures a latency or aligns the frame with another
-    device of this host means now. A host that is slow loses nothing: late frames follow at
-    once, stamped with the time when they were due. As fast as taken, nothing is stamped:
-    ``exposure_host_ns`` is the recorded one. With pacing too the recorded host times remain in
-    the file: ``RecordingReader(path).column("exposure_host_ns")``.
+    Paced, a frame is delivered when it is due, at ``speed`` times the rate of the device's
+    clock, and ``exposure_host_ns`` is replaced by that time: latencies and the alignment with
+    other devices of this host refer to now, not to the recording. A slow host loses nothing:
+    late frames follow at once, stamped with the time when they were due. Without pacing
+    ``exposure_host_ns`` is the recorded one. The recorded host times remain in the file:
+    ``RecordingReader(path).column("exposure_host_ns")``.
 
     Args:
         name: the device's name here; it may differ from the recorded one.
         path: the recording.
-        speed: 1.0 as recorded, 2.0 twice as fast; None: as fast as taken.
+        speed: 1.0 as recorded, 2.0 twice as fast; None: as fast as frames are consumed.
 
     Raises:
         InvalidParameter: the speed is not positive.
@@ -46,13 +45,13 @@ class ReplayDriver:
         self._run: _Run | None = None
 
     @property
-    def waits(self) -> bool:
-        """Whether it goes on only when what it sent was taken, and nothing needs to be dropped."""
+    def lossless(self) -> bool:
+        """Whether it waits for its consumer: only where it is not paced."""
         return self._speed is None
 
     @property
     def description(self) -> DeviceDescription:
-        """What the recorded device is, under the name here; valid after ``open``.
+        """The recorded device's properties, under the name given here; valid after ``open``.
 
         Raises:
             RuntimeError: the driver was never opened.
@@ -105,7 +104,7 @@ class ReplayDriver:
 
 
 class _Run:
-    """One opening of the file: reading and closing exclude one another."""
+    """An open recording; a lock keeps reading and closing apart."""
 
     def __init__(self, recording: RecordingReader) -> None:
         self.recording = recording

@@ -18,7 +18,7 @@ MAX_MARKERS: Final = 254
 
 @dataclass(frozen=True)
 class StrobeSchedule:
-    """Slots that follow one another, one exposure each, and begin again after the last.
+    """A cyclic sequence of slots, one exposure each; each slot lights one marker, or all.
 
     Args:
         slots: the number of the marker that is lit in each, from 0; None: all are.
@@ -52,18 +52,18 @@ class StrobeSchedule:
 
     @classmethod
     def cyclic(cls, markers: int) -> Self:
-        """Return the schedule that lights each of so many markers once, in their order."""
+        """Return the schedule that lights each of ``markers`` markers once, in their order."""
         return cls(tuple(range(markers)))
 
     @property
     def markers(self) -> int:
-        """How many markers a device needs for it; 0: all are lit together, always."""
+        """Number of strobed markers the schedule needs; 0: all are always lit together."""
         return 1 + max((slot for slot in self.slots if slot is not None), default=-1)
 
     def marker(self, sequence: int) -> int | None:
-        """Return the marker that an exposure lights, counted from the schedule's begin."""
+        """Return the marker lit in exposure ``sequence``; None: all are lit."""
         return self.slots[sequence % len(self.slots)]
 
     def rate_hz(self, marker: int, frame_rate_hz: float) -> float:
-        """Return how often a second a marker is seen [Hz] (thesis, equation 3.3)."""
+        """Return the rate at which a marker is lit [Hz] (thesis, equation 3.3)."""
         return frame_rate_hz * self.slots.count(marker) / len(self.slots)

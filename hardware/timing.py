@@ -1,4 +1,4 @@
-"""Pacing: waiting for a moment of the monotonic clock, and that moment on the host's clock."""
+"""Pacing: waits until a monotonic time, and converts monotonic times to host times."""
 
 import time
 from threading import Event
@@ -12,8 +12,8 @@ def wait_until(due_ns: int, closed: Event) -> None:
 
 
 def host_time_ns(monotonic_ns: int) -> int:
-    """Return what time.time_ns() shows at a time of the monotonic clock [ns].
+    """Convert a time of the monotonic clock to the clock of time.time_ns() [ns].
 
-    Read anew for each frame, because the host's clock may have been set meanwhile.
+    Read again for each frame, because the host's clock may have been set meanwhile.
     """
     return time.time_ns() + monotonic_ns - time.monotonic_ns()

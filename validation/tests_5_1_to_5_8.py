@@ -19,7 +19,7 @@ from compute.camera.dlt import (
 from compute.camera.model import SensorGeometry
 from compute.camera.stack import CameraStack
 from compute.errors import LumilineError
-from compute.reconstruction.linear_triangulation import triangulate_linear
+from compute.reconstruction.triangulation import triangulate_linear
 from validation.published_errors import PRINCIPAL_POINTS_MM, PUBLISHED
 from validation.thesis_data import (
     DFW_V500,

@@ -11,7 +11,7 @@ from compute.robust_statistics import MAD_TO_SIGMA
 Array = NDArray[np.float64]
 
 
-_LEAST_PRECISION = 1e-12
+_MIN_PRECISION = 1e-12
 GROSS_ERROR_THRESHOLD = 5.0
 _BLOCK_RIDGE = 1e-9  # keeps a block that alone determines a function from an infinite error
 
@@ -48,7 +48,7 @@ class PenalisedProblem:
         """Fit with prior precisions (R,) of the penalised functions."""
         precision = np.concatenate([penalty, self.others_precision])
         # With a tiny penalty, samples may be too few to determine all functions.
-        precision = np.maximum(precision, _LEAST_PRECISION * np.trace(self.gram))
+        precision = np.maximum(precision, _MIN_PRECISION * np.trace(self.gram))
         normal = self.gram + np.diag(precision)
         precision_factor = cholesky(normal, lower=True, check_finite=False)
         amounts = cho_solve((precision_factor, True), self.product, check_finite=False)

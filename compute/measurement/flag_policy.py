@@ -26,7 +26,7 @@ MERGED_SIGMA_PX: Final = 2.0
 
 @dataclass(frozen=True)
 class FlagRule:
-    """What becomes of a peak with a flag.
+    """Treatment of peaks that have one flag.
 
     Args:
         flag: the flag, one bit.

@@ -51,7 +51,12 @@ class PredictedMeasurements:
     common_jacobian_px: Array
 
     def part(self, first: int, last: int) -> "PredictedMeasurements":
-        """Return the points from ``first`` to before ``last``; the arrays are shared."""
+        """Return a range of the points; the arrays are shared.
+
+        Args:
+            first: index of the first point.
+            last: index after the last point.
+        """
         rows = slice(first, last)
         return PredictedMeasurements(
             self.reading_px[rows],
@@ -100,7 +105,7 @@ class MeasurementModel:
         parameter_covariance: Array | None = None,
         corrections: CorrectionTable | None = None,
     ) -> "MeasurementModel":
-        """Return the measurement model of cameras; sensor models tell their numbers of pixels.
+        """Return the measurement model of cameras; sensor models give their numbers of pixels.
 
         Args:
             models: S calibrated cameras, one by one or stacked.
@@ -174,7 +179,7 @@ class MeasurementModel:
     def predict(
         self, points_mm: Array, *, with_common_errors: bool = False
     ) -> PredictedMeasurements:
-        """Predict raw readings, with all that is known about them.
+        """Predict raw readings with Jacobians, view, and the correction table's variance.
 
         Args:
             points_mm: shape (N, 3) [mm]; NaN: no point.

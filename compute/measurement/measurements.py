@@ -100,12 +100,17 @@ class Measurements:
         """
         # Finite where both are.
         usable = np.isfinite(position_px + sigma_px)
-        whole = np.count_nonzero(usable) == usable.size
-        variance = (sigma_px if whole else np.where(usable, sigma_px, 1.0)) ** 2
+        count = np.count_nonzero(usable)
+        variance = np.square(sigma_px if count == usable.size else np.where(usable, sigma_px, 1.0))
         if not np.count_nonzero(flags):
-            none = np.zeros(position_px.shape, dtype=np.bool_)
-            position = position_px if whole else np.where(usable, position_px, np.nan)
-            return cls(position, variance, flags, usable, none, none, position_px, amplitude)
+            position = position_px
+            if count + np.count_nonzero(np.isnan(position_px)) != usable.size:
+                position = np.where(usable, position_px, np.nan)
+            none = np.zeros(usable.shape, dtype=np.bool_)
+            weighed = cls(position, variance, flags, usable, none, none, position_px, amplitude)
+            # Known here: the cached property need not find it again.
+            vars(weighed)["usable"] = usable
+            return weighed
         by_flags = policy.lookup
         usable &= ~by_flags.refused[flags]
         variance *= by_flags.variance_factor[flags]
@@ -151,7 +156,7 @@ class Measurements:
         return sigma
 
     def only(self, chosen: NDArray[np.bool_]) -> "Measurements":
-        """Return the chosen ones of the peaks, shape (S, K), at their indices."""
+        """Return the chosen peaks, shape (S, K), at their indices; the others as not usable."""
         if np.count_nonzero(chosen & self.usable) == np.count_nonzero(self.usable):
             return self
         return replace(
@@ -164,7 +169,7 @@ class Measurements:
         )
 
     def sort(self) -> "Measurements":
-        """Return the usable peaks of an exposure in ascending order, those that are none behind.
+        """Return the usable peaks of an exposure in ascending order, empty places last.
 
         Equal positions are ordered by their variances, then by their flags, so that the result does
         not depend on the order of the peaks. Columns without any usable peak are left out.
@@ -201,7 +206,7 @@ class Measurements:
 
     @cached_property
     def capacity(self) -> dict[int, int]:
-        """By ``sensor * K + peak``: how many markers may share it, where that is more than one."""
+        """Number of markers that may share a peak, by ``sensor * K + peak``, where above one."""
         return dict.fromkeys(np.flatnonzero(self.shared).tolist(), 2)
 
     def readings(self, choice: NDArray[np.intp]) -> tuple[Array, Array]:
@@ -248,7 +253,7 @@ class Measurements:
         return np.asarray((apart <= distance_px).any(axis=2))
 
     def log_density(self, min_per_px: float, min_extent_px: float = 0.0) -> Array:
-        """Return the log of how densely each sensor's peaks lie, whoever's they are.
+        """Return the log density of each sensor's peaks, of all markers and false ones.
 
         The number of gaps over the extent of the peaks; ``min_per_px`` for fewer than three
         peaks and as the lower limit.

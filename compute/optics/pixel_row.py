@@ -7,7 +7,7 @@ import numpy as np
 
 from compute.errors import InvalidParameter
 
-_MOST: Final = 1_000_000
+_MAX_COUNT: Final = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -28,9 +28,9 @@ class PixelRow:
     height_um: float
 
     def __post_init__(self) -> None:
-        if self.count > _MOST:
+        if self.count > _MAX_COUNT:
             raise InvalidParameter(
-                f"count is {self.count}; it must be at most {_MOST}", count=self.count
+                f"count is {self.count}; it must be at most {_MAX_COUNT}", count=self.count
             )
         for name in ("count", "pitch_um", "height_um"):
             value = getattr(self, name)

@@ -3,12 +3,16 @@
 from dataclasses import dataclass
 from enum import IntFlag
 from math import isfinite
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from compute.camera.model import Vector3
 from compute.flags import flag_names
+
+POINT_BYTES: Final = 108
+"""Bytes of a point's position, covariance, chi2 and flags."""
 
 
 class PointFlag(IntFlag):
@@ -20,10 +24,10 @@ class PointFlag(IntFlag):
     DEGENERATE = 2
     """The planes meet in a line, not in a point: no position."""
     NO_CONVERGENCE = 4
-    """No position: the iteration left the cameras' field, did not settle, or rests at a place
-    that three sensors' readings, which always could, do not meet in."""
+    """No position: the iteration left the cameras' field, did not converge, or ended where the
+    planes of exactly three sensors do not meet, though three planes always could."""
     NO_REDUNDANCY = 8
-    """Exactly three sensors: the residual is zero and says nothing."""
+    """Exactly three sensors: the residual is zero whatever the errors are."""
     INCONSISTENT = 16
     """The residual is larger than the readings' noise explains."""
     AMBIGUOUS = 32
@@ -31,7 +35,7 @@ class PointFlag(IntFlag):
     SUSPECT_PEAK = 64
     """One of its peaks is suspect by the flag policy."""
     OUTSIDE_MAP = 128
-    """The correction table vouches for the reading of some used sensor not there."""
+    """It lies where the correction table is not valid for some used sensor."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +80,12 @@ class PointBatch:
         return len(self.position_mm)
 
     def part(self, first: int, last: int) -> "PointBatch":
-        """Return the points from ``first`` to before ``last``; the arrays are shared."""
+        """Return a range of the points; the arrays are shared.
+
+        Args:
+            first: index of the first point.
+            last: index after the last point.
+        """
         rows = slice(first, last)
         return PointBatch(
             self.position_mm[rows],
@@ -98,13 +107,30 @@ class PointBatch:
 
     @classmethod
     def empty(cls, sensors: int) -> "PointBatch":
-        """Return the batch of no points, by so many sensors."""
+        """Return the batch of no points, for a number of sensors."""
         return cls(
             np.empty((0, 3)),
             np.empty((0, 3, 3)),
             np.empty(0),
             np.empty((0, sensors), dtype=np.bool_),
             np.empty(0, dtype=np.int32),
+        )
+
+    @classmethod
+    def allocate(cls, count: int, sensors: int) -> "PointBatch":
+        """Return a batch to be filled, in one block of memory.
+
+        Args:
+            count: number of points N.
+            sensors: number of sensors S.
+        """
+        block = np.empty(count * (POINT_BYTES + sensors), dtype=np.uint8)
+        return cls(
+            np.ndarray((count, 3), np.float64, block),
+            np.ndarray((count, 3, 3), np.float64, block, 24 * count),
+            np.ndarray((count,), np.float64, block, 96 * count),
+            np.ndarray((count, sensors), np.bool_, block, POINT_BYTES * count),
+            np.ndarray((count,), np.int32, block, 104 * count),
         )
 
     @classmethod

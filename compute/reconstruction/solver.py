@@ -12,17 +12,11 @@ from compute.errors import InvalidParameter
 from compute.mapping.table import CorrectionTable
 from compute.measurement.measurement_model import check_corrections, check_covariance
 from compute.reconstruction.native.camera_arguments import fill_cameras
+from compute.reconstruction.native.cuda_launch import MOVED_WORDS, THREADS_PER_BLOCK, CudaLaunch
 from compute.reconstruction.native.kernel_arguments import JOB, MAX_POWER, row_length
-from compute.reconstruction.native.launch import (
-    THREADS_PER_BLOCK,
-    CpuLaunch,
-    CudaLaunch,
-    address,
-    empty_points,
-)
-from compute.reconstruction.point_batch import PointBatch
+from compute.reconstruction.point_batch import POINT_BYTES, PointBatch
 from compute.reconstruction.triangulation import INCONSISTENCY_SIGNIFICANCE, chi2_limit
-from compute.warp_host import warp_device
+from compute.warp_host import check_threads, warp_device, worker_threads
 
 Array = NDArray[np.float64]
 
@@ -30,10 +24,94 @@ MAX_SENSORS: Final = 64
 MIN_CAPACITY: Final = 16
 """Terms of distortion that a kernel has room for, at least, when it has any: calibrations with
 other terms then need no other kernel."""
+POINTS_PER_THREAD: Final = 512
+"""Fewest points for which another CPU thread is worth its start."""
+
+
+def address(array: NDArray[Any]) -> int:
+    """Return the memory address of an array."""
+    return int(array.__array_interface__["data"][0])
+
+
+class CpuLaunch:
+    """Runs the triangulation kernel on arrays in place; threads share large batches.
+
+    Args:
+        wp: the module Warp.
+        kernel: as of ``point_kernel``.
+        job: a JOB with all that stays the same.
+        sensors: number of sensors.
+        threads: most threads; None: as many as there are CPUs.
+    """
+
+    def __init__(
+        self, wp: Any, kernel: Any, job: NDArray[np.void], sensors: int, threads: int | None
+    ) -> None:
+        self._sensors = sensors
+        self._threads = check_threads(threads)
+        self._jobs = np.repeat(job, self._threads)
+        self._words = self._jobs.view(np.uint64).reshape(self._threads, -1)
+        self._counts = [1] * self._threads
+        first = address(self._jobs)
+        self._launches = [
+            wp.launch(
+                kernel,
+                dim=1,
+                inputs=[first + thread * JOB.itemsize],
+                device="cpu",
+                record_cmd=True,
+            )
+            for thread in range(self._threads)
+        ]
+
+    def solve(self, readings: Array, sigma: Array) -> PointBatch:
+        """Triangulate N points.
+
+        Args:
+            readings: shape (N, S) [px], C-contiguous; NaN where not seen.
+            sigma: their standard deviations, shape (N, S) [px], C-contiguous.
+        """
+        count, sensors = len(readings), self._sensors
+        points = PointBatch.allocate(count, sensors)
+        base = address(points.position_mm)
+        addresses = (
+            address(readings),
+            address(sigma),
+            base,
+            base + 24 * count,
+            base + 96 * count,
+            base + POINT_BYTES * count,
+            base + 104 * count,
+        )
+        parts = max(min(self._threads, count // POINTS_PER_THREAD), 1)
+        if parts == 1:
+            self._prepare(0, addresses, count)
+            self._launches[0].launch()
+            return points
+        strides = (8 * sensors, 8 * sensors, 24, 72, 8, sensors, 4)
+        starts = [count * part // parts for part in range(parts + 1)]
+        for part in range(parts):
+            moved = [
+                at + starts[part] * stride for at, stride in zip(addresses, strides, strict=True)
+            ]
+            self._prepare(part, moved, starts[part + 1] - starts[part])
+        # Warp is not thread-safe, but all that a helper calls is the compiled kernel.
+        pending = [worker_threads().submit(launch.launch) for launch in self._launches[1:parts]]
+        self._launches[0].launch()
+        for future in pending:
+            future.result()
+        return points
+
+    def _prepare(self, part: int, addresses: Sequence[int], count: int) -> None:
+        self._words[part, :MOVED_WORDS] = addresses
+        # It takes as long as a few points.
+        if self._counts[part] != count:
+            self._counts[part] = count
+            self._launches[part].set_dim(count)
 
 
 class PointSolver:
-    """What ``reconstruct`` does, in float64, by one kernel on the CPU or on CUDA.
+    """Triangulation as ``reconstruct`` does it, in float64, by one kernel on the CPU or on CUDA.
 
     Warp is not thread-safe: one thread makes the solver and calls it. Making it loads Warp and
     compiles the kernel for this number of sensors, with distortion or without, unless an earlier
@@ -125,14 +203,18 @@ class PointSolver:
                 shape=sigma.shape,
             )
         if len(readings) == 0:
-            return empty_points(0, self.sensors)
+            return PointBatch.empty(self.sensors)
         if sigma.ndim == 1:
             sigma = np.repeat(sigma[None], len(readings), axis=0)
         return self.launch.solve(readings, np.ascontiguousarray(sigma))
 
 
 def load_kernels(sensors: int, device: str | None = None) -> None:
-    """Load what solvers for so many sensors need, with up to MIN_CAPACITY terms of distortion.
+    """Load the kernels for a number of sensors, with up to MIN_CAPACITY terms of distortion.
+
+    Args:
+        sensors: number of sensors S.
+        device: as of ``PointSolver``.
 
     Raises:
         InvalidParameter: no such device.

@@ -1,4 +1,4 @@
-"""Weighted non-linear triangulation with covariance: the NumPy definition."""
+"""Triangulation in NumPy: linear, then weighted non-linear with covariance."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,14 +12,15 @@ from compute.camera.model import SensorModel
 from compute.camera.stack import CameraStack
 from compute.mapping.table import CorrectionTable
 from compute.measurement.measurement_model import MeasurementModel
-from compute.reconstruction.linear_triangulation import triangulate_linear
 from compute.reconstruction.point_batch import PointBatch, PointFlag
 
 Array = NDArray[np.float64]
 
+CONDITION_LIMIT = 1e-10
+"""Smallest ratio of singular values at which three planes still count as meeting in a point."""
 MAX_ITERATIONS = 30
 WEIGHTING_ITERATIONS = 2
-"""After the linear solution, before the readings are weighted by where the point is."""
+"""Iterations after the linear solution before the weights are computed at the point."""
 INITIAL_DAMPING = 1e-6
 MAX_DAMPING = 1e12
 STEP_TOLERANCE_MM = 1e-6
@@ -27,9 +28,9 @@ CHI2_ROUNDING_FACTOR = 1.0 + 1e-10
 """Steps near the end change chi2 by less than its rounding: growth up to this factor is none."""
 _DIAGONAL = np.arange(3)
 INCONSISTENCY_SIGNIFICANCE = 1e-4
-"""Chance that a good point is flagged as inconsistent."""
+"""Probability that a consistent point is flagged as inconsistent."""
 INTERSECTION_CHI2_TOLERANCE = 1e-6
-"""Of a point that three sensors' readings meet in: far above rounding, far below any noise."""
+"""Largest chi2 of an intersection of three planes: far above rounding, far below noise."""
 UNINFORMATIVE_SIGMA_RATIO = 1e3
 """A reading this many times less certain than the third best is not used."""
 DEGENERATE_RATIO = 1e-14
@@ -175,7 +176,7 @@ def _solve(gram: Array, damping: Array) -> Array:
 def _refine(
     equations: _Equations, whitening: Array, start: Array, max_iterations: int = MAX_ITERATIONS
 ) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Levenberg-Marquardt for all points, of so many iterations at most.
+    """Levenberg-Marquardt for all points, up to ``max_iterations``.
 
     Returns:
         Positions (N, 3), A' A of the whitened equations there (N, 4, 4), which converged (N,).
@@ -208,5 +209,48 @@ def _refine(
 
 @cache
 def chi2_limit(dof: int, probability: float) -> float:
-    """Return the chi2 that noise exceeds with this probability; infinite without freedom."""
+    """Return the chi2 that noise exceeds with a given probability.
+
+    Args:
+        dof: degrees of freedom; below 1 the limit is infinite.
+        probability: between 0 and 1.
+    """
     return float(chdtri(dof, probability)) if dof > 0 else float("inf")
+
+
+def triangulate_linear(
+    cameras: CameraStack, corrected_px: Array, weights: Array | None = None
+) -> Array:
+    """Intersect the planes of corrected readings; thesis [5.13]-[5.15], [5.22]-[5.24].
+
+    Each reading q gives one plane ``(m1 - q m2).X~ = 0``. With the metric matrices this is
+    [5.22]; the thesis's DLT form [5.13] differs by a factor for each sensor.
+
+    Args:
+        cameras: S cameras.
+        corrected_px: readings after ``cameras.corrected``, shape (N, S); NaN where not seen.
+        weights: factors for the equations, shape (N, S); None: all 1, as in the thesis.
+
+    Returns:
+        Points, shape (N, 3) [mm]; NaN where fewer than three sensors saw the point or where
+        the planes meet in a line.
+    """
+    matrices = cameras.matrices
+    seen = np.isfinite(corrected_px)
+    q = np.where(seen, corrected_px, 0.0)
+    rows = matrices[:, 0] - q[..., None] * matrices[:, 1]
+    rows = rows * (seen if weights is None else seen * weights)[..., None]
+    points = np.full((len(rows), 3), np.nan)
+    enough = seen.sum(axis=1) >= 3
+    if not enough.any():
+        return points
+    # QR instead of the normal equations (A'A)^-1 of [5.15]: the same solution, without squaring
+    # the condition number.
+    q_factor, r_factor = np.linalg.qr(rows[enough, :, :3])
+    singular = np.linalg.svd(r_factor, compute_uv=False)
+    good = singular[:, 2] > CONDITION_LIMIT * singular[:, 0]
+    right = -np.einsum("nsi,ns->ni", q_factor, rows[enough, :, 3])
+    solved = np.full((len(right), 3), np.nan)
+    solved[good] = np.linalg.solve(r_factor[good], right[good, :, None])[..., 0]
+    points[enough] = solved
+    return points

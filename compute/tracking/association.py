@@ -7,18 +7,12 @@ from numpy.typing import NDArray
 
 from compute.measurement.measurement_model import MeasurementModel
 from compute.measurement.measurements import Measurements
-from compute.tracking.clustering import split_clusters
-from compute.tracking.imm_states import (
-    CombinedState,
-    ImmStates,
-    combine_modes,
-    update_mode_probabilities,
-)
 from compute.tracking.joint_events import (
     SHARED_PEAK_REACH,
     ClusterTrack,
     Marginals,
     event_marginals,
+    split_clusters,
 )
 from compute.tracking.measurement_update import (
     Innovation,
@@ -27,7 +21,13 @@ from compute.tracking.measurement_update import (
     leave_one_out_residuals,
     pda_update,
 )
-from compute.tracking.motion_model import MotionModels
+from compute.tracking.motion_model import (
+    CombinedState,
+    ImmStates,
+    MotionModels,
+    combine_modes,
+    update_mode_probabilities,
+)
 from compute.tracking.settings import TrackerSettings
 
 Array = NDArray[np.float64]
@@ -38,16 +38,16 @@ MAX_ITERATIONS = 3
 LOST_SIGMA_FACTOR = 4.0
 """Predicted sigma of a reading, in ``max_prediction_sigma_px``, beyond which a track is lost."""
 PRUNED_WEIGHT_THRESHOLD = 0.01
-"""Share of joint hypotheses that were not followed, beyond which a track is ambiguous."""
+"""Weight of pruned joint hypotheses from which a track is ambiguous."""
 SUSPECT_RESIDUAL_SIGMA = 3.0
 """A reading this far from what all others and the prediction say counts for less."""
 ASSOCIATION_PROBABILITY_THRESHOLD = 0.5
-"""Probability from which a peak is said to be a track's."""
+"""Probability from which a peak is reported as a track's."""
 
 
 @dataclass(frozen=True, eq=False)
 class AssociationResult:
-    """What T tracks saw in a frame.
+    """Peaks and updated states of T tracks after an exposure.
 
     Args:
         states: after the update.
@@ -55,9 +55,9 @@ class AssociationResult:
         merged: whether that peak is shared, shape (T, S).
         probability: probability that it is the track's, 0 where there is none, shape (T, S).
         nis: normalised innovation squared, shape (T,).
-        log_likelihood_ratio: log likelihood of what was seen, over that of false peaks, shape (T,).
-        hypotheses_pruned: whether hypotheses were given up that might have mattered, shape (T,).
-        in_view: how many sensors each place is in the view of, shape (T,).
+        log_likelihood_ratio: of the readings being the track's to being false peaks, shape (T,).
+        hypotheses_pruned: whether hypotheses of non-negligible weight were pruned, shape (T,).
+        in_view: number of sensors that have the predicted position in view, shape (T,).
     """
 
     states: ImmStates

@@ -18,7 +18,7 @@ MAX_CODE_LENGTH: Final = 20
 
 @dataclass(frozen=True)
 class BlinkCodes:
-    """The words that markers blink over successive scans, again and again.
+    """Code words that markers blink periodically over successive scans.
 
     The constructor compares every word with every rotation of every word and refuses a set that
     has not got its distance: what it holds is proved.
@@ -61,17 +61,17 @@ class BlinkCodes:
 
     @property
     def length(self) -> int:
-        """Bits of a word."""
+        """Number of bits of a word."""
         return len(self.words[0])
 
     @property
     def corrected(self) -> int:
-        """Wrong bits of a word with which it is still told for certain."""
+        """Number of wrong bits that can be corrected."""
         return (self.distance - 1) // 2
 
     @cached_property
     def minimum_distance(self) -> int:
-        """Return the least distance of any two words, in any phase if they are cyclic."""
+        """Return the minimum Hamming distance of any two words, in any phase if they are cyclic."""
         values = np.array([int(word, 2) for word in self.words], dtype=np.uint32)
         least = self.length
         for shift in range(self.length if self.cyclic else 1):
@@ -90,7 +90,7 @@ class BlinkCodes:
 def blink_codes(
     markers: int, length: int, distance: int, *, cyclic: bool = True, min_on: int | None = None
 ) -> BlinkCodes:
-    """Return words for so many markers, the first that keep their distance from those before.
+    """Return words for a number of markers, chosen greedily by their minimum distance.
 
     Lexicographic codes: all words in order, of which rotations of one another count once if the
     codes are cyclic. They are not the largest sets that exist.
@@ -140,7 +140,7 @@ def blink_codes(
 
 
 def nearest_word(codes: BlinkCodes, bits: Sequence[bool | None]) -> tuple[int, int, int] | None:
-    """Return the marker, phase and number of wrong bits of one word's scans; None: not certain.
+    """Return marker, phase and number of wrong bits of a received word; None: not decodable.
 
     Certain is what the distance proves: with e wrong bits and u unknown ones, ``2 e + u`` must be
     less than the distance.

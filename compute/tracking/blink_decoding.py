@@ -29,7 +29,7 @@ _LOG_ROOT_TWO_PI: Final = 0.5 * float(np.log(2.0 * np.pi))
 
 @dataclass(frozen=True)
 class BlinkModel:
-    """How the peaks of a blinking marker come about.
+    """Detection model of a blinking marker's peaks.
 
     Args:
         miss_probability: chance that a scan in which the marker is on has no peak of it.
@@ -82,7 +82,7 @@ class BlinkModel:
 
 @dataclass(frozen=True, eq=False)
 class BlinkIdentities:
-    """Which marker each of T lights is.
+    """Identified markers of T lights.
 
     Args:
         marker: index of its word, -1: not sure, int32, shape (T,).
@@ -106,7 +106,7 @@ def identify_blinking_markers(
     phase: int | None = None,
     known: NDArray[np.bool_] | None = None,
 ) -> BlinkIdentities:
-    """Say which marker each light is, from its amplitudes over a window of scans.
+    """Identify the marker of each light, from its amplitudes over a window of scans.
 
     Every word in every phase is a hypothesis, beside a steady light and one that comes and goes by
     chance. The likelihood is that of peaks present and absent, and of the logarithms of their

@@ -15,9 +15,9 @@ from compute.tracking.track_batch import TrackBatch, TrackFlag, TrackState
 Array = NDArray[np.float64]
 
 WINDOW_WORDS: Final = 2
-"""Words that a track is judged by: one word less the peaks that are missed is often not enough."""
+"""Words in the window: with missed peaks, one word is often not enough."""
 EVALUATIONS_PER_WORD: Final = 2
-"""How often tracks are judged: names come half a word late, at most."""
+"""Evaluations per word: names come half a word late at most."""
 
 
 class BlinkIdentifier:
@@ -49,13 +49,13 @@ class BlinkIdentifier:
         self.reset()
 
     def reset(self) -> None:
-        """Forget all, as after the tracker's own reset."""
+        """Delete the window and all names, as after the tracker's own reset."""
         self._identity: NDArray[np.int64] = np.empty(0, np.int64)
-        """Of the T tracks that are remembered, ascending."""
+        """Identities of the T tracks in the window, ascending."""
         self._amplitude: Array | None = None
         """By track, sensor and exposure (its number modulo W), NaN: no peak, shape (T, S, W)."""
         self._known: NDArray[np.bool_] | None = None
-        """Where it can be said whether there was a peak, shape (T, S, W)."""
+        """Where presence or absence of a peak is known, shape (T, S, W)."""
         self._name: dict[int, int] = {}
         self._doubtful: set[int] = set()
         """Tracks that were AMBIGUOUS at the last exposure."""

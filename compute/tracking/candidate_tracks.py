@@ -9,12 +9,11 @@ from numpy.typing import NDArray
 
 from compute.measurement.measurement_model import MeasurementModel
 from compute.measurement.measurements import Measurements
-from compute.tracking.imm_states import ImmStates, mean_positions, mix_and_predict
 from compute.tracking.max_weight_independent_set import (
     best_alternatives,
     max_weight_independent_set,
 )
-from compute.tracking.motion_model import MotionModels
+from compute.tracking.motion_model import ImmStates, MotionModels, mean_positions, mix_and_predict
 from compute.tracking.native.associator import Associator
 from compute.tracking.settings import TrackerSettings
 from compute.tracking.track_management import MIN_SUPPORT_SENSORS
@@ -48,9 +47,9 @@ CONFLICT_SHARE_THRESHOLD: Final = 0.2
 DUPLICATE_SHARE_THRESHOLD: Final = 0.6
 """Part beyond which it is the same one."""
 SCORE_RATIO_THRESHOLD: Final = 1.5
-"""How many times the score of a rival leaves no doubt."""
+"""Ratio of a candidate's score to a rival's from which the candidate is unambiguous."""
 MAX_GHOSTS: Final = 0.1
-"""Ghosts to be expected, beyond which what is found is ambiguous."""
+"""Expected number of ghosts beyond which confirmed candidates are ambiguous."""
 MAX_CANDIDATES: Final = 80
 """Tracklets that are followed."""
 
@@ -62,14 +61,14 @@ class _Candidates:
     Args:
         states: at the last exposure.
         bias: as of tracks, shape (T, S, S).
-        position_mm: where that was worked out, shape (T, 3).
+        position_mm: position at which that was evaluated, shape (T, 3).
         peaks: of the last exposures, the newest last; -1: none, shape (T, W, S).
         missed: whether a sensor had no peak there, not even one that may be shared, (T, W, S).
         score: log likelihood ratio to no one's peaks, of each exposure, shape (T, W).
         age: exposures, shape (T,).
         blind: exposures in a row without peaks enough, shape (T,).
         nis: of the last exposure, shape (T,).
-        neighbours: other peaks beside its own; see ``strangers``, shape (T, S, 3).
+        neighbours: other peaks beside its own, see ``unresolved_neighbours``, (T, S, 3).
     """
 
     states: ImmStates
@@ -104,12 +103,12 @@ class _Candidates:
 
 @dataclass(frozen=True, eq=False)
 class ConfirmedCandidates:
-    """N markers.
+    """States of N candidates that were confirmed as markers.
 
     Args:
         states: at the exposure.
         bias: as of tracks, shape (N, S, S).
-        position_mm: where that was worked out, shape (N, 3).
+        position_mm: position at which that was evaluated, shape (N, 3).
         peaks: of the exposure; -1: none, shape (N, S).
         nis: of the exposure, shape (N,).
         ambiguous: whether they may be ghosts, shape (N,).
@@ -128,7 +127,7 @@ class ConfirmedCandidates:
 
 
 class CandidateTracks:
-    """Follows what may be markers, each as if it were alone, and says which are.
+    """Filters candidate tracks independently of each other, and confirms a consistent set.
 
     Ghosts have peaks of markers. Followed together with these they would take them; followed alone,
     each peak may be several tracklets', and over some exposures it shows which set of them explains
@@ -161,11 +160,11 @@ class CandidateTracks:
         return 0 if self._kept is None else len(self._kept)
 
     def forget(self) -> None:
-        """Forget all."""
+        """Delete all candidates."""
         self._kept = None
 
     def explained_peaks(self) -> NDArray[np.int32]:
-        """Return the peaks of the tracklets that are well seen, in the last exposure, (N, S)."""
+        """Return the last exposure's peaks of well supported candidates, shape (N, S)."""
         if self._kept is None:
             return np.empty((0, len(self._model)), dtype=np.int32)
         kept = self._kept
@@ -174,7 +173,7 @@ class CandidateTracks:
         return peaks
 
     def is_new(self, peaks: NDArray[np.int32]) -> bool:
-        """Return whether no tracklet has three of these peaks (S,), and there is room."""
+        """Return whether there is room and no candidate has three of these peaks, shape (S,)."""
         if self._kept is None or len(self._kept) == 0:
             return True
         same = ((self._kept.peaks[:, -1] == peaks) & (peaks >= 0)).sum(axis=1)
@@ -188,7 +187,15 @@ class CandidateTracks:
         peaks: NDArray[np.int32],
         time_ns: int,
     ) -> None:
-        """Follow N more, seen now by these peaks (N, S)."""
+        """Begin N tentative tracks.
+
+        Args:
+            states: their states, N of them.
+            bias: covariance of the readings' constant errors, shape (N, S, S) [px^2].
+            position_mm: where that was evaluated, shape (N, 3) [mm].
+            peaks: index of each sensor's peak, -1: none, shape (N, S).
+            time_ns: time of the exposure [ns].
+        """
         rows = np.arange(len(states))
         sensors = len(self._model)
         history = np.full((len(rows), WINDOW_EXPOSURES, sensors), -1, dtype=np.int32)
@@ -209,7 +216,13 @@ class CandidateTracks:
         self._time_ns = time_ns
 
     def follow(self, time_ns: int, peaks: Measurements, free: NDArray[np.bool_]) -> None:
-        """Update all by the peaks that are free, shape (S, K); give up those that fail."""
+        """Predict and update all tentative tracks; delete those that fail.
+
+        Args:
+            time_ns: time of the exposure [ns].
+            peaks: measurements of the exposure, up to K peaks of each of S sensors.
+            free: peaks that may be used, shape (S, K).
+        """
         kept = self._kept
         if kept is None or len(kept) == 0:
             self._time_ns = time_ns
@@ -262,7 +275,7 @@ class CandidateTracks:
         return self._model.predict(mean_positions(states)).reading_px
 
     def decide(self) -> ConfirmedCandidates | None:
-        """Return those that are markers, and follow them no longer; None: there are none."""
+        """Confirm and remove the candidates that are markers; None: there are none."""
         kept = self._kept
         if kept is None or len(kept) == 0:
             return None

@@ -1,28 +1,31 @@
 """Joint association events of the tracks that compete for a sensor's peaks (JPDA).
 
-All of a cluster's hypotheses that matter as long as there are few; beyond, the most likely partial
-ones are carried on, track by track, and the weight of what is given up is bounded.
+All hypotheses of a cluster with non-negligible weight, as long as they are few; beyond, the most
+likely partial hypotheses are extended track by track, and the weight of the pruned ones is bounded.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from math import exp, log, pi, prod, sqrt
 
 from compute.tracking.settings import TrackerSettings
 
+Peak = tuple[int, float, float]
+"""Index, position [px] and variance [px^2]."""
 SHARED_PEAK_REACH = 2.0
-"""Predictions nearer than so many ``resolution_px``, and two deviations, may share a peak."""
+"""Predictions nearer than this, in ``resolution_px``, and two deviations may share a peak."""
 _LOG_2 = log(2.0)
 MIN_MERGE_PROBABILITY = 1e-4
-"""Chance below which two tracks are not taken as one peak."""
+"""Probability below which two tracks are not considered merged into one peak."""
 NEGLIGIBLE_WEIGHT_RATIO = 1e-6
-"""Partial hypotheses that lead to nothing but such a part of the likeliest are not followed."""
+"""Partial hypotheses bounded by this fraction of the likeliest one's weight are pruned."""
 SHARE_FRACTION_VARIANCE = 1.0 / 12.0
-"""Of the share of one of two markers in their common peak, which nothing is known of."""
+"""Variance of one marker's unknown, uniformly distributed share in a merged peak."""
 
 
 @dataclass(frozen=True)
 class ClusterTrack:
-    """A track in a cluster: its predicted reading and that one's variance, one sensor."""
+    """A track in a cluster: its predicted reading by one sensor, and the variance of that."""
 
     reading_px: float
     variance_px2: float
@@ -30,7 +33,7 @@ class ClusterTrack:
 
 @dataclass(frozen=True)
 class Marginals:
-    """A possibility for a track's reading, as a measurement of that track's own reading.
+    """A peak as the reading of one track, with its marginal association probability.
 
     Args:
         peak: its index in the line.
@@ -49,7 +52,7 @@ class Marginals:
 
 @dataclass(frozen=True)
 class _Option:
-    """A way for one track, or for two that share a peak, to be read."""
+    """Assignment of a peak to one track, or to two that share it."""
 
     tracks: tuple[int, ...]
     peak: int
@@ -65,11 +68,16 @@ class _Partial:
 
 
 def merge_probability(apart_px: float, variance_px2: float, resolution_px: float) -> float:
-    """Return the chance that two peaks, so far apart, are found as one.
+    """Return the probability that two peaks are found as one.
 
     ``exp(-log 2 (d / resolution_px)^2)`` (W. Koch, G. van Keuk, Multiple hypothesis track
-    maintenance with possibly unresolved measurements, 1997), averaged over the distance's own
-    uncertainty.
+    maintenance with possibly unresolved measurements, 1997), averaged over the distribution of the
+    distance d.
+
+    Args:
+        apart_px: mean of the distance [px].
+        variance_px2: variance of the distance [px^2].
+        resolution_px: distance at which the probability is one half [px].
     """
     spread = 1.0 + 2.0 * _LOG_2 * variance_px2 / resolution_px**2
     return exp(-_LOG_2 * apart_px**2 / (resolution_px**2 * spread)) / sqrt(spread)
@@ -80,7 +88,7 @@ def event_marginals(
     peaks: list[tuple[int, float, float]],
     settings: TrackerSettings,
 ) -> tuple[list[list[Marginals]], float]:
-    """Return each contender's possible readings, and a bound on what was given up.
+    """Return each track's marginals, and a bound on the weight of pruned hypotheses.
 
     Each track is read as a peak of its own, shares one with another track, or is missed. Of
     hypotheses in which the same tracks have the same peaks only the likeliest counts: the average
@@ -266,3 +274,45 @@ def _marginals(
 
 def _density(off_squared: float, variance: float) -> float:
     return exp(-0.5 * off_squared) / sqrt(2.0 * pi * variance)
+
+
+def split_clusters(
+    cluster_tracks: list[ClusterTrack], peaks: list[Peak], settings: TrackerSettings
+) -> Iterator[tuple[list[int], list[Peak]]]:
+    """Yield the members of each cluster, in order, and its peaks.
+
+    Tracks are in one cluster when a peak lies in the gates of both, or when they lie so near to
+    one another that they may share one, directly or through others.
+
+    Args:
+        cluster_tracks: predicted readings of one sensor.
+        peaks: usable peaks of that sensor.
+        settings: gate and resolution.
+
+    Yields:
+        Ascending indices into ``cluster_tracks``, and the peaks that may be theirs.
+    """
+    if not cluster_tracks:
+        return
+    merge = SHARED_PEAK_REACH * settings.resolution_px
+
+    def reach(member: int) -> float:
+        return settings.gate_sigma * sqrt(cluster_tracks[member].variance_px2)
+
+    groups: list[list[int]] = []
+    end = -float("inf")
+    widest = max((sqrt(variance) for _, _, variance in peaks), default=0.0)
+    margin = settings.gate_sigma * widest
+    for member in sorted(
+        range(len(cluster_tracks)), key=lambda m: cluster_tracks[m].reading_px - reach(m)
+    ):
+        middle, half = cluster_tracks[member].reading_px, reach(member) + margin
+        if not groups or middle - half > end + 2.0 * merge:
+            groups.append([])
+            end = -float("inf")
+        groups[-1].append(member)
+        end = max(end, middle + half)
+    for group in groups:
+        low = min(cluster_tracks[m].reading_px - reach(m) for m in group) - margin - merge
+        high = max(cluster_tracks[m].reading_px + reach(m) for m in group) + margin + merge
+        yield sorted(group), [peak for peak in peaks if low <= peak[1] <= high]

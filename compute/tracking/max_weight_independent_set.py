@@ -11,7 +11,7 @@ MAX_ROUNDS: Final = 50
 
 
 def max_weight_independent_set(score: Array, conflict: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return which of C sequences are taken: none with a conflict, of a large sum of scores.
+    """Choose sequences without conflicts with a large sum of scores, of C.
 
     The best first, then as long as that adds up to more: one that is left out for those taken that
     it is in conflict with, or several that are left out for the one that keeps them out. A ghost of
@@ -36,7 +36,7 @@ def max_weight_independent_set(score: Array, conflict: NDArray[np.bool_]) -> NDA
 def best_alternatives(
     score: Array, conflict: NDArray[np.bool_], selected: NDArray[np.bool_]
 ) -> Array:
-    """Return what could be had in the place of each sequence that is taken, at most, shape (C,).
+    """Return a bound on the score of alternatives to each chosen sequence, shape (C,).
 
     One that is left out, less all others that are taken and in conflict with it. 0 for those that
     are not taken.

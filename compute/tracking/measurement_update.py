@@ -5,8 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.tracking.imm_states import CombinedState, ImmStates
-from compute.tracking.motion_model import STATE_SIZE
+from compute.tracking.motion_model import STATE_SIZE, CombinedState, ImmStates
 
 Array = NDArray[np.float64]
 
@@ -15,11 +14,11 @@ _LOG_2PI = float(np.log(2.0 * np.pi))
 
 @dataclass(frozen=True, eq=False)
 class Innovation:
-    """What the chosen readings of T tracks say beyond the prediction; others are masked.
+    """Jacobians and covariances of the readings that update T tracks; others are masked.
 
     Args:
         used: shape (T, S).
-        jacobian: d reading / d place, 0 where not used, shape (T, S, 3).
+        jacobian: d reading / d position, 0 where not used, shape (T, S, 3) [px/mm].
         variance: of the readings' noise [px^2], 1 where not used, shape (T, S).
         bias: covariance of the readings' constant errors, 0 where not used, shape (T, S, S).
     """
@@ -33,7 +32,14 @@ class Innovation:
     def of(
         cls, used: NDArray[np.bool_], jacobian: Array, variance: Array, bias: Array
     ) -> "Innovation":
-        """Mask what is not used."""
+        """Return the innovation with all readings masked that are not used.
+
+        Args:
+            used: shape (T, S).
+            jacobian: d reading / d position, shape (T, S, 3) [px/mm].
+            variance: variance of the readings' noise, shape (T, S) [px^2].
+            bias: covariance of the readings' constant errors, shape (T, S, S) [px^2].
+        """
         return cls(
             used,
             np.where(used[..., None], jacobian, 0.0),
@@ -45,7 +51,7 @@ class Innovation:
 def joint_update(
     states: ImmStates, innovation: Innovation, difference: Array
 ) -> tuple[ImmStates, Array, Array]:
-    """Return the states after the chosen readings of all sensors at once.
+    """Update the states by the chosen readings of all sensors at once.
 
     Args:
         states: of T tracks, predicted.
@@ -118,7 +124,7 @@ def innovation_covariance(
 def leave_one_out_residuals(
     whole: CombinedState, innovation: Innovation, difference: Array
 ) -> Array:
-    """Return how far each reading is from what all others and the prediction say, in sigma.
+    """Return each reading's residual from the prediction by all others, in standard deviations.
 
     With S the innovations' covariance and v their values, ``(S^-1 v)_s / sqrt((S^-1)_ss)`` is the
     error of predicting v_s by the others, over its standard deviation.
@@ -142,10 +148,10 @@ def leave_one_out_residuals(
 
 @dataclass(frozen=True, eq=False)
 class PdaMixture:
-    """What one sensor may have read of each of T tracks: a mixture of C possibilities.
+    """Mixture of C association hypotheses of one sensor for each of T tracks (PDA).
 
     Args:
-        weight: of the possibilities, shape (T, C); the rest to 1 is that it read nothing.
+        weight: of the hypotheses, shape (T, C); the rest to 1 is that of a missed detection.
         difference: reading less prediction at the combined mean [px], shape (T, C).
         variance: of the reading's noise [px^2], shape (T, C).
     """
@@ -163,7 +169,7 @@ def pda_update(
     jacobian: Array,
     bias: Array,
 ) -> ImmStates:
-    """Return the states after one sensor's reading that may be one of several, or none.
+    """Update the states by one sensor's mixture of hypotheses (PDA).
 
     The mixture of all possible posteriors as one Gaussian: probabilistic data association
     (Y. Bar-Shalom, F. Daum, J. Huang, 10.1109/MCS.2009.934469). All lie along one direction, that

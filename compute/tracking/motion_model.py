@@ -1,4 +1,4 @@
-"""Motion models: constant velocity and constant acceleration, exact for any time step."""
+"""Motion models (constant velocity, constant acceleration) and IMM states of tracks under them."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -12,11 +12,14 @@ Array = NDArray[np.float64]
 
 STATE_SIZE = 9
 """Position, velocity and acceleration, x, y, z each."""
+MIN_MODE_PROBABILITY = 1e-6
+"""Lower limit of a model's probability: one that has become certain can still turn out wrong."""
+_ACCELERATION = slice(6, 9)
 
 
 @dataclass(frozen=True)
 class MotionModels:
-    """M models of one marker's motion, over the same nine states.
+    """M motion models of one marker, over the same nine states.
 
     Constant velocity: its acceleration is white noise of spectral density q; constant
     acceleration: its jerk is (Bar-Shalom, Li, Kirubarajan, Estimation with Applications to
@@ -59,10 +62,10 @@ class MotionModels:
         return np.stack([one[0] for one in each]), np.stack([one[1] for one in each])
 
     def mode_transition_probabilities(self, step_s: Array) -> Array:
-        """Return the chances to go from one model to another, shape (T, M, M), rows from.
+        """Return the transition probabilities of the models, shape (T, M, M); rows: from.
 
-        Switches are a Poisson process: over any time the chances are exact, as of a Markov chain
-        in continuous time with equal rates.
+        Switches are a Poisson process: those of a Markov chain in continuous time with equal rates,
+        exact for any time step.
         """
         if len(self) == 1:
             return np.ones((len(step_s), 1, 1))
@@ -88,14 +91,28 @@ def _step(kind: tuple[tuple[bool, ...], tuple[float, ...]], t: float) -> tuple[A
 
 
 def cv_transition(t: float, noise_psd: float) -> tuple[Array, Array]:
-    """Return transition and noise of position, velocity (and no acceleration), each (3, 3)."""
+    """Return transition and process noise of the constant-velocity model, each (3, 3).
+
+    The state of one axis is position, velocity and acceleration; the last is held at zero.
+
+    Args:
+        t: time step [s].
+        noise_psd: spectral density of the white acceleration [mm^2/s^3].
+    """
     transition = np.array([[1.0, t, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 0.0]])
     noise = np.array([[t**3 / 3, t**2 / 2, 0.0], [t**2 / 2, t, 0.0], [0.0, 0.0, 0.0]])
     return transition, noise_psd * noise
 
 
 def ca_transition(t: float, noise_psd: float) -> tuple[Array, Array]:
-    """Return transition and noise of position, velocity and acceleration, each (3, 3)."""
+    """Return transition and process noise of the constant-acceleration model, each (3, 3).
+
+    The state of one axis is position, velocity and acceleration.
+
+    Args:
+        t: time step [s].
+        noise_psd: spectral density of the white jerk [mm^2/s^5].
+    """
     transition = np.array([[1.0, t, t**2 / 2], [0.0, 1.0, t], [0.0, 0.0, 1.0]])
     noise = np.array(
         [
@@ -105,3 +122,197 @@ def ca_transition(t: float, noise_psd: float) -> tuple[Array, Array]:
         ]
     )
     return transition, noise_psd * noise
+
+
+@dataclass(eq=False)
+class ImmStates:
+    """Means and covariances of T tracks under M models; arrays are replaced as a whole.
+
+    The calibration's error biases each sensor's readings. The bias is the same in every frame, so
+    that no filtering removes it: its covariance with the state is propagated and the bias is never
+    estimated (S. F. Schmidt, Application of State-Space Methods to Navigation
+    Problems, 1966; a "consider" filter).
+
+    Args:
+        mean: position, velocity, acceleration, shape (T, M, 9).
+        covariance: shape (T, M, 9, 9), the calibration's error included.
+        bias_cross_covariance: covariance of the state with the sensors' biases, shape (T, M, 9, S).
+        probability: of the models, shape (T, M).
+    """
+
+    mean: Array
+    covariance: Array
+    bias_cross_covariance: Array
+    probability: Array
+
+    def __len__(self) -> int:
+        """Return the number of tracks."""
+        return len(self.mean)
+
+    @classmethod
+    def empty(cls, models: int, sensors: int) -> "ImmStates":
+        """Return the states of no tracks.
+
+        Args:
+            models: number of motion models M.
+            sensors: number of sensors S.
+        """
+        return cls(
+            np.empty((0, models, STATE_SIZE)),
+            np.empty((0, models, STATE_SIZE, STATE_SIZE)),
+            np.empty((0, models, STATE_SIZE, sensors)),
+            np.empty((0, models)),
+        )
+
+    def rows(self, index: NDArray[np.intp] | NDArray[np.bool_]) -> "ImmStates":
+        """Return a copy of some tracks' states."""
+        return ImmStates(
+            self.mean[index],
+            self.covariance[index],
+            self.bias_cross_covariance[index],
+            self.probability[index],
+        )
+
+    def put(self, index: NDArray[np.intp] | NDArray[np.bool_], states: "ImmStates") -> None:
+        """Overwrite the states of some tracks.
+
+        Args:
+            index: their rows, or a mask.
+            states: the new states, one for each of them.
+        """
+        self.mean[index] = states.mean
+        self.covariance[index] = states.covariance
+        self.bias_cross_covariance[index] = states.bias_cross_covariance
+        self.probability[index] = states.probability
+
+    def concatenate(self, other: "ImmStates") -> "ImmStates":
+        """Return these states and others after them."""
+        return ImmStates(
+            np.concatenate([self.mean, other.mean]),
+            np.concatenate([self.covariance, other.covariance]),
+            np.concatenate([self.bias_cross_covariance, other.bias_cross_covariance]),
+            np.concatenate([self.probability, other.probability]),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class CombinedState:
+    """Gaussian with the mean and covariance of the models' mixture.
+
+    Args:
+        mean: shape (T, 9).
+        covariance: shape (T, 9, 9).
+        bias_cross_covariance: shape (T, 9, S).
+    """
+
+    mean: Array
+    covariance: Array
+    bias_cross_covariance: Array
+
+
+def mix_and_predict(models: MotionModels, states: ImmStates, step_s: Array) -> ImmStates:
+    """Mix the models' states, then predict each by its own model.
+
+    The IMM's first two steps (H. A. P. Blom, Y. Bar-Shalom, 10.1109/9.1299). A model without
+    acceleration takes that of the one that has it when they mix: zeros would pull every
+    acceleration towards none.
+
+    Args:
+        models: M motion models.
+        states: of T tracks.
+        step_s: time step of each track, shape (T,) [s].
+    """
+    if len(models) > 1 and len(states):
+        joint = states.probability[:, :, None] * models.mode_transition_probabilities(step_s)
+        ahead = joint.sum(axis=1)
+        mean = np.empty_like(states.mean)
+        covariance = np.empty_like(states.covariance)
+        bias_cross_covariance = np.empty_like(states.bias_cross_covariance)
+        for to, has in enumerate(models.has_acceleration):
+            weights = joint[:, :, to] / ahead[:, to, None]
+            mixed = _mixture(models, states, weights)
+            mean[:, to], covariance[:, to] = mixed.mean, mixed.covariance
+            bias_cross_covariance[:, to] = mixed.bias_cross_covariance
+            if not has:
+                mean[:, to, _ACCELERATION] = 0.0
+                covariance[:, to, _ACCELERATION] = 0.0
+                covariance[:, to, :, _ACCELERATION] = 0.0
+                bias_cross_covariance[:, to, _ACCELERATION] = 0.0
+        states = ImmStates(mean, covariance, bias_cross_covariance, ahead)
+    transition, noise = models.transitions(step_s)
+    return ImmStates(
+        (transition @ states.mean[..., None])[..., 0],
+        transition @ states.covariance @ transition.swapaxes(-1, -2) + noise,
+        transition @ states.bias_cross_covariance,
+        states.probability,
+    )
+
+
+def combine_modes(models: MotionModels, states: ImmStates) -> CombinedState:
+    """Return the mixture of the models as one Gaussian for each track.
+
+    Args:
+        models: M motion models.
+        states: of T tracks.
+    """
+    if len(models) == 1:
+        return CombinedState(
+            states.mean[:, 0], states.covariance[:, 0], states.bias_cross_covariance[:, 0]
+        )
+    return _mixture(models, states, states.probability)
+
+
+def mean_positions(states: ImmStates) -> Array:
+    """Return the mean positions of the mixtures, shape (T, 3) [mm]."""
+    mean: Array = (states.probability[..., None] * states.mean[..., :3]).sum(axis=1)
+    return mean
+
+
+def is_finite(states: ImmStates) -> NDArray[np.bool_]:
+    """Return which tracks' states are finite in all that their places depend on, shape (T,)."""
+    parts = (
+        np.isfinite(states.mean).all(axis=(1, 2)),
+        np.isfinite(states.covariance).all(axis=(1, 2, 3)),
+        np.isfinite(states.probability).all(axis=1),
+    )
+    return np.asarray(parts[0] & parts[1] & parts[2], dtype=np.bool_)
+
+
+def update_mode_probabilities(states: ImmStates, log_likelihood: Array) -> None:
+    """Update the models' probabilities by Bayes' rule, in place.
+
+    Args:
+        states: of T tracks.
+        log_likelihood: of each track's readings under each model, shape (T, M).
+    """
+    log = np.log(states.probability) + log_likelihood
+    raw = np.exp(log - log.max(axis=1, keepdims=True))
+    raw = np.maximum(raw / raw.sum(axis=1, keepdims=True), MIN_MODE_PROBABILITY)
+    states.probability = raw / raw.sum(axis=1, keepdims=True)
+
+
+def _mixture(models: MotionModels, states: ImmStates, weights: Array) -> CombinedState:
+    """Return mean and covariance of the models' mixture with weights (T, M)."""
+    has = models.has_acceleration
+    mean, covariance, bias_cross_covariance = (
+        states.mean,
+        states.covariance,
+        states.bias_cross_covariance,
+    )
+    if any(has) and not all(has):
+        source = has.index(True)
+        mean, covariance = mean.copy(), covariance.copy()
+        for model, own in enumerate(has):
+            if not own:
+                mean[:, model, _ACCELERATION] = mean[:, source, _ACCELERATION]
+                covariance[:, model, _ACCELERATION, _ACCELERATION] = covariance[
+                    :, source, _ACCELERATION, _ACCELERATION
+                ]
+    middle = (weights[..., None] * mean).sum(axis=1)
+    off = mean - middle[:, None]
+    spread = covariance + off[..., :, None] * off[..., None, :]
+    return CombinedState(
+        middle,
+        (weights[..., None, None] * spread).sum(axis=1),
+        (weights[..., None, None] * bias_cross_covariance).sum(axis=1),
+    )

@@ -21,11 +21,11 @@ exposure by exposure."""
 MAX_FRUITLESS_EXPOSURES: Final = 12
 """Exposures that are searched one after the other though nothing comes of it."""
 MAX_PAUSE_DOUBLINGS: Final = 3
-"""How often the pause after them doubles; it begins with ``initiation_interval_s``."""
+"""Most doublings of the pause after them; it begins with ``initiation_interval_s``."""
 
 
 class MultiScanInitiator:
-    """Searches in exposures that follow one another; in few of them where there is nothing to find.
+    """Initiates tracks over successive exposures; pauses longer where it finds none.
 
     Args:
         model: of the readings.
@@ -50,14 +50,14 @@ class MultiScanInitiator:
         self._resume_ns: int | None = None
 
     def forget(self) -> None:
-        """Forget what was found so far."""
+        """Delete candidates and sequences."""
         self._sequences.forget()
         self._tracklets.forget()
         self._fruitless = self._pauses = 0
         self._resume_ns = None
 
     def is_dense(self, free: NDArray[np.bool_], *, ghost_suspected: bool) -> bool:
-        """Return whether one exposure does not tell the markers of these peaks.
+        """Return whether a single exposure cannot resolve the markers of these peaks.
 
         Args:
             free: peaks that no track explains, shape (S, K).
@@ -75,7 +75,7 @@ class MultiScanInitiator:
     def search(
         self, time_ns: int, peaks: Measurements, free: NDArray[np.bool_]
     ) -> ConfirmedCandidates | None:
-        """Return the markers found with this exposure; None: there are none, or it is a pause.
+        """Return the markers confirmed by this exposure; None: none, or the search pauses.
 
         Args:
             time_ns: of the exposure.

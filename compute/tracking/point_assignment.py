@@ -8,9 +8,13 @@ from scipy.optimize import linear_sum_assignment
 
 from compute.measurement.measurement_model import MeasurementModel, PredictedMeasurements
 from compute.reconstruction.triangulation import chi2_limit
-from compute.tracking.imm_states import ImmStates, combine_modes, update_mode_probabilities
 from compute.tracking.measurement_update import Innovation, joint_update
-from compute.tracking.motion_model import MotionModels
+from compute.tracking.motion_model import (
+    ImmStates,
+    MotionModels,
+    combine_modes,
+    update_mode_probabilities,
+)
 from compute.tracking.settings import TrackerSettings
 from compute.tracking.unassociated_points import UnassociatedPoints
 
@@ -24,9 +28,18 @@ _FAR = 1e12
 def assign_points(
     motion: MotionModels, states: ImmStates, points: UnassociatedPoints
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return which of T tracks is seen at which of N points: rows of the one, of the other.
+    """Assign points to tracks, each to one at most.
 
-    The assignment with the least sum of squared Mahalanobis distances, within the gate.
+    The most likely assignment: the least sum of squared Mahalanobis distances and log determinants
+    of their covariances, within the gate.
+
+    Args:
+        motion: M motion models.
+        states: of T tracks, predicted to the time of the points.
+        points: N points.
+
+    Returns:
+        Rows of the assigned tracks, and of the points assigned to them.
     """
     if len(states) == 0:
         nobody = np.empty(0, dtype=np.intp)
@@ -69,9 +82,18 @@ def update_with_points(
     variance_px2: Array,
     position_mm: Array,
 ) -> PointUpdate:
-    """Update T tracks by the readings (T, S) of a point each; NaN where a sensor has none.
+    """Update T tracks by the readings of one point each.
 
     The readings themselves are filtered; the point only says where to linearise.
+
+    Args:
+        model: the measurement model, of S sensors.
+        settings: detection probability and clutter density.
+        states: of T tracks, predicted.
+        bias: covariance of the readings' constant errors, shape (T, S, S) [px^2].
+        position_px: readings, shape (T, S) [px]; NaN where a sensor has none.
+        variance_px2: their variances, shape (T, S) [px^2].
+        position_mm: the points, shape (T, 3) [mm].
     """
     used = np.isfinite(position_px)
     predicted = model.predict(position_mm)

@@ -16,7 +16,7 @@ _SYMMETRIC = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class PriorTracks:
-    """N markers whose places are known, not from the readings.
+    """Known positions and velocities of N markers, from other sources than the readings.
 
     Args:
         mean: place and velocity, shape (N, 6) [mm, mm/s].
@@ -28,7 +28,12 @@ class PriorTracks:
 
     @classmethod
     def of(cls, position_mm: Array, velocity_mm_s: Array, covariance: Array) -> "PriorTracks":
-        """Check what is given; one covariance (6, 6) is taken to be that of each.
+        """Check positions and velocities of N markers.
+
+        Args:
+            position_mm: shape (N, 3) [mm].
+            velocity_mm_s: shape (N, 3) [mm/s].
+            covariance: of position and velocity, shape (N, 6, 6), or (6, 6) for all alike.
 
         Raises:
             InvalidParameter: other shapes, a value that is not finite, or a covariance that is not

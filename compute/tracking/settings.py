@@ -12,10 +12,10 @@ MotionModel = Literal["velocity", "acceleration", "interacting"]
 
 @dataclass(frozen=True)
 class TrackerSettings:
-    """What the tracker assumes; the defaults are for hand-held markers at 100 Hz and more.
+    """Parameters of the tracker; the defaults suit hand-held markers at 100 Hz and more.
 
     Args:
-        motion: the model of motion.
+        motion: the motion model.
         acceleration_psd: spectral density of the constant-velocity model's acceleration
             [mm^2/s^3]: after t seconds the velocity is uncertain by sqrt(this t).
         jerk_psd: spectral density of the constant-acceleration model's jerk [mm^2/s^5].
@@ -33,7 +33,7 @@ class TrackerSettings:
         confirm_hits: exposures that must have seen a track, after its first, before it is a marker.
         confirm_misses: exposures that may miss it until then; with one more it ends. The second one
             must see it.
-        false_track_probability: chance that is accepted for a track of false peaks to be confirmed.
+        false_track_probability: accepted probability that a track of false peaks is confirmed.
         coast_s: how long a confirmed track is predicted without being seen, then it ends [s].
         initiation_interval_s: least time between two searches for new markers in peaks that are
             left over, while none has just begun [s]. A strobed marker without a track is sought at

@@ -5,8 +5,7 @@ from numpy.typing import NDArray
 
 from compute.measurement.measurement_model import MeasurementModel
 from compute.reconstruction.triangulation import chi2_limit
-from compute.tracking.imm_states import ImmStates, mix_and_predict
-from compute.tracking.motion_model import STATE_SIZE, MotionModels
+from compute.tracking.motion_model import STATE_SIZE, ImmStates, MotionModels, mix_and_predict
 from compute.tracking.point_assignment import update_with_points
 from compute.tracking.settings import TrackerSettings
 from compute.tracking.viterbi_linking import PointSequence
@@ -26,7 +25,7 @@ def states_from_points(
     position_mm: Array,
     sigma_px: Array,
 ) -> tuple[ImmStates, Array]:
-    """Return the states of markers just seen, and the covariance of the constant errors there.
+    """Return initial states at points, and the covariance of the readings' constant errors there.
 
     The place has the covariance of the readings' weighted least squares, and the covariance with
     the sensors' constant errors that this solution gives it.
@@ -70,7 +69,7 @@ def states_from_prior(
     covariance: Array,
     sensors: int,
 ) -> ImmStates:
-    """Return the states of markers whose place and velocity are given.
+    """Return initial states of markers with known position and velocity.
 
     Args:
         motion: M models, all as likely.
@@ -98,9 +97,17 @@ def states_from_prior(
 def filter_sequence(
     model: MeasurementModel, motion: MotionModels, settings: TrackerSettings, points: PointSequence
 ) -> tuple[ImmStates, Array] | None:
-    """Return the state after a sequence of points, and the constant errors' covariance there.
+    """Filter a sequence of points into the state of a new track.
 
-    None: a point is off, it does not move as markers do.
+    Args:
+        model: the measurement model, of S sensors.
+        motion: M motion models.
+        settings: start values, detection probability and clutter density.
+        points: the sequence, the earliest first.
+
+    Returns:
+        The state at the last point and the covariance (1, S, S) [px^2] of the readings' constant
+        errors; None where a point does not fit the motion of a marker.
     """
     states, bias = states_from_points(
         model, motion, settings, points.position_mm[:1], points.sigma_px[:1]

@@ -6,10 +6,8 @@ from numpy.typing import NDArray
 from compute.measurement.measurement_model import MeasurementModel, PredictedMeasurements
 from compute.measurement.measurements import Measurements
 from compute.reconstruction.correspondence import PredictedPoints
-from compute.tracking.associations import Associations
 from compute.tracking.candidate_tracks import ConfirmedCandidates
-from compute.tracking.imm_states import combine_modes, is_finite, mean_positions
-from compute.tracking.motion_model import MotionModels
+from compute.tracking.motion_model import MotionModels, combine_modes, is_finite, mean_positions
 from compute.tracking.multi_scan_initiation import MultiScanInitiator
 from compute.tracking.native.associator import Associator
 from compute.tracking.point_assignment import assign_points, update_with_points
@@ -26,14 +24,14 @@ from compute.tracking.track_management import (
     possibly_swapped,
     select_confirmed,
 )
-from compute.tracking.tracks import Tracks
+from compute.tracking.tracks import Associations, Tracks
 from compute.tracking.unassociated_points import UnassociatedPointFinder, UnassociatedPoints
 
 Array = NDArray[np.float64]
 
 
 class TrackInitiator:
-    """Starts, confirms, finds again and ends tracks; counts their identity numbers.
+    """Initiates, confirms, recovers and deletes tracks; assigns their identity numbers.
 
     A track whose state is no longer finite ends: its marker is found anew.
 
@@ -65,17 +63,23 @@ class TrackInitiator:
     def set_cameras(
         self, model: MeasurementModel, finder: UnassociatedPointFinder, associator: Associator
     ) -> None:
-        """Go on with other cameras."""
+        """Switch to another calibration of the same sensors.
+
+        Args:
+            model: its measurement model.
+            finder: reconstructs points from unassociated peaks by it.
+            associator: associates peaks with tracks by it.
+        """
         self._model, self._finder, self._associator = model, finder, associator
         self._crowd = MultiScanInitiator(model, self._motion, self._settings, finder, associator)
 
     def reset(self) -> None:
-        """Forget when it was searched; numbers go on."""
+        """Reset the search; identity numbers continue."""
         self._searched_ns.clear()
         self._crowd.forget()
 
     def numbers(self, count: int) -> int:
-        """Return the first of so many identity numbers that nobody has had."""
+        """Reserve consecutive identity numbers and return the first."""
         first = self._next
         self._next += count
         return first
@@ -90,7 +94,7 @@ class TrackInitiator:
         marker: int | None,
         time_ns: int,
     ) -> tuple[Tracks, Associations]:
-        """Return the tracks after the search, and what they saw.
+        """Search the free peaks; return the tracks and their associations after it.
 
         Args:
             tracks: all; those that take part are changed.
@@ -370,7 +374,13 @@ class TrackInitiator:
 def free_peaks(
     peaks: Measurements, seen: Associations, unsupported: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
-    """Return which peaks no track explains that is to be relied on, shape (S, K)."""
+    """Return the usable peaks that no reliable track explains, shape (S, K).
+
+    Args:
+        peaks: measurements of the exposure.
+        seen: associations of T tracks.
+        unsupported: tracks that do not count as reliable, shape (T,).
+    """
     free = peaks.usable.copy()
     track, sensor = np.nonzero((seen.peaks >= 0) & ~unsupported[:, None])
     free[sensor, seen.peaks[track, sensor]] = False

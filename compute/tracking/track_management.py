@@ -7,45 +7,46 @@ from numpy.typing import NDArray
 
 from compute.errors import InvalidParameter
 from compute.reconstruction.triangulation import chi2_limit
-from compute.tracking.imm_states import ImmStates, combine_modes
-from compute.tracking.motion_model import MotionModels
+from compute.tracking.motion_model import ImmStates, MotionModels, combine_modes
 from compute.tracking.settings import TrackerSettings
 from compute.tracking.tracks import Tracks
 
 Array = NDArray[np.float64]
 
 REACQUISITION_SIGNIFICANCE = 1e-4
-"""Chance that a lost marker is not known again though it moved as it was believed to."""
+"""Probability that a lost marker which moved as predicted is not recognised."""
 INDISTINGUISHABLE_SIGNIFICANCE = 0.01
-"""Chance of a difference in place and velocity beyond which two tracks are told apart."""
+"""Significance of a difference in position and velocity that tells two tracks apart."""
 UNSUPPORTED_EXPOSURES = 5
-"""A track that so many more exposures did not vouch for than did may be at a ghost."""
+"""A track with this surplus of exposures without support over those with it may be a ghost."""
 MIN_SUPPORT_SENSORS = 4
-"""Three planes meet anywhere: the fourth says that they do where a marker is."""
+"""Sensors that support a track: three planes always meet, a fourth excludes most ghosts."""
 MIN_SUPPORTED_HITS = 2
-"""Exposures in which so many sensors must have seen a new track."""
+"""Exposures in which MIN_SUPPORT_SENSORS must have seen a new track."""
 MIN_SUPPORTED_HITS_AMBIGUOUS = 10
-"""In which they must where other points explained its first peaks as well."""
+"""The same, where other points explained its first peaks as well."""
 MAX_HIT_FACTOR = 5
-"""A track that has been seen this many times as often as it need be, and is none yet, ends."""
+"""A tentative track ends after this multiple of ``confirm_hits`` if it is not confirmed."""
 UNSUPPORTED_COAST_FACTOR = 0.2
-"""Part of ``coast_s`` that is left to a track that may have been at a ghost."""
+"""Fraction of ``coast_s`` for which a track that may be a ghost is kept."""
 SWAP_RESOLUTION_FACTOR = 6.0
-"""Two tracks whose readings are nearer than so many ``resolution_px`` may have exchanged peaks."""
+"""Tracks with readings nearer than this multiple of ``resolution_px`` may exchange peaks."""
 _SWAP_MIN_SENSORS = 2
 PROBATION_EXPOSURES = 20
-"""Exposures in which they must see one of many that were found together, until it lives on less."""
+"""Exposures with support that a track initiated among many peaks needs after confirmation."""
 _MOTION = 6
 
 
 def select_confirmed(tracks: Tracks, settings: TrackerSettings) -> NDArray[np.intp]:
-    """Return the rows of tentative tracks that are markers: seen so often, and so well.
+    """Return the rows of tentative tracks that are to be confirmed.
 
-    Three planes meet at ghosts too, and go on doing so: what no fourth sensor sees is none, where
-    there is a fourth sensor and more than one marker.
+    The log likelihood ratio of a marker to false peaks is a sequential test (A. Wald, Sequential
+    Analysis, 1947). Three planes meet at ghosts too, and go on doing so: a track that no fourth
+    sensor sees is not confirmed, where there is a fourth sensor and more than one marker.
 
-    The evidence is a sequential test of a marker against false peaks (A. Wald, Sequential
-    Analysis, 1947).
+    Args:
+        tracks: T tracks.
+        settings: number of exposures and significance of the confirmation.
     """
     enough = log((1.0 - settings.false_track_probability) / settings.false_track_probability)
     good = ~tracks.confirmed & (tracks.hits >= settings.confirm_hits)
@@ -63,7 +64,7 @@ def update_support(
     possible: NDArray[np.integer],
     in_view: NDArray[np.integer],
 ) -> None:
-    """Count, for these tracks, exposures of fewer sensors than vouch for a place; forget others.
+    """Update the counters of exposures with and without MIN_SUPPORT_SENSORS, in place.
 
     Args:
         tracks: all.
@@ -94,7 +95,7 @@ def possibly_swapped(
     confirmed: NDArray[np.bool_],
     resolution_px: float,
 ) -> NDArray[np.bool_]:
-    """Return which tracks may have another's peaks: the weak ones, and those beside them, (T,).
+    """Return which tracks, of T, may have taken another's peaks: unsupported ones and neighbours.
 
     Two that have passed each other may each have a peak of the other, while only one of them lacks
     a sensor for it.
@@ -117,7 +118,7 @@ def possibly_swapped(
 def find_replaced_track(
     peaks: NDArray[np.int32], row: int, doubted: NDArray[np.intp]
 ) -> int | None:
-    """Return which doubted track lives on peaks of this new marker; None: none.
+    """Return the uncertain track that rests on peaks of a new marker; None: none.
 
     Args:
         peaks: what each saw now, shape (T, S).
@@ -135,7 +136,7 @@ def find_replaced_track(
 def match_lost_track(
     motion: MotionModels, tracks: Tracks, row: int, lost: NDArray[np.intp]
 ) -> tuple[int, bool] | None:
-    """Return which lost track a new marker is, and whether that is ambiguous; None: none of them.
+    """Match a new marker to a lost track, and return whether that is ambiguous; None: no match.
 
     The one that moved there most likely, by place and velocity; with the same strobed marker the
     one that it is anyway.
@@ -170,7 +171,7 @@ def match_lost_track(
 def exclude_prior_duplicates(
     motion: MotionModels, tracks: Tracks, given: ImmStates, position_mm: Array
 ) -> NDArray[np.intp]:
-    """Return the rows of tracks that stay when markers are given; tentative ones may give way.
+    """Return the rows of tracks that are kept when prior tracks are added.
 
     Args:
         motion: M models.
@@ -201,10 +202,15 @@ def exclude_prior_duplicates(
 def indistinguishable_tracks(
     motion: MotionModels, tracks: Tracks, rows: NDArray[np.intp]
 ) -> NDArray[np.intp]:
-    """Return those of the rows whose place and velocity are not told from another one's.
+    """Return those rows whose position and velocity agree with another track's.
 
-    Two tracks that meet go on as two, each with its own velocity; where even that is the same
-    within what is known, either may be either from there on.
+    Two tracks that meet go on as two, each with its own velocity; where even that agrees within
+    its covariance, their identities may have been exchanged.
+
+    Args:
+        motion: M motion models.
+        tracks: T tracks.
+        rows: indices of the tracks to compare, shape (N,).
     """
     if len(rows) < 2:
         return np.empty(0, dtype=np.intp)
@@ -241,7 +247,16 @@ def _common(one: Array, two: Array, bias: Array) -> Array:
 
 
 def expired(tracks: Tracks, settings: TrackerSettings, time_ns: int) -> NDArray[np.bool_]:
-    """Return which tracks end: not confirmed in time, not seen for long, or not vouched for."""
+    """Return which tracks end, shape (T,).
+
+    Tentative ones that were not confirmed in time, and confirmed ones that were not seen, or not
+    supported by enough sensors, for too long.
+
+    Args:
+        tracks: T tracks.
+        settings: limits of confirmation and coasting.
+        time_ns: time of the exposure [ns].
+    """
     unsupported = tracks.unsupported >= UNSUPPORTED_EXPOSURES
     unseen_ns, coast_ns = time_ns - tracks.seen_ns, round(settings.coast_s * 1e9)
     if tracks.confirmed.all() and not unsupported.any():

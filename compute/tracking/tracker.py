@@ -11,14 +11,17 @@ from compute.mapping.table import CorrectionTable
 from compute.measurement.measurement_model import MeasurementModel
 from compute.measurement.measurements import Measurements, check_sensors
 from compute.reconstruction.correspondence import MatchSettings
-from compute.tracking.associations import Associations
-from compute.tracking.imm_states import ImmStates, combine_modes, mean_positions, mix_and_predict
-from compute.tracking.motion_model import MotionModels
+from compute.tracking.motion_model import (
+    ImmStates,
+    MotionModels,
+    combine_modes,
+    mean_positions,
+    mix_and_predict,
+)
 from compute.tracking.prior_tracks import PriorTracks
-from compute.tracking.report import to_track_batch
 from compute.tracking.settings import TrackerSettings
 from compute.tracking.state_initialisation import states_from_prior
-from compute.tracking.track_batch import TrackBatch
+from compute.tracking.track_batch import TrackBatch, to_track_batch
 from compute.tracking.track_initiation import TrackInitiator, free_peaks
 from compute.tracking.track_management import (
     MIN_SUPPORT_SENSORS,
@@ -26,7 +29,7 @@ from compute.tracking.track_management import (
     indistinguishable_tracks,
     update_support,
 )
-from compute.tracking.tracks import Tracks
+from compute.tracking.tracks import Associations, Tracks
 from compute.tracking.unassociated_points import UnassociatedPointFinder
 from compute.tracking.unresolved_neighbours import (
     any_neighbour,
@@ -45,7 +48,7 @@ BIAS_UPDATE_DISTANCE_MM = 5.0
 
 
 class Tracker:
-    """Follows markers from peaks alone: Kalman filters on readings, joint association.
+    """Tracks markers by Kalman filters on readings, with joint probabilistic data association.
 
     Identity numbers are never used again, also not after ``reset``. The same input gives the same
     bits.
@@ -110,10 +113,15 @@ class Tracker:
         parameter_covariance: Array | None = None,
         corrections: CorrectionTable | None = None,
     ) -> None:
-        """Go on with another calibration of the same sensors; tracks are kept.
+        """Switch to another calibration of the same sensors; tracks are kept.
 
         What the old calibration's errors had made of the tracks stays in their covariances; their
-        covariance with the new one's errors begins at none.
+        covariance with the new one's errors begins at zero.
+
+        Args:
+            cameras: S calibrated cameras.
+            parameter_covariance: joint covariance of their parameters, shape (P, P); None: exact.
+            corrections: correction table of the S sensors; None: none.
 
         Raises:
             InvalidParameter: another number of sensors, or as of the constructor.
@@ -129,7 +137,7 @@ class Tracker:
         self._tracks.bias_mm[:] = np.inf
 
     def reset(self) -> None:
-        """Forget all tracks; the next ones have new numbers."""
+        """Delete all tracks; identity numbers continue."""
         self._tracks = Tracks.empty(len(self.motion), len(self.model))
         self._time_ns = self._begun_ns = None
         self._newcomers.reset()
@@ -142,7 +150,7 @@ class Tracker:
         covariance: Array,
         marker: int | None = None,
     ) -> NDArray[np.int64]:
-        """Begin confirmed tracks of markers that are known to be there; return their numbers.
+        """Add confirmed tracks of markers with known positions; return their identity numbers.
 
         For places that are known by other means: from a set-up, or of a frame of markers (thesis,
         section 7.2.2). They are looked for in the exposures from then on; those that are not seen

@@ -1,4 +1,4 @@
-"""Tracks: all state that is kept of each track between exposures, as arrays."""
+"""Tracks and Associations: each track's state between exposures, and its peaks in one."""
 
 from dataclasses import dataclass, fields
 from typing import Self
@@ -6,7 +6,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.tracking.imm_states import ImmStates
+from compute.tracking.motion_model import ImmStates
 from compute.tracking.unresolved_neighbours import NEIGHBOUR_FIELDS
 
 Array = NDArray[np.float64]
@@ -21,23 +21,22 @@ class Tracks:
         identity: numbers that are never used again, int64, shape (T,).
         marker: strobe slot; -1: not known, int32, shape (T,).
         confirmed: shape (T,).
-        ambiguous_identity: whether the identity is not sure, shape (T,).
-        time_ns: of the states, int64, shape (T,).
-        seen_ns: when it was last seen beyond doubt, int64, shape (T,).
+        ambiguous_identity: whether the identity is uncertain, shape (T,).
+        time_ns: time of the states, int64, shape (T,) [ns].
+        seen_ns: time at which it was last seen with certainty, int64, shape (T,) [ns].
         hits: exposures that saw an unconfirmed track after its first, int32, shape (T,).
-        supported_hits: of these, how many saw it by as many sensors as vouch for a place, int32,
-            (T,).
-        misses: exposures that did not, int32, shape (T,).
-        unsupported: how often, lately, too few sensors saw a confirmed one to vouch for it, int32,
+        supported_hits: of these, the exposures in which MIN_SUPPORT_SENSORS or more saw it, int32,
             shape (T,).
-        probation_left: exposures in which a confirmed one that came of many peaks must yet be seen
-            by as many sensors as vouch for a place, int32, shape (T,).
+        misses: exposures that did not see it, int32, shape (T,).
+        unsupported: recent exposures in which fewer sensors saw a confirmed track, less those in
+            which enough did, int32, shape (T,).
+        probation_left: exposures in which MIN_SUPPORT_SENSORS or more must still see a confirmed
+            track that was initiated among many peaks, int32, shape (T,).
         log_likelihood_ratio: log likelihood ratio of an unconfirmed track to false peaks, shape
             (T,).
         bias: covariance of the readings' constant errors at ``bias_mm``, shape (T, S, S) [px^2].
-        bias_mm: where that was worked out, shape (T, 3).
-        neighbours: peaks of markers that are not tracked, beside its own; see ``strangers``, shape
-            (T, S, 3).
+        bias_mm: position at which that was evaluated, shape (T, 3) [mm].
+        neighbours: untracked peaks beside its own, see ``unresolved_neighbours``, shape (T, S, 3).
     """
 
     states: ImmStates
@@ -59,7 +58,12 @@ class Tracks:
 
     @classmethod
     def empty(cls, models: int, sensors: int) -> Self:
-        """Return no tracks."""
+        """Return no tracks.
+
+        Args:
+            models: number of motion models M.
+            sensors: number of sensors S.
+        """
         return cls(
             ImmStates.empty(models, sensors),
             np.empty(0, np.int64),
@@ -92,7 +96,7 @@ class Tracks:
         confirmed: bool,
         ambiguous_identity: NDArray[np.bool_],
     ) -> Self:
-        """Return new tracks, seen now.
+        """Create tracks that were seen in this exposure.
 
         Args:
             states: of N markers.
@@ -143,4 +147,55 @@ class Tracks:
                 np.concatenate([getattr(self, field.name), getattr(other, field.name)])
                 for field in fields(self)[1:]
             ),
+        )
+
+
+@dataclass(eq=False)
+class Associations:
+    """Peaks that T tracks took of S sensors in one exposure.
+
+    Args:
+        peaks: index of each sensor's peak; -1: none, int32, shape (T, S).
+        merged: whether one of them is shared with another track, shape (T,).
+        hypotheses_pruned: whether joint hypotheses of non-negligible weight were pruned, shape
+            (T,).
+        nis: normalised innovation squared; 0 where no sensor saw it, shape (T,).
+    """
+
+    peaks: NDArray[np.int32]
+    merged: NDArray[np.bool_]
+    hypotheses_pruned: NDArray[np.bool_]
+    nis: Array
+
+    @classmethod
+    def empty(cls, tracks: int, sensors: int) -> Self:
+        """Return the associations of tracks that no sensor saw.
+
+        Args:
+            tracks: number of tracks T.
+            sensors: number of sensors S.
+        """
+        return cls(
+            np.full((tracks, sensors), -1, dtype=np.int32),
+            np.zeros(tracks, dtype=np.bool_),
+            np.zeros(tracks, dtype=np.bool_),
+            np.zeros(tracks),
+        )
+
+    def sensor_counts(self) -> NDArray[np.int32]:
+        """Return how many sensors saw each track, shape (T,)."""
+        count: NDArray[np.int32] = (self.peaks >= 0).sum(axis=1).astype(np.int32)
+        return count
+
+    def rows(self, index: NDArray[np.intp] | NDArray[np.bool_]) -> Self:
+        """Return a copy of some tracks' associations."""
+        return type(self)(*(getattr(self, field.name)[index] for field in fields(self)))
+
+    def concatenate(self, other: "Associations") -> Self:
+        """Return these associations and others after them."""
+        return type(self)(
+            *(
+                np.concatenate([getattr(self, field.name), getattr(other, field.name)])
+                for field in fields(self)
+            )
         )

@@ -31,7 +31,7 @@ _NO_POINT = (
 
 @dataclass(frozen=True, eq=False)
 class UnassociatedPoints:
-    """N points of left-over peaks.
+    """N points from unassociated peaks.
 
     Args:
         position_mm: shape (N, 3).
@@ -54,7 +54,7 @@ class UnassociatedPoints:
 
 @dataclass(frozen=True, eq=False)
 class UnassociatedPointFinder:
-    """Finds points of left-over peaks.
+    """Reconstructs points from unassociated peaks.
 
     Args:
         solve: readings to points.
@@ -69,7 +69,7 @@ class UnassociatedPointFinder:
     def find(
         self, peaks: Measurements, free: NDArray[np.bool_], expected: PredictedPoints
     ) -> UnassociatedPoints | None:
-        """Return the points of the peaks that are free, shape (S, K); None where there are none.
+        """Return the points of free peaks; None where there are none.
 
         Args:
             peaks: of the frame.
@@ -107,6 +107,15 @@ class UnassociatedPointFinder:
         free: NDArray[np.bool_],
         part: SearchPart,
     ) -> tuple[IntersectionPoints, float]:
-        """Return all intersections of free peaks, ghosts included."""
+        """Return all intersections of free peaks, ghosts included.
+
+        Args:
+            peaks: measurements of the exposure, up to K peaks of each of S sensors.
+            free: peaks that may be used, shape (S, K).
+            part: part of the search that this exposure does.
+
+        Returns:
+            The points, and the first reading of the next part; minus infinity: all were tried.
+        """
         starting = peaks.only(free & peaks.can_initiate)
         return intersection_points(self.solve, self.model, starting, part, self.settings)

@@ -1,8 +1,8 @@
 """Unresolved neighbours: untracked peaks that may merge with a track's peak.
 
-Two tracked markers that one peak shows are told by joint hypotheses. One that is not tracked yet
-draws the peak of the other just as much. So a peak that comes near a track's own is followed along
-the line; where it should be hidden in the track's peak now, that peak says less.
+Joint hypotheses cover two tracked markers that share a peak. An untracked marker displaces the peak
+of a tracked one just as much. So an untracked peak near a track's own is followed along the scan;
+where it is expected to merge with the track's peak, that peak's variance is inflated.
 """
 
 from dataclasses import replace
@@ -19,40 +19,40 @@ Array = NDArray[np.float64]
 NEIGHBOUR_FIELDS: Final = 3
 """Distance from the track's own peak [px], its rate [px/s], and how often it was seen."""
 _REACH: Final = 4.0
-"""Strangers are looked for within so many ``resolution_px``."""
+"""Distance within which neighbours are searched, in ``resolution_px``."""
 _HIDDEN: Final = 1.25
-"""They are taken as hidden within so many."""
+"""Distance within which a neighbour counts as merged, in ``resolution_px``."""
 _STEADY: Final = 1.0
-"""How far one may be, in ``resolution_px``, from where its rate leads it."""
-_LEAST_SEEN: Final = 2
-_MOST_SEEN: Final = 100.0
+"""Gate about a neighbour's predicted distance, in ``resolution_px``."""
+_MIN_SEEN: Final = 2
+_MAX_SEEN: Final = 100.0
 
 
 def predict_merged(
     neighbours: Array, step_s: Array, settings: TrackerSettings
 ) -> NDArray[np.bool_]:
-    """Return whether a stranger should be hidden in each track's peaks, shape (T, S).
+    """Return whether a neighbour is predicted to merge with each track's peak, shape (T, S).
 
     Args:
-        neighbours: strangers at the last exposure, shape (T, S, 3).
-        step_s: time since then, shape (T,).
-        settings: the merging distance.
+        neighbours: at the last exposure, shape (T, S, 3).
+        step_s: time since then, shape (T,) [s].
+        settings: its ``resolution_px``.
     """
     ahead = neighbours[..., 0] + neighbours[..., 1] * step_s[:, None]
     near = np.abs(ahead) <= _HIDDEN * settings.resolution_px
-    hidden: NDArray[np.bool_] = near & (neighbours[..., 2] >= _LEAST_SEEN)
+    hidden: NDArray[np.bool_] = near & (neighbours[..., 2] >= _MIN_SEEN)
     return hidden
 
 
 def inflate_unresolved(
     peaks: Measurements, reading_px: Array, hidden: NDArray[np.bool_], settings: TrackerSettings
 ) -> Measurements:
-    """Return the peaks, those of them less certain that may be merged with a stranger's.
+    """Return the peaks, with inflated variance where they may be merged with a neighbour's.
 
     Args:
         peaks: of the exposure.
         reading_px: where tracks are predicted, shape (T, S).
-        hidden: whether a stranger should be hidden there, shape (T, S).
+        hidden: whether a neighbour is predicted to merge there, shape (T, S).
         settings: the merging distance.
     """
     with np.errstate(invalid="ignore"):
@@ -71,12 +71,12 @@ def any_neighbour(
     free: NDArray[np.bool_],
     settings: TrackerSettings,
 ) -> bool:
-    """Return whether a free peak is near any track's own, as a stranger would be.
+    """Return whether a free peak is near the peak of any track.
 
     Args:
         own: index of each track's peaks; -1: none, shape (T, S).
         peaks: of the exposure.
-        free: peaks that may be strangers', shape (S, K).
+        free: untracked peaks, shape (S, K).
         settings: the merging distance.
     """
     sensor, peak = free.nonzero()
@@ -96,20 +96,20 @@ def update_neighbours(
     step_s: Array,
     settings: TrackerSettings,
 ) -> Array:
-    """Return the strangers beside each track's peaks after an exposure, shape (T, S, 3).
+    """Return the neighbours of each track's peaks after an exposure, shape (T, S, 3).
 
     Args:
         neighbours: after the last one, shape (T, S, 3).
         own: index of each track's peaks; -1: none, shape (T, S).
         peaks: of the exposure.
-        free: peaks that may be strangers', shape (S, K).
+        free: untracked peaks, shape (S, K).
         step_s: time since the last exposure, shape (T,).
         settings: the merging distance.
     """
     sensor = np.arange(own.shape[1])
     step = np.maximum(step_s, 1e-9)[:, None]
     ahead = neighbours[..., 0] + neighbours[..., 1] * step
-    known = neighbours[..., 2] >= _LEAST_SEEN
+    known = neighbours[..., 2] >= _MIN_SEEN
     after = np.zeros_like(neighbours)
     after[..., 0], after[..., 1], after[..., 2] = ahead, neighbours[..., 1], neighbours[..., 2]
     there = own >= 0
@@ -134,7 +134,7 @@ def update_neighbours(
     after[..., 0] = np.where(found, nearest, ahead)
     after[..., 1] = np.where(found & ~unknown, rate, np.where(unknown, 0.0, neighbours[..., 1]))
     after[..., 2] = np.where(
-        found, np.minimum(neighbours[..., 2] + 1.0, _MOST_SEEN), neighbours[..., 2]
+        found, np.minimum(neighbours[..., 2] + 1.0, _MAX_SEEN), neighbours[..., 2]
     )
     after[~found & ~hidden & there] = 0.0
     after[~np.isfinite(after).all(axis=2)] = 0.0

@@ -25,7 +25,7 @@ MAX_GAP: Final = 4
 LINK_EXCLUSION_PROBABILITY: Final = 1e-4
 """Chance that a marker's next point lies outside the gate."""
 MISSED_EXPOSURE_LOG_PENALTY: Final = log(0.5)
-"""What an exposure without a point of it takes from a sequence's log likelihood."""
+"""Change of a sequence's log likelihood by an exposure without a point of it."""
 _WINDOW: Final = FIRST_GAP + (MIN_POINTS - 2) * MAX_GAP + 1
 _MOVING: Final = 6
 _NONE: Final = -1
@@ -58,7 +58,7 @@ class _Layer:
 
 @dataclass(frozen=True, eq=False)
 class PointSequence:
-    """Points of one marker, perhaps, the oldest first.
+    """Sequence of points that may be one marker, the oldest first.
 
     Args:
         time_ns: of each, L of them.
@@ -95,7 +95,7 @@ class ViterbiLinker:
         self._first_px = self._following_px = -inf
 
     def forget(self) -> None:
-        """Forget the exposures so far; go on with the next part of the combinations."""
+        """Delete all sequences; continue with the next part of the combinations."""
         self._layers.clear()
         self._first_px = self._following_px
 

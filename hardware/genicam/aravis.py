@@ -1,4 +1,4 @@
-"""The library Aravis by ctypes: the calls that are needed here, with its errors as exceptions.
+"""ctypes bindings of the library Aravis; its errors become exceptions.
 
 Nothing is loaded before ``library`` is called. Objects are plain pointers; whoever makes one
 drops it with ``unref``.
@@ -45,11 +45,11 @@ _NO_ANSWER: Final = frozenset((2, 4, 5))
 
 
 class AravisError(Exception):
-    """What Aravis says of a call that failed.
+    """Error of a failed Aravis call.
 
     Args:
-        message: in its words.
-        unanswered: the device did not say no, it said nothing.
+        message: as Aravis words it.
+        unanswered: whether the device did not answer, rather than refuse.
     """
 
     def __init__(self, message: str, *, unanswered: bool = False) -> None:
@@ -115,7 +115,7 @@ _FAILING: Final[dict[str, tuple[Any, tuple[Any, ...]]]] = {
 
 
 class Aravis:
-    """The loaded library; each call under its C name without ``arv_``."""
+    """The loaded library; each function under its C name without ``arv_``."""
 
     def __init__(self, loaded: CDLL) -> None:
         self._calls: dict[str, Any] = {}
@@ -126,14 +126,14 @@ class Aravis:
             self._calls[name] = self._raising(call)
 
     def __getattr__(self, name: str) -> Any:
-        """Return the call ``arv_NAME``."""
+        """Return the function ``arv_NAME``."""
         try:
             return self._calls[f"arv_{name}"]
         except KeyError:
             raise AttributeError(f"arv_{name} is not declared here") from None
 
     def unref(self, pointer: int) -> None:
-        """Drop an object."""
+        """Release a reference to a GObject."""
         self._calls["g_object_unref"](pointer)
 
     def _raising(self, call: Any) -> Any:
@@ -161,7 +161,7 @@ def _declared(loaded: CDLL, name: str, result: Any, arguments: tuple[Any, ...]) 
 
 @cache
 def library() -> Aravis:
-    """Load Aravis.
+    """Return the Aravis library, loaded on the first call.
 
     Raises:
         MissingLibrary: it is not installed, or too old.

@@ -1,4 +1,4 @@
-"""One camera: opened and set, its stream of buffers, and whether it is still there."""
+"""One GenICam camera: configuration, buffer stream and presence check."""
 
 import time
 from contextlib import suppress
@@ -20,13 +20,13 @@ from hardware.genicam.aravis import (
     AravisError,
     library,
 )
-from hardware.genicam.buffer_timestamps import BufferTimestamps
 from hardware.genicam.pixel_formats import check_width, unpack_counts
 from hardware.genicam.settings import Feature, GenicamCamera, GenicamSettings
+from hardware.genicam.timestamps import BufferTimestamps
 
 _CONTINUOUS: Final = 0
-_MOST_BUFFERS: Final = 128
-_LEAST_BUFFERS: Final = 8
+_MAX_BUFFERS: Final = 128
+_MIN_BUFFERS: Final = 8
 _MEMORY_BYTES: Final = 64 * 2**20
 _EXPOSURES: Final = ("ExposureTime", "ExposureTimeAbs", "ExposureTimeRaw")
 _LINE_RATES: Final = ("AcquisitionLineRate", "AcquisitionLineRateAbs")
@@ -35,14 +35,14 @@ _FRAME_RATES: Final = ("AcquisitionFrameRate", "AcquisitionFrameRateAbs")
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Buffer:
-    """What a camera sent at once.
+    """One image buffer of a camera.
 
     Args:
-        number: its frame number, as the camera counts.
-        device_ns: its time on the camera's clock [ns]: the beginning of the first exposure.
-        arrival_ns: when it came, on the host's monotonic clock [ns].
-        lines: uint16, shape (lines, pixels); None: parts of it were lost on the way.
-        bytes: its size.
+        number: the camera's frame number.
+        device_ns: start of the first exposure on the camera's clock [ns].
+        arrival_ns: arrival on the host's monotonic clock [ns].
+        lines: counts, uint16, shape (lines, pixels); None: parts of it were lost.
+        bytes: size of the buffer.
     """
 
     number: int
@@ -53,7 +53,7 @@ class Buffer:
 
 
 class Camera:
-    """A camera under this program's control.
+    """A camera that this program controls.
 
     Args:
         which: the camera.
@@ -94,16 +94,16 @@ class Camera:
 
     @property
     def where(self) -> str:
-        """The camera in words."""
+        """Description of the camera for messages."""
         return f'sensor "{self._camera_settings.name}", camera {self._camera_settings.camera}'
 
     def start(self) -> None:
-        """Let it send; raises DeviceNotConnected when it does not take that."""
+        """Start the acquisition; raises DeviceNotConnected where that fails."""
         call = self._aravis
         try:
             self._stream = call.camera_create_stream(self._camera, None, None)
             size = call.camera_get_payload(self._camera)
-            count = min(_MOST_BUFFERS, max(_LEAST_BUFFERS, _MEMORY_BYTES // max(1, size)))
+            count = min(_MAX_BUFFERS, max(_MIN_BUFFERS, _MEMORY_BYTES // max(1, size)))
             for _ in range(count):
                 call.stream_push_buffer(self._stream, call.buffer_new_allocate(size))
             call.camera_start_acquisition(self._camera)
@@ -111,7 +111,7 @@ class Camera:
             raise self._unavailable(str(error)) from error
 
     def take(self, wait_us: int) -> Buffer | None:
-        """Return the next buffer; None: none came within that time."""
+        """Return the next buffer; None: none arrived within that time."""
         call = self._aravis
         stream = self._stream
         assert stream is not None
@@ -129,7 +129,7 @@ class Camera:
             call.stream_push_buffer(stream, pointer)
 
     def is_present(self) -> bool:
-        """Whether it answers and is still under this program's control; may take 3 s if not."""
+        """Whether it answers and this program still controls it; may take 3 s if not."""
         call = self._aravis
         try:
             if not self._gige:
@@ -144,7 +144,7 @@ class Camera:
             return False
 
     def close(self) -> None:
-        """Let it go; takes seconds when it is not there any more."""
+        """Release the camera; takes seconds when it is no longer present."""
         camera, self._camera = self._camera, None
         stream, self._stream = self._stream, None
         if stream is not None:
@@ -262,7 +262,7 @@ class Camera:
             raise self._unavailable(f"its {name} cannot be read: {error}") from error
 
     def _first_float(self, names: tuple[str, ...]) -> float:
-        """Return the first of these features that the camera has; 0: none."""
+        """Return the value of the first of these features that the camera has; 0: none."""
         for name in names:
             if self._has(name):
                 try:
@@ -274,7 +274,7 @@ class Camera:
         return 0.0
 
     def _rate(self) -> float:
-        """Return exposures per second as the camera says; 0: it does not."""
+        """Return the camera's exposure rate [Hz]; 0: it states none."""
         line_rate_hz = self._first_float(_LINE_RATES)
         if line_rate_hz > 0.0:
             return line_rate_hz

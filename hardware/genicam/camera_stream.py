@@ -1,4 +1,4 @@
-"""One camera's lines, numbered and timed, over losses of the camera and its return."""
+"""Scans of one camera with continuous numbers and times, over disconnections."""
 
 import time
 from collections.abc import Iterator
@@ -8,20 +8,19 @@ from typing import Final
 from compute.errors import InvalidParameter
 from hardware.errors import DeviceChanged, DeviceNotConnected
 from hardware.genicam.camera import Buffer, Camera
-from hardware.genicam.frame_counter import FrameCounter
 from hardware.genicam.frame_sync import CameraScan
 from hardware.genicam.settings import GenicamCamera, GenicamSettings
-from hardware.genicam.timestamps import ScanTimestamps
+from hardware.genicam.timestamps import FrameCounter, ScanTimestamps
 
 RETRY_S: Final = (0.1, 0.25, 0.5, 1.0, 2.0)
-"""How long to wait before a lost camera is opened again; the last for all that follow."""
+"""Delays before the attempts to open a lost camera; the last one repeats."""
 
 REFUSALS: Final = 5
-"""How often in turn a camera that comes back may refuse what it took before: it may be starting."""
+"""Tolerated refusals of its settings in a row: a camera that returns may still be starting."""
 
 
 class CameraStream:
-    """A camera, there or not.
+    """A camera and its scans, connected or not.
 
     Args:
         which: the camera.
@@ -46,26 +45,26 @@ class CameraStream:
 
     @property
     def name(self) -> str:
-        """The camera in words."""
+        """Description of the camera for messages."""
         return f'sensor "{self._camera_settings.name}", camera {self._camera_settings.camera},'
 
     @property
     def connected(self) -> bool:
-        """Whether the camera is under control."""
+        """Whether the camera is connected."""
         return self._camera is not None
 
     @property
     def line_rate_hz(self) -> float:
-        """Exposures per second as the camera says; 0: it does not."""
+        """The camera's exposure rate [Hz]; 0: it states none."""
         return self._camera.line_rate_hz if self._camera is not None else 0.0
 
     @property
     def width(self) -> int:
-        """Pixels of a line; known once it was opened."""
+        """Pixels of a scan; known after the first ``open``."""
         return self._width
 
     def open(self) -> None:
-        """Open and set the camera; raises what ``Camera`` raises."""
+        """Open and configure the camera; raises what ``Camera`` raises."""
         self._camera = Camera(self._camera_settings, self._settings)
         if not self._width:  # the first time; later the times go on
             self.timestamps = ScanTimestamps(self._camera.exposure_ns)
@@ -74,16 +73,16 @@ class CameraStream:
         self._period_ns = 1e9 / rate_hz if rate_hz > 0.0 else 0.0
 
     def start(self) -> None:
-        """Let it send; raises DeviceNotConnected."""
+        """Start the acquisition; raises DeviceNotConnected."""
         assert self._camera is not None
         self._camera.start()
 
     def reconnect(self) -> bool:
-        """Try to open and start a lost camera, when it is time to; return whether it is back.
+        """Try to reopen a lost camera once its delay has passed; return whether it is back.
 
         Raises:
-            DeviceChanged: it has another width now.
-            InvalidParameter: it refuses its settings, and not only at first.
+            DeviceChanged: its width has changed.
+            InvalidParameter: it has refused its settings more than REFUSALS times.
         """
         if time.monotonic() < self._next_try_s or self._is_closing():
             return False
@@ -92,8 +91,9 @@ class CameraStream:
             self.open()
             if self._width != width:
                 raise DeviceChanged(
-                    f'sensor "{self._camera_settings.name}" had {width} pixels and has {self._width} since '
-                    "its camera came back; set its width, or start the device again",
+                    f'sensor "{self._camera_settings.name}" had {width} pixels and has '
+                    f"{self._width} since its camera came back; set its width, or "
+                    "start the device again",
                     sensor=self._camera_settings.name,
                 )
             self.start()
@@ -110,7 +110,7 @@ class CameraStream:
         return True
 
     def mark_lost(self, reason: str) -> None:
-        """Give the camera up, until it is back; ``again`` tries."""
+        """Mark the camera as lost; ``reconnect`` tries to reopen it."""
         self.reason = reason
         self.frame_counter.restart()
         self._last = None
@@ -123,11 +123,11 @@ class CameraStream:
         return self._camera is not None and self._camera.is_present()
 
     def take(self, wait_us: int) -> Buffer | None:
-        """Return the camera's next buffer; None: none within that time."""
+        """Return the camera's next buffer; None: none arrived within that time."""
         return self._camera.take(wait_us) if self._camera is not None else None
 
     def lines(self, buffer: Buffer) -> Iterator[CameraScan]:
-        """Yield a whole buffer's lines."""
+        """Yield the scans of a complete buffer."""
         assert buffer.lines is not None
         rows = len(buffer.lines)
         first = self.frame_counter.next(buffer.number) * rows
@@ -140,7 +140,7 @@ class CameraStream:
             yield CameraScan(first + row, device_ns, monotonic_ns, counts, restarts)
 
     def _measure_period(self, buffer: Buffer, rows: int) -> None:
-        """Measure the time between two lines from two buffers, where the camera does not say it."""
+        """Estimate the line period from two buffers, where the camera states no rate."""
         last, self._last = self._last, buffer
         stated = self._camera is not None and self._camera.line_rate_hz > 0.0
         if stated or last is None or buffer.number != last.number + 1:
@@ -148,14 +148,14 @@ class CameraStream:
         self._period_ns = max(0, buffer.device_ns - last.device_ns) / rows
 
     def close(self) -> None:
-        """Let the camera go, in a thread: one that is not there any more takes seconds for it."""
+        """Release the camera in a thread: an absent one takes seconds."""
         camera, self._camera = self._camera, None
         if camera is not None:
             self._closing = Thread(target=camera.close, name="genicam-close", daemon=True)
             self._closing.start()
 
     def wait_closed(self, timeout_s: float) -> None:
-        """Wait until the camera is let go, so long at most."""
+        """Wait at most ``timeout_s`` until the camera is released."""
         if self._closing is not None:
             self._closing.join(timeout_s)
 

@@ -1,4 +1,4 @@
-"""Lists the GenICam cameras that can be seen from this host."""
+"""Discovery of the GenICam cameras that this host can reach."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,7 @@ from hardware.genicam.aravis import library
 
 @dataclass(frozen=True)
 class DiscoveredCamera:
-    """A camera: what to open it by, and what it says of itself."""
+    """A discovered camera: identifier, address, vendor, model, serial number, protocol."""
 
     camera: str
     address: str

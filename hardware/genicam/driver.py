@@ -1,4 +1,4 @@
-"""GenICam line-scan cameras as one device: a frame is one line of each camera."""
+"""Driver for GenICam line-scan cameras: a frame is one scan of each camera."""
 
 import time
 from collections.abc import Callable, Iterator
@@ -15,12 +15,11 @@ from hardware.genicam.frame_sync import CameraScan, FrameSynchroniser
 from hardware.genicam.pixel_formats import bits_per_pixel
 from hardware.genicam.settings import GenicamSettings
 from hardware.line_frame import FrameFlag, LineFrame
-from hardware.link import LinkPhase, LinkState
-from hardware.link_report import LinkReport
+from hardware.link import LinkPhase, LinkReport, LinkState
 from hardware.timing import host_time_ns
 
 SILENCE_S: Final = 1.0
-"""How long nothing may come before a camera is asked whether it is there."""
+"""Silence after which a camera's presence is checked."""
 
 _WAIT_US: Final = 20_000
 _CLOSE_S: Final = 0.5
@@ -28,7 +27,7 @@ _PHASES_BY_SEVERITY: Final[tuple[LinkPhase, ...]] = ("disconnected", "silent", "
 
 
 class GenicamDriver:
-    """Takes lines of all cameras and puts those of one moment together.
+    """Driver that combines simultaneous scans of several cameras to frames.
 
     Frames carry the first camera's numbers and its clock. A camera that is lost is opened again
     until it is back; meanwhile there are no frames.
@@ -38,6 +37,8 @@ class GenicamDriver:
         settings: the cameras; see ``GenicamSettings``.
     """
 
+    lossless = False
+
     def __init__(self, name: str, settings: GenicamSettings) -> None:
         self._name = name
         self._settings = settings
@@ -46,7 +47,7 @@ class GenicamDriver:
 
     @property
     def description(self) -> DeviceDescription:
-        """What the device is; valid after ``open``.
+        """The device's properties; valid after ``open``.
 
         Raises:
             RuntimeError: the driver was never opened.
@@ -68,7 +69,7 @@ class GenicamDriver:
         )
 
     def open(self) -> None:
-        """Open and set all cameras.
+        """Open and configure all cameras.
 
         Raises:
             DeviceNotConnected: one is not there, or another program controls it.
@@ -76,21 +77,21 @@ class GenicamDriver:
             MissingLibrary: Aravis is not installed.
         """
         self.close()
-        self._report.begin()
+        self._report.reset()
         run = self._run = _Run(self._name, self._settings, self._report)
         run.open()
 
     def close(self) -> None:
-        """End ``frames`` and let the cameras go; may be called from any thread, and twice."""
+        """End ``frames`` and release the cameras; may be called from any thread, and twice."""
         if self._run is not None:
             self._run.close()
 
     def listen(self, changed: Callable[[LinkState], None]) -> None:
-        """Have each change of the link told; see ``LinkedDriver``."""
+        """Register the listener of link changes; see ``LinkedDriver``."""
         self._report.listen(changed)
 
     def link(self) -> LinkState:
-        """Return how the cameras' links stand: the worst of them."""
+        """Return the state of the cameras' links: the worst of them."""
         return self._report.state
 
     def frames(self) -> Iterator[LineFrame]:
@@ -115,7 +116,7 @@ class GenicamDriver:
 
 
 class _Run:
-    """One opening of the cameras; whoever holds the lock works with them."""
+    """The opened cameras, from ``open`` to ``close``; a lock guards them."""
 
     def __init__(self, name: str, settings: GenicamSettings, report: LinkReport) -> None:
         self.closed = Event()
@@ -134,7 +135,7 @@ class _Run:
         self._faults: dict[int, tuple[LinkPhase, str]] = {}
 
     def open(self) -> None:
-        """Open all cameras, closing them again on an error."""
+        """Open all cameras; close them again on an error."""
         with self._lock:
             try:
                 for stream in self.streams:
@@ -148,7 +149,7 @@ class _Run:
             self.line_rate_hz = self.streams[0].line_rate_hz
 
     def close(self) -> None:
-        """End the work; whoever is in a step lets the cameras go at its end."""
+        """Stop; a step that is under way releases the cameras at its end."""
         self.closed.set()
         if self._lock.acquire(timeout=_CLOSE_S):
             try:
@@ -160,7 +161,7 @@ class _Run:
             stream.wait_closed(_CLOSE_S)
 
     def step(self) -> list[LineFrame] | None:
-        """Return the frames that came in some milliseconds; None: closed."""
+        """Return the frames that arrived within some milliseconds; None: closed."""
         with self._lock:
             try:
                 if self.closed.is_set():
@@ -190,7 +191,7 @@ class _Run:
                 self._record_fault(index, "disconnected", _waiting(stream))
 
     def _listen(self) -> None:
-        """Take what came from every camera, and look after those from which nothing came."""
+        """Receive the buffers of every camera; check those that are silent."""
         waiting_us = _WAIT_US // len(self.streams)
         for index, stream in enumerate(self.streams):
             if not stream.connected:
@@ -218,7 +219,7 @@ class _Run:
                 self._service_camera(index, stream)
 
     def _service_camera(self, index: int, stream: CameraStream) -> None:
-        """Find out why no lines come from a camera."""
+        """Diagnose a silent camera: disconnected, garbled or waiting for a trigger."""
         if not stream.is_present():
             stream.mark_lost(f"{stream.name} does not answer any more")
             self._matcher.forget()
@@ -243,9 +244,9 @@ class _Run:
             self.closed.wait(_WAIT_US * 1e-6)
 
     def _record_fault(self, index: int, phase: LinkPhase, reason: str) -> None:
-        """Note what is wrong with a camera, and tell the worst of all."""
+        """Record a camera's fault and report the most severe of all."""
         self._faults[index] = phase, reason
-        self._report.tell(
+        self._report.set_state(
             *min(self._faults.values(), key=lambda one: _PHASES_BY_SEVERITY.index(one[0]))
         )
 
@@ -254,7 +255,7 @@ class _Run:
         unmatched, self._matcher.unmatched = self._matcher.unmatched, 0
         self._report.count(frames=1, frames_incomplete=unmatched)
         self._faults.clear()
-        self._report.tell("connected")
+        self._report.set_state("connected")
         lines = np.stack([line.counts for line in matched])
         flags = FrameFlag.NONE
         restarts = sum(line.restarts for line in matched)

@@ -1,4 +1,4 @@
-"""Puts lines of several cameras together that were exposed at one moment."""
+"""Matches scans of several cameras by exposure time."""
 
 from collections import deque
 from dataclasses import dataclass
@@ -8,19 +8,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 MAX_PENDING_SCANS: Final = 4096
-"""Lines of one camera that wait for those of the others; older ones are given up."""
+"""Maximum number of scans per camera that wait for a match; the oldest are dropped."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class CameraScan:
-    """One line of one camera.
+    """One scan of one camera.
 
     Args:
         number: of the exposure, since the driver was opened; gaps are lost ones.
         device_ns: middle of the exposure on the camera's clock [ns].
         monotonic_ns: the same on the host's monotonic clock, which nobody sets [ns].
         counts: uint16, shape (pixels,).
-        restarts: how often the camera had begun anew by then, or was opened again.
+        restarts: number of resets and reconnections of the camera until then.
     """
 
     number: int
@@ -31,22 +31,22 @@ class CameraScan:
 
 
 class FrameSynchroniser:
-    """Lines of each camera in order of time go in, sets of one line of each come out.
+    """Groups time-ordered scans into sets of one scan of each camera.
 
     Args:
-        cameras: how many.
-        tolerance_ns: how far the monotonic times of lines of one exposure may lie apart; less than
-            half the time between two.
+        cameras: number of cameras.
+        tolerance_ns: largest difference between the monotonic times of scans of one exposure;
+            less than half the exposure period.
     """
 
     def __init__(self, cameras: int, tolerance_ns: int) -> None:
         self.unmatched = 0
-        """Lines given up, because another camera had none for them."""
+        """Scans dropped because another camera had no match."""
         self._waiting: list[deque[CameraScan]] = [deque() for _ in range(cameras)]
         self._tolerance_ns = tolerance_ns
 
     def add(self, camera: int, line: CameraScan) -> None:
-        """Take a line; monotonic times of one camera must not go back."""
+        """Add a scan; the monotonic times of one camera must not decrease."""
         waiting = self._waiting[camera]
         if len(waiting) >= MAX_PENDING_SCANS:
             waiting.popleft()
@@ -54,7 +54,7 @@ class FrameSynchroniser:
         waiting.append(line)
 
     def take(self) -> tuple[CameraScan, ...] | None:
-        """Return the next set, in the order of the cameras; None: one has nothing yet."""
+        """Return the next set, in the order of the cameras; None: not complete yet."""
         while all(self._waiting):
             heads = [waiting[0] for waiting in self._waiting]
             latest = max(line.monotonic_ns for line in heads)
@@ -73,7 +73,7 @@ class FrameSynchroniser:
         return None
 
     def forget(self) -> None:
-        """Give up all lines that wait: a camera was lost."""
+        """Drop all waiting scans, after the loss of a camera."""
         for waiting in self._waiting:
             self.unmatched += len(waiting)
             waiting.clear()

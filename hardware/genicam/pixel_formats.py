@@ -1,4 +1,4 @@
-"""Pixel formats of GenICam cameras: from a buffer's bytes to counts."""
+"""Unpacks GenICam pixel formats: a buffer's bytes to counts."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -56,7 +56,7 @@ def _mono10packed(data: Bytes) -> Counts:
 
 
 def _mono12packed(data: Bytes) -> Counts:
-    """The same with 4 low bits."""
+    """2 pixels in 3 bytes: the high 8 bits of one, the low 4 of both, the other's high 8."""
     first, low, second = data.reshape(-1, 3).astype(np.uint16).T
     return np.stack([first << 4 | low & 0xF, second << 4 | low >> 4], axis=1).reshape(-1)
 
@@ -84,12 +84,12 @@ assert set(_LAYOUTS) == set(get_args(PixelFormat))
 
 
 def bits_per_pixel(pixel_format: PixelFormat) -> int:
-    """Return the resolution of a format's counts."""
+    """Return the resolution of a pixel format [bits]."""
     return _LAYOUTS[pixel_format].bits
 
 
 def check_width(pixel_format: PixelFormat, width: int) -> None:
-    """Check that lines of this width end at a byte.
+    """Check that scans of this width end at a byte boundary.
 
     Raises:
         InvalidParameter: they do not.
@@ -104,7 +104,7 @@ def check_width(pixel_format: PixelFormat, width: int) -> None:
 
 
 def unpack_counts(data: bytes, pixel_format: PixelFormat, width: int, height: int) -> Counts | None:
-    """Return the lines of a buffer.
+    """Return the counts of a buffer.
 
     Args:
         data: the buffer's bytes.

@@ -1,4 +1,4 @@
-"""Settings of a device of GenICam line-scan cameras."""
+"""Settings of the GenICam driver."""
 
 from dataclasses import dataclass
 from typing import Annotated, ClassVar, get_args
@@ -7,8 +7,8 @@ from pydantic import ConfigDict, Field, StringConstraints
 
 from compute.errors import InvalidParameter
 from hardware.driver import PeakMethod
+from hardware.field_bounds import check_field_bounds
 from hardware.genicam.pixel_formats import PixelFormat
-from hardware.simulated.field_bounds import check_field_bounds
 
 _NAME = r"^[^\s\u0085](.{0,62}[^\s\u0085])?$"
 _FEATURE = r"^[A-Za-z_][A-Za-z0-9_]{0,99}$"

@@ -1,4 +1,4 @@
-"""FrameBlock: frames that are recorded together, with their results."""
+"""FrameBlock: consecutive frames and their results as arrays."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from hardware.recording.layout import FRAME, NO_CALIBRATION_ROW, NO_MARKER
 
 
 def scan_shape(description: DeviceDescription) -> tuple[int, int]:
-    """Return the number of sensors and of pixels of each.
+    """Return the number of sensors and of pixels per sensor.
 
     Raises:
         InvalidParameter: there is no sensor, or they are of different lengths.
@@ -29,7 +29,7 @@ def scan_shape(description: DeviceDescription) -> tuple[int, int]:
 
 
 def frame_rows(frames: Iterable[LineFrame]) -> NDArray[np.void]:
-    """Return frames without their lines as rows of FRAME, without results."""
+    """Return the metadata of frames as rows of FRAME, without results."""
     return np.array(
         [
             (
@@ -50,7 +50,7 @@ def frame_rows(frames: Iterable[LineFrame]) -> NDArray[np.void]:
 
 @dataclass(frozen=True, eq=False)
 class FrameBlock:
-    """Frames that are written together.
+    """Consecutive frames with their scans, peaks and points.
 
     Args:
         rows: of FRAME, shape (F,), in the order of their exposure.

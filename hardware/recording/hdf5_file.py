@@ -1,4 +1,4 @@
-"""RecordingFile: the HDF5 file of a recording, read with errors that name what is damaged."""
+"""Validated access to the HDF5 file of a recording."""
 
 from pathlib import Path
 from typing import Any, Final
@@ -8,17 +8,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.errors import InvalidRecording
+from hardware.recording.layout import NO_CALIBRATION_ROW, NO_MARKER, RecordingInfo
 
 _SWMR: Final = 4
 _FLAGS_AT: Final = 11
-"""Where the superblock of version 3 says that a file is being written, and can be read so."""
+"""Offset of the consistency flags in a superblock of version 3; _SWMR: open for writing."""
 
 
 class RecordingFile:
-    """An open file; one that is being written, or was when its writer died, as well.
+    """An open recording; also one still being written, or left open by a crashed writer.
 
     Raises:
-        InvalidRecording: it is not there, or not HDF5, or cut short.
+        InvalidRecording: it does not exist, is not HDF5, or is truncated.
     """
 
     def __init__(self, path: Path) -> None:
@@ -32,7 +33,7 @@ class RecordingFile:
             raise self.invalid(f"is not an HDF5 file, or is cut short ({error})") from error
 
     def __contains__(self, name: str) -> bool:
-        """Return whether there is a member of this name."""
+        """Return whether the file has a member of this name."""
         return name in self._file
 
     def close(self) -> None:
@@ -50,7 +51,7 @@ class RecordingFile:
             raise self.invalid(f"has damaged attributes ({error})") from error
 
     def rows(self, name: str, dtype: np.dtype[Any], row: tuple[int, ...] = ()) -> int:
-        """Return how many rows a dataset has now.
+        """Check a dataset's type and shape; return its current number of rows.
 
         Args:
             name: of the dataset.
@@ -81,12 +82,57 @@ class RecordingFile:
         return values
 
     def invalid(self, reason: str) -> InvalidRecording:
-        """Return the error that says so of this file."""
+        """Return an InvalidRecording for this file."""
         return InvalidRecording(f"{self._name} {reason}", file=self._name)
 
 
 def _being_written(path: Path) -> bool:
-    """Return whether a writer has the file open, or had when it died; raises OSError."""
+    """Return whether the file is marked as open for writing; raises OSError."""
     with path.open("rb") as file:
         start = file.read(_FLAGS_AT + 1)
     return len(start) > _FLAGS_AT and start[8] == 3 and bool(start[_FLAGS_AT] & _SWMR)
+
+
+def read_column(file: RecordingFile, info: RecordingInfo, name: str) -> NDArray[Any]:
+    """Return one of COLUMNS for all frames, shape (frames,)."""
+    return file.read(f"frames/{name}", slice(0, info.frames))
+
+
+def check_columns(file: RecordingFile, info: RecordingInfo) -> None:
+    """Check the columns of the frames for consistency.
+
+    Raises:
+        InvalidRecording: a column contradicts itself or the others; the message names the first
+            such row.
+    """
+
+    def refuse_where(wrong: NDArray[np.bool_], name: str, right: str, offset: int = 0) -> None:
+        if wrong.any():
+            row = int(wrong.argmax()) + offset
+            value = read_column(file, info, name)[row]
+            raise file.invalid(f"has {name} {value} in row {row}; it must {right}")
+
+    sequence, device_ns, marker = (
+        read_column(file, info, name) for name in ("sequence", "exposure_device_ns", "marker")
+    )
+    markers = info.description.markers
+    refuse_where(np.diff(sequence, prepend=-1) <= 0, "sequence", "increase from 0 or more")
+    refuse_where(np.diff(device_ns) < 0, "exposure_device_ns", "not decrease", 1)
+    refuse_where(
+        (marker < NO_MARKER) | (marker >= max(markers, 0)),
+        "marker",
+        f"be below the number of strobed markers, {markers}",
+    )
+    if info.version == 1:
+        return
+    state = info.state
+    for name, rows in (("peaks_end", state.peaks), ("points_end", state.points)):
+        ends = read_column(file, info, name)
+        wrong = (np.diff(ends, prepend=0) < 0) | (ends > rows)
+        refuse_where(wrong, name, f"not decrease, nor be more than the {rows} rows")
+    in_force = read_column(file, info, "in_force")
+    refuse_where(
+        (in_force < NO_CALIBRATION_ROW) | (in_force >= state.in_force),
+        "in_force",
+        f"be below the number of calibrations, {state.in_force}",
+    )

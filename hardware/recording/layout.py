@@ -1,4 +1,4 @@
-"""The layout of recordings: what lies where in the HDF5 file, and in which types.
+"""The HDF5 layout of recordings: groups, datasets and their types.
 
 Version 2. Attributes of the root: ``format``, ``version``, ``description`` (the device's
 description as JSON) and ``provenance`` (a JSON object: who wrote it, when, with which settings).
@@ -9,7 +9,7 @@ description as JSON) and ``provenance`` (a JSON object: who wrote it, when, with
   -1: none. ``peaks_end`` and ``points_end`` count the rows of ``peaks`` and ``points`` up to and
   with this frame. ``checksum`` is the CRC-32 of the frame's FRAME row and its lines,
   ``results_checksum`` that of its rows of peaks and points.
-- ``peaks``, ``points``: results as they were made live, one row each, ``frame`` says of which.
+- ``peaks``, ``points``: live results, one row each; ``frame`` is the row of their frame.
 - ``in_force``: calibrations and correction tables, whole: ``bytes``, and ``rows`` that say where
   in them a JSON document and a table's HDF5 file begin and how long they are.
 - ``state``: two rows, written in turn at each flush; that of the larger ``number`` whose
@@ -26,6 +26,8 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
+
+from hardware.driver import DeviceDescription
 
 FORMAT: Final = "lumiline-recording"
 VERSION: Final = 2
@@ -107,7 +109,7 @@ STATE: Final = np.dtype(
 
 
 def point_dtype(sensors: int) -> np.dtype[Any]:
-    """Return the type of a row of ``points``: its frame, and the members of PointBatch."""
+    """Return the type of a row of ``points``: the frame and the members of PointBatch."""
     return np.dtype(
         [
             ("frame", "<i8"),
@@ -122,7 +124,7 @@ def point_dtype(sensors: int) -> np.dtype[Any]:
 
 @dataclass(frozen=True)
 class RecordingState:
-    """What of a recording is safe, what was lost, and how it ended.
+    """State of a recording at a flush: rows written, frames lost, reason of the end.
 
     Args:
         frames: frames that are in the file.
@@ -154,7 +156,7 @@ class RecordingState:
 
 @dataclass(frozen=True)
 class Losses:
-    """What did not come to a recording, as of RecordingState."""
+    """Frames lost before or in the writer, as in RecordingState."""
 
     dropped_compute: int = 0
     dropped_writer: int = 0
@@ -184,12 +186,12 @@ def pack_state(state: RecordingState, number: int) -> NDArray[np.void]:
 
 
 def unfinished_path(path: Path, pid: int) -> Path:
-    """Return where the process writes a recording until it can be read under its own name."""
+    """Return the temporary path of a recording until it can be read."""
     return path.with_name(f".{path.name}.{pid}.new")
 
 
 def unpack_state(rows: NDArray[np.void]) -> tuple[RecordingState, int] | None:
-    """Return the state that holds of rows of STATE, and its number; None: none is whole."""
+    """Return the newest valid state of rows of STATE, and its number; None: none is valid."""
     whole = [row for row in rows if int(row["checksum"]) == _state_checksum(row)]
     if not whole:
         return None
@@ -239,3 +241,32 @@ def result_checksums(
             found[number] = zlib.crc32(points[point : point + of_points].tobytes(), first)
             peak, point = peak + of_peaks, point + of_points
     return found
+
+
+@dataclass(frozen=True)
+class RecordingInfo:
+    """Contents and provenance of a recording.
+
+    Args:
+        description: the recorded device.
+        frames: number of frames.
+        duration_s: from the first exposure to the last, on the device's clock [s].
+        lost: exposures missing between the first frame and the last.
+        complete: whether the writer closed it; False while it is written, and after a crash.
+        version: of the layout.
+        lines: whether it holds lines.
+        results: whether it holds peaks and points.
+        provenance: who wrote it, when and with which settings; empty in version 1.
+        state: frames lost and the reason of the end; in version 1 the number of frames only.
+    """
+
+    description: DeviceDescription
+    frames: int
+    duration_s: float
+    lost: int
+    complete: bool
+    version: int
+    lines: bool
+    results: bool
+    provenance: dict[str, Any]
+    state: RecordingState

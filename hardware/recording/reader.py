@@ -1,4 +1,4 @@
-"""The reader of recordings: checks a file from end to end, then gives its frames back."""
+"""RecordingReader: validates a recording and reads its frames and results."""
 
 import json
 from collections.abc import Iterator
@@ -12,10 +12,8 @@ from numpy.typing import NDArray
 from compute.errors import InvalidParameter
 from hardware.driver import DeviceDescription
 from hardware.line_frame import FrameFlag, LineFrame
-from hardware.recording.columns import check_columns, read_column
 from hardware.recording.frame_block import FrameBlock, scan_shape
-from hardware.recording.hdf5_file import RecordingFile
-from hardware.recording.info import RecordingInfo
+from hardware.recording.hdf5_file import RecordingFile, check_columns, read_column
 from hardware.recording.layout import (
     CALIBRATION_EXTENT,
     CHUNK_FRAMES,
@@ -28,6 +26,7 @@ from hardware.recording.layout import (
     PEAK,
     STATE,
     VERSION,
+    RecordingInfo,
     RecordingState,
     frame_checksums,
     point_dtype,
@@ -38,18 +37,18 @@ from hardware.recording.stored_description import read_description
 
 
 class RecordingReader:
-    """An open recording, checked from end to end but for the lines; a context manager.
+    """An open recording, validated except for its scans; a context manager.
 
-    A file that is still written is read up to the writer's last flush; ``refresh`` goes on to
-    its next.
+    A file that is still being written is read up to the writer's last flush; ``refresh``
+    advances to the newest one.
 
     Args:
         path: the file.
-        columns: whether the frames' columns are looked through, too.
+        columns: whether the frames' columns are validated as well.
 
     Raises:
-        InvalidRecording: it cannot be read, is not a recording, of another version, cut short,
-            or contradicts itself; the message says which.
+        InvalidRecording: it cannot be read, is not a recording, has another version, is
+            truncated or inconsistent; the message says which.
     """
 
     def __init__(self, path: Path, *, columns: bool = True) -> None:
@@ -63,7 +62,7 @@ class RecordingReader:
             raise
 
     def refresh(self) -> RecordingInfo:
-        """Return what the recording holds now; new columns are not looked through."""
+        """Return the current contents of the recording; new rows are not validated."""
         self.info = self._build_info(self.info.description, self.info.version, self.info.provenance)
         return self.info
 
@@ -81,7 +80,7 @@ class RecordingReader:
             yield from self.chunk(first)
 
     def chunk_starts(self) -> range:
-        """Return the rows to read chunks from, one after the other."""
+        """Return the first row of each chunk."""
         return range(0, self.info.frames, CHUNK_FRAMES)
 
     def chunk(self, first: int) -> list[LineFrame]:
@@ -240,7 +239,7 @@ class RecordingReader:
         )
 
     def _state(self, version: int) -> RecordingState | None:
-        """Return the state that holds; None in version 1."""
+        """Return the newest valid state; None in version 1."""
         if version == 1:
             return None
         rows = self._file.rows("state", STATE)
@@ -260,7 +259,7 @@ class RecordingReader:
         lines: bool,
         results: bool,
     ) -> int:
-        """Check that all datasets are there, of their type and long enough; return the frames."""
+        """Check presence, type and length of all datasets; return the number of frames."""
         names = COLUMNS_1 if version == 1 else COLUMNS
         expected: dict[str, tuple[np.dtype[Any], tuple[int, ...]]] = {
             f"frames/{name}": (dtype, ()) for name, dtype in names.items()
@@ -304,7 +303,7 @@ class RecordingReader:
 
 
 def read_recording(path: Path) -> RecordingInfo:
-    """Return what a recording holds.
+    """Validate a recording and return its contents.
 
     Raises:
         InvalidRecording: see ``RecordingReader``.

@@ -1,4 +1,4 @@
-"""The description of a device as a recording keeps it: read as from a stranger."""
+"""Parses and validates the device description stored in a recording (untrusted input)."""
 
 import math
 from collections import Counter
@@ -13,24 +13,24 @@ from hardware.driver import DeviceDescription, PeakMethod
 
 @dataclass(frozen=True)
 class _StoredDescription(DeviceDescription):
-    """A description as it was written; before lines were fitted it named no method."""
+    """A stored description; old recordings name no method of peak detection."""
 
     peaks: PeakMethod = "centroid"
 
 
 _DESCRIPTION = TypeAdapter(_StoredDescription)
 
-_MOST_HZ: Final = 1e6
-_MOST_UM: Final = 1000.0
+_MAX_HZ: Final = 1e6
+_MAX_UM: Final = 1000.0
 _FULL: Final = 2**16 - 1
 
 
 def read_description(text: str) -> DeviceDescription:
-    """Return the device that a recording's JSON describes.
+    """Return the device description in a recording's JSON.
 
     Raises:
-        InvalidParameter: it describes none, or an unusable one; the message goes on from the
-            file's name.
+        InvalidParameter: it is not a description, or an unusable one; the message continues a
+            sentence that begins with the file's name.
     """
     try:
         description = DeviceDescription(**vars(_DESCRIPTION.validate_json(text)))
@@ -45,12 +45,12 @@ def read_description(text: str) -> DeviceDescription:
 
 
 def _check_values(description: DeviceDescription) -> None:
-    """Check that the description's values mean something; NaN and infinities fit nowhere."""
+    """Check the ranges of the description's values; NaN and infinities are invalid."""
     rate, gain = description.frame_rate_hz, description.electrons_per_count
     noise, offset = description.read_noise_electrons, description.offset_counts
     names = Counter(sensor.name for sensor in description.sensors)
     checks = [
-        ("frame_rate_hz", rate, 0 <= rate <= _MOST_HZ, f"0 (not known) to {_MOST_HZ:g}"),
+        ("frame_rate_hz", rate, 0 <= rate <= _MAX_HZ, f"0 (not known) to {_MAX_HZ:g}"),
         ("bits", description.bits, 1 <= description.bits <= 16, "1 to 16"),
         ("electrons_per_count", gain, 0 < gain < math.inf, "positive"),
         ("read_noise_electrons", noise, 0 <= noise < math.inf, "0 or more"),
@@ -66,8 +66,8 @@ def _check_values(description: DeviceDescription) -> None:
             for name, count in names.items()
         ),
         *(
-            ("pitch_um", sensor.pitch_um, 0 < sensor.pitch_um <= _MOST_UM,
-             f"positive, at most {_MOST_UM:g}")
+            ("pitch_um", sensor.pitch_um, 0 < sensor.pitch_um <= _MAX_UM,
+             f"positive, at most {_MAX_UM:g}")
             for sensor in description.sensors
         ),
     ]  # fmt: skip

@@ -1,7 +1,7 @@
-"""The writer of recordings: line frames, bit by bit, and results in an HDF5 file.
+"""RecordingWriter: writes line frames, unchanged, and results to an HDF5 file.
 
-For the layout see ``hardware.recording.layout``. A file can be read while it is written (HDF5
-SWMR), and after the writer died at any moment: up to the last ``flush``.
+For the layout see ``hardware.recording.layout``. A file can be read up to the last ``flush``
+while it is written (HDF5 SWMR), and after a crash of the writer.
 """
 
 import json
@@ -39,20 +39,19 @@ from hardware.recording.layout import (
     result_checksums,
     unfinished_path,
 )
-from hardware.recording.row_buffer import RowBuffer
-from hardware.recording.scan_chunks import ScanChunks
+from hardware.recording.write_buffers import RowBuffer, ScanChunks
 
 _ROWS: Final = 4096
-"""Rows of a chunk of a column, and most that wait to be written."""
+"""Rows per chunk of a column, and maximum number of buffered rows."""
 
 
 class RecordingWriter:
     """Writes frames of one device to a new file; a context manager.
 
-    Lines go to the file in whole chunks, past HDF5's own buffers; ``flush`` brings everything
-    else. What was appended since the last ``flush`` is lost when the process dies; what it
+    Scans are written in whole chunks, past HDF5's own buffers; ``flush`` writes everything else.
+    What was appended since the last ``flush`` is lost when the process dies; what it
     acknowledged is not. (It is with the operating system then, not on the disk: a power failure
-    may cost the last seconds.)
+    may lose the last seconds.)
 
     Args:
         path: the file; an existing one is replaced.
@@ -62,12 +61,12 @@ class RecordingWriter:
         lines: whether lines are recorded.
         results: whether peaks and points are.
         provenance: a JSON object that is kept with the file.
-        exclusive: an existing file is left, and FileExistsError raised.
+        exclusive: whether an existing file is kept, and FileExistsError raised.
 
     Raises:
         InvalidParameter: there is no sensor, they are of different lengths, or nothing is
             recorded.
-        OSError: the file cannot be made, or written.
+        OSError: the file cannot be created or written.
     """
 
     def __init__(
@@ -94,7 +93,7 @@ class RecordingWriter:
         self._point = point_dtype(self._shape[0])
         self._waiting = RowBuffer(self._point)
         self._in_force_bytes = 0
-        # Under another name until it can be read: a writer that dies before leaves no torso.
+        # Under another name until it can be read: an early crash leaves no partial file.
         unready = unfinished_path(path, os.getpid())
         try:
             self._file = h5py.File(unready, "w", libver="latest")
@@ -144,7 +143,7 @@ class RecordingWriter:
 
     @property
     def state(self) -> RecordingState:
-        """What the last flush acknowledged."""
+        """State at the last flush."""
         return self._state
 
     @property
@@ -153,7 +152,7 @@ class RecordingWriter:
         return self._waiting.frames
 
     def append(self, frame: LineFrame) -> None:
-        """Add a frame without results.
+        """Append a frame without results.
 
         Raises:
             InvalidParameter: it is not of this device: its name, the lines' shape or the marker;
@@ -194,11 +193,10 @@ class RecordingWriter:
         self._take(FrameBlock(frame_rows([frame]), lines, *nothing))
 
     def append_block(self, block: FrameBlock) -> int:
-        """Add frames with their results; return how many did not follow and were left out.
+        """Append frames with their results; return the number of frames refused.
 
-        What is not recorded of them, lines or results, is not looked at.
-        A frame that does not follow (its sequence number or device time) or has a marker that
-        the device has not is refused alone.
+        Scans or results that are not recorded are ignored. A frame is refused where its sequence
+        number does not increase, its device time decreases, or the device has no such marker.
         """
         rows = block.rows
         sequence, device_ns, marker = (
@@ -216,7 +214,7 @@ class RecordingWriter:
         return refused
 
     def put_active_calibration(self, document: bytes, table: bytes = b"") -> int:
-        """Keep a calibration (JSON) and its table (HDF5); return the row that frames name."""
+        """Store a calibration (JSON) and its table (HDF5); return its row for the frames."""
         group = self._file["in_force"]
         start, row = self._in_force_bytes, len(group["rows"])
         both = document + table
@@ -228,10 +226,10 @@ class RecordingWriter:
         return row
 
     def flush(self, losses: Losses = NO_LOSSES) -> RecordingState:
-        """Bring to the file what was appended; return what is safe from now on.
+        """Write what was appended to the file; return the state that is now safe.
 
         Args:
-            losses: to be kept with it.
+            losses: frames lost before the writer, stored with the state.
         """
         waiting = self._waiting
         self._write_columns()
@@ -254,7 +252,7 @@ class RecordingWriter:
         return self._state
 
     def close(self, *, complete: bool = True, reason: str = "", losses: Losses = NO_LOSSES) -> None:
-        """Write what is left and mark the file as complete or not; may be called twice."""
+        """Flush, mark the file as complete or not, and close it; may be called twice."""
         if not self._file:
             return
         self.flush(losses)
@@ -315,7 +313,7 @@ class RecordingWriter:
             _extend(self._file["points"], points)
 
     def _commit(self, state: RecordingState) -> None:
-        """Write the state beside the one that held until now: one of them is always whole."""
+        """Write the state to the other of two rows: one of them is always valid."""
         self._number += 1
         self._file["state"][self._number % 2] = pack_state(state, self._number)
         self._file["state"].flush()

@@ -1,1 +1,1 @@
-"""Line sensors on a serial port: the protocol of docs/reference/serial-protocol.md, host and device side."""
+"""Line sensors on a serial port: host and device (docs/reference/serial-protocol.md)."""

@@ -1,11 +1,10 @@
-"""One connection to a device: from opening its port and asking what it is, to its loss."""
+"""Connection to a serial device: opens the port, reads its description, sends commands."""
 
 import time
 from typing import Final
 
 from compute.errors import InvalidParameter
 from hardware.errors import DeviceNotConnected
-from hardware.serial.busy_retry import BUSY_LIMIT_NS, RETRY_INTERVAL_NS, BusyRetry
 from hardware.serial.decoder import Decoder
 from hardware.serial.encoding import encode
 from hardware.serial.messages import (
@@ -28,7 +27,7 @@ from hardware.serial.reassembly import ExposureAssembler
 from hardware.serial.settings import SerialSettings
 
 DESCRIBE_S: Final = 2.5
-"""How long a device may take to say what it is; boards that reset when opened take 2 s."""
+"""Time limit for the description; boards that reset when their port is opened take 2 s."""
 ANSWER_S: Final = 1.0
 _ASK_AGAIN_S: Final = 0.25
 
@@ -40,7 +39,7 @@ _REFUSED: Final[dict[int, str]] = {
 
 
 class Connection:
-    """An open port with a device behind it that said what it is.
+    """An open port whose device has sent its description.
 
     Args:
         settings: where it is and what it is told.
@@ -70,7 +69,7 @@ class Connection:
         self.assembler = ExposureAssembler(len(self.description.sensors), self.description.pixels)
 
     def read(self, timeout_s: float) -> tuple[list[Message], int, bool]:
-        """Wait for messages.
+        """Read messages, waiting for the first at most ``timeout_s``.
 
         Returns:
             The messages, when their last byte came on the monotonic clock [ns], and whether any
@@ -83,7 +82,7 @@ class Connection:
         if retry_ns is not None:
             left_s = (retry_ns - time.monotonic_ns()) * 1e-9
             if left_s <= 0.0:
-                self.tell()
+                self.send_settings()
             else:
                 timeout_s = min(timeout_s, left_s)
         data = self._port.read(timeout_s)
@@ -91,7 +90,7 @@ class Connection:
         return self._decoder.feed(data), arrival_ns, bool(data)
 
     def start(self) -> None:
-        """Tell the device its rate, exposure and strobe schedule, and let it expose.
+        """Send rate, exposure and strobe schedule, and start the exposures.
 
         Raises:
             InvalidParameter: it cannot be told so, or refuses.
@@ -101,12 +100,12 @@ class Connection:
         for command in self.commands():
             self._acknowledged(command, busy_until_ns)
 
-    def ask(self) -> None:
-        """Ask again what it is, without waiting for it; raises PortDisconnected."""
+    def request_description(self) -> None:
+        """Request the description without waiting for it; raises PortDisconnected."""
         self._port.write(encode(Describe(self._next())))
 
-    def tell(self) -> None:
-        """Send all that it is to be told, without waiting for the answers.
+    def send_settings(self) -> None:
+        """Send all settings and the start, without waiting for the answers.
 
         Raises:
             InvalidParameter: it cannot be told so.
@@ -118,7 +117,7 @@ class Connection:
         self._busy.sent(commands)
 
     def stop(self) -> None:
-        """Let the device rest, where it can and the port still takes it."""
+        """Stop the exposures, where the device can and the port is still open."""
         if self.description.abilities & Ability.START_STOP:
             try:
                 self._port.write(encode(Stop(self._next())))
@@ -126,11 +125,11 @@ class Connection:
                 return
 
     def close(self) -> None:
-        """Release the port; call from the thread that reads, or when none does."""
+        """Close the port; call from the reading thread, or when there is none."""
         self._port.close()
 
     def commands(self) -> list[FromHost]:
-        """Return what the device is to be told before it sends frames, and the start.
+        """Return the commands that configure and start the device.
 
         Raises:
             InvalidParameter: it cannot be told so.
@@ -165,7 +164,7 @@ class Connection:
         end = time.monotonic() + DESCRIBE_S
         came = False
         while time.monotonic() < end and not self._closing.is_set():
-            self.ask()
+            self.request_description()
             again = min(end, time.monotonic() + _ASK_AGAIN_S)
             while (left := again - time.monotonic()) > 0.0 and not self._closing.is_set():
                 messages, _, some = self.read(left)
@@ -182,7 +181,7 @@ class Connection:
         )
 
     def _acknowledged(self, command: FromHost, busy_until_ns: int) -> None:
-        """Send a command and wait until it is obeyed; try twice, and while the device is busy."""
+        """Send a command until it is done: twice, and repeatedly while the device is busy."""
         unanswered = 0
         while not self._closing.is_set():
             answer = self._answer(command)
@@ -204,7 +203,7 @@ class Connection:
         return self._await(command.number, ANSWER_S)
 
     def _await(self, number: int | None, seconds: float) -> Answer | None:
-        """Read for a time, or until the answer to a number comes."""
+        """Read for a time, or until the answer with this number arrives."""
         end = time.monotonic() + seconds
         while (left := end - time.monotonic()) > 0.0 and not self._closing.is_set():
             for message in self.read(left)[0]:
@@ -212,8 +211,8 @@ class Connection:
                     return message
         return None
 
-    def take_answer(self, answer: Answer, now_ns: int) -> None:
-        """Take the answer to a command of ``tell``: a busy device is told again, from ``read``.
+    def handle_answer(self, answer: Answer, now_ns: int) -> None:
+        """Handle an answer to ``send_settings``; ``read`` repeats them to a busy device.
 
         Raises:
             InvalidParameter: the command was refused.
@@ -241,3 +240,48 @@ class Connection:
     def _next(self) -> int:
         self._number = (self._number + 1) % 2**16
         return self._number
+
+
+BUSY_LIMIT_NS: Final = 3_000_000_000
+"""Time for which a device may be busy before its connection counts as lost."""
+RETRY_INTERVAL_NS: Final = 250_000_000
+
+
+class BusyRetry:
+    """Tracks unacknowledged commands and schedules their repetition to a busy device.
+
+    Attributes:
+        retry_ns: when the commands are to be sent again; None: they are not.
+    """
+
+    def __init__(self) -> None:
+        self.retry_ns: int | None = None
+        self._since_ns: int | None = None
+        self._open: set[int] = set()
+
+    def sent(self, commands: list[FromHost]) -> None:
+        """Register the commands just sent, in place of all earlier ones."""
+        if self.retry_ns is None:  # for another reason than that it was busy
+            self._since_ns = None
+        self._open = {command.number for command in commands}
+        self.retry_ns = None
+
+    def answered(self, answer: Answer, now_ns: int) -> None:
+        """Register an answer.
+
+        Raises:
+            PortDisconnected: the device is busy for too long.
+        """
+        if answer.number not in self._open:
+            return
+        if answer.result != Result.BUSY:
+            self._open.discard(answer.number)
+            if not self._open:
+                self._since_ns = None
+            return
+        if self._since_ns is None:
+            self._since_ns = now_ns
+        if now_ns - self._since_ns > BUSY_LIMIT_NS:
+            raise PortDisconnected(f"the device is busy for {BUSY_LIMIT_NS * 1e-9:g} s")
+        if self.retry_ns is None:
+            self.retry_ns = now_ns + RETRY_INTERVAL_NS

@@ -1,4 +1,4 @@
-"""The decoder: bytes in, messages out; finds its way again after anything else."""
+"""Stream decoder of the serial protocol: COBS framing, CRC-32, resynchronisation."""
 
 import zlib
 from dataclasses import dataclass
@@ -10,21 +10,21 @@ from hardware.serial.encoding import CRC, HEAD
 from hardware.serial.messages import MAX_BYTES, VERSION, Message
 from hardware.serial.parsing import MalformedMessage, parse
 
-_LEAST: Final = HEAD.size + CRC.size
+_MIN_BYTES: Final = HEAD.size + CRC.size
 
 
 @dataclass
 class DecoderCounters:
-    """What came and what was thrown away.
+    """Counters of decoded and discarded messages.
 
     Args:
         bytes_received: all bytes.
-        messages: whole and known ones.
-        garbled: no code of COBS, or the checksum is wrong: damaged, cut short, or something else.
+        messages: valid messages of known types.
+        garbled: invalid COBS or wrong checksum: damaged, truncated, or not a message.
         too_long: longer than MAX_BYTES.
-        wrong_version: whole, of another version of the protocol.
-        unknown: whole, of a type that is not known here.
-        malformed: whole, and their content makes no sense.
+        wrong_version: intact, of another version of the protocol.
+        unknown: intact, of an unknown type.
+        malformed: intact, with invalid content.
     """
 
     bytes_received: int = 0
@@ -37,32 +37,32 @@ class DecoderCounters:
 
     @property
     def discarded(self) -> int:
-        """Number of messages that could not be used; unknown types are for newer hosts."""
+        """Number of unusable messages; unknown types, meant for newer hosts, do not count."""
         return self.garbled + self.too_long + self.wrong_version + self.malformed
 
 
 class Decoder:
-    """Splits a stream of bytes at its zeros and decodes what lies between.
+    """Splits a byte stream at zeros and decodes the messages between them.
 
-    Whatever comes, it raises nothing, keeps at most ``max_bytes`` of an unfinished message, and
-    begins afresh behind the next zero. What lies before the first zero after ``reset`` is not
-    counted as garbled when it is no message: the host began to listen in the middle of it.
+    It never raises on input, keeps at most ``max_bytes`` of an unfinished message, and
+    resynchronises at the next zero. Bytes before the first zero after ``reset`` are not counted
+    as garbled: the host began to listen in the middle of a message.
 
     Attributes:
-        complaint: what was wrong with the last message that came whole and could not be used, in
-            words; None: there was none since ``reset``.
+        complaint: error message of the last intact but unusable message; None: there was none
+            since ``reset``.
     """
 
     def __init__(self, max_bytes: int = MAX_BYTES) -> None:
         self.counters = DecoderCounters()
         self.complaint: str | None = None
-        self._most = max_bytes
+        self._max_bytes = max_bytes
         self._tail = bytearray()
         self._skipping = False
         self._first = True
 
     def reset(self) -> None:
-        """Forget an unfinished message; the counters go on."""
+        """Discard an unfinished message; keep the counters."""
         self._tail.clear()
         self._skipping = False
         self._first = True
@@ -70,11 +70,11 @@ class Decoder:
 
     @property
     def pending(self) -> int:
-        """Bytes of an unfinished message that are kept."""
+        """Number of buffered bytes of an unfinished message."""
         return len(self._tail)
 
     def feed(self, data: bytes) -> list[Message]:
-        """Take what came and return the messages that it completes."""
+        """Decode received bytes; return the messages that they complete."""
         self.counters.bytes_received += len(data)
         *ends, rest = data.split(b"\0")
         messages: list[Message] = []
@@ -92,7 +92,7 @@ class Decoder:
         return messages
 
     def _finished(self, end: bytes) -> bytes:
-        """Return the message of which ``end`` is the last part; empty when it is too long."""
+        """Return the message that ends with ``end``; empty where it is too long."""
         skipping, self._skipping = self._skipping, False
         if skipping:
             return b""
@@ -104,7 +104,7 @@ class Decoder:
     def _keep(self, rest: bytes) -> None:
         if self._skipping:
             return
-        if len(self._tail) + len(rest) > self._most:
+        if len(self._tail) + len(rest) > self._max_bytes:
             self._tail.clear()
             self._skipping = True
             self.counters.too_long += 1
@@ -112,14 +112,14 @@ class Decoder:
             self._tail += rest
 
     def _decode(self, line: bytes) -> Message | None:
-        if len(line) > self._most:
+        if len(line) > self._max_bytes:
             self.counters.too_long += 1
             return None
         try:
             content: bytes = cobs.decode(line)
         except cobs.DecodeError:
             content = b""
-        if len(content) < _LEAST or zlib.crc32(content) != _RESIDUE:
+        if len(content) < _MIN_BYTES or zlib.crc32(content) != _RESIDUE:
             self.counters.garbled += not self._first
             return None
         if content[0] != VERSION:

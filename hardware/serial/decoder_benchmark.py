@@ -1,4 +1,4 @@
-"""What the decoder stands and how fast it is: mutated messages, and bytes per second."""
+"""Robustness and speed of the decoder: mutated messages, and bytes per second."""
 
 import random
 import time
@@ -23,15 +23,15 @@ _COUNTS: Final = 48
 
 @dataclass(frozen=True)
 class MutationStatistics:
-    """What came of mutated messages.
+    """Outcome of decoding mutated messages.
 
     Args:
         sent: messages, each mutated.
         accepted: messages that came out.
-        wrong: of these, such as were never sent.
+        wrong: accepted messages that were never sent.
         counters: the decoder's, by name.
-        largest_kept: most bytes of an unfinished message that were kept.
-        memory_bytes: most memory that decoding took beside what it gave.
+        largest_kept: largest number of buffered bytes of an unfinished message.
+        memory_bytes: peak memory of the decoding.
     """
 
     sent: int
@@ -44,7 +44,7 @@ class MutationStatistics:
 
 @dataclass(frozen=True)
 class DecodingRate:
-    """How fast 4 x 2048 pixels are decoded and put together, on one core.
+    """Decoding rate of exposures of 4 x 2048 pixels on one core.
 
     Args:
         what: the counts, and how they were split.
@@ -62,9 +62,9 @@ class DecodingRate:
 def decode_mutated(
     messages: int, seed: int, done: Callable[[int], None] = lambda _: None
 ) -> MutationStatistics:
-    """Send mutated messages through a decoder: flipped bits, lost, repeated, foreign bytes, ...
+    """Decode mutated messages: flipped bits; lost, repeated and foreign bytes.
 
-    A message that comes out and was not sent is wrong, whatever the checksum says of it.
+    A decoded message that was never sent is wrong, whatever its checksum.
     """
     noise = random.Random(seed)  # noqa: S311 - reproducible
     decoder = Decoder(max_bytes=4096)
@@ -95,7 +95,7 @@ def decode_mutated(
 
 
 def _lines(noise: random.Random, sequence: int) -> Lines:
-    """Return lines with many zeros, and few, as counts have."""
+    """Return scans with many or few zero bytes, as counts have."""
     top = noise.choice((2, 256, 4096, 65536))
     counts = np.frombuffer(noise.randbytes(2 * _COUNTS), "<u2") % np.uint32(top)
     return Lines(sequence, noise.getrandbits(64), NO_MARKER, LinesFlag.NONE, 0, 0,
@@ -134,7 +134,7 @@ def _was_sent(message: Message, sent: dict[int, bytes]) -> bool:
 
 
 def decoding_rate(bits: int, part_counts: int, seconds: float) -> DecodingRate:
-    """Measure decoding of exposures whose counts are noise of so many bits, in processor time."""
+    """Measure the decoding rate for exposures of ``bits``-bit noise, in processor time."""
     rng = np.random.default_rng(1)
     size = SENSORS * PIXELS
     frames = 64
@@ -168,7 +168,7 @@ def decoding_rate(bits: int, part_counts: int, seconds: float) -> DecodingRate:
 
 
 def stages_us(bits: int = 12) -> dict[str, float]:
-    """Return what each stage costs of one exposure in one message [us of processor time]."""
+    """Return the processor time of each decoding stage per exposure [us]."""
     from zlib import crc32
 
     from cobs import cobs

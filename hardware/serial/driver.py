@@ -1,4 +1,4 @@
-"""The driver of a device on a serial port: frames while it is there, and again when it is back."""
+"""SerialDriver: driver of a device on a serial port that reconnects after a loss."""
 
 from collections.abc import Callable, Iterator
 
@@ -14,8 +14,10 @@ class SerialDriver:
 
     Args:
         name: the device's name.
-        settings: where it is, and what it is told.
+        settings: port, and settings sent to the device.
     """
+
+    lossless = False
 
     def __init__(self, name: str, settings: SerialSettings) -> None:
         self._name = name
@@ -25,7 +27,7 @@ class SerialDriver:
 
     @property
     def description(self) -> DeviceDescription:
-        """What the device said it is; valid after ``open``.
+        """The device's properties, from its description; valid after ``open``.
 
         Raises:
             RuntimeError: the driver is not open.
@@ -33,11 +35,11 @@ class SerialDriver:
         return self._opened().description
 
     def open(self) -> None:
-        """Connect, and ask the device what it is; five seconds at most, three more if it is busy.
+        """Connect and read the description; takes at most 5 s, 3 s more if it is busy.
 
         Raises:
             DeviceNotConnected: it is not there, does not answer, or stays busy.
-            InvalidParameter: it cannot be told its settings.
+            InvalidParameter: it does not support its settings.
         """
         self.close()
         run = self._run = SerialSession(self._name, self._settings)
@@ -50,16 +52,16 @@ class SerialDriver:
             run.close()
 
     def listen(self, changed: Callable[[LinkState], None]) -> None:
-        """Have each change of the link told, from the thread of ``frames``."""
+        """Register the listener of link changes; called from the thread of ``frames``."""
         self._changed = changed
 
     def link(self) -> LinkState:
-        """Return how the link stands; "disconnected" before ``open``."""
+        """Return the state of the link; "disconnected" before ``open``."""
         run = self._run
         return LinkState("disconnected", "it was not opened yet") if run is None else run.link()
 
     def frames(self) -> Iterator[LineFrame]:
-        """Yield frames until ``close`` is called, over all losses of the connection.
+        """Yield frames until ``close`` is called; reconnect after each loss.
 
         Raises:
             DeviceChanged: another device came back, or one with other values of its sensors.

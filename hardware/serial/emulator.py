@@ -1,4 +1,4 @@
-"""Puts a simulated device behind a TCP port or a pseudo-terminal, as if it were plugged in."""
+"""Serves a simulated serial device on a TCP port or a pseudo-terminal."""
 
 import os
 import selectors
@@ -16,15 +16,15 @@ _POLL_S = 0.1
 _SEND_S = 0.25
 
 MakeDevice = Callable[[int], SimulatedSerialDevice]
-"""Switches a device on, at that time of the monotonic clock [ns]."""
+"""Creates a device switched on at a monotonic time [ns]."""
 
 
 def serve_socket(
     make: MakeDevice, listener: socket.socket, ended: Event, *, stays_on: bool = True
 ) -> None:
-    """Serve one host after the other on a listening socket until ``ended`` is set.
+    """Serve one host at a time on a listening socket until ``ended`` is set.
 
-    With ``stays_on`` the device stays on between two hosts, else each finds it switched on anew.
+    With ``stays_on`` the device stays on between hosts, else each connection restarts it.
     """
     listener.settimeout(_POLL_S)
     device = make(time.monotonic_ns())
@@ -47,7 +47,7 @@ def serve_terminal(
 ) -> None:
     """Serve a pseudo-terminal until ``ended`` is set; ``link`` becomes a symbolic link to it.
 
-    Its name is told to ``named``. It stays when the host closes it, as a port does.
+    ``named`` is called with its name. It persists when the host closes it, as a port does.
     """
     ours, theirs = os.openpty()
     try:
@@ -70,7 +70,7 @@ def serve_terminal(
 def _serve(
     device: SimulatedSerialDevice, descriptor: int, send: Callable[[bytes], None], ended: Event
 ) -> None:
-    """Exchange bytes until the host is gone; raises OSError."""
+    """Exchange bytes until the host disconnects; raises OSError."""
     with selectors.DefaultSelector() as selector:
         selector.register(descriptor, selectors.EVENT_READ)
         while not ended.is_set():
@@ -87,7 +87,7 @@ def _serve(
 
 
 def _write(descriptor: int, data: bytes) -> None:
-    """Write to a terminal that may be full; what nobody takes in time is lost."""
+    """Write to a terminal that may be full; data not accepted in time are lost."""
     end = time.monotonic() + _SEND_S
     view = memoryview(data)
     while view and time.monotonic() < end:

@@ -1,4 +1,4 @@
-"""The reference encoder: a message to the bytes that go over the line (docs/reference/serial-protocol.md)."""
+"""Reference encoder of the serial protocol (docs/reference/serial-protocol.md)."""
 
 import struct
 import zlib
@@ -37,7 +37,7 @@ HEAD: Final = struct.Struct("<BB")
 
 
 def encode(message: Message) -> bytes:
-    """Return the bytes of a message as they go over the line, the zero at the end included.
+    """Return the encoded bytes of a message, with the terminating zero.
 
     Raises:
         InvalidParameter: a value has no room in its field, or the whole is longer than
@@ -61,7 +61,7 @@ def encode(message: Message) -> bytes:
 
 
 def split_lines(message: Lines, counts: int) -> list[Lines]:
-    """Return an exposure's lines in parts of so many counts, as a small device sends them."""
+    """Split an exposure's counts into several messages, as a small device sends them."""
     return [
         Lines(
             message.sequence,
@@ -78,7 +78,7 @@ def split_lines(message: Lines, counts: int) -> list[Lines]:
 
 @singledispatch
 def _body(message: Message) -> tuple[MessageType, bytes]:
-    """Return a message's type and what follows it."""
+    """Return a message's type and body."""
     raise TypeError(f"{type(message).__name__} is no message of the protocol")
 
 

@@ -1,4 +1,4 @@
-"""Line frames from a device's exposures: numbers that go on, and times on both clocks."""
+"""Builds line frames from a device's exposures: continuous numbers, times on both clocks."""
 
 from hardware.clock_sync import DeviceClock
 from hardware.line_frame import FrameFlag, LineFrame
@@ -15,18 +15,18 @@ def _clock(description: Description) -> tuple[int, int, int]:
 
 
 class FrameBuilder:
-    """Makes the frames of one device, over losses of the connection and resets of the device.
+    """Builds the frames of one device across disconnections and resets.
 
     Args:
         device: the device's name.
-        description: what it said it is.
+        description: the device's description.
         markers: number of strobed markers; a frame of another marker is refused.
 
     Attributes:
-        clock: the device's clock on the host's.
-        made: frames made.
-        lost: exposures missing in the device's numbers.
-        refused: exposures with a marker that cannot be.
+        clock: maps the device's clock to the host's.
+        built: number of frames built.
+        lost: exposures missing in the device's sequence numbers.
+        refused: exposures with an invalid marker.
     """
 
     def __init__(self, device: str, description: Description, markers: int) -> None:
@@ -41,16 +41,16 @@ class FrameBuilder:
         self._reconnected_description: Description | None = None
 
     def reconnect(self, description: Description) -> None:
-        """Go on, with the next exposure, with the clock and the delay that the device has now."""
+        """Use the clock and delay of a new description from the next exposure on."""
         self._reconnected_description = description
 
     def build(self, exposed: AssembledExposure, arrival_ns: int) -> LineFrame | None:
-        """Return the frame of an exposure that arrived then on the monotonic clock [ns].
+        """Return the frame of an exposure that arrived at a monotonic time [ns].
 
-        None: its marker cannot be.
+        None: its marker is invalid.
 
         Raises:
-            InvalidParameter: the device came back with a clock that cannot be counted on.
+            InvalidParameter: the clock of the reconnected device wraps too often.
         """
         marker = None if exposed.marker == NO_MARKER else exposed.marker
         if marker is not None and marker >= self._markers:
@@ -65,7 +65,7 @@ class FrameBuilder:
             self.clock.restart(arrival_ns)
         stamp = self.clock.stamp(exposed.ticks, arrival_ns)
         anew = backwards or other or stamp.restarted
-        if anew:  # how many were lost, nobody knows
+        if anew:  # the number lost is unknown
             step = 1
         self._last_number = exposed.sequence
         self._sequence += step

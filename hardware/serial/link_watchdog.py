@@ -1,18 +1,18 @@
-"""Watches whether frames come over a link: connected, silent or garbled, with the reason."""
+"""Link supervision: connected, silent or garbled; when to query and reconfigure a device."""
 
 from typing import Final
 
 from hardware.link import LinkPhase
 
 MESSAGES_NS: Final = 2_000_000_000
-"""A device that rests sends a message in so long a time: its status, or what it is asked for."""
+"""Longest time between messages of a stopped device: its status, or its description."""
 
 
 class LinkWatchdog:
-    """Judges a link by when the last byte, the last frame and the last other message came.
+    """Classifies a link by the times of its last byte, frame and other message.
 
     Args:
-        limit_s: how long no frame may come [s].
+        limit_s: longest tolerated time without frames [s].
     """
 
     def __init__(self, limit_s: float) -> None:
@@ -24,19 +24,19 @@ class LinkWatchdog:
         self._bad = 0
 
     def begin(self, now_ns: int, rejected: int) -> None:
-        """The connection is new; so many messages could not be used before it."""
+        """Start with a new connection; ``rejected`` messages were unusable before it."""
         self._bytes_ns = now_ns
         self._bad = rejected
         self._frame(now_ns)
 
     def received(self, now_ns: int, *, frames: bool, messages: bool, rejected: int) -> None:
-        """Bytes came, and with them whole frames or none, and whole messages that are no lines.
+        """Record received bytes and the messages they completed.
 
         Args:
-            now_ns: when [ns].
-            frames: whether frames came.
-            messages: whether other messages came.
-            bad: messages and exposures that could not be used, all since ``begin`` and before.
+            now_ns: monotonic time [ns].
+            frames: whether there were frames.
+            messages: whether there were other messages.
+            rejected: total number of unusable messages and exposures.
         """
         self._bytes_ns = now_ns
         if rejected != self._bad:
@@ -47,7 +47,7 @@ class LinkWatchdog:
             self._frame(now_ns)
 
     def check(self, now_ns: int) -> tuple[LinkPhase, str | None]:
-        """Return how the link stands at a time, and why."""
+        """Return the link's phase at a time, and the reason."""
         limit_ns = self.limit_s * 1e9
         if now_ns - self._frame_ns <= limit_ns:
             return "connected", None
@@ -67,6 +67,55 @@ class LinkWatchdog:
         return "silent", f"nothing came for {self.limit_s:g} s; the device is asked again"
 
     def _frame(self, now_ns: int) -> None:
-        """All is well: what else came before says nothing."""
+        """Record a frame: earlier errors no longer matter."""
         self._frame_ns = now_ns
         self._bad_ns = self._message_ns = None
+
+
+DESCRIBE_INTERVAL_NS: Final = 1_000_000_000
+CONFIGURE_INTERVAL_NS: Final = 10_000_000_000
+"""Shortest time between resending the settings to a stopped device that answers."""
+
+
+class DescribePolicy:
+    """Decides when a silent device is queried and when its settings are sent again."""
+
+    def __init__(self) -> None:
+        self._queried_ns = 0
+        self._configured_ns: int | None = None
+        self._open = False
+
+    def begin(self, now_ns: int) -> None:
+        """Start with a new connection; the settings have just been sent."""
+        self._queried_ns = now_ns
+        self._configured_ns, self._open = None, False
+
+    def record_frames(self) -> None:
+        """Record frames: the next silence counts anew."""
+        self._configured_ns = None
+
+    def should_describe(self, now_ns: int) -> bool:
+        """Return whether to query the silent device now, and record the query."""
+        if now_ns - self._queried_ns <= DESCRIBE_INTERVAL_NS:
+            return False
+        if self._open:  # it did not answer: it may have been off, and know nothing now
+            self._configured_ns = None
+        self._open, self._queried_ns = True, now_ns
+        return True
+
+    def should_configure(self, now_ns: int) -> bool:
+        """Return whether to resend the settings after a description, and record it.
+
+        An unsolicited description means a reset; a solicited one may come from a device that is
+        stopped on purpose.
+        """
+        solicited, self._open = self._open, False
+        configured_ns = self._configured_ns
+        if (
+            solicited
+            and configured_ns is not None
+            and now_ns - configured_ns <= CONFIGURE_INTERVAL_NS
+        ):
+            return False
+        self._configured_ns = now_ns
+        return True

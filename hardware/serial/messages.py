@@ -18,13 +18,13 @@ MAX_MARKERS: Final = 254
 MAX_SLOTS: Final = 254
 MAX_NAME_BYTES: Final = 64
 MAX_VALUE: Final = 1e9
-"""Of a description's values that have no other bound."""
+"""Bound of a description's values that have no other."""
 MAX_BYTES: Final = 2**20
-"""A message is at most so long as it goes over the line [bytes]."""
+"""Maximum length of an encoded message [bytes]."""
 
 
 class MessageType(IntEnum):
-    """The second byte of every message; from the host 0x80 and above."""
+    """Message type, the second byte of every message; 0x80 and above come from the host."""
 
     DESCRIPTION = 0x01
     LINES = 0x02
@@ -38,7 +38,7 @@ class MessageType(IntEnum):
 
 
 class Ability(IntFlag):
-    """What a device can be told."""
+    """Optional commands that a device supports."""
 
     NONE = 0
     START_STOP = 1
@@ -47,14 +47,14 @@ class Ability(IntFlag):
 
 
 class LinesFlag(IntFlag):
-    """What a device says of an exposure."""
+    """Status flags of an exposure."""
 
     NONE = 0
     SATURATED = 1
 
 
 class Result(IntEnum):
-    """What a device answers to a command."""
+    """Result of a command."""
 
     DONE = 0
     UNKNOWN = 1
@@ -66,7 +66,7 @@ class Result(IntEnum):
 
 @dataclass(frozen=True)
 class Description:
-    """What a device is; sent when it is switched on and when it is asked.
+    """Description of a device; sent after power-on and on request.
 
     Args:
         name: what the device calls itself, with a serial number where it has one.
@@ -130,7 +130,7 @@ class Lines:
 
 @dataclass(frozen=True)
 class DeviceStatus:
-    """How a device is; sent once a second or so, also while it is stopped. Optional.
+    """Status of a device; sent about once a second, also while stopped. Optional.
 
     Args:
         ticks: its clock now.
@@ -147,7 +147,7 @@ class DeviceStatus:
 
 @dataclass(frozen=True)
 class Answer:
-    """What became of a command: the command's type and number, and the result."""
+    """Answer to a command: the command's type and number, and the result."""
 
     command: int
     number: int
@@ -156,28 +156,28 @@ class Answer:
 
 @dataclass(frozen=True)
 class Describe:
-    """Asks for the description."""
+    """Command: send the description."""
 
     number: int
 
 
 @dataclass(frozen=True)
 class Start:
-    """Lets a device expose."""
+    """Command: start exposures."""
 
     number: int
 
 
 @dataclass(frozen=True)
 class Stop:
-    """Lets a device rest."""
+    """Command: stop exposures."""
 
     number: int
 
 
 @dataclass(frozen=True)
 class Exposure:
-    """Sets frame rate [Hz] and exposure time [us]; 0: leave it as it is."""
+    """Command: set frame rate [Hz] and exposure time [us]; 0: unchanged."""
 
     number: int
     frame_rate_hz: float
@@ -186,7 +186,7 @@ class Exposure:
 
 @dataclass(frozen=True)
 class Strobe:
-    """Sets which marker each exposure lights: slot by slot, then again from the first.
+    """Command: set the cyclic strobe schedule.
 
     Args:
         number: of the command.

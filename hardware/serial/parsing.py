@@ -1,4 +1,4 @@
-"""From the content of one message, its checksum verified, to its value."""
+"""Parses the content of one message whose checksum is verified."""
 
 import math
 import struct
@@ -38,11 +38,11 @@ _COUNT: Final = np.dtype("<u2")
 
 
 class MalformedMessage(Exception):
-    """The checksum is right, and the content makes no sense."""
+    """Invalid content despite a correct checksum."""
 
 
 def parse(content: bytes) -> Message | None:
-    """Return a message from its content without the checksum; None: its type is not known here.
+    """Return the message of a content without its checksum; None: unknown type.
 
     Raises:
         Malformed: it is not as long as it should be, or a value is out of its bounds.

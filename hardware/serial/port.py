@@ -1,4 +1,4 @@
-"""An open serial port by its URL: reads what is there at once, and can be closed from any thread.
+"""Serial ports by URL: immediate reads, and a close signal from any thread.
 
 A URL is what pyserial takes: ``/dev/ttyACM0``, ``COM3``, ``rfc2217://host:port``, and
 ``socket://host:port``. A socket is opened here and not by pyserial, whose reads wait until all
@@ -30,63 +30,63 @@ class PortDisconnected(Exception):
 
 
 class CloseSignal:
-    """Says from any thread that a driver is to end; wakes whoever waits for bytes at once."""
+    """Thread-safe close request that wakes a thread waiting for bytes."""
 
     def __init__(self) -> None:
         self.event = Event()
         self._read, self._write = socket.socketpair()
 
     def set(self) -> None:
-        """Say so; for good."""
+        """Request the close; irrevocable."""
         if not self.event.is_set():
             self.event.set()
             with suppress(OSError):
                 self._write.send(b"\0")
 
     def is_set(self) -> bool:
-        """Whether it was said."""
+        """Whether the close was requested."""
         return self.event.is_set()
 
     def wait(self, seconds: float) -> bool:
-        """Wait so long at most; return whether it was said."""
+        """Wait at most ``seconds``; return whether the close was requested."""
         return self.event.wait(seconds)
 
     def fileno(self) -> int:
-        """Return a descriptor that becomes readable when it is said."""
+        """Return a descriptor that becomes readable on the close request."""
         return self._read.fileno()
 
     def close(self) -> None:
-        """Release its descriptors; when nothing waits."""
+        """Release the descriptors; call when no thread waits."""
         self.event.set()
         self._read.close()
         self._write.close()
 
 
 class Port(Protocol):
-    """What the connection needs of a port."""
+    """Interface of a port."""
 
     def read(self, timeout_s: float) -> bytes:
-        """Return what has come, or comes first; empty when nothing does, or it is closing.
+        """Return available bytes, or wait for the first; empty on timeout or closing.
 
         Raises:
-            PortDisconnected: there is nothing to read from any more.
+            PortDisconnected: the port is gone.
         """
         ...
 
     def write(self, data: bytes) -> None:
-        """Send; raises PortDisconnected."""
+        """Send bytes; raises PortDisconnected."""
         ...
 
     def close(self) -> None:
-        """Release it; call from the thread that reads, or when none does."""
+        """Close the port; call from the reading thread, or when there is none."""
         ...
 
 
 def open_port(url: str, baudrate: int, closing: CloseSignal) -> Port:
-    """Open a port.
+    """Open the port of a URL.
 
     Raises:
-        DeviceNotConnected: it is not there, is taken, or does not accept us.
+        DeviceNotConnected: it does not exist, is in use, or refuses the connection.
     """
     try:
         if url.startswith("socket://"):
@@ -202,7 +202,7 @@ def _write(port: serial.Serial, data: bytes) -> None:
 
 
 class _Bytes:
-    """Waits for bytes of a port, or for the closing."""
+    """Waits for bytes of a port or for the close request."""
 
     def __init__(self, port: socket.socket | int, closing: CloseSignal) -> None:
         self._closing = closing
@@ -211,7 +211,7 @@ class _Bytes:
         self._selector.register(closing, selectors.EVENT_READ)
 
     def there(self, timeout_s: float) -> bool:
-        """Wait until there is something to read; False: there is not, or it is closing."""
+        """Wait until bytes are available; False: timeout or closing."""
         ready = self._selector.select(max(0.0, timeout_s))
         return any(key is self._key for key, _ in ready) and not self._closing.is_set()
 
@@ -220,7 +220,7 @@ class _Bytes:
 
 
 def _connected(url: str, closing: CloseSignal) -> socket.socket:
-    """Return a connected socket; a host that does not answer is waited for CONNECT_S at most."""
+    """Return a connected socket; waits at most CONNECT_S for the host."""
     parts = urlsplit(url)
     if parts.hostname is None or parts.port is None:
         raise ValueError("it must be socket://HOST:PORT")
@@ -248,7 +248,7 @@ def _connected(url: str, closing: CloseSignal) -> socket.socket:
 
 
 def _reason(error: Exception) -> str:
-    """Return an error in the words of the operating system, where it has them."""
+    """Return the operating system's error message, where there is one."""
     if isinstance(error, OSError) and error.errno is not None and error.errno > 0:
         return os.strerror(error.errno)
     return str(error) or type(error).__name__

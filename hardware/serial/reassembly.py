@@ -1,4 +1,4 @@
-"""Exposures from their parts: a device may send an exposure's lines in several messages."""
+"""Reassembles exposures that a device sends in several messages."""
 
 from dataclasses import dataclass
 
@@ -10,7 +10,7 @@ from hardware.serial.messages import Lines, LinesFlag
 
 @dataclass(frozen=True, eq=False, slots=True)
 class AssembledExposure:
-    """A whole exposure: see ``messages.Lines``; counts of shape (sensors, pixels), read-only."""
+    """A complete exposure, see ``messages.Lines``; counts (sensors, pixels), read-only."""
 
     sequence: int
     ticks: int
@@ -21,11 +21,11 @@ class AssembledExposure:
 
 
 class ExposureAssembler:
-    """Puts the parts of exposures of (sensors, pixels) together; parts come in their order.
+    """Reassembles exposures of (sensors, pixels) from parts in order.
 
     Attributes:
-        incomplete: exposures of which a part was missing.
-        orphaned: parts that belong to no exposure: their beginning was lost, or they do not fit.
+        incomplete: exposures with a missing part.
+        orphaned: parts without an exposure: its beginning was lost, or they do not fit.
     """
 
     def __init__(self, sensors: int, pixels: int) -> None:
@@ -39,11 +39,11 @@ class ExposureAssembler:
         self._counts = np.empty(0, dtype=np.uint16)
 
     def reset(self) -> None:
-        """Forget an unfinished exposure, without counting it."""
+        """Discard an unfinished exposure without counting it."""
         self._begun = None
 
     def add(self, part: Lines) -> AssembledExposure | None:
-        """Take a part; return the exposure that it completes."""
+        """Add a part; return the exposure that it completes."""
         if part.first == 0 and len(part.counts) == self._size:
             self._drop()
             return self._whole(part, part.counts, part.flags)

@@ -1,4 +1,4 @@
-"""One opening of a serial device: its connections one after the other, and their frames."""
+"""Session of a serial device: connects, yields frames and reconnects until closed."""
 
 import math
 import time
@@ -7,30 +7,28 @@ from threading import Lock
 from typing import Final
 
 from hardware.driver import DeviceDescription, SensorDescription
-from hardware.errors import DeviceNotConnected
+from hardware.errors import DeviceChanged, DeviceNotConnected
 from hardware.line_frame import LineFrame
 from hardware.link import LinkCounters, LinkPhase, LinkState
 from hardware.serial.connection import Connection
 from hardware.serial.decoder import Decoder
-from hardware.serial.describe_policy import DescribePolicy
 from hardware.serial.frame_builder import FrameBuilder
-from hardware.serial.identity_check import check_identity
-from hardware.serial.link_watchdog import LinkWatchdog
+from hardware.serial.link_watchdog import DescribePolicy, LinkWatchdog
 from hardware.serial.messages import Answer, Description, DeviceStatus, Lines, Message
 from hardware.serial.port import CloseSignal, PortDisconnected
 from hardware.serial.settings import SerialSettings
 
 RETRY_S: Final = (0.05, 0.1, 0.2, 0.5, 1.0)
-"""How long to wait before the next attempt to connect; the last for all that follow."""
+"""Delays before the attempts to connect; the last one repeats."""
 _EXPOSURES: Final = 3.0
 
 
 class SerialSession:
-    """A device from ``open`` to ``close``; see SerialDriver.
+    """A serial device between ``open`` and ``close``; see SerialDriver.
 
     Args:
         name: the device's name.
-        settings: where it is, and what it is told.
+        settings: port, and settings sent to the device.
 
     Raises:
         DeviceNotConnected, InvalidParameter: see ``SerialDriver.open``.
@@ -44,7 +42,7 @@ class SerialSession:
         self._state: tuple[LinkPhase, str | None] = ("disconnected", "it was not opened yet")
         self._reconnects = 0
         self._incomplete = 0
-        self._asking = DescribePolicy()
+        self._describe_policy = DescribePolicy()
         self._temperature_c: float | None = None
         self._connection: Connection | None = None
         self._name = name
@@ -52,7 +50,7 @@ class SerialSession:
         self._changed: Callable[[LinkState], None] = lambda _: None
 
     def open(self) -> None:
-        """Connect for the first time; raises as the class says."""
+        """Connect for the first time; raises as the class states."""
         with self._owned:
             try:
                 self._connect()
@@ -67,11 +65,11 @@ class SerialSession:
 
     @property
     def description(self) -> DeviceDescription:
-        """What the device said it is, with what it was told."""
+        """The device's properties: its description with the settings applied."""
         return self._description
 
     def close(self) -> None:
-        """End the frames; whoever runs them releases the port, else it is done here."""
+        """End the frames and release the port, here or in the thread of ``frames``."""
         self._closing.set()
         if self._owned.acquire(blocking=False):
             try:
@@ -80,7 +78,7 @@ class SerialSession:
                 self._owned.release()
 
     def link(self) -> LinkState:
-        """Return how the link stands."""
+        """Return the state of the link."""
         state, reason = self._state
         maker, connection, decoder = self._maker, self._connection, self._decoder.counters
         if maker is None:
@@ -104,7 +102,7 @@ class SerialSession:
         )
 
     def frames(self, changed: Callable[[LinkState], None]) -> Iterator[LineFrame]:
-        """Yield frames until closed; tell changes of the link."""
+        """Yield frames until closed; call ``changed`` with each change of the link."""
         with self._owned:
             self._changed = changed
             try:
@@ -144,34 +142,34 @@ class SerialSession:
                 )
             if frames:
                 self._decoder.complaint = None
-                self._asking.frames_came()
+                self._describe_policy.record_frames()
             state, reason = watch.check(now_ns)
             if state == "garbled" and self._decoder.complaint is not None:
                 reason = f"{self._decoder.complaint}; check the device's firmware"
             self._tell(state, reason)
-            if state != "connected" and self._asking.ask(now_ns):
-                connection.ask()
+            if state != "connected" and self._describe_policy.should_describe(now_ns):
+                connection.request_description()
 
     def _bad(self, connection: Connection) -> int:
-        """Return how many messages and exposures could not be used."""
+        """Return the number of unusable messages and exposures."""
         parts, maker = connection.assembler, self._maker
         assert maker is not None
         return self._decoder.counters.discarded + parts.incomplete + parts.orphaned + maker.refused
 
     def _other(self, connection: Connection, message: Message, now_ns: int) -> None:
-        """Take what is no line: a device that was reset says what it is, and is told anew."""
+        """Handle a message without counts; reconfigure a device that was reset."""
         if isinstance(message, Description):
             self._come_back(message)
             connection.description = message
-            if self._asking.tell(now_ns):
-                connection.tell()
+            if self._describe_policy.should_configure(now_ns):
+                connection.send_settings()
         elif isinstance(message, Answer):
-            connection.take_answer(message, now_ns)
+            connection.handle_answer(message, now_ns)
         elif isinstance(message, DeviceStatus) and math.isfinite(message.temperature_c):
             self._temperature_c = message.temperature_c
 
     def _connect(self) -> Connection:
-        """Connect and let the device send; raises DeviceNotConnected, PortDisconnected, ..."""
+        """Connect and start the device; raises DeviceNotConnected, PortDisconnected, ..."""
         connection = Connection(self._settings, self._decoder, self._closing)
         try:
             if self._maker is None:
@@ -184,13 +182,13 @@ class SerialSession:
             raise
         self._connection = connection
         now_ns = time.monotonic_ns()
-        self._asking.begin(now_ns)
+        self._describe_policy.begin(now_ns)
         self._watch.begin(now_ns, self._bad(connection))
         self._tell("connected", None)
         return connection
 
     def _begin(self, described: Description) -> None:
-        """Make what depends on what the device is."""
+        """Create what depends on the device's description."""
         told = self._settings
         markers = told.strobe.markers if told.strobe else described.markers
         self._described = described
@@ -213,15 +211,15 @@ class SerialSession:
         )
 
     def _limit_s(self, described: Description) -> float:
-        """Return how long no frame may come."""
+        """Return the longest tolerated time without frames [s]."""
         rate = self._settings.frame_rate_hz or described.frame_rate_hz
         return max(self._settings.silent_after_s, _EXPOSURES / rate if rate else 0.0)
 
     def _come_back(self, described: Description) -> None:
-        """Take what a device says that came back.
+        """Accept the description of a reconnected device.
 
         Raises:
-            DeviceChanged: it is another one.
+            DeviceChanged: it is another device.
         """
         check_identity(self._described, described)
         assert self._maker is not None
@@ -229,7 +227,7 @@ class SerialSession:
         self._watch.limit_s = self._limit_s(described)
 
     def _reconnected(self) -> Connection | None:
-        """Connect again, as often as it takes; None when closed meanwhile."""
+        """Retry the connection until it succeeds; None: closed meanwhile."""
         attempts = 0
         while not self._closing.wait(RETRY_S[min(attempts, len(RETRY_S) - 1)]):
             attempts += 1
@@ -265,3 +263,31 @@ class SerialSession:
             self._connection.stop()
         self._release_connection()
         self._closing.close()
+
+
+_IDENTITY_VALUES: Final = (
+    ("pitch_um", "pixel pitch", "um"),
+    ("bits", "conversion", "bits"),
+    ("electrons_per_count", "gain", "electrons per count"),
+    ("read_noise_electrons", "read noise", "electrons"),
+    ("offset_counts", "offset", "counts"),
+    ("line_sigma_px", "line width", "px"),
+)
+"""Values used by peaks and calibrations; clock, delay and rate may differ."""
+
+
+def check_identity(before: Description, now: Description) -> None:
+    """Raise DeviceChanged where sensors or values used in computations differ."""
+    if (now.sensors, now.pixels) != (before.sensors, before.pixels):
+        raise DeviceChanged(
+            f"{now.name} came back with the sensors {', '.join(now.sensors)} of {now.pixels} px; "
+            f"before there were {', '.join(before.sensors)} of {before.pixels} px; start the "
+            "device anew",
+        )
+    for name, words, unit in _IDENTITY_VALUES:
+        old, new = getattr(before, name), getattr(now, name)
+        if old != new:
+            raise DeviceChanged(
+                f"{now.name} came back with the {words} {new:g} {unit}; before it was {old:g} "
+                f"{unit}; start the device anew, and see whether its calibration still holds",
+            )

@@ -1,4 +1,4 @@
-"""Settings of a device on a serial port."""
+"""Settings of the serial driver."""
 
 import re
 from dataclasses import dataclass
@@ -8,7 +8,7 @@ from pydantic import ConfigDict, Field
 
 from compute.errors import InvalidParameter
 from hardware.driver import PeakMethod
-from hardware.simulated.field_bounds import check_field_bounds
+from hardware.field_bounds import check_field_bounds
 from hardware.strobe_schedule import StrobeSchedule
 
 _HOST: Final = r"[A-Za-z0-9]([A-Za-z0-9.-]*[A-Za-z0-9])?"

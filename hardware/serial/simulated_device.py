@@ -1,7 +1,7 @@
-"""A device that speaks the line-scan protocol: what its firmware does, without a port.
+"""Simulated firmware of a serial device; ``emulator`` connects it to a port.
 
-The frames are the simulator's. It obeys all commands; it loses exposures, and says so, when
-nobody takes them.
+The frames are the simulator's. It supports all commands; exposures that are not fetched in time
+are lost and counted.
 """
 
 from collections.abc import Iterator
@@ -39,7 +39,7 @@ from hardware.strobe_schedule import StrobeSchedule
 CLOCK_HZ: Final = 1_000_000
 STATUS_NS: Final = 1_000_000_000
 FIFO_S: Final = 0.25
-"""What it keeps of exposures that nobody takes."""
+"""Length of its buffer of exposures."""
 
 _COMMANDS: Final = {
     Start: MessageType.START,
@@ -50,13 +50,13 @@ _COMMANDS: Final = {
 
 
 class SimulatedSerialDevice:
-    """The device from being switched on.
+    """A simulated serial device, from power-on.
 
     Args:
         settings: the simulation; its duration and pace play no part.
         now_ns: the moment when it is switched on, of the clock that all calls go by [ns].
         name: what it calls itself.
-        rendered: render so many exposures and repeat them; None: each anew.
+        rendered: number of exposures rendered once and repeated; None: each is rendered.
         part_counts: counts of a message, for a device that cannot hold an exposure; None: all.
     """
 
@@ -84,7 +84,7 @@ class SimulatedSerialDevice:
         self._renderer = FrameRenderer(self._settings)
 
     def description(self) -> Description:
-        """Return what it says it is."""
+        """Return its description."""
         settings = self._settings
         sensors = simulated_rig()
         return Description(
@@ -105,21 +105,21 @@ class SimulatedSerialDevice:
         )
 
     def boot(self) -> bytes:
-        """Return what it sends when it is switched on."""
+        """Return the bytes sent at power-on."""
         return b"\0" + encode(self.description())
 
     def receive(self, data: bytes, now_ns: int) -> bytes:
-        """Take bytes of the host; return what it answers."""
+        """Process bytes of the host; return the answers."""
         return b"".join(self._execute(message, now_ns) for message in self._decoder.feed(data))
 
     def due_ns(self) -> int:
-        """Return when the next exposure's middle, or the next status, is."""
+        """Return the time of the next exposure's centre or the next status [ns]."""
         if not self._exposing:
             return self._status_ns
         return min(self._status_ns, self._time_ns(self._sequence))
 
     def send(self, now_ns: int) -> Iterator[bytes]:
-        """Yield the messages of the exposures that were made by now, and a status now and then."""
+        """Yield the messages of the exposures until now, and the periodic status."""
         if now_ns >= self._status_ns:
             self._status_ns = now_ns + STATUS_NS
             counters = self._decoder.counters
@@ -159,13 +159,13 @@ class SimulatedSerialDevice:
             yield encode(part)
 
     def _repeated(self, least: int) -> int:
-        """Return after how many exposures they are repeated: whole turns of the markers."""
+        """Return the period of repetition: a whole number of strobe cycles."""
         timing = self._settings.timing
         turn = len(timing.schedule) or timing.strobed_markers or 1
         return -(-least // turn) * turn
 
     def _time_ns(self, sequence: int) -> int:
-        """Return the middle of an exposure."""
+        """Return the centre of an exposure [ns]."""
         since = sequence - self._first + 0.5
         return self._start_ns + round(since * 1e9 / self._settings.frame_rate_hz)
 
@@ -211,5 +211,5 @@ class SimulatedSerialDevice:
         return replace(self._settings, illumination="strobed", strobe=StrobeSchedule(slots))
 
     def _restart(self, now_ns: int) -> None:
-        """Let the next exposure follow from now, at the rate that is set."""
+        """Restart the timing of exposures from now, at the current rate."""
         self._first, self._start_ns = self._sequence, now_ns

@@ -1,1 +1,1 @@
-"""A simulated device: light lines of moving markers with a real detector's noise."""
+"""Simulated devices: stripe images of moving markers with detector noise."""

@@ -1,4 +1,4 @@
-"""The shape of the pyramidal calibration frame: its 19 LEDs."""
+"""Geometry of the pyramidal calibration target with 19 LEDs."""
 
 import numpy as np
 from numpy.typing import NDArray

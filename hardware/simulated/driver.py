@@ -1,4 +1,4 @@
-"""The simulated device as a driver: exposes on its own clock, keeps few frames, loses the rest."""
+"""Driver of simulated devices, with a clock and a FIFO of limited length."""
 
 import math
 import time
@@ -15,23 +15,25 @@ from hardware.simulated.simulated_rig import simulated_rig
 from hardware.timing import host_time_ns, wait_until
 
 FIFO_S: Final = 1.0
-"""What the device's memory holds; older exposures that nobody fetched are lost."""
+"""Length of the device's FIFO; older exposures that were not fetched are lost."""
 
 
 class RenderedDriver:
-    """A device whose frames are rendered.
+    """A driver whose frames are rendered.
 
-    The device starts exposing, and its clock at zero, when ``frames`` is first asked for one.
-    In real time a frame is handed out at the middle of its exposure, whose host time is read
-    from the host's clock; a host that comes late finds at most FIFO_S of frames, the first of
-    them flagged OVERFLOW after a jump of the sequence number. Not in real time nothing is
-    lost, and the host times go along with the device's clock from the start.
+    The device starts exposing, and its clock at zero, at the first call of ``frames``. In real
+    time a frame is delivered at the centre of its exposure, whose host time is read from the
+    host's clock; a late host finds at most FIFO_S of frames, the first of them flagged OVERFLOW
+    after a gap in the sequence numbers. Otherwise the driver loses nothing, and host times
+    follow the device's clock from the start.
 
     Args:
-        description: what the device is.
+        description: the device's properties.
         renderer: renders its exposures.
         timing: when it makes them.
     """
+
+    lossless = False
 
     def __init__(self, description: DeviceDescription, renderer: Renderer, timing: Timing) -> None:
         self._description = description
@@ -42,11 +44,11 @@ class RenderedDriver:
 
     @property
     def description(self) -> DeviceDescription:
-        """What the device is."""
+        """The device's properties."""
         return self._description
 
     def open(self) -> None:
-        """Make the device ready; a new run of ``frames`` begins at sequence number zero."""
+        """Open the device; ``frames`` begins again at sequence number zero."""
         self.close()
         self._closed = Event()
 
@@ -104,14 +106,14 @@ class RenderedDriver:
             sequence += 1
 
     def _exposed(self, elapsed_ns: int) -> int:
-        """Return how many exposures were made in that time since the start."""
+        """Return the number of exposures made in a time since the start."""
         exposed = math.floor(elapsed_ns * 1e-9 * self._timing.frame_rate_hz + 0.5)
         end = self._timing.frames
         return exposed if end is None else min(exposed, end)
 
 
 class SimulatedDriver(RenderedDriver):
-    """A bar of four line sensors with ideal lenses looking at a scene.
+    """Simulated bar of four line sensors with ideal lenses.
 
     Args:
         name: the device's name.

@@ -1,4 +1,4 @@
-"""Batches of rendered exposures, and what renders them."""
+"""Batches of rendered exposures, their timing, and the renderer protocol."""
 
 from dataclasses import dataclass
 from typing import Final, Protocol
@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 BATCH: Final = 8
-"""Frames rendered at once; the noise of a frame depends on it."""
+"""Frames per batch; a frame's noise depends on it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,15 +51,15 @@ class Timing:
         return max(1, int(self.duration_s * self.frame_rate_hz + 5e-7))
 
     def time_s(self, sequence: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Return the middle of exposures on the device's clock, same shape [s]."""
+        """Return the centres of exposures on the device's clock, same shape [s]."""
         return (sequence.astype(np.float64) + 0.5) / self.frame_rate_hz
 
     def time_ns(self, sequence: int) -> int:
-        """Return the middle of an exposure on the device's clock [ns]."""
+        """Return the centre of an exposure on the device's clock [ns]."""
         return round((sequence + 0.5) * 1e9 / self.frame_rate_hz)
 
     def marker(self, sequence: int) -> int | None:
-        """Return which marker an exposure lights; None: all."""
+        """Return the marker lit in an exposure; None: all."""
         if self.schedule:
             return self.schedule[sequence % len(self.schedule)]
         return sequence % self.strobed_markers if self.strobed_markers else None
@@ -67,7 +67,7 @@ class Timing:
     def lit(
         self, points_mm: NDArray[np.float64], sequence: NDArray[np.int64]
     ) -> NDArray[np.float64]:
-        """Return the markers that are lit in F exposures, shape (F, lit markers, 3) [mm].
+        """Return the positions of the lit markers in F exposures, shape (F, lit markers, 3) [mm].
 
         Args:
             points_mm: all markers at the exposures' times, shape (F, M, 3) [mm].
@@ -81,7 +81,7 @@ class Timing:
 
 
 class Renderer(Protocol):
-    """Renders exposures by their number, the same whenever and in whatever order."""
+    """Renders exposures by number, reproducibly and in any order."""
 
     def batch(self, number: int) -> Batch:
         """Render exposures ``BATCH * number`` to ``BATCH * (number + 1) - 1``."""
@@ -89,21 +89,21 @@ class Renderer(Protocol):
 
 
 def batch_rng(seed: int, number: int) -> np.random.Generator:
-    """Return the source of noise of a batch, by the simulation's seed and its number alone."""
+    """Return the random generator of a batch, determined by seed and batch number."""
     return np.random.Generator(np.random.SFC64(np.random.SeedSequence(seed, spawn_key=(number,))))
 
 
 def batch_sequence(number: int) -> NDArray[np.int64]:
-    """Return the numbers of a batch's exposures, shape (BATCH,)."""
+    """Return the sequence numbers of a batch's exposures, shape (BATCH,)."""
     return np.arange(BATCH * number, BATCH * (number + 1), dtype=np.int64)
 
 
 def frame_batch(lines: NDArray[np.uint16], full_counts: int) -> Batch:
-    """Return the batch of these lines, which nobody writes to any more.
+    """Return a batch of these scans, which become read-only.
 
     Args:
         lines: counts, shape (BATCH, sensors, pixels).
-        full_counts: the count from which on a pixel is saturated.
+        full_counts: smallest count of a saturated pixel.
     """
     lines.setflags(write=False)
     return Batch(lines, lines.max(axis=(1, 2)) >= full_counts)

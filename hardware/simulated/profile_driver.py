@@ -1,4 +1,4 @@
-"""ProfileDriver: a device simulated from its profile."""
+"""ProfileDriver: driver of a device simulated from its profile."""
 
 from compute.optics.coded_aperture.coded_window import CodedWindow
 from compute.optics.profiles.device_profile import DeviceProfile, PlateOptics
@@ -10,7 +10,7 @@ from hardware.simulated.profile_settings import ProfileSettings
 
 
 class ProfileDriver(RenderedDriver):
-    """The device that a profile describes, with its own optics, light and detector.
+    """Simulated device with the optics, light and detector of a profile.
 
     Args:
         name: the device's name.
@@ -18,7 +18,7 @@ class ProfileDriver(RenderedDriver):
         settings: what it shows; see ``ProfileSettings``.
 
     Raises:
-        InvalidParameter: it is asked for more lines per second than its device reads.
+        InvalidParameter: the frame rate is above the profile's line rate.
     """
 
     def __init__(self, name: str, profile: DeviceProfile, settings: ProfileSettings) -> None:
@@ -49,7 +49,7 @@ class ProfileDriver(RenderedDriver):
 
 
 def readout_of(profile: DeviceProfile) -> Readout:
-    """Return what a line of the profile's sensors is."""
+    """Return the content of a scan of the profile's sensors."""
     kinds = {type(one) for one in profile.optics.values()}
     if CodedWindow in kinds:
         return "coded-window"

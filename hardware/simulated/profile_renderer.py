@@ -1,4 +1,4 @@
-"""Renders the frames of a profile's device: scene, light, traced optics, detector; in batches."""
+"""Renders frames of a profile's device in batches: scene, light, traced optics, detector."""
 
 import logging
 from functools import cached_property
@@ -28,9 +28,9 @@ _FIELD_SAMPLES: Final = 181  # at a scene's period
 
 
 class ProfileRenderer:
-    """The exposures of a profile's device by their number; markers face every sensor.
+    """Renders exposures of a profile's device by number; markers face every sensor.
 
-    The optics are traced when the first batch is asked for.
+    The optics are traced for the first batch.
 
     Args:
         profile: the device.
@@ -56,7 +56,7 @@ class ProfileRenderer:
         )
 
     def _check_scene(self) -> None:
-        """Refuse a scene that runs through a sensor's lenses."""
+        """Raise InvalidParameter where a scene runs through a sensor's lenses."""
         if mask_optics(self._profile, self._source) is not None:
             return
         # A turn of the bar lasts as long as its period; what is still is so at all times.

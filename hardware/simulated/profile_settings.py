@@ -1,4 +1,4 @@
-"""Settings of a device that is simulated from its profile."""
+"""Settings of the driver of a profile's simulated device."""
 
 from dataclasses import dataclass
 from typing import Annotated, ClassVar, Final, Literal, get_args
@@ -10,14 +10,14 @@ from compute.optics.coded_aperture.coded_window import CodedWindow
 from compute.optics.profiles.device_profile import DeviceProfile
 from compute.optics.profiles.profile_optics import OpticsMode
 from hardware.driver import PeakMethod
-from hardware.simulated.field_bounds import check_field_bounds
+from hardware.field_bounds import check_field_bounds
 from hardware.simulated.scenes import RotatingBar, Scene
 
 MAX_RATE_HZ: Final = 1000.0
-"""Frame rate of a profile's device unless another is asked for: what a host follows easily."""
+"""Default upper limit of the frame rate, which any host can process."""
 
 MAX_SHADOW_RATE_HZ: Final = 100.0
-"""The same for a device with coded windows, whose shadows take milliseconds to work out."""
+"""The same with coded windows, whose shadows take milliseconds to compute."""
 
 _BAR_LENGTH_FRACTION: Final = (
     0.5  # length of the bar in the default scene, of the volume's least side
@@ -79,7 +79,7 @@ class ProfileSettings:
             )
 
     def scene_in(self, profile: DeviceProfile) -> Scene:
-        """Return the scene, by default one in the middle of the profile's volume."""
+        """Return the scene; default: a rotating bar in the centre of the profile's volume."""
         if self.scene is not None:
             return self.scene
         volume = profile.volume
@@ -88,10 +88,10 @@ class ProfileSettings:
         )
 
     def rate_of(self, profile: DeviceProfile) -> float:
-        """Return the exposures per second [Hz].
+        """Return the frame rate [Hz].
 
         Raises:
-            InvalidParameter: more than the profile's device reads.
+            InvalidParameter: it is above the profile's line rate.
         """
         fastest = profile.rates.line_rate_hz
         if self.frame_rate_hz is None:

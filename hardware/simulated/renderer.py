@@ -1,4 +1,4 @@
-"""Renders the simulated frames: scene, optics, line images, detector; in batches."""
+"""Renders simulated frames in batches: scene, ideal optics, stripe images, detector."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,7 @@ from hardware.simulated.simulated_rig import PIXELS, WORKING_CENTRE_MM, simulate
 
 
 class FrameRenderer:
-    """The exposures of a simulation by their number, the same whenever and in whatever order.
+    """Renders exposures of a simulation by number, reproducibly and in any order.
 
     Args:
         settings: the simulation.

@@ -1,4 +1,4 @@
-"""Scenes: where the markers are at a time."""
+"""Scenes: marker positions as functions of time."""
 
 from dataclasses import dataclass
 from typing import Annotated, ClassVar, Final, Literal
@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from pydantic import ConfigDict, Field
 
 from compute.errors import InvalidParameter
+from hardware.field_bounds import check_field_bounds
 from hardware.simulated.calibration_target import calibration_target_points_mm
-from hardware.simulated.field_bounds import check_field_bounds
 
 Array = NDArray[np.float64]
 Coordinate = Annotated[float, Field(ge=-1e5, le=1e5)]
@@ -116,7 +116,7 @@ class ShiftedPoints:
         return len(self.points_mm)
 
     def shift(self, time_s: float | Array) -> Array:
-        """Return how far they are from their places at times (...,) [s], shape (..., 3) [mm]."""
+        """Return the displacement at times (...,) [s], shape (..., 3) [mm]."""
         at = np.asarray(time_s, dtype=np.float64) % self.period_s
         gone = np.clip((at - (1.0 - self.away) * self.period_s) / self.moving_s, 0.0, 1.0)
         back = np.clip((at - (self.period_s - self.moving_s)) / self.moving_s, 0.0, 1.0)
@@ -250,7 +250,7 @@ class MovingTools:
         return max(tool.period_s for tool in self.tools)
 
     def numbers(self, tool: int) -> tuple[int, ...]:
-        """Return the numbers of a tool's markers among all: its strobe slots."""
+        """Return the indices of a tool's markers among all: its strobe slots."""
         first = sum(len(one.markers_mm) for one in self.tools[:tool])
         return tuple(range(first, first + len(self.tools[tool].markers_mm)))
 
@@ -279,13 +279,13 @@ def _at_rest(points_mm: Array, time_s: float | Array) -> Array:
 
 
 def _swings(at: Array, rates: tuple[float, ...], phases: tuple[float, ...]) -> Array:
-    """Return sines, three of each part of the period (...,), shape (..., 3)."""
+    """Return three sines at each fraction of the period (...,), shape (..., 3)."""
     found: Array = np.sin(2.0 * np.pi * (at[..., None] * np.array(rates) + np.array(phases)))
     return found
 
 
 def _rotation(vector_rad: Array) -> Array:
-    """Return the matrices of rotation vectors (..., 3), shape (..., 3, 3) (Rodrigues)."""
+    """Return rotation matrices of rotation vectors (..., 3), shape (..., 3, 3) (Rodrigues)."""
     angle = np.linalg.norm(vector_rad, axis=-1)[..., None, None]
     x, y, z = np.moveaxis(vector_rad, -1, 0)
     none = np.zeros_like(x)

@@ -8,7 +8,7 @@ from pydantic import ConfigDict, Field
 from compute.errors import InvalidParameter
 from hardware.blink_schedule import BlinkSchedule
 from hardware.driver import PeakMethod
-from hardware.simulated.field_bounds import check_field_bounds
+from hardware.field_bounds import check_field_bounds
 from hardware.simulated.frame_batch import Timing
 from hardware.simulated.scenes import RotatingBar, Scene
 from hardware.strobe_schedule import StrobeSchedule
@@ -108,7 +108,7 @@ class SimulationSettings:
 
     @property
     def timing(self) -> Timing:
-        """When exposures are made, and which marker each lights."""
+        """Timing of the exposures, and the marker that each lights."""
         slots = self.strobe.slots if self.strobe else ()
         return Timing(
             self.frame_rate_hz,

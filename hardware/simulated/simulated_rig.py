@@ -1,4 +1,4 @@
-"""The simulated sensor bar: four line sensors around the origin, aimed at one working volume."""
+"""The simulated sensor bar: four line sensors aimed at one working volume."""
 
 from functools import cache
 from math import sqrt
@@ -26,7 +26,7 @@ _SENSORS: Final[tuple[tuple[str, Vector3, Vector3], ...]] = (
 
 @cache
 def simulated_rig() -> tuple[PlacedSensor, ...]:
-    """Return the four placed sensors in the order of the device's lines."""
+    """Return the four placed sensors in the device's sensor order."""
     return tuple(
         place_sensor(
             name,
@@ -42,5 +42,5 @@ def simulated_rig() -> tuple[PlacedSensor, ...]:
 
 
 def simulated_sensor_models() -> tuple[SensorModel, ...]:
-    """Return the true camera models of the simulated device, in the order of its lines."""
+    """Return the true camera models of the simulated device, in its sensor order."""
     return tuple(sensor.model for sensor in simulated_rig())

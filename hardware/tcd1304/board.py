@@ -1,4 +1,4 @@
-"""One board at its port: asks for a line, waits for it, and says what was wrong if none came."""
+"""One board at its port: requests a scan, waits for it, reports faults."""
 
 import time
 from dataclasses import dataclass
@@ -20,18 +20,18 @@ LATENCY_NS: Final = 20_000_000
 the host's own delay."""
 
 RESPONSE_TIMEOUT_S: Final = 1.0
-"""How much longer than the longest time that a working board takes it is waited for."""
+"""Timeout beyond the longest response time of a working board."""
 
 
 @dataclass(frozen=True, eq=False)
 class BoardScan:
-    """A line, and when it was exposed.
+    """A scan and the bounds of its exposure time.
 
     Args:
-        counts: what the converter read, uint16, shape (3694,).
-        earliest_ns: earliest middle of the exposure, on the clock of time.monotonic_ns().
-        latest_ns: latest.
-        bytes_received: bytes that came.
+        counts: raw counts of the converter, uint16, shape (3694,).
+        earliest_ns: earliest centre of the exposure, on the clock of time.monotonic_ns().
+        latest_ns: latest centre of the exposure.
+        bytes_received: bytes received.
     """
 
     counts: NDArray[np.uint16]
@@ -42,7 +42,7 @@ class BoardScan:
 
 @dataclass(frozen=True)
 class BoardFault:
-    """Why no line came."""
+    """Reason of a missing scan."""
 
     phase: LinkPhase
     reason: str
@@ -54,7 +54,7 @@ class _Closed(Exception):
 
 
 class BoardLink:
-    """A board, connected or not.
+    """The link to a board, connected or not.
 
     Args:
         board: its name and port.
@@ -89,7 +89,7 @@ class BoardLink:
         return self._port is not None
 
     def ask(self) -> BoardScan | BoardFault | None:
-        """Ask for a line and wait for it; None when the driver is closed meanwhile."""
+        """Request a scan and wait for it; None: the driver was closed meanwhile."""
         with self._lock:
             try:
                 if self._port is None:
@@ -105,7 +105,7 @@ class BoardLink:
                 return BoardFault("disconnected", f"{self._where} was lost: {error}")
 
     def close(self) -> None:
-        """Close the port; waits for ``ask``, which ends as ``closed`` is set."""
+        """Close the port; waits for ``ask``, which ends when ``closed`` is set."""
         with self._lock:
             self._release()
 
@@ -151,7 +151,7 @@ class BoardLink:
         return _reading(outcome, self._request, sent_ns, received)
 
     def _drain(self, port: Port) -> int:
-        """Read until silence, or for the time of two answers; return how many bytes came.
+        """Read until silence, or for the time of two responses; return the number of bytes.
 
         A board that was left in continuous mode is never silent: the request stops it.
         """
@@ -165,7 +165,7 @@ class BoardLink:
         return bytes_received
 
     def _collect(self, port: Port, sent_ns: int) -> int:
-        """Feed the collector until the silence after the answer; return how many bytes came."""
+        """Feed the collector until the silence after a response; return the number of bytes."""
         wait_ns = self._request.max_wait_ns + round(RESPONSE_TIMEOUT_S * 1e9)
         while not (data := self._read(port, RESPONSE_TIMEOUT_S)):
             if time.monotonic_ns() - sent_ns > wait_ns:
@@ -177,7 +177,7 @@ class BoardLink:
         return self._collector.pending
 
     def _read(self, port: Port, timeout_s: float) -> bytes:
-        """Return what comes first; empty after that time."""
+        """Return the first bytes available; empty on timeout."""
         data = port.read(timeout_s)
         if self._closed.is_set():
             raise _Closed
@@ -185,7 +185,7 @@ class BoardLink:
 
 
 def _reading(answer: Response, request: Request, sent_ns: int, received: int) -> BoardScan:
-    """Return the line with the bounds of the middle of its exposure."""
+    """Return the scan with the bounds of its exposure's centre."""
     latest_ns = max(answer.first_byte_ns - request.centre_to_response_ns, sent_ns)
     earliest_ns = max(latest_ns - LATENCY_NS, sent_ns)
     return BoardScan(answer.counts, earliest_ns, latest_ns, received)

@@ -1,4 +1,4 @@
-"""From the converter's counts, high where it is dark, to counts that grow with the light."""
+"""Dark correction: inverted converter counts to counts that increase with light."""
 
 from typing import Final
 
@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 from hardware.tcd1304.protocol import FIRST_PIXEL, FULL_SCALE, PIXELS, SHIELDED
 
 OFFSET_COUNTS: Final = 64
-"""The count without light: room for noise below the dark level."""
+"""Output count without light: keeps noise below the dark level."""
 
 
 def dark_level(counts: NDArray[np.uint16]) -> float:
-    """Return what the pixels under the light shield show.
+    """Return the dark level: the mean count of the shielded pixels.
 
     Args:
         counts: what the converter read, shape (3694,).
@@ -21,10 +21,10 @@ def dark_level(counts: NDArray[np.uint16]) -> float:
 
 
 def dark_corrected_counts(counts: NDArray[np.uint16], saturated_at: int) -> NDArray[np.uint16]:
-    """Return the pixels' light above the line's own dark level.
+    """Return the counts of the pixels above the scan's dark level.
 
     The CCD saturates before the converter ends, at a voltage of its own. Such pixels are set to
-    full scale, which is what tells the finding of peaks that they are saturated.
+    full scale, by which peak detection knows that they are saturated.
 
     Args:
         counts: what the converter read, shape (3694,).

@@ -1,4 +1,4 @@
-"""Open TCD1304 boards as one device: a frame is one line of each board."""
+"""Driver for open TCD1304 boards: a frame is one scan of each board."""
 
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -10,8 +10,7 @@ import numpy as np
 
 from hardware.driver import DeviceDescription, SensorDescription
 from hardware.line_frame import FrameFlag, LineFrame
-from hardware.link import LinkPhase, LinkState
-from hardware.link_report import LinkReport
+from hardware.link import LinkPhase, LinkReport, LinkState
 from hardware.serial.port import CloseSignal
 from hardware.tcd1304.board import BoardFault, BoardLink, BoardScan
 from hardware.tcd1304.dark_correction import dark_corrected_counts
@@ -20,21 +19,21 @@ from hardware.tcd1304.settings import Tcd1304Settings
 from hardware.timing import host_time_ns
 
 RETRY_S: Final = (0.1, 0.25, 0.5, 1.0, 2.0)
-"""How long to wait before a lost board is tried again; the last for all attempts that follow."""
+"""Delays before the attempts to reconnect a lost board; the last one repeats."""
 
 _PHASES_BY_SEVERITY: Final[tuple[LinkPhase, ...]] = ("disconnected", "silent", "garbled")
 
 
 @dataclass(frozen=True)
 class ExposureTime:
-    """When the boards exposed: the middle of all, and how far each may be from it [ns]."""
+    """Exposure time of a frame: centre, and largest difference of a board's exposure [ns]."""
 
     centre_ns: int
     uncertainty_ns: int
 
 
 def combined_exposure_time(scans: Sequence[BoardScan]) -> ExposureTime:
-    """Return the middle between the earliest and the latest exposure there may have been.
+    """Return the centre between the earliest and the latest possible exposure.
 
     Boards run freely, each with its own clock, so the lines of a frame are not of one moment.
     """
@@ -44,7 +43,7 @@ def combined_exposure_time(scans: Sequence[BoardScan]) -> ExposureTime:
 
 
 class Tcd1304Driver:
-    """Asks all boards for a line, again and again.
+    """Requests scans from all boards in parallel, repeatedly.
 
     A frame is yielded when all have answered. Its sequence number counts the requests, so an
     answer that was lost or damaged leaves a gap; one that never came, of a board that is silent or
@@ -55,6 +54,8 @@ class Tcd1304Driver:
         name: the device's name.
         settings: the boards; see ``Tcd1304Settings``.
     """
+
+    lossless = False
 
     def __init__(self, name: str, settings: Tcd1304Settings) -> None:
         self._settings = settings
@@ -76,12 +77,12 @@ class Tcd1304Driver:
 
     @property
     def description(self) -> DeviceDescription:
-        """What the device is."""
+        """The device's properties."""
         return self._description
 
     @property
     def exposure_uncertainty_ns(self) -> int | None:
-        """How far the last frame's exposures may be from its time [ns]; None: no frame yet."""
+        """Bound of the last frame's exposure time error [ns]; None: no frame yet."""
         return self._run.uncertainty_ns if self._run is not None else None
 
     def open(self) -> None:
@@ -91,7 +92,7 @@ class Tcd1304Driver:
             DeviceNotConnected: one cannot be opened.
         """
         self.close()
-        self._report.begin()
+        self._report.reset()
         run = self._run = _Run(self._settings)
         try:
             for board in run.boards:
@@ -106,15 +107,15 @@ class Tcd1304Driver:
             self._run.close()
 
     def listen(self, changed: Callable[[LinkState], None]) -> None:
-        """Have each change of the link told; see ``LinkedDriver``."""
+        """Register the listener of link changes; see ``LinkedDriver``."""
         self._report.listen(changed)
 
     def link(self) -> LinkState:
-        """Return how the boards' links stand: the worst of them."""
+        """Return the state of the boards' links: the worst of them."""
         return self._report.state
 
     def frames(self) -> Iterator[LineFrame]:
-        """Yield frames until ``close`` is called; boards that are lost are tried again.
+        """Yield frames until ``close`` is called; lost boards are reconnected.
 
         Raises:
             RuntimeError: the driver was never opened.
@@ -139,14 +140,14 @@ class Tcd1304Driver:
                 self._count(outcomes, len(back))
                 if not troubles:
                     failures = 0
-                    self._report.tell("connected")
+                    self._report.set_state("connected")
                     yield self._frame(run, sequence, scans, after_loss=loss)
                     sequence += 1
                     loss = False
                     continue
                 loss = True
                 worst = min(troubles, key=lambda one: _PHASES_BY_SEVERITY.index(one.phase))
-                self._report.tell(worst.phase, f"{worst.reason}; it is tried again")
+                self._report.set_state(worst.phase, f"{worst.reason}; it is tried again")
                 exposed = any(one.bytes_received for one in troubles) or bool(scans)
                 sequence += exposed
                 self._report.count(frames_lost=int(exposed))
@@ -190,7 +191,7 @@ class Tcd1304Driver:
 
 
 class _Run:
-    """One opening of the driver."""
+    """The opened boards, from ``open`` to ``close``."""
 
     def __init__(self, settings: Tcd1304Settings) -> None:
         self.closed = CloseSignal()

@@ -1,4 +1,4 @@
-"""The board's protocol: the request's bytes, its registers and their bounds, and the times."""
+"""The board's protocol: encoding of requests, register bounds, timing."""
 
 import struct
 from dataclasses import dataclass
@@ -8,7 +8,7 @@ from compute.errors import InvalidParameter
 
 KEY: Final = b"ER"
 ELEMENTS: Final = 3694
-"""What the CCD puts out: 32 dummy elements, the pixels, 14 dummy elements."""
+"""Elements of a readout: 32 dummy elements, the pixels, 14 dummy elements."""
 
 PIXELS: Final = 3648
 FIRST_PIXEL: Final = 32
@@ -26,7 +26,7 @@ CLOCK_HZ: Final = 2_000_000
 READOUT_CLOCKS: Final = 4 * ELEMENTS
 MIN_ICG_CLOCKS: Final = READOUT_CLOCKS
 MIN_EXPOSURE_US: Final = 10
-_MOST: Final = 2**32 - 1
+_MAX_CLOCKS: Final = 2**32 - 1
 _FLUSH_CLOCKS: Final = 4 * 15_000  # the firmware empties the CCD at this pace before it reads
 _PULSES_BEFORE: Final = 4  # ICG pulses from the new periods to the reading, at most
 _REQUEST: Final = struct.Struct(">2sIIBB")
@@ -35,7 +35,7 @@ REQUEST_BYTES: Final = _REQUEST.size
 
 @dataclass(frozen=True)
 class Request:
-    """What is asked of the board: one line, or lines until the next request.
+    """A request to the board: one scan, or scans until the next request.
 
     Args:
         sh_clocks: SH period in periods of the master clock: the exposure.
@@ -56,16 +56,16 @@ class Request:
 
     def __post_init__(self) -> None:
         min_sh = -(-self.clock_hz * MIN_EXPOSURE_US // 1_000_000)
-        if not min_sh <= self.sh_clocks <= _MOST:
+        if not min_sh <= self.sh_clocks <= _MAX_CLOCKS:
             raise InvalidParameter(
-                f"SH period is {self.sh_clocks}; it must lie between {min_sh} and {_MOST} "
+                f"SH period is {self.sh_clocks}; it must lie between {min_sh} and {_MAX_CLOCKS} "
                 f"periods of {self.clock_hz} Hz: the CCD needs {MIN_EXPOSURE_US} us",
                 sh_clocks=self.sh_clocks,
             )
-        if not MIN_ICG_CLOCKS <= self.icg_clocks <= _MOST:
+        if not MIN_ICG_CLOCKS <= self.icg_clocks <= _MAX_CLOCKS:
             raise InvalidParameter(
-                f"ICG period is {self.icg_clocks}; it must lie between {MIN_ICG_CLOCKS}, what reading "
-                f"{ELEMENTS} elements takes, and {_MOST}",
+                f"ICG period is {self.icg_clocks}; it must lie between {MIN_ICG_CLOCKS}, what "
+                f"reading {ELEMENTS} elements takes, and {_MAX_CLOCKS}",
                 icg_clocks=self.icg_clocks,
             )
         if self.icg_clocks % self.sh_clocks:
@@ -93,18 +93,18 @@ class Request:
 
     @property
     def end_to_response_ns(self) -> int:
-        """Time from the end of the last exposure to the answer's first bit: the readout [ns]."""
+        """Readout time, from the end of the last exposure to the first bit of the response [ns]."""
         return self._ns(READOUT_CLOCKS)
 
     @property
     def centre_to_response_ns(self) -> int:
-        """Time from the middle of all exposures to the answer's first bit [ns]."""
+        """Time from the centre of all exposures to the first bit of the response [ns]."""
         spread = (self.averages - 1) * self._ns(self.icg_clocks)
         return self.end_to_response_ns + (self.exposure_ns + spread) // 2
 
     @property
     def max_wait_ns(self) -> int:
-        """Time within which a board that works begins to answer [ns].
+        """Longest time until a working board begins to respond [ns].
 
         The firmware empties the CCD, sets the new periods and lets some pass before it reads.
         """
@@ -116,7 +116,7 @@ class Request:
 
 
 def decode_request(data: bytes, clock_hz: int = CLOCK_HZ) -> Request:
-    """Return the request in 12 bytes, as a board reads it.
+    """Decode a request of 12 bytes, as a board does.
 
     Raises:
         InvalidParameter: these bytes are no request, or one that the board would not do.
@@ -130,7 +130,7 @@ def decode_request(data: bytes, clock_hz: int = CLOCK_HZ) -> Request:
 
 
 def request_for(exposure_us: float, averages: int = 1, clock_hz: int = CLOCK_HZ) -> Request:
-    """Return the request of the nearest possible exposure, read out as soon as possible.
+    """Return the request with the nearest possible exposure and the earliest readout.
 
     Args:
         exposure_us: length of one exposure [us].

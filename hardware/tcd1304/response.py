@@ -1,4 +1,4 @@
-"""Collects a board's answer, which has no framing: silence before it and after it marks it."""
+"""Collects a board's response, which is unframed and delimited by silence."""
 
 from dataclasses import dataclass
 from enum import Enum
@@ -12,11 +12,11 @@ from hardware.tcd1304.protocol import ELEMENTS, FULL_SCALE, RESPONSE_BYTES
 
 @dataclass(frozen=True, eq=False)
 class Response:
-    """One answer.
+    """One response.
 
     Args:
-        counts: what the converter read, uint16, shape (3694,); dark is high.
-        first_byte_ns: when its first bytes were here.
+        counts: raw counts, uint16, shape (3694,); dark is high.
+        first_byte_ns: arrival of its first bytes.
     """
 
     counts: NDArray[np.uint16]
@@ -24,7 +24,7 @@ class Response:
 
 
 class Fault(Enum):
-    """Why bytes between two silences are no answer."""
+    """Reason why bytes between two silences are not a response."""
 
     SHORT = "short"
     LONG = "long"
@@ -33,7 +33,7 @@ class Fault(Enum):
 
 @dataclass(frozen=True)
 class InvalidResponse:
-    """Bytes that are no answer, and why."""
+    """Bytes that are not a response, and the reason."""
 
     fault: Fault
     bytes: int
@@ -44,7 +44,7 @@ _FORMAT: Final = np.dtype("<u2")
 
 
 class ResponseCollector:
-    """Bytes in, answers out; never raises on input, and keeps at most one answer's bytes.
+    """Collects responses; never raises on input, and buffers at most one response.
 
     Lost, doubled or foreign bytes shift all that follows them, and nothing in the stream tells
     where a line begins. So whatever came between two silences is an answer when it has exactly
@@ -62,7 +62,7 @@ class ResponseCollector:
         return self._bytes
 
     def feed(self, data: bytes, now_ns: int) -> None:
-        """Take bytes, and when they were here."""
+        """Add received bytes and their arrival time."""
         if not data:
             return
         if not self._bytes:
@@ -71,7 +71,7 @@ class ResponseCollector:
         self._kept += data[: RESPONSE_BYTES - len(self._kept)]
 
     def silence(self) -> Response | InvalidResponse | None:
-        """Return what the bytes before this silence were; None: there were none."""
+        """Evaluate the bytes before a silence; None: there were none."""
         count, kept = self._bytes, bytes(self._kept)
         self.clear()
         if not count:
@@ -96,6 +96,6 @@ class ResponseCollector:
         return Response(counts, self._first_ns)
 
     def clear(self) -> None:
-        """Forget the bytes."""
+        """Discard the bytes."""
         self._kept.clear()
         self._bytes = 0

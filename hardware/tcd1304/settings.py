@@ -1,4 +1,4 @@
-"""Settings of a device of open TCD1304 boards."""
+"""Settings of the TCD1304 driver."""
 
 import re
 from dataclasses import dataclass
@@ -8,8 +8,8 @@ from pydantic import ConfigDict, Field, StringConstraints
 
 from compute.errors import InvalidParameter
 from hardware.driver import PeakMethod
+from hardware.field_bounds import check_field_bounds
 from hardware.serial.settings import URL_PATTERN
-from hardware.simulated.field_bounds import check_field_bounds
 from hardware.tcd1304.dark_correction import OFFSET_COUNTS
 from hardware.tcd1304.protocol import (
     CLOCK_HZ,
@@ -89,17 +89,17 @@ class Tcd1304Settings:
 
     @property
     def request(self) -> Request:
-        """What is asked of every board."""
+        """The request sent to every board."""
         return request_for(self.exposure_us, self.averages, self.clock_hz)
 
     @property
     def transfer_s(self) -> float:
-        """Time that an answer takes over the line [s]."""
+        """Transfer time of a response [s]."""
         return RESPONSE_BYTES * _BITS_OF_BYTE / self.baud_rate
 
     @property
     def frame_rate_hz(self) -> float:
-        """About how many lines a board sends per second, asked for one after the other."""
+        """Approximate rate of consecutive requests [Hz]."""
         wait_s = self.request.max_wait_ns * 1e-9
         return 1.0 / (wait_s + self.transfer_s + self.gap_ms * 1e-3)
 

@@ -1,4 +1,4 @@
-"""A board that is not there: answers requests on a socket as the firmware does, faults included."""
+"""Simulated board: answers requests on a socket as the firmware does, including faults."""
 
 import socket
 import struct
@@ -30,7 +30,7 @@ DARK_COUNTS: Final = 3100
 def response_counts(
     light: NDArray[np.float64], dark: float = DARK_COUNTS, noise_counts: float = 0.0, seed: int = 0
 ) -> NDArray[np.uint16]:
-    """Return what a board's converter reads of light in counts.
+    """Return raw converter counts for light in counts.
 
     Args:
         light: counts by which each pixel goes down, shape (3648,).
@@ -49,14 +49,14 @@ def response_counts(
 
 
 Respond = Callable[[Request], bytes | None]
-"""What a board sends to a request; None: it is unplugged instead."""
+"""Returns the response to a request; None: the board is unplugged."""
 
 
 class SimulatedBoard:
     """A board behind ``socket://127.0.0.1:PORT``; one client at a time, as a serial port.
 
     Args:
-        respond: makes the answer's bytes; told anything that is wanted, a right one or not.
+        respond: returns the response's bytes, valid or not.
         realtime: True: waits as long as a board exposes and reads out.
         port: the TCP port; 0: a free one.
     """
@@ -74,17 +74,17 @@ class SimulatedBoard:
 
     @property
     def url(self) -> str:
-        """Where the board is."""
+        """URL of the board."""
         return f"socket://127.0.0.1:{self.port}"
 
     def send(self, data: bytes) -> None:
-        """Send bytes that nobody asked for."""
+        """Send unsolicited bytes."""
         client = self._client
         if client is not None:
             client.sendall(data)
 
     def unplug(self) -> None:
-        """Break the connection, as a port whose cable is drawn; it may be connected again."""
+        """Break the connection, as by unplugging the cable; it can be reconnected."""
         client = self._client
         if client is not None:
             client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))

@@ -17,7 +17,7 @@ from service.database.migration import migrate
 from service.principal import SCOPES
 from service.security import store
 
-_MOST_SHOWN: Final = 10_000
+_MAX_SHOWN: Final = 10_000
 
 
 def create(data_dir: Path | None, name: str, scopes: list[str], days: float | None) -> None:
@@ -69,7 +69,7 @@ def revoke(data_dir: Path | None, key_id: str) -> None:
 
 def _all(database: Database) -> list[ApiKey]:
     with database.read() as session:
-        rows, _ = store.list_keys(session, _MOST_SHOWN, 0)
+        rows, _ = store.list_keys(session, _MAX_SHOWN, 0)
         return [document(row) for row in rows]
 
 

@@ -112,7 +112,7 @@ class DeviceSession:
 
         A source that waits for the pipeline is never behind.
         """
-        if not self.processor.is_tracking or self.reader is None or self.reader.waits:
+        if not self.processor.is_tracking or self.reader is None or self.reader.lossless:
             return self.ring.take(self._batch), None
         frames, track = self.ring.take_chosen(
             self._batch,

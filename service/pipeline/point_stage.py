@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,16 +81,17 @@ def _solve_strobed(active: PreparedCalibration, measurements: Measurements) -> P
 
     A strobed exposure shows one marker: the brightest peak is it, weaker ones are reflections.
     """
-    position, sigma = measurements.position_px, measurements.sigma_px
-    at: tuple[Any, ...] = (..., 0)
-    if measurements.max_count > 1:
+    position = measurements.position_px
+    frames, sensors, peaks = position.shape
+    # Indices into the flattened arrays: only the chosen peaks are read.
+    at = np.arange(0, position.size, peaks).reshape(frames, sensors)
+    if peaks > 1:
         light = np.where(measurements.usable, measurements.amplitude, -1.0)
-        frame = np.arange(len(position))[:, None]
-        at = frame, np.arange(len(measurements)), light.argmax(axis=2)
-    points = active.solver.solve(position[at], sigma[at])
+        at += light.argmax(axis=2)
+    points = active.solver.solve(position.take(at), np.sqrt(measurements.variance_px2.take(at)))
     if not np.count_nonzero(measurements.suspect):
         return points
-    return _flag_points(points, None, measurements.suspect[at])
+    return _flag_points(points, None, measurements.suspect.take(at))
 
 
 def _solve_simultaneous(active: PreparedCalibration, measurements: Measurements) -> PointBatch:

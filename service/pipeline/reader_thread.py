@@ -128,8 +128,8 @@ class ReaderThread:
         self._ring = ring
         self._ended = ended
         self._stopping = False
-        self.waits = bool(getattr(driver, "waits", False))
-        """Whether the source waits for us: a recording that is replayed as fast as it is taken."""
+        self.lossless = driver.lossless
+        """Whether the source waits for the pipeline: a replay as fast as frames are consumed."""
         self._thread = Thread(target=self._run, name=f"reader-{device_id}", daemon=True)
 
         self._link_changed = link_changed
@@ -168,7 +168,7 @@ class ReaderThread:
         set_device_id(self._device_id)
         try:
             for frame in self._driver.frames():
-                if self.waits:
+                if self.lossless:
                     self._ring.wait_for_room(lambda: self._stopping)
                 self._ring.put(frame)
         except LumilineError as error:

@@ -9,7 +9,7 @@ TRACKER: Final = "Tracker"
 """The frame of the device's own coordinates."""
 TO: Final = "To"
 _MAX_FRAME_BYTES: Final = NAME_BYTES - len(TO)
-_FRAME_LEAST: Final = 9
+_MIN_FRAME_BYTES: Final = 9
 """What the second frame keeps of its name before the first is cut below what is left."""
 
 
@@ -44,5 +44,5 @@ def wire_name(tool: str, reference: str | None) -> TransformName:
     """
     frame = frame_name(reference)
     full = f"{tool}{TO}{frame}"
-    kept = frame[: max(_FRAME_LEAST, _MAX_FRAME_BYTES - len(tool))]
+    kept = frame[: max(_MIN_FRAME_BYTES, _MAX_FRAME_BYTES - len(tool))]
     return TransformName(f"{tool[: _MAX_FRAME_BYTES - len(kept)]}{TO}{kept}", full, reference)

@@ -23,8 +23,8 @@ _FETCH_S: Final = 10.0
 """Within which a document has to be there as a whole."""
 _WAIT_S: Final = 5.0
 """How long the request that needs the keys first waits for them."""
-_MOST_BYTES: Final = 256 * 1024
-_MOST_KEYS: Final = 64
+_MAX_BYTES: Final = 256 * 1024
+_MAX_KEYS: Final = 64
 CACHE_LIFETIME_S: Final = 3600.0
 """Keys are fetched anew after this long."""
 RETRY_INTERVAL_S: Final = 30.0
@@ -55,8 +55,8 @@ async def _fetch(url: str) -> bytes:
         body = b""
         async for part in answer.aiter_bytes():
             body += part
-            if len(body) > _MOST_BYTES:
-                raise ValueError(f"more than {_MOST_BYTES} bytes")
+            if len(body) > _MAX_BYTES:
+                raise ValueError(f"more than {_MAX_BYTES} bytes")
         return body
 
 
@@ -118,7 +118,7 @@ class Jwks:
         keys: dict[str, jwt.PyJWK] | None = None
         try:
             document = json.loads(self._get(self._jwks_url()))
-            found = jwt.PyJWKSet.from_dict(document).keys[:_MOST_KEYS]
+            found = jwt.PyJWKSet.from_dict(document).keys[:_MAX_KEYS]
             # Shared secrets have no place among public keys, and would make forgery easy.
             keys = {
                 key.key_id: key for key in found if key.key_id is not None and key.key_type != "oct"

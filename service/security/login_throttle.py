@@ -25,7 +25,7 @@ class LoginThrottle:
     ) -> None:
         self._per_minute = per_minute
         self._clock = clock
-        self._most = max_addresses
+        self._max_addresses = max_addresses
         self._spent: OrderedDict[str, tuple[float, float]] = OrderedDict()
         self._lock = Lock()
 
@@ -43,7 +43,7 @@ class LoginThrottle:
             spent = self._current_count(key)
             self._spent[key] = (spent + 1.0, self._clock())
             self._spent.move_to_end(key)
-            while len(self._spent) > self._most:
+            while len(self._spent) > self._max_addresses:
                 self._spent.popitem(last=False)
 
     def __len__(self) -> int:

@@ -24,7 +24,7 @@ ALGORITHMS: Final = (
 
 LEEWAY_S: Final = 30.0
 """Clocks may differ by so much."""
-_MOST_CHARACTERS: Final = 8192
+_MAX_CHARACTERS: Final = 8192
 _LAST_MOMENT_S: Final = 253_402_300_799  # the year 9999
 
 
@@ -44,8 +44,8 @@ class OidcTokens:
             Unauthenticated: it is not valid here; the message says why, without the token.
             NotReady: the provider's keys cannot be had.
         """
-        if len(token) > _MOST_CHARACTERS:
-            raise Unauthenticated(f"the token has more than {_MOST_CHARACTERS} characters")
+        if len(token) > _MAX_CHARACTERS:
+            raise Unauthenticated(f"the token has more than {_MAX_CHARACTERS} characters")
         try:
             claims = self._claims(token)
         except jwt.PyJWTError as error:

@@ -41,7 +41,7 @@ WARM_UP_FRAMES = 150
 class PacedSource:
     """Simulated frames, made before, that leave the driver one at a time when told to."""
 
-    waits = False
+    lossless = False
 
     def __init__(self, settings: SimulationSettings) -> None:
         driver = SimulatedDriver("sim", settings)
@@ -131,9 +131,9 @@ def config(illumination: Illumination) -> TrackingConfig:
 @pytest.mark.parametrize(
     ("illumination", "content", "headings", "most"),
     [
-        ("strobed", "points", ["Points"], 20),
-        ("simultaneous", "points", ["Points", "Points of markers that are lit together"], 25),
-        ("strobed", EVERYTHING, ["Points", "Tracks, tools and holds"], 56),
+        ("strobed", "points", ["Points"], 19),
+        ("simultaneous", "points", ["Points", "Points of markers that are lit together"], 23),
+        ("strobed", EVERYTHING, ["Points", "Tracks, tools and holds"], 52),
     ],
 )
 def test_walk_of_a_frame_runs_the_modules_of_the_table(

@@ -1,4 +1,4 @@
-"""Blink schedules: light by code and exposure, and the simulated device that shows them."""
+"""Blink schedules: light per code and exposure, also in the simulated device."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The device's clock on the host's: arrivals late by what lines, systems and stalls add."""
+"""DeviceClock: accuracy with delayed arrivals, wrap-arounds and resets."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""Replay: a recorded run again, paced or not, and its end from another thread."""
+"""ReplayDriver: paced and unpaced replay, close from another thread."""
 
 import threading
 import time

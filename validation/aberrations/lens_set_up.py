@@ -72,9 +72,9 @@ _STEP: Final = 0.1  # of the scales
 TILT_BOUND_RAD: Final = 0.1
 """No mount is farther off than 5.7 degrees."""
 
-_LEAST: Final = np.array([15.0, -3.0, -TILT_BOUND_RAD, -TILT_BOUND_RAD]) / _SCALES
+_LOWER_BOUNDS: Final = np.array([15.0, -3.0, -TILT_BOUND_RAD, -TILT_BOUND_RAD]) / _SCALES
 
-_MOST: Final = np.array([40.0, 3.0, TILT_BOUND_RAD, TILT_BOUND_RAD]) / _SCALES
+_UPPER_BOUNDS: Final = np.array([40.0, 3.0, TILT_BOUND_RAD, TILT_BOUND_RAD]) / _SCALES
 
 _EVERY: Final = 4
 
@@ -173,7 +173,9 @@ def _fitted(
         # Steps as wide as the caustics' edges need: the line's place is not quite smooth.
         steps = _STEP * np.eye(len(scaled))
         inside = [
-            np.clip(scaled + sign * step, _LEAST, _MOST) for step in steps for sign in (1, -1)
+            np.clip(scaled + sign * step, _LOWER_BOUNDS, _UPPER_BOUNDS)
+            for step in steps
+            for sign in (1, -1)
         ]
         seen = [residuals(place) for place in inside]
         return np.stack(
@@ -186,7 +188,12 @@ def _fitted(
 
     first = np.array([start.sensor_mm, start.offset_mm, start.lens_tilt_rad, start.sensor_tilt_rad])
     fitted = least_squares(
-        residuals, first / _SCALES, slopes, bounds=(_LEAST, _MOST), ftol=1e-3, max_nfev=10
+        residuals,
+        first / _SCALES,
+        slopes,
+        bounds=(_LOWER_BOUNDS, _UPPER_BOUNDS),
+        ftol=1e-3,
+        max_nfev=10,
     )
     return SetUp(*(float(value) for value in fitted.x * _SCALES)), fitted.fun
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.camera.stack import CameraStack
-from compute.reconstruction.linear_triangulation import triangulate_linear
+from compute.reconstruction.triangulation import triangulate_linear
 from compute.signal.peaks import PeakBatch
 from validation.section_6.rotating_bar import (
     FRAMES,

@@ -11,8 +11,7 @@ from compute.camera.dlt import dlt_parameters_of, model_from_matrix
 from compute.camera.model import SensorGeometry, SensorModel
 from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter
-from compute.reconstruction.linear_triangulation import triangulate_linear
-from compute.reconstruction.triangulation import reconstruct
+from compute.reconstruction.triangulation import reconstruct, triangulate_linear
 from validation.result_tables import Cell, ResultTable, TablesCase
 from validation.table_5.error_statistics import of_column, printed, statistics_of, statistics_tables
 from validation.table_5.twelve_points import (

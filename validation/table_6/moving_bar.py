@@ -19,7 +19,7 @@ from compute.camera.dlt import (
     model_from_matrix,
 )
 from compute.camera.stack import CameraStack
-from compute.reconstruction.linear_triangulation import triangulate_linear
+from compute.reconstruction.triangulation import triangulate_linear
 from validation.section_6.rotating_bar import BAR_MM, RATE_HZ, STILL_FRAMES, TURN_S
 from validation.table_5.error_statistics import STATISTICS, statistics_of
 from validation.thesis_data import LONG_DFW_V500, csv_rows, generate_readings, load_test

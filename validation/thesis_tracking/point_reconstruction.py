@@ -17,7 +17,7 @@ from validation.thesis_tracking.settings import MIN_SENSORS
 Array = NDArray[np.float64]
 
 _NO_POINT: Final = int(PointFlag.TOO_FEW_SENSORS | PointFlag.DEGENERATE | PointFlag.NO_CONVERGENCE)
-_MOST_TOGETHER: Final = 12
+_MAX_TOGETHER: Final = 12
 """Readings of a sensor up to which combinations of four are looked for by prediction."""
 
 
@@ -148,7 +148,7 @@ class SpacePoints:
 
     def group(self, readings_px: Array, sigma_px: Array) -> Correspondence:
         """Return which of the sensors' readings (S, K) belong to one marker."""
-        few = int(np.isfinite(readings_px).sum(axis=1).max()) <= _MOST_TOGETHER
+        few = int(np.isfinite(readings_px).sum(axis=1).max()) <= _MAX_TOGETHER
         return group_peaks(
             lambda readings, sigma: self._solver.solve(readings, np.where(sigma > 0.0, sigma, 1.0)),
             Measurements.of(readings_px, sigma_px),

@@ -58,7 +58,7 @@ class WindowSensorTracker:
         self._settings = settings
         self._targets = targets
         self._window = QuadraticWindow(settings.window_points)
-        self._most = max(self._window.points, 2)
+        self._max_points = max(self._window.points, 2)
         self._running: list[_Target] = []
         self._pair: tuple[PairTracker, SubsetOrder] | None = None
         self._begun = 0
@@ -101,10 +101,15 @@ class WindowSensorTracker:
         (one,) = self._running
         expected = self._window.next_position(one.position_px)
         if np.isnan(near_px).all():
-            one.put(expected, self._window.next_deviation(one.deviation_px), self._most, seen=False)
+            one.put(
+                expected,
+                self._window.next_deviation(one.deviation_px),
+                self._max_points,
+                seen=False,
+            )
             return {}
         point = int(np.nanargmin(np.abs(near_px - expected)))
-        one.put(float(near_px[point]), float(deviation_px[point]), self._most, seen=True)
+        one.put(float(near_px[point]), float(deviation_px[point]), self._max_points, seen=True)
         return {one.number: point}
 
     def _step_pair(
@@ -124,11 +129,11 @@ class WindowSensorTracker:
             one.doubled = one.doubled + both if doubled else 0
             if now.created:
                 made = self._window.next_deviation(one.deviation_px)
-                one.put(now.position_px, made, self._most, seen=False)
+                one.put(now.position_px, made, self._max_points, seen=False)
                 continue
             point = points[now.subset]
             taken[one.number] = point
-            one.put(now.position_px, float(deviation_px[point]), self._most, seen=True)
+            one.put(now.position_px, float(deviation_px[point]), self._max_points, seen=True)
         return taken
 
     def _end(self) -> None:

@@ -17,8 +17,7 @@ from compute.calibration.self_calibration.targets import (
 from compute.camera.model import SensorModel
 from compute.camera.stack import CameraStack
 from compute.errors import TooFewPoints
-from compute.reconstruction.linear_triangulation import triangulate_linear
-from compute.reconstruction.triangulation import reconstruct
+from compute.reconstruction.triangulation import reconstruct, triangulate_linear
 
 Array = NDArray[np.float64]
 

@@ -27,7 +27,7 @@ _MAX_ITERATIONS: Final = 1000
 # Marquardt's damping, of unit columns: terms that all but do the same must not send the step off.
 _DAMPINGS: Final = 30
 _DAMPED: Final = 10.0  # by how much it grows and falls
-_LEAST_DAMPING: Final = 1e-8
+_MIN_DAMPING: Final = 1e-8
 _STEP_THRESHOLD: Final = 1e-12  # step, of the readings, at which the fit ends
 
 
@@ -173,10 +173,10 @@ def fit_field_model(
             trial_rest = _residuals(readings_px, fitted)
             if (trial_rest**2).sum() < (rest**2).sum():
                 break
-            damping = max(_DAMPED * damping, _LEAST_DAMPING)
+            damping = max(_DAMPED * damping, _MIN_DAMPING)
         else:
             return FieldFit(model, rest)  # only rounding is left to gain
-        damping = damping / _DAMPED if damping > _LEAST_DAMPING else 0.0
+        damping = damping / _DAMPED if damping > _MIN_DAMPING else 0.0
         model, slopes, rest = trial, trial_slopes, trial_rest
     raise NoConvergence(
         f"the fit of {count} parameters did not settle in {_MAX_ITERATIONS} turns; start it nearer"

@@ -11,12 +11,12 @@ from compute.optics.coded_aperture.geometric_shadow import second_difference
 Array = NDArray[np.float64]
 
 _REACH = 20.0  # edges within so many Fresnel widths count in full
-_ORDERS_AT_LEAST = 4.0
+_MIN_ORDERS = 4.0
 _SAMPLES_PER_FRINGE = 8.0
 _DAMPED_ORDER = 0.48  # order x relative spectral deviation at which fringes are down to 1 %
 _SPECTRUM_REACH = 4.0  # standard deviations
 _SCALES = (0.25, 100.0)  # range of the squared Fresnel width, times wavelength x gap
-_MOST_VALUES = 1 << 25
+_MAX_VALUES = 1 << 25
 _ROWS_AT_ONCE = 16
 _FWHM_PER_SD = 2.0 * np.sqrt(2.0 * np.log(2.0))
 
@@ -86,7 +86,7 @@ class DiffractedShadow:
         orders = min(_REACH**2 / 2.0, self._square / (2.0 * finest_mm**2))
         if deviation > 0.0:
             orders = min(orders, _DAMPED_ORDER / deviation)
-        return max(orders, _ORDERS_AT_LEAST)
+        return max(orders, _MIN_ORDERS)
 
     def _lay_grid(self, window: CodedWindow) -> None:
         width = np.sqrt(self._square)
@@ -97,11 +97,11 @@ class DiffractedShadow:
         self._bars = next_fast_len(len(window.code) + 2 * self._before)
         self._count = self._bars * self._per_bar
         self._start_mm = -window.length_mm / 2.0 - self._before * bar
-        if self._count / self._row_step > _MOST_VALUES:
+        if self._count / self._row_step > _MAX_VALUES:
             raise InvalidParameter(
                 f"code is {window.length_mm:.6g} mm long and its fringes are {width:.3g} mm wide, "
                 f"which takes a table of {self._count / self._row_step:.3g} values; at most "
-                f"{_MOST_VALUES} are made: shorten the code, widen the gap, or leave out "
+                f"{_MAX_VALUES} are made: shorten the code, widen the gap, or leave out "
                 "diffraction",
                 length_mm=window.length_mm,
             )

@@ -10,7 +10,7 @@ from compute.optics.coded_aperture.coded_window import CodedWindow
 
 Array = NDArray[np.float64]
 
-_LEAST_BLUR_MM = 1e-4  # a narrower one, below the wavelength, shows nowhere
+_MIN_BLUR_MM = 1e-4  # a narrower one, below the wavelength, shows nowhere
 
 
 class Shadow(Protocol):
@@ -92,7 +92,7 @@ def second_difference(
         width_mm: widths of the stretches [mm].
         blur_mm: widths of the penumbra [mm].
     """
-    blur = np.maximum(blur_mm, _LEAST_BLUR_MM)
+    blur = np.maximum(blur_mm, _MIN_BLUR_MM)
     far, near = (width_mm + blur) / 2.0, (width_mm - blur) / 2.0
     outer = integral(centre_mm + far) + integral(centre_mm - far)
     inner = integral(centre_mm + near) + integral(centre_mm - near)

@@ -32,7 +32,7 @@ Array = NDArray[np.float64]
 Tracer = Callable[[SurfaceStack, Array, Array], TracedRays]
 
 _COARSE: Final = 33  # places in the pupil looked at to find the fan's ends, at least
-_MOST_COARSE: Final = 1025
+_MAX_COARSE: Final = 1025
 _AIM_ITERATIONS: Final = 8
 _AIM_TOLERANCE_MM: Final = 1e-9
 _BISECTIONS: Final = 22  # of a 33rd of the pupil: to 1e-8 of its width
@@ -104,7 +104,7 @@ class RayAimer:
         steps = np.ceil(
             (_COARSE - 1) * self._reach_mm / min(first.aperture.width_mm, narrowest * 4)
         )
-        self._coarse = int(np.clip(2 * steps + 1, _COARSE, _MOST_COARSE))
+        self._coarse = int(np.clip(2 * steps + 1, _COARSE, _MAX_COARSE))
 
     def fans(self, points_mm: Array, heights_mm: Array, samples: int) -> RayFans:
         """Return the ray fans of points in the optics' frame.

@@ -23,7 +23,7 @@ _MARGIN_PX: Final = 24  # room for the blur on both sides of a line
 # fade out here; beyond lie 0.2 to 0.8 % of the light, more of it the narrower the stop.
 _TAIL_PX: Final = (12.0, 20.0)
 _BESIDE_PX: Final = 64.0  # a line that lies farther beside the row than this is dark
-_LEAST_CELLS: Final = 0.5  # least width of a tube
+_MIN_CELLS: Final = 0.5  # least width of a tube
 _BLOCK: Final = 4_000_000  # grid cells worked on at once
 
 
@@ -236,7 +236,7 @@ def _gather_tubes(tubes: _Tubes, part: slice, first: NDArray[np.int64], cells: i
     low = (tubes.low[part] - first[:, None] + 0.5) * CELLS
     high = (tubes.high[part] - first[:, None] + 0.5) * CELLS
     # At a focus a tube has no width; half a cell keeps its place.
-    missing = 0.5 * np.maximum(_LEAST_CELLS - (high - low), 0.0)
+    missing = 0.5 * np.maximum(_MIN_CELLS - (high - low), 0.0)
     low, high = low - missing, high + missing
     density = tubes.light[part] / (high - low)
     line = (cells + 2) * np.arange(len(low))[:, None]

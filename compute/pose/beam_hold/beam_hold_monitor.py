@@ -175,7 +175,7 @@ class MarkerDeviationMonitor(_DeviationMonitor):
         if limits.rotation_rad is not None:
             raise InvalidParameter("markers do not turn; watch the pose of a tool for rotation_rad")
         super().__init__(limits, latched=latched)
-        self._least = min_markers
+        self._min_markers = min_markers
         self._names = names or tuple(str(one + 1) for one in range(len(self._reference)))
 
     def step(
@@ -209,12 +209,12 @@ class MarkerDeviationMonitor(_DeviationMonitor):
             if (probability, size) > worst[:2]:
                 worst = (probability, size, int(one))
                 message = None if beyond is None else f'marker "{self._names[one]}" is {beyond}'
-        if len(seen) < self._least and message is None:
+        if len(seen) < self._min_markers and message is None:
             return self._step(time_ns, None)
         since_ns = time_ns
         if times_ns is not None:
             # The oldest of the newest ``min_markers``: a marker that moves unseen ages.
-            since_ns = int(np.sort(times_ns[seen])[max(len(seen) - self._least, 0)])
+            since_ns = int(np.sort(times_ns[seen])[max(len(seen) - self._min_markers, 0)])
         measured = LimitCheck(message, within, since_ns)
         return self._step(time_ns, measured, shifts[worst[2]], None, worst[0])
 

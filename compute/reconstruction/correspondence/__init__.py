@@ -7,8 +7,11 @@ from compute.reconstruction.correspondence.intersections import (
     intersection_points,
 )
 from compute.reconstruction.correspondence.predicted_candidates import PredictedPoints
-from compute.reconstruction.correspondence.result import Correspondence
-from compute.reconstruction.correspondence.settings import FALSE_REJECTION, MatchSettings
+from compute.reconstruction.correspondence.settings import (
+    FALSE_REJECTION,
+    Correspondence,
+    MatchSettings,
+)
 
 __all__ = [
     "FALSE_REJECTION",

@@ -27,21 +27,21 @@ Array = NDArray[np.float64]
 _UNSEEN: Final = 0.25
 """Unexplained peaks of a sensor that are expected beside those that are there, and for each
 marker as many more as it has chances to be missed."""
-_LEAST: Final = -100.0
+_MIN_LOG_DENSITY: Final = -100.0
 _LOG_ROOT_TWO_PI: Final = 0.5 * log(2.0 * pi)
 
 
 @dataclass(frozen=True, eq=False)
 class ErrorEstimate:
-    """What is known of a frame when its likeliest set has been found.
+    """Error probabilities of groups, from a frame and its likeliest set of markers.
 
     Args:
-        solve: reconstructs.
+        solve: triangulates readings.
         peaks: of the frame.
         settings: the model.
         unassigned_peaks: peaks of each sensor that the set does not explain, shape (S,).
-        markers: how many the set has.
-        predicted: where markers are expected; None: nothing is known.
+        markers: number of markers in the set.
+        predicted: predicted positions of markers; None: none.
     """
 
     solve: Solve
@@ -53,7 +53,7 @@ class ErrorEstimate:
 
     @property
     def unexplained(self) -> Array:
-        """Unexplained peaks of each sensor that must be reckoned with, shape (S,)."""
+        """Expected number of unexplained peaks of each sensor, shape (S,)."""
         expected = _UNSEEN + self.markers * (1.0 - self.settings.detection_probability)
         unexplained: Array = np.maximum(self.unassigned_peaks, 0.0) + expected
         return unexplained
@@ -61,7 +61,7 @@ class ErrorEstimate:
     def error_probability(
         self, candidates: Candidates, misfit_density: MisfitDensity, predicted: MisfitDensity
     ) -> Array:
-        """Return the chances that candidates of the set are wrong, shape (C,).
+        """Return the error probabilities of the set's candidates, shape (C,).
 
         Args:
             candidates: the C candidates.
@@ -102,7 +102,13 @@ class ErrorEstimate:
     def body_error_probability(
         self, match: BodyMatch, members: Candidates, misfit_density: MisfitDensity
     ) -> float:
-        """Return the expected number of wrong matches that fit as well as a body's does."""
+        """Return the expected number of wrong matches that fit as well as a body's does.
+
+        Args:
+            match: the body's match, with its chi2.
+            members: candidates that are its markers.
+            misfit_density: density of wrong distances between points.
+        """
         ways = float(((members.choice >= 0) @ np.log(self.unexplained)).sum())
         peaks = int((members.choice >= 0).sum())
         near = match.dof * log_misfit_density(misfit_density) + 0.5 * match.chi2
@@ -147,6 +153,6 @@ class ErrorEstimate:
 
 
 def log_misfit_density(misfit_density: MisfitDensity) -> float:
-    """Log of how many wrong misfits there are for one that noise makes, at zero."""
+    """Return the log density of wrong misfits at zero over that of noise."""
     # Where nothing was counted nothing was tried, and the figure is not used.
-    return max(misfit_density.log_density() + _LOG_ROOT_TWO_PI, _LEAST)
+    return max(misfit_density.log_density() + _LOG_ROOT_TWO_PI, _MIN_LOG_DENSITY)

@@ -18,16 +18,15 @@ from compute.reconstruction.correspondence.candidates import (
     empty_candidates,
     solve_combinations,
 )
-from compute.reconstruction.correspondence.covering_design import covering_triples
 from compute.reconstruction.correspondence.incremental import all_triples, complete_triples
+from compute.reconstruction.correspondence.intersections import covering_triples
 from compute.reconstruction.correspondence.predicted_candidates import (
     PredictedPoints,
     predicted_candidates,
 )
-from compute.reconstruction.correspondence.result import Group
 from compute.reconstruction.correspondence.rigid_bodies import BodyMatch, body_matches
 from compute.reconstruction.correspondence.set_packing import SetPacking, solve_set_packing
-from compute.reconstruction.correspondence.settings import MatchSettings
+from compute.reconstruction.correspondence.settings import Group, MatchSettings
 
 if TYPE_CHECKING:
     from compute.reconstruction.point_batch import PointBatch
@@ -43,7 +42,7 @@ _ACCEPTED_ERROR_SHARE: Final = 0.5
 
 
 class CandidateSet:
-    """The candidates of a frame.
+    """Candidates of an exposure, and the groups chosen from them.
 
     Args:
         solve: reconstructs.
@@ -104,7 +103,12 @@ class CandidateSet:
             self.cut += int(min(plain, 2.0**62))
 
     def add_body(self, index: int, markers_mm: Array) -> None:
-        """Add what may be a body among the candidates and the triples of what is left."""
+        """Add the matches of a rigid body among the candidates and the triples of other peaks.
+
+        Args:
+            index: index of the body.
+            markers_mm: its markers in its own coordinates, shape (M, 3) [mm].
+        """
         free = self.free.copy()
         for row in self._likeliest():
             for sensor, peak in enumerate(self.candidates.choice[row]):
@@ -139,7 +143,7 @@ class CandidateSet:
             self.bodies.append((index, BodyMatch(rows, match.score, match.chi2, match.dof)))
 
     def finish(self) -> None:
-        """Turn the likeliest set into groups, and what leaves no choice into one more."""
+        """Make groups of the likeliest set, and one of single remaining peaks."""
         self._decide(inf)
         self._add_single()
 
@@ -313,7 +317,7 @@ class CandidateSet:
 
 @lru_cache(maxsize=256)
 def _all_choices(counts: tuple[int, ...], least: int) -> Choice:
-    """Return every choice of at least so many peaks, as indices, shape (C, S); do not change it."""
+    """Return all choices of a minimum number of peaks, shape (C, S); read-only."""
     seeing = sum(count > 0 for count in counts)
     axes = [np.arange(-1 if count == 0 or seeing > least else 0, max(count, 0)) for count in counts]
     choice = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(counts))

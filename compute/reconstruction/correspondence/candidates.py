@@ -20,7 +20,7 @@ Solve = Callable[[Array, Array], PointBatch]
 MISFIT_BANDS = np.array([1.0, 3.0, 20.0])
 """Misfits of up to these times what a marker may have tell how many are there by chance."""
 MAX_EXTENT_MM = 500.0
-"""How far a point may be undetermined at most: markers are not farther apart."""
+"""Largest standard deviation of a point: markers are not farther apart."""
 PRIOR_EXTENT_MM = 5.0
 """Up to which a less determined point is taken as likelier. Markers that are evenly spread are
 dense in readings where these tell little, far away; but nothing is known of a volume so far out."""
@@ -30,7 +30,7 @@ _LOG_TWO_PI = log(2.0 * pi)
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """C combinations.
+    """C combinations of peaks with the points where they intersect.
 
     Args:
         choice: index of each sensor's peak, -1: none, shape (C, S).
@@ -68,7 +68,7 @@ class Candidates:
         return self.points.covariance_mm2
 
     def take(self, index: NDArray[np.intp] | NDArray[np.bool_]) -> "Candidates":
-        """Return some of them."""
+        """Return some of the combinations."""
         return Candidates(
             self.choice[index],
             self.points.take(index),
@@ -81,7 +81,7 @@ class Candidates:
         )
 
     def concatenate(self, other: "Candidates") -> "Candidates":
-        """Return these and others."""
+        """Return these combinations and others after them."""
         if len(self) == 0:
             return other
         return Candidates(
@@ -96,7 +96,7 @@ class Candidates:
         )
 
     def scores(self, settings: MatchSettings, missed: NDArray[np.intp]) -> Array:
-        """Return log likelihood ratios to these peaks being no one's, shape (C,).
+        """Return log likelihood ratios to the peaks being false, shape (C,).
 
         Args:
             settings: the model of peaks.
@@ -117,7 +117,7 @@ class Candidates:
 
 @dataclass(frozen=True, eq=False)
 class SolvedCombinations:
-    """N combinations that were reconstructed.
+    """N reconstructed combinations.
 
     Args:
         candidates: those that meet.
@@ -133,7 +133,13 @@ class SolvedCombinations:
 
 
 def solve_combinations(solve: Solve, peaks: Measurements, choice: Choice) -> SolvedCombinations:
-    """Reconstruct combinations (N, S) of three or more peaks."""
+    """Reconstruct combinations of three or more peaks.
+
+    Args:
+        solve: triangulates readings.
+        peaks: of the exposure.
+        choice: index of each sensor's peak, -1: none, shape (N, S).
+    """
     readings, sigma = peaks.readings(choice)
     points = solve(readings, sigma)
     dof = points.used.sum(axis=1) - 3
@@ -187,7 +193,7 @@ def _limits(sensors: int) -> Array:
 
 @cache
 def empty_candidates(sensors: int) -> Candidates:
-    """Return none."""
+    """Return no combinations."""
     none = np.empty(0)
     whole = np.empty(0, dtype=np.intp)
     return Candidates(
@@ -203,11 +209,11 @@ def empty_candidates(sensors: int) -> Candidates:
 
 
 class MisfitDensity:
-    """How densely misfits of wrong combinations lie about zero, as counted in this frame.
+    """Density of wrong combinations' misfits about zero, as counted in this frame.
 
-    Wrong combinations' misfits are spread evenly over a range wider than the noise: how many lie
-    in a band tells how many lie near zero, where a marker's do. Where the noise is so wide that
-    the broadest band reaches beyond all peaks, a narrower one is denser, and counts.
+    Wrong combinations' misfits are uniform over a range wider than the noise: their number in a
+    wide band gives their density near zero, where a marker's misfits lie. Where the noise is so
+    wide that the broadest band reaches beyond all peaks, a narrower one is denser, and counts.
     """
 
     def __init__(self) -> None:
@@ -215,12 +221,17 @@ class MisfitDensity:
         self._width = np.zeros(len(MISFIT_BANDS))
 
     def add(self, hits: Array, width: Array) -> None:
-        """Add counts of misfits within each of the bands, and the bands' widths in deviations."""
+        """Add counts of misfits.
+
+        Args:
+            hits: misfits within each of the B bands, shape (B,).
+            width: widths of the bands, in standard deviations, shape (B,).
+        """
         self._hits += hits
         self._width += width
 
     def log_density(self) -> float:
-        """Log of the density of a wrong misfit at zero, by the deviation that it is measured in."""
+        """Return the log density of wrong misfits at zero, per standard deviation."""
         if self._width[-1] <= 0.0:
             return -np.inf
         # What is seen in a band for sure, and half a misfit in the broadest at least.
@@ -229,11 +240,11 @@ class MisfitDensity:
         return float(np.log((sure / self._width).max()))
 
     def count(self, chi2: Array, dof: int, true: int) -> None:
-        """Count the misfits of combinations of so many degrees of freedom, all that there are.
+        """Count the misfits of all combinations with the same degrees of freedom.
 
         Args:
-            chi2: of all of them.
-            dof: of freedom.
+            chi2: of each combination, shape (N,).
+            dof: its degrees of freedom.
             true: how many of them may be markers.
         """
         limit = _limit(dof)
@@ -247,7 +258,7 @@ class MisfitDensity:
 
 @cache
 def _log_ball_volumes(dof: int) -> Array:
-    """Return the log volumes of the bands as balls of so many dimensions, in deviations."""
+    """Return the log volumes of the bands as balls in ``dof`` dimensions, in deviations."""
     log_ball = 0.5 * dof * log(pi) - lgamma(0.5 * dof + 1.0)
     volumes: Array = log_ball + dof * (0.5 * log(_limit(dof)) + np.log(MISFIT_BANDS))
     return volumes

@@ -27,7 +27,7 @@ _ROUNDING_PX: Final = 0.01  # what a point that is a little off changes in a rea
 
 @dataclass(frozen=True, eq=False)
 class GatedPeaks:
-    """Which peaks lie where points would be seen, as ranges of each sensor's free peaks.
+    """Peaks in the gates of points, as ranges of each sensor's free peaks.
 
     Args:
         first, count: shape (N, S); count is 0 where no peak is, and for the sensors left out.
@@ -49,7 +49,7 @@ def find_gated_peaks(
     misfit_density: MisfitDensity,
     true: int,
 ) -> GatedPeaks:
-    """Find the peaks within the innovation's limit of what is predicted.
+    """Find the peaks within the gates about the predicted readings.
 
     Args:
         model: the measurement model.
@@ -106,7 +106,12 @@ def _systematic_variance(
 
 
 def all_triples(free: NDArray[np.bool_], base: tuple[int, int, int]) -> Choice:
-    """Return all combinations of three sensors' free peaks, -1 elsewhere, shape (N, S)."""
+    """Return all combinations of three sensors' free peaks, shape (N, S); -1 elsewhere.
+
+    Args:
+        free: peaks that may be used, shape (S, K).
+        base: the three sensors.
+    """
     axes = [np.flatnonzero(free[sensor]) for sensor in base]
     chosen = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     choice = np.full((len(chosen), len(free)), -1)
@@ -154,13 +159,20 @@ def complete_triples(
 def extend_with_gated_peaks(
     start: Choice, gated: GatedPeaks, rows: NDArray[np.intp], min_peaks: int, max_combinations: int
 ) -> tuple[Choice, int]:
-    """Return the rows of ``start`` with every choice of the peaks in their gates.
+    """Extend combinations by every choice of the peaks in their gates.
 
-    At most one sensor whose gate holds a peak is left out: two of a marker's peaks that are
-    missing, with other markers' peaks in both places, are rarer than what is weighed.
+    At most one sensor whose gate holds a peak is left out: two missing peaks of a marker, with
+    other markers' peaks in both places, are rarer than what is weighed.
+
+    Args:
+        start: combinations of three peaks, shape (N, S).
+        gated: the peaks in the gates of each.
+        rows: which of the combinations to extend.
+        min_peaks: fewest peaks of a combination.
+        max_combinations: most combinations to return.
 
     Returns:
-        Combinations, shape (N, S), and how many were cut.
+        Combinations, shape (C, S), and how many were cut.
     """
     sensors = start.shape[1]
     choice = start[rows]

@@ -1,6 +1,8 @@
 """All intersections of an exposure's peaks, ghosts included."""
 
 from dataclasses import dataclass
+from functools import cache
+from itertools import combinations
 from math import comb, inf, log
 from typing import Final
 
@@ -15,7 +17,6 @@ from compute.reconstruction.correspondence.candidates import (
     Solve,
     solve_combinations,
 )
-from compute.reconstruction.correspondence.covering_design import covering_triples
 from compute.reconstruction.correspondence.incremental import complete_triples
 from compute.reconstruction.correspondence.settings import MatchSettings
 
@@ -24,12 +25,12 @@ Array = NDArray[np.float64]
 MAX_TRIPLES: Final = 10_000
 """Combinations of three peaks that are tried in an exposure; more are tried part by part."""
 MAX_GHOSTS: Final = 40.0
-"""Combinations that may agree by chance, for so many sensors to be enough."""
+"""Most chance intersections for which a number of sensors suffices."""
 GATE_PX: Final = 1.0
-"""About how wide a reading's gate is."""
+"""Approximate width of a reading's gate."""
 MAX_PIXELS: Final = 4096.0
 MAX_PREDICTED: Final = 24_000
-"""Readings that are predicted for them, before another triple of sensors waits for its turn."""
+"""Most readings predicted in an exposure; further triples of sensors wait for the next."""
 MAX_INTERSECTION_POINTS: Final = 600
 """Points that are returned, the likeliest."""
 
@@ -63,7 +64,7 @@ class IntersectionPoints:
         return len(self.choice)
 
     def take(self, index: NDArray[np.intp] | NDArray[np.bool_]) -> "IntersectionPoints":
-        """Return some of them."""
+        """Return some of the points."""
         return IntersectionPoints(
             self.choice[index],
             self.position_mm[index],
@@ -77,7 +78,7 @@ class IntersectionPoints:
 
 @dataclass(frozen=True, eq=False)
 class SearchPart:
-    """Which part of a frame's combinations is tried.
+    """Part of an exposure's combinations that is tried.
 
     Args:
         base_index: which of the triples of sensors, that no marker escapes, to start from.
@@ -118,7 +119,7 @@ def intersection_points(
     candidates: list[Candidates] = []
     following = -inf
     if len(seeing) >= 4:
-        least = _least(peaks, seeing)
+        least = _min_sensors(peaks, seeing)
         bases = covering_triples(len(seeing), least)
         work = 0
         for base_index in range(len(bases)):
@@ -143,8 +144,8 @@ def intersection_points(
     return _merged(model, peaks, candidates, settings), following
 
 
-def _least(peaks: Measurements, seeing: NDArray[np.intp]) -> int:
-    """Return how many sensors must agree that not too many combinations do by chance."""
+def _min_sensors(peaks: Measurements, seeing: NDArray[np.intp]) -> int:
+    """Return the number of sensors that must agree to limit chance combinations."""
     sensors = len(seeing)
     count = float(peaks.count[seeing].mean())
     by_chance = float(np.exp(peaks.log_density(1.0 / MAX_PIXELS)[seeing].mean())) * GATE_PX
@@ -219,3 +220,27 @@ def _merged(
         peaks_only,
         alone,
     )
+
+
+@cache
+def covering_triples(sensors: int, seen: int) -> tuple[tuple[int, int, int], ...]:
+    """Return triples such that every choice of ``seen`` of the sensors holds one of them.
+
+    Greedy: each triple is the one that most of the choices left hold, the first in order of
+    equals. For four sensors that all see, one triple is enough; for 4 of 8 it takes about twenty
+    of the 56 (Turan's numbers are the least that there can be).
+
+    Args:
+        sensors: how many there are, at least ``seen``.
+        seen: how many see a marker, at least 3.
+    """
+    triples = list(combinations(range(sensors), 3))
+    open_choices = {frozenset(choice) for choice in combinations(range(sensors), seen)}
+    taken = []
+    while open_choices:
+        best = max(
+            triples, key=lambda triple: sum(choice.issuperset(triple) for choice in open_choices)
+        )
+        taken.append(best)
+        open_choices = {choice for choice in open_choices if not choice.issuperset(best)}
+    return tuple(taken)

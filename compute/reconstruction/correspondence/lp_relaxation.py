@@ -11,7 +11,7 @@ _COMPETING_SETS: Final = 10.0
 
 
 class LpRelaxation:
-    """Maximise the sum of scores; each resource used as often at most as it has room.
+    """Maximum sum of scores, each resource used at most up to its capacity.
 
     SciPy's optimisers (HiGHS) are loaded here, where they are needed: small frames never do.
 
@@ -43,7 +43,7 @@ class LpRelaxation:
         self.cost = np.array([-scores[index] for index in cluster])
 
     def dual_prices(self) -> dict[int, float] | None:
-        """Return the dual's prices, which cover every column's score; None: none were found."""
+        """Return dual prices that cover every column's score; None: the solver failed."""
         import numpy as np
         from scipy.optimize import linprog
 
@@ -60,7 +60,7 @@ class LpRelaxation:
         return prices
 
     def error_probability_bounds(self, chosen: Sequence[int]) -> dict[int, float]:
-        """Return a bound of the chance that each column of the best set is not in the true one.
+        """Return upper bounds of the probabilities that columns of the best set are wrong.
 
         No set without it has a larger sum than the programme without it, taken in fractions.
         """

@@ -27,16 +27,16 @@ from compute.reconstruction.triangulation import chi2_limit
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
-_LEAST: Final = 3
+_MIN_SENSORS: Final = 3
 
 
 @dataclass(frozen=True, eq=False)
 class PredictedPoints:
-    """Where markers are expected, from their tracks.
+    """Predicted positions of markers, from their tracks.
 
     Args:
         position_mm: shape (T, 3) [mm].
-        covariance_mm2: shape (T, 3, 3) [mm^2], of the prediction, the motion since included.
+        covariance_mm2: shape (T, 3, 3) [mm^2], process noise included.
 
     Raises:
         InvalidParameter: shapes that do not fit, or values that are not finite.
@@ -77,6 +77,14 @@ def predicted_candidates(
     A prediction is an observation of all three coordinates, so that three sensors' peaks have
     three degrees of freedom with it, and none without.
 
+    Args:
+        solve: triangulates readings.
+        model: the measurement model.
+        peaks: of the exposure, sorted.
+        predicted: predicted points with their covariances.
+        max_combinations: most combinations to reconstruct.
+        misfit_density: counts the peaks in and beside the gates.
+
     Returns:
         The candidates, and how many combinations were cut.
     """
@@ -84,8 +92,8 @@ def predicted_candidates(
     place, spread = predicted.position_mm, predicted.covariance_mm2
     gated = find_gated_peaks(model, peaks, free, place, spread, (), misfit_density, len(place))
     start = np.full((len(place), len(peaks)), -1)
-    rows = np.flatnonzero((gated.count > 0).sum(axis=1) >= _LEAST)
-    choice, cut = extend_with_gated_peaks(start, gated, rows, _LEAST, max_combinations)
+    rows = np.flatnonzero((gated.count > 0).sum(axis=1) >= _MIN_SENSORS)
+    choice, cut = extend_with_gated_peaks(start, gated, rows, _MIN_SENSORS, max_combinations)
     if len(choice) == 0:
         return empty_candidates(len(peaks)), cut
     meets = solve_combinations(solve, peaks, np.unique(choice, axis=0)).candidates

@@ -26,7 +26,7 @@ _STEPS: Final = 5
 
 @dataclass(frozen=True, eq=False)
 class BodyMatch:
-    """Candidates that together are a body.
+    """Candidates that match the markers of a rigid body.
 
     Args:
         rows: index of each marker's candidate, -1: that marker is not seen.
@@ -48,7 +48,7 @@ def body_matches(
     settings: MatchSettings,
     misfit_density: MisfitDensity,
 ) -> tuple[list[BodyMatch], int]:
-    """Find a body among candidates: all of its markers, or else all but one of four and more.
+    """Find a body among candidates: all its markers, or all but one of four or more.
 
     Distances are tried first, marker by marker; what holds them all is fitted as a rigid body,
     which its mirror image does not fit.

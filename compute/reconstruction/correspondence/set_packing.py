@@ -18,7 +18,7 @@ _FIRST_BUDGET: Final = 4.0
 
 @dataclass(frozen=True)
 class SetPacking:
-    """A set of columns that do not share what only one of them may have.
+    """Set of columns that respects the capacity of every resource.
 
     Args:
         chosen: indices of the columns of the likeliest set, ascending.
@@ -38,7 +38,7 @@ def solve_set_packing(
     max_branches: int,
     capacity: Mapping[int, int] | None = None,
 ) -> SetPacking:
-    """Choose columns with the largest sum of scores, and weigh all sets that come near.
+    """Choose the columns with the largest sum of scores, and weigh all sets near the maximum.
 
     A set's weight is the exponential of its sum, a column's chance the weight of the sets without
     it over that of all. Columns that share nothing do not matter to each other, so clusters are

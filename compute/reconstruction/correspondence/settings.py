@@ -1,29 +1,35 @@
-"""MatchSettings: model of peaks and markers for grouping, and limits of the search."""
+"""MatchSettings and Correspondence: model and limits of grouping, and its result."""
 
 from dataclasses import dataclass
 from math import log
 
+import numpy as np
+from numpy.typing import NDArray
+
 from compute.errors import InvalidParameter
+from compute.reconstruction.point_batch import PointBatch
+
+Array = NDArray[np.float64]
 
 FALSE_REJECTION = 1e-6
-"""Chance that the peaks of one marker are not taken together."""
+"""Probability that the peaks of one marker are not grouped."""
 
 
 @dataclass(frozen=True)
 class MatchSettings:
-    """How peaks come about, how sure a group must be, how much work is done for it.
+    """Model of peaks and markers, accepted error rate, and limits of the search.
 
-    The first four are a model that has to be right to its order of magnitude only: an exchange of
-    peaks leaves them in the balance, and what chance makes is measured in the frame itself.
+    The first three need only the right order of magnitude: they cancel where two markers exchange
+    peaks, and the density of chance intersections is measured in the frame itself.
 
     Args:
-        detection_probability: chance that a sensor has a peak of a marker.
-        clutter_density_per_px: density of peaks that are no marker's [1/px].
+        detection_probability: probability that a sensor has a peak of a marker.
+        clutter_density_per_px: density of false peaks [1/px].
         markers_per_mm3: density of markers [1/mm^3].
-        max_error_rate: largest chance of being wrong with which a group counts as unambiguous.
-        max_points: combinations that are reconstructed for a frame, at most.
-        max_hypotheses: branches of the enumeration of sets of markers, for each cluster of peaks
-            that are linked; beyond, doubt is bounded by linear programmes.
+        max_error_rate: largest error probability of a group that counts as unambiguous.
+        max_points: most combinations that are reconstructed in a frame.
+        max_hypotheses: most branches of the enumeration of sets of markers, for each cluster of
+            linked peaks; beyond, error probabilities are bounded by linear programmes.
 
     Raises:
         InvalidParameter: a value out of its range.
@@ -55,15 +61,59 @@ class MatchSettings:
 
     @property
     def log_seen(self) -> float:
-        """What a marker's peak adds to its log likelihood, beside being no one's."""
+        """Log likelihood ratio of a detected marker's peak to a false peak [log px]."""
         return log(self.detection_probability) - log(self.clutter_density_per_px)
 
     @property
     def log_missed(self) -> float:
-        """What a sensor without a peak of the marker adds."""
+        """Log likelihood of a missed detection."""
         return log(1.0 - self.detection_probability)
 
     @property
     def window(self) -> float:
-        """Log odds beyond which other sets of markers are not weighed."""
+        """Log odds beyond which other sets of markers are not enumerated."""
         return 3.0 - log(self.max_error_rate)
+
+
+@dataclass(frozen=True, eq=False)
+class Correspondence:
+    """Readings grouped to markers.
+
+    Args:
+        readings_px: shape (M, S), NaN where a sensor did not see the marker.
+        sigma_px: their standard deviations, shape (M, S).
+        ambiguous: whether another grouping is likelier than the settings' ``max_error_rate``, or
+            the search was cut; shape (M,).
+        points: the points of the groups, solved from these readings, M of them.
+        peaks: index of each sensor's peak, in the order given, -1: none; shape (M, S).
+        predicted: index of the predicted point that it is, -1: none; shape (M,).
+        body: index of the rigid body that it belongs to, -1: none; shape (M,).
+        body_marker: which marker of that body it is, -1: none; shape (M,).
+        cut: combinations and sets that were not examined because there were too many; where this
+            is not 0, the groups that they might have changed are ambiguous.
+    """
+
+    readings_px: Array
+    sigma_px: Array
+    ambiguous: NDArray[np.bool_]
+    points: PointBatch
+    peaks: NDArray[np.intp]
+    predicted: NDArray[np.intp]
+    body: NDArray[np.intp]
+    body_marker: NDArray[np.intp]
+    cut: int
+
+    def __len__(self) -> int:
+        """Return the number of groups."""
+        return len(self.readings_px)
+
+
+@dataclass(frozen=True)
+class Group:
+    """A marker's peaks: their indices by sensor, -1: none; see ``Correspondence``."""
+
+    choice: tuple[int, ...]
+    ambiguous: bool
+    predicted: int = -1
+    body: int = -1
+    body_marker: int = -1

@@ -1,1 +1,1 @@
-"""Native source of the kernel that makes points of readings, for the CPU and CUDA."""
+"""Native source of the triangulation kernel, for the CPU and CUDA."""

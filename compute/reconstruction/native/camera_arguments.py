@@ -22,7 +22,7 @@ def fill_cameras(
     corrections: CorrectionTable | None,
     row: int,
 ) -> None:
-    """Write cameras and their table into a record of CAMERAS.
+    """Write cameras and their correction table into a CAMERAS record.
 
     Args:
         record: the record.

@@ -3,11 +3,11 @@
 from typing import Final
 
 from compute.native.records import constants, header
-from compute.reconstruction.linear_triangulation import CONDITION_LIMIT
 from compute.reconstruction.native.kernel_arguments import CAMERAS, CPU_LANES, MAX_POWER, POINT_JOB
 from compute.reconstruction.point_batch import PointFlag
 from compute.reconstruction.triangulation import (
     CHI2_ROUNDING_FACTOR,
+    CONDITION_LIMIT,
     DEGENERATE_RATIO,
     INITIAL_DAMPING,
     INTERSECTION_CHI2_TOLERANCE,

@@ -1,4 +1,4 @@
-"""The Warp kernels that make points of readings, one for each number of sensors.
+"""Warp kernels of the triangulation, one for each number of sensors.
 
 Only ``compute.reconstruction.solver`` imports this module, when a solver is made: it loads Warp.
 """
@@ -13,9 +13,13 @@ from compute.native.headers import module_options
 
 @cache
 def point_kernel(sensors: int, capacity: int) -> Any:
-    """Return the kernel for so many sensors, with room for so many terms of distortion.
+    """Return the kernel for a number of sensors.
 
     It takes the address of a JOB in the device's memory; launch with one thread a point.
+
+    Args:
+        sensors: number of sensors S.
+        capacity: largest number of terms of distortion.
     """
 
     def make_point(number: int, job_address: wp.uint64) -> None: ...

@@ -1,4 +1,4 @@
-"""What the kernel is given: records of addresses and sizes, for NumPy and for C++."""
+"""Arguments of the triangulation kernel: addresses and sizes, for NumPy and C++."""
 
 from typing import Final
 
@@ -55,5 +55,10 @@ JOB: Final = POINT_JOB.dtype
 
 
 def row_length(sensors: int, *, cuda: bool) -> int:
-    """Return R: the length of rows with a value for each sensor."""
+    """Return R, the padded length of rows with a value for each sensor.
+
+    Args:
+        sensors: number of sensors S.
+        cuda: whether the rows are for CUDA, which needs no padding.
+    """
     return sensors if cuda else -(-sensors // CPU_LANES) * CPU_LANES

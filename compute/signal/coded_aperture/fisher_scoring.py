@@ -19,8 +19,8 @@ that the misfit says, where the template does not explain the scan and steps shr
 _SHIFT, _BRIGHTNESS, _AMBIENT = range(3)
 _LONGEST_PX: Final = 0.5
 _LARGEST_SCALE_STEP: Final = 0.01
-_LEAST_STEP_PX: Final = 1e-12
-_LEAST_DETERMINANT: Final = 1e-9
+_MIN_STEP_PX: Final = 1e-12
+_MIN_DETERMINANT: Final = 1e-9
 """Of an information scaled to a unit diagonal; below, a parameter is not told from others."""
 
 
@@ -105,7 +105,7 @@ class _State:
         self.brightness[scans] += step[:, _BRIGHTNESS]
         self.ambient[scans] += step[:, _AMBIENT]
         self.last_step_px[scans] = now
-        shrunk = np.minimum(np.abs(now) / np.maximum(np.abs(before), _LEAST_STEP_PX), 1.0)
+        shrunk = np.minimum(np.abs(now) / np.maximum(np.abs(before), _MIN_STEP_PX), 1.0)
         return np.asarray(np.abs(now) * np.maximum(shrunk, 1.0 - 1.0 / longest))
 
 
@@ -187,7 +187,7 @@ def _step(columns: list[Array], weight: Array, rest: Array) -> tuple[Array, Arra
     with np.errstate(divide="ignore", invalid="ignore"):
         unit = information / (root[:, :, None] * root[:, None, :])
     sound = np.isfinite(unit).all(axis=(1, 2))
-    sound[sound] = np.linalg.det(unit[sound]) > _LEAST_DETERMINANT
+    sound[sound] = np.linalg.det(unit[sound]) > _MIN_DETERMINANT
     inverse = np.full_like(unit, np.nan)
     inverse[sound] = np.linalg.inv(unit[sound])
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -17,7 +17,7 @@ frequency; or the filter's phase is removed, so that there is no delay."""
 
 MAX_TAPS: Final = 1024
 """Longest aperture or impulse response of a filter [px]."""
-_LEAST_PIXELS: Final = 8
+_MIN_PIXELS: Final = 8
 
 
 class ScanFilter(Protocol):
@@ -73,9 +73,9 @@ def as_scans(scans: ArrayLike) -> Array:
     """
     values = np.asarray(scans, dtype=np.float64)
     pixels = values.shape[-1] if values.ndim else 0
-    if not _LEAST_PIXELS <= pixels <= MAX_PIXELS:
+    if not _MIN_PIXELS <= pixels <= MAX_PIXELS:
         raise InvalidParameter(
-            f"lines have {pixels} pixels; they must have {_LEAST_PIXELS} to {MAX_PIXELS}",
+            f"lines have {pixels} pixels; they must have {_MIN_PIXELS} to {MAX_PIXELS}",
             pixels=pixels,
         )
     if not np.isfinite(values).all():

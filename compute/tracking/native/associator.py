@@ -1,4 +1,4 @@
-"""Associator: what ``associate`` does, by one kernel on the CPU."""
+"""Associator: association and filter update by one native kernel on the CPU."""
 
 from typing import Any, Final
 
@@ -9,11 +9,9 @@ from compute.measurement.measurement_model import MeasurementModel
 from compute.measurement.measurements import Measurements
 from compute.reconstruction.native.camera_arguments import fill_cameras
 from compute.reconstruction.native.kernel_arguments import row_length
-from compute.reconstruction.native.launch import address
-from compute.reconstruction.solver import term_capacity
+from compute.reconstruction.solver import address, term_capacity
 from compute.tracking.association import AssociationResult, associate
-from compute.tracking.imm_states import ImmStates
-from compute.tracking.motion_model import MotionModels
+from compute.tracking.motion_model import ImmStates, MotionModels
 from compute.tracking.native.kernel_arguments import JOB, MAX_OPTIONS, PARTIAL_BYTES
 from compute.tracking.settings import TrackerSettings
 
@@ -24,15 +22,15 @@ _GROWN: Final = 64
 
 
 class Associator:
-    """Associates by the kernel; what it has no room for, the reference does.
+    """Associates by the kernel; clusters beyond its capacity are left to the NumPy code.
 
     Warp is not thread-safe: one thread makes it and calls it. The kernel is compiled when it is
-    first made for so many sensors (seconds), and stays on the disk.
+    first made for a number of sensors (seconds), and is cached on disk.
 
     Args:
         model: of the readings.
         motion: M models.
-        settings: what sensors miss and invent.
+        settings: detection probability, clutter density and gate.
     """
 
     def __init__(
@@ -78,7 +76,13 @@ class Associator:
         )
 
     def associate(self, states: ImmStates, bias: Array, peaks: Measurements) -> AssociationResult:
-        """Return what ``compute.tracking.association.associate`` does of the same arguments."""
+        """Return what ``compute.tracking.association.associate`` returns, by the native kernel.
+
+        Args:
+            states: of T tracks, predicted to the exposure.
+            bias: covariance of the readings' constant errors, shape (T, S, S) [px^2].
+            peaks: measurements of the exposure.
+        """
         count, sensors = len(states), len(self._model)
         room = peaks.position_px.shape[1]
         job = self._job

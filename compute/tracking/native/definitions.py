@@ -11,13 +11,13 @@ from compute.tracking.association import (
     RELINEARISATION_STEP_MM,
     SUSPECT_RESIDUAL_SIGMA,
 )
-from compute.tracking.imm_states import MIN_MODE_PROBABILITY
 from compute.tracking.joint_events import (
     MIN_MERGE_PROBABILITY,
     NEGLIGIBLE_WEIGHT_RATIO,
     SHARE_FRACTION_VARIANCE,
     SHARED_PEAK_REACH,
 )
+from compute.tracking.motion_model import MIN_MODE_PROBABILITY
 from compute.tracking.native.kernel_arguments import (
     ASSOCIATION,
     MAX_OPTIONS,

@@ -1,4 +1,4 @@
-"""The Warp kernels that associate peaks with tracks, one for each number of sensors.
+"""Warp kernels of the association of peaks with tracks, one for each number of sensors.
 
 Only ``compute.tracking.native.associator`` imports this module, when it is made: it loads Warp.
 """
@@ -13,7 +13,12 @@ from compute.native.headers import module_options
 
 @cache
 def association_kernel(sensors: int, room: int) -> Any:
-    """Return the kernel for so many sensors, with room for so many terms of distortion."""
+    """Return the kernel for a number of sensors.
+
+    Args:
+        sensors: number of sensors S.
+        room: largest number of terms of distortion.
+    """
 
     def associate_frame(job_address: wp.uint64) -> None: ...
 

@@ -1,4 +1,4 @@
-"""What the kernel is given: a record of addresses, sizes and settings, for NumPy and for C++."""
+"""Arguments of the association kernel: addresses, sizes and settings, for NumPy and C++."""
 
 from typing import Final
 

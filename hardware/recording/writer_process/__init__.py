@@ -1,1 +1,1 @@
-"""Writer process."""
+"""Recording in a separate process, fed through shared memory."""

@@ -1,7 +1,7 @@
-"""WriterProcessClient: a recording in a process of its own, seen from the program that feeds it.
+"""WriterProcessClient: starts the writer process of a recording and sends frames to it.
 
-Nothing here waits for the writer but its start: where it does not keep up frames are dropped and
-counted, and one that does not end when it is told to is killed. See
+Only the start waits for the writer: where it does not keep up, frames are dropped and counted;
+a writer that does not stop when asked is killed. See
 docs/decisions/0011-recording.md.
 """
 
@@ -35,27 +35,27 @@ _log = logging.getLogger(__name__)
 
 START_S: Final = 30.0
 STOP_S: Final = 60.0
-"""How long a writer that was told to stop has to close its file: 256 MiB at 5 MB/s."""
+"""Time limit for closing the file after a stop: 256 MiB at 5 MB/s."""
 _RETRY_S: Final = 0.01
 WRITER_DIED: Final = "the process that writes it ended; what it had flushed is in the file"
 WRITER_LATE: Final = "its writer did not close it within {:g} s; what it had flushed is in the file"
 
 
 class WriterProcessClient:
-    """Starts the process and hands it frames; callable from any thread.
+    """Starts the writer process and sends frames to it; callable from any thread.
 
     Args:
-        job: what is recorded.
+        job: what to record.
 
     Raises:
-        OSError: the process cannot be started, or cannot make the file.
+        OSError: the process cannot be started, or cannot create the file.
     """
 
     def __init__(self, job: WriterJob) -> None:
         sensors, pixels = scan_shape(job.description)
         self.job = job
         self.status = WriterStatus(0, 0, RecordingState())
-        """What the writer told last; after the end for good."""
+        """Status last reported by the writer; final after the end."""
         self.dropped_frames = 0
         """Frames dropped because the writer did not keep up."""
         self._dropped_compute = 0
@@ -120,7 +120,7 @@ class WriterProcessClient:
         return self.status.ended is not None
 
     def put_active_calibration(self, make: Callable[[], tuple[bytes, bytes]]) -> int:
-        """Hand over a calibration and its table; return the row that frames name. Never waits.
+        """Send a calibration and its table; return its row for the frames. Never waits.
 
         Args:
             make: returns both, called later in another thread. An error of it ends the recording.
@@ -143,7 +143,7 @@ class WriterProcessClient:
         points: NDArray[np.void],
         dropped_compute: int = 0,
     ) -> bool:
-        """Hand over frames; False when there was no room and they are dropped. Never waits.
+        """Send frames; False where the ring is full and they are dropped. Never waits.
 
         Args:
             rows, peaks, points: as of FrameBlock.
@@ -163,9 +163,9 @@ class WriterProcessClient:
         return taken
 
     def stop(self, reason: str) -> None:
-        """Let the writer write what it has and close the file; does not wait for it.
+        """Request that the writer finish and close the file; does not wait for it.
 
-        One that has not after STOP_S is killed.
+        It is killed after STOP_S.
         """
         text = reason.encode()
         with self._lock:
@@ -179,7 +179,7 @@ class WriterProcessClient:
             self._deadline.start()
 
     def wait(self, timeout_s: float | None = None) -> bool:
-        """Return whether it has ended, after at most so long."""
+        """Wait at most ``timeout_s`` for the end; return whether it has ended."""
         self._thread.join(timeout_s)
         return not self._thread.is_alive()
 
@@ -191,27 +191,27 @@ class WriterProcessClient:
         return Losses(self._dropped_compute, self.dropped_frames, 0)
 
     def _send_stop(self) -> None:
-        """Tell the writer to stop, as soon as the pipe of heads has room."""
+        """Send the stop request as soon as the pipe of heads has room."""
         with self._lock:
             self._stop_sent = True
         while not self._send_head() and not self._closed.wait(_RETRY_S):
             pass
 
     def _give_up(self) -> None:
-        """Kill a writer that was told to stop and did not."""
+        """Kill a writer that did not stop in time."""
         _log.error("recording %s: its process did not stop within %g s", self.job.path.name, STOP_S)
         self._died = WRITER_LATE.format(STOP_S)
         self.kill()
 
     def _cannot_send(self, error: Exception) -> None:
-        """Kill the writer, which would wait for what it cannot get."""
+        """Kill the writer, which would wait for a calibration that cannot be sent."""
         name = self.job.path.name
         _log.error("recording %s: what is in force cannot be kept", name, exc_info=error)
         self._died = f"what was in force cannot be kept: {type(error).__name__}: {error}"
         self.kill()
 
     def _send_head(self) -> bool:
-        """Tell where the ring's head is; False where the pipe is full."""
+        """Send the ring's head; False where the pipe is full."""
         with self._lock:
             if self._closed.is_set():
                 return True
@@ -225,7 +225,7 @@ class WriterProcessClient:
         return True
 
     def _listen(self) -> None:
-        """Take note of what the process tells, until it ends."""
+        """Receive the process's status messages until it ends."""
         assert isinstance(self._process.stdout, RawIOBase)
         with BufferedReader(self._process.stdout) as output:
             for line in output:

@@ -1,4 +1,4 @@
-"""WriterJob: what a process is to record, and the messages between it and its parent."""
+"""WriterJob and WriterStatus: the messages between the writer process and its parent."""
 
 import json
 import struct
@@ -20,7 +20,7 @@ stands before the reason of a stop."""
 
 @dataclass(frozen=True)
 class WriterJob:
-    """What is recorded, where, and until when.
+    """A recording to write: file, device, contents and limits.
 
     Args:
         path: the file; it must not exist.
@@ -28,10 +28,10 @@ class WriterJob:
         lines: whether lines are recorded.
         results: whether peaks and points are.
         provenance: a JSON object that is kept with the file.
-        seconds: most time from the first frame on, by the device's clock [s]; None: no limit.
-        size_bytes: about the largest size of the file [bytes]; None: no limit.
-        free_bytes: what has to stay free on the disk [bytes].
-        flush_s: how often what came is brought to the file [s].
+        seconds: maximum duration on the device's clock [s]; None: no limit.
+        size_bytes: approximate maximum size of the file [bytes]; None: no limit.
+        free_bytes: disk space that must stay free [bytes].
+        flush_s: time between flushes [s].
         ring_bytes: size of the ring.
     """
 
@@ -56,14 +56,14 @@ JOB: Final = TypeAdapter(WriterJob)
 
 @dataclass(frozen=True)
 class WriterStatus:
-    """What the writer tells, one JSON object a line.
+    """Status of the writer, sent as one JSON object per line.
 
     Args:
         tail: bytes of the ring that are free again, counted from the beginning.
         size_bytes: of the file.
         state: what is safe in the file.
-        ended: why it ended, of itself or as it was told; None: it goes on.
-        failed: whether it ended because it could not go on.
+        ended: reason of its end; None: it is running.
+        failed: whether an error ended it.
     """
 
     tail: int

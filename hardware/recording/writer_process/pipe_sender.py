@@ -1,6 +1,6 @@
-"""PipeSender: brings the process that records what it reads from its input, in order.
+"""PipeSender: writes messages to the writer process in order, in a thread of its own.
 
-In a thread of its own: a writer that stalls reads nothing, and nobody else is to wait for it.
+A stalled writer reads nothing, and no other thread may wait for it.
 """
 
 from collections.abc import Callable
@@ -13,13 +13,13 @@ Then = Callable[[], None]
 
 
 class PipeSender:
-    """Makes what is to be sent and sends it, one after the other.
+    """Creates messages and writes them to a pipe, one after the other.
 
     Args:
         target: the process's input, without a buffer; it is closed at the end.
         name: of the thread.
-        failed: called, in the thread, with the error of what could not be made; nothing is sent
-            behind it.
+        failed: called, in the thread, with the error of a message that could not be created;
+            nothing is sent after it.
     """
 
     def __init__(self, target: IO[bytes], name: str, failed: Callable[[Exception], None]) -> None:
@@ -29,14 +29,14 @@ class PipeSender:
         Thread(target=self._run, name=name, daemon=True).start()
 
     def send(self, make: Make, then: Then | None = None) -> None:
-        """Send what ``make`` returns behind all before it, then call ``then``. Never waits.
+        """Queue the message that ``make`` returns; call ``then`` once it is sent. Never waits.
 
         Both are called in the sender's thread; neither is when the process has ended.
         """
         self._waiting.put((make, then))
 
     def close(self) -> None:
-        """Let the thread end behind what waits. Does not wait for it."""
+        """End the thread after the queued messages. Does not wait for it."""
         self._waiting.put(None)
 
     def _run(self) -> None:

@@ -1,9 +1,9 @@
-"""The process that records: takes blocks out of a ring and writes them to a file.
+"""The writer process: reads frame blocks from a shared ring and writes them to a file.
 
-Started by ``hardware.recording.writer_process.client``, with the descriptors of the ring's memory and of the pipe
-of heads as arguments; its standard input has the job and the calibrations, its standard output
-what it tells. When its parent dies it writes what the ring holds and closes the file as one that
-is not complete.
+Started by ``hardware.recording.writer_process.client``, with the descriptors of the ring's memory
+and of the pipe of heads as arguments; its standard input carries the job and the calibrations, its
+standard output the status. When its parent dies it writes what the ring holds and closes the file
+as incomplete.
 """
 
 import os
@@ -26,14 +26,14 @@ from hardware.recording.writer_process.shared_ring import RingShape, SharedBlock
 
 ORPHANED: Final = "the program that recorded ended without closing the recording"
 _HEADS: Final = 1024
-"""Most messages of heads that are read at once; the last of them counts."""
+"""Maximum number of head messages read at once; only the last one counts."""
 _REASON_S: Final = 5.0
 _PAUSE_S: Final = 0.025
-"""Pause between two looks into the ring: waking for each block would cost more than writing it."""
+"""Pause between reads of the ring: waking for each block would cost more than writing it."""
 
 
 class _Documents:
-    """Calibrations, tables and the reason of the stop, read by a thread of their own."""
+    """Reads calibrations, tables and the reason of the stop in a separate thread."""
 
     def __init__(self, source: BinaryIO) -> None:
         self._source = source
@@ -42,7 +42,7 @@ class _Documents:
         Thread(target=self._read, daemon=True).start()
 
     def next(self) -> tuple[bytes, bytes] | None:
-        """Return the next calibration and table; None: there will be none."""
+        """Return the next calibration and table; None: there are no more."""
         return self._found.get()
 
     def _read(self) -> None:
@@ -79,35 +79,35 @@ class _Recording:
 
     @property
     def losses(self) -> Losses:
-        """What was lost until now, here and before."""
+        """Frames lost until now, in the writer and before it."""
         lost = self._losses
         return Losses(lost.dropped_compute, lost.dropped_writer, lost.refused + self._refused)
 
     def take(self, head: int) -> None:
-        """Write what the ring holds up to ``head``, unless a limit ends it before."""
+        """Write the ring's blocks up to ``head``, or up to a limit of the job."""
         for block, losses in self._ring.take(head):
             if self.ended is None:
                 self._losses = losses
                 self._write(block)
 
     def add_losses(self, losses: Losses) -> None:
-        """Take note of losses behind the last block."""
+        """Record losses after the last block."""
         self._losses = losses
 
     def stop(self) -> None:
-        """End it as the parent says, with its reason."""
+        """End the recording with the parent's reason."""
         self.ended = "stopped"
         with suppress(Empty):
             self.ended = self._documents.reason.get(timeout=_REASON_S)
 
     def status(self, *, failed: bool = False) -> WriterStatus:
-        """Return what the parent is to know."""
+        """Return the status for the parent."""
         with suppress(OSError):
             self._bytes = max(self._bytes, self._job.path.stat().st_size)
         return WriterStatus(self._ring.tail, self._bytes, self.writer.state, self.ended, failed)
 
     def check_disk(self) -> None:
-        """End it while there is still room to close the file."""
+        """End the recording while there is still disk space to close the file."""
         if self.ended is None:
             found = os.statvfs(self._job.path.parent)
             free = found.f_bavail * found.f_frsize
@@ -144,7 +144,7 @@ class _Recording:
 
 
 def record(ring_descriptor: int, heads: int, source: BinaryIO, target: int) -> None:
-    """Record until told to stop, a limit, an error or the parent's end."""
+    """Record until a stop request, a limit, an error or the parent's end."""
     job: WriterJob = JOB.validate_json(source.readline())
     sensors, pixels = scan_shape(job.description)
     ring = SharedBlockRing(ring_descriptor, RingShape(job.ring_bytes, sensors, pixels, job.lines))
@@ -169,7 +169,7 @@ def record(ring_descriptor: int, heads: int, source: BinaryIO, target: int) -> N
 
 
 def _receive(recording: _Recording, job: WriterJob, heads: int, target: int) -> bool:
-    """Write what comes until the end; return whether it is a proper one."""
+    """Write blocks until the end; return whether it was a regular one."""
     flush_at = time.monotonic() + job.flush_s
     while True:
         wait_s = max(0.0, flush_at - time.monotonic())
@@ -201,7 +201,7 @@ def _send_status(target: int, status: WriterStatus) -> None:
 
 
 def _reason(error: Exception) -> str:
-    """Return why, in one line."""
+    """Return an error message of one line."""
     if isinstance(error, LumilineError):
         return error.detail
     if isinstance(error, OSError) and error.errno:
@@ -214,7 +214,7 @@ def _reason(error: Exception) -> str:
 
 
 def main() -> None:
-    """Run as a process; ends when its parent does, and by no signal that a terminal sends."""
+    """Entry point of the process; it ignores SIGINT and SIGTERM and ends with its parent."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     record(int(sys.argv[1]), int(sys.argv[2]), sys.stdin.buffer, sys.stdout.fileno())

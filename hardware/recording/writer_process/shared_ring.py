@@ -1,8 +1,8 @@
-"""SharedBlockRing: memory shared with the process that records, as a ring of blocks of frames.
+"""SharedBlockRing: lock-free ring buffer of frame blocks in shared memory.
 
-One side puts blocks, the other takes them; both count the bytes since the beginning, ``head`` of
-what was put and ``tail`` of what is free again, and tell one another by pipes. The ring itself
-holds no lock: a side that dies leaves the other nothing to wait for.
+One side writes blocks, the other reads them; both count bytes since the beginning, ``head`` of
+those written and ``tail`` of those free again, and exchange them through pipes. There is no lock
+that a crashed side could leave held.
 """
 
 import mmap
@@ -22,11 +22,11 @@ from hardware.recording.layout import FRAME, PEAK, Losses, point_dtype
 _HEADER: Final = struct.Struct("<qqqqqqq")
 _ALIGN: Final = 64
 _SKIP: Final = -1
-"""Number of frames of a block that is none, but the unused end of the ring."""
+"""Number of frames that marks the unused end of the ring."""
 
 
 def make_memory(size: int) -> int:
-    """Return the descriptor of new memory without a name; it goes with its last user."""
+    """Return the descriptor of new anonymous memory, freed with its last user."""
     if hasattr(os, "memfd_create"):
         descriptor = os.memfd_create("lumiline-recording")
     else:
@@ -38,7 +38,7 @@ def make_memory(size: int) -> int:
 
 @dataclass(frozen=True)
 class RingShape:
-    """What a ring holds.
+    """Size of a ring and shape of its scans.
 
     Args:
         size: bytes, a multiple of 64.
@@ -53,7 +53,7 @@ class RingShape:
     lines: bool
 
     def block_bytes(self, frames: int, peaks: int, points: int) -> int:
-        """Return how many bytes a block takes."""
+        """Return the size of a block [bytes]."""
         parts = (
             _HEADER.size,
             frames * FRAME.itemsize,
@@ -87,12 +87,12 @@ class SharedBlockRing:
         points: NDArray[np.void],
         losses: Losses,
     ) -> bool:
-        """Put frames behind ``head``, which moves on; False, and nothing, without room for them.
+        """Write frames at ``head`` and advance it; False, without effect, where they do not fit.
 
         Args:
             rows, peaks, points: as of FrameBlock.
-            lines: of each frame, shape (S, P); not looked at when the ring has none.
-            losses: what was lost until now.
+            lines: of each frame, shape (S, P); ignored where the ring has none.
+            losses: frames lost until now.
         """
         size = self._shape.block_bytes(len(rows), len(peaks), len(points))
         start = self.head % self._shape.size
@@ -119,9 +119,9 @@ class SharedBlockRing:
         return True
 
     def take(self, head: int) -> Iterator[tuple[FrameBlock, Losses]]:
-        """Yield the blocks up to ``head``; views, to be used before the next is asked for.
+        """Yield the blocks up to ``head`` as views, valid until the next iteration.
 
-        ``tail`` moves on behind each.
+        ``tail`` advances after each.
         """
         while self.tail < head:
             start = self.tail % self._shape.size
@@ -151,7 +151,7 @@ class SharedBlockRing:
         self._bytes[start : start + len(packed)] = packed
 
     def _put(self, at: int, values: NDArray[Any]) -> int:
-        """Put values there; return the place behind them."""
+        """Write values at an offset; return the offset after them."""
         self._view(at, values.dtype, len(values))[...] = values
         return at + _aligned(values.nbytes)
 

@@ -10,7 +10,7 @@ from service.problems.errors import MarkerNotMoved
 
 MIN_POINT_DISTANCE_MM: Final = 0.1
 """Targets nearer than this may be read the same."""
-_LEAST_SENSORS: Final = 3
+_MIN_SENSORS: Final = 3
 _FALSE_ALARM_PROBABILITY: Final = 1e-4
 """That a marker still at rest is not noticed, for its noise alone."""
 _FLOOR_PX: Final = 0.01
@@ -34,7 +34,7 @@ def check_marker_moved(found: CapturedTarget, others: Sequence[CapturedTarget]) 
         if other.target == found.target:
             continue
         pairs = [(now[one.sensor], one) for one in other.sensors if one.sensor in now]
-        if len(pairs) < _LEAST_SENSORS:
+        if len(pairs) < _MIN_SENSORS:
             continue
         squares = [
             (one.mean_px - before.mean_px) ** 2

@@ -36,10 +36,10 @@ _NUMBERS: Final = {
     "pitch_mm": ("f", (3,)),
     "cells": ("iu", (3,)),
 }
-_MOST_SENSORS: Final = 64
-_MOST_VALUES: Final = 2**24
+_MAX_SENSORS: Final = 64
+_MAX_VALUES: Final = 2**24
 """Largest number of values in one array, 128 MiB."""
-_MOST_TEXT: Final = 2**18
+_MAX_TEXT: Final = 2**18
 _DEFLATE, _SHUFFLE = h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE
 
 
@@ -161,9 +161,9 @@ def _attributes(
     texts |= {name: _text(file, name) for name in _TEXTS}
     numbers |= {name: _number(file, name) for name in _NUMBERS}
     attribute = _attribute(file, "sensors")
-    if not _is_text(attribute) or len(attribute.shape) != 1 or attribute.shape[0] > _MOST_SENSORS:
+    if not _is_text(attribute) or len(attribute.shape) != 1 or attribute.shape[0] > _MAX_SENSORS:
         raise InvalidTableFile(
-            f"the attribute sensors must be a list of at most {_MOST_SENSORS} names; it has the "
+            f"the attribute sensors must be a list of at most {_MAX_SENSORS} names; it has the "
             f"shape {attribute.shape}"
         )
     return texts, numbers, tuple(_decoded("sensors", name) for name in file.attrs["sensors"])
@@ -192,10 +192,10 @@ def _decoded(name: str, value: Any) -> str:
         text.encode()
     except UnicodeError as error:
         raise InvalidTableFile(f"the attribute {name} is not UTF-8") from error
-    if len(text) > _MOST_TEXT or "\0" in text:
+    if len(text) > _MAX_TEXT or "\0" in text:
         raise InvalidTableFile(
             f"the attribute {name} has {len(text)} characters or a zero among them; it must have "
-            f"at most {_MOST_TEXT}, and none"
+            f"at most {_MAX_TEXT}, and none"
         )
     return text
 
@@ -229,10 +229,10 @@ def _array(file: h5py.File, name: str, kind: str) -> NDArray[Any]:
             f"{name} has the type {found.dtype} and {found.ndim} dimensions; it must have the type "
             f"{np.dtype(kind)} and 4"
         )
-    if found.size > _MOST_VALUES or found.maxshape != found.shape:
+    if found.size > _MAX_VALUES or found.maxshape != found.shape:
         raise InvalidTableFile(
             f"{name} declares {found.size} values (shape {found.shape}); it must have at most "
-            f"{_MOST_VALUES}, of a fixed shape"
+            f"{_MAX_VALUES}, of a fixed shape"
         )
     _check_stored(found, name)
     values: NDArray[Any] = found[()]
@@ -255,7 +255,7 @@ def _check_stored(dataset: h5py.Dataset, name: str) -> None:
             )
         return
     chunk_bytes = int(np.prod(dataset.chunks, dtype=object)) * dataset.dtype.itemsize
-    if chunk_bytes > _MOST_VALUES * 8:
+    if chunk_bytes > _MAX_VALUES * 8:
         raise InvalidTableFile(f"{name} has chunks of {chunk_bytes} bytes, more than a whole table")
     expected = int(
         np.prod(

@@ -52,7 +52,7 @@ class ReplaySource(RequestModel):
 
 
 class SerialSource(RequestModel):
-    """A device on a serial port that speaks the line-scan protocol (docs/reference/serial-protocol.md)."""
+    """A device on a serial port with the line-scan protocol (docs/reference/serial-protocol.md)."""
 
     kind: Literal["serial"]
     settings: SerialSettings

@@ -24,7 +24,7 @@ MAX_STEPS: Final = 255
 TIME_CHANNEL: Final = "TIME_OFF_NOMINAL_US"
 MAX_FRAMES: Final = 65_535
 """The header counts frames in 16 bits, and readers keep to that."""
-_MOST_GAPS: Final = 20
+_MAX_GAPS: Final = 20
 """So many times the frames that there are, the file may have."""
 
 Array = NDArray[np.float64]
@@ -57,7 +57,7 @@ def _places(table: MotionTable) -> NDArray[np.int64]:
     if not len(table):
         raise InvalidParameter("there is no frame to export")
     place: NDArray[np.int64] = table.sequence - table.sequence[0]
-    if place[-1] >= _MOST_GAPS * len(table):
+    if place[-1] >= _MAX_GAPS * len(table):
         raise InvalidParameter(
             f"of the {int(place[-1]) + 1} exposures from the first frame to the last only "
             f"{len(table)} are there; C3D has one rate and would be gaps for the most part: "

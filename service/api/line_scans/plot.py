@@ -31,7 +31,7 @@ Counts = NDArray[np.uint16]
 
 MAX_PANELS: Final = 8
 _COLUMNS: Final = 4
-_MOST_NUMBERS: Final = 24
+_MAX_NUMBERS: Final = 24
 _DPI: Final = 110
 _HEADROOM: Final = 0.35
 _NAMES: Final = {
@@ -139,7 +139,7 @@ def _top(values: Counts, peak: LinePeak) -> int:
 def _mark(axes: Axes, number: int, peak: LinePeak, height: float, count: int) -> None:
     colour = FLAGGED if plain_flags(peak) else MODEL
     axes.plot(peak.position_px, height, "v", color=colour, ms=4, clip_on=False)
-    if count <= _MOST_NUMBERS:
+    if count <= _MAX_NUMBERS:
         axes.annotate(
             str(number + 1), (peak.position_px, height), (0.0, 4.0), textcoords="offset points",
             ha="center", fontsize=8, color=colour,

@@ -27,7 +27,7 @@ from service.database.models import DeviceRow
 from service.pipeline.pipeline_manager import PipelineManager
 
 if TYPE_CHECKING:
-    from hardware.recording.info import RecordingInfo
+    from hardware.recording.layout import RecordingInfo
     from hardware.recording.reader import RecordingReader
 
 

@@ -24,7 +24,7 @@ from service.problems.errors import CalibrationSwitched, NoActiveCalibration, No
 Array = NDArray[np.float64]
 
 _GAP_FRAMES: Final = 5.0
-_LEAST_GAP_S: Final = 0.1
+_MIN_GAP_S: Final = 0.1
 _CHECK_INTERVAL_NS: Final = 50_000_000
 """How often it is looked whether the tip is still: a thousand times a second takes a core."""
 
@@ -58,7 +58,7 @@ def digitise_point(
     """
     session = live.session(pointer.device)
     rate = session.description.frame_rate_hz or 0.0
-    gap_s = max(_LEAST_GAP_S, _GAP_FRAMES / rate) if rate > 0.0 else _LEAST_GAP_S
+    gap_s = max(_MIN_GAP_S, _GAP_FRAMES / rate) if rate > 0.0 else _MIN_GAP_S
     waiting = _Digitiser(pointer, frame, asked, gap_s)
     collect(live, session, waiting.tap, asked.timeout_s, waiting.tap.ended, waiting.look)
     calibration, table = waiting.tap.active_ids or ("", None)

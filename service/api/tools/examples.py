@@ -2,7 +2,10 @@
 
 from typing import Any, Final
 
-_LIVE: Final = "`sim` shows no tool until its scene has one: PATCH it first with the scene of docs/how-to/tools.md."
+_LIVE: Final = (
+    "`sim` shows no tool until its scene has one: "
+    "PATCH it first with the scene of docs/how-to/tools.md."
+)
 
 NEW_TOOLS: Final[dict[str, Any]] = {
     "pointer": {

@@ -7,7 +7,7 @@ from service.protocols.ndi.errors import CommandError, ErrorCode
 from service.protocols.ndi.identity import API_REVISION, Identity
 from service.protocols.ndi.port_handles import MAX_HANDLES
 
-_MOST_TEXT: Final = 255
+_MAX_TEXT: Final = 255
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class UserParameters:
             raise CommandError(ErrorCode.NO_SUCH_PARAMETER)
         if name in _NUMBERS:
             value = _checked(value, _NUMBERS[name][1])
-        elif len(value) > _MOST_TEXT or not value.isprintable():
+        elif len(value) > _MAX_TEXT or not value.isprintable():
             raise CommandError(ErrorCode.VALUE_OUT_OF_RANGE)
         self._values[name] = value
 

@@ -35,7 +35,7 @@ _log = logging.getLogger(__name__)
 _T = TypeVar("_T")
 _THREADS: Final = 2
 """Of its own, so that no client of OpenIGTLink takes those of requests."""
-_MOST: Final = 1000
+_MAX_ITEMS: Final = 1000
 _CLIENT: Final = Principal("service", "openigtlink", "OpenIGTLink client", frozenset())
 
 
@@ -109,7 +109,7 @@ class ApplicationHost:
             select(RegistrationRow)
             .where(RegistrationRow.device_id == device_id)
             .order_by(RegistrationRow.created_at.desc())
-            .limit(_MOST)
+            .limit(_MAX_ITEMS)
         )
         found: list[Landmark] = []
         with self._database.read() as session:
@@ -119,10 +119,10 @@ class ApplicationHost:
                     Landmark(f"{row.id} {name}", place, owner, of)
                     for name, place in measured_points(row)
                 )
-        return tuple(found[:_MOST])
+        return tuple(found[:_MAX_ITEMS])
 
     def _stop(self, device_id: str) -> str:
-        items, _ = self._recordings.page(device_id, _MOST, 0)
+        items, _ = self._recordings.page(device_id, _MAX_ITEMS, 0)
         for one in items:
             if one.state == "recording":
                 done = self._recordings.stop(one.name)

@@ -43,7 +43,7 @@ class Decoder:
 
     def __init__(self, known: Container[str], max_body_bytes: int = MAX_BODY_BYTES) -> None:
         self._known = known
-        self._most = max_body_bytes
+        self._max_body_bytes = max_body_bytes
         self._buffer = bytearray()
         self._header: Header | None = None
         self._skip = 0
@@ -94,9 +94,10 @@ class Decoder:
     def _begin(self) -> Header:
         try:
             header = read_header(bytes(self._buffer[:HEADER_BYTES]))
-            if header.type in self._known and header.body_bytes > self._most:
+            if header.type in self._known and header.body_bytes > self._max_body_bytes:
                 raise BadMessage(
-                    f"{header.type} with a body of {header.body_bytes} bytes; {self._most} is "
+                    f"{header.type} with a body of {header.body_bytes} bytes; "
+                    f"{self._max_body_bytes} is "
                     "the most"
                 )
         except BadMessage as error:

@@ -18,7 +18,7 @@ from compute.reconstruction.correspondence import (
     PredictedPoints,
     group_peaks,
 )
-from compute.reconstruction.correspondence.covering_design import covering_triples
+from compute.reconstruction.correspondence.intersections import covering_triples
 from compute.reconstruction.point_batch import PointBatch
 from compute.reconstruction.triangulation import reconstruct
 from tests.compute.reconstruction.matching import match_peaks

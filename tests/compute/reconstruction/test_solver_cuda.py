@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from compute.reconstruction.native.launch import DIRECT_POINTS, POINTS_PER_LAUNCH
+from compute.reconstruction.native.cuda_launch import DIRECT_POINTS, POINTS_PER_LAUNCH
 from compute.reconstruction.solver import PointSolver
 from tests.compute.reconstruction.solver_scenes import assert_same, scene
 

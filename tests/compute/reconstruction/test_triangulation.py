@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from compute.calibration.calibrate import calibrate
 from compute.camera.stack import CameraStack
-from compute.reconstruction.linear_triangulation import triangulate_linear
 from compute.reconstruction.point_batch import PointFlag
-from compute.reconstruction.triangulation import reconstruct
+from compute.reconstruction.triangulation import reconstruct, triangulate_linear
 from tests.compute.rig import control_points, geometry, project, rig
 
 Array = NDArray[np.float64]

@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter
 from compute.mapping.table import CorrectionTable, Degree
-from compute.reconstruction.linear_triangulation import triangulate_linear
 from compute.reconstruction.point_batch import PointBatch, PointFlag
-from compute.reconstruction.triangulation import reconstruct
+from compute.reconstruction.triangulation import reconstruct, triangulate_linear
 from tests.compute.reconstruction.distorted_rig import GRID, distorted_rig, field_points, table
 from tests.compute.reconstruction.matching import match_peaks
 from tests.compute.rig import rig

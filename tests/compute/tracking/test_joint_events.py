@@ -8,8 +8,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from compute.tracking.clustering import split_clusters
-from compute.tracking.joint_events import ClusterTrack, event_marginals, merge_probability
+from compute.tracking.joint_events import (
+    ClusterTrack,
+    event_marginals,
+    merge_probability,
+    split_clusters,
+)
 from compute.tracking.settings import TrackerSettings
 
 SETTINGS = TrackerSettings(resolution_px=1e-6)

@@ -3,9 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.tracking.imm_states import ImmStates, combine_modes, mix_and_predict
 from compute.tracking.measurement_update import Innovation, PdaMixture, joint_update, pda_update
-from compute.tracking.motion_model import MotionModels
+from compute.tracking.motion_model import ImmStates, MotionModels, combine_modes, mix_and_predict
 from compute.tracking.settings import TrackerSettings
 
 Array = NDArray[np.float64]

@@ -10,8 +10,7 @@ from compute.camera.stack import CameraStack
 from compute.measurement.measurement_model import MeasurementModel
 from compute.measurement.measurements import Measurements
 from compute.tracking.association import AssociationResult, associate
-from compute.tracking.imm_states import mix_and_predict
-from compute.tracking.motion_model import MotionModels
+from compute.tracking.motion_model import MotionModels, mix_and_predict
 from compute.tracking.native.associator import Associator
 from compute.tracking.settings import TrackerSettings
 from compute.tracking.state_initialisation import states_from_points

@@ -6,8 +6,7 @@ from numpy.typing import NDArray
 
 from compute.camera.stack import CameraStack
 from compute.measurement.measurement_model import MeasurementModel
-from compute.tracking.imm_states import ImmStates
-from compute.tracking.motion_model import MotionModels
+from compute.tracking.motion_model import ImmStates, MotionModels
 from compute.tracking.settings import TrackerSettings
 from compute.tracking.state_initialisation import states_from_points
 from compute.tracking.track_management import (

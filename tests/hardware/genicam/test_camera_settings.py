@@ -1,4 +1,4 @@
-"""A camera that goes away while it is set up is not connected; one that says no is set wrongly."""
+"""Camera configuration: lost cameras raise DeviceNotConnected, refusals InvalidParameter."""
 
 from collections.abc import Callable
 from typing import Any

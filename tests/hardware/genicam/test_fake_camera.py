@@ -1,4 +1,4 @@
-"""The driver against Aravis's fake GigE Vision camera, a process that speaks over the network.
+"""GenicamDriver with Aravis's fake GigE Vision camera in another process.
 
 Skipped where Debian's aravis-tools and libaravis-0.8-0 are not installed.
 """

@@ -1,4 +1,4 @@
-"""Lines of several cameras: those of one exposure come together, others are counted."""
+"""FrameSynchroniser: scans of one exposure are matched, others are counted."""
 
 import numpy as np
 from hypothesis import given, settings

@@ -1,4 +1,4 @@
-"""The driver's own work, on cameras that the test plays: matching, losses, return, its end."""
+"""GenicamDriver with mocked cameras: matching, losses, reconnection, close."""
 
 import itertools
 import threading

@@ -1,4 +1,4 @@
-"""Without Aravis: what is missing and how to get it, and nothing loaded before it is needed."""
+"""MissingLibrary without Aravis; the library is loaded lazily."""
 
 import subprocess
 import sys

@@ -1,4 +1,4 @@
-"""Pixel formats: counts packed bit by bit, as the conventions say, come back."""
+"""Pixel formats: unpacking inverts the packing of the standards."""
 
 from typing import get_args
 

@@ -1,4 +1,4 @@
-"""Blocks of frames with results for tests of recordings; what is in them follows from a number."""
+"""Deterministic frame blocks with results for tests of recordings."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""The example of docs/how-to/recordings.md follows a recording to its end, and no further."""
+"""The example in docs/how-to/recordings.md reads a live recording to its end."""
 
 import os
 import re

@@ -1,4 +1,4 @@
-"""Recordings of version 2: results and calibrations, followed while written; version 1 as ever."""
+"""Recordings of version 2 with results and calibrations, read while written; version 1."""
 
 import json
 import tempfile

@@ -1,4 +1,4 @@
-"""Recordings: what goes in comes out, bit by bit; what does not belong is refused."""
+"""RecordingWriter: bit-identical round trip; invalid frames are refused."""
 
 import json
 import shutil

@@ -1,4 +1,4 @@
-"""A simulated device on a TCP port of this process, which does what a bad line does."""
+"""A simulated device on a TCP port with injected transmission faults."""
 
 import random
 import socket

@@ -1,4 +1,4 @@
-"""The decoder on streams that are cut, damaged or something else; and exposures from parts."""
+"""Decoder with truncated, damaged and foreign streams; ExposureAssembler."""
 
 import random
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""The driver against a simulated device on a bad line: nothing raises, everything is told."""
+"""SerialDriver with a simulated device and transmission faults."""
 
 import os
 import threading
@@ -20,8 +20,8 @@ from hardware.serial import simulated_device
 from hardware.serial.driver import SerialDriver
 from hardware.serial.emulator import serve_terminal
 from hardware.serial.encoding import encode
-from hardware.serial.identity_check import check_identity
 from hardware.serial.messages import Description, Result
+from hardware.serial.session import check_identity
 from hardware.serial.settings import SerialSettings
 from hardware.serial.simulated_device import SimulatedSerialDevice
 from hardware.simulated.renderer import FrameRenderer
@@ -295,7 +295,7 @@ class BusyDevice:
             return obey(device, command, now_ns)
 
         monkeypatch.setattr(SimulatedSerialDevice, "_done", done)
-        monkeypatch.setattr("hardware.serial.busy_retry.RETRY_INTERVAL_NS", 20_000_000)
+        monkeypatch.setattr("hardware.serial.connection.RETRY_INTERVAL_NS", 20_000_000)
         monkeypatch.setattr("hardware.serial.connection.RETRY_INTERVAL_NS", 20_000_000)
 
 
@@ -322,8 +322,7 @@ def test_a_busy_device_is_waited_for(bar: BenchDevice, busy: BusyDevice) -> None
 def test_a_device_that_stays_busy_is_tried_again_as_one_that_is_lost(
     bar: BenchDevice, busy: BusyDevice, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for module in ("busy_retry", "connection"):
-        monkeypatch.setattr(f"hardware.serial.{module}.BUSY_LIMIT_NS", 100_000_000)
+    monkeypatch.setattr("hardware.serial.connection.BUSY_LIMIT_NS", 100_000_000)
     busy.left = 60
     with pytest.raises(DeviceNotConnected, match="the device is busy for"):
         SerialDriver("bar", bar.status()).open()
@@ -343,7 +342,7 @@ def test_a_device_that_stays_busy_is_tried_again_as_one_that_is_lost(
 def test_a_device_that_rests_is_silent_and_told_anew_after_a_reset(
     bar: BenchDevice, busy: BusyDevice, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("hardware.serial.describe_policy.DESCRIBE_INTERVAL_NS", 20_000_000)
+    monkeypatch.setattr("hardware.serial.link_watchdog.DESCRIBE_INTERVAL_NS", 20_000_000)
     watched = Watched(bar.status())
     watched.more(3)
     monkeypatch.setattr(SimulatedSerialDevice, "_lines", lambda *_: iter(()))

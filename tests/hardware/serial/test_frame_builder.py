@@ -1,4 +1,4 @@
-"""Frames' numbers and times over losses and resets."""
+"""FrameBuilder: sequence numbers and times across losses and resets."""
 
 from dataclasses import replace
 from typing import Any

@@ -1,8 +1,6 @@
-"""How a link is judged by what comes."""
+"""LinkWatchdog classifies a link; DescribePolicy queries and reconfigures its device."""
 
-from hardware.serial.link_watchdog import LinkWatchdog
-
-S = 1_000_000_000
+from hardware.serial.link_watchdog import CONFIGURE_INTERVAL_NS, DescribePolicy, LinkWatchdog
 
 
 def watch() -> LinkWatchdog:
@@ -59,3 +57,60 @@ def test_what_came_before_the_last_frame_says_nothing() -> None:
     for made in (status, damage):
         made.received(2 * S, frames=True, messages=False, rejected=made._bad)
         assert "nothing came" in (made.check(31 * S // 10)[1] or "")
+
+
+S = 1_000_000_000
+
+
+def silent() -> DescribePolicy:
+    """Policy of a device that fell silent after frames."""
+    policy = DescribePolicy()
+    policy.begin(0)
+    policy.record_frames()
+    return policy
+
+
+def test_a_silent_device_is_queried_each_second() -> None:
+    policy = silent()
+    asked = [tenth for tenth in range(100) if policy.should_describe(tenth * S // 10)]
+    assert asked == list(range(11, 100, 11))
+
+
+def test_a_stopped_device_is_reconfigured_once_and_then_every_ten_seconds() -> None:
+    policy = silent()
+    status = []
+    for second in range(2, 60, 2):
+        assert policy.should_describe(second * S)
+        if policy.should_configure(second * S + 1):
+            status.append(second)
+    assert status == [2, 14, 26, 38, 50]
+    assert CONFIGURE_INTERVAL_NS == 10 * S
+
+
+def resting() -> DescribePolicy:
+    """Policy that resent the settings at 2 s, and not at 4 s."""
+    policy = silent()
+    assert policy.should_describe(2 * S)
+    assert policy.should_configure(2 * S)
+    assert policy.should_describe(4 * S)
+    assert not policy.should_configure(4 * S)
+    return policy
+
+
+def test_an_unsolicited_description_is_a_reset() -> None:
+    assert resting().should_configure(5 * S)
+
+
+def test_a_device_that_did_not_answer_may_have_been_reset() -> None:
+    policy = resting()
+    assert policy.should_describe(6 * S)
+    assert policy.should_describe(8 * S)
+    assert policy.should_configure(8 * S)
+
+
+def test_after_frames_and_connections_it_is_reconfigured_at_once() -> None:
+    for again in (DescribePolicy.record_frames, lambda policy: policy.begin(4 * S)):
+        policy = resting()
+        again(policy)
+        assert policy.should_describe(6 * S)
+        assert policy.should_configure(6 * S)

@@ -1,4 +1,4 @@
-"""The codec: the documented bytes, round trips, and content that makes no sense."""
+"""Encoder and parser: documented bytes, round trips, invalid content."""
 
 import math
 import re

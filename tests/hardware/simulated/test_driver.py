@@ -1,4 +1,4 @@
-"""The simulated driver: order, clocks, lost exposures, and its end from another thread."""
+"""SimulatedDriver: order, clocks, lost exposures, close from another thread."""
 
 import itertools
 import threading

@@ -1,4 +1,4 @@
-"""ProfileDriver: devices of profiles render the same bits always, in every readout."""
+"""ProfileDriver: reproducible frames for every readout."""
 
 from dataclasses import replace
 

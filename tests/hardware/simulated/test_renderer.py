@@ -1,4 +1,4 @@
-"""Rendered frames: who is lit, where, how bright, and the same bits in any order."""
+"""FrameRenderer: lit markers, positions, brightness, independence of order."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Scenes: the frame's shape, the bar's length and turn, what is refused."""
+"""Scenes: shape of the target, length and rotation of the bar, invalid parameters."""
 
 import csv
 from pathlib import Path

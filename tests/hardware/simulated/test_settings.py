@@ -1,4 +1,4 @@
-"""Settings: bounds in Python and at the edge, the scene told by its kind."""
+"""Settings: bounds in Python and JSON; the scene is chosen by ``kind``."""
 
 from dataclasses import replace
 from typing import Any

@@ -1,4 +1,4 @@
-"""Counts that grow with the light, above the line's own dark level."""
+"""Dark correction: counts increase with light, above the scan's dark level."""
 
 import numpy as np
 from hypothesis import given

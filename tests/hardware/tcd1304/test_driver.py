@@ -1,4 +1,4 @@
-"""The driver against simulated boards: frames, clocks, faults, unplugging, and its end."""
+"""Tcd1304Driver with simulated boards: frames, clocks, faults, unplugging, close."""
 
 import os
 import threading

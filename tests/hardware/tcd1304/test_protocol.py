@@ -1,4 +1,4 @@
-"""The request's bytes and registers, and the times that follow from them."""
+"""Request: encoding, registers and timing."""
 
 import pytest
 from hypothesis import given

@@ -1,4 +1,4 @@
-"""The collector: whatever comes, in whatever pieces, only whole answers are taken."""
+"""ResponseCollector: only complete responses are accepted, however fragmented."""
 
 from itertools import pairwise
 

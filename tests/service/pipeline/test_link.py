@@ -39,6 +39,8 @@ class Told(Hub):
 class Cable:
     """A linked driver that does what the test says."""
 
+    lossless = False
+
     def __init__(self, plugged: bool = True) -> None:
         self.plugged = plugged
         self.error: LumilineError | None = None

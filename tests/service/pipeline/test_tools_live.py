@@ -324,7 +324,7 @@ def test_of_frames_that_waited_too_long_there_are_no_poses():
     batches = [one for first in range(260, 400, 10) for one in bench.work(first, first + 10)]
     assert motion(batches[-1]).poses[-1].valid
     assert bench.not_followed == 200 - followed
-    bench.reader.waits = True  # a recording that is replayed as fast as it can be
+    bench.reader.lossless = True  # a recording that is replayed as fast as it can be
     assert not any(over for batch in bench.work(400, 600) for over in passed_over(batch))
 
 

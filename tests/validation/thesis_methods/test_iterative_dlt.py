@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from compute.camera.dlt import model_from_matrix
 from compute.camera.stack import CameraStack
 from compute.errors import NoConvergence
-from compute.reconstruction.linear_triangulation import triangulate_linear
+from compute.reconstruction.triangulation import triangulate_linear
 from tests.compute.rig import control_points, geometry, project, rig
 from validation.thesis_methods.iterative_dlt import iterative_dlt
 

@@ -1,4 +1,4 @@
-"""Recording in a process of its own: nothing acknowledged is lost, and nothing lost is hidden."""
+"""WriterProcessClient: acknowledged frames are safe, lost frames are counted."""
 
 import os
 import resource
@@ -90,10 +90,10 @@ FEEDER = """
 import sys, time
 from pathlib import Path
 import numpy as np
-from tests.hardware.recording.writer_process.test_client import WriterProcessClient, feed_at_random, job
-feed = WriterProcessClient(job(Path(sys.argv[1])))
+from tests.hardware.recording.writer_process import test_client as client
+feed = client.WriterProcessClient(client.job(Path(sys.argv[1])))
 print(feed.pid, flush=True)
-feed_at_random(feed, 60.0, np.random.default_rng(1))
+client.feed_at_random(feed, 60.0, np.random.default_rng(1))
 """
 
 

@@ -1,4 +1,4 @@
-"""The ring between a program and the process that records: what is put is taken, or refused."""
+"""SharedBlockRing: round trip of blocks, and refusal where it is full."""
 
 import os
 from dataclasses import replace

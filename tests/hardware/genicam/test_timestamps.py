@@ -1,13 +1,15 @@
-"""Numbers and times of a camera go on: over 16 bits, lost buffers, restarts and late arrivals."""
+"""Timestamps and frame numbers: 16-bit wrap, lost buffers, resets, clock adjustments."""
 
 from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hardware.genicam.frame_counter import FrameCounter
-from hardware.genicam.timestamps import ScanTimestamps
+import hardware.genicam.timestamps
+from hardware.genicam.timestamps import BufferTimestamps, FrameCounter, ScanTimestamps
 
 
 @settings(deadline=None)
@@ -81,3 +83,44 @@ def test_times_never_go_back_whatever_comes(buffers: list[tuple[int, int]]) -> N
     device, host, _ = run([b[0] for b in buffers], [b[1] for b in buffers])
     assert all(a < b for a, b in pairwise(device))
     assert all(a <= b for a, b in pairwise(host))
+
+
+OPENED_NS = 10**12
+MAX_LEAD_NS = 10**18
+"""Of the host's clock to its monotonic one."""
+
+some_ns = st.integers(0, 10**9)
+
+
+@settings(deadline=None)
+@given(st.lists(st.tuples(some_ns, some_ns, st.integers(-(10**11), 10**11)), max_size=20))
+def test_arrivals_are_exact_until_the_clock_is_set_and_bounded_then(
+    steps: list[tuple[int, int, int]],
+) -> None:
+    """Each is found so long after the stream was empty, and taken so long after that."""
+    host = SimpleNamespace(mono_ns=OPENED_NS, ahead_ns=MAX_LEAD_NS)
+    clocks = SimpleNamespace(
+        monotonic_ns=lambda: host.mono_ns, time_ns=lambda: host.mono_ns + host.ahead_ns
+    )
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(hardware.genicam.timestamps, "time", clocks)
+        arrivals = BufferTimestamps()
+        for waited_ns, taken_after_ns, set_by_ns in steps:
+            empty_ns = host.mono_ns
+            arrivals.empty(empty_ns)
+            arrival_ns = empty_ns + waited_ns
+            wall_ns = arrival_ns + host.ahead_ns
+            host.mono_ns = arrival_ns + taken_after_ns
+            assert arrivals.of(wall_ns) == arrival_ns
+            host.ahead_ns += set_by_ns
+            assert empty_ns <= arrivals.of(wall_ns) <= host.mono_ns
+
+
+def test_before_anything_was_empty_it_is_bounded_by_the_opening(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    clocks = SimpleNamespace(monotonic_ns=lambda: OPENED_NS, time_ns=lambda: MAX_LEAD_NS)
+    monkeypatch.setattr(hardware.genicam.timestamps, "time", clocks)
+    arrivals = BufferTimestamps()
+    clocks.monotonic_ns = lambda: OPENED_NS + 500
+    assert arrivals.of(MAX_LEAD_NS - 10_000) == OPENED_NS

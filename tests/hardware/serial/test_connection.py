@@ -1,8 +1,8 @@
-"""A busy device: told again for some seconds, then its connection counts as lost."""
+"""BusyRetry: commands are repeated for some seconds, then the connection counts as lost."""
 
 import pytest
 
-from hardware.serial.busy_retry import BUSY_LIMIT_NS, RETRY_INTERVAL_NS, BusyRetry
+from hardware.serial.connection import BUSY_LIMIT_NS, RETRY_INTERVAL_NS, BusyRetry
 from hardware.serial.messages import Answer, FromHost, MessageType, Result, Start, Strobe
 from hardware.serial.port import PortDisconnected
 

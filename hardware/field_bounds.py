@@ -1,4 +1,4 @@
-"""Bounds of settings, written once at the field and checked in Python as at the edge."""
+"""Checks settings against the bounds in their pydantic field annotations."""
 
 from collections.abc import Callable, Iterator
 from types import NoneType
@@ -32,7 +32,7 @@ def check_field_bounds(settings: Any) -> None:
 
 
 def _violations(value: Any, hint: Any) -> Iterator[tuple[str, str]]:
-    """Yield what is out of bounds, and what would be right."""
+    """Yield each offending value with a description of what is allowed."""
     if get_origin(hint) is Annotated:
         base, *metadata = get_args(hint)
         bounds = [bound for entry in metadata for bound in getattr(entry, "metadata", ())]

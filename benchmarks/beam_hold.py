@@ -90,9 +90,9 @@ class Figures:
 
 
 def step_us() -> dict[str, float]:
-    """Return the CPU time of a monitor's step [us]: for a tool and for four markers, stationary."""
+    """Return the CPU time of a monitor's step [us]: of a tool, and of four markers, at rest."""
+    from compute.pose.beam_hold.beam_hold_limits import BeamHoldLimits
     from compute.pose.beam_hold.beam_hold_monitor import (
-        BeamHoldLimits,
         MarkerDeviationMonitor,
         PoseDeviationMonitor,
     )

@@ -1,4 +1,4 @@
-"""Settings of pose fits and of tool trackers; the defaults are for live use."""
+"""Settings of pose fits and tool trackers; the defaults are for live use."""
 
 from dataclasses import dataclass, fields
 from math import inf, isfinite
@@ -23,18 +23,18 @@ def _check_positive(settings: object, *, but: tuple[str, ...] = ()) -> None:
 
 @dataclass(frozen=True)
 class PoseFitSettings:
-    """When a fit of readings is a pose.
+    """Acceptance limits of a pose fit.
 
     Args:
-        min_redundancy: readings beyond the six that a pose takes. With none the fit is exact
-            and says nothing of whether the readings are right.
-        false_rejection_probability: chance that right readings are taken for wrong ones.
-        max_excluded: wrong readings that are left out at most.
+        min_redundancy: number of readings beyond six. Without redundancy the fit is exact and
+            cannot be checked.
+        false_rejection_probability: probability that correct readings are rejected.
+        max_excluded: largest number of wrong readings that are excluded.
         ambiguity_chi2_margin: two solutions fit equally well when their chi2 differ by less: at 16
             the worse one is 3,000 times less likely.
         max_sigma_fraction: largest standard deviation of any motion, in mm at the tool's own
-            radius, as a share of that radius. Above it the linear covariance means nothing: at 0.1
-            the second-order term of a turn is a twentieth of the turn.
+            radius, as a fraction of that radius. Above it the linear covariance is meaningless: at
+            0.1 the second-order term of a rotation is a twentieth of the rotation.
     """
 
     min_redundancy: int = 1
@@ -51,24 +51,24 @@ class PoseFitSettings:
 
     @property
     def min_readings(self) -> int:
-        """Fewest readings that make a pose."""
+        """Smallest number of readings of a pose."""
         return POSE_PARAMETERS + self.min_redundancy
 
 
 @dataclass(frozen=True)
 class MotionSettings:
-    """How tools are expected to move: velocity and angular velocity change by white noise.
+    """Expected motion of tools: velocity and angular velocity change by white noise.
 
     Args:
         acceleration_mm_s2: RMS acceleration of a tool.
         angular_acceleration_rad_s2: RMS angular acceleration.
-        manoeuvre_time_constant_s: time for which an acceleration lasts. The noise of the velocity
-            has the density 2 a^2 T of R. A. Singer's model (doi:10.1109/TAES.1970.4103889) for
-            slower changes.
-        velocity_sigma_mm_s: standard deviation of a velocity of which nothing is known.
-        angular_velocity_sigma_rad_s: of an angular velocity of which nothing is known.
-        manoeuvre_factor: factor on the accelerations with which a frame that does not fit is tried
-            again.
+        manoeuvre_time_constant_s: duration of an acceleration. The noise of the velocity has the
+            density 2 a^2 T of R. A. Singer's model (doi:10.1109/TAES.1970.4103889) for slower
+            changes.
+        velocity_sigma_mm_s: standard deviation of an unknown velocity.
+        angular_velocity_sigma_rad_s: standard deviation of an unknown angular velocity.
+        manoeuvre_factor: factor on the accelerations in the second attempt at a frame that does
+            not fit.
     """
 
     acceleration_mm_s2: float = 3000.0
@@ -84,13 +84,13 @@ class MotionSettings:
 
 @dataclass(frozen=True)
 class MotionMode:
-    """One of the ways in which a tool is moved at a time.
+    """A motion model of a tool.
 
     Args:
-        acceleration_fraction: of the RMS accelerations of MotionSettings.
-        manoeuvre_time_constant_s: how long an acceleration lasts, if so long that it is followed as
-            well: it then changes by white noise of the density ``2 a^2 / T``. None: it is too short
-            for that, the velocities change by white noise as in MotionSettings.
+        acceleration_fraction: fraction of the RMS accelerations of MotionSettings.
+        manoeuvre_time_constant_s: duration of an acceleration that is estimated too: it changes by
+            white noise of the density ``2 a^2 / T``. None: accelerations are too short for that,
+            the velocities change by white noise as in MotionSettings.
     """
 
     acceleration_fraction: float
@@ -102,11 +102,11 @@ class MotionMode:
 
 @dataclass(frozen=True)
 class ImmSettings:
-    """The modes that a tool whose markers are strobed is followed in at once.
+    """Motion models of a strobed tool, which run in parallel.
 
     Args:
-        modes: at rest, moved gently, steadily, quickly, and at the most that is expected.
-        mean_sojourn_s: time that it keeps to one of them, in the mean.
+        modes: at rest, slow, steady, fast, and the largest expected accelerations.
+        mean_sojourn_s: mean time in one of them.
     """
 
     modes: tuple[MotionMode, ...] = (
@@ -130,18 +130,16 @@ class ImmSettings:
 
 @dataclass(frozen=True)
 class LabellingSettings:
-    """How tools are told by their geometry.
+    """Tolerances of the identification of tools by their geometry.
 
     Args:
-        min_markers: fewest markers that a tool is known by; three make a triangle.
-        gate_probability: chance that markers of the tool are not taken for it, per distance.
-        marker_sigma_mm: standard deviation of a point on top of its covariance: how well the
-            markers' places in the tool are known.
-        ambiguity_chi2_margin: two ways to explain points are equally good when their chi2 differ by
-            less.
-        max_search_steps: steps of the search for ways to lay a tool over points, after which it
-            gives up
-            and the tool is not found: of a tool of 20 like distances there is no end.
+        min_markers: smallest number of markers that identify a tool; three make a triangle.
+        gate_probability: probability that a correct distance is outside the gate.
+        marker_sigma_mm: standard deviation of a marker's position in the tool, in addition to the
+            covariance of the point.
+        ambiguity_chi2_margin: two assignments fit equally well when their chi2 differ by less.
+        max_search_steps: largest number of search steps, after which the tool is not found: for a
+            tool of 20 equal distances the search would not end.
     """
 
     min_markers: int = 3
@@ -161,21 +159,21 @@ class LabellingSettings:
 
 @dataclass(frozen=True)
 class ToolTrackerSettings:
-    """How tools are tracked, and when a pose is good enough to use.
+    """Settings of a tool tracker, and the limits of a usable pose.
 
     Args:
-        fit: of poses from readings alone.
-        motion: between frames.
-        imm: of the motion of tools whose markers are strobed.
-        labelling: of tools whose markers are lit together.
-        gate_probability: chance that a right reading is not taken for its marker.
-        resolution_px: lines nearer to one another may be one peak; about twice their width.
-        coast_s: longest time that a pose rests on prediction alone; then it is MISSING.
-        acquisition_window_s: exposures of a strobed tool that it is found from are no older.
-        max_tip_sd_mm: 3D standard deviation of the tip above which a pose is HIGH_ERROR, of
-            tools that have no limit of their own.
-        volume_mm: lowest and highest corner of the volume that the calibration vouches for, in
-            world coordinates [mm]; None: not known.
+        fit: limits of poses from readings alone.
+        motion: motion between frames.
+        imm: motion models of tools whose markers are strobed.
+        labelling: identification of tools whose markers are lit together.
+        gate_probability: probability that a correct reading is outside the gate.
+        resolution_px: stripes closer than this may be one peak; about twice their width.
+        coast_s: longest time that a pose is predicted without readings; then it is MISSING.
+        acquisition_window_s: largest age of the exposures that a strobed tool is found from.
+        max_tip_sd_mm: 3D standard deviation of the tip above which a pose is HIGH_ERROR, for
+            tools without a limit of their own.
+        volume_mm: lowest and highest corner of the calibrated volume, in world coordinates [mm];
+            None: unknown.
     """
 
     fit: PoseFitSettings = PoseFitSettings()

@@ -1,4 +1,4 @@
-"""ToolPose: where a tool is at an instant, how sure that is, or why it is not known."""
+"""ToolPose: pose of a tool at a time with its uncertainty, or the reason why there is none."""
 
 from dataclasses import dataclass
 from enum import StrEnum
@@ -10,7 +10,7 @@ Array = NDArray[np.float64]
 
 
 class PoseStatus(StrEnum):
-    """What a pose is worth, in the words that users of OpenIGTLink and PLUS know."""
+    """Status of a pose, in the terms of OpenIGTLink and PLUS."""
 
     OK = "OK"
     """The pose is what the covariance says."""
@@ -31,28 +31,28 @@ class PoseStatus(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class ToolPose:
-    """The pose of one tool at one instant.
+    """The pose of one tool at one time.
 
     ``x_world = rotation @ x_tool + translation_mm``.
 
     Args:
         tool: the tool's name.
-        status: what it is worth; only OK, HIGH_ERROR and OUT_OF_VOLUME have a pose.
-        reason: why the status is not OK, for a person; None if it is.
+        status: only OK, HIGH_ERROR and OUT_OF_VOLUME have a pose.
+        reason: why the status is not OK, in words; None if it is.
         exposure_ns: middle of the exposure on the host's clock [ns], as time.time_ns() counts.
         sequence: number of the frame.
         rotation: R_world_tool, shape (3, 3); None without a pose.
         translation_mm: the tool's origin in the world, shape (3,) [mm]; None without a pose.
-        covariance: of a small turn [rad] about the world's axes, on the left, and of the
-            translation [mm], in this order, shape (6, 6); None without a pose.
-        tip_mm: the tip in the world, shape (3,) [mm]; None without a pose.
+        covariance: covariance of a small rotation [rad] about the world's axes, on the left, and
+            of the translation [mm], in this order, shape (6, 6); None without a pose.
+        tip_mm: tip in the world, shape (3,) [mm]; None without a pose.
         tip_covariance_mm2: its covariance, shape (3, 3) [mm^2]; None without a pose.
         residual_sigma: root of chi2 per degree of freedom of the readings; None without any.
-        markers_used: how many of its markers the pose comes from.
-        readings_used: how many readings of sensors.
-        velocity_mm_s: of the tool's origin, shape (3,) [mm/s]; None: not estimated.
+        markers_used: number of markers that the pose comes from.
+        readings_used: number of readings that it comes from.
+        velocity_mm_s: velocity of the tool's origin, shape (3,) [mm/s]; None: not estimated.
         angular_velocity_rad_s: about the world's axes, shape (3,) [rad/s]; None: not estimated.
-        unseen_ns: for how long nothing was seen of it: since then the pose is predicted [ns].
+        unseen_ns: time since the last reading, over which the pose is predicted [ns].
     """
 
     tool: str

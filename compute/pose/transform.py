@@ -1,4 +1,4 @@
-"""Transform: a rigid motion from one frame to another, with its covariance."""
+"""Transform: a rigid transform between two frames, with its covariance."""
 
 from dataclasses import dataclass
 from typing import Self
@@ -13,18 +13,18 @@ from compute.pose.tool_pose import ToolPose
 Array = NDArray[np.float64]
 
 _ORTHONORMALITY_TOLERANCE = 1e-6
-"""How far a rotation matrix may be from one: float32 and printed digits come through."""
+"""Largest deviation of R R' from the identity: float32 and printed digits are accepted."""
 
 
 @dataclass(frozen=True, eq=False)
 class Transform:
-    """Takes coordinates of one frame to another: ``x_to = rotation @ x_from + translation_mm``.
+    """Rigid transform of coordinates: ``x_to = rotation @ x_from + translation_mm``.
 
     Args:
         rotation: R_to_from, shape (3, 3).
         translation_mm: the origin of "from" in "to", shape (3,) [mm].
-        covariance: of a small turn [rad] about the axes of "to", on the left, and of the
-            translation [mm], in this order as in ToolPose, shape (6, 6); None: exact.
+        covariance: covariance of a small rotation [rad] about the axes of "to", on the left, and
+            of the translation [mm], in this order as in ToolPose, shape (6, 6); None: exact.
 
     Raises:
         InvalidParameter: a shape is wrong, or the matrix is no rotation.
@@ -55,14 +55,24 @@ class Transform:
 
     @classmethod
     def identity(cls) -> Self:
-        """Return what changes nothing."""
+        """Return the identity transform."""
         return cls(np.eye(3), np.zeros(3))
 
     @classmethod
     def from_rotation_vector(
         cls, vector_rad: Array, translation_mm: Array, covariance: Array | None = None
     ) -> Self:
-        """Return the transform of a rotation vector (3,) [rad] and a translation (3,) [mm]."""
+        """Return the transform of a rotation vector and a translation.
+
+        Args:
+            vector_rad: rotation vector, shape (3,) [rad].
+            translation_mm: shape (3,) [mm].
+            covariance: covariance of rotation and translation, shape (6, 6); None: exact.
+
+        Raises:
+            InvalidParameter: a shape is wrong.
+            NonFiniteValue: a value is NaN or infinite.
+        """
         return cls(rotation_matrix(np.asarray(vector_rad)), translation_mm, covariance)
 
     @classmethod
@@ -108,7 +118,7 @@ class Transform:
         return found
 
     def inverse(self) -> Self:
-        """Return the transform from "to" to "from", the covariance propagated."""
+        """Return the transform from "to" to "from", with propagated covariance."""
         back = self.rotation.T
         covariance = None
         if self.covariance is not None:
@@ -120,13 +130,13 @@ class Transform:
         return type(self)(back, -back @ self.translation_mm, covariance)
 
     def __matmul__(self, other: "Transform") -> "Transform":
-        """Return T_a_c of T_a_b @ T_b_c; their errors are taken to be independent."""
+        """Return T_a_c = T_a_b @ T_b_c; their errors are treated as independent."""
         shift = self.rotation @ other.translation_mm
         covariance = None
         if self.covariance is not None or other.covariance is not None:
             covariance = np.zeros((6, 6))
         if covariance is not None and self.covariance is not None:
-            # exp([w]x) R1 (t2) sweeps the second translation.
+            # The rotation error moves the second translation: exp([w]x) R1 t2.
             jacobian = np.eye(6)
             jacobian[3:, :3] = -cross_matrix(shift)
             covariance += jacobian @ self.covariance @ jacobian.T
@@ -141,7 +151,7 @@ class Transform:
         )
 
     def difference(self, other: "Transform") -> Array:
-        """Return what leads from ``other`` to this: turn [rad] on the left, then shift, (6,)."""
+        """Return rotation vector (left) [rad] and shift [mm] from ``other`` to this, shape (6,)."""
         turn = rotation_vector(self.rotation @ other.rotation.T)
         return np.concatenate([turn, self.translation_mm - other.translation_mm])
 
@@ -157,7 +167,7 @@ def cross_matrix(vector: Array) -> Array:
 
 
 def point_jacobian(turned_mm: Array) -> Array:
-    """Return d x_to / d (turn, translation) at R x_from (..., 3), shape (..., 3, 6)."""
+    """Return d x_to / d (rotation, translation) at R x_from (..., 3), shape (..., 3, 6)."""
     turned = np.asarray(turned_mm, dtype=np.float64)
     jacobian = np.empty((*turned.shape, 6))
     jacobian[..., :3] = -cross_matrix(turned)
@@ -168,7 +178,7 @@ def point_jacobian(turned_mm: Array) -> Array:
 def nearest_rotation(matrix: Array) -> Array:
     """Return the rotations nearest to matrices (..., 3, 3) (Kabsch, doi:10.1107/S0567739478001680).
 
-    The determinant is held at +1: of mirrored points the best rotation, not the reflection.
+    The determinant is held at +1: the best proper rotation, never a reflection.
     """
     left, _, right = np.linalg.svd(np.asarray(matrix, dtype=np.float64))
     left[..., 2] *= np.linalg.det(left @ right)[..., None]

@@ -10,72 +10,41 @@ from compute.pose.transform import Transform
 
 
 @dataclass(frozen=True, eq=False)
-class FrameLink:
-    """A transform between two frames, as it was given.
-
-    Args:
-        to: the frame that coordinates are taken to.
-        from_: the frame that they are of.
-        transform: T_to_from.
-        time_ns: when it was measured [ns]; None: it does not change with time.
-    """
-
-    to: str
-    from_: str
-    transform: Transform
-    time_ns: int | None = None
-
-
-@dataclass(frozen=True, eq=False)
 class ResolvedTransform:
-    """A transform along a path of links.
+    """A transform along a path of frames.
 
     Args:
         transform: T_to_from, its covariance propagated along the path.
         path: names of the frames from ``from_`` to ``to``, both included.
-        oldest_ns: time of the oldest measured link; None: none of them changes with time.
-        newest_ns: that of the newest.
     """
 
     transform: Transform
     path: tuple[str, ...]
-    oldest_ns: int | None
-    newest_ns: int | None
 
 
 class TransformGraph:
-    """Frames connected by transforms, each pair in one way only.
+    """Frames connected by transforms, without loops.
 
-    Errors of the links are taken to be independent. Two poses of one tracker share the errors of
-    its calibration, which largely cancel between tools that are near one another: the covariance
-    of one relative to the other is rather too large.
+    Errors of the transforms are treated as independent. Two poses of one tracker share the errors
+    of its calibration, which largely cancel between tools that are close together: the covariance
+    of one relative to the other is then too large.
     """
 
-    def __init__(self, links: Iterable[FrameLink] = ()) -> None:
-        """Make a graph of links; see ``connect`` for what is refused."""
-        self._links: dict[tuple[str, str], FrameLink] = {}
+    def __init__(self) -> None:
+        """Make an empty graph."""
+        self._transforms: dict[tuple[str, str], Transform] = {}
         self._near: dict[str, list[str]] = {}
-        for one in links:
-            self.connect(one.to, one.from_, one.transform, one.time_ns)
 
-    @property
-    def frames(self) -> tuple[str, ...]:
-        """Names of the frames, in the order in which they came."""
-        return tuple(self._near)
-
-    @property
-    def links(self) -> tuple[FrameLink, ...]:
-        """Links as they were given."""
-        return tuple(self._links.values())
-
-    def connect(
-        self, to: str, from_: str, transform: Transform, time_ns: int | None = None
-    ) -> None:
+    def connect(self, to: str, from_: str, transform: Transform) -> None:
         """Connect two frames by T_to_from.
 
+        Args:
+            to: name of the frame that coordinates are transformed to.
+            from_: name of the frame that they are transformed from.
+            transform: T_to_from.
+
         Raises:
-            FrameConflict: they are connected already; a second way would have to agree with the
-                first, and would not.
+            FrameConflict: they are connected already; a second path could contradict the first.
             InvalidParameter: a name is empty, or both are the same.
         """
         if not to or not from_:
@@ -86,45 +55,23 @@ class TransformGraph:
             path = self._path(from_, to)
             if path is not None:
                 raise FrameConflict(
-                    f'"{from_}" and "{to}" are connected already, by {_arrows(path)}; renew one '
-                    "of these transforms, or take it out first",
+                    f'"{from_}" and "{to}" are connected already, by {_arrows(path)}; leave out '
+                    "one of these transforms",
                     path=list(path),
                 )
-        self._links[to, from_] = FrameLink(to, from_, transform, time_ns)
+        self._transforms[to, from_] = transform
         self._near.setdefault(to, []).append(from_)
         self._near.setdefault(from_, []).append(to)
 
-    def update(self, to: str, from_: str, transform: Transform, time_ns: int | None = None) -> None:
-        """Put a newer T_to_from in the place of the one between these two frames.
-
-        The link may have been given the other way round.
-
-        Raises:
-            UnknownFrame: no transform connects them directly.
-        """
-        key = self._key(to, from_)
-        if key == (to, from_):
-            self._links[key] = FrameLink(to, from_, transform, time_ns)
-        else:
-            self._links[key] = FrameLink(from_, to, transform.inverse(), time_ns)
-
-    def disconnect(self, to: str, from_: str) -> None:
-        """Take the transform between two frames out, and a frame that nothing connects any more.
-
-        Raises:
-            UnknownFrame: no transform connects them directly.
-        """
-        del self._links[self._key(to, from_)]
-        for here, there in ((to, from_), (from_, to)):
-            self._near[here].remove(there)
-            if not self._near[here]:
-                del self._near[here]
-
     def transform(self, to: str, from_: str) -> ResolvedTransform:
-        """Return T_to_from along the way that connects the frames.
+        """Return T_to_from along the path that connects the frames.
+
+        Args:
+            to: name of the frame that coordinates are transformed to.
+            from_: name of the frame that they are transformed from.
 
         Raises:
-            UnknownFrame: there is no such frame, or no way between them.
+            UnknownFrame: there is no such frame, or no path between them.
         """
         self._check(to)
         self._check(from_)
@@ -137,27 +84,10 @@ class TransformGraph:
                 from_=from_,
             )
         found = Transform.identity()
-        times = []
         for here, there in pairwise(path):
-            link = self._links[self._key(there, here)]
-            step = link.transform if link.to == there else link.transform.inverse()
-            found = step @ found
-            if link.time_ns is not None:
-                times.append(link.time_ns)
-        return ResolvedTransform(found, path, min(times, default=None), max(times, default=None))
-
-    def _key(self, to: str, from_: str) -> tuple[str, str]:
-        self._check(to)
-        self._check(from_)
-        for key in ((to, from_), (from_, to)):
-            if key in self._links:
-                return key
-        raise UnknownFrame(
-            f'no transform connects "{from_}" and "{to}" directly; "{to}" has transforms to '
-            f"{_listed(self._near[to])}",
-            to=to,
-            from_=from_,
-        )
+            step = self._transforms.get((there, here))
+            found = (self._transforms[here, there].inverse() if step is None else step) @ found
+        return ResolvedTransform(found, path)
 
     def _check(self, name: str) -> None:
         if name not in self._near:
@@ -166,7 +96,7 @@ class TransformGraph:
             )
 
     def _path(self, start: str, end: str) -> tuple[str, ...] | None:
-        """Return the one way from frame to frame, both included."""
+        """Return the path between two frames, both included; None: there is none."""
         came: dict[str, str | None] = {start: None}
         waiting = deque([start])
         while waiting:

@@ -13,7 +13,7 @@ from compute.pose.beam_hold.beam_hold_monitor import (
     PoseDeviationMonitor,
 )
 from compute.pose.beam_hold.beam_hold_state import BeamHoldCause
-from compute.pose.tool_tracking.stale_data import StaleDataDetector
+from compute.pose.tool_tracking.exposure_history import StaleDataDetector
 from service.pipeline.beam_hold_observer import (
     HoldObservation,
     HoldObserver,

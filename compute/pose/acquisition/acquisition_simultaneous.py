@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from compute.measurement.measurement_model import MeasurementModel
 from compute.measurement.measurements import Measurements
 from compute.pose.acquisition.marker_labelling import IdentifiedTool, identify_tools
-from compute.pose.centred_markers import CentredMarkers
 from compute.pose.estimation.pose_equations import PoseEquations
 from compute.pose.estimation.pose_fit import PoseFit, fit_pose
 from compute.pose.filtering.association import (
@@ -19,7 +18,7 @@ from compute.pose.filtering.association import (
     without_tools,
 )
 from compute.pose.filtering.pose_filter import PoseState, initial_state
-from compute.pose.rigid_body import RigidBody
+from compute.pose.rigid_body import CentredMarkers, RigidBody
 from compute.pose.settings import ToolTrackerSettings
 from compute.pose.tool_pose import PoseStatus
 from compute.pose.transform import Transform
@@ -29,21 +28,21 @@ from compute.reconstruction.triangulation import chi2_limit
 Array = NDArray[np.float64]
 
 COVARIANCE_INFLATION = 4.0
-"""Factor on the covariance of a pose from points, with which the readings are looked for."""
+"""Factor on the covariance of a pose from points, for the gates of its readings."""
 
 
 @dataclass(frozen=True, eq=False)
 class SimultaneousAcquisition:
-    """A tool found in a frame, or why it was not.
+    """A tool found in a frame, or the reason why it was not.
 
     Args:
-        state: of its filter; None: not found.
-        status: of a tool that was not found.
+        state: state of its filter; None: not found.
+        status: status of a tool that was not found.
         reason: why it was not found.
-        point_count: how many points there were that are not of tracked tools.
-        nis: misfit of its readings.
-        sensors: which readings it was found from, shape (M, S).
-        excluded: how many readings of each marker did not fit the others, shape (M,).
+        point_count: number of points that belong to no tracked tool.
+        nis: chi2 of its readings.
+        sensors: readings that the pose was fitted to, shape (M, S).
+        excluded: number of readings of each marker that did not fit the others, shape (M,).
     """
 
     state: PoseState | None
@@ -67,19 +66,22 @@ def acquire_simultaneous(
 ) -> list[SimultaneousAcquisition]:
     """Find lost tools in one frame.
 
-    Points of tools that are tracked are left out. A tool that is told by its geometry without doubt
-    has its readings looked for where it must be, also those of markers that have no point, and its
-    pose is fitted to them.
+    Points of tracked tools are excluded. For a tool that its geometry identifies unambiguously,
+    readings are associated around the pose of its points (also those of markers without a point),
+    and its pose is fitted to them.
 
     Args:
         model: the cameras.
-        tools: those that are lost.
-        common_errors: number of common errors that each state is to carry.
-        time_ns: of the frame [ns].
-        measurements: the frame's peaks that are not taken.
-        tracked: the tools that are tracked, after this frame.
-        points: the frame's points.
+        tools: the lost tools.
+        common_errors: number of common errors that each state carries.
+        time_ns: time of the frame [ns].
+        measurements: peaks of the frame that no tracked tool has taken.
+        tracked: the tracked tools, after this frame.
+        points: reconstructed points of the frame; None: none.
         settings: tolerances.
+
+    Returns:
+        One result for each of ``tools``, in their order.
     """
     place, covariance = _unclaimed_points(points, tracked, settings.gate_probability)
     found = {one.tool: one for one in identify_tools(tools, place, covariance, settings.labelling)}
@@ -141,7 +143,7 @@ def acquire_simultaneous(
 def _unclaimed_points(
     points: PointBatch | None, tracked: Sequence[ToolObservation], probability: float
 ) -> tuple[Array, Array]:
-    """Return places (N, 3) and covariances of the points that are no tracked tool's marker."""
+    """Return positions (N, 3) and covariances of the points that are no tracked tool's marker."""
     if points is None:
         return np.empty((0, 3)), np.empty((0, 3, 3))
     known = np.isfinite(points.position_mm).all(axis=1)
@@ -164,7 +166,7 @@ def _failure_reason(
     points: int,
     settings: ToolTrackerSettings,
 ) -> SimultaneousAcquisition:
-    """Say why a tool was not identified."""
+    """Return the status and reason of a tool that was not identified."""
     status, least = PoseStatus.MISSING, settings.labelling.min_markers
     if found is not None:
         status, reason = PoseStatus.INVALID, str(found.ambiguity)
@@ -225,8 +227,8 @@ def _fitted_state(
 ) -> PoseState:
     """Return the state of a fitted pose, with its correlation with the common errors.
 
-    The pose is off by ``K (G e + noise)``, K the weights of the readings; so what is true less what
-    is stated has the covariance ``-K G`` with the common errors e.
+    With the weights K of the readings the pose error is ``K (G e + noise)``; so true minus
+    estimated pose has the covariance ``-K G`` with the common errors e.
     """
     assert fit.rotation is not None
     assert fit.translation_mm is not None

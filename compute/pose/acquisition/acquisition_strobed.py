@@ -1,8 +1,8 @@
-"""Acquisition of a strobed tool from exposures of its markers one after the other.
+"""Acquisition of a strobed tool from exposures of its markers in turn.
 
-While the markers are lit in turn the tool moves: its last readings fit no single pose. They tell
-one roughly, with a deviation that grows with their age; from there a filter runs over the
-exposures, from a start that says next to nothing, until it comes to rest.
+The tool moves while its markers are lit in turn, so its latest readings fit no single pose. They
+give a rough one, with standard deviations that grow with their age. A filter with a broad prior
+then runs over the exposures repeatedly, until the state converges.
 """
 
 from collections.abc import Sequence
@@ -12,8 +12,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.camera.rotation import exp_so3
 from compute.measurement.measurement_model import MeasurementModel
-from compute.pose.centred_markers import CentredMarkers
 from compute.pose.estimation.observability import missing_readings
 from compute.pose.estimation.pose_equations import PoseCandidates, PoseEquations
 from compute.pose.estimation.pose_fit import solutions
@@ -28,8 +28,8 @@ from compute.pose.filtering.pose_filter import (
     predict_measurement,
     update,
 )
+from compute.pose.rigid_body import CentredMarkers
 from compute.pose.settings import ToolTrackerSettings
-from compute.pose.so3 import exp_so3
 from compute.reconstruction.triangulation import chi2_limit
 
 Array = NDArray[np.float64]
@@ -38,14 +38,14 @@ PASSES: Final = 4
 MAX_CANDIDATES: Final = 4
 INITIAL_ROTATION_SIGMA_RAD: Final = 0.2
 INITIAL_POSITION_SIGMA_FRACTION: Final = 0.5
-"""Deviation of a start's place as a share of the markers' radius, besides what the motion adds."""
+"""Standard deviation of an initial position over the markers' radius, without motion."""
 MIN_CONSISTENT_FRACTION: Final = 0.8
-"""Of the readings, that must fit: with more left out the rest may fit by chance."""
+"""Least fraction of the readings that must fit: with fewer, the rest may fit by chance."""
 MIN_SENSORS: Final = 3
-"""That find a moving tool whatever the sensors' places; two do only of some."""
+"""Number of sensors that find a moving tool in any layout; two find it in some layouts only."""
 SAME_POSE_FRACTION: Final = 0.02
-"""States whose markers lie nearer than this share of the radius are one: passes end near, not at,
-the same place."""
+"""States whose markers are closer than this fraction of the radius are the same solution: filter
+passes converge to it only approximately."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,15 +72,15 @@ class MarkerExposure:
 
 @dataclass(frozen=True, eq=False)
 class StrobedAcquisition:
-    """A tool found, or why it was not.
+    """A tool found, or the reason why it was not.
 
     Args:
-        state: at the last exposure; None: not found.
-        reason: why not; None if it was.
-        inconsistent: whether there were readings enough and they did not fit.
+        state: state at the last exposure; None: not found.
+        reason: why it was not found; None if it was.
+        inconsistent: whether there were enough readings and they did not fit.
         nis: normalised innovation squared of all readings.
-        readings: their number.
-        searched: whether it was looked for all over, which takes long.
+        readings: number of readings.
+        searched: whether all rotations were searched, which is slow.
     """
 
     state: PoseState | None
@@ -98,14 +98,17 @@ def acquire_strobed(
     common_errors: int,
     settings: ToolTrackerSettings,
 ) -> StrobedAcquisition:
-    """Find a tool from the last exposures of its markers, oldest first.
+    """Find a tool from the latest exposures of its markers, oldest first.
 
     Args:
         model: the cameras.
         centred: the tool's markers.
-        exposures: of its markers only.
-        common_errors: number of common errors that the state is to carry.
-        settings: of fits and motion.
+        exposures: exposures of these markers only.
+        common_errors: number of common errors that the state carries.
+        settings: settings of fits and motion.
+
+    Returns:
+        The state at the last exposure, or the reason why there is none.
     """
     count = sum(int(np.isfinite(one.readings_px).sum()) for one in exposures)
     if count < STATES + settings.fit.min_redundancy:
@@ -142,7 +145,7 @@ def _best_candidate(
     common_errors: int,
     settings: ToolTrackerSettings,
 ) -> StrobedAcquisition:
-    """Return what the likeliest of the rough poses come to, if it is one."""
+    """Return the best state that the filter reaches from the rough poses, if it is unambiguous."""
     accepted: list[StrobedAcquisition] = []
     for candidate in range(min(MAX_CANDIDATES, len(found.chi2))):
         one = _iterate_filter(
@@ -184,10 +187,10 @@ def _best_candidate(
 
 
 def _too_few_sensors(exposures: Sequence[MarkerExposure]) -> str | None:
-    """Return that no more than two sensors saw the tool, if so.
+    """Return a reason where no more than two sensors saw the tool.
 
-    A moving tool of which two sensors see each marker is often not found, right as its readings
-    are: what it did between the exposures is too much beside what they tell.
+    A moving tool that only two sensors see is often not found although its readings are right: its
+    motion between the exposures is large compared with what they determine.
     """
     readings = np.array([one.readings_px for one in exposures])
     seen: NDArray[np.bool_] = np.isfinite(readings).any(axis=0)
@@ -204,7 +207,7 @@ def _too_few_sensors(exposures: Sequence[MarkerExposure]) -> str | None:
 def _latest_per_marker(
     exposures: Sequence[MarkerExposure], markers: int, sensors: int
 ) -> tuple[Array, Array, Array]:
-    """Return the last readings and deviations of each marker (M, S), and their age (M, 1) [s]."""
+    """Return the latest readings and sigmas of each marker (M, S), and their age (M, 1) [s]."""
     readings, sigma = np.full((markers, sensors), np.nan), np.full((markers, sensors), np.nan)
     age = np.zeros((markers, 1))
     for one in exposures:
@@ -220,7 +223,7 @@ def _motion_inflated_sigma(
     age_s: Array,
     velocity_sigma_mm_s: float,
 ) -> Array | None:
-    """Return deviations that hold what the tool may have moved since each reading, (M, S)."""
+    """Return standard deviations that include the possible motion since each reading, (M, S)."""
     place = rough_position(model, readings_px, sigma_px)
     if place is None:
         return None
@@ -239,7 +242,7 @@ def _iterate_filter(
     common_errors: int,
     settings: ToolTrackerSettings,
 ) -> StrobedAcquisition | None:
-    """Filter the exposures from a start, again and again; None where they do not fit."""
+    """Filter the exposures repeatedly from an initial pose; None where they do not fit."""
     motion = settings.motion
     span_s = 1e-9 * (exposures[-1].time_ns - exposures[0].time_ns)
     place_sd = (
@@ -252,7 +255,7 @@ def _iterate_filter(
     probability = settings.fit.false_rejection_probability
     for iteration in range(PASSES):
         last = iteration == PASSES - 1
-        # No more than all that is offered can fit: what is beyond that is not waited for.
+        # A pass beyond these limits cannot be accepted any more: it ends early.
         max_nis = chi2_limit(offered - 6, probability) if last else np.inf
         max_excluded = (1.0 - MIN_CONSISTENT_FRACTION) * offered if last else np.inf
         filtered = _filter_pass(
@@ -273,7 +276,7 @@ def _iterate_filter(
             enough = filtered.readings >= STATES + settings.fit.min_redundancy
             enough &= filtered.readings >= MIN_CONSISTENT_FRACTION * offered
             return filtered if enough and filtered.nis <= limit else None
-        # Where the next pass is linearised; what is known in advance stays next to nothing.
+        # The next pass starts from this state; the broad prior stays.
         state = replace(
             state,
             rotation=exp_so3(-1e-9 * (end - begin) * found.angular_velocity_rad_s) @ found.rotation,
@@ -295,7 +298,7 @@ def _filter_pass(
     max_nis: float,
     max_excluded: float,
 ) -> StrobedAcquisition | None:
-    """Filter the exposures once; None where one does not fit at all, or all fit too badly."""
+    """Filter the exposures once; None where an exposure, or all together, do not fit."""
     nis, count, excluded = 0.0, 0, 0
     taken: FilterUpdate | None
     for one in exposures:

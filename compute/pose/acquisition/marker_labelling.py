@@ -1,4 +1,4 @@
-"""Marker labelling: which points are the markers of which tools, by their distances."""
+"""Marker labelling: assignment of reconstructed points to tool markers by their distances."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -8,9 +8,8 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from compute.camera.rotation import rotation_matrix
-from compute.pose.centred_markers import CentredMarkers
 from compute.pose.estimation.pose_initialisation import initial_pose_from_points
-from compute.pose.rigid_body import RigidBody
+from compute.pose.rigid_body import CentredMarkers, RigidBody
 from compute.pose.settings import LabellingSettings
 from compute.pose.transform import cross_matrix
 from compute.reconstruction.triangulation import chi2_limit
@@ -22,13 +21,14 @@ GAUSS_NEWTON_STEPS = 4
 
 @dataclass(frozen=True, eq=False)
 class MarkerLabelling:
-    """A way to lay a tool over points.
+    """An assignment of points to the markers of a tool, with the fitted pose.
 
     Args:
         points: index of each marker's point, -1: none, shape (M,).
         rotation: R_world_tool, shape (3, 3).
-        centroid_mm: of the tool's markers in the world, shape (3,) [mm].
-        covariance: of turn [rad] and centroid [mm] by that of the points, shape (6, 6).
+        centroid_mm: centroid of the tool's markers in the world, shape (3,) [mm].
+        covariance: covariance of rotation [rad] and centroid [mm], propagated from the points,
+            shape (6, 6).
         chi2: misfit of the points, with 3 n - 6 degrees of freedom.
     """
 
@@ -46,12 +46,12 @@ class MarkerLabelling:
 
 @dataclass(frozen=True, eq=False)
 class IdentifiedTool:
-    """A tool that was found among points.
+    """A tool that was identified among points.
 
     Args:
         tool: its index in the list of tools.
-        labelling: how it lies.
-        ambiguity: why it may be another tool, or lie otherwise; None: neither.
+        labelling: the assignment with the most markers and the least chi2.
+        ambiguity: another assignment that fits as well, in words; None: there is none.
     """
 
     tool: int
@@ -65,22 +65,22 @@ def identify_tools(
     covariance_mm2: Array,
     settings: LabellingSettings | None = None,
 ) -> list[IdentifiedTool]:
-    """Find tools among points by the distances between their markers, each point used once.
+    """Identify tools among points by the distances between their markers; each point is used once.
 
-    For each tool all ways are tried in which as many of its markers as possible have a point and
-    all distances agree within the points' covariances. Of these, ways in which the tool itself,
-    turned and shifted but not mirrored, fits the points, compete for the points: more markers
-    first, then the better fit. A tool is in doubt where another way, of it or of another tool, is
-    as good: it is not guessed which.
+    For each tool, all assignments are searched in which as many of its markers as possible have a
+    point and all distances agree within the points' covariances. Those to which a rigid motion of
+    the tool (no reflection) fits then compete for the points: more markers first, then the lower
+    chi2. An identification is ambiguous where another assignment, of the same or another tool,
+    fits as well; it is reported as such.
 
     Args:
-        tools: with their markers.
-        points_mm: shape (N, 3) [mm]; NaN rows are nothing.
-        covariance_mm2: shape (N, 3, 3) [mm^2].
+        tools: the tools, with their markers.
+        points_mm: reconstructed points, shape (N, 3) [mm]; rows of NaN are ignored.
+        covariance_mm2: their covariances, shape (N, 3, 3) [mm^2].
         settings: tolerances.
 
     Returns:
-        The tools found, at most one of each.
+        The identified tools, each at most once.
     """
     settings = settings or LabellingSettings()
     all_labellings = [
@@ -113,7 +113,7 @@ def _ambiguity(
     chosen: list[tuple[int, MarkerLabelling]],
     settings: LabellingSettings,
 ) -> str | None:
-    """Return which other way is as good as the chosen one."""
+    """Return, in words, another assignment that fits as well as the chosen one; None: none does."""
     better = [one for other, one in chosen if other != index and one.markers > labelling.markers]
     for other, rival in all_labellings:
         if rival is labelling or rival.markers < labelling.markers:
@@ -137,17 +137,24 @@ def _ambiguity(
 
 
 def _shared_points(first: MarkerLabelling, second: MarkerLabelling) -> int:
-    """Return how many points two ways have in common."""
+    """Return the number of points that two assignments have in common."""
     return len(np.intersect1d(first.points[first.points >= 0], second.points[second.points >= 0]))
 
 
 def find_labellings(
     tool: RigidBody, points_mm: Array, covariance_mm2: Array, settings: LabellingSettings
 ) -> list[MarkerLabelling]:
-    """Return the ways to lay a tool over points that have the most markers, best first.
+    """Return the assignments of points to a tool's markers with the most markers, best first.
 
-    Empty where none has ``min_markers`` that are not on a line, or where the search would have to
-    try more than ``max_search_steps``.
+    Args:
+        tool: the tool, with M markers.
+        points_mm: reconstructed points, shape (N, 3) [mm]; rows of NaN are ignored.
+        covariance_mm2: their covariances, shape (N, 3, 3) [mm^2].
+        settings: tolerances and the limit of search steps.
+
+    Returns:
+        The assignments, lowest chi2 first; empty where none has ``min_markers`` markers that are
+        not collinear, or where the search would take more than ``max_search_steps``.
     """
     known = np.flatnonzero(np.isfinite(points_mm).all(axis=1))
     places, spread = points_mm[known], covariance_mm2[known]
@@ -176,7 +183,7 @@ def find_labellings(
 def _compatible_distances(
     tool: RigidBody, points_mm: Array, covariance_mm2: Array, settings: LabellingSettings
 ) -> NDArray[np.bool_]:
-    """Return whether markers i, j may be points a, b by their distance, shape (M, M, N, N)."""
+    """Return whether the distance of markers i, j agrees with that of points a, b, (M, M, N, N)."""
     markers = np.asarray(tool.markers_mm, dtype=np.float64)
     wanted = np.linalg.norm(markers[:, None] - markers[None], axis=-1)
     apart = points_mm[:, None] - points_mm[None]
@@ -193,10 +200,10 @@ def _compatible_distances(
 def _assignments(
     fits: NDArray[np.bool_], least: int, max_steps: int
 ) -> Iterator[NDArray[np.intp] | None]:
-    """Yield points of markers, -1: none, such that all distances agree; more markers first tried.
+    """Yield points of markers (-1: none) whose distances all agree; more markers first.
 
-    Those with fewer markers than an earlier one are not gone into. After too many steps None comes,
-    and nothing more.
+    Assignments with fewer markers than an earlier one are skipped. After too many steps it yields
+    None and ends.
     """
     markers, points = len(fits), fits.shape[2]
     most, steps = least, 0
@@ -214,7 +221,7 @@ def _assignments(
         candidates = open_points[marker]
         for point in np.flatnonzero(candidates):
             assigned[marker] = point
-            # Later markers: those points whose distance from this one agrees.
+            # Later markers: only points whose distance from this one agrees.
             left = open_points & fits[marker, :, point, :]
             yield from extend(marker + 1, count + 1, left)
         assigned[marker] = -1
@@ -233,7 +240,7 @@ def _fit_labelling(
     covariance_mm2: Array,
     settings: LabellingSettings,
 ) -> MarkerLabelling | None:
-    """Lay the tool over its points, each weighted by its covariance; None where it does not fit."""
+    """Fit the pose of a tool to its points by weighted least squares; None: chi2 is too large."""
     centred = CentredMarkers.of(tool)
     own = np.flatnonzero(points >= 0)
     markers, target = centred.markers_mm[own], places_mm[points[own]]
@@ -260,7 +267,7 @@ def _fit_labelling(
 
 
 def _renumber(labelling: MarkerLabelling, known: NDArray[np.intp]) -> MarkerLabelling:
-    """Return the way with the points' numbers among all points."""
+    """Return the assignment with indices into all points."""
     points = np.where(labelling.points >= 0, known[labelling.points], -1)
     return MarkerLabelling(
         points, labelling.rotation, labelling.centroid_mm, labelling.covariance, labelling.chi2

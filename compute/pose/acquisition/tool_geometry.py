@@ -16,12 +16,12 @@ Array = NDArray[np.float64]
 
 MIN_MARKERS: Final = 3
 MIN_WIDTH_MM: Final = 5.0
-"""RMS distance of the markers from the line through them, at least: with 0.1 mm of noise the turn
-about it is known to a degree."""
+"""Least RMS distance of the markers from the line through them: with 0.1 mm of noise the rotation
+about the line is known to a degree."""
 MIN_DISTANCE_MM: Final = 5.0
-"""Between markers that are lit together: nearer ones make merged lines at most places."""
+"""Least distance of markers that are lit together: lines of nearer ones merge at most positions."""
 POINT_SIGMA_MM: Final = 0.25
-"""Standard deviation of a reconstructed point that is to be told from others, poor conditions."""
+"""Standard deviation of a reconstructed point under poor conditions."""
 
 
 def check_tool(
@@ -31,19 +31,19 @@ def check_tool(
     min_distance_mm: float = MIN_DISTANCE_MM,
     point_sigma_mm: float = POINT_SIGMA_MM,
 ) -> None:
-    """Refuse a tool whose markers cannot tell its pose.
+    """Refuse a tool whose markers do not determine its pose.
 
-    Strobed markers are known by their slots: they may lie near one another and be symmetric.
+    Strobed markers are identified by their slots: they may be close together or symmetric.
 
     Args:
         tool: a new tool.
-        min_width_mm: RMS distance of its markers from the line that fits them best, at least.
-        min_distance_mm: between any two markers that are lit together, at least.
-        point_sigma_mm: standard deviation of reconstructed points.
+        min_width_mm: least RMS distance of its markers from the line of best fit [mm].
+        min_distance_mm: least distance between two markers that are lit together [mm].
+        point_sigma_mm: standard deviation of reconstructed points [mm].
 
     Raises:
         NonFiniteValue: a coordinate is NaN or infinite.
-        DegenerateTool: fewer than three markers; markers on a line, too near one another, or so
+        DegenerateTool: fewer than three markers; markers on a line, too close together, or so
             symmetric that they can be exchanged.
     """
     markers = _markers(tool)
@@ -88,7 +88,15 @@ def check_tool(
 
 
 def exchangeable_markers(tool: RigidBody, point_sigma_mm: float = POINT_SIGMA_MM) -> list[str]:
-    """Return in which other orders a tool's markers look the same within the noise, in words."""
+    """Return the permutations under which a tool's markers look the same within the noise.
+
+    Args:
+        tool: the tool.
+        point_sigma_mm: standard deviation of a reconstructed point [mm].
+
+    Returns:
+        Each permutation in words, such as "1 as 2, 2 as 1".
+    """
     markers = _markers(tool)
     found = _labellings_on(tool, markers, point_sigma_mm, len(markers))
     orders = [labelling.points.tolist() for labelling in found]
@@ -108,16 +116,15 @@ def check_distinguishable(
     point_sigma_mm: float = POINT_SIGMA_MM,
     min_markers: int = MIN_MARKERS,
 ) -> None:
-    """Refuse tools that can be taken for one another.
+    """Refuse tools that can be mistaken for one another.
 
     Args:
-        tools: of one device. Strobed ones are known by their slots and are only compared by these.
-        point_sigma_mm: standard deviation of reconstructed points.
-        min_markers: so many alike markers are too many; tools are known by this many.
+        tools: tools of one device; strobed ones are compared by their slots only.
+        point_sigma_mm: standard deviation of reconstructed points [mm].
+        min_markers: number of markers that identify a tool; as many congruent markers are refused.
 
     Raises:
-        IndistinguishableTools: two tools have subsets of markers that look alike, or share a strobe
-            slot.
+        IndistinguishableTools: two tools have congruent subsets of markers, or share a strobe slot.
         NonFiniteValue: a coordinate is NaN or infinite.
     """
     for first, second in combinations(tools, 2):
@@ -148,9 +155,9 @@ def check_distinguishable(
 def _labellings_on(
     tool: RigidBody, markers_mm: Array, point_sigma_mm: float, least: int
 ) -> list[MarkerLabelling]:
-    """Return the ways in which a tool lies on another's markers, each as uncertain as a point."""
+    """Return the assignments of a tool to the markers of another, as noisy as points."""
     covariance = np.broadcast_to(point_sigma_mm**2 * np.eye(3), (len(markers_mm), 3, 3))
-    # Three deviations: what looks alike in one frame of three hundred is in doubt.
+    # Three sigma: tools that look alike in one of three hundred frames are ambiguous.
     settings = LabellingSettings(
         min_markers=max(least, MIN_MARKERS), gate_probability=2.7e-3, marker_sigma_mm=point_sigma_mm
     )

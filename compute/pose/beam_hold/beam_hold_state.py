@@ -1,4 +1,4 @@
-"""Beam hold: when it begins, and when it may end."""
+"""Beam hold state machine: when a hold begins, and when it may end."""
 
 from dataclasses import dataclass
 from enum import StrEnum
@@ -46,12 +46,12 @@ class BeamHoldTiming:
 
 @dataclass(frozen=True)
 class LimitCheck:
-    """What one measurement says.
+    """Result of one measurement against the limits.
 
     Args:
-        beyond: what is, or may be, out of tolerance, for a person; None: nothing.
-        within: whether all is within the release limits.
-        time_ns: when the oldest of what it needs was measured [ns]; None: just now.
+        beyond: what is, or may be, out of tolerance, in words; None: nothing.
+        within: whether everything is within the release limits.
+        time_ns: time of the oldest data that it needs [ns]; None: the present time.
     """
 
     beyond: str | None
@@ -64,10 +64,10 @@ class GateState:
     """Whether the beam is held, and why.
 
     Args:
-        hold: whether it is.
+        hold: whether it is held.
         cause: why.
-        reason: the same for a person; None while it is not held.
-        since_ns: when the present state, held or not, began [ns].
+        reason: the cause in words; None while it is not held.
+        since_ns: beginning of the present state, held or not [ns].
     """
 
     hold: bool
@@ -77,7 +77,7 @@ class GateState:
 
 
 class BeamHoldGate:
-    """Held at first, on the first measurement beyond a limit, and whenever data fail."""
+    """State machine of a hold: held initially, beyond a limit, and without valid data."""
 
     def __init__(self, rules: BeamHoldTiming, *, latched: bool = False) -> None:
         """Begin held.
@@ -101,9 +101,9 @@ class BeamHoldGate:
         """Return the state at a time.
 
         Args:
-            time_ns: [ns]; times have to ascend, equal ones are let through.
-            measured: None: nothing was measured now; to be asked now and then also while no
-                measurements come, so that their absence is seen.
+            time_ns: the time [ns]; must not decrease.
+            measured: result of the measurement; None: there is none at this time. Call it with None
+                now and then while no measurements arrive, so that their absence is noticed.
         """
         back = self._time is not None and time_ns < self._time
         gap = None if self._seen is None else time_ns - self._seen
@@ -121,20 +121,20 @@ class BeamHoldGate:
             return self._current_state(time_ns, measured=False)
         since = time_ns if measured.time_ns is None else measured.time_ns
         if measured.beyond is None and time_ns - since > self._rules.max_gap_ns:
-            # As old as nothing: it says only where all was.
+            # Older than the longest gap: it counts as no measurement.
             return self._current_state(time_ns, measured=False)
         self._seen = since if self._seen is None else max(since, self._seen)
         self._check_limits(time_ns, measured)
         return self._current_state(time_ns, measured=True)
 
     def fail(self, why: str) -> GateState:
-        """Hold now: no measurements are to be had, or those that come are not to be used.
+        """Hold now: there are no measurements, or they are unusable.
 
-        For what the measurements' own times do not tell: nobody knows how late it is there. What
-        is measured next may have any time.
+        For failures that the times of the measurements do not show. The next measurement may have
+        any time.
 
         Args:
-            why: for a person.
+            why: the reason in words.
         """
         time_ns = self.time_ns
         self._hold(BeamHoldCause.NO_DATA, why)
@@ -143,17 +143,17 @@ class BeamHoldGate:
 
     @property
     def time_ns(self) -> int:
-        """When it was last asked, on the measurements' clock [ns]; 0: not since it began anew."""
+        """Time of the last step on the measurements' clock [ns]; 0: none since start or failure."""
         return 0 if self._time is None else self._time
 
     @property
     def measured_ns(self) -> int | None:
-        """Since when all that is needed is not known [measurements' clock, ns]; None: ever."""
+        """Time of the oldest data that were needed last [measurements' clock, ns]; None: none."""
         return self._seen
 
     @property
     def must_acknowledge(self) -> bool:
-        """Whether what goes on from here has to be acknowledged before it releases."""
+        """Whether a successor of this gate must be acknowledged before it releases."""
         return self._latched or (self._rules.latched and self._released)
 
     def acknowledge(self) -> None:
@@ -170,7 +170,7 @@ class BeamHoldGate:
         if measured.beyond is not None:
             self._hold(BeamHoldCause.MOVED, measured.beyond)
         elif not measured.within:
-            # Between the limits what is held stays held, and what is not is not.
+            # Hysteresis: between release limit and limit the state stays as it is.
             self._within_since = None
         elif self._within_since is None:
             self._within_since = time_ns
@@ -179,7 +179,7 @@ class BeamHoldGate:
         since, settle = self._within_since, self._rules.settle_ns
         waited = None if since is None else time_ns - since
         if not self._released and waited is not None and waited >= settle and not self._latched:
-            # Never on the mere passing of time: the last word was a measurement.
+            # Release only on a measurement, never because time passed.
             self._released = measured
         cause, reason = BeamHoldCause.NONE, None
         if not self._released:

@@ -1,1 +1,1 @@
-"""Estimation."""
+"""Pose estimation: fits of a tool's pose to the readings of one instant."""

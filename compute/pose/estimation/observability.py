@@ -1,4 +1,4 @@
-"""Observability: which motions of a tool its readings tell, and what is missing of the others."""
+"""Observability: which motions of a tool its readings determine, and which they do not."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -6,24 +6,24 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.pose.centred_markers import CentredMarkers, are_collinear
+from compute.pose.rigid_body import CentredMarkers, are_collinear
 from compute.pose.settings import POSE_PARAMETERS, PoseFitSettings
 
 Array = NDArray[np.float64]
 
 RANK_RATIO = 1e-12
-"""Smallest ratio of eigenvalues of a normal matrix in mm; below it the direction is open."""
+"""Smallest ratio of eigenvalues of a normal matrix in mm; below it a direction is undetermined."""
 
 
 @dataclass(frozen=True, eq=False)
 class Observability:
-    """How well each independent motion is told.
+    """Standard deviations of the independent motions of a tool.
 
     Args:
-        sd_mm: standard deviations of the six principal motions, best first, at the markers' own
-            radius, shape (6,) [mm]; infinite where nothing is told.
-        worst: the last of them: turn times radius, then shift of the centroid, along the world's
-            axes, of length 1, shape (6,).
+        sd_mm: standard deviations of the six principal motions, best first, at the markers'
+            radius, shape (6,) [mm]; infinite where undetermined.
+        worst: the last of them: rotation times radius, then shift of the centroid, along the
+            world's axes, of length 1, shape (6,).
         reason: why there is no pose; None if there is one.
     """
 
@@ -33,19 +33,19 @@ class Observability:
 
     @property
     def observable(self) -> bool:
-        """Whether all six motions are told well enough."""
+        """Whether all six motions are determined well enough."""
         return self.reason is None
 
 
 def missing_readings(
     centred: CentredMarkers, used: NDArray[np.bool_], settings: PoseFitSettings
 ) -> str | None:
-    """Return why readings cannot make a pose whatever their values are; None if they may.
+    """Return why readings cannot determine a pose, whatever their values; None if they may.
 
     Args:
-        centred: the tool's.
+        centred: the tool's markers.
         used: which readings there are, shape (M, S).
-        settings: how many it takes.
+        settings: smallest number of readings.
     """
     count = int(used.sum())
     markers = np.flatnonzero(used.any(axis=1))
@@ -67,14 +67,14 @@ def missing_readings(
 def observability(
     normal: Array, centred: CentredMarkers, used: NDArray[np.bool_], settings: PoseFitSettings
 ) -> Observability:
-    """Judge the normal matrix of a pose.
+    """Return the standard deviations of the motions of a pose, by its normal matrix.
 
     Args:
-        normal: inverse covariance of (turn times radius, shift of the centroid), shape (6, 6)
+        normal: inverse covariance of (rotation times radius, shift of the centroid), shape (6, 6)
             [1/mm^2].
-        centred: the tool's.
-        used: which readings it comes from, shape (M, S).
-        settings: how uncertain a motion may be.
+        centred: the tool's markers.
+        used: readings that the pose was fitted to, shape (M, S).
+        settings: largest standard deviation of a motion.
     """
     values, vectors = np.linalg.eigh(normal)
     told = values > RANK_RATIO * max(float(values[-1]), 0.0)
@@ -91,7 +91,7 @@ def observability(
 def _describe_unobservable(
     worst: Array, sd_mm: float, limit_mm: float, centred: CentredMarkers, used: NDArray[np.bool_]
 ) -> str:
-    """Say in words which motion is not told."""
+    """Return in words which motion is undetermined."""
     turn, shift = worst[:3], worst[3:]
     share = float(turn @ turn)
     parts = []
@@ -115,7 +115,7 @@ def _describe_unobservable(
 
 def _direction(vector: Array) -> str:
     unit = vector / np.linalg.norm(vector)
-    # The sign of a direction means nothing; the largest component is written positive.
+    # The sign of a direction is arbitrary; the largest component is made positive.
     unit = unit * np.sign(unit[np.argmax(np.abs(unit))])
     return "(" + ", ".join(f"{value + 0.0:.2f}" for value in unit) + ")"
 

@@ -1,4 +1,4 @@
-"""PoseEquations: the readings of a tool's markers as equations for its pose, and their solution."""
+"""PoseEquations: least-squares equations of a tool's pose from its readings, and their solution."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -7,10 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dposv
 
-from compute.camera.rotation import rotation_matrix
+from compute.camera.rotation import exp_so3, rotation_matrix
 from compute.measurement.measurement_model import MeasurementModel
-from compute.pose.centred_markers import CentredMarkers
-from compute.pose.so3 import exp_so3
+from compute.pose.rigid_body import CentredMarkers
 
 Array = NDArray[np.float64]
 
@@ -29,10 +28,11 @@ class PoseCandidates:
 
     Args:
         rotation: R_world_tool, shape (K, 3, 3).
-        centroid_mm: of the markers in the world, shape (K, 3) [mm].
-        gram: ``[J r]' [J r]`` of the whitened slopes by (turn times radius, centroid) and
-            residuals, shape (K, 7, 7); NaN where a marker is behind a lens.
-        converged: whether the search came to rest, shape (K,).
+        centroid_mm: centroid of the markers in the world, shape (K, 3) [mm].
+        gram: Gram matrices ``[J r]' [J r]`` of the whitened Jacobian with respect to (rotation
+            times radius, centroid) and residuals, shape (K, 7, 7); NaN where a marker is behind a
+            lens.
+        converged: whether the iteration converged, shape (K,).
     """
 
     rotation: Array
@@ -42,18 +42,18 @@ class PoseCandidates:
 
     @property
     def chi2(self) -> Array:
-        """Weighted sums of squares, shape (K,); infinite where there is none or no rest."""
+        """Weighted sums of squares, shape (K,); infinite where undefined or not converged."""
         chi2 = self.gram[:, 6, 6]
         return np.where(np.isfinite(chi2) & self.converged, chi2, np.inf)
 
     def of(self, rows: NDArray[np.intp]) -> "PoseCandidates":
-        """Return some of the poses."""
+        """Return the poses at the given indices."""
         return PoseCandidates(*(getattr(self, name)[rows] for name in vars(self)))
 
 
 @dataclass(frozen=True, eq=False)
 class PoseEquations:
-    """n readings of a tool, as equations for its pose.
+    """n readings of a tool as equations for its pose.
 
     Args:
         model: the cameras.
@@ -69,7 +69,7 @@ class PoseEquations:
 
     @cached_property
     def used(self) -> NDArray[np.bool_]:
-        """Which readings there are, shape (M, S)."""
+        """Which readings are used, shape (M, S)."""
         return np.isfinite(self.readings_px)
 
     @cached_property
@@ -86,12 +86,12 @@ class PoseEquations:
 
     @cached_property
     def independent_whitening(self) -> Array:
-        """W of the readings' own noise alone, its diagonal, shape (n,)."""
+        """Whitening by the readings' own noise alone, its diagonal, shape (n,)."""
         return 1.0 / self.sigma_px.ravel()[self._flat]
 
     @property
     def has_independent_noise(self) -> bool:
-        """Whether the readings' own noise is all that is uncertain: exact cameras, no table."""
+        """Whether the readings' errors are independent: exact cameras, no correction table."""
         return self.model.corrections is None and self.model.covariance_factor.shape[2] == 0
 
     def lever_arms(self, rotation: Array) -> Array:
@@ -100,7 +100,12 @@ class PoseEquations:
         return found
 
     def rows(self, rotation: Array, centroid_mm: Array) -> Array:
-        """Return slopes and residuals side by side, not whitened, shape (K, n, 7)."""
+        """Return Jacobian and residuals side by side, not whitened, shape (K, n, 7).
+
+        Args:
+            rotation: R_world_tool, shape (K, 3, 3).
+            centroid_mm: centroid of the markers, shape (K, 3) [mm].
+        """
         lever_arms = self.lever_arms(rotation)
         places = (lever_arms + centroid_mm[:, None, :]).reshape(-1, 3)
         value, slope = self.model.linearise(places)
@@ -116,8 +121,12 @@ class PoseEquations:
     def covariance(self, rotation: Array, centroid_mm: Array) -> Array:
         """Return the readings' joint covariance at a pose, shape (n, n) [px^2].
 
-        Their noise, the table's variance, and the calibration's part: it moves the readings of all
-        markers together, and no number of markers averages it away.
+        The sum of their noise, the correction table's variance, and the calibration's part, which
+        is common to all markers: no number of markers averages it away.
+
+        Args:
+            rotation: R_world_tool, shape (3, 3).
+            centroid_mm: centroid of the markers, shape (3,) [mm].
         """
         places = self.lever_arms(rotation) + centroid_mm
         expected = self.model.predict(places, with_common_errors=True)
@@ -129,12 +138,23 @@ class PoseEquations:
         return found
 
     def whitening(self, rotation: Array, centroid_mm: Array) -> Array:
-        """Return W with ``W covariance W' = 1`` at a pose, shape (n, n)."""
+        """Return W with ``W covariance W' = 1`` at a pose, shape (n, n).
+
+        Args:
+            rotation: R_world_tool, shape (3, 3).
+            centroid_mm: centroid of the markers, shape (3,) [mm].
+        """
         root = np.linalg.cholesky(self.covariance(rotation, centroid_mm))
         return np.asarray(np.linalg.inv(root), dtype=np.float64)
 
     def gram(self, rotation: Array, centroid_mm: Array, whitening: Array) -> Array:
-        """Return the whitened equations' squares, shape (K, 7, 7); W is (n, n), or a diagonal."""
+        """Return the Gram matrices of the whitened equations, shape (K, 7, 7).
+
+        Args:
+            rotation: R_world_tool, shape (K, 3, 3).
+            centroid_mm: centroids of the markers, shape (K, 3) [mm].
+            whitening: W, shape (n, n), or its diagonal, shape (n,).
+        """
         rows = self.rows(rotation, centroid_mm)
         rows = whitening @ rows if whitening.ndim == 2 else whitening[:, None] * rows
         found: Array = rows.transpose(0, 2, 1) @ rows
@@ -143,9 +163,15 @@ class PoseEquations:
     def refine(
         self, rotation: Array, centroid_mm: Array, whitening: Array, most: int = MAX_ITERATIONS
     ) -> PoseCandidates:
-        """Levenberg-Marquardt on SE(3) from K poses, of so many iterations at most.
+        """Refine K poses by Levenberg-Marquardt on SE(3).
 
-        Turns are taken from the left, at the centroid.
+        Rotation increments act on the left, about the centroid.
+
+        Args:
+            rotation: initial R_world_tool, shape (K, 3, 3).
+            centroid_mm: initial centroids of the markers, shape (K, 3) [mm].
+            whitening: W, shape (n, n), or its diagonal, shape (n,).
+            most: largest number of iterations.
         """
         if len(rotation) == 1:
             return self._refine_one(rotation[0], centroid_mm[0], whitening, most)
@@ -175,7 +201,7 @@ class PoseEquations:
     def _refine_one(
         self, rotation: Array, centroid_mm: Array, whitening: Array, most: int
     ) -> PoseCandidates:
-        """``refine`` from one pose, which is what tracking and repeated fits do, in fewer calls."""
+        """Refine one pose: ``refine`` in fewer calls, for tracking and repeated fits."""
         centroid = centroid_mm
         gram = self._gram_one(rotation, centroid, whitening)
         damping, converged = INITIAL_DAMPING, False
@@ -205,7 +231,7 @@ class PoseEquations:
         return PoseCandidates(rotation[None], centroid[None], gram[None], np.array([converged]))
 
     def _gram_one(self, rotation: Array, centroid_mm: Array, whitening: Array) -> Array:
-        """Return the whitened equations' squares of one pose, shape (7, 7)."""
+        """Return the Gram matrix of the whitened equations of one pose, shape (7, 7)."""
         lever_arms = self.centred.markers_mm @ rotation.T
         value, slope = self.model.linearise(lever_arms + centroid_mm)
         slope = slope.reshape(-1, 3)[self._flat]
@@ -220,7 +246,13 @@ class PoseEquations:
 
 
 def rotation_jacobian(arm_mm: Array, gradient_px_per_mm: Array, into: Array) -> None:
-    """Write d reading / d turn, ``arm x slope``, (..., 3), to the first three columns."""
+    """Write d reading / d rotation, ``arm x gradient``, to the first three columns of an array.
+
+    Args:
+        arm_mm: marker less centroid along the world's axes, shape (..., 3) [mm].
+        gradient_px_per_mm: d reading / d position, shape (..., 3) [px/mm].
+        into: the Jacobian that is written to, shape (..., 3 or more) [px/rad].
+    """
     ax, ay, az = arm_mm[..., 0], arm_mm[..., 1], arm_mm[..., 2]
     gx, gy, gz = gradient_px_per_mm[..., 0], gradient_px_per_mm[..., 1], gradient_px_per_mm[..., 2]
     into[..., 0] = ay * gz - az * gy
@@ -229,7 +261,7 @@ def rotation_jacobian(arm_mm: Array, gradient_px_per_mm: Array, into: Array) -> 
 
 
 def _solve(gram: Array, damping: Array) -> Array:
-    """Return the damped steps of equations, shape (K, 6)."""
+    """Return the damped steps, shape (K, 6)."""
     normal = gram[:, :6, :6].copy()
     diagonal = normal[:, _DIAGONAL, _DIAGONAL]
     floor = 1e-300 + 1e-15 * diagonal.max(axis=1, keepdims=True)

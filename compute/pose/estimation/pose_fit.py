@@ -1,4 +1,4 @@
-"""Pose fit: a tool's pose directly from the readings of all sensors, or why there is none."""
+"""Pose fit: a tool's pose from the readings of all sensors, or the reason why there is none."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -11,14 +11,13 @@ from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter
 from compute.mapping.table import CorrectionTable
 from compute.measurement.measurement_model import MeasurementModel
-from compute.pose.centred_markers import CentredMarkers
 from compute.pose.estimation.observability import missing_readings, observability
 from compute.pose.estimation.pose_equations import PoseCandidates, PoseEquations
 from compute.pose.estimation.pose_initialisation import (
     initial_pose_from_points,
     initial_poses_from_readings,
 )
-from compute.pose.rigid_body import RigidBody
+from compute.pose.rigid_body import CentredMarkers, RigidBody
 from compute.pose.settings import POSE_PARAMETERS, PoseFitSettings
 from compute.pose.tool_pose import PoseStatus
 from compute.pose.transform import Transform
@@ -27,30 +26,30 @@ from compute.reconstruction.triangulation import chi2_limit
 Array = NDArray[np.float64]
 
 UNCORRELATED_ITERATIONS = 3
-"""Before the readings are weighted by what the calibration leaves open at the place."""
+"""Number of iterations before the readings are weighted with the calibration's covariance."""
 MAX_SUSPECTS = 4
-"""Readings that are each left out on trial when one is wrong."""
+"""Number of readings that are left out in turn when one is wrong."""
 SAME_POSE_FRACTION = 1e-3
-"""Solutions whose markers lie nearer than this share of the tool's radius are one."""
+"""Solutions whose markers are closer than this fraction of the tool's radius are the same."""
 
 
 @dataclass(frozen=True, eq=False)
 class PoseFit:
-    """A pose from readings, or why there is none.
+    """A pose from readings, or the reason why there is none.
 
     Args:
-        status: OK; MISSING: the readings do not tell the pose; INVALID: they do not fit the tool,
-            or fit it in two ways.
-        reason: why it is not OK; of an OK one, what was left out; None: nothing.
-        rotation: R_world_tool, shape (3, 3); None without a pose, like all that follows.
+        status: OK; MISSING: the readings do not determine the pose; INVALID: they do not fit the
+            tool, or fit it in two ways.
+        reason: why the status is not OK; where it is OK, which reading was excluded; None: none.
+        used: readings that the pose was fitted to, shape (M, S).
+        rotation: R_world_tool, shape (3, 3); None without a pose, like all that follow.
         translation_mm: the tool's origin, shape (3,) [mm].
-        covariance: of a small turn [rad] about the world's axes, on the left, and of the
-            translation [mm], shape (6, 6).
+        covariance: covariance of a small rotation [rad] about the world's axes, on the left, and
+            of the translation [mm], shape (6, 6).
         tip_mm: shape (3,) [mm].
         tip_covariance_mm2: shape (3, 3) [mm^2].
         chi2: weighted sum of squares of the residuals.
-        used: which readings it comes from, shape (M, S).
-        excluded: marker and sensor of readings that were left out as wrong.
+        excluded: marker and sensor of readings that were excluded as wrong.
     """
 
     status: PoseStatus
@@ -66,17 +65,17 @@ class PoseFit:
 
     @property
     def dof(self) -> int:
-        """Readings beyond the six that a pose takes."""
+        """Degrees of freedom: number of readings less six."""
         return self.readings_used - POSE_PARAMETERS
 
     @property
     def readings_used(self) -> int:
-        """How many readings it comes from."""
+        """Number of readings that the pose was fitted to."""
         return int(self.used.sum())
 
     @property
     def markers_used(self) -> int:
-        """How many markers it comes from."""
+        """Number of markers that the pose was fitted to."""
         return int(self.used.any(axis=1).sum())
 
     @property
@@ -99,25 +98,26 @@ def fit_pose(
     corrections: CorrectionTable | None = None,
     settings: PoseFitSettings | None = None,
 ) -> PoseFit:
-    """Fit a tool's pose to the readings of its markers; none needs to be reconstructed first.
+    """Fit a tool's pose to the readings of its markers, without reconstructing them first.
 
-    Minimises r' S^-1 r over SE(3): r are readings less projections of the markers, S the readings'
-    noise plus what the calibration's covariance does to all of them together, plus the table's
-    variance. The pose is reported where the readings tell all six motions, are explained by the
-    tool (all, or all but one that is named), and have no second solution that is as good.
+    Minimises r' S^-1 r over SE(3): r are readings less projections of the markers, S the sum of the
+    readings' noise, the calibration's covariance (common to all readings) and the correction
+    table's variance. A pose is reported where the readings determine all six degrees of freedom,
+    fit the tool (all, or all but one, which is named), and have no second solution that fits as
+    well.
 
     Args:
-        model: calibrated cameras, or their ``MeasurementModel`` when it is used again and again; it
-            brings its own ``parameter_covariance`` and ``corrections``.
-        tool: M markers; which reading is whose must be known.
+        model: calibrated cameras, or their ``MeasurementModel`` for repeated use; it has its own
+            ``parameter_covariance`` and ``corrections``.
+        tool: M markers; the marker of each reading must be known.
         readings_px: shape (M, S) [px]; NaN where a sensor did not see the marker.
         sigma_px: their standard deviations, shape (M, S) or (S,) [px].
-        start: T_world_tool to search from. Without it, or where it leads nowhere, ``points_mm``
-            give one; without these, all rotations are tried on the readings.
+        start: initial T_world_tool. Without it, or where it leads to no good fit, the initial pose
+            comes from ``points_mm``; without these, all rotations are searched.
         points_mm: reconstructed markers, shape (M, 3) [mm]; NaN where there is none.
         parameter_covariance: joint covariance of the cameras' parameters; None: exact.
         corrections: correction table of the readings; None: none.
-        settings: when a fit is a pose.
+        settings: acceptance limits of a fit.
 
     Raises:
         InvalidParameter: shapes that do not fit.
@@ -141,7 +141,7 @@ def fit_pose(
 def _validate(
     model: MeasurementModel, tool: RigidBody, readings_px: Array, sigma_px: Array
 ) -> tuple[Array, Array]:
-    """Return readings and deviations (M, S), both NaN where either is of no use."""
+    """Return readings and standard deviations (M, S), both NaN where either is unusable."""
     readings = np.asarray(readings_px, dtype=np.float64)
     shape = (len(tool), len(model))
     if readings.shape != shape:
@@ -164,7 +164,7 @@ def _validate(
 def _initial_pose(
     centred: CentredMarkers, tool: RigidBody, start: Transform | None, points_mm: Array | None
 ) -> tuple[Array, Array] | None:
-    """Return rotations (1, 3, 3) and centroids (1, 3) to begin with, if any are known."""
+    """Return initial rotations (1, 3, 3) and centroids (1, 3), if known."""
     if start is not None:
         rotation, translation = start.rotation, start.translation_mm
     else:
@@ -180,7 +180,7 @@ def _initial_pose(
 def _fit_from_start(
     equations: PoseEquations, first: tuple[Array, Array] | None, settings: PoseFitSettings
 ) -> PoseFit:
-    """Fit from a start; where there is none, or it leads to no good fit, from all rotations."""
+    """Fit from an initial pose; without one, or where its fit is not good, from all rotations."""
     limit = chi2_limit(
         len(equations.independent_whitening) - 6, settings.false_rejection_probability
     )
@@ -219,7 +219,13 @@ def _fit_from_start(
 
 
 def solutions(equations: PoseEquations, rotation: Array, centroid_mm: Array) -> PoseCandidates:
-    """Return the distinct solutions that K starts (3, 3) and (3,) lead to, best first."""
+    """Return the distinct solutions reached from K initial poses, lowest chi2 first.
+
+    Args:
+        equations: the equations of the pose.
+        rotation: initial R_world_tool, shape (K, 3, 3).
+        centroid_mm: initial centroids of the markers, shape (K, 3) [mm].
+    """
     if equations.has_independent_noise:
         found = equations.refine(rotation, centroid_mm, equations.independent_whitening)
     else:
@@ -270,10 +276,11 @@ def _pose(equations: PoseEquations, poses: PoseCandidates) -> PoseFit:
 def _exclude_outlier(
     equations: PoseEquations, whole: PoseFit, settings: PoseFitSettings
 ) -> PoseFit:
-    """Leave out the one wrong reading, if one explains the misfit and it is clear which.
+    """Exclude the one wrong reading, if one explains the misfit unambiguously.
 
-    Suspects are the readings whose absence would lower chi2 most (W. Baarda's data snooping, 1968:
-    ``w^2 = (Q r)^2 / Q_ii`` with ``Q = S^-1 - S^-1 J (J' S^-1 J)^-1 J' S^-1``); each is left out.
+    Suspects are the readings whose exclusion would lower chi2 most (W. Baarda's data snooping,
+    1968: ``w^2 = (Q r)^2 / Q_ii`` with ``Q = S^-1 - S^-1 J (J' S^-1 J)^-1 J' S^-1``); each is
+    excluded in turn.
     """
     count = int(equations.used.sum())
     nothing = replace(PoseFit(PoseStatus.INVALID, whole.reason, equations.used), chi2=whole.chi2)
@@ -312,7 +319,7 @@ def _exclude_outlier(
 
 
 def _suspects(equations: PoseEquations, whole: PoseFit) -> list[tuple[int, int]]:
-    """Return marker and sensor of the readings that chi2 blames most, worst first."""
+    """Return marker and sensor of the readings whose exclusion lowers chi2 most, largest first."""
     assert whole.rotation is not None
     assert whole.translation_mm is not None
     centroid = equations.centred.centroid(whole.rotation, whole.translation_mm)

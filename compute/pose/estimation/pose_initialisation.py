@@ -1,4 +1,4 @@
-"""Starts of a pose fit: from reconstructed points, or from readings alone by all rotations."""
+"""Initial poses of a fit: from reconstructed points, or from readings by a search of SO(3)."""
 
 from functools import cache
 from typing import Final
@@ -8,44 +8,40 @@ from numpy.typing import NDArray
 
 from compute.camera.rotation import rotation_matrix
 from compute.measurement.measurement_model import MeasurementModel
-from compute.pose.centred_markers import CentredMarkers, are_collinear
+from compute.pose.rigid_body import CentredMarkers, are_collinear
 from compute.pose.transform import cross_matrix, nearest_rotation
 
 Array = NDArray[np.float64]
 
 ROTATIONS: Final = 600
-"""Over all turns; the nearest is 14 degrees away on average, 25 at most."""
+"""Samples of SO(3): the nearest is 14 degrees away on average, 25 at most."""
 ROTATIONS_REFINED: Final = 64
 REFINEMENT_STEPS: Final = 12
 MAX_STARTS: Final = 8
 MIN_SEPARATION_RAD: Final = 0.05
-"""Starts nearer to one another lead to the same solution."""
+"""Initial poses closer than this converge to the same solution."""
 _SUPER_FIBONACCI_PSI: Final = 1.533751168755204288118041413
 """The root of psi^4 = psi + 4 (Alexa, 2022)."""
 
 
-def initial_pose_from_points(
-    markers_mm: Array, points_mm: Array, weights: Array | None = None
-) -> tuple[Array, Array] | None:
-    """Return the rotation (3, 3) and translation (3,) that lay markers on points best.
+def initial_pose_from_points(markers_mm: Array, points_mm: Array) -> tuple[Array, Array] | None:
+    """Return the rotation (3, 3) and translation (3,) of the best fit of markers to points.
 
-    W. Kabsch, doi:10.1107/S0567739476001873, with the determinant held at +1: a mirrored tool is
-    no tool.
+    W. Kabsch, doi:10.1107/S0567739476001873, with the determinant held at +1: a reflection is not
+    allowed.
 
     Args:
         markers_mm: shape (N, 3) [mm].
         points_mm: shape (N, 3) [mm]; rows with NaN are left out.
-        weights: shape (N,); None: equal.
 
     Returns:
-        None with fewer than three points, or points on a line: they leave a turn open.
+        None with fewer than three points, or collinear ones: they leave a rotation undetermined.
     """
     known = np.isfinite(points_mm).all(axis=1)
     if known.sum() < 3:
         return None
     source, target = markers_mm[known], points_mm[known]
-    weight = np.ones(len(source)) if weights is None else weights[known]
-    weight = weight / weight.sum()
+    weight = np.full(len(source), 1.0 / len(source))
     centre_source, centre_target = weight @ source, weight @ target
     about_source, about_target = source - centre_source, target - centre_target
     if are_collinear(source) or are_collinear(target):
@@ -59,10 +55,10 @@ def initial_poses_from_readings(
 ) -> tuple[Array, Array]:
     """Return rotations (K, 3, 3) and centroids (K, 3) [mm] that fit readings, best first.
 
-    Each reading is a plane (thesis, section 2.4): ``n . (R b + t) + d = 0``, so that for a
-    rotation the best t is linear, and what remains is linear in the nine elements of R. It is
-    worked out for rotations all over, the best of which are improved by Gauss-Newton. No marker
-    needs three sensors.
+    Each reading is a plane (thesis, section 2.4): ``n . (R b + t) + d = 0``, so that for a given
+    rotation the best t is linear, and the remaining residuals are linear in the nine elements of R.
+    They are evaluated for rotations all over SO(3); Gauss-Newton refines the best. A marker may be
+    seen by fewer than three sensors.
 
     Args:
         model: the cameras.
@@ -71,7 +67,7 @@ def initial_poses_from_readings(
         sigma_px: their standard deviations, shape (M, S) [px].
 
     Returns:
-        K up to KEPT; 0 where the planes tell no place.
+        K up to MAX_STARTS; 0 where the planes determine no position.
     """
     used = np.isfinite(readings_px)
     planes = _planes(model, readings_px, sigma_px, used)
@@ -83,7 +79,7 @@ def initial_poses_from_readings(
     by_rotation = (normals[:, :, None] * markers[:, None, :]).reshape(-1, 9)
     rest = offsets - normals @ (inverse @ offsets)
     design = by_rotation - normals @ (inverse @ by_rotation)
-    # n residuals, c + A vec(R), have no more to say than the square root of the 10 x 10 matrix.
+    # The n residuals c + A vec(R) reduce to the R factor of a QR decomposition, 10 x 10.
     square: Array = np.asarray(np.linalg.qr(np.column_stack([design, rest])).R)
     design, rest = square[:, :9], square[:, 9]
     rotations = _all_rotations()
@@ -96,9 +92,14 @@ def initial_poses_from_readings(
 
 
 def rough_position(model: MeasurementModel, readings_px: Array, sigma_px: Array) -> Array | None:
-    """Return the point (3,) [mm] nearest to the planes of all readings (M, S); None: there is none.
+    """Return the point (3,) [mm] nearest to the planes of all readings; None: they determine none.
 
-    It is amid the markers, as if they were one.
+    All readings are treated as of one marker, so the point lies among the markers.
+
+    Args:
+        model: the cameras.
+        readings_px: raw readings, shape (M, S) [px]; NaN where nothing was seen.
+        sigma_px: their standard deviations, shape (M, S) [px].
     """
     planes = _planes(model, readings_px, sigma_px, np.isfinite(readings_px))
     return None if planes is None else planes[2]
@@ -107,7 +108,7 @@ def rough_position(model: MeasurementModel, readings_px: Array, sigma_px: Array)
 def _planes(
     model: MeasurementModel, readings_px: Array, sigma_px: Array, used: NDArray[np.bool_]
 ) -> tuple[Array, Array, Array] | None:
-    """Return the used readings' planes n, d, in standard deviations, and where the tool is."""
+    """Return the readings' planes n, d in standard deviations, and the tool's rough position."""
     cameras = model.cameras
     sensor = np.nonzero(used)[1]
     corrected = cameras.add_cubic_term(readings_px)
@@ -138,7 +139,7 @@ def _planes(
 
 
 def _linearising_shift(model: MeasurementModel, place_mm: Array) -> Array:
-    """Return what to add to readings of this neighbourhood to undo distortion and table, (S,)."""
+    """Return the shift of readings near a position that undoes distortion and table, (S,) [px]."""
     cameras = model.cameras
     shift = np.zeros(len(cameras))
     if cameras.has_distortion:
@@ -150,7 +151,7 @@ def _linearising_shift(model: MeasurementModel, place_mm: Array) -> Array:
 
 
 def _refine_rotations(rotations: Array, rest: Array, design: Array) -> tuple[Array, Array]:
-    """Minimise |c + A vec(R)|^2 over turns of K rotations; return them and their squares."""
+    """Minimise |c + A vec(R)|^2 from K rotations; return rotations and sums of squares."""
     by_element = design.reshape(-1, 3, 3)
 
     def residual(of: Array) -> Array:
@@ -183,7 +184,7 @@ def _refine_rotations(rotations: Array, rest: Array, design: Array) -> tuple[Arr
 
 
 def _separated(rotations: Array, cost: Array) -> NDArray[np.intp]:
-    """Return which rotations to keep, best first, none near a better one."""
+    """Return indices of the rotations to keep, best first, none close to a better one."""
     order = np.argsort(cost, kind="stable")
     near = 1.0 + 2.0 * np.cos(MIN_SEPARATION_RAD)
     traces = np.einsum("aij,bij->ab", rotations, rotations)
@@ -201,7 +202,7 @@ _AXES: Final = cross_matrix(np.eye(3))
 
 @cache
 def _all_rotations() -> Array:
-    """Return ROTATIONS rotations spread over all turns, shape (ROTATIONS, 3, 3).
+    """Return ROTATIONS rotations spread evenly over SO(3), shape (ROTATIONS, 3, 3).
 
     Super-Fibonacci spirals (M. Alexa, doi:10.1109/CVPR52688.2022.00811).
     """

@@ -1,1 +1,1 @@
-"""Filtering."""
+"""Filtering: predicted and updated states of tracked tools, and association of their peaks."""

@@ -1,9 +1,9 @@
 """Association of peaks with the markers of tracked tools.
 
-All markers of a tool move as one, so its peaks are found jointly: first those that only one marker
-of one tool can have made, which update the tool's pose; then, with the narrower expectations of
-that pose, the others. A peak that still has two owners, or a marker that still has two peaks, is
-left alone: merged lines and false peaks are never guessed at.
+The markers of a tool move together, so its peaks are associated jointly: first the unambiguous
+ones, which update the tool's pose; then the others, with the smaller gates of the updated pose. A
+peak that still has two markers, or a marker that still has two peaks, is not used: merged stripes
+and false peaks are never resolved by a guess.
 """
 
 from collections.abc import Sequence
@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from compute.measurement.measurement_model import MeasurementModel, PredictedMeasurements
 from compute.measurement.measurements import Measurements
-from compute.pose.centred_markers import CentredMarkers
 from compute.pose.filtering.imm_state import ImmState
 from compute.pose.filtering.pose_filter import (
     FilterUpdate,
@@ -25,6 +24,7 @@ from compute.pose.filtering.pose_filter import (
     update,
 )
 from compute.pose.filtering.second_order import needs_second_order, second_order_prediction
+from compute.pose.rigid_body import CentredMarkers
 from compute.reconstruction.triangulation import chi2_limit
 
 if TYPE_CHECKING:
@@ -34,18 +34,23 @@ Array = NDArray[np.float64]
 
 ASSOCIATION_ROUNDS: Final = 3
 RIVAL_VARIANCE_RATIO: Final = 16.0
-"""Of two markers that expect a peak, the one with so many times the variance does not count."""
+"""A marker does not compete for a peak with another whose variance is smaller by this factor."""
 NEAR_MISS_PX: Final = 8.0
-"""A peak that nothing explains so near to where a marker must be is likely the marker's: farther
-off a false peak beside a hidden marker is more likely."""
+"""An unassociated peak this close to a predicted marker is likely the marker's; farther away it is
+more likely a false peak beside a hidden marker."""
 MAX_EXCLUDED_NIS: Final = 25.0
-"""Square that a reading that was left out counts with at most: one alone may be anything."""
+"""Largest normalised square of an excluded reading: a single one may have any error."""
 
 
 def without_tools(
     measurements: Measurements, observations: Sequence["ToolObservation"]
 ) -> Measurements:
-    """Return the peaks that no tool has taken, at their indices."""
+    """Return the measurements without the peaks that tools have taken; the indices stay.
+
+    Args:
+        measurements: the frame's peaks, shape (S, K).
+        observations: the tools, with the peaks associated to them.
+    """
     free = measurements.usable.copy()
     for observation in observations:
         row, sensor = np.nonzero(observation.peaks >= 0)
@@ -55,21 +60,22 @@ def without_tools(
 
 @dataclass(eq=False)
 class ToolObservation:
-    """What a frame shows of one tool; filled in round by round.
+    """A tool in one frame: prediction, associated peaks, and the updated state.
 
     Args:
         centred: the tool's markers.
         lit: indices of the markers that this exposure lights, shape (m,).
-        state: the tool, predicted to the exposure; updated by what is found. Of a tool with
-            modes, under the widest.
-        imm: likewise; None: the tool has a single one.
-        step: what a kernel made of the exposure, for a tool that is the only one it lights.
-        peaks: which peak of each sensor is which marker's, -1: none, shape (m, S).
-        merged: readings that were not looked for, as their lines may be merged, shape (m, S).
-        nis: normalised innovation squared of what was found.
-        readings: how many readings were found.
-        whitened: innovations and their slopes by the common errors, of a tool with modes.
-        misfit: readings that were where the tool was expected did not fit it.
+        state: predicted state at the exposure; updated by association. With several motion
+            models, that of the widest one.
+        imm: predicted states of all motion models, updated likewise; None: there is one model.
+        step: result of the kernel, for the only tool that the exposure lights.
+        peaks: index of each marker's peak on each sensor, -1: none, shape (m, S).
+        merged: readings that are not used because their stripes may be merged, shape (m, S).
+        nis: normalised innovation squared of the associated readings.
+        readings: number of associated readings.
+        whitened: innovations and their Jacobian with respect to the common errors, of a tool with
+            several motion models.
+        misfit: readings within the gates did not fit the tool.
     """
 
     centred: CentredMarkers
@@ -88,7 +94,7 @@ class ToolObservation:
         self._predicted = self.state, self.imm
 
     def accept_step(self) -> None:
-        """Take what the kernel found."""
+        """Accept the association and the update of the kernel."""
         step = self.step
         assert step is not None
         assert step.imm is not None
@@ -98,7 +104,7 @@ class ToolObservation:
             self.whitened.append(step.whitened)
 
     def roll_back(self) -> None:
-        """Go back to what was predicted: what was found does not fit."""
+        """Restore the prediction: the associated readings do not fit."""
         self.state, self.imm = self._predicted
         self.nis, self.readings, self.misfit = 0.0, 0, True
         self.whitened.clear()
@@ -107,15 +113,15 @@ class ToolObservation:
     def excluded_nis(
         self, model: MeasurementModel, free: Measurements, gate_probability: float
     ) -> Array:
-        """Return the squares by which readings that were left out are off, shape (m, S).
+        """Return the normalised squares of the excluded readings, shape (m, S).
 
-        That is where nothing was taken for a marker though a peak that nothing explains lies near
-        where it must be; in units of its variance, MAX_EXCLUDED_NIS at most, 0 elsewhere.
+        A reading is excluded where a marker has no peak although an unassociated one lies close to
+        its prediction. The squares are at most MAX_EXCLUDED_NIS, and 0 elsewhere.
 
         Args:
             model: the cameras.
-            free: the peaks that are no tool's.
-            gate_probability: chance that a right reading is not taken.
+            free: the peaks that no tool has taken.
+            gate_probability: probability that a correct reading is outside the gate.
         """
         off = np.zeros(self.peaks.shape)
         asked = (self.peaks < 0) & ~self.merged & free.usable.any(axis=1)
@@ -128,26 +134,25 @@ class ToolObservation:
         variance = prediction.covariance.diagonal().reshape(*off.shape, 1) + free.variance_px2
         distance = np.where(free.usable, np.abs(free.position_px - value), np.inf)
         square = np.where(distance <= NEAR_MISS_PX, distance**2 / variance, np.inf).min(axis=2)
-        # One within the gate fits: it was only not clear whose it is.
+        # A peak within the gate fits; it was only ambiguous.
         near = asked & (square < np.inf) & (square > chi2_limit(1, gate_probability))
         off[near] = np.minimum(square[near], MAX_EXCLUDED_NIS)
         return off
 
     def count_contradictions(self, free: NDArray[np.intp]) -> int:
-        """Return how many peaks that nothing explains might be markers that were not found.
+        """Return the number of unassociated peaks that could be markers without a peak.
 
-        A marker that is hidden leaves nothing. A tool that is believed elsewhere than it is finds
-        some readings by chance, or on the sensors that see no difference, and leaves its true
-        peaks unexplained on the others.
+        A hidden marker leaves no peak. A tool with a wrong pose gets some readings by chance, or on
+        the sensors that cannot distinguish it, and its true peaks on the others stay unassociated.
 
         Args:
-            free: number of unexplained peaks of each sensor, shape (S,).
+            free: number of unassociated peaks of each sensor, shape (S,).
         """
         missed = ((self.peaks < 0) & ~self.merged).sum(axis=0)
         return int(np.minimum(missed, free).sum())
 
     def readings_px(self, measurements: Measurements) -> tuple[Array, Array]:
-        """Return what was found as readings and deviations of all markers, shapes (M, S)."""
+        """Return the associated readings and sigmas of all markers, shapes (M, S)."""
         shape = (len(self.centred.markers_mm), len(measurements.position_px))
         readings, sigma = np.full(shape, np.nan), np.full(shape, np.nan)
         row, sensor = np.nonzero(self.peaks >= 0)
@@ -164,14 +169,14 @@ def associate(
     gate_probability: float,
     resolution_px: float,
 ) -> None:
-    """Find the peaks of several tools in one frame and update their states; fills ``observations``.
+    """Associate the peaks of a frame with several tools and update their states in place.
 
     Args:
         model: the cameras.
-        observations: the tools; peaks that they have found before are taken.
-        measurements: the frame's peaks.
-        gate_probability: chance that a right reading is not taken.
-        resolution_px: lines nearer to one another may be one peak.
+        observations: the predicted tools; they are updated.
+        measurements: the frame's peaks, shape (S, K).
+        gate_probability: probability that a correct reading is outside the gate.
+        resolution_px: stripes closer than this may be one peak [px].
     """
     active = [observation for observation in observations if len(observation.lit)]
     alone = active[0] if len(active) == 1 else None
@@ -189,7 +194,7 @@ def associate(
     gate = chi2_limit(1, gate_probability)
     sigma = float(np.sqrt(measurements.variance_px2[free].min()))
     if len(active) == 1 and len(active[0].lit) == 1 and free.shape[1] == 1:
-        # A strobed exposure with one peak on each sensor: there is nothing to choose.
+        # A strobed exposure with one peak on each sensor is unambiguous.
         (one,) = _predict_observed(model, active, sigma)
         row, sensor, peak = np.nonzero(
             _gated_variances(active[0], one, measurements, free, gate) < np.inf
@@ -205,8 +210,8 @@ def associate(
         ]
         if len(offers) > 1 or len(offers[0]) > 1:
             _withdraw_merged(active, prediction, offers, measurements, resolution_px)
-        # A tool that is hardly known any more offers for peaks all over: that does not keep one
-        # from its peaks whose gates are narrow.
+        # A tool with a large covariance has wide gates: it does not keep peaks from a tool with
+        # narrow ones.
         every = offers[0] if len(offers) == 1 else np.concatenate(offers)
         strong = RIVAL_VARIANCE_RATIO * every.min(axis=0)
         wanted = (every <= strong) & (every < np.inf)
@@ -231,7 +236,7 @@ def associate(
 def _predict_observed(
     model: MeasurementModel, observations: list[ToolObservation], sigma_px: float
 ) -> list[MeasurementPrediction]:
-    """Return what is expected of the lit markers of all tools, in one call of the cameras."""
+    """Return the predicted readings of the lit markers of all tools, in one call of the cameras."""
     arms = [
         observation.centred.markers_mm[observation.lit] @ observation.state.rotation.T
         for observation in observations
@@ -262,10 +267,15 @@ def _predict_observed(
 def common_jacobian(
     expected: PredictedMeasurements, lit: NDArray[np.intp], common_errors: int
 ) -> Array:
-    """Return the readings' slopes by all common errors, shape (m, S, errors).
+    """Return the Jacobian of readings with respect to all common errors, shape (m, S, errors).
 
-    First the calibration's, then, where there is a correction table, one for each of the tool's
-    markers and sensors: the table's deviation at the place, which is the same in every frame.
+    First come the errors of the calibration, then, with a correction table, one for each of the
+    tool's markers and sensors: the table's error at the position, the same in every frame.
+
+    Args:
+        expected: predicted readings of m markers by S sensors.
+        lit: indices of the markers in the tool, shape (m,).
+        common_errors: number of common errors of the tool's filter.
     """
     own = expected.common_jacobian_px
     markers, sensors, count = own.shape
@@ -285,9 +295,9 @@ def _gated_variances(
     free: NDArray[np.bool_],
     gate: float,
 ) -> Array:
-    """Return the variance with which each marker expects each peak, shape (m, S, K) [px^2].
+    """Return the variance of each pair of marker and peak, shape (m, S, K) [px^2].
 
-    Infinite where the peak is not free or beyond the gate, and for markers that were found.
+    Infinite where the peak is taken or outside the gate, and for markers that have a peak.
     """
     shape = observation.peaks.shape
     value = prediction.value_px.reshape(shape)[..., None]
@@ -307,11 +317,11 @@ def _withdraw_merged(
     measurements: Measurements,
     resolution_px: float,
 ) -> None:
-    """Withdraw the offers of markers whose lines may be one peak with another marker's.
+    """Exclude markers whose stripes may be merged with another marker's.
 
-    Two lines a tenth of a pixel apart are one peak between them that nothing marks as such: it is
-    off by ten times what it states, and still near enough to pass for either. So where more markers
-    than peaks are expected within the width of a line, none of them is read.
+    Two stripes a tenth of a pixel apart are one peak, which nothing marks as such: its error is ten
+    times its sigma, and still within the gates of both. Where more markers than peaks are predicted
+    within the width of a stripe, none of them is used.
     """
     sensors = len(measurements.found_px)
     value = np.concatenate([one.value_px.reshape(-1, sensors) for one in prediction])
@@ -337,7 +347,7 @@ def _update_from_peaks(
     peak: NDArray[np.intp],
     probability: float,
 ) -> bool:
-    """Update a tool by peaks that are its alone; return whether it was."""
+    """Update a tool by its unambiguous peaks; return whether they fit."""
     some = prediction.of(row * observation.peaks.shape[1] + sensor)
     residual = measurements.position_px[sensor, peak] - some.value_px
     deviation = np.sqrt(measurements.variance_px2[sensor, peak])
@@ -364,7 +374,7 @@ def _update_imm(
     sigma_px: Array,
     probability: float,
 ) -> FilterUpdate | None:
-    """Update a tool's modes by n readings, of which those count that fit the widest."""
+    """Update all motion models by n readings, those that fit the widest one."""
     assert observation.imm is not None
     found = observation.imm.update(prediction, residual_px, sigma_px)
     kept = np.arange(len(residual_px))
@@ -387,8 +397,18 @@ def robust_update(
 ) -> FilterUpdate | None:
     """Update a state by n readings, without those that contradict the others.
 
-    The reading that the misfit blames most, by ``(S^-1 r)^2 / (S^-1)_ii``, is left out until the
-    rest fit; None where that takes more than a quarter of them (but one of three).
+    The reading with the largest ``(S^-1 r)^2 / (S^-1)_ii`` is excluded until the rest fit.
+
+    Args:
+        state: the predicted state.
+        prediction: the predicted readings.
+        residual_px: readings less predictions, shape (n,) [px].
+        sigma_px: standard deviations of the readings, shape (n,) [px].
+        probability: probability that correct readings are rejected.
+
+    Returns:
+        The update; None where more than a quarter of the readings (one of three) would have to be
+        excluded.
     """
     found = update(state, prediction, residual_px, sigma_px)
     if found.nis <= chi2_limit(len(residual_px), probability):

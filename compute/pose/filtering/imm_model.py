@@ -1,4 +1,4 @@
-"""ImmModel: transition and noise matrices of a tool under each motion mode."""
+"""ImmModel: transition and noise matrices of a tool under each motion model."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -27,24 +27,23 @@ _STATE_CHAINS: Final = (
 _POWERS: Final = 5
 _POWER: Final = np.arange(1, _POWERS + 1)
 _WHITE_JERK_DIVISORS: Final = np.array([[20.0, 8.0, 6.0], [8.0, 3.0, 2.0], [6.0, 2.0, 1.0]])
-"""Of pose, rate and acceleration: what density and power of the time are divided by (Bar-Shalom,
-Li, Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001, section 6.2)."""
+"""Divisors of density times power of the time, for pose, rate and acceleration (Bar-Shalom, Li,
+Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001, section 6.2)."""
 
 
 @dataclass(frozen=True, eq=False)
 class ImmModel:
-    """K modes of motion over the 18 states of a pose, its velocities and its accelerations.
+    """K motion models over the 18 states of a pose, its velocities and its accelerations.
 
-    Those in which accelerations do not last hold zeros in their place: so one transition does for
-    all of them.
+    Models without persistent accelerations hold zeros in their place, so that one transition
+    matrix serves all models.
 
     Args:
-        mean_sojourn_s: time that a tool keeps to a mode, in the mean [s].
-        constant_velocity: 1 for modes whose accelerations do not last, 0 for the others, shape
-            (K,).
-        state_mask: 1 for the states that a mode has, 0 for the others, shape (K, 18).
-        initial_covariance: covariance of lasting accelerations at first, shape (K, 18, 18).
-        noise_terms: what a time adds to the covariance, by powers of the time from 1 to 5,
+        mean_sojourn_s: mean time in one motion model [s].
+        constant_velocity: 1 for models without persistent accelerations, else 0, shape (K,).
+        state_mask: 1 for the states that a model has, else 0, shape (K, 18).
+        initial_covariance: initial covariance of persistent accelerations, shape (K, 18, 18).
+        noise_terms: process noise by powers of the time step from 1 to 5,
             shape (5, K * 18 * 18).
     """
 
@@ -56,18 +55,23 @@ class ImmModel:
 
     @classmethod
     def of(cls, motion: MotionSettings, settings: ImmSettings) -> "ImmModel":
-        """Return the model of these accelerations and modes; it is kept."""
+        """Return the model of these settings; it is cached.
+
+        Args:
+            motion: RMS accelerations.
+            settings: the motion models.
+        """
         return _model_of(motion, settings)
 
     def __len__(self) -> int:
-        """Return the number of modes."""
+        """Return the number of motion models."""
         return len(self.constant_velocity)
 
     def transition_probabilities(self, step_s: float) -> Array:
-        """Return the chances to go from a mode (row) to another over a time, shape (K, K).
+        """Return the probabilities of model switches (row to column) over a time, shape (K, K).
 
-        Changes are a Poisson process, to every other mode alike: a Markov chain in continuous
-        time.
+        A Markov chain in continuous time: switches are a Poisson process, equally likely to every
+        other model.
         """
         count = len(self)
         switch_probability = self.switch_probability(step_s)
@@ -76,19 +80,19 @@ class ImmModel:
         return probabilities
 
     def switch_probability(self, step_s: float) -> float:
-        """Return the chance to go from one mode to a certain other one over a time."""
+        """Return the probability of a switch to one particular other model over a time."""
         count = len(self)
         if count == 1:
             return 0.0
         return float(-np.expm1(-count / (count - 1) * step_s / self.mean_sojourn_s) / count)
 
     def process_noise(self, step_s: float, mode_probabilities: Array | None = None) -> Array:
-        """Return what a time adds to the covariance of each mode, shape (K, 18, 18).
+        """Return the process noise of each model over a time step, shape (K, 18, 18).
 
         Args:
-            step_s: the time [s].
-            mode_probabilities: of each mode, shape (K,): the mean of all is returned, shape (18,
-                18).
+            step_s: the time step [s].
+            mode_probabilities: probability of each model, shape (K,): the weighted mean of all is
+                returned, shape (18, 18).
         """
         found: Array = step_s**_POWER @ self.noise_terms
         if mode_probabilities is None:
@@ -133,7 +137,7 @@ def _model_of(motion: MotionSettings, settings: ImmSettings) -> ImmModel:
 
 
 def _add_white_noise(noise_terms: Array, parts: tuple[slice, ...], density: float) -> None:
-    """Write what white noise of the last of the parts' changes adds, by powers of the time."""
+    """Add white noise in the derivative of the last of the parts, by powers of the time step."""
     count = len(parts)
     divisor = _WHITE_JERK_DIVISORS[3 - count :, 3 - count :]
     for i, first in enumerate(parts):

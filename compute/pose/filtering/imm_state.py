@@ -1,12 +1,12 @@
-"""ImmState: a tool's state under several motion modes (interacting multiple models).
+"""ImmState: a tool's state under several motion models (interacting multiple models).
 
-While the markers are lit in turn, what a tool may do between two exposures of one marker is most of
-its uncertainty. No single figure is right for it: one that holds a brisk hand says nothing of a
-tool on a table, one of a tool on a table loses the hand. So a filter runs for each mode, on the
-same readings, and how well each had predicted them says which holds: interacting multiple models
-(H. A. P. Blom, Y. Bar-Shalom, doi:10.1109/9.1299).
+While the markers are lit in turn, the motion between two exposures of one marker dominates the
+uncertainty. No single acceleration fits: one for a fast hand gives wide predictions of a tool on a
+table, one for a tool on a table loses the hand. So a filter runs for each motion model, on the same
+readings, and how well each predicts them gives its probability (H. A. P. Blom, Y. Bar-Shalom,
+doi:10.1109/9.1299).
 
-They differ in what a time adds to the covariance; so one linearisation does for all.
+The models differ only in the process noise, so one linearisation serves all.
 """
 
 from dataclasses import dataclass
@@ -16,6 +16,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.camera.rotation import exp_so3
 from compute.pose.filtering.imm_model import IMM_STATES, ImmModel
 from compute.pose.filtering.pose_filter import (
     ROTATION,
@@ -25,7 +26,6 @@ from compute.pose.filtering.pose_filter import (
     propagate,
     retract,
 )
-from compute.pose.so3 import exp_so3
 
 Array = NDArray[np.float64]
 
@@ -36,15 +36,15 @@ _BY_SECOND_DERIVATIVE: Final = (np.arange(6), np.array([15, 16, 17, 12, 13, 14])
 
 @dataclass(frozen=True, eq=False)
 class ImmState:
-    """A tool's state under each of K modes, at the instant of its last readings.
+    """A tool's state under each of K motion models, at the time of its last readings.
 
     Args:
-        model: how it changes under each.
-        widest_state: the state under the last mode, that of the largest accelerations.
-        offsets: each mode's state less the widest's, shape (K, 18).
-        covariances: covariance of each mode's state with itself and with the common errors, shape
-            (K, 18, 18 + E).
-        mode_probabilities: probability of each mode, shape (K,).
+        model: the motion models.
+        widest_state: state under the last model, that of the largest accelerations.
+        offsets: each model's state less the widest one, shape (K, 18).
+        covariances: covariance of each model's state with itself and with the common errors,
+            shape (K, 18, 18 + E).
+        mode_probabilities: probability of each model, shape (K,).
     """
 
     model: ImmModel
@@ -55,7 +55,12 @@ class ImmState:
 
     @classmethod
     def of(cls, state: PoseState, model: ImmModel) -> "ImmState":
-        """Return the modes of a tool of whose motion nothing else is known yet."""
+        """Return the states of a tool of unknown motion.
+
+        Args:
+            state: the initial state.
+            model: the motion models.
+        """
         count = len(model)
         covariances = np.zeros((count, IMM_STATES, IMM_STATES + state.common.shape[1]))
         covariances[:, :STATES, :STATES] = state.covariance
@@ -66,13 +71,13 @@ class ImmState:
 
     @cached_property
     def combined(self) -> PoseState:
-        """The state of all modes together: their mean, and the covariance about it."""
+        """The combined state: mean of all models, and the covariance about it."""
         mean, covariances = self._combined_estimate
         return retract(self.widest_state, mean, *_pose_blocks(covariances))
 
     @cached_property
     def _combined_estimate(self) -> tuple[Array, Array]:
-        """The mean of all modes less the widest, and their spread about it."""
+        """Mean of all models less the widest one, and the covariance about it."""
         mean = self.mode_probabilities @ self.offsets
         about = self.offsets - mean
         covariances = (
@@ -99,11 +104,11 @@ class ImmState:
 
     @cached_property
     def packed_address(self) -> int:
-        """Where ``packed`` begins in memory."""
+        """Address of ``packed`` in memory."""
         return int(self.packed.__array_interface__["data"][0])
 
     def predict_combined(self, time_ns: int) -> PoseState:
-        """Return what all modes together expect at an instant, without readings."""
+        """Return the combined state predicted to a time, without readings."""
         step = 1e-9 * (time_ns - self.widest_state.time_ns)
         if step == 0.0:
             return self.combined
@@ -124,11 +129,11 @@ class ImmState:
         return retract(later, jacobian @ mean, later.covariance, later.common)
 
     def predict(self, time_ns: int, manoeuvre_factor: float = 1.0) -> "ImmState":
-        """Return the modes at the instant of the next readings.
+        """Return the states mixed and predicted to the time of the next readings.
 
         Args:
-            time_ns: the instant, not before that of the last readings.
-            manoeuvre_factor: factor on the accelerations of all modes.
+            time_ns: the time, not before that of the last readings [ns].
+            manoeuvre_factor: factor on the accelerations of all models.
         """
         step = 1e-9 * (time_ns - self.widest_state.time_ns)
         if step == 0.0:
@@ -145,7 +150,7 @@ class ImmState:
         covariances[:, :, :IMM_STATES] += (mixing_probabilities[:, :, None] * about).swapaxes(
             1, 2
         ) @ about
-        # Where an acceleration does not last there is none; one that begins to is anything.
+        # Models without persistent accelerations have none; a new one has its initial covariance.
         offsets *= model.state_mask
         covariances *= model.state_mask[:, :, None]
         inner = covariances[:, :, :IMM_STATES]
@@ -160,7 +165,7 @@ class ImmState:
             covariances[:, :, :IMM_STATES] @ jacobian.T
             + manoeuvre_factor**2 * model.process_noise(step)
         )
-        # Symmetric to the bit: what rounding leaves would grow for as long as the tool is followed.
+        # Exactly symmetric: rounding errors would otherwise grow while the tool is tracked.
         np.add(half, half.swapaxes(1, 2), out=covariances[:, :, :IMM_STATES])
         later = propagate(
             widest_state, time_ns, jacobian[ROTATION, ROTATION], *_pose_blocks(covariances[-1])
@@ -172,12 +177,12 @@ class ImmState:
     def update(
         self, prediction: MeasurementPrediction, residual_px: Array, sigma_px: Array
     ) -> "ImmUpdate":
-        """Return the modes after n readings.
+        """Return the states updated by n readings.
 
         Args:
-            prediction: what the widest mode expects of them.
-            residual_px: what they are less that, shape (n,) [px].
-            sigma_px: their own deviations, shape (n,) [px].
+            prediction: predicted readings of the widest model.
+            residual_px: readings less these predictions, shape (n,) [px].
+            sigma_px: standard deviations of the readings, shape (n,) [px].
         """
         jacobian, by_common = prediction.jacobian, prediction.common
         number, size = len(residual_px), self.covariances.shape[2]
@@ -192,7 +197,7 @@ class ImmState:
             )
             crossed[:, :, IMM_STATES:] += by_common
         own = crossed[:, :, :6] @ jacobian.T + crossed[:, :, IMM_STATES:] @ by_common.T
-        # What ``prediction`` holds besides, the curvature's part, is all modes'.
+        # The second-order part of ``prediction.covariance`` is common to all models.
         combined = prediction.covariance + (own - own[-1])
         combined.reshape(len(own), -1)[:, :: number + 1] += sigma_px**2
         root = np.linalg.cholesky(combined)
@@ -225,11 +230,12 @@ class ImmUpdate:
     """ImmState after readings.
 
     Args:
-        imm: they now.
-        nis: normalised innovation squared of the readings, of the modes as likely as they are.
-        widest_nis: of the widest mode.
-        whitened: innovations of the likeliest mode, of unit covariance, and their slopes by the
-            common errors, shape (n, 1 + E).
+        imm: the updated states.
+        nis: normalised innovation squared of the readings, averaged over the models by their
+            probabilities.
+        widest_nis: that of the widest model.
+        whitened: whitened innovations of the most probable model, and their Jacobian with respect
+            to the common errors, shape (n, 1 + E).
     """
 
     imm: ImmState

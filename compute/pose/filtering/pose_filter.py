@@ -1,14 +1,14 @@
 """Pose filter: error-state Kalman filter of pose, velocity and angular velocity.
 
 An error-state Kalman filter on SE(3) x R^6 with constant velocity (J. Sola, arXiv:1711.02508),
-which a single reading can update: the markers of a strobed tool are never seen at one instant, and
+which a single reading can update: the markers of a strobed tool are never seen simultaneously, and
 no pose is fitted to readings of different times.
 
-The calibration's error is the same in every frame. A filter that took it for noise would average it
-away and state a covariance that shrinks with the number of frames. Here it is *considered*
+The calibration error is the same in every frame. A filter that treated it as noise would average it
+out and report a covariance that shrinks with the number of frames. Here it is *considered*
 (S. F. Schmidt, Advances in Control Systems 3, 1966, doi:10.1016/B978-1-4831-6716-9.50011-4): the
-state's correlation with the common errors is carried along, and they are never estimated. What the
-correction table leaves open is one more common error for each marker and sensor.
+state's correlation with the common errors is propagated, and they are never estimated. The residual
+error of the correction table is one more common error for each marker and sensor.
 """
 
 from dataclasses import dataclass
@@ -18,11 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dpotrf, dtrtrs
 
+from compute.camera.rotation import exp_so3
 from compute.measurement.measurement_model import PredictedMeasurements
-from compute.pose.centred_markers import CentredMarkers
 from compute.pose.estimation.pose_equations import rotation_jacobian
+from compute.pose.rigid_body import CentredMarkers
 from compute.pose.settings import MotionSettings
-from compute.pose.so3 import exp_so3
 
 Array = NDArray[np.float64]
 
@@ -35,16 +35,16 @@ _POSITION_BY_VELOCITY = (np.arange(3, 6), np.arange(6, 9))
 
 @dataclass(frozen=True, eq=False)
 class ReportedPose:
-    """What is reported of a tool's pose.
+    """The reported pose of a tool.
 
     Args:
         rotation: R_world_tool, shape (3, 3).
-        angular_velocity_rad_s: about the world's axes, shape (3,) [rad/s].
+        angular_velocity_rad_s: angular velocity about the world's axes, shape (3,) [rad/s].
         translation_mm: the tool's origin in the world, shape (3,) [mm].
-        covariance: of turn (left) and translation, shape (6, 6).
-        tip_mm: in the world, shape (3,) [mm].
+        covariance: covariance of rotation (left) [rad] and translation [mm], shape (6, 6).
+        tip_mm: tip in the world, shape (3,) [mm].
         tip_covariance_mm2: shape (3, 3) [mm^2].
-        velocity_mm_s: of the tool's origin, shape (3,) [mm/s].
+        velocity_mm_s: velocity of the tool's origin, shape (3,) [mm/s].
     """
 
     rotation: Array
@@ -58,16 +58,16 @@ class ReportedPose:
 
 @dataclass(frozen=True, eq=False)
 class PoseState:
-    """A moving tool at an instant.
+    """State of a moving tool at a time.
 
     Args:
-        time_ns: the instant [ns].
+        time_ns: the time [ns].
         rotation: R_world_tool, shape (3, 3).
-        centroid_mm: of the markers in the world, shape (3,) [mm].
-        velocity_mm_s: of the centroid, shape (3,) [mm/s].
+        centroid_mm: centroid of the markers in the world, shape (3,) [mm].
+        velocity_mm_s: velocity of the centroid, shape (3,) [mm/s].
         angular_velocity_rad_s: angular velocity about the world's axes, shape (3,) [rad/s].
-        covariance: of turn (left, about the centroid), place, velocity and angular velocity,
-            shape (12, 12).
+        covariance: covariance of rotation (left, about the centroid), position, velocity and
+            angular velocity, shape (12, 12).
         common: covariance of these with the common errors, shape (12, E).
     """
 
@@ -85,7 +85,7 @@ class PoseState:
         return found
 
     def reported_pose(self, centred: CentredMarkers) -> ReportedPose:
-        """Return what is reported of a tool with these markers."""
+        """Return the reported pose of a tool with these markers."""
         here = self.covariance[:6, :6]
         origin, tip = centred.origin_jacobian(self.rotation), centred.tip_jacobian(self.rotation)
         return ReportedPose(
@@ -107,7 +107,16 @@ def initial_state(
     motion: MotionSettings,
     common_errors: int,
 ) -> PoseState:
-    """Return a state of which only the pose is known, with its covariance (6, 6)."""
+    """Return the state of a tool of known pose and unknown velocities.
+
+    Args:
+        time_ns: time of the pose [ns].
+        rotation: R_world_tool, shape (3, 3).
+        centroid_mm: centroid of the markers in the world, shape (3,) [mm].
+        pose_covariance: covariance of rotation [rad] and centroid [mm], shape (6, 6).
+        motion: standard deviations of the unknown velocities.
+        common_errors: number E of common errors, uncorrelated with the state.
+    """
     covariance = np.zeros((STATES, STATES))
     covariance[:6, :6] = pose_covariance
     covariance[VELOCITY, VELOCITY] = motion.velocity_sigma_mm_s**2 * np.eye(3)
@@ -128,12 +137,12 @@ def initial_state(
 def predict(
     state: PoseState, time_ns: int, motion: MotionSettings, manoeuvre_factor: float = 1.0
 ) -> PoseState:
-    """Move a state on to a later instant.
+    """Predict a state to a later time.
 
     Args:
-        state: where it was.
-        time_ns: when it is wanted, not earlier.
-        motion: how the velocities change.
+        state: the state.
+        time_ns: the time, not earlier than the state's [ns].
+        motion: RMS accelerations.
         manoeuvre_factor: factor on the accelerations.
     """
     step = 1e-9 * (time_ns - state.time_ns)
@@ -152,7 +161,15 @@ def predict(
 def propagate(
     state: PoseState, time_ns: int, turned: Array, covariance: Array, common: Array
 ) -> PoseState:
-    """Return a state gone on at its velocities, turned (3, 3) meanwhile, with what is uncertain."""
+    """Return a state moved with its velocities, with the given covariances.
+
+    Args:
+        state: the state.
+        time_ns: the later time [ns].
+        turned: rotation in between, exp of angular velocity times time, shape (3, 3).
+        covariance: covariance at the later time, shape (12, 12).
+        common: covariance with the common errors there, shape (12, E).
+    """
     step = 1e-9 * (time_ns - state.time_ns)
     return PoseState(
         time_ns,
@@ -166,7 +183,14 @@ def propagate(
 
 
 def retract(state: PoseState, step: Array, covariance: Array, common: Array) -> PoseState:
-    """Return a state that is off by a step (12,), with its covariance and that with the errors."""
+    """Return a state corrected by an error-state increment, with the given covariances.
+
+    Args:
+        state: the state.
+        step: increment of rotation (left), position, velocity and angular velocity, shape (12,).
+        covariance: covariance afterwards, shape (12, 12).
+        common: covariance with the common errors afterwards, shape (12, E).
+    """
     return PoseState(
         state.time_ns,
         exp_so3(step[ROTATION]) @ state.rotation,
@@ -180,7 +204,7 @@ def retract(state: PoseState, step: Array, covariance: Array, common: Array) -> 
 
 @lru_cache(maxsize=1024)
 def _process_noise(motion: MotionSettings, manoeuvre_factor: float, step_s: float) -> Array:
-    """Return the covariance that a time adds, shape (12, 12); not to be written to."""
+    """Return the process noise of a time step, shape (12, 12); not to be written to."""
     noise = np.zeros((STATES, STATES))
     same = np.eye(3)
     for pose, rate, size in (
@@ -196,14 +220,16 @@ def _process_noise(motion: MotionSettings, manoeuvre_factor: float, step_s: floa
 
 @dataclass(frozen=True, eq=False)
 class MeasurementPrediction:
-    """What n readings could tell of a state, but for their values.
+    """n predicted readings, with what an update by them needs.
 
     Args:
-        value_px: what is expected of them, shape (n,) [px].
-        jacobian: of the readings by turn and place, shape (n, 6).
-        common: of the readings by the common errors, shape (n, E).
-        cross_covariance: ``covariance slopes' + common_state common'``, shape (12, n).
-        covariance: of the expected values, without the readings' own noise, shape (n, n) [px^2].
+        value_px: predicted readings, shape (n,) [px].
+        jacobian: Jacobian with respect to rotation and position, shape (n, 6).
+        common: Jacobian with respect to the common errors, shape (n, E).
+        cross_covariance: covariance of state and predictions,
+            ``covariance jacobian' + common_state common'``, shape (12, n).
+        covariance: covariance of the predictions, without the readings' noise, shape (n, n)
+            [px^2].
     """
 
     value_px: Array
@@ -213,7 +239,7 @@ class MeasurementPrediction:
     covariance: Array
 
     def of(self, rows: NDArray[np.intp]) -> "MeasurementPrediction":
-        """Return some of the readings."""
+        """Return the readings at the given indices."""
         return MeasurementPrediction(
             self.value_px[rows],
             self.jacobian[rows],
@@ -226,13 +252,13 @@ class MeasurementPrediction:
 def predict_measurement(
     state: PoseState, arms_mm: Array, expected: PredictedMeasurements, common: Array
 ) -> MeasurementPrediction:
-    """Return what all S readings of m markers are expected to be, marker by marker.
+    """Return the predicted readings of m markers by all S sensors, marker by marker.
 
     Args:
-        state: the tool at the readings' instant.
+        state: the tool's state at the time of the readings.
         arms_mm: the markers less the centroid, along the world's axes, shape (m, 3) [mm].
-        expected: of the markers there.
-        common: of their readings by all common errors, shape (m, S, E).
+        expected: predicted readings of the markers there.
+        common: their Jacobian with respect to all common errors, shape (m, S, E).
     """
     slope = expected.jacobian_px_per_mm
     jacobian = np.empty((*slope.shape[:2], 6))
@@ -256,10 +282,10 @@ class FilterUpdate:
     """A state after readings.
 
     Args:
-        state: the tool now.
+        state: the updated state.
         nis: normalised innovation squared of the readings that were used.
-        kept: which of the readings were used, as indices.
-        whitened: innovations of unit covariance and their slopes by the common errors, shape
+        kept: indices of the readings that were used.
+        whitened: whitened innovations and their Jacobian with respect to the common errors, shape
             (n, 1 + E); None: not kept.
     """
 
@@ -272,12 +298,22 @@ class FilterUpdate:
 def update(
     state: PoseState, prediction: MeasurementPrediction, residual_px: Array, sigma_px: Array
 ) -> FilterUpdate:
-    """Take in n readings; ``residual_px`` is what they are less what was expected, (n,) [px]."""
+    """Update a state by n readings.
+
+    Args:
+        state: the predicted state.
+        prediction: the predicted readings.
+        residual_px: readings less predictions, shape (n,) [px].
+        sigma_px: standard deviations of the readings, shape (n,) [px].
+
+    Raises:
+        LinAlgError: the covariance of the readings is not positive definite.
+    """
     count = len(residual_px)
     whole = prediction.covariance.copy()
     whole.flat[:: count + 1] += sigma_px**2
     common_errors = state.common.shape[1]
-    # One triangular solve for all: the residual, the gains and the common errors.
+    # One triangular solve for residual, gains and common errors.
     right = np.empty((count, 1 + STATES + common_errors), order="F")
     right[:, 0] = residual_px
     right[:, 1 : 1 + STATES] = prediction.cross_covariance.T
@@ -289,7 +325,7 @@ def update(
     solved, _ = dtrtrs(root, right, lower=1, overwrite_b=1)
     residual, gain = solved[:, 0], solved[:, 1 : 1 + STATES]
     step = residual @ gain
-    # Symmetric to the bit: it is a matrix times itself.
+    # Exactly symmetric: the product of a matrix with its own transpose.
     after = retract(
         state,
         step,
@@ -300,7 +336,12 @@ def update(
 
 
 def origin_velocity(state: PoseState, centred: CentredMarkers) -> Array:
-    """Return the velocity of the tool's origin, shape (3,) [mm/s]."""
+    """Return the velocity of the tool's origin, shape (3,) [mm/s].
+
+    Args:
+        state: the tool's state.
+        centred: its markers.
+    """
     arm = state.rotation @ centred.centroid_mm
     wx, wy, wz = state.angular_velocity_rad_s.tolist()
     x, y, z = arm.tolist()

@@ -1,4 +1,4 @@
-"""Paired points: the rigid motion, or similarity, that takes one set of points to another."""
+"""Absolute orientation: the rigid transform, or similarity, between two sets of paired points."""
 
 from dataclasses import dataclass, replace
 from typing import Final
@@ -18,12 +18,12 @@ _HALVINGS: Final = 40
 
 @dataclass(frozen=True, eq=False)
 class Similarity:
-    """``target = scale * rotation @ source + translation_mm``.
+    """Similarity transform ``target = scale * rotation @ source + translation_mm``.
 
     Args:
         rotation: shape (3, 3).
         translation_mm: shape (3,) [mm].
-        scale: 1 where none was asked for.
+        scale: 1 for a rigid transform.
     """
 
     rotation: Array
@@ -36,7 +36,14 @@ class Similarity:
         return moved
 
     def jacobian(self, points_mm: Array, scaled: bool) -> Array:
-        """Return d ``apply`` / d (turn on the left, translation, log scale), (..., 3, 6 or 7)."""
+        """Return the Jacobian of ``apply``, shape (..., 3, 6 or 7).
+
+        Its columns are rotation (left) [rad], translation [mm] and, if ``scaled``, log scale.
+
+        Args:
+            points_mm: points of the source, shape (..., 3) [mm].
+            scaled: whether the scale is free.
+        """
         turned = self.scale * (points_mm @ self.rotation.T)
         found = np.empty((*turned.shape, 7 if scaled else 6))
         found[..., :3] = -cross_matrix(turned)
@@ -46,13 +53,18 @@ class Similarity:
         return found
 
     def residual_covariance(self, source_covariance: Array, target_covariance: Array) -> Array:
-        """Return the covariances of ``apply(source) - target``, shape (N, 3, 3) [mm^2]."""
+        """Return the covariances of ``apply(source) - target``, shape (N, 3, 3) [mm^2].
+
+        Args:
+            source_covariance: shape (N, 3, 3) [mm^2].
+            target_covariance: shape (N, 3, 3) [mm^2].
+        """
         turn = self.scale * self.rotation
         found: Array = turn @ source_covariance @ turn.T + target_covariance
         return found
 
     def retract(self, step: Array) -> "Similarity":
-        """Return it after a step of 6 or 7 unknowns."""
+        """Return the similarity corrected by an increment of its 6 or 7 parameters."""
         scale = self.scale * float(np.exp(step[6])) if len(step) == 7 else self.scale
         turn = rotation_matrix(step[:3])
         return replace(
@@ -66,7 +78,7 @@ class Similarity:
 def fit_isotropic_similarity(
     source: Array, target: Array, weights: Array, scaled: bool = False
 ) -> Similarity:
-    """Return the best motion where every point errs alike in all directions.
+    """Return the least-squares transform for isotropic errors.
 
     In closed form (Kabsch, doi:10.1107/S0567739478001680; Horn, doi:10.1364/JOSAA.4.000629; with
     scale Umeyama, doi:10.1109/34.88573).
@@ -93,10 +105,11 @@ class SimilarityFit:
     """A fit of paired points.
 
     Args:
-        similarity: the motion.
-        covariance: of turn, translation and, if it was free, log scale, shape (6, 6) or (7, 7).
+        similarity: the transform.
+        covariance: covariance of rotation, translation and, if free, log scale, shape (6, 6) or
+            (7, 7).
         residual_mm: ``apply(source) - target``, shape (N, 3) [mm].
-        chi2: of the residuals, by the covariances given.
+        chi2: chi2 of the residuals with the given covariances.
     """
 
     similarity: Similarity
@@ -112,11 +125,11 @@ def fit_weighted_similarity(
     target_covariance: Array,
     scaled: bool = False,
 ) -> SimilarityFit:
-    """Return the motion of least chi2, each pair weighted by ``s^2 R Cs R' + Ct``.
+    """Return the maximum-likelihood transform for anisotropic errors.
 
-    Weights that turn with the motion, as in R. Balachandran and J. M. Fitzpatrick
-    (doi:10.1117/12.813874), and sources adjusted within their covariances, so that what is found
-    is the maximum of the likelihood. From the isotropic solution on.
+    Each pair is weighted with ``s^2 R Cs R' + Ct``. The weights rotate with the transform, as in
+    R. Balachandran and J. M. Fitzpatrick (doi:10.1117/12.813874), and the sources are adjusted
+    within their covariances. The iteration starts from the isotropic solution.
 
     Args:
         source: shape (N, 3) [mm].
@@ -126,10 +139,10 @@ def fit_weighted_similarity(
         scaled: whether the scale is free.
 
     Raises:
-        NoConvergence: the steps did not end.
+        NoConvergence: the iteration did not converge.
     """
     size = np.trace(source_covariance + target_covariance, axis1=1, axis2=2)
-    # About the middle turns and shifts are least coupled.
+    # About the centroid rotation and translation are least correlated.
     centre = source.mean(axis=0)
     centred = source - centre
     found = fit_isotropic_similarity(centred, target, 1.0 / size, scaled)
@@ -143,7 +156,7 @@ def fit_weighted_similarity(
         jacobian = found.jacobian(adjusted, scaled)
         normal = np.einsum("nia,nij,njb->ab", jacobian, information, jacobian, optimize=True)
         step = -np.linalg.solve(normal, np.einsum("nia,ni->a", jacobian, pull))
-        # Of exchanged points whole steps may go to and fro.
+        # With exchanged points full steps may oscillate.
         for _ in range(_HALVINGS):
             tried = found.retract(step)
             after = _misfit(tried, centred, target, source_covariance, target_covariance)
@@ -151,7 +164,7 @@ def fit_weighted_similarity(
                 break
             step = 0.5 * step
         found, (chi2, information, residual) = tried, after
-        # In deviations of the result; where these are as small as rounding, in lengths.
+        # In standard deviations of the result; where these are as small as rounding, in lengths.
         size = np.abs(step[:3]).max() * length + np.abs(step[3:6]).max()
         if step @ normal @ step < 1e-12 * (1.0 + chi2) or size < 1e-12 * length:
             break
@@ -162,7 +175,7 @@ def fit_weighted_similarity(
             f"{np.linalg.norm(step[3:6]):.2g} mm"
         )
     covariance = np.linalg.inv(normal)
-    # Back from the middle: t = t_middle - s R middle.
+    # Back from the centroid: t = t_centroid - s R centroid.
     swept = -found.scale * found.rotation @ centre
     shift = np.eye(len(covariance))
     shift[3:6, :3] = -cross_matrix(swept)

@@ -1,4 +1,4 @@
-"""Wrong pairs: fiducials that were exchanged, or one that is not where it should be."""
+"""Correspondence errors of a registration: exchanged or misplaced fiducials."""
 
 from dataclasses import dataclass
 from itertools import combinations, permutations
@@ -14,9 +14,9 @@ from compute.pose.registration.absolute_orientation import fit_isotropic_similar
 Array = NDArray[np.float64]
 
 SIGNIFICANCE: Final = 1e-3
-"""How often a finding may come of noise, over all explanations that are tried."""
+"""Probability that noise alone causes a finding, over all hypotheses that are tested."""
 SYMMETRY_PROBABILITY: Final = 0.01
-"""Another order fits as well where noise makes the difference in more than this share."""
+"""Another order fits as well where noise explains the difference with a higher probability."""
 _MAX_EXHAUSTIVE_PAIRS: Final = 6
 _MAX_CYCLE_PAIRS: Final = 20
 _MAX_SWAP_PAIRS: Final = 60
@@ -25,16 +25,16 @@ _MIN_DOF: Final = 3
 
 @dataclass(frozen=True)
 class CorrespondenceErrors:
-    """What would mend a registration.
+    """The correspondence errors of a registration, and the residual without them.
 
     Args:
-        kind: ``exchanged``: the pairs' targets belong to one another in another order;
-            ``misplaced``: the pairs fit no order, and the others agree without them.
-        pairs: their indices.
-        order: for every source the index of the target that it belongs to.
-        rms_before_mm: RMS residual as it was given [mm].
-        rms_after_mm: mended, of the pairs that are left [mm].
-        p_value: that noise alone makes as much of a difference, over all explanations tried.
+        kind: ``exchanged``: the targets fit in another order; ``misplaced``: the pairs fit in no
+            order, and the others agree without them.
+        pairs: indices of the wrong pairs.
+        order: index of the matching target of each source.
+        rms_before_mm: RMS residual as given [mm].
+        rms_after_mm: RMS residual of the remaining pairs after the correction [mm].
+        p_value: probability that noise alone makes the same difference, over all hypotheses.
     """
 
     kind: Literal["exchanged", "misplaced"]
@@ -47,7 +47,7 @@ class CorrespondenceErrors:
 
 @dataclass(frozen=True, eq=False)
 class _Hypotheses:
-    """Explanations of one kind: orders (E, N), what is left in of each, and their misfits."""
+    """Hypotheses of one kind: orders (E, N), the pairs that each keeps, and their misfits."""
 
     order: NDArray[np.intp]
     kept: NDArray[np.intp]
@@ -65,22 +65,23 @@ class _Hypotheses:
 def find_correspondence_errors(
     source: Array, target: Array, variance_mm2: Array | None = None
 ) -> tuple[CorrespondenceErrors | None, tuple[tuple[int, ...], ...]]:
-    """Return what pairs are wrong, None where none need be, and other orders that fit as well.
+    """Return the correspondence errors, and other orders that fit as well.
 
-    Tries all orders of up to six pairs; of more, all exchanges of two and of three in a ring
-    (up to 60 and 20 pairs; of more, among those that are off most); and leaving out one or two.
-    An explanation has to beat the given order by more than noise does, at ``SIGNIFICANCE`` over all
-    that are tried, and of those that do the one that leaves most pairs in is taken.
+    Tests all orders of up to six pairs; of more, all exchanges of two and cycles of three (among up
+    to 60 and 20 pairs with the largest residuals); and the exclusion of one or two pairs. A
+    hypothesis must beat the given order significantly (``SIGNIFICANCE`` over all that are tested);
+    of those that do, the one that keeps most pairs is chosen.
 
     Args:
         source: shape (N, 3) [mm].
         target: shape (N, 3) [mm].
-        variance_mm2: of a coordinate of each pair, both sides together, shape (N,) [mm^2]; None:
-            not known, and the same for all.
+        variance_mm2: variance of a coordinate of each pair, both sides together, shape (N,)
+            [mm^2]; None: unknown, and equal for all.
 
     Returns:
-        The finding, and the orders of the targets that fit about as well as the given one, best
-        first: of fiducials in such places an exchange cannot be told by the residuals.
+        The errors, None where there are none; and the orders of the targets that fit about as
+        well as the given one, best first: an exchange to one of these does not show in the
+        residuals.
     """
     orders = _orders(source, target, variance_mm2)
     return (
@@ -96,14 +97,14 @@ def _find_errors(
     dof = 3 * len(source) - 6
     if variance_mm2 is not None and chi_square.sf(given.squares[0], dof) > SIGNIFICANCE:
         return None
-    # Leaving out comes last: what an exchange explains needs no wrong point.
+    # Exclusions come last: an exchange that explains the misfit needs no wrong point.
     tried = [*orders, *_exclusions(source, target, variance_mm2)]
     count = sum(len(one.squares) for one in tried)
     least = min((float(one.squares[one.best]) / one.dof, one.dof) for one in tried)
     for one in tried:
         p_value = count * _p_value(given, one, variance_mm2 is not None)
         mean = one.squares[one.best] / one.dof
-        # One that leaves misfits which another has not is not the explanation.
+        # A hypothesis with a clearly larger misfit than another one is not the explanation.
         as_good = mean <= max(least[0], 1e-300) * fisher.isf(0.01, one.dof, least[1])
         if variance_mm2 is not None:
             as_good = chi_square.sf(one.squares[one.best], one.dof) > SIGNIFICANCE
@@ -129,7 +130,7 @@ def _symmetric_orders(
 
 
 def _p_value(given: _Hypotheses, tried: _Hypotheses, known: bool) -> float:
-    """Return how often noise makes the given order this much worse."""
+    """Return the probability that noise makes the given order this much worse."""
     before, after = float(given.squares[0]), float(tried.squares[tried.best])
     fewer = given.dof - tried.dof
     if known:
@@ -171,7 +172,7 @@ def _exclusions(source: Array, target: Array, variance: Array | None) -> list[_H
     count = len(source)
     found = []
     for left_out in (1, 2):
-        # Fewer than four pairs, or three degrees of freedom, agree with anything.
+        # Fewer than four pairs, or three degrees of freedom, fit by chance.
         if 3 * (count - left_out) - 6 < _MIN_DOF + 3 * (left_out - 1):
             continue
         worst = sorted(np.argsort(-_residuals(source, target, variance))[:_MAX_SWAP_PAIRS].tolist())
@@ -197,7 +198,7 @@ def _squares(
     variance: Array | None,
     kept: NDArray[np.intp] | None = None,
 ) -> _Hypotheses:
-    """Return the least sum of weighted squares for each of E orders, all rigid motions tried."""
+    """Return the least sum of weighted squares of each of E orders over all rigid transforms."""
     rows = np.broadcast_to(np.arange(order.shape[1]), order.shape) if kept is None else kept
     goals = np.take_along_axis(order, rows, axis=1)
     x, y = source[rows], target[goals]

@@ -1,4 +1,4 @@
-"""Surface registration: points on a surface refine a registration (iterative closest points)."""
+"""Surface registration: iterative closest points (ICP) refines a registration by surface points."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -25,27 +25,26 @@ Array = NDArray[np.float64]
 
 _HALVINGS: Final = 10
 _MIN_RESTART_POINTS: Final = 100
-"""Points, at least, by which other starts are tried: fewer than twice as many."""
+"""Smallest size of the subset of points that other starts are tried with."""
 _MIN_RELATIVE_GAIN: Final = 1e-6
-"""A step that lessens the squares by no more is the last: some 1 % of the answer's deviation."""
+"""Relative decrease of the sum of squares below which the iteration has converged: about 1 % of the
+result's standard deviation."""
 
 
 @dataclass(frozen=True)
 class IcpSettings:
-    """How points are brought onto a surface.
+    """Settings of a surface registration.
 
     Args:
-        min_points: fewest points; a surface holds six unknowns only where it bends.
-        trim: share of the points, those furthest off, that are left out at every step, below a
-            half.
-        max_steps: before it is given up; halved ones count.
-        min_stiffness_ratio: smallest share of the best held motion's stiffness that the worst held
-            one
-            may have: the square of the ratio of their deviations.
-        max_rms_mm: largest RMS distance of the points kept [mm].
-        start_turn_rad: how far the start may be turned from the truth [rad]: it is done again
-            from starts turned by as much to either side about three axes, to see whether there is
-            another answer; 0: it is not.
+        min_points: smallest number of points; only a curved surface constrains six unknowns.
+        trim: fraction of the points, the farthest, that each step leaves out, below a half.
+        max_steps: largest number of steps, halved ones included.
+        min_stiffness_ratio: smallest stiffness of the most weakly constrained motion over that of
+            the most strongly constrained: the square of the ratio of their standard deviations.
+        max_rms_mm: largest RMS distance of the kept points [mm].
+        start_turn_rad: largest rotation error of the start [rad]: the registration is repeated
+            from starts rotated by this to either side about three axes, in search of another
+            result; 0: it is not.
         start_shift_mm: likewise shifted along three axes [mm].
     """
 
@@ -67,17 +66,18 @@ class IcpRegistration:
     """A registration by a surface.
 
     Args:
-        transform: T_surface_points, with the covariance that the kept points' distances tell of
+        transform: T_surface_points, with the covariance from the distances of the kept points
             (independent, along the normals; a systematic gap such as skin adds to it).
-        distance_mm: of each point from the surface, shape (N,) [mm].
+        distance_mm: distance of each point from the surface, shape (N,) [mm].
         kept: which points were used, shape (N,).
-        rms_mm: of those [mm].
-        steps: how many it took.
-        stiffness_ratio: stiffness of the worst held motion over the best's, from 0 to 1; turns
-            count by the RMS distance of the points from their middle.
-        weakest_motion: that motion in words.
-        other: the answer nearest to as good that another start led to, if it differs; None: all
-            starts agree, or were not asked.
+        rms_mm: RMS distance of those [mm].
+        steps: number of steps.
+        stiffness_ratio: stiffness of the most weakly constrained motion over that of the most
+            strongly constrained, from 0 to 1; rotations count by the RMS distance of the points
+            from their centroid.
+        weakest_motion: the most weakly constrained motion in words.
+        other: the best different result from another start; None: all starts agree, or were not
+            tried.
         other_rms_mm: its RMS distance [mm].
     """
 
@@ -114,26 +114,27 @@ def register_surface(
     settings: IcpSettings | None = None,
     tell: Callable[[], None] = lambda: None,
 ) -> IcpRegistration:
-    """Refine a registration so that points come to lie on a surface.
+    """Refine a registration so that points lie on a surface.
 
-    Each step moves the points towards the places that are nearest to them: along the normals
-    where these are known (Y. Chen, G. Medioni, doi:10.1016/0262-8856(92)90066-C), else
-    altogether (P. J. Besl, N. D. McKay, doi:10.1109/34.121791), leaving out those furthest off
+    Each step moves the points towards their closest points on the surface: along the normals
+    where these are known (Y. Chen, G. Medioni, doi:10.1016/0262-8856(92)90066-C), else in all
+    directions (P. J. Besl, N. D. McKay, doi:10.1109/34.121791), without the farthest points
     (D. Chetverikov and others, doi:10.1016/j.imavis.2005.05.007).
 
     Args:
         points_mm: shape (N, 3) [mm].
         surface: a PointCloud or a TriangleMesh.
-        start: T_surface_points, such as that of paired points; the answer is the one near it.
-        settings: how it is done.
-        tell: called before every look at where the points lie; what it raises ends this.
+        start: T_surface_points, such as that of paired points; the result is the minimum near it.
+        settings: number of points and steps, trimming, limits.
+        tell: called before every search of closest points; an exception that it raises ends the
+            registration.
 
     Raises:
-        TooFewPoints: fewer than asked for.
-        UndeterminedParameters: the surface lets the points slide, as a sphere or a plane does.
-        HighError: the points do not come to lie on the surface.
-        NoConvergence: it did not end.
-        InvalidParameter, NonFiniteValue: the points are not what they should be.
+        TooFewPoints: fewer than ``min_points``.
+        UndeterminedParameters: the points can slide on the surface, such as a sphere or a plane.
+        HighError: the points do not lie on the surface.
+        NoConvergence: the iteration did not converge.
+        InvalidParameter, NonFiniteValue: the points are of a wrong shape, or not finite.
     """
     wanted = settings or IcpSettings()
     surface = _ReportingSurface(surface, tell)
@@ -285,7 +286,7 @@ def _point_to_plane_step(moved: Array, normals: Array, along: Array) -> tuple[Ar
     """Return the small motion about their middle that takes points to planes at their places."""
     centre = moved.mean(axis=0)
     jacobian = np.concatenate([np.cross(moved - centre, normals), normals], axis=1)
-    # What the surface does not hold is left alone (and told afterwards).
+    # Motions that the surface does not constrain are left unchanged (and reported afterwards).
     return -np.linalg.lstsq(jacobian, along, rcond=1e-6)[0], centre
 
 
@@ -301,7 +302,7 @@ def _stiffness(alignment: _Alignment, centre: Array) -> tuple[float, Array]:
 
 def _covariance(alignment: _Alignment, normal: Array, centre: Array, length: float) -> Array:
     """Return the covariance of turn and translation."""
-    # Trimming takes the tails off: the deviation comes from the median.
+    # Trimming removes the tails: the standard deviation comes from the median.
     sigma = float(np.median(alignment.off)) / MAD_OF_NORMAL
     sigma *= float(np.sqrt(len(alignment.off) / (len(alignment.off) - 6.0)))
     scale = np.diag([1.0 / length] * 3 + [1.0] * 3)
@@ -333,7 +334,7 @@ def _alternative_minimum(
 ) -> _Alignment | None:
     """Return the best of the answers from other starts that is another one, and about as good."""
     centre = start.apply(points.mean(axis=0))
-    # Some of the points tell where a start leads; all of them are brought there.
+    # A subset of the points finds the minimum of each start; all points refine it.
     some = points[:: max(1, len(points) // _MIN_RESTART_POINTS)]
     here = alignment
     if len(some) < len(points):

@@ -1,4 +1,4 @@
-"""Registration by paired points: a transform, how well the fiducials fit, and what targets miss."""
+"""Registration by paired points: transform, residuals of the fiducials, and errors of targets."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -29,7 +29,6 @@ from compute.pose.registration.registration_messages import (
     misfit_messages,
     symmetry_messages,
 )
-from compute.pose.registration.tre import fiducial_localisation_error
 from compute.pose.transform import Transform
 
 Array = NDArray[np.float64]
@@ -86,10 +85,11 @@ class Registration:
         return found
 
     def target_error(self, targets_mm: Array) -> Array:
-        """Return the RMS target registration error (TRE) to expect, shape (...) [mm].
+        """Return the expected RMS target registration error (TRE), shape (...) [mm].
 
-        By the covariance of the transform; for errors that are the same everywhere it is
-        ``target_error.target_registration_error``.
+        It follows from the covariance of the transform. Where all fiducials have the same
+        isotropic error, it equals the formula of J. M. Fitzpatrick, J. B. West and C. R. Maurer
+        (doi:10.1109/42.736021).
         """
         covariance = self.target_covariance(targets_mm)
         found: Array = np.sqrt(np.trace(covariance, axis1=-2, axis2=-1))
@@ -110,26 +110,26 @@ def register_points(
     scaled: bool = False,
     names: Sequence[str] | None = None,
 ) -> Registration:
-    """Return the motion that takes fiducials in the source to those in the target.
+    """Return the transform of fiducials from the source to the target.
 
     Args:
         source_mm: shape (N, 3) [mm].
         target_mm: the same fiducials in the same order, shape (N, 3) [mm].
         source_covariance_mm2: of each, or one for all, shape (N, 3, 3) or (3, 3) [mm^2]; None:
             exact, if the target has covariances.
-        target_covariance_mm2: likewise. Without either every fiducial errs alike in all
-            directions, by as much as the residuals tell.
-        weighting: ``covariances``, or ``fit_isotropic_similarity``: the closed form, which
-            covariances do not change; its own covariance is then what they make of it.
+        target_covariance_mm2: likewise. Without either, all fiducials have the same isotropic
+            error, estimated from the residuals.
+        weighting: ``covariances``; or ``isotropic``: the closed form, whose result does not depend
+            on the covariances; they are propagated to its own.
         scaled: whether the scale is free as well.
-        names: of the fiducials, for messages; None: their numbers from 1.
+        names: names of the fiducials, for messages; None: their numbers from 1.
 
     Raises:
         TooFewPoints: fewer than three fiducials.
-        DuplicatePoint: two fiducials are at one place.
-        CollinearPoints: they lie on one line, or no further from it than they err.
-        InvalidParameter, NonFiniteValue: the arrays are not what they should be.
-        NoConvergence: the weighted fit did not end.
+        DuplicatePoint: two fiducials coincide.
+        CollinearPoints: they are collinear within their errors.
+        InvalidParameter, NonFiniteValue: an array is of a wrong shape, or not finite.
+        NoConvergence: the weighted fit did not converge.
     """
     source, target = _points(source_mm, "source"), _points(target_mm, "target")
     count = len(source)
@@ -269,3 +269,17 @@ def _closed_form(
     information = np.linalg.inv(covariance)
     chi2 = float(np.einsum("ni,nij,nj->", residual, information, residual))
     return SimilarityFit(found, inverse @ middle @ inverse, residual, chi2)
+
+
+def fiducial_localisation_error(residuals_mm: Array, parameters: int = 6) -> float:
+    """Return the fiducial localisation error (FLE, 3D RMS) estimated from N residuals [mm].
+
+    ``FLE^2 = N / (N - 2) FRE^2`` (R. Sibson, doi:10.1111/j.2517-6161.1979.tb01076.x): a rigid
+    motion takes up six of the 3 N degrees of freedom, a similarity seven.
+
+    Args:
+        residuals_mm: shape (N, 3) [mm].
+        parameters: degrees of freedom of the transform.
+    """
+    dof = residuals_mm.size - parameters
+    return float(np.sqrt(3.0 * (residuals_mm**2).sum() / dof))

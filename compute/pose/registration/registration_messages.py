@@ -1,4 +1,4 @@
-"""What to know of a registration before it is used, in words."""
+"""Warnings of a registration by paired points, in words."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -18,7 +18,14 @@ _MISFIT: Final = 1e-3
 def misfit_messages(
     chi2: float | None, dof: int, errors: CorrespondenceErrors | None, names: Sequence[str]
 ) -> list[str]:
-    """Return what pairs are wrong, or that nothing explains the residuals."""
+    """Return a warning of correspondence errors, or of residuals that nothing explains.
+
+    Args:
+        chi2: chi2 of the residuals; None: the covariances are unknown.
+        dof: its degrees of freedom.
+        errors: correspondence errors that were found; None: none.
+        names: names of the N fiducials.
+    """
     if errors is not None:
         called = ", ".join(f'"{names[one]}"' for one in errors.pairs)
         mended = f"the RMS residual falls from {errors.rms_before_mm:.3g} to"
@@ -54,7 +61,13 @@ def misfit_messages(
 def symmetry_messages(
     others: tuple[tuple[int, ...], ...], errors: CorrespondenceErrors | None, names: Sequence[str]
 ) -> list[str]:
-    """Return that an exchange would not be seen, where it would not."""
+    """Return a warning where an exchange of fiducials would not show.
+
+    Args:
+        others: orders of the targets that fit as well as the given one.
+        errors: correspondence errors that were found; None: none.
+        names: names of the N fiducials.
+    """
     if errors is not None or not others:
         return []
     moved = [one for one, goal in enumerate(others[0]) if one != goal]
@@ -68,7 +81,14 @@ def symmetry_messages(
 
 
 def collinearity_messages(along: float, off: float, covariance: Array, known: bool) -> list[str]:
-    """Return what fiducials that are nearly on one line leave open."""
+    """Return a warning where fiducials are nearly collinear.
+
+    Args:
+        along: RMS spread of the fiducials along their principal line [mm].
+        off: RMS distance from this line [mm].
+        covariance: covariance of rotation [rad] and translation [mm], shape (6, 6) or more.
+        known: whether it comes from given covariances, not from the residuals.
+    """
     if off >= _NEARLY * along:
         return []
     turn = float(np.sqrt(np.linalg.eigvalsh(covariance[:3, :3])[-1]))

@@ -1,4 +1,4 @@
-"""Surfaces to register with: a cloud of points or a triangle mesh, and nearest places on it."""
+"""Surfaces for registration: point cloud or triangle mesh, with closest points and normals."""
 
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -17,34 +17,34 @@ _CANDIDATES: Final = 16
 _FIRST_CANDIDATES: Final = 3
 """Candidates that are looked at before the others, most of which then cannot be nearer."""
 _MAX_SIZE_RATIO: Final = 4.0
-"""Largest ratio of the reaches of triangles that are searched together."""
+"""Largest ratio of the sizes of triangles that are searched together."""
 _BATCH_TRIANGLES: Final = 200_000
 """Triangles that are looked at together, unless one point needs more."""
 
 
 class Surface(Protocol):
-    """Something with a nearest place to any point."""
+    """A surface with a closest point to any point."""
 
     @property
     def exact_normals(self) -> bool:
-        """Whether normals are given, and not estimated from neighbours."""
+        """Whether the normals are given, not estimated from neighbours."""
 
     def nearest(self, points_mm: Array) -> tuple[Array, Array]:
-        """Return the nearest places (N, 3) [mm] to points (N, 3), and the unit normals there."""
+        """Return the closest surface points (N, 3) [mm] to points (N, 3), and the unit normals."""
 
 
 @dataclass(frozen=True, eq=False)
 class PointCloud:
-    """Points of a surface.
+    """A surface given by points.
 
     Args:
         points_mm: shape (M, 3) [mm].
-        normals: shape (M, 3), of any length but zero; None: not known, and estimated as the
-            direction in which each point's neighbours spread least.
+        normals: shape (M, 3), of any length but zero; None: estimated as the direction in which
+            each point's neighbours spread least.
 
     Raises:
         TooFewPoints: fewer than twelve points, and no normals.
-        InvalidParameter, NonFiniteValue: an array is not what it should be.
+        InvalidParameter, NonFiniteValue: an array is of a wrong shape, or not finite.
     """
 
     points_mm: Array
@@ -150,7 +150,7 @@ class TriangleMesh:
         near = _Nearest(points, self._corners)
         for level in self._levels:
             level.search(near, self._reach)
-        # Beside an edge or a corner the distance grows along the way to it, not along a normal.
+        # Next to an edge or a corner the distance increases away from it, not along a normal.
         off = points - near.place
         length = near.distance[:, None]
         tiny = length <= 1e-9 * self._levels[-1].radius
@@ -179,7 +179,7 @@ class _Level:
             return
         most = near.distance[rows] + self.radius * (1.0 + 1e-9)
         counts = self.tree.query_ball_point(near.points[rows], most, return_length=True)
-        # In parts: of points in the middle of a sphere all triangles are about the nearest.
+        # In batches: for points near the centre of a sphere all triangles are candidates.
         for part in np.split(
             np.arange(len(rows)),
             np.flatnonzero(np.diff(np.cumsum(counts) // _BATCH_TRIANGLES)) + 1,
@@ -203,7 +203,7 @@ class _Nearest:
         """Put in what is nearer, of triangles ``faces`` to the points ``owner``."""
         places = nearest_on_triangles(self.points[owner], self._corners[faces])
         distance = np.linalg.norm(places - self.points[owner], axis=1)
-        # The nearest of each point comes first.
+        # The closest triangle of each point comes first.
         order = np.lexsort((distance, owner))
         rows, first = np.unique(owner[order], return_index=True)
         chosen = order[first]

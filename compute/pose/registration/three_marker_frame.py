@@ -1,4 +1,4 @@
-"""The coordinate frame of three markers (section 7.2.3 of the thesis, Figure 7.6)."""
+"""Coordinate frame of three markers (section 7.2.3 of the thesis, Figure 7.6)."""
 
 from typing import Final
 
@@ -17,10 +17,10 @@ from compute.pose.transform import Transform, cross_matrix
 Array = NDArray[np.float64]
 
 MIN_HEIGHT: Final = 0.02
-"""Markers whose triangle is flatter, its height over its longest side, make no frame."""
+"""Smallest height of the markers' triangle over its longest side."""
 
 MAX_ROTATION_SIGMA_RAD: Final = 1.0 / 3.0
-"""Standard deviation of a turn beyond which markers are too near one another for their noise."""
+"""Largest standard deviation of the frame's rotation."""
 
 
 def three_marker_frame(markers_mm: Array, covariance_mm2: Array | None = None) -> Transform:

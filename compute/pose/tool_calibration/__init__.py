@@ -1,1 +1,1 @@
-"""Tool calibration."""
+"""Tool calibration: tip by pivoting, axis by spinning, landmarks with a pointer."""

@@ -1,4 +1,4 @@
-"""Digitising pointer: a landmark as the mean of its tip while it is held still."""
+"""Digitising with a pointer: a landmark as the mean of its tip while it is held still."""
 
 from collections import deque
 from dataclasses import dataclass
@@ -14,20 +14,20 @@ Array = NDArray[np.float64]
 
 _NOTHING: Final = np.zeros((3, 3))
 _DRIFT_SIGNIFICANCE: Final = 1e-4
-"""A drift is one when chance makes as much of it in one still capture of 10 000."""
+"""Significance level of a drift: one of 10,000 still captures shows one by chance."""
 
 
 @dataclass(frozen=True)
 class StationarySettings:
-    """When a tip counts as held still.
+    """Criteria of a tip that is held still.
 
     Args:
-        seconds: how long it has to be still [s].
-        min_poses: fewest positions in this time.
+        seconds: time for which it must be still [s].
+        min_poses: smallest number of positions in this time.
         max_sigma_mm: largest standard deviation of a position in space (root of the trace of
             the scatter) [mm].
-        max_drift_mm: largest movement from the begin to the end of the capture that may be real
-            [mm]; one that noise explains is none.
+        max_drift_mm: largest drift from beginning to end of the capture [mm]; a drift within the
+            noise counts as 0.
         max_gap_s: longest time without a position [s].
     """
 
@@ -47,15 +47,15 @@ class StationarySettings:
 
 @dataclass(frozen=True, eq=False)
 class StationaryPoint:
-    """A point that was held.
+    """Position of a tip that was held still.
 
     Args:
-        position_mm: the mean, shape (3,) [mm].
-        covariance_mm2: of the mean, shape (3, 3) [mm^2]: the scatter over the number of
-            positions, and what is common to all of them and no mean makes smaller: what is known
-            to be, such as the tip's own, and what their other covariances say beyond the scatter.
+        position_mm: mean, shape (3,) [mm].
+        covariance_mm2: covariance of the mean, shape (3, 3) [mm^2]: the scatter over the number of
+            positions, plus the part that is common to all positions: the known common part, such
+            as the tip's own, and what their covariances exceed the scatter by.
         sigma_mm: standard deviation of a position in space [mm].
-        drift_mm: movement from begin to end, by a straight line [mm].
+        drift_mm: drift from beginning to end, by a straight line [mm].
         poses: number of positions.
         first_ns: time of the first [ns].
         last_ns: time of the last [ns].
@@ -77,20 +77,20 @@ def average_stationary_tip(
     settings: StationarySettings | None = None,
     shared_mm2: Array | None = None,
 ) -> StationaryPoint:
-    """Return the mean of a tip's positions, all of them, if it was held still.
+    """Return the mean of all given positions of a tip, if it was held still.
 
     Args:
         times_ns: ascending, shape (N,) [ns].
-        positions_mm: in the frame that the landmark is wanted in, such as the reference tool's,
+        positions_mm: positions in the landmark's frame, such as the reference tool's,
             shape (N, 3) [mm].
-        covariances_mm2: shape (N, 3, 3) [mm^2]; None: the scatter is all that is known.
-        settings: what counts as still.
-        shared_mm2: what of these covariances is known to be common to all positions,
-            shape (N, 3, 3) [mm^2]; None: nothing.
+        covariances_mm2: shape (N, 3, 3) [mm^2]; None: unknown, the scatter is used.
+        settings: criteria of a still tip.
+        shared_mm2: part of these covariances that is common to all positions,
+            shape (N, 3, 3) [mm^2]; None: none.
 
     Raises:
         TooFewPoses: there are too few, over too short a time, or with a gap.
-        NotStationary: they scatter or drift more than allowed.
+        NotStationary: scatter or drift is too large.
     """
     wanted = settings or StationarySettings()
     times = (np.asarray(times_ns, np.int64) - times_ns[0]) * 1e-9 if len(times_ns) else np.empty(0)
@@ -164,14 +164,14 @@ def _drift(times: Array, off: Array) -> tuple[float, float]:
 
 
 def _beyond(stated: Array, scatter: Array) -> Array:
-    """Return what a stated covariance has beyond the scatter, without negative directions."""
+    """Return the part of a covariance that exceeds the scatter, without negative eigenvalues."""
     values, axes = np.linalg.eigh(stated - scatter)
     found: Array = (axes * np.maximum(values, 0.0)) @ axes.T
     return found
 
 
 class StationaryCapture:
-    """Takes a tip's positions as they come, and tells when it was held still long enough."""
+    """Collects positions of a tip until it was held still for long enough."""
 
     def __init__(self, settings: StationarySettings | None = None) -> None:
         """Begin a capture."""
@@ -181,26 +181,13 @@ class StationaryCapture:
 
     @property
     def error(self) -> NotStationary | TooFewPoses:
-        """What there is no point yet for, to be raised by who waits no longer."""
+        """Why there is no point yet, as an exception for callers that stop waiting."""
         return self._error or TooFewPoses("no position of the tip yet")
 
     @property
     def reason(self) -> str:
         """Why there is no point yet."""
         return self.error.detail
-
-    def add(
-        self, time_ns: int, position_mm: Array | None, covariance_mm2: Array | None = None
-    ) -> StationaryPoint | None:
-        """Return the point once the last ``seconds`` were still; begin anew after it.
-
-        Args:
-            time_ns: [ns]; one that goes back begins anew.
-            position_mm: shape (3,) [mm]; None: the tip is not known now.
-            covariance_mm2: shape (3, 3) [mm^2].
-        """
-        self.add_sample(time_ns, position_mm, covariance_mm2)
-        return None if position_mm is None else self.take()
 
     def add_sample(
         self,
@@ -209,9 +196,14 @@ class StationaryCapture:
         covariance_mm2: Array | None = None,
         shared_mm2: Array | None = None,
     ) -> None:
-        """Add a position without looking whether the tip is still: quick; see ``add``.
+        """Add a position, without the test whether the tip is still; ``take`` tests it.
 
-        ``shared_mm2`` is what of its covariance is common to all positions.
+        Args:
+            time_ns: [ns]; a time that goes back restarts the capture.
+            position_mm: shape (3,) [mm]; None: the tip is not visible.
+            covariance_mm2: shape (3, 3) [mm^2]; None: unknown.
+            shared_mm2: part of the covariance that is common to all positions, shape (3, 3) [mm^2];
+                None: none.
         """
         held, wanted = self._held, self._settings
         if held and time_ns <= held[-1][0]:
@@ -221,12 +213,12 @@ class StationaryCapture:
             return
         shared = _NOTHING if shared_mm2 is None else shared_mm2
         held.append((time_ns, np.asarray(position_mm, np.float64), covariance_mm2, shared))
-        # As short as it may be, lest the movement before it counts.
+        # As short as allowed, so that earlier motion does not count.
         while len(held) > 1 and (time_ns - held[1][0]) * 1e-9 >= wanted.seconds:
             held.popleft()
 
     def take(self) -> StationaryPoint | None:
-        """Return the point if the last ``seconds`` that were put in were still, and begin anew."""
+        """Return the point if the last ``seconds`` were still, and restart; None: they were not."""
         held = self._held
         known = [one for _, _, one, _ in held if one is not None]
         try:

@@ -1,4 +1,4 @@
-"""Pivot calibration: a tool's tip, from poses turned about a fixed point."""
+"""Pivot calibration: a tool's tip from poses rotated about a fixed point."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -9,8 +9,7 @@ from scipy.stats import chi2
 
 from compute.camera.rotation import rotation_matrix
 from compute.errors import HighError, NoConvergence, TooFewPoses, TooLittleRotation
-from compute.pose.tool_calibration.orientation_coverage import OrientationCoverage
-from compute.pose.tool_calibration.pose_validation import validate_poses
+from compute.pose.tool_calibration.calibration_poses import OrientationCoverage, validate_poses
 from compute.pose.transform import cross_matrix
 from compute.robust_statistics import biweight
 
@@ -18,7 +17,7 @@ Array = NDArray[np.float64]
 
 UNKNOWNS: Final = 6
 _OUTLIER_THRESHOLD: Final = float(np.sqrt(chi2.isf(1e-4, 3)))
-"""Distance, in deviations in space, beyond which a pose is left out: one good one in 10 000."""
+"""Distance in standard deviations above which a pose is excluded: one correct one in 10,000."""
 _MEDIAN_SIGMAS: Final = float(np.sqrt(chi2.median(3)))
 _RANDOM_TRIPLES: Final = 120
 """Of poses of which 40 % are wrong one triple in five is right: never none of so many."""
@@ -27,15 +26,15 @@ _MAX_ITERATIONS: Final = 50
 
 @dataclass(frozen=True)
 class PivotSettings:
-    """What a pivot calibration asks of its poses.
+    """Requirements of a pivot calibration.
 
     Args:
-        min_poses: fewest poses that have to agree.
-        min_swing_rad: least RMS angle by which each direction of the tool has to swing [rad].
-            The tip's deviation in a direction is that of a pose over the root of their number,
-            over the sine of this angle.
+        min_poses: smallest number of poses that agree.
+        min_swing_rad: smallest RMS angle by which each direction of the tool must swing [rad].
+            The standard deviation of the tip in a direction is that of a pose over the root of
+            their number, over the sine of this angle.
         max_rms_mm: largest RMS distance of the tip from the fixed point [mm].
-        max_outlier_fraction: largest share of poses that may be left out, below a half.
+        max_outlier_fraction: largest fraction of poses that may be excluded, below a half.
     """
 
     min_poses: int = 10
@@ -79,27 +78,27 @@ def pivot_calibration(
     covariances: Array | None = None,
     settings: PivotSettings | None = None,
 ) -> PivotResult:
-    """Return the point of a tool that stayed where it was while the tool was turned.
+    """Return the point of a tool that stayed fixed while the tool was rotated.
 
-    Solves ``R_i tip + t_i = pivot`` for tip and pivot: linear from triples of poses, the start
-    being that which fits most poses; from there weighted by the covariance of ``R_i tip + t_i``,
-    with the orientations adjusted within theirs (Z. Yaniv, doi:10.1117/12.2081348, compares the
-    unweighted ways), and with Tukey's loss, until what does not fit is named and left out.
+    Solves ``R_i tip + t_i = pivot`` for tip and pivot. The initial estimate is the linear solution
+    of the triple of poses that most poses agree with. It is refined with Tukey's loss, weighted
+    with the covariance of ``R_i tip + t_i``, with the orientations adjusted within theirs
+    (Z. Yaniv, doi:10.1117/12.2081348, compares the unweighted methods). Outliers are then excluded.
 
     Args:
         rotations: R_world_tool, shape (N, 3, 3).
         translations_mm: shape (N, 3) [mm].
-        covariances: of turn [rad] and translation [mm] as in ToolPose, shape (N, 6, 6); None: not
-            pose_covariances: the scatter tells, and all poses count the same.
-        settings: what is asked of the poses.
+        covariances: covariance of rotation [rad] and translation [mm] as in ToolPose, shape
+            (N, 6, 6); None: unknown, all poses have equal weight.
+        settings: requirements of the poses.
 
     Raises:
-        TooFewPoses: there are, or agree, fewer than asked for.
-        TooLittleRotation: a direction of the tool swung less than asked for; the tip is not
-            determined along it.
+        TooFewPoses: fewer poses than required, or fewer that agree.
+        TooLittleRotation: a direction of the tool swung too little; the tip is not determined
+            along it.
         HighError: the tip did not stay at one point.
-        InvalidParameter, NonFiniteValue: the arrays are not what they should be.
-        NoConvergence: the adjustment did not end.
+        InvalidParameter, NonFiniteValue: an array is of a wrong shape, or not finite.
+        NoConvergence: the adjustment did not converge.
     """
     wanted = settings or PivotSettings()
     rotations, translations, pose_covariances = validate_poses(
@@ -191,13 +190,13 @@ def _check_used(used: NDArray[np.bool_], wanted: PivotSettings) -> None:
 def _initial_estimate(rotations: Array, translations: Array) -> Array:
     """Return tip and pivot (6,) that bring most poses together, each try from three of them."""
     count = len(translations)
-    # The same poses give the same bits.
+    # A fixed seed: the same poses give the same result to the last bit.
     rng = np.random.default_rng(0)
     picks = np.argpartition(rng.random((_RANDOM_TRIPLES, count)), 3, axis=1)[:, :3]
     design = np.concatenate(
         [rotations[picks], np.broadcast_to(-np.eye(3), (_RANDOM_TRIPLES, 3, 3, 3))], axis=-1
     ).reshape(_RANDOM_TRIPLES, 9, 6)
-    # Minimum-norm: three poses of nearly the same orientation make no start, and score badly.
+    # Minimum-norm: three poses of nearly the same orientation give a poor start and score badly.
     tries = np.einsum(
         "kij,kj->ki",
         np.linalg.pinv(design, rcond=1e-4),
@@ -273,7 +272,7 @@ def _robust_fit(
         normalised_residuals = _normalised_residuals(
             rotations, translations, pose_covariances, unknowns
         )
-        # The loss counts deviations of a number; the median of three together is larger.
+        # The loss expects a scalar deviation; the median of a 3D distance is larger.
         weight = biweight(
             normalised_residuals
             / _scale(normalised_residuals, pose_covariances)
@@ -316,7 +315,7 @@ def _gauss_newton_step(
     pull = np.einsum("nij,nj->ni", information, residual)
     right = rotations
     if pose_covariances is not None:
-        # The likelihood's slope is that at the adjusted orientations: with the measured ones,
+        # The likelihood's gradient is that at the adjusted orientations: with the measured ones,
         # their noise would pull the tip towards the tool's origin.
         turn = np.einsum("nij,nkj,nk->ni", pose_covariances, jacobian, pull)[:, :3]
         right = rotation_matrix(-turn) @ rotations

@@ -1,4 +1,4 @@
-"""Spin calibration: the long axis of a tool, from poses turned about it."""
+"""Spin calibration: the long axis of a tool from poses rotated about it."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -15,8 +15,7 @@ from compute.errors import (
     TooFewPoses,
     TooLittleRotation,
 )
-from compute.pose.tool_calibration.orientation_coverage import OrientationCoverage
-from compute.pose.tool_calibration.pose_validation import validate_poses
+from compute.pose.tool_calibration.calibration_poses import OrientationCoverage, validate_poses
 from compute.pose.tool_calibration.spin_axis import (
     ROWS,
     UNKNOWNS,
@@ -37,14 +36,14 @@ _MAX_ITERATIONS: Final = 50
 
 @dataclass(frozen=True)
 class SpinSettings:
-    """What a spin calibration asks of its poses.
+    """Requirements of a spin calibration.
 
     Args:
-        min_poses: fewest poses that have to agree.
-        min_swing_rad: least RMS angle by which directions across the axis have to swing [rad].
-        max_tilt_rad: largest RMS angle of the axis off its mean direction [rad].
-        max_rms_mm: largest RMS distance of the axis from where it is [mm].
-        max_outlier_fraction: largest share of poses that may be left out, below a half.
+        min_poses: smallest number of poses that agree.
+        min_swing_rad: smallest RMS angle by which directions across the axis must swing [rad].
+        max_tilt_rad: largest RMS angle of the axis from its mean direction [rad].
+        max_rms_mm: largest RMS distance of the axis from its mean position [mm].
+        max_outlier_fraction: largest fraction of poses that may be excluded, below a half.
     """
 
     min_poses: int = 10
@@ -158,7 +157,7 @@ def spin_calibration(
     covariance = np.linalg.inv(normal) * (1.0 if pose_covariances is None else max(1.0, factor))
     sign = _sign(axis.tool_direction, along)
     across = axis.across_tool
-    # The point is that nearest to the origin: it goes along with the direction.
+    # The point is the closest to the origin: it depends on the direction.
     slide = np.outer(axis.tool_direction, axis.tool_point) @ across.T
     jacobian = np.concatenate([-slide, across.T], axis=1)
     joint = covariance[np.ix_([0, 1, 4, 5], [0, 1, 4, 5])]
@@ -281,7 +280,7 @@ def _least_squares(
         pull = np.einsum("nij,nj->ni", information, off)
         right = some
         if pose_covariances is not None:
-            # As in pivot calibration: the slopes are those of the adjusted orientations.
+            # As in pivot calibration: the gradients are those at the adjusted orientations.
             turn = np.einsum(
                 "nij,nkj,nk->ni", pose_covariances[used], pose_jacobian(some, axis), pull
             )[:, :3]
@@ -289,7 +288,7 @@ def _least_squares(
         design = axis_design(right, axis)
         normal = np.einsum("nia,nij,njb->ab", design, information, design, optimize=True)
         gradient = np.einsum("nia,ni->a", design, pull)
-        # Without turns the point is not determined; that is told by the orientations.
+        # Without rotation the point is undetermined; the check of the orientations reports it.
         scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
         step = -np.linalg.lstsq(normal / np.outer(scale, scale), gradient / scale, rcond=1e-9)[0]
         step /= scale

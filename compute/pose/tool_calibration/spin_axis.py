@@ -1,4 +1,4 @@
-"""SpinAxis: an axis about which a tool is turned, in the tool and in the world."""
+"""SpinAxis: the axis of rotation of a tool, in tool and world coordinates, and its equations."""
 
 from dataclasses import dataclass
 
@@ -10,14 +10,14 @@ from compute.pose.transform import cross_matrix
 Array = NDArray[np.float64]
 
 UNKNOWNS = 8
-"""Two of each direction, two of each point."""
+"""Two parameters for each direction, two for each point."""
 ROWS = 4
-"""What a pose tells: two of the direction, two of the point."""
+"""Equations of a pose: two for the direction, two for the point."""
 
 
 @dataclass(frozen=True, eq=False)
 class SpinAxis:
-    """Directions (3,) and points (3,) in the tool and in the world, with a basis across each."""
+    """Directions (3,) and points (3,) [mm] of the axis in the tool and in the world."""
 
     tool_direction: Array
     world_direction: Array
@@ -35,7 +35,7 @@ class SpinAxis:
         return _across(self.world_direction)
 
     def retract(self, step: Array) -> "SpinAxis":
-        """Return it after a step: two of each direction, two of each point."""
+        """Return the axis corrected by an increment: two parameters of each direction and point."""
         tool_direction, world_direction = self.across_tool, self.across_world
         rotations = self.tool_direction + step[0:2] @ tool_direction
         other = self.world_direction + step[2:4] @ world_direction
@@ -43,7 +43,7 @@ class SpinAxis:
         other /= np.linalg.norm(other)
         tool_point = self.tool_point + step[4:6] @ tool_direction
         world_point = self.world_point + step[6:8] @ world_direction
-        # What slid along the axis means nothing.
+        # Shifts along the axis are undetermined and removed.
         return SpinAxis(
             rotations,
             other,
@@ -53,7 +53,12 @@ class SpinAxis:
 
 
 def linear_axis(rotations: Array, translations: Array) -> SpinAxis:
-    """Return the axis by least squares of N poses, (N, 3, 3) and (N, 3), in closed form."""
+    """Return the least-squares axis of N poses in closed form.
+
+    Args:
+        rotations: R_world_tool, shape (N, 3, 3).
+        translations: shape (N, 3) [mm].
+    """
     left, _, right = np.linalg.svd(rotations.mean(axis=0))
     tool_direction, world_direction = right[0], left[:, 0]
     across, other = _across(tool_direction), _across(world_direction)
@@ -69,7 +74,13 @@ def linear_axis(rotations: Array, translations: Array) -> SpinAxis:
 
 
 def axis_differences(rotations: Array, translations: Array, axis: SpinAxis) -> Array:
-    """Return direction's and point's differences across the axis, shape (N, 4)."""
+    """Return the differences of direction and point (tool less world) across the axis, (N, 4).
+
+    Args:
+        rotations: R_world_tool, shape (N, 3, 3).
+        translations: shape (N, 3) [mm].
+        axis: the axis.
+    """
     other = axis.across_world
     direction = rotations @ axis.tool_direction @ other.T
     tool_point = (rotations @ axis.tool_point + translations - axis.world_point) @ other.T
@@ -77,7 +88,12 @@ def axis_differences(rotations: Array, translations: Array, axis: SpinAxis) -> A
 
 
 def axis_design(rotations: Array, axis: SpinAxis) -> Array:
-    """Return the slopes of ``_residuals`` to the unknowns, shape (N, 4, 8)."""
+    """Return the Jacobian of ``axis_differences`` with respect to the axis, shape (N, 4, 8).
+
+    Args:
+        rotations: R_world_tool, shape (N, 3, 3).
+        axis: the axis.
+    """
     tool_direction, other = axis.across_tool, axis.across_world
     design = np.zeros((len(rotations), 4, UNKNOWNS))
     rows = other @ rotations @ tool_direction.T
@@ -87,7 +103,14 @@ def axis_design(rotations: Array, axis: SpinAxis) -> Array:
 
 
 def pose_jacobian(rotations: Array, axis: SpinAxis) -> Array:
-    """Return the slopes of ``_residuals`` to turn and translation of the pose, shape (N, 4, 6)."""
+    """Return the Jacobian of ``axis_differences`` with respect to the poses, shape (N, 4, 6).
+
+    Its columns are rotation (left) [rad] and translation [mm].
+
+    Args:
+        rotations: R_world_tool, shape (N, 3, 3).
+        axis: the axis.
+    """
     other = axis.across_world
     jacobian = np.zeros((len(rotations), 4, 6))
     jacobian[:, :2, :3] = -other @ cross_matrix(rotations @ axis.tool_direction)

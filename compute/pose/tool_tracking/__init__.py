@@ -1,1 +1,1 @@
-"""Tool tracking."""
+"""Tool tracking: state of each tool from exposure to exposure, and its reported pose."""

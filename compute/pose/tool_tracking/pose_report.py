@@ -1,30 +1,104 @@
-"""Pose report: a filter state as a ToolPose, with status and reason."""
+"""Pose report: a filter state as a ToolPose, with status, reason and consistency test.
+
+A calibration error is the same in all exposures, so residuals of several exposures are correlated.
+The chi-square test therefore whitens the residuals of recent exposures jointly where their
+sensitivities to the common errors are known.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
 from math import sqrt
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from compute.measurement.measurement_model import MeasurementModel
-from compute.pose.centred_markers import CentredMarkers
 from compute.pose.estimation.observability import observability
 from compute.pose.filtering.pose_filter import PoseState
-from compute.pose.rigid_body import RigidBody
+from compute.pose.rigid_body import CentredMarkers, RigidBody
 from compute.pose.settings import ToolTrackerSettings
 from compute.pose.tool_pose import PoseStatus, ToolPose
+from compute.reconstruction.triangulation import chi2_limit
 
 Array = NDArray[np.float64]
+
+_MIN_VARIANCE: Final = 0.05
+"""Smallest variance of a combination of whitened readings: smaller ones are rounding errors."""
+
+
+@dataclass(frozen=True, eq=False)
+class ExposureResiduals:
+    """Residuals of the readings of one exposure.
+
+    Args:
+        sum_of_squares: sum of their normalised squares, excluded readings included.
+        count: number of readings.
+        excluded: number of excluded readings of each marker, shape (M,).
+        whitened: whitened innovations of the readings that were used, and their Jacobian with
+            respect to the common errors, shape (n, 1 + E); None: unknown.
+    """
+
+    sum_of_squares: float
+    count: int
+    excluded: NDArray[np.intp]
+    whitened: Array | None = None
+
+    @cached_property
+    def any_excluded(self) -> bool:
+        """Whether any reading was excluded."""
+        return bool(np.count_nonzero(self.excluded))
+
+
+def chi2_test(
+    exposures: Sequence[ExposureResiduals], probability: float
+) -> tuple[float, int, float]:
+    """Return the sum of squares of several exposures, the number of readings, and the limit.
+
+    Where the sum is too large for independent errors, and the common errors are known, it is that
+    of the jointly whitened readings.
+
+    Args:
+        exposures: residuals of the exposures.
+        probability: probability that correct readings are rejected.
+    """
+    sum_of_squares = sum(one.sum_of_squares for one in exposures)
+    count = sum(one.count for one in exposures)
+    limit = _limit(count, probability)
+    if sum_of_squares > limit:
+        known = [one.whitened for one in exposures if one.whitened is not None]
+        if known and known[0].shape[1] > 1:
+            sum_of_squares = min(sum_of_squares, _jointly_whitened(sum_of_squares, known))
+    return sum_of_squares, count, limit
+
+
+_limit: Final = lru_cache(maxsize=1024)(chi2_limit)
+
+
+def _jointly_whitened(sum_of_squares: float, whitened: Sequence[Array]) -> float:
+    """Return the sum of squares with the innovations of all exposures whitened jointly."""
+    value = np.concatenate([one[:, 0] for one in whitened])
+    common = np.concatenate([one[:, 1:] for one in whitened])
+    covariance = common @ common.T
+    first = 0
+    for one in whitened:
+        own = slice(first, first + len(one))
+        covariance[own, own] = np.eye(len(one))
+        first += len(one)
+    size, axes = np.linalg.eigh(covariance)
+    alone = float(value @ value)
+    along = axes.T @ value
+    return sum_of_squares - alone + float((along**2 / np.maximum(size, _MIN_VARIANCE)).sum())
 
 
 @dataclass(frozen=True, eq=False)
 class TrackSupport:
-    """What the pose of a tool rests on.
+    """Readings that a tool's pose is based on.
 
     Args:
-        nis: normalised innovations squared of its last frames.
-        readings: how many readings of each.
+        nis: normalised innovation squared of each of its last frames.
+        readings: number of readings of each.
         sensors: which sensor read which marker, shape (M, S).
     """
 
@@ -34,7 +108,7 @@ class TrackSupport:
 
     @property
     def residual_sigma(self) -> float | None:
-        """Root of the innovations squared per reading; None without any."""
+        """Root of the mean normalised innovation squared per reading; None without any."""
         count = sum(self.readings)
         return sqrt(sum(self.nis) / count) if count else None
 
@@ -42,7 +116,15 @@ class TrackSupport:
 def missing_pose(
     tool: RigidBody, status: PoseStatus, reason: str, time_ns: int, sequence: int
 ) -> ToolPose:
-    """Return that there is no pose, and why."""
+    """Return a ToolPose without a pose.
+
+    Args:
+        tool: the tool.
+        status: why there is no pose.
+        reason: the same in words.
+        time_ns: middle of the exposure [ns].
+        sequence: number of the frame.
+    """
     return ToolPose(tool.name, status, reason, time_ns, sequence)
 
 
@@ -58,17 +140,17 @@ def report(
 
     Args:
         tool: the tool.
-        state: of its filter.
-        support: what the state rests on.
+        state: state of its filter.
+        support: readings that the state is based on.
         sequence: number of the frame.
-        outside: what of it lies outside of the volume that is vouched for; None: nothing.
+        outside: which part of the tool is outside the calibrated volume; None: none.
         settings: limits.
     """
     centred = CentredMarkers.of(tool)
     here = state.covariance[:6, :6]
     most = (settings.fit.max_sigma_fraction * centred.radius_mm) ** 2
     a, b, c, x, y, z = here.diagonal().tolist()
-    # No motion is less certain than all together: that is checked first, it costs next to nothing.
+    # The trace bounds the largest eigenvalue and is much cheaper: it is checked first.
     if not centred.radius_mm**2 * (a + b + c) + (x + y + z) <= most:
         radius = np.array([centred.radius_mm] * 3 + [1.0] * 3)
         scaled = here * (radius[:, None] * radius)
@@ -118,7 +200,18 @@ def outside_volume(
     support: TrackSupport,
     settings: ToolTrackerSettings,
 ) -> str | None:
-    """Return what of a tool lies outside of the table's hull or the calibration's volume."""
+    """Return, in words, which part of a tool is outside the calibrated volume or the table's hull.
+
+    Args:
+        model: the cameras, with the correction table.
+        tool: the tool.
+        state: state of its filter.
+        support: readings that the state is based on.
+        settings: the calibrated volume.
+
+    Returns:
+        None where all of the tool is inside.
+    """
     centred = CentredMarkers.of(tool)
     if settings.volume_mm is not None:
         low, high = np.array(settings.volume_mm)

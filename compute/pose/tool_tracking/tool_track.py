@@ -1,4 +1,4 @@
-"""ToolTrack: the state of one tool between exposures."""
+"""ToolTrack: state of one tool between exposures; AcquisitionBackoff: intervals of its search."""
 
 from collections import deque
 from collections.abc import Callable
@@ -11,52 +11,111 @@ from numpy.typing import NDArray
 
 from compute.measurement.measurement_model import MeasurementModel
 from compute.measurement.measurements import Measurements
-from compute.pose.acquisition.acquisition_backoff import AcquisitionBackoff
 from compute.pose.acquisition.acquisition_strobed import MarkerExposure
-from compute.pose.centred_markers import CentredMarkers
 from compute.pose.filtering.association import MAX_EXCLUDED_NIS, ToolObservation
 from compute.pose.filtering.imm_state import ImmState
 from compute.pose.filtering.native.strobed_step import StrobedStepKernel
 from compute.pose.filtering.pose_filter import PoseState, predict
-from compute.pose.rigid_body import RigidBody
+from compute.pose.rigid_body import CentredMarkers, RigidBody
 from compute.pose.settings import MotionSettings
 from compute.pose.tool_pose import PoseStatus
-from compute.pose.tool_tracking.consistency import ExposureResiduals, chi2_test
-from compute.pose.tool_tracking.pose_report import TrackSupport
+from compute.pose.tool_tracking.pose_report import ExposureResiduals, TrackSupport, chi2_test
+
+MAX_DELAY_FRACTION: Final = 0.1
+"""Largest delay by the pauses, as a fraction of the time of unsuccessful searches."""
+MAX_PAUSE_NS: Final = 250_000_000
+"""Longest pause between two searches."""
+
+
+class AcquisitionBackoff:
+    """Limits how often one lost strobed tool is searched for.
+
+    A search costs as much as tracking twenty exposures or more. A tool that is seen well is found
+    by the first, or soon; one with few and often false readings by the thirtieth; one whose
+    readings never fit, because of a wrong calibration or another tool's markers, is searched for
+    at growing intervals. The pauses grow in proportion to the time of unsuccessful searches, up to
+    MAX_PAUSE_NS, so that waiting delays the acquisition by no more than that fraction. They restart
+    when more readings are available than in any search before.
+    """
+
+    def __init__(self) -> None:
+        """Start without any search."""
+        self.reset()
+
+    def reset(self) -> None:
+        """Restart: the tool was found, or its readings changed."""
+        self._first_ns: int | None = None  # of the searches in vain
+        self._failed_ns = 0
+        self._left = 0
+        self._max_readings = -1
+
+    @property
+    def is_waiting(self) -> bool:
+        """Whether a search failed since the last restart."""
+        return self._first_ns is not None
+
+    def count_exposure(self) -> None:
+        """Count an exposure of the tool's markers."""
+        self._left -= 1
+
+    def due(self, time_ns: int, readings: int) -> bool:
+        """Return whether to search now.
+
+        Args:
+            time_ns: time of the exposure [ns].
+            readings: number of readings; more than in any search before are worth one.
+        """
+        if self._first_ns is None or readings > self._max_readings:
+            return True
+        pause_ns = time_ns - self._failed_ns
+        enough_ns = MAX_DELAY_FRACTION * (self._failed_ns - self._first_ns)
+        return pause_ns >= MAX_PAUSE_NS or (self._left <= 0 and pause_ns >= enough_ns)
+
+    def record_failure(self, time_ns: int, readings: int, exposures: int) -> None:
+        """Record an unsuccessful search.
+
+        Args:
+            time_ns: time of the latest exposure [ns].
+            readings: number of readings that the search had.
+            exposures: smallest number of exposures until the next search.
+        """
+        if self._first_ns is None or readings > self._max_readings:
+            self._first_ns, self._max_readings = time_ns, readings
+        self._failed_ns, self._left = time_ns, exposures
+
 
 ACQUISITION_CYCLES: Final = 2
-"""Exposures of each marker that a strobed tool is found from."""
+"""Number of exposures of each marker that a strobed tool is found from."""
 CONSISTENCY_CYCLES: Final = 4
-"""Exposures of each marker over which all readings that were offered are judged, also those that
-were left out of the pose."""
+"""Number of exposures of each marker whose readings, excluded ones too, are tested together."""
 EXCLUSION_COUNT_THRESHOLD: Final = 3
-"""Of the exposures of OFFERED_CYCLES: readings left out so often do not fit by more than chance."""
+"""Number of exposures with excluded readings, in CONSISTENCY_CYCLES, that is more than chance."""
 WEAK_FRACTION: Final = 0.5
-"""A frame that finds fewer than this share of the readings of the frame before is tried again with
-a manoeuvre."""
+"""A frame with fewer than this fraction of the last frame's readings is tried again with larger
+accelerations."""
 
 
 @dataclass(eq=False)
 class ToolTrack:
-    """A tool and what is known of it.
+    """A tool and the state of its tracking.
 
     Args:
         body: its markers.
         common_errors: number of common errors of its filter.
-        step: follows it through plain exposures; None: it has no modes, or there is no kernel.
-        state: of its filter at the last frame; None: it is lost.
-        imm: of a strobed tool's motion, at its last exposure; None: it has a single one.
-        updated_ns: when readings last updated it.
-        recent_updates: its last updates: time, NIS, readings, which markers and sensors (M, S).
-        recent_residuals: what the readings of its last exposures are off.
-        exposures: the last exposures of a strobed tool that is lost.
-        exposures_since_search: exposures since it was last looked for in vain.
-        backoff: when it is looked for again, a strobed one.
-        fit_history: whether its last exposures fitted it.
-        exposures_to_confirm: exposures that must fit, in a row, before a strobed tool that was just
-            found is believed: it may have been found from a false peak.
-        lit_by_slot: which of its markers an exposure lights, as far as asked.
-        status: of a lost tool.
+        step: kernel for unambiguous exposures; None: one motion model, or no kernel.
+        state: state of its filter at the last frame; None: it is lost.
+        imm: states of a strobed tool's motion models at its last exposure; None: there is one.
+        updated_ns: time of the last readings [ns].
+        recent_updates: its last updates: NIS, number of readings, markers and sensors (M, S).
+        recent_residuals: residuals of its last exposures.
+        exposures: the last exposures of a lost strobed tool.
+        exposures_since_search: number of exposures since the last unsuccessful search.
+        backoff: when a lost strobed tool is searched for again.
+        fit_history: whether each of its last exposures fitted it.
+        exposures_to_confirm: number of consecutive exposures that must fit before a strobed tool
+            that was just found is reported: it may have been found from a false peak.
+        lit_by_slot: cache of the markers that each slot lights.
+        status: status of a lost tool.
         reason: why it is lost.
     """
 
@@ -79,11 +138,11 @@ class ToolTrack:
 
     @property
     def centred(self) -> CentredMarkers:
-        """Its markers about their centroid."""
+        """The markers relative to their centroid."""
         return CentredMarkers.of(self.body)
 
     def lit(self, marker: int | None) -> NDArray[np.intp]:
-        """Return which of its markers an exposure lights."""
+        """Return the indices of the markers that an exposure lights."""
         known = self.lit_by_slot.get(marker)
         if known is None:
             slots = self.body.strobe_markers or ()
@@ -102,14 +161,14 @@ class ToolTrack:
         manoeuvre_factor: float = 1.0,
         measurements: Measurements | None = None,
     ) -> ToolObservation:
-        """Return where it is expected in an exposure; nothing is found there yet.
+        """Return the predicted tool in an exposure, without associated peaks.
 
         Args:
-            time_ns: of the exposure [ns].
+            time_ns: time of the exposure [ns].
             marker: strobe slot that is lit; None: all markers.
-            motion: of tools.
+            motion: RMS accelerations.
             manoeuvre_factor: factor on the accelerations.
-            measurements: the peaks, which a kernel may then look at at once; None: it is not to.
+            measurements: the peaks, for association by the kernel; None: without the kernel.
         """
         assert self.state is not None
         lit = self.lit(marker)
@@ -132,30 +191,35 @@ class ToolTrack:
         return ToolObservation(self.centred, lit, imm.widest_state, imm)
 
     def commit(self, observation: ToolObservation) -> None:
-        """Go on from what an exposure showed."""
+        """Continue from the state after an exposure."""
         self.state = observation.state
         if observation.imm is not None:
             self.imm, self.state = observation.imm, observation.imm.combined
 
     def drop(self, status: PoseStatus, reason: str) -> None:
-        """Forget where it is, and keep why."""
+        """End the track.
+
+        Args:
+            status: status of the lost tool.
+            reason: the same in words.
+        """
         self.state = self.imm = None
         self.recent_updates.clear()
         self.exposures.clear()
         self.fit_history.clear()
         if status is not PoseStatus.INVALID:
-            # A tool that is found again although it does not fit has to fit for a while first.
+            # A tool that is found again after a misfit must fit for a while first.
             self.recent_residuals.clear()
         self.exposures_since_search = self.exposures_to_confirm = 0
         self.status, self.reason = status, reason
 
     @cached_property
     def _none_excluded(self) -> NDArray[np.intp]:
-        """That of no marker anything was left out, shape (M,); not to be written to."""
+        """No excluded reading of any marker, shape (M,); not to be written to."""
         return np.zeros(len(self.body), dtype=np.intp)
 
     def support(self) -> TrackSupport:
-        """Return what its last updates rest on."""
+        """Return the readings that the pose is based on."""
         nis, readings, sensors = zip(*self.recent_updates, strict=True)
         used = sensors[0].copy()
         for one in sensors[1:]:
@@ -171,9 +235,17 @@ class ToolTrack:
         free: Callable[[], Measurements],
         gate_probability: float,
     ) -> None:
-        """Note whether what an exposure showed is what it must have shown.
+        """Check an exposure's readings against the prediction, and record the residuals.
 
-        ``free`` tells the peaks that are no tool's, where that is asked.
+        An association that contradicts the exposure is rolled back.
+
+        Args:
+            observation: the tool in this exposure, after association.
+            marker: strobe slot that was lit; None: all markers.
+            measurements: the frame's peaks.
+            model: the cameras.
+            free: returns the peaks that no tool has taken; called only where needed.
+            gate_probability: probability that a correct reading is outside the gate.
         """
         if len(observation.lit) == 0:
             return
@@ -193,8 +265,8 @@ class ToolTrack:
                 square, count = MAX_EXCLUDED_NIS * against, against
                 observation.roll_back()
         elif observation.readings < WEAK_FRACTION * measurements.usable.any(axis=1).sum():
-            # The marker alone was lit, and most of what was seen is not where it must be: what
-            # little fits does so by chance. That it did not fit is noted, which says enough.
+            # Only this marker was lit, and most peaks are not where it must be: the few that fit
+            # do so by chance. The misfit is recorded, so no residuals are needed.
             square, count = 0.0, 0
             observation.roll_back()
         if observation.readings + count:
@@ -209,21 +281,21 @@ class ToolTrack:
             self.fit_history.popleft()
 
     def _keep_residuals(self, one: ExposureResiduals, marker: int | None) -> None:
-        """Keep what the readings that an exposure offered are off."""
+        """Keep the residuals of an exposure."""
         self.recent_residuals.append(one)
         cycle = 1 if marker is None else len(self.body)
         while len(self.recent_residuals) > CONSISTENCY_CYCLES * cycle:
             self.recent_residuals.popleft()
 
     def inconsistency(self, probability: float) -> str | None:
-        """Return that its readings do not fit it, those that were left out of it as well.
+        """Return why its readings do not fit, the excluded ones included; None: they fit.
 
-        All that its last exposures offered is judged, of one cycle of its markers and of
-        CONSISTENCY_CYCLES: a marker that is bent has its readings left out frame after frame, and
-        what is left agrees with a pose that is wrong.
+        All readings of its last exposures are tested, over one cycle of its markers and over
+        CONSISTENCY_CYCLES: the readings of a bent marker are excluded frame after frame, and the
+        rest agrees with a wrong pose.
 
         Args:
-            probability: chance that right readings are taken for wrong ones.
+            probability: probability that correct readings are rejected.
         """
         often = [one.excluded > 0 for one in self.recent_residuals if one.any_excluded]
         exposures = np.sum(often, axis=0) if often else self._none_excluded
@@ -236,7 +308,7 @@ class ToolTrack:
                 "left out of the pose"
             )
         cycle = list(self.recent_residuals)[-max(1, len(self.recent_updates)) :]
-        # An error of the calibration is the same in all of them: they do not average it away.
+        # The calibration error is the same in all exposures: it does not average out.
         for of in (cycle,) if self.common_errors else (cycle, self.recent_residuals):
             square, count, limit = chi2_test(of, probability)
             if square > limit:
@@ -249,20 +321,25 @@ class ToolTrack:
 
     @property
     def is_refuted(self) -> bool:
-        """Whether what the last exposures showed is not where the tool is believed to be."""
+        """Whether the last exposures contradict the tracked pose."""
         if self.exposures_to_confirm:
             return not all(self.fit_history)
         return self.fit_history.count(False) >= len(self.body)
 
     def is_weak(self, observation: ToolObservation) -> bool:
-        """Return whether a frame found so little that the tool may have moved unexpectedly."""
+        """Return whether a frame has so few readings that the tool may have manoeuvred."""
         if len(observation.lit) == 0:
             return False
         usual = max((readings for _, readings, _ in self.recent_updates), default=0)
         return observation.misfit or observation.readings < WEAK_FRACTION * usual
 
     def record_update(self, observation: ToolObservation, time_ns: int) -> None:
-        """Keep what the last frames contributed: one where all markers are lit, else one each."""
+        """Keep the last updates: one where all markers are lit, else one for each marker.
+
+        Args:
+            observation: the tool in this exposure, after association.
+            time_ns: time of the exposure [ns].
+        """
         sensors = np.zeros((len(self.body), observation.peaks.shape[1]), dtype=np.bool_)
         sensors[observation.lit] = observation.peaks >= 0
         most = 1 if len(observation.lit) == len(self.body) else len(self.body)

@@ -1,4 +1,4 @@
-"""ToolTracker: poses of all tools of a device, exposure by exposure."""
+"""ToolTracker: poses of all tools of a device, frame by frame."""
 
 from collections import deque
 from collections.abc import Sequence
@@ -17,7 +17,6 @@ from compute.measurement.measurement_model import MeasurementModel
 from compute.measurement.measurements import Measurements, check_sensors
 from compute.pose.acquisition.acquisition_simultaneous import acquire_simultaneous
 from compute.pose.acquisition.acquisition_strobed import MarkerExposure, acquire_strobed
-from compute.pose.centred_markers import CentredMarkers
 from compute.pose.filtering.association import (
     MAX_EXCLUDED_NIS,
     ToolObservation,
@@ -28,42 +27,44 @@ from compute.pose.filtering.imm_model import ImmModel
 from compute.pose.filtering.imm_state import ImmState
 from compute.pose.filtering.native.strobed_step import StrobedStepKernel, has_kernel
 from compute.pose.filtering.pose_filter import PoseState
-from compute.pose.rigid_body import RigidBody
+from compute.pose.rigid_body import CentredMarkers, RigidBody
 from compute.pose.settings import ToolTrackerSettings
 from compute.pose.tool_pose import PoseStatus, ToolPose
-from compute.pose.tool_tracking.consistency import ExposureResiduals
-from compute.pose.tool_tracking.pose_report import missing_pose, outside_volume, report
-from compute.pose.tool_tracking.stale_data import StaleDataDetector
-from compute.pose.tool_tracking.strobe_cycle import StrobeCycle
+from compute.pose.tool_tracking.exposure_history import StaleDataDetector, StrobeCycle
+from compute.pose.tool_tracking.pose_report import (
+    ExposureResiduals,
+    missing_pose,
+    outside_volume,
+    report,
+)
 from compute.pose.tool_tracking.tool_track import ACQUISITION_CYCLES, ToolTrack
 from compute.reconstruction.point_batch import PointBatch
 
 Array = NDArray[np.float64]
 
 MIN_EXPOSURES: Final = 8
-"""That are kept to find a strobed tool from: enough of three markers, too, that two sensors see."""
+"""Smallest number of exposures kept for acquisition: enough for three markers and two sensors."""
 COAST_CYCLES: Final = 1.25
-"""Of the strobe, for which a tool is predicted at least: one, and some frames that are lost."""
+"""Shortest prediction without readings in strobe cycles: one, and some lost frames."""
 STALE_DATA_MESSAGE: Final = "the readings do not change by a single bit: the image is frozen"
 MISFIT: Final = "the readings do not fit it where it was and how it moved"
 
 
 class ToolTracker:
-    """Poses of tools from the peaks of each frame; the same input gives the same poses.
+    """Poses of tools from the peaks of each frame; deterministic.
 
-    A tool that is tracked has a filter (``compute.pose.filtering.pose_filter``), which every
-    reading of its markers updates, be they lit in turn or together. A strobed tool that is lost is
-    found from the last exposures of its markers, one whose markers are lit together among
-    reconstructed points.
+    A tracked tool has a filter (``compute.pose.filtering.pose_filter``), which every reading of its
+    markers updates, whether they are lit in turn or together. A lost strobed tool is found from the
+    last exposures of its markers, one whose markers are lit together from reconstructed points.
 
     Args:
         cameras: S calibrated cameras, one by one or stacked.
-        tools: with names that all differ.
+        tools: tools with different names.
         settings: limits and tolerances.
-        parameter_covariance: joint covariance of the cameras' parameters, as of ``reconstruct``;
-            None: taken as exact.
+        parameter_covariance: joint covariance of the cameras' parameters, as in ``reconstruct``;
+            None: exact.
         corrections: correction table of the readings; None: none.
-        pixels: number of pixels of each sensor, to tell what left the field; None: not known.
+        pixels: number of pixels of each sensor, for OUT_OF_VIEW; None: unknown.
 
     Raises:
         InvalidParameter: two tools have one name, or ``pixels`` are of another number of sensors.
@@ -103,14 +104,14 @@ class ToolTracker:
         return tuple(tool.body for tool in self._tools)
 
     def reset(self) -> None:
-        """Forget where all tools are; needed where time goes back."""
+        """End all tracks; needed where time goes back."""
         self._tools = [ToolTrack(tool.body, tool.common_errors, tool.step) for tool in self._tools]
         self._time_ns = None
         self._stale_data = StaleDataDetector()
         self._cycle = StrobeCycle()
 
     def adopt_state(self, other: "ToolTracker") -> None:
-        """Go on with what another tracker of the same cameras knows of the same tools."""
+        """Take over the tracks of the same tools from another tracker of the same cameras."""
         known = {tool.body.name: tool for tool in other._tools}
         for tool in self._tools:
             before = known.get(tool.body.name)
@@ -140,7 +141,7 @@ class ToolTracker:
         self._cycle = other._cycle.copy()
 
     def _untracked(self, body: RigidBody, common_errors: int) -> ToolTrack:
-        """Return a tool of which nothing is known."""
+        """Return the track of a lost tool."""
         probability, step = self.settings.gate_probability, None
         if body.strobe_markers is not None and has_kernel(self.model, self._imm_model):
             step = StrobedStepKernel(
@@ -149,9 +150,9 @@ class ToolTracker:
         return ToolTrack(body, common_errors, step)
 
     def _initial_imm(self, tool: ToolTrack, state: PoseState) -> ImmState | None:
-        """Return the modes of a tool of which a state is known; None: it needs no more than it.
+        """Return the motion models of a tool with a known state; None: it needs one model only.
 
-        Markers that are lit together tell the pose in every frame: how it moves adds little.
+        Markers that are lit together determine the pose in every frame: motion models add little.
         """
         if tool.body.strobe_markers is None or len(self._imm_model) == 1:
             return None
@@ -168,13 +169,14 @@ class ToolTracker:
         """Return the pose of every tool at a frame.
 
         Args:
-            time_ns: middle of the exposure [ns], not before that of the frame before.
+            time_ns: middle of the exposure [ns], not before that of the previous frame.
             sequence: number of the frame.
-            measurements: the peaks of the S sensors. Those that two markers may share are not used,
-                as each peak goes to one marker at most; those that start no track serve tools that
-                are tracked, not those that are looked for.
+            measurements: peaks of the S sensors. Peaks that two markers may share are not used, as
+                each peak goes to one marker at most; peaks that may not start a track only update
+                tracked tools.
             marker: strobe slot that was lit; None: all markers.
-            points: points reconstructed of this frame, to find tools by their geometry; None: none.
+            points: reconstructed points of this frame, for the identification of tools by their
+                geometry; None: none.
 
         Raises:
             InvalidParameter: time goes back, or the peaks are of another number of sensors.
@@ -198,7 +200,7 @@ class ToolTracker:
     def _track(
         self, time_ns: int, marker: int | None, measurements: Measurements
     ) -> dict[int, ToolObservation]:
-        """Predict and update the tools that are tracked; drop those not seen for too long."""
+        """Predict and update the tracked tools; end tracks without readings for too long."""
         observations: dict[int, ToolObservation] = {}
         for index, tool in enumerate(self._tools):
             if tool.state is None:
@@ -208,7 +210,7 @@ class ToolTracker:
             )
             unseen_ns = time_ns - tool.updated_ns
             if unseen_ns > 1e9 * self.settings.coast_s and unseen_ns > self._coast_ns(tool):
-                # Not a frame came for so long, or none that showed it: it is found anew.
+                # No frame, or none with readings of it, for too long: it must be acquired again.
                 self._drop(tool, observation.state)
                 continue
             observations[index] = observation
@@ -221,7 +223,7 @@ class ToolTracker:
         )
         self._retry_manoeuvring(observations, time_ns, marker, measurements)
         found = list(observations.values())
-        # Of several before one of them gives back what it has taken; of one where it is asked for.
+        # With several tools, before one of them rolls back; with one, only where it is needed.
         rest = without_tools(measurements, found) if len(found) > 1 else None
         free = partial(without_tools, measurements, found) if rest is None else lambda: rest
         for index, observation in observations.items():
@@ -243,7 +245,7 @@ class ToolTracker:
         marker: int | None,
         measurements: Measurements,
     ) -> None:
-        """Try tools that moved as they were not expected to again, with a manoeuvre."""
+        """Predict tools with too few readings again, with the accelerations of a manoeuvre."""
         weak = [
             index
             for index, observation in observations.items()
@@ -272,12 +274,12 @@ class ToolTracker:
                 observations[index] = trial
 
     def _coast_ns(self, tool: ToolTrack) -> float:
-        """Return how long a tool is predicted: until the turn of its markers has gone by."""
+        """Return the longest prediction without readings: COAST_CYCLES of its strobe, or more."""
         turn_ns = COAST_CYCLES * self._cycle.duration_ns(tool.body.strobe_markers)
         return max(1e9 * self.settings.coast_s, turn_ns)
 
     def _drop(self, tool: ToolTrack, state: PoseState) -> None:
-        """Give a tool up that was predicted for too long, and say where it went."""
+        """End the track of a tool that was predicted for too long, with the reason."""
         coast = f"nothing was seen of it for {1e-6 * self._coast_ns(tool):.3g} ms"
         if tool.fit_history and not tool.fit_history[-1]:
             tool.drop(PoseStatus.INVALID, MISFIT)
@@ -289,7 +291,7 @@ class ToolTracker:
             tool.drop(PoseStatus.MISSING, coast)
 
     def _left_view(self, tool: ToolTrack, state: PoseState) -> str | None:
-        """Return that too few of a tool's readings would be on the pixels, if so."""
+        """Return a reason where too few predicted readings are on the pixels; None: enough are."""
         if self.pixels is None:
             return None
         value = self.model.linearise(state.marker_positions(tool.centred))[0]
@@ -309,7 +311,7 @@ class ToolTracker:
         observations: dict[int, ToolObservation],
         points: PointBatch | None,
     ) -> None:
-        """Look for the tools that are lost, or were not seen where they were expected."""
+        """Search for the tools that are lost or have no readings in this frame."""
         together = []
         taken = []
         for index, tool in enumerate(self._tools):
@@ -331,7 +333,7 @@ class ToolTracker:
     def _acquire_strobed(
         self, tool: ToolTrack, time_ns: int, marker: int, measurements: Measurements
     ) -> None:
-        """Keep an exposure of a lost strobed tool, and find it when there are enough."""
+        """Keep an exposure of a lost strobed tool; search for it when there are enough."""
         backoff = tool.backoff
         before = list(tool.exposures)[-len(tool.body) :]
         if len(before) == len(tool.body) and not any(one.any_reading for one in before):
@@ -357,7 +359,7 @@ class ToolTracker:
                 f"{markers} of {len(tool.body)} markers were seen in the last "
                 f"{1e-6 * window_ns:.3g} ms"
             )
-        # After a failure a cycle goes by: the same exposures would fail again.
+        # Wait for a cycle after a failure: the same exposures would fail again.
         if (
             tool.exposures_since_search < len(tool.body)
             or not shown
@@ -369,7 +371,7 @@ class ToolTracker:
             return
         found = acquire_strobed(self.model, tool.centred, shown, tool.common_errors, self.settings)
         if found.searched:
-            # In vain until it is confirmed. Too few readings may be enough with the next exposure.
+            # A failure until it is confirmed. Too few readings may suffice with the next exposure.
             too_few = found.state is None and not found.inconsistent
             backoff.record_failure(time_ns, readings, 1 if too_few else len(tool.body))
         if found.state is None:
@@ -398,7 +400,7 @@ class ToolTracker:
         taken: list[ToolObservation],
         points: PointBatch | None,
     ) -> None:
-        """Find lost tools whose markers are lit together among this frame's points."""
+        """Search for lost tools whose markers are lit together, among this frame's points."""
         found = acquire_simultaneous(
             self.model,
             [tool.body for tool in lost],

@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from compute.pose.beam_hold.beam_hold_monitor import BeamHoldLimits
+from compute.pose.beam_hold.beam_hold_limits import BeamHoldLimits
 from compute.pose.beam_hold.beam_hold_state import BeamHoldCause, BeamHoldTiming
 from service.api.base_models import (
     Moment,

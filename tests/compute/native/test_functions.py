@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from compute.camera.rotation import exp_so3
 from compute.camera.stack import CameraStack
 from compute.optics.tracing.intersection import intersect, normal
 from compute.optics.tracing.shapes import Conic, Plane, Toroid
 from compute.optics.tracing.surface_records import Form, pack
 from compute.optics.tracing.surfaces import Surface, SurfaceStack
-from compute.pose.so3 import exp_so3
 from compute.reconstruction.native.camera_arguments import fill_cameras
 from compute.reconstruction.native.kernel_arguments import CAMERAS
 from compute.signal.fit.fit_settings import FitSettings

@@ -1,1 +1,1 @@
-"""Native source of a strobed tool's step from one exposure to the next, for the CPU."""
+"""Native strobed-step kernel: a strobed tool from one exposure to the next, on the CPU."""

@@ -1,4 +1,4 @@
-"""Constants and the record of the kernel of a strobed tool's step, for C++."""
+"""Definitions of the strobed-step kernel for C++: constants and its argument record."""
 
 from typing import Final
 

@@ -1,6 +1,6 @@
-"""The Warp kernels of a strobed tool's step, one for each number of sensors.
+"""Warp kernels of the strobed step, one for each number of sensors.
 
-Only ``compute.pose.filtering.native.strobed_step`` imports this module, when a step is made: it
+Only ``compute.pose.filtering.native.strobed_step`` imports this module, when a kernel is made: it
 loads Warp.
 """
 
@@ -14,9 +14,13 @@ from compute.native.headers import module_options
 
 @cache
 def step_kernel(sensors: int, room: int) -> Any:
-    """Return the kernel for so many sensors, with room for so many terms of distortion.
+    """Return the strobed-step kernel; it takes the address of a STEP.
 
-    It takes the address of a STEP; launch with one thread, on the CPU.
+    Launch it with one thread, on the CPU.
+
+    Args:
+        sensors: number of sensors.
+        room: largest number of distortion terms.
     """
 
     def take_step(step_address: wp.uint64) -> None: ...

@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.measurement.measurement_model import MeasurementModel
-from compute.pose.centred_markers import CentredMarkers
 from compute.pose.filtering.imm_model import ImmModel
 from compute.pose.filtering.imm_state import ImmState
 from compute.pose.filtering.native.kernel_arguments import (
@@ -18,12 +17,14 @@ from compute.pose.filtering.native.kernel_arguments import (
     POSE,
     STEP,
     TAKEN,
+    PackedImmState,
+    PackedPose,
     imm_state_size,
     result_size,
     scratch_size,
 )
-from compute.pose.filtering.native.packed_states import PackedImmState, PackedPose
 from compute.pose.filtering.pose_filter import STATES, PoseState
+from compute.pose.rigid_body import CentredMarkers
 from compute.reconstruction.native.camera_arguments import fill_cameras
 from compute.reconstruction.native.kernel_arguments import MAX_POWER, row_length
 from compute.reconstruction.solver import MAX_SENSORS, MIN_CAPACITY, address, term_capacity
@@ -42,15 +43,15 @@ _Given = tuple[Array, Array, NDArray[np.bool_], tuple[int, int, int]]
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """What an exposure did to a tool.
+    """A tool after an exposure.
 
     Args:
-        predicted: its modes at the exposure, before its readings.
-        imm: after them; None: what the readings say is not plain, nothing was taken.
-        peaks: which peak of each sensor was taken, -1: none, shape (1, S).
-        readings: how many were taken.
+        predicted: predicted states at the exposure.
+        imm: updated states; None: the readings are not unambiguous, none was used.
+        peaks: index of each sensor's peak, -1: none, shape (1, S).
+        readings: number of readings that were used.
         nis: their normalised innovation squared.
-        whitened: their innovations and slopes, as of ImmUpdate, shape (n, 1 + E).
+        whitened: their whitened innovations and Jacobian, as in ImmUpdate, shape (n, 1 + E).
     """
 
     predicted: ImmState
@@ -62,20 +63,20 @@ class Step:
 
 
 class StrobedStepKernel:
-    """What ImmState and ``associate`` do of one lit marker where all is plain, in one launch.
+    """ImmState and ``associate`` for one lit marker with unambiguous readings, in one launch.
 
-    Each sensor has one peak at most that the marker may be, and the readings
-    fit one another: then they are taken. Else nothing is, and who asked does it step by step.
+    They are unambiguous where each sensor has at most one peak within the marker's gate, and these
+    fit one another. Otherwise no reading is used, and the caller associates step by step.
 
-    Warp is not thread-safe: the thread that makes it calls it. Making it loads Warp and compiles
-    the kernel for this number of sensors unless an earlier process has (seconds).
+    Warp is not thread-safe: the thread that makes the kernel calls it. Making it loads Warp, and
+    compiles the kernel for this number of sensors unless an earlier process has (seconds).
 
     Args:
-        model: the cameras, which ``has_kernel`` said yes to.
-        imm: of motion.
+        model: the cameras; ``has_kernel`` must be true of them.
+        imm: the motion models.
         centred: the tool's markers.
         common_errors: number of common errors of its filter.
-        gate_probability: chance that a right reading is not taken for its marker.
+        gate_probability: probability that a correct reading is outside the gate.
     """
 
     def __init__(
@@ -100,7 +101,7 @@ class StrobedStepKernel:
         step = np.zeros(1, dtype=STEP)
         columns = model.covariance_factor * model.cameras.parameter_mask[..., None]
         limits = [chi2_limit(count, gate_probability) for count in range(sensors + 1)]
-        # Kept: the records have their addresses.
+        # Kept alive: the records hold their addresses.
         self._kept: list[Any] = [step]
         for name, values in (
             ("columns", columns),
@@ -126,7 +127,7 @@ class StrobedStepKernel:
         step["centroid"], step["tip"] = centred.centroid_mm, centred.tip_mm
         self._words = step.view(np.uint64)[:FRAME_WORDS]
         self._numbers = step.view(np.float64)[FRAME_WORDS : FRAME_WORDS + FRAME_NUMBERS]
-        # Loads the kernel, before the first frame waits for it.
+        # Loads the kernel now, not at the first frame.
         self._launch = wp.launch(
             step_kernel(sensors, term_capacity(model.cameras)),
             dim=1,
@@ -146,11 +147,11 @@ class StrobedStepKernel:
         """Return the step to an exposure.
 
         Args:
-            before: the tool's modes at its last exposure.
-            time_ns: of this one, not earlier.
+            before: the states at the tool's last exposure.
+            time_ns: time of this exposure, not earlier [ns].
             lit: index of the marker that it lights.
             measurements: the frame's peaks.
-            manoeuvre_factor: factor on the accelerations of all modes.
+            manoeuvre_factor: factor on the accelerations of all models.
         """
         size, sensors, common_errors = self._size, self._sensors, self._common_errors
         block, reported_pose = np.empty(self._room), np.empty(FIGURES_SIZE)
@@ -192,14 +193,19 @@ class StrobedStepKernel:
         predicted = PackedImmState.within(self._model, time_ns, block[:size], common_errors)
         imm = PackedImmState.within(self._model, time_ns, block[size:after], common_errors, pose)
         white = whole + POSE + STATES * (STATES + common_errors)
-        # A copy: it is kept for some exposures, which the rest of the block need not be.
+        # A copy: it is kept for some exposures, the rest of the block is not.
         whitened = (
             block[white : white + readings * (1 + common_errors)].reshape(readings, -1).copy()
         )
         return Step(predicted, imm, peaks, readings, nis, whitened)
 
     def predict_combined(self, before: ImmState, time_ns: int) -> PoseState:
-        """Return what all modes together expect at an instant, as ``ImmState.ahead``."""
+        """Return the combined state predicted to a time, as ``ImmState.predict_combined``.
+
+        Args:
+            before: the states at the tool's last exposure.
+            time_ns: the time, not earlier [ns].
+        """
         if time_ns == before.widest_state.time_ns:
             return before.combined
         sensors, common_errors = self._sensors, self._common_errors
@@ -234,7 +240,7 @@ class StrobedStepKernel:
         return address(there)
 
     def _given(self, peaks: int) -> _Given:
-        """Return memory for so many peaks of each sensor, and its addresses."""
+        """Return input arrays for a number of peaks per sensor, and their addresses."""
         if peaks not in self._inputs:
             shape = self._sensors, peaks
             position, variance = np.empty(shape), np.empty(shape)
@@ -244,7 +250,7 @@ class StrobedStepKernel:
         return self._inputs[peaks]
 
     def _change(self, between_ns: int) -> float:
-        """Return the chance to change to one certain other mode, as ``ImmModel.switching``."""
+        """Return ``ImmModel.switch_probability`` of a time step [ns]; the last one is cached."""
         if self._steps[0] != between_ns:
             self._steps = between_ns, self._model.switch_probability(1e-9 * between_ns)
         return self._steps[1]
@@ -255,14 +261,19 @@ def _nothing(common_errors: int) -> Array:
 
 
 def has_kernel(model: MeasurementModel, imm: ImmModel) -> bool:
-    """Return whether a kernel can follow in these modes, and there is one for these cameras."""
+    """Return whether there is a kernel for these cameras and motion models.
+
+    Args:
+        model: the cameras.
+        imm: the motion models.
+    """
     cameras = model.cameras
     powers = max((max(term) for term in cameras.terms), default=0)
     return len(imm) > 1 and 1 <= len(cameras) <= MAX_SENSORS and powers <= MAX_POWER
 
 
 def load_kernels(sensors: int) -> None:
-    """Load what steps for so many sensors need, with up to MIN_CAPACITY terms of distortion."""
+    """Load the kernels for a number of sensors, with up to MIN_CAPACITY terms of distortion."""
     from compute.pose.filtering.native.kernel import step_kernel
 
     for room in (0, MIN_CAPACITY):

@@ -7,17 +7,17 @@ from hypothesis import strategies as st
 
 from compute.camera.rotation import rotation_matrix
 from compute.errors import InvalidParameter
+from compute.pose.beam_hold.beam_hold_limits import (
+    BeamHoldLimits,
+    norm_exceedance_probability,
+    scalar_exceedance_probability,
+)
 from compute.pose.beam_hold.beam_hold_monitor import (
     BeamHoldDecision,
-    BeamHoldLimits,
     MarkerDeviationMonitor,
     PoseDeviationMonitor,
 )
 from compute.pose.beam_hold.beam_hold_state import BeamHoldCause, BeamHoldTiming
-from compute.pose.beam_hold.exceedance_probability import (
-    norm_exceedance_probability,
-    scalar_exceedance_probability,
-)
 from compute.pose.transform import Transform
 from tests.compute.pose.motions import Array, point_covariance, transforms
 

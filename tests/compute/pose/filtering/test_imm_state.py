@@ -7,7 +7,6 @@ import pytest
 
 from compute.errors import InvalidParameter
 from compute.measurement.measurement_model import MeasurementModel
-from compute.pose.centred_markers import CentredMarkers
 from compute.pose.filtering.association import common_jacobian
 from compute.pose.filtering.imm_model import IMM_STATES, ImmModel
 from compute.pose.filtering.imm_state import ImmState
@@ -19,6 +18,7 @@ from compute.pose.filtering.pose_filter import (
     predict_measurement,
     update,
 )
+from compute.pose.rigid_body import CentredMarkers
 from compute.pose.settings import ImmSettings, MotionMode, MotionSettings, ToolTrackerSettings
 from compute.pose.tool_pose import PoseStatus
 from compute.pose.tool_tracking.tool_tracker import ToolTracker

@@ -11,7 +11,6 @@ from compute.camera.stack import CameraStack
 from compute.mapping.table import CorrectionTable, Degree
 from compute.measurement.measurement_model import MeasurementModel
 from compute.measurement.measurements import Measurements
-from compute.pose.centred_markers import CentredMarkers
 from compute.pose.filtering import association
 from compute.pose.filtering.association import ToolObservation, associate
 from compute.pose.filtering.imm_model import ImmModel
@@ -20,7 +19,7 @@ from compute.pose.filtering.native.kernel import step_kernel
 from compute.pose.filtering.native.strobed_step import Step, StrobedStepKernel, load_kernels
 from compute.pose.filtering.pose_filter import STATES, PoseState, predict_measurement
 from compute.pose.filtering.second_order import second_order_prediction
-from compute.pose.rigid_body import RigidBody
+from compute.pose.rigid_body import CentredMarkers, RigidBody
 from compute.pose.settings import ImmSettings, MotionMode, MotionSettings
 from compute.pose.tool_pose import ToolPose
 from compute.pose.tool_tracking.tool_tracker import ToolTracker

@@ -15,7 +15,6 @@ from compute.errors import (
 )
 from compute.pose.registration.correspondence_errors import find_correspondence_errors
 from compute.pose.registration.point_registration import Registration, register_points
-from compute.pose.registration.tre import target_registration_error
 from compute.pose.transform import Transform
 from tests.compute.pose.motions import Array, check_mean, drawn, point_covariance, transforms
 
@@ -116,6 +115,32 @@ def isotropic(seed: int, count: int, sigma_mm: float) -> tuple[Array, Transform,
     truth, source = anywhere(p_value), fiducials(p_value, count)
     target = truth.apply(source) + sigma_mm * p_value.normal(size=source.shape)
     return source, truth, register_points(source, target)
+
+
+def target_registration_error(fiducials_mm: Array, targets_mm: Array, fle_mm: float) -> Array:
+    """Return the expected RMS error at T targets, shape (T,) [mm].
+
+    ``TRE^2 = FLE^2 / N (1 + 1/3 sum_k d_k^2 / f_k^2)`` with d_k the target's distance from the
+    k-th principal axis of the N fiducials, and f_k their RMS distance from it
+    (J. M. Fitzpatrick, J. B. West, C. R. Maurer, doi:10.1109/42.736021). For errors that are the
+    same for all fiducials and in all directions, and without scale.
+
+    Args:
+        fiducials_mm: shape (N, 3) [mm].
+        targets_mm: shape (T, 3) [mm], in the same frame.
+        fle_mm: RMS error of a fiducial in space [mm], of both frames together.
+    """
+    centre = fiducials_mm.mean(axis=0)
+    _, _, axes = np.linalg.svd(fiducials_mm - centre)
+
+    def distances(points: Array) -> Array:
+        along = (points - centre) @ axes.T
+        found: Array = (along**2).sum(axis=1, keepdims=True) - along**2
+        return found
+
+    ratio = (distances(targets_mm) / distances(fiducials_mm).mean(axis=0)).sum(axis=1)
+    error: Array = fle_mm * np.sqrt((1.0 + ratio / 3.0) / len(fiducials_mm))
+    return error
 
 
 def test_errors_that_are_the_same_everywhere_are_those_of_the_published_formulas() -> None:

@@ -92,7 +92,10 @@ def test_too_little_of_it() -> None:
 def taken(
     capture: StationaryCapture, times: Array, positions: list[Array | None]
 ) -> list[StationaryPoint]:
-    found = [capture.add(int(t), p) for t, p in zip(times, positions, strict=True)]
+    found = []
+    for time, position in zip(times, positions, strict=True):
+        capture.add_sample(int(time), position)
+        found.append(None if position is None else capture.take())
     return [one for one in found if one is not None]
 
 
@@ -118,11 +121,11 @@ def test_a_capture_says_what_it_waits_for() -> None:
     assert "3 positions" in capture.reason
     taken(capture, times[3:30], [*positions[3:30]])
     assert "span 0.29 s" in capture.reason
-    capture.add(int(times[30]), None)
+    capture.add_sample(int(times[30]), None)
     assert "not seen" in capture.reason
     # Time that goes back begins anew.
     assert not taken(capture, times[:50], [*positions[:50]])
-    assert capture.add(int(times[50]), positions[50]) is not None
+    assert taken(capture, times[50:51], [positions[50]])
 
 
 @given(st.lists(st.booleans(), min_size=120, max_size=120), st.integers(0, 100))

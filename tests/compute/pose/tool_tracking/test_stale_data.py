@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import norm
 
-from compute.pose.tool_tracking.stale_data import FALSE_ALARM_PROBABILITY, StaleDataDetector
+from compute.pose.tool_tracking.exposure_history import FALSE_ALARM_PROBABILITY, StaleDataDetector
 
 Array = NDArray[np.float64]
 

@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.pose.beam_hold.beam_hold_monitor import BeamHoldLimits
+from compute.pose.beam_hold.beam_hold_limits import BeamHoldLimits
 from compute.pose.beam_hold.beam_hold_state import BeamHoldTiming
 from compute.pose.tool_pose import PoseStatus, ToolPose
 from compute.pose.transform import Transform

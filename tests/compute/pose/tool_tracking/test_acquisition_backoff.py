@@ -10,19 +10,19 @@ from numpy.typing import NDArray
 
 from compute.measurement.measurement_model import MeasurementModel
 from compute.measurement.measurements import Measurements
-from compute.pose.acquisition.acquisition_backoff import (
-    MAX_DELAY_FRACTION,
-    MAX_PAUSE_NS,
-    AcquisitionBackoff,
-)
 from compute.pose.acquisition.acquisition_strobed import (
     MarkerExposure,
     StrobedAcquisition,
     acquire_strobed,
 )
-from compute.pose.centred_markers import CentredMarkers
+from compute.pose.rigid_body import CentredMarkers
 from compute.pose.tool_pose import PoseStatus
 from compute.pose.tool_tracking import tool_tracker
+from compute.pose.tool_tracking.tool_track import (
+    MAX_DELAY_FRACTION,
+    MAX_PAUSE_NS,
+    AcquisitionBackoff,
+)
 from compute.pose.tool_tracking.tool_tracker import ToolTracker
 from tests.compute.pose.scene import CAMERAS, PIXELS_OF_ALL, SIGMA_PX, Scene, body, pointer
 

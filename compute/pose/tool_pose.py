@@ -19,7 +19,7 @@ class PoseStatus(StrEnum):
     OUT_OF_VIEW = "OUT_OF_VIEW"
     """The tool was last seen leaving the sensors' fields: there is no pose."""
     OUT_OF_VOLUME = "OUT_OF_VOLUME"
-    """There is a pose, outside of the volume that calibration or correction table vouch for."""
+    """There is a pose, outside of the volume in which the calibration or table is valid."""
     INVALID = "INVALID"
     """What was seen does not fit the tool, or two tools fit it: a pose there may be is not one to
     use."""

@@ -49,7 +49,7 @@ class PeakFinder(ABC):
         """Start the kernel on the first ``count`` of the uploaded scans.
 
         Raises:
-            InvalidParameter: there are not so many.
+            InvalidParameter: there are fewer.
         """
         self._runner.launch(count)
 

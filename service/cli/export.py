@@ -18,7 +18,7 @@ class ExportOptions:
 
     Args:
         tools: JSON file of the tools whose poses are wanted.
-        calibration: JSON file; None: what was in force.
+        calibration: JSON file; None: what was active.
         table: correction table of that calibration.
         predicted: keep positions of tracks where nothing was seen.
         points: strobed markers' points in the tracks' place.

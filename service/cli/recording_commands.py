@@ -102,7 +102,7 @@ def simulate_serial(
     ] = None,
     rate: Annotated[float | None, typer.Option(help="Exposures per second.")] = None,
     cycle: Annotated[
-        int | None, typer.Option(min=1, help="Render so many exposures and repeat them.")
+        int | None, typer.Option(min=1, help="Number of exposures to render and repeat.")
     ] = None,
     part: Annotated[
         int | None, typer.Option(min=1, help="Counts in a message; left out: an exposure's all.")

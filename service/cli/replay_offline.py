@@ -23,7 +23,7 @@ def run_replay(
 
     Args:
         path: the recording.
-        calibration: JSON file; None: what was in force when it was recorded.
+        calibration: JSON file; None: what was active when it was recorded.
         table: correction table of that calibration.
         output: file; None: standard output.
     """

@@ -77,7 +77,7 @@ def add_run(
         RunExists: the id is taken.
         CalibrationExists, CorrectionTableExists, ExportExists: another run that waits or runs is
             to make a result of the same id.
-        Busy: so many wait already.
+        Busy: the queue is full.
     """
     waiting = session.scalar(
         select(func.count()).select_from(RunRow).where(RunRow.state == "queued")

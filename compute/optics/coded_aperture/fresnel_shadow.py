@@ -10,7 +10,7 @@ from compute.optics.coded_aperture.geometric_shadow import second_difference
 
 Array = NDArray[np.float64]
 
-_REACH = 20.0  # edges within so many Fresnel widths count in full
+_REACH = 20.0  # Fresnel widths within which an edge counts in full
 _MIN_ORDERS = 4.0
 _SAMPLES_PER_FRINGE = 8.0
 _DAMPED_ORDER = 0.48  # order x relative spectral deviation at which fringes are down to 1 %

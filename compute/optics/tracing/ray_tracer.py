@@ -153,5 +153,5 @@ class RayTracer:
 
 
 def _words(count: int) -> int:
-    """Return the float64 words that so many results take."""
+    """Return the number of float64 words of the results."""
     return int(np.ceil(OUTPUTS * count))

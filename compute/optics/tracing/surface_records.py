@@ -52,7 +52,7 @@ BACKWARD_SLACK_MM: Final = 1e-9
 """A crossing so little behind a ray's start is at its start: surfaces may touch, numbers round."""
 
 OPEN_REACH: Final = 1e3
-"""A saddle with an open profile has no end; look for crossings within so many radii."""
+"""Radii within which crossings of a saddle with an open profile are searched; it has no end."""
 
 
 @lru_cache(maxsize=64)

@@ -1,1 +1,1 @@
-"""Acquisition."""
+"""Acquisition of a tool that is not tracked: its markers among the peaks, and its first pose."""

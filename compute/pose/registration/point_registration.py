@@ -58,7 +58,7 @@ class Registration:
             RMS in space [mm].
         stated_fle_mm: what the covariances say [mm]; None: there were none.
         residual_sigma: root of chi2 per degree of freedom, about 1; None without covariances.
-        correspondence_errors: what pairs are wrong and what would mend it; None: nothing need be.
+        correspondence_errors: what pairs are wrong and what would repair it; None: none is wrong.
         warnings: what to know before it is used, for a person.
     """
 

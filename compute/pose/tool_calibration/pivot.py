@@ -20,7 +20,7 @@ _OUTLIER_THRESHOLD: Final = float(np.sqrt(chi2.isf(1e-4, 3)))
 """Distance in standard deviations above which a pose is excluded: one correct one in 10,000."""
 _MEDIAN_SIGMAS: Final = float(np.sqrt(chi2.median(3)))
 _RANDOM_TRIPLES: Final = 120
-"""Of poses of which 40 % are wrong one triple in five is right: never none of so many."""
+"""With 40 % wrong poses one triple in five is right: among these one is, practically always."""
 _MAX_ITERATIONS: Final = 50
 
 

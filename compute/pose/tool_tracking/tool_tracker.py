@@ -1,4 +1,4 @@
-"""ToolTracker: poses of all tools of a device, frame by frame."""
+"""ToolTracker: poses of all tools of a device, exposure by exposure, and why a tool has none."""
 
 from collections import deque
 from collections.abc import Sequence

@@ -11,8 +11,8 @@ from compute.warp_host import host_memory
 Array = NDArray[np.float64]
 
 DIRECT_POINTS: Final = 4096
-"""Batches up to so many points stay in the host's memory, where CUDA reads them once and writes the
-points: the copies' starts take longer than that."""
+"""Largest batch that stays in the host's memory, which CUDA reads and writes directly: starting
+the copies takes longer."""
 POINTS_PER_LAUNCH: Final = 1 << 18
 """Most points in the buffers on CUDA; of more, one part after another is brought there."""
 THREADS_PER_BLOCK: Final = 64

@@ -23,7 +23,7 @@ def length_of(pixels: int) -> Length:
 
 
 def find_peaks_call(lines_per_batch: int, length: Length) -> str:
-    """Return the call in C++ for CUDA's warps to take so many lines of a length, and for the CPU.
+    """Return the C++ call of the centroid search, for CUDA and for the CPU.
 
     The variables are named as the parameters of ``centroid_kernel``.
     """

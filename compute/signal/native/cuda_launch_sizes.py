@@ -10,7 +10,7 @@ one. Of longer lines it takes fewer, down to one of as many blocks."""
 SHORT_PIXELS: Final = LINES_PER_BATCH * BLOCK_PIXELS
 """Lines up to this length are brought to shared memory whole."""
 LAUNCH_BOUNDS: Final = (BLOCK_THREADS, 6)
-"""As many blocks of so many lines as shared memory has room for."""
+"""Blocks that fit in shared memory, by their number of scans."""
 LONG_LINES_PER_WARP: Final = 2
 """Of longer lines: the second one's blocks come while the first one's peaks are measured."""
 CANDIDATE_LINES_PER_BATCH: Final = 2

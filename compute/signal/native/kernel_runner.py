@@ -17,18 +17,18 @@ from compute.warp_host import check_threads, host_memory, warp_device, worker_th
 
 WARP_LANES: Final = 32
 FILLING_WARPS: Final = 2048
-"""So many warps fill a large GPU; of more lines each takes several."""
+"""Number of warps that fill a large GPU; with more scans each warp takes several."""
 HEAD_START_PIXELS: Final = 262_144
-"""By so many pixels more than the others the caller's own thread takes: until they have woken."""
+"""Pixels that the calling thread takes more than the others, which take time to wake."""
 PIXELS_PER_THREAD: Final = 786_432
-"""A further thread must have so many pixels to be worth it, unless a kernel says otherwise."""
+"""Smallest share of pixels for which another thread pays, unless a kernel says otherwise."""
 MAX_GRAPHS: Final = 64
 """Sizes of batches for which a CUDA graph is kept."""
 GRAPH_PIXELS: Final = 1 << 20
-"""Batches up to so many pixels go by a graph; for larger ones it saves nothing that counts."""
+"""Largest batch that is launched by a CUDA graph; a larger one gains nothing measurable."""
 DIRECT_PIXELS: Final = 1 << 16
-"""Batches up to so many pixels stay in the host's memory, where the device reads them once and
-writes the records: a copy's start takes longer than that."""
+"""Largest batch that stays in the host's memory, which the device reads and writes directly:
+starting a copy takes longer."""
 
 
 class ScanKernelRunner:
@@ -51,7 +51,7 @@ class ScanKernelRunner:
         reads_once: the kernel reads lines only once and no records; those of small batches then
             are not copied.
         lines_per_warp: most lines that a warp takes, where there are enough for all warps.
-        pixels_per_thread: a further CPU thread must have so many to be worth it.
+        pixels_per_thread: smallest share for which another CPU thread pays.
 
     Raises:
         InvalidParameter: a size outside its range, or a device that is not there.
@@ -182,7 +182,7 @@ class ScanKernelRunner:
         """Start the kernel on the first ``count`` of the uploaded lines; the CPU also ends it.
 
         Raises:
-            InvalidParameter: there are not so many.
+            InvalidParameter: there are fewer.
         """
         if not 1 <= count <= self._uploaded:
             raise InvalidParameter(

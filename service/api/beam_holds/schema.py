@@ -232,10 +232,10 @@ class Reference(ResponseModel):
     id: str = Field(description="Another for each reference that was taken.")
     kind: Literal["given", "captured"]
     calibration: str | None = Field(
-        description="In force then. With another in force the reference is not used, and the beam "
+        description="Active then. With another calibration the reference is not used, and the beam "
         "is held; null: none was."
     )
-    table: str | None = Field(description="The correction table in force then; as `calibration`.")
+    table: str | None = Field(description="The table active then; as `calibration`.")
     rotation: Matrix3 | None
     translation_mm: Position | None
     covariance: Matrix6 | None

@@ -104,7 +104,7 @@ def previous_activation(session: Session, device_id: str) -> Target:
     earlier = _latest_activation(session, device_id, reached) if reached else None
     if earlier is None:
         raise NothingToRollBack(
-            f'device "{device_id}" has no activation before the one in force; activate a '
+            f'device "{device_id}" has no activation before the present one; activate a '
             "calibration by its id",
             device=device_id,
         )

@@ -25,7 +25,7 @@ TIME_CHANNEL: Final = "TIME_OFF_NOMINAL_US"
 MAX_FRAMES: Final = 65_535
 """The header counts frames in 16 bits, and readers keep to that."""
 _MAX_GAPS: Final = 20
-"""So many times the frames that there are, the file may have."""
+"""Largest number of frames of the file, relative to the frames that there are."""
 
 Array = NDArray[np.float64]
 

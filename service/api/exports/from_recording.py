@@ -47,7 +47,7 @@ def table_from_recording(
     Args:
         reader: the recording.
         tools: whose poses are wanted.
-        given: what to reconstruct with; None: what was in force, frame by frame.
+        given: what to reconstruct with; None: the calibration that was active, frame by frame.
         done: called with the number of frames that are done.
         tracking: how markers and tools are followed; None: by default.
 

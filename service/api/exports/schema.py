@@ -30,7 +30,8 @@ class NewExportRun(RequestModel):
         default=None, description="Those of the device that are wanted; null: all."
     )
     calibration: Slug | None = Field(
-        default=None, description="In the place of what was in force frame by frame; null: that."
+        default=None,
+        description="Instead of the calibration that was active at each frame; null: that.",
     )
     table: Slug | None = Field(
         default=None, description="A correction table of that `calibration`; null: none."

@@ -73,7 +73,7 @@ def create_quality_check(
     """Measure a still marker, or the known distance of two, for some seconds, and keep the result.
 
     After the single point and point to point tests of ASTM F2554. The answer comes when it is
-    measured. Points are made with the calibration and table in force.
+    measured. Points are made with the active calibration and table.
     """
     from service.api.quality.run_check import measure
 

@@ -69,7 +69,7 @@ def reprocess(
         reader: the recording.
         processor: of its device.
         batch_frames: most frames of a batch.
-        given: what to reconstruct with; None: what was in force, frame by frame.
+        given: what to reconstruct with; None: the calibration that was active, frame by frame.
 
     Raises:
         InvalidRecording: there are no lines, or something is damaged.

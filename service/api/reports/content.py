@@ -23,7 +23,7 @@ from service.api.calibrations.comparison import Comparison, box_grid, predicted_
 Array = NDArray[np.float64]
 
 SUSPICIOUS_SIGMA = 3.5
-"""Residuals larger than so many standard deviations are listed."""
+"""Residuals larger than this are listed, in standard deviations."""
 
 
 Relation = Literal["before", "active", "chosen"]

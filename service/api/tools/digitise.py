@@ -107,7 +107,7 @@ class _Digitiser:
         """Take what came; return whether there is a point.
 
         Raises:
-            CalibrationSwitched: the frame is not one of what is in force.
+            CalibrationSwitched: the frame does not belong to the active calibration.
         """
         of = self._frame.provenance
         if of is not None and self.tap.active_ids is not None:

@@ -53,5 +53,5 @@ class MeasuredPoint(ResponseModel):
     tip_calibration: str | None = Field(
         description="The pivot calibration that the tip is from; null: it was given."
     )
-    calibration: str = Field(description="In force meanwhile.")
-    table: str | None = Field(description="The correction table in force with it; null: none.")
+    calibration: str = Field(description="The calibration that was active meanwhile.")
+    table: str | None = Field(description="The correction table active with it; null: none.")

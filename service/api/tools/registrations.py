@@ -57,7 +57,7 @@ class NewRegistrationRecord:
         result: what was found.
         asked: what is kept of the request.
         reference: the tool that the points were measured relative to; None: the tracker.
-        measured_with: calibration and table in force when they were, where that is known; None:
+        measured_with: active calibration and table when they were, where that is known; None:
             what is active when it is stored.
         relied_on: what it was found from by name, while that took its time.
     """

@@ -124,9 +124,9 @@ class Origin(ResponseModel):
         default=None,
         description="Standard deviation in space of each captured marker's place [mm].",
     )
-    calibration: str | None = Field(default=None, description="In force during the capture.")
+    calibration: str | None = Field(default=None, description="Active during the capture.")
     table: str | None = Field(
-        default=None, description="The correction table that was in force with it; null: none."
+        default=None, description="The correction table that was active with it; null: none."
     )
 
 
@@ -162,8 +162,8 @@ class Pose(ResponseModel):
     )
     sequence: int | None = Field(description="Number of the frame.")
     age_s: float | None = Field(description="Since the exposure, when this was answered.")
-    calibration: str | None = Field(description="In force for this frame.")
-    table: str | None = Field(description="The correction table in force with it; null: none.")
+    calibration: str | None = Field(description="The calibration that was active for this frame.")
+    table: str | None = Field(description="The correction table active with it; null: none.")
     translation_mm: Position | None = Field(description="The tool's origin in the frame.")
     rotation: Matrix3 | None = Field(description="R_frame_tool, row by row.")
     quaternion_wxyz: tuple[float, float, float, float] | None = Field(
@@ -229,10 +229,10 @@ class ToolCalibration(ResponseModel):
         description="RMS angle by which the tool swung where it did least."
     )
     calibration: str | None = Field(
-        default=None, description="In force while poses were collected; null: not kept."
+        default=None, description="Active while poses were collected; null: not kept."
     )
     table: str | None = Field(
-        default=None, description="The correction table that was in force with it; null: none."
+        default=None, description="The correction table that was active with it; null: none."
     )
     request: NewToolCalibration
     created_at: Moment

@@ -8,7 +8,7 @@ from service.protocols.ndi.errors import CommandError, ErrorCode
 from service.protocols.ndi.tool_definition import MAX_BYTES
 
 MAX_HANDLES: Final = 24
-"""Drivers have room for so many tools, and some do not count."""
+"""Number of tools that drivers have room for; some drivers do not count."""
 
 OCCUPIED: Final = 0x01
 INITIALISED: Final = 0x10

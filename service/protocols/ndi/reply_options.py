@@ -31,7 +31,7 @@ def reply_option(text: str) -> ReplyOption:
 
 
 def hexadecimal(text: str, digits: int) -> int:
-    """Return the number that so many hexadecimal digits are; raises Refused."""
+    """Return the value of hexadecimal digits; raises CommandError."""
     if len(text) != digits:
         raise CommandError(ErrorCode.WRONG_PARAMETERS)
     if not all(one in "0123456789abcdefABCDEF" for one in text):

@@ -34,7 +34,7 @@ _LARGEST: Final = 1e30
 STALE_S: Final = 1.0
 """A pose that is older is not sent, and clients are told that no newer one comes."""
 _MISSED: Final = 5.0
-"""Of slower devices, after so many frames that did not come."""
+"""The same for slower devices, in missing frames."""
 _NUMBERS: Final = 2**32
 FULL_NAME: Final = "IGTL_DEVICE_NAME"
 """Metadata by which PLUS tells a name that is longer than its field."""

@@ -177,8 +177,8 @@ class StreamRequest:
         encoding: how messages are written.
         lossless: every message in order for as long as it is kept; otherwise a client that falls
             behind goes on with the newest.
-        rate_hz: at most so many frames a second, the newest each time; None: every one.
-        bundle_s: frames are sent together, at most every so many seconds; None: each in a message
+        rate_hz: largest rate of frames [Hz], the newest each time; None: every frame.
+        bundle_s: shortest time between messages of several frames [s]; None: each in a message
             of its own.
         stream: the log that ``after`` is of.
         after: number of the last message that the client has; None: it begins with the next.

@@ -20,6 +20,8 @@ def warp_device(wp: Any, name: str | None) -> Any:
     Raises:
         InvalidParameter: there is no such device.
     """
+    # Asking for a device starts Warp: its greeting would stand in a command's output.
+    wp.config.log_level = max(wp.config.log_level, wp.LOG_WARNING)
     if name is None:
         name = "cuda:0" if wp.is_cuda_available() else "cpu"
     try:

@@ -152,7 +152,7 @@ def residuals_histogram(content: ReportContent) -> Figure | None:
     axes.set_xlabel("residual over its deviation (beyond the ends: in the last bars)")
     axes.set_ylabel("density")
     axes.set_title(f"{len(found)} residuals, root mean square {np.sqrt((found**2).mean()):.2f}")
-    axes.legend()
+    axes.legend(loc="upper right")
     return figure
 
 
@@ -272,7 +272,7 @@ def comparison(content: ReportContent) -> Figure | None:
     axes.set_xticks(range(len(parameters)), parameters, rotation=30, ha="right")
     axes.set_ylabel("difference / deviation")
     axes.set_title(f"Parameters against {name}")
-    axes.legend(ncols=4)
+    axes.legend(loc="upper right", ncols=4)
     return figure
 
 

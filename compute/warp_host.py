@@ -10,6 +10,11 @@ from numpy.typing import NDArray
 from compute.errors import InvalidParameter
 
 
+def suppress_greeting(wp: Any) -> None:
+    """Let Warp log only warnings: its greeting would stand in a command's output."""
+    wp.config.log_level = max(wp.config.log_level, wp.LOG_WARNING)
+
+
 def warp_device(wp: Any, name: str | None) -> Any:
     """Return Warp's device of this name; None takes the first CUDA device, or else the CPU.
 
@@ -20,8 +25,7 @@ def warp_device(wp: Any, name: str | None) -> Any:
     Raises:
         InvalidParameter: there is no such device.
     """
-    # Asking for a device starts Warp: its greeting would stand in a command's output.
-    wp.config.log_level = max(wp.config.log_level, wp.LOG_WARNING)
+    suppress_greeting(wp)
     if name is None:
         name = "cuda:0" if wp.is_cuda_available() else "cpu"
     try:

@@ -12,6 +12,8 @@ from functools import cache
 from importlib import import_module, resources
 from typing import Any, Final
 
+from compute.warp_host import suppress_greeting
+
 GENERATED: Final = ".gen.h"
 _INCLUDE: Final = re.compile(r'#include "(.*)"')
 _ONCE: Final = "#pragma once"
@@ -57,8 +59,7 @@ def module_options(path: str, **options: Any) -> dict[str, Any]:
     """
     import warp as wp
 
-    # Warp's greeting and its compile times are nothing to a user of ours.
-    wp.config.log_level = max(wp.config.log_level, wp.LOG_WARNING)
+    suppress_greeting(wp)
     build = wp.ModuleBuildOptions(
         extra_cpu_preamble=combined_source(path),
         # NVRTC keeps no precompiled headers of a source with line directives.

@@ -17,11 +17,19 @@ from service.application.initial_content import seed
 from service.database.engine import Database
 from service.database.migration import migrate
 from service.settings import Settings
+from tests.running_server import serving
 from tests.service.fake_pipeline import FakePipeline, TestClient
 
 POSTGRES = os.environ.get(
     "LUMILINE_TEST_POSTGRES", "postgresql+psycopg://postgres@127.0.0.1:5432/test"
 )
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """Base URL of a running service."""
+    with serving(tmp_path_factory.mktemp("server")) as url:
+        yield url
 
 
 @pytest.fixture(scope="session")

@@ -14,6 +14,8 @@ from typing import Any
 
 import httpx
 
+from service.cli.output import progress
+
 START_TIMEOUT_S = 180.0
 """The first start on a machine compiles the kernels."""
 
@@ -25,27 +27,27 @@ class RunningService:
     url: str
     pid: int
 
-
-class ServiceFailedError(RuntimeError):
-    """The service did not start; the message holds the end of its log."""
-
-
-@contextmanager
-def running_service(data_dir: Path) -> Iterator[str]:
-    """Run ``lumiline serve`` and yield its base URL; see ``service_process``."""
-    with service_process(data_dir) as service:
-        yield service.url
+    @property
+    def stream_url(self) -> str:
+        """Address of its stream, without a query."""
+        return f"{self.url.replace('http', 'ws', 1)}/api/v1/stream"
 
 
 @contextmanager
 def service_process(
-    data_dir: Path, settings: Mapping[str, str] | None = None
+    data_dir: Path,
+    settings: Mapping[str, str] | None = None,
+    *,
+    doing: str = "starting the service",
+    quiet: bool = False,
 ) -> Iterator[RunningService]:
     """Run ``lumiline serve`` on a free port; ends it afterwards.
 
     Args:
         data_dir: its data directory, which also gets its log, ``service.log``.
         settings: further settings by name.
+        doing: shown until it is ready.
+        quiet: show nothing.
     """
     data_dir.mkdir(parents=True, exist_ok=True)
     log_path = data_dir / "service.log"
@@ -61,7 +63,8 @@ def service_process(
         )  # fmt: skip
         url = f"http://127.0.0.1:{port}"
         try:
-            _wait_until_ready(process, url, log_path)
+            with progress(doing, quiet=quiet):
+                _wait_until_ready(process, url, log_path)
             yield RunningService(url, process.pid)
         finally:
             process.terminate()
@@ -120,4 +123,4 @@ def _wait_until_ready(process: "subprocess.Popen[bytes]", url: str, log_path: Pa
             pass
         time.sleep(0.1)
     tail = "\n".join(log_path.read_text(encoding="utf-8").splitlines()[-15:])
-    raise ServiceFailedError(f"the service did not become ready; the end of {log_path}:\n{tail}")
+    raise RuntimeError(f"the service did not become ready; the end of {log_path}:\n{tail}")

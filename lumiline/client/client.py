@@ -2,7 +2,7 @@
 
 import asyncio
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any, Generic, TypeVar
@@ -20,6 +20,7 @@ from lumiline.client.exchange import (
     Exchange,
     HttpRequest,
     Pause,
+    result_of,
 )
 from lumiline.client.recordings import RecordingMethods
 from lumiline.client.registrations import RegistrationMethods
@@ -44,6 +45,9 @@ class _SharedClient(
 
     _http_type: type[Http]
     _stream_type: type[AnyStream]
+    _sleep: Callable[[float], Any]
+    _pieces: Callable[[httpx.Response], AsyncIterator[bytes]]
+    _end: Callable[[httpx.Response], Awaitable[None]]
 
     def __init__(
         self,
@@ -119,16 +123,47 @@ class _SharedClient(
         state = StreamState.begin(self._server, request, resume, reconnect_s)
         return self._stream_type(state, self._timeout_s)
 
-    def _http_arguments(self, step: HttpRequest) -> dict[str, Any]:
-        timeout_s = self._timeout_s if step.timeout_s is None else step.timeout_s
+    async def _perform(self, step: HttpRequest | Download | Pause) -> Any:
+        match step:
+            case HttpRequest():
+                return await self._request(step)
+            case Download():
+                return await self._download(step)
+            case Pause():
+                return await result_of(self._sleep(step.seconds))
+
+    async def _request(self, step: HttpRequest) -> Any:
+        what = f"{step.method} {step.path}"
         query = {name: value for name, value in (step.query or {}).items() if value is not None}
-        return {
-            "method": step.method,
-            "url": step.path,
-            "params": query or None,
-            "json": step.body,
-            "timeout": timeout_s + step.extra_timeout_s,
-        }
+        timeout_s = self._timeout_s if step.timeout_s is None else step.timeout_s
+        with _connection_errors(what):
+            response = await result_of(
+                self._http.request(
+                    step.method, step.path, params=query or None, json=step.body,
+                    timeout=timeout_s + step.extra_timeout_s,
+                )
+            )  # fmt: skip
+        _check(response, response.content)
+        if not response.content:
+            return None
+        try:
+            return response.json()
+        except ValueError as error:
+            raise UnreadableMessage(f"{what} did not answer JSON") from error
+
+    async def _download(self, step: Download) -> Path:
+        request = self._http.build_request("GET", step.source)
+        with _connection_errors(f"GET {step.source}"):
+            response = await result_of(self._http.send(request, stream=True))
+            try:
+                if not response.is_success:
+                    _check(response, b"".join([piece async for piece in self._pieces(response)]))
+                with _whole_file(step.path) as file:
+                    async for piece in self._pieces(response):
+                        file.write(piece)
+            finally:
+                await self._end(response)
+        return step.path
 
 
 class Client(_SharedClient[httpx.Client, Stream], BlockingRunner):
@@ -140,32 +175,20 @@ class Client(_SharedClient[httpx.Client, Stream], BlockingRunner):
 
     _http_type = httpx.Client
     _stream_type = Stream
+    _sleep = staticmethod(time.sleep)
 
     def close(self) -> None:
         """Close the connections; streams have their own."""
         self._http.close()
 
-    def _perform(self, step: HttpRequest | Download | Pause) -> Any:
-        match step:
-            case HttpRequest():
-                what = f"{step.method} {step.path}"
-                with _connection_errors(what):
-                    response = self._http.request(**self._http_arguments(step))
-                return _json_of(response, what)
-            case Download():
-                with (
-                    _connection_errors(f"GET {step.source}"),
-                    self._http.stream("GET", step.source) as response,
-                ):
-                    if not response.is_success:
-                        _check(response, response.read())
-                    with _whole_file(step.path) as file:
-                        for piece in response.iter_bytes():
-                            file.write(piece)
-                return step.path
-            case Pause():
-                time.sleep(step.seconds)
-        return None
+    @staticmethod
+    async def _pieces(response: httpx.Response) -> AsyncIterator[bytes]:
+        for piece in response.iter_bytes():
+            yield piece
+
+    @staticmethod
+    async def _end(response: httpx.Response) -> None:
+        response.close()
 
 
 class AsyncClient(_SharedClient[httpx.AsyncClient, AsyncStream], AsyncRunner):
@@ -177,30 +200,13 @@ class AsyncClient(_SharedClient[httpx.AsyncClient, AsyncStream], AsyncRunner):
 
     _http_type = httpx.AsyncClient
     _stream_type = AsyncStream
+    _sleep = staticmethod(asyncio.sleep)
+    _pieces = staticmethod(httpx.Response.aiter_bytes)
+    _end = staticmethod(httpx.Response.aclose)
 
     async def close(self) -> None:
         """Close the connections; streams have their own."""
         await self._http.aclose()
-
-    async def _perform(self, step: HttpRequest | Download | Pause) -> Any:
-        match step:
-            case HttpRequest():
-                what = f"{step.method} {step.path}"
-                with _connection_errors(what):
-                    response = await self._http.request(**self._http_arguments(step))
-                return _json_of(response, what)
-            case Download():
-                with _connection_errors(f"GET {step.source}"):
-                    async with self._http.stream("GET", step.source) as response:
-                        if not response.is_success:
-                            _check(response, await response.aread())
-                        with _whole_file(step.path) as file:
-                            async for piece in response.aiter_bytes():
-                                file.write(piece)
-                return step.path
-            case Pause():
-                await asyncio.sleep(step.seconds)
-        return None
 
 
 def _check(response: httpx.Response, body: bytes) -> None:
@@ -208,17 +214,6 @@ def _check(response: httpx.Response, body: bytes) -> None:
     if not response.is_success:
         retry_after = response.headers.get("Retry-After")
         raise server_problem(response.status_code, body, retry_after)
-
-
-def _json_of(response: httpx.Response, what: str) -> Any:
-    """Return the JSON of a response that has been read; None where it is empty."""
-    _check(response, response.content)
-    if not response.content:
-        return None
-    try:
-        return response.json()
-    except ValueError as error:
-        raise UnreadableMessage(f"{what} did not answer JSON") from error
 
 
 @contextmanager

@@ -73,7 +73,44 @@ Exchange: TypeAlias = Generator[Any, Any, T]
 """A generator that yields steps of input and output, is sent their results, and returns T."""
 
 
-class BlockingRunner:
+async def result_of(value: Any) -> Any:
+    """Return a result of either transport: the value itself, or what it is awaited for."""
+    return await value if inspect.isawaitable(value) else value
+
+
+def finish(coroutine: Coroutine[Any, Any, T]) -> T:
+    """Run a coroutine of the blocking transport, in which nothing is awaited, to its end."""
+    try:
+        coroutine.send(None)
+    except StopIteration as end:
+        result: T = end.value
+        return result
+    raise RuntimeError("the blocking transport has awaited something")
+
+
+class _Runner:
+    """Runs exchanges: performs their steps, by blocking calls or with asyncio."""
+
+    def _perform(self, step: Any) -> Any:
+        """Return the result of a step, or what it is awaited for."""
+        raise NotImplementedError
+
+    async def _drive(self, exchange: Exchange[T]) -> T:
+        try:
+            step = next(exchange)
+            while True:
+                try:
+                    answer = await result_of(self._perform(step))
+                except Exception as error:  # noqa: BLE001  # the exchange decides
+                    step = exchange.throw(error)
+                else:
+                    step = exchange.send(answer)
+        except StopIteration as end:
+            result: T = end.value
+            return result
+
+
+class BlockingRunner(_Runner):
     """Runs exchanges by blocking calls; a context manager that closes what it opened."""
 
     def __enter__(self) -> Self:
@@ -86,25 +123,11 @@ class BlockingRunner:
         """Close the connection."""
         raise NotImplementedError
 
-    def _perform(self, step: Any) -> Any:
-        raise NotImplementedError
-
     def _run(self, exchange: Exchange[T]) -> T:
-        try:
-            step = next(exchange)
-            while True:
-                try:
-                    answer = self._perform(step)
-                except Exception as error:  # noqa: BLE001  # the exchange decides
-                    step = exchange.throw(error)
-                else:
-                    step = exchange.send(answer)
-        except StopIteration as end:
-            result: T = end.value
-            return result
+        return finish(self._drive(exchange))
 
 
-class AsyncRunner:
+class AsyncRunner(_Runner):
     """Runs exchanges with asyncio; an asynchronous context manager."""
 
     async def __aenter__(self) -> Self:
@@ -117,22 +140,8 @@ class AsyncRunner:
         """Close the connection."""
         raise NotImplementedError
 
-    async def _perform(self, step: Any) -> Any:
-        raise NotImplementedError
-
     async def _run(self, exchange: Exchange[T]) -> T:
-        try:
-            step = next(exchange)
-            while True:
-                try:
-                    answer = await self._perform(step)
-                except Exception as error:  # noqa: BLE001  # the exchange decides
-                    step = exchange.throw(error)
-                else:
-                    step = exchange.send(answer)
-        except StopIteration as end:
-            result: T = end.value
-            return result
+        return await self._drive(exchange)
 
 
 class ClientMethod(Generic[P, T]):
@@ -178,16 +187,8 @@ class ClientMethod(Generic[P, T]):
 
 
 def get(kind: type[Model], *path: str, inside: str | None = None, **query: Any) -> Exchange[Model]:
-    """Get what is at a path below the interface's root.
-
-    Args:
-        kind: model that the answer is read as.
-        path: parts of the path.
-        inside: member of the answer that is wanted; None: all of it.
-        query: parameters; those that are None are left out.
-    """
-    answer = yield HttpRequest("GET", path_of(*path), query)
-    return _read(kind, answer, path, inside)
+    """Get what is at a path below the interface's root; arguments as of ``send``."""
+    return send(kind, "GET", *path, inside=inside, **query)
 
 
 def get_all(kind: type[Model], *path: str, **query: Any) -> Exchange[list[Model]]:
@@ -221,7 +222,7 @@ def send(
     extra_timeout_s: float = 0.0,
     **query: Any,
 ) -> Exchange[Model]:
-    """Send a request that changes something or has something computed.
+    """Send a request, and return what is answered.
 
     Args:
         kind: model that the answer is read as.

@@ -112,13 +112,8 @@ class RegistrationMethods:
             "points_mm": float_rows(points_mm),
             "surface": surface,
         }
-        return send(
-            Registration,
-            "POST",
-            "registrations",
-            body=body,
-            extra_timeout_s=_SURFACE_REGISTRATION_S,
-        )
+        timeout_s = _SURFACE_REGISTRATION_S
+        return send(Registration, "POST", "registrations", body=body, extra_timeout_s=timeout_s)
 
     @ClientMethod
     def frames(self, device_id: str) -> Exchange[Frames]:

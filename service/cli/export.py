@@ -76,8 +76,11 @@ def _from_recording(
     from hardware.recording.reader import RecordingReader
     from service.api.exports.from_recording import table_from_recording
 
-    settings = None if device is None else read_device(device)
-    bodies = () if tools is None else read_tools(tools, settings and settings.id)
+    device_id, tracking = None, None
+    if device is not None:
+        settings = read_device(device)
+        device_id, tracking = settings.id, settings.tracking
+    bodies = () if tools is None else read_tools(tools, device_id)
     active = read_active_calibration(calibration, table)
     with RecordingReader(source) as reader, progress("exporting", reader.info.frames) as done:
-        return table_from_recording(reader, bodies, active, done, settings and settings.tracking)
+        return table_from_recording(reader, bodies, active, done, tracking)

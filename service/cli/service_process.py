@@ -55,24 +55,12 @@ def service_process(
     # The embedded default, whatever this user's environment says of another database.
     environment = {k: v for k, v in os.environ.items() if not k.startswith("LUMILINE_")}
     environment |= {f"LUMILINE_{k.upper()}": v for k, v in (settings or {}).items()}
-    with log_path.open("w", encoding="utf-8") as log:
-        process = subprocess.Popen(  # noqa: S603 - our own command line
-            [sys.executable, "-m", "service.cli", "serve",
-             "--port", str(port), "--data-dir", str(data_dir)],
-            stdout=log, stderr=subprocess.STDOUT, env=environment,
-        )  # fmt: skip
+    command = ["serve", "--port", str(port), "--data-dir", str(data_dir)]
+    with _own_process(command, log_path, environment) as process:
         url = f"http://127.0.0.1:{port}"
-        try:
-            with progress(doing, quiet=quiet):
-                _wait_until_ready(process, url, log_path)
-            yield RunningService(url, process.pid)
-        finally:
-            process.terminate()
-            try:
-                process.wait(20.0)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
+        with progress(doing, quiet=quiet):
+            _wait_until_ready(process, url, log_path)
+        yield RunningService(url, process.pid)
 
 
 @contextmanager
@@ -90,18 +78,33 @@ def simulated_device(
     port = free_port()
     given = folder / "device.json"
     given.write_text(json.dumps(settings or {}), encoding="utf-8")
-    with (folder / "device.log").open("wb") as log:
+    command = [
+        "simulate-serial", "--listen", f"127.0.0.1:{port}", "--rate", str(rate_hz),
+        "--cycle", str(cycle), "--settings", str(given),
+    ]  # fmt: skip
+    with _own_process(command, folder / "device.log"):
+        yield {"kind": "serial", "settings": {"url": f"socket://127.0.0.1:{port}"}}
+
+
+@contextmanager
+def _own_process(
+    command: list[str], log_path: Path, environment: Mapping[str, str] | None = None
+) -> Iterator["subprocess.Popen[bytes]"]:
+    """Run a command of this command line, whose output goes to a file; ends it afterwards."""
+    with log_path.open("wb") as log:
         process = subprocess.Popen(  # noqa: S603 - our own command line
-            [sys.executable, "-m", "service.cli", "simulate-serial",
-             "--listen", f"127.0.0.1:{port}", "--rate", str(rate_hz), "--cycle", str(cycle),
-             "--settings", str(given)],
-            stdout=log, stderr=subprocess.STDOUT,
+            [sys.executable, "-m", "service.cli", *command],
+            stdout=log, stderr=subprocess.STDOUT, env=environment,
         )  # fmt: skip
         try:
-            yield {"kind": "serial", "settings": {"url": f"socket://127.0.0.1:{port}"}}
+            yield process
         finally:
             process.terminate()
-            process.wait()
+            try:
+                process.wait(20.0)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
 
 
 def free_port() -> int:

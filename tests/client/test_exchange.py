@@ -92,7 +92,7 @@ def test_both_clients_have_the_same_methods() -> None:
 
 
 def test_every_method_is_written_once() -> None:
-    own = {"close", "_perform", "_http_type", "_stream_type"}
+    own = {"close", "_http_type", "_stream_type", "_sleep", "_pieces", "_end"}
     for kind in (Client, AsyncClient):
         assert {name for name in vars(kind) if not name.startswith("__")} == own
         methods = {

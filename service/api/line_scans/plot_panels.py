@@ -104,7 +104,7 @@ def draw_panel(
         low, high = min(low, lowest), max(high, highest)
     for number in panel.numbers:
         peak = scan.peaks[number]
-        colour = FLAGGED if plain_flags(peak) else MODEL
+        colour = peak_colour(peak)
         axes.axvline(peak.position_px, color=colour, lw=1.0)
         if peak.sigma_px is not None:
             axes.axvspan(
@@ -124,7 +124,7 @@ def draw_panel(
     axes.set_ylim(low - 0.05 * room, high + 0.3 * room)
     axes.stairs(shown, edges, baseline=low - 0.05 * room, fill=True, color="0.88", zorder=0)
     axes.xaxis.set_major_locator(MaxNLocator(5, integer=True))
-    wrong = any(plain_flags(scan.peaks[number]) for number in panel.numbers)
+    wrong = peak_colour(*(scan.peaks[number] for number in panel.numbers)) == FLAGGED
     title = "\n".join(_described(scan, panel))
     axes.set_title(title, loc="left", fontsize=8, color=FLAGGED if wrong else "black")
     axes.legend(
@@ -156,9 +156,9 @@ def draw_residuals(axes: Axes, panel: Panel) -> None:
     axes.set_ylim(-1.15 * max(largest, 3.0), 1.15 * max(largest, 3.0))
 
 
-def plain_flags(peak: LinePeak) -> list[str]:
-    """Return the flags that say that something may be wrong with a peak."""
-    return [flag for flag in peak.flags if flag != "joint"]
+def peak_colour(*peaks: LinePeak) -> str:
+    """Return the colour of peaks of which one has a flag of a fault, else that of the model."""
+    return FLAGGED if any(set(peak.flags) - {"joint"} for peak in peaks) else MODEL
 
 
 def _draw_fit(axes: Axes, window: FitWindow, method: Method) -> float:

@@ -39,11 +39,8 @@ class HttpRequest:
 
     Args:
         method: of HTTP.
-        path: from the server's root.
-        query: parameters; those that are None are left out.
-        body: sent as JSON; None: nothing.
+        path: from the server's root; the other arguments are those of ``send``.
         timeout_s: how long the answer is waited for [s]; None: as the client says.
-        extra_timeout_s: how long the server measures or computes besides [s].
     """
 
     method: str
@@ -192,11 +189,7 @@ def get(kind: type[Model], *path: str, inside: str | None = None, **query: Any) 
 
 
 def get_all(kind: type[Model], *path: str, **query: Any) -> Exchange[list[Model]]:
-    """Get a list whole, page by page.
-
-    Raises:
-        UnreadableMessage: the answer is no page of a list.
-    """
+    """Get a list whole, page by page; raises UnreadableMessage."""
     found: list[Model] = []
     while True:
         page = yield HttpRequest(

@@ -45,12 +45,7 @@ class RecordingMethods:
 
     @ClientMethod
     def download_recording(self, name: str, path: Path | str) -> Exchange[Path]:
-        """Write a complete recording to a file, which exists only when it is whole.
-
-        Raises:
-            ServerProblem: there is no such recording, or it is still written.
-            ServerUnreachable: the connection was lost before the end.
-        """
+        """Write a complete recording to a file, which exists only when it is whole."""
         return download(path, "recordings", name, "file")
 
     @ClientMethod
@@ -83,12 +78,7 @@ class RecordingMethods:
 
     @ClientMethod
     def download_export(self, export_id: str, path: Path | str) -> Exchange[Path]:
-        """Write an export to a file, which exists only when it is whole.
-
-        Raises:
-            ServerProblem: there is no such export.
-            ServerUnreachable: the connection was lost before the end.
-        """
+        """Write an export to a file, which exists only when it is whole."""
         return download(path, "exports", export_id, "file")
 
     @ClientMethod

@@ -43,18 +43,7 @@ MAX_MESSAGE_BYTES: Final = 2**26
 
 @dataclass(frozen=True)
 class StreamRequest:
-    """Query of a stream: device, content, mode and rate.
-
-    Args:
-        device: its id.
-        content: what frames hold; ``("status",)``: no frames.
-        mode: ``live``: what is new; ``lossless``: every message in order, also over a lost
-            connection, as long as the server still has them.
-        rate_hz: highest rate of frames [Hz]; None: every frame.
-        bundle_ms: send the frames of this time [ms] in one message, which costs both sides far
-            less at thousands of frames a second; None: each by itself.
-        encoding: ``msgpack``, or ``json``.
-    """
+    """Query of a stream: device, content, mode and rate, as of ``Client.stream``."""
 
     device: str
     content: tuple[Content, ...] = ("points",)
@@ -84,7 +73,7 @@ class StreamState:
 
     Args:
         server: where it comes from.
-        request: what it is to send.
+        request: its query.
         reconnect_s: how long a lost connection is tried again [s]; 0: not at all.
         stream: id of the server's numbered messages, from ``resume``; None: from now on.
         last: number of the last message that was received.

@@ -171,11 +171,7 @@ def label_message(finding: LabelFinding) -> str:
 
 
 def _distortion(text: str) -> Distortion:
-    """Return a named set, or terms written as ``3,0 1,2``.
-
-    Raises:
-        InvalidParameter: pairs that are not two whole numbers.
-    """
+    """Return a named set, or terms written as ``3,0 1,2``; raises InvalidParameter."""
     if not text[:1].isdigit():
         return cast("Distortion", text)
     terms: list[Term] = []

@@ -97,11 +97,7 @@ class DemoClient(Client):
                 seen[message["marker"]][sensor].append(reading)
             progress((now - start) / 1e9)
         return {
-            marker: {
-                sensor: _average(readings)
-                for sensor, readings in sensors.items()
-                if len(readings) > 3
-            }
+            marker: {name: _average(some) for name, some in sensors.items() if len(some) > 3}
             for marker, sensors in sorted(seen.items())
         }
 
@@ -135,12 +131,12 @@ class DemoClient(Client):
             stream.sequence.append(message["sequence"])
             stream.latency_ns.append(now - message["exposure_ns"])
             stream.exposure_ns.append(message["exposure_ns"])
-            progress((stream.exposure_ns[-1] - stream.exposure_ns[0]) / 1e9)
+            time_s = (stream.exposure_ns[-1] - stream.exposure_ns[0]) / 1e9
+            progress(time_s)
             for point in message["points"]:
-                position = point["position_mm"]
                 stream.marker.append(point["marker"])
-                stream.time_s.append((stream.exposure_ns[-1] - stream.exposure_ns[0]) / 1e9)
-                stream.position_mm.append(position or [np.nan] * 3)
+                stream.time_s.append(time_s)
+                stream.position_mm.append(point["position_mm"] or [np.nan] * 3)
         return stream
 
 

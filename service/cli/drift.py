@@ -74,11 +74,7 @@ def drift(
 def _stationary_markers(
     path: Path, earlier: Path | None, calibration: Calibration, position_sigma_mm: float
 ) -> StationaryMarkers:
-    """Return the markers of one file, or of two.
-
-    Raises:
-        InvalidParameter: other sensors than the calibration's, or two files of other markers.
-    """
+    """Return the markers of one file, or of two; raises InvalidParameter."""
     now = read_observations(path).in_order_of(calibration.models)
     sigma = _sigma_px(now, calibration)
     if earlier is None:

@@ -30,11 +30,7 @@ SimulationOption = Annotated[
 
 
 def read_json(path: Path) -> Any:
-    """Return the content of a JSON file.
-
-    Raises:
-        InvalidParameter: the file cannot be read, or is not JSON.
-    """
+    """Return the content of a JSON file; raises InvalidParameter."""
     try:
         return json.loads(path.read_bytes())
     except OSError as error:
@@ -97,11 +93,7 @@ class CalibrationFile:
 
 
 def read_calibration(path: Path) -> CalibrationFile:
-    """Read a calibration from a file.
-
-    Raises:
-        InvalidParameter: the file cannot be read, or holds no calibration.
-    """
+    """Read a calibration from a file; raises InvalidParameter."""
     content = read_json(path)
     sent = isinstance(content, dict) and "result" in content
     calibration = validate(

@@ -36,11 +36,7 @@ class ReadingTable:
     sigma_px: Array | None
 
     def in_order_of(self, models: Sequence[SensorModel], source: str = "the calibration") -> Self:
-        """Return the readings in the order of a calibration's sensors.
-
-        Raises:
-            InvalidParameter: the file has readings of other sensors.
-        """
+        """Return the readings in the order of a calibration's sensors; raises InvalidParameter."""
         names = tuple(model.name for model in models)
         if set(self.sensors) != set(names):
             raise InvalidParameter(

@@ -61,11 +61,7 @@ def wand(
 
 
 def _positions(text: str) -> tuple[float, ...]:
-    """Return the markers' positions.
-
-    Raises:
-        InvalidParameter: something that is not a number.
-    """
+    """Return the markers' positions; raises InvalidParameter."""
     try:
         return tuple(float(part) for part in text.replace(",", " ").split())
     except ValueError:

@@ -134,11 +134,7 @@ def _cells(column: NDArray[Any], *, empty: bool) -> list[Any]:
 
 
 def write_parquet(table: MotionTable, path: Path) -> None:
-    """Write all of a table.
-
-    Raises:
-        MissingLibrary: pyarrow is not installed.
-    """
+    """Write all of a table; raises MissingLibrary."""
     pa, parquet = import_optional("pyarrow"), import_optional("pyarrow.parquet")
     columns = tidy_columns(table)
     arrays = [_array(pa, name, column) for name, column in columns.items()]

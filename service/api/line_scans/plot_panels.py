@@ -144,7 +144,7 @@ def draw_residuals(axes: Axes, panel: Panel) -> None:
         axes.set_yticks([])
         return
     pixel = window.first_px + np.arange(len(window.values))
-    rest = np.array([np.nan if r is None else r for r in window.residual_sigma])
+    rest = np.array(window.residual_sigma, np.float64)
     used = np.array(window.used)
     axes.axhspan(-1.0, 1.0, color="0.93", lw=0.0)
     axes.axhline(0.0, color="0.6", lw=0.7)
@@ -169,7 +169,7 @@ def _draw_fit(axes: Axes, window: FitWindow, method: Method) -> float:
     """
     if not isinstance(method, FitMethod):
         edges = window.first_px + np.arange(len(window.model) + 1) - 0.5
-        model = np.array([np.nan if value is None else value for value in window.model])
+        model = np.array(window.model, np.float64)
         axes.stairs(model, edges, baseline=None, color=MODEL, lw=1.0, label="model")
         return float(np.nanmax(model, initial=0.0))
     if window.chi2 is None or window.width_px is None or window.background_counts is None:

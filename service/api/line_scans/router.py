@@ -130,11 +130,7 @@ def select_scan(scans: Scans, scan: int, average: int) -> Scans:
 
 
 def _request_scans(request: LineScanRequest) -> Scans:
-    """Return the scans of a request, shape (L, P).
-
-    Raises:
-        InvalidParameter: scans of different lengths, or more values than one request may have.
-    """
+    """Return the scans of a request, shape (L, P); raises InvalidParameter."""
     length = len(request.scans[0])
     for number, scan in enumerate(request.scans):
         if len(scan) != length:
@@ -181,11 +177,7 @@ def _check_correlations(request: LineScanRequest, length: int) -> None:
 
 
 def _request_noise(request: LineScanRequest) -> PixelNoise | NoiseConstants | None:
-    """Return what a request says about the noise.
-
-    Raises:
-        InvalidParameter: the offset is given twice.
-    """
+    """Return what a request says about the noise; raises InvalidParameter."""
     if request.offset_counts is None:
         return request.noise
     if request.noise is not None:

@@ -93,7 +93,7 @@ class Stream(_SharedStream):
     _sleep = staticmethod(time.sleep)
 
     @staticmethod
-    def _connect(url: str, **options: Any) -> blocking_client.ClientConnection:
+    def _connect(url: str, **options: Any) -> Any:
         # The library wants a context; its end is ``close``.
         return blocking_client.connect(url, **options).__enter__()
 

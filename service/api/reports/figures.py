@@ -31,7 +31,7 @@ Kind = Literal["svg", "png"]
 def draw(figure: str, content: ReportContent, kind: Kind) -> bytes | None:
     """Return one of ``FIGURES``; None where the content has nothing for it."""
     drawn = draw_as(figure, content, (kind,))
-    return drawn and drawn[kind]
+    return None if drawn is None else drawn[kind]
 
 
 def draw_as(figure: str, content: ReportContent, kinds: Sequence[Kind]) -> dict[Kind, bytes] | None:

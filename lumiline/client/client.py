@@ -12,16 +12,7 @@ import httpx
 from lumiline.client.beam_holds import BeamHoldMethods
 from lumiline.client.devices import DeviceMethods
 from lumiline.client.errors import ServerUnreachable, UnreadableMessage, server_problem
-from lumiline.client.exchange import (
-    AsyncRunner,
-    BlockingRunner,
-    ClientMethod,
-    Download,
-    Exchange,
-    HttpRequest,
-    Pause,
-    result_of,
-)
+from lumiline.client.exchange import Asynchronous, Blocking, ClientMethod, path_of, result_of
 from lumiline.client.recordings import RecordingMethods
 from lumiline.client.registrations import RegistrationMethods
 from lumiline.client.server import KeyBy, Server
@@ -45,7 +36,6 @@ class _SharedClient(
 
     _http_type: type[Http]
     _stream_type: type[AnyStream]
-    _sleep: Callable[[float], Any]
     _pieces: Callable[[httpx.Response], AsyncIterator[bytes]]
     _end: Callable[[httpx.Response], Awaitable[None]]
 
@@ -73,7 +63,7 @@ class _SharedClient(
         )
 
     @ClientMethod
-    def request(
+    async def request(
         self,
         method: str,
         path: str,
@@ -81,7 +71,7 @@ class _SharedClient(
         query: Mapping[str, Any] | None = None,
         body: Any = None,
         timeout_s: float | None = None,
-    ) -> Exchange[Any]:
+    ) -> Any:
         """Send any request of the server's interface, and return the JSON that it answers.
 
         Raises:
@@ -89,7 +79,7 @@ class _SharedClient(
             ServerUnreachable: it did not answer.
             UnreadableMessage: what it answered is no JSON.
         """
-        return (yield HttpRequest(method, path, query, body, timeout_s))
+        return await self._request(method, path, query=query, body=body, timeout_s=timeout_s)
 
     def stream(
         self,
@@ -124,26 +114,23 @@ class _SharedClient(
         state = StreamState.begin(self._server, request, resume, reconnect_s)
         return self._stream_type(state, self._timeout_s)
 
-    async def _perform(self, step: HttpRequest | Download | Pause) -> Any:
-        match step:
-            case HttpRequest():
-                return await self._request(step)
-            case Download():
-                return await self._download(step)
-            case Pause():
-                return await result_of(self._sleep(step.seconds))
-
-    async def _request(self, step: HttpRequest) -> Any:
-        what = f"{step.method} {step.path}"
-        query = {name: value for name, value in (step.query or {}).items() if value is not None}
-        timeout_s = self._timeout_s if step.timeout_s is None else step.timeout_s
+    async def _request(
+        self,
+        method: str,
+        path: str,
+        *,
+        query: Mapping[str, Any] | None = None,
+        body: Any = None,
+        timeout_s: float | None = None,
+        extra_timeout_s: float = 0.0,
+    ) -> Any:
+        what = f"{method} {path}"
+        known = {name: value for name, value in (query or {}).items() if value is not None}
+        timeout_s = (self._timeout_s if timeout_s is None else timeout_s) + extra_timeout_s
         with _connection_errors(what):
             response = await result_of(
-                self._http.request(
-                    step.method, step.path, params=query or None, json=step.body,
-                    timeout=timeout_s + step.extra_timeout_s,
-                )
-            )  # fmt: skip
+                self._http.request(method, path, params=known or None, json=body, timeout=timeout_s)
+            )
         _check(response, response.content)
         if not response.content:
             return None
@@ -152,22 +139,23 @@ class _SharedClient(
         except ValueError as error:
             raise UnreadableMessage(f"{what} did not answer JSON") from error
 
-    async def _download(self, step: Download) -> Path:
-        request = self._http.build_request("GET", step.source)
-        with _connection_errors(f"GET {step.source}"):
+    async def _download(self, file: Path | str, *path: str) -> Path:
+        source, file = path_of(*path), Path(file)
+        with _connection_errors(f"GET {source}"):
+            request = self._http.build_request("GET", source)
             response = await result_of(self._http.send(request, stream=True))
             try:
                 if not response.is_success:
                     _check(response, b"".join([piece async for piece in self._pieces(response)]))
-                with _whole_file(step.path) as file:
+                with _whole_file(file) as target:
                     async for piece in self._pieces(response):
-                        file.write(piece)
+                        target.write(piece)
             finally:
                 await self._end(response)
-        return step.path
+        return file
 
 
-class Client(_SharedClient[httpx.Client, Stream], BlockingRunner):
+class Client(_SharedClient[httpx.Client, Stream], Blocking):
     """A connection to a server, with blocking calls; a context manager that closes it.
 
     ``ServerProblem`` is raised where the server refuses, with its reason, ``ServerUnreachable``
@@ -192,7 +180,7 @@ class Client(_SharedClient[httpx.Client, Stream], BlockingRunner):
         response.close()
 
 
-class AsyncClient(_SharedClient[httpx.AsyncClient, AsyncStream], AsyncRunner):
+class AsyncClient(_SharedClient[httpx.AsyncClient, AsyncStream], Asynchronous):
     """A connection to a server, with asyncio; an asynchronous context manager that closes it.
 
     ``ServerProblem`` is raised where the server refuses, with its reason, ``ServerUnreachable``

@@ -58,9 +58,11 @@ class DemoClient(Client):
                 zip(test.points_mm, test.readings_mm, strict=True)
             )
         ]
-        return self._calibrate(THESIS_DEVICE, points, f"Test {number} as measured")
+        return self._post_calibration(THESIS_DEVICE, points, f"Test {number} as measured")
 
-    def _calibrate(self, device: str, points: list[dict[str, Any]], note: str) -> dict[str, Any]:
+    def _post_calibration(
+        self, device: str, points: list[dict[str, Any]], note: str
+    ) -> dict[str, Any]:
         body = {"device": device, "points": points, "note": note}
         calibration: dict[str, Any] = self.request("POST", "/api/v1/calibrations", body=body)
         return calibration
@@ -116,7 +118,7 @@ class DemoClient(Client):
             }
             for marker, sensors in observed.items()
         ]
-        calibration = self._calibrate(SIMULATED, points, "simulated calibration frame")
+        calibration = self._post_calibration(SIMULATED, points, "simulated calibration frame")
         self.activate(calibration["id"])
         return calibration
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from compute.pose.tool_pose import PoseStatus, ToolPose
 from service.cli.bench_service import Figures, run_benchmark
-from service.cli.output import console, make_table, progress
+from service.cli.output import console, make_table, progress, spec
 from service.pipeline.latest_poses import LatestPoses, PoseEntry
 from service.protocols.openigtlink.counters import Counters
 from service.protocols.openigtlink.host import Caller, Landmark, WireTool
@@ -177,7 +177,8 @@ def _show(figures: Figures) -> None:
         ("missed between two received", received["missed"], bare["missed"]),
         ("out of order", received["out_of_order"], bare["out_of_order"]),
         ("wrong checksums", received["wrong_checksums"], bare["wrong_checksums"]),
-        ("largest gap, ms", f"{received['largest_gap_ms']:.1f}", f"{bare['largest_gap_ms']:.1f}"),
+        ("largest gap, ms",
+         spec(received["largest_gap_ms"], ".1f"), spec(bare["largest_gap_ms"], ".1f")),
     ]  # fmt: skip
     for name in ("latency", "jitter"):
         ours, peer = received[f"{name}_ms"], bare[f"{name}_ms"]

@@ -61,6 +61,26 @@ class ResponseModel(BaseModel):
     model_config = ConfigDict(frozen=True)
 
 
+Model = TypeVar("Model", bound=BaseModel)
+
+
+def from_row(model: type[Model], row: object, **members: Any) -> Model:
+    """Return a row of the database as clients see it.
+
+    A field takes the column of its name, or of its name and ``_id`` (``device``: ``device_id``).
+
+    Args:
+        model: the response.
+        row: the row.
+        members: fields beside the columns, or in their place.
+    """
+    for name in model.model_fields.keys() - members.keys():
+        column = name if hasattr(row, name) else f"{name}_id"
+        if hasattr(row, column):
+            members[name] = getattr(row, column)
+    return model.model_validate(members)
+
+
 Item = TypeVar("Item")
 
 

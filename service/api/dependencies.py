@@ -1,6 +1,6 @@
 """Endpoint parameters from the application's state: database, pipeline, runs, settings."""
 
-from typing import Annotated
+from typing import Annotated, Any
 
 from fastapi import Depends, Request
 
@@ -11,9 +11,13 @@ from service.problems.errors import NotReady
 from service.settings import Settings
 
 
-def _database(request: Request) -> Database:
-    database: Database = request.app.state.database
-    return database
+def of_application(name: str) -> Any:
+    """Return the dependency on a part of the application, by its name in ``app.state``."""
+
+    def part(request: Request) -> Any:
+        return getattr(request.app.state, name)
+
+    return Depends(part)
 
 
 def _live(request: Request) -> PipelineManager:
@@ -23,17 +27,7 @@ def _live(request: Request) -> PipelineManager:
     return live
 
 
-def _runs(request: Request) -> RunManager:
-    runs: RunManager = request.app.state.runs
-    return runs
-
-
-def _settings(request: Request) -> Settings:
-    settings: Settings = request.app.state.settings
-    return settings
-
-
-DatabaseDep = Annotated[Database, Depends(_database)]
+DatabaseDep = Annotated[Database, of_application("database")]
 LiveDep = Annotated[PipelineManager, Depends(_live)]
-RunsDep = Annotated[RunManager, Depends(_runs)]
-SettingsDep = Annotated[Settings, Depends(_settings)]
+RunsDep = Annotated[RunManager, of_application("runs")]
+SettingsDep = Annotated[Settings, of_application("settings")]

@@ -1,14 +1,15 @@
 """The OpenAPI document: problem responses by their types, and the shared schemas."""
 
 from collections import defaultdict
-from collections.abc import Sequence
-from typing import Any, Final
+from collections.abc import Callable, Sequence
+from typing import Any, Final, TypeVar
 
-from fastapi import FastAPI
+from fastapi import APIRouter, FastAPI
 from fastapi.openapi.utils import get_openapi
 from pydantic.json_schema import models_json_schema
 
 from compute.errors import LumilineError, NonFiniteValue
+from service.api.json_body import JsonRoute
 from service.principal import SCOPE_MEANINGS
 from service.problems.catalogue import (
     MEDIA_TYPE,
@@ -34,6 +35,7 @@ from service.problems.errors import (
 from service.security.operation_scopes import OPERATION_SCOPES, PUBLIC
 
 Responses = dict[int | str, dict[str, Any]]
+Endpoint = TypeVar("Endpoint", bound=Callable[..., Any])
 
 _INVALID: Final = PROBLEM_TYPES["invalid-request"]
 _OF_EVERY_OPERATION: Final = (PROBLEM_TYPES["internal-error"],)
@@ -119,6 +121,65 @@ TAGS: Final = [
     {"name": "keys", "description": "Who may do what, and who did what."},
     {"name": "server", "description": "Health, and what problem types mean."},
 ]
+
+
+class ResourceRouter(APIRouter):
+    """Operations of a resource: strict JSON bodies, problems in the OpenAPI document.
+
+    Args:
+        prefix: of the paths.
+        tag: of the operations.
+    """
+
+    def __init__(self, prefix: str, tag: str) -> None:
+        super().__init__(prefix=prefix, tags=[tag], route_class=JsonRoute)
+
+    def operation(
+        self,
+        route: str,
+        operation_id: str,
+        summary: str,
+        *,
+        responses: Responses | None = None,
+        **options: Any,
+    ) -> Callable[[Endpoint], Endpoint]:
+        """Return a decorator that adds an operation; ``raises`` below it names its problems.
+
+        Args:
+            route: method of HTTP and path below the prefix, such as ``GET /{run_id}``; what is
+                deleted is answered with 204.
+            operation_id: its name in the OpenAPI document and the table of scopes.
+            summary: of the document.
+            responses: other answers of the document.
+            options: as of ``APIRouter.add_api_route``.
+        """
+        method, _, path = route.partition(" ")
+        if method == "DELETE":
+            options = {"status_code": 204} | options
+
+        def add(endpoint: Endpoint) -> Endpoint:
+            self.add_api_route(
+                path,
+                endpoint,
+                methods=[method],
+                operation_id=operation_id,
+                summary=summary,
+                responses=problems(*getattr(endpoint, "errors", ())) | (responses or {}),
+                **options,
+            )
+            return endpoint
+
+        return add
+
+
+def raises(*errors: type[LumilineError]) -> Callable[[Endpoint], Endpoint]:
+    """Return a decorator that names errors of an endpoint, beside those of its input and scope."""
+
+    def add(endpoint: Endpoint) -> Endpoint:
+        endpoint.errors = (*errors, *getattr(endpoint, "errors", ()))  # type: ignore[attr-defined]
+        return endpoint
+
+    return add
 
 
 def problems(*errors: type[LumilineError]) -> Responses:

@@ -7,10 +7,8 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import Any, Final, Self
 
-import service.problems.errors as own
-from compute import errors as domain
-from compute.errors import LumilineError
 from service.jobs.worker import Done, Failed, Message, Progress, work
+from service.problems.catalogue import ERRORS
 from service.problems.errors import WorkerEnded
 
 _JOIN_S: Final = 5.0
@@ -88,14 +86,6 @@ class WorkerProcess:
         self.kill()
 
 
-_ERRORS: Final[dict[str, type[LumilineError]]] = {
-    found.code: found
-    for module in (domain, own)
-    for found in vars(module).values()
-    if isinstance(found, type) and issubclass(found, LumilineError)
-}
-
-
 def call_in_process(
     function: Callable[..., Any], *arguments: Any, timeout_s: float, memory_bytes: int
 ) -> Any:
@@ -117,7 +107,7 @@ def call_in_process(
                 case Done(result):
                     return result
                 case Failed(code, detail, context) if code is not None:
-                    raise _ERRORS[code](detail, **context)
+                    raise ERRORS[code](detail, **context)
                 case Failed(_, detail, _):
                     raise RuntimeError(detail)
                 case Progress():

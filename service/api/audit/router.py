@@ -3,16 +3,17 @@
 import re
 from typing import Annotated
 
-from fastapi import APIRouter, Query
+from fastapi import Query
 from pydantic import BeforeValidator
 
 from service.api.audit import store
 from service.api.audit.store import AuditEntry, AuditFilter, Outcome
 from service.api.base_models import Page, RequestMoment
 from service.api.dependencies import DatabaseDep
+from service.api.openapi import ResourceRouter
 from service.api.request_parameters import Limit, Offset
 
-router = APIRouter(prefix="/api/v1/audit", tags=["keys"])
+router = ResourceRouter("/api/v1/audit", "keys")
 
 _RFC3339 = re.compile(r"\d{4}-\d\d-\d\d[Tt ]\d\d:\d\d:\d\d(\.\d+)?([Zz]|[+-]\d\d:\d\d)", re.ASCII)
 
@@ -29,7 +30,7 @@ QueryMoment = Annotated[RequestMoment, BeforeValidator(_written_out)]
 _WORD = r"^[^\u0000]*$"
 
 
-@router.get("", operation_id="list-audit", summary="Who changed what")
+@router.operation("GET", "list-audit", "Who changed what")
 def list_audit(
     database: DatabaseDep,
     actor: Annotated[

@@ -2,8 +2,7 @@
 
 from typing import Annotated
 
-from fastapi import APIRouter, Body, Path, Query, Response
-from starlette.status import HTTP_201_CREATED
+from fastapi import Body, Path, Query, Response
 
 from compute.errors import (
     DuplicatePoint,
@@ -23,8 +22,8 @@ from service.api.drift_checks.examples import NEW_DRIFT_CHECKS
 from service.api.drift_checks.marker_references import resolve_stationary_markers
 from service.api.drift_checks.schema import DriftCheckDocument, DriftCheckSummary, NewDriftCheck
 from service.api.drift_checks.stationary_markers import still_set
-from service.api.json_body import JsonRoute, JsonTypes
-from service.api.openapi import problems
+from service.api.json_body import JsonTypes
+from service.api.openapi import ResourceRouter, raises
 from service.api.pagination import PagingDep, page_of
 from service.api.request_parameters import CalibrationPath, DeviceFilter
 from service.problems.errors import (
@@ -37,7 +36,7 @@ from service.problems.errors import (
     UnknownDriftCheck,
 )
 
-router = APIRouter(prefix="/api/v1", tags=["drift-checks"], route_class=JsonRoute)
+router = ResourceRouter("/api/v1", "drift-checks")
 
 NewDriftCheckBody = Annotated[NewDriftCheck, JsonTypes(), Body(openapi_examples=NEW_DRIFT_CHECKS)]
 DriftCheckPath = Annotated[
@@ -50,25 +49,15 @@ DriftCheckPath = Annotated[
 ]
 
 
-@router.post(
-    "/calibrations/{calibration_id}/drift-checks",
-    operation_id="create-drift-check",
-    summary="Is a calibration still good?",
-    status_code=HTTP_201_CREATED,
-    responses=problems(
-        UnknownCalibration,
-        UnknownCapture,
-        DriftCheckExists,
-        CaptureOfAnotherDevice,
-        CaptureIncomplete,
-        SensorsChanged,
-        TooFewPoints,
-        DuplicatePoint,
-        UnknownSensor,
-        ReadingOutsideSensor,
-        InvalidParameter,
-    ),
+@router.operation(
+    "POST /calibrations/{calibration_id}/drift-checks",
+    "create-drift-check",
+    "Is a calibration still good?",
+    status_code=201,
 )
+@raises(UnknownCalibration, UnknownCapture, DriftCheckExists, CaptureOfAnotherDevice)
+@raises(CaptureIncomplete, SensorsChanged, TooFewPoints, DuplicatePoint, UnknownSensor)
+@raises(ReadingOutsideSensor, InvalidParameter)
 def create_drift_check(
     calibration_id: CalibrationPath,
     request: NewDriftCheckBody,
@@ -98,7 +87,7 @@ def create_drift_check(
     return made
 
 
-@router.get("/drift-checks", operation_id="list-drift-checks", summary="List drift checks")
+@router.operation("GET /drift-checks", "list-drift-checks", "List drift checks")
 def list_drift_checks(
     database: DatabaseDep,
     paging: PagingDep,
@@ -117,12 +106,8 @@ def list_drift_checks(
         )
 
 
-@router.get(
-    "/drift-checks/{check_id}",
-    operation_id="get-drift-check",
-    summary="Read a drift check",
-    responses=problems(UnknownDriftCheck),
-)
+@router.operation("GET /drift-checks/{check_id}", "get-drift-check", "Read a drift check")
+@raises(UnknownDriftCheck)
 def get_drift_check(check_id: DriftCheckPath, database: DatabaseDep) -> DriftCheckDocument:
     """One check with its readings."""
     with database.read() as session:

@@ -9,8 +9,7 @@ from pathlib import Path
 from threading import Event, Lock, Thread
 from typing import Annotated, Final
 
-from fastapi import Depends, Request
-
+from service.api.dependencies import of_application
 from service.api.recordings.recorder import Recorder, WriteCounters
 from service.api.recordings.recording_job import writer_job
 from service.api.recordings.repository import RecordingRepository, unread
@@ -308,9 +307,4 @@ def _exists(name: str) -> RecordingExists:
     )
 
 
-def _recordings(request: Request) -> RecordingManager:
-    recordings: RecordingManager = request.app.state.recordings
-    return recordings
-
-
-RecordingsDep = Annotated[RecordingManager, Depends(_recordings)]
+RecordingsDep = Annotated[RecordingManager, of_application("recordings")]

@@ -3,12 +3,11 @@
 from typing import Annotated
 
 from fastapi import APIRouter, Path, Query
-from starlette.status import HTTP_204_NO_CONTENT
 
 from service.api.base_models import SLUG_PATTERN, Page
 from service.api.dependencies import DatabaseDep, RunsDep
 from service.api.json_body import JsonRoute
-from service.api.openapi import problems
+from service.api.openapi import ResourceRouter, raises
 from service.api.pagination import PagingDep, page_of
 from service.api.request_parameters import DeviceFilter
 from service.api.runs import submit_router
@@ -19,7 +18,7 @@ from service.problems.errors import RunNotEnded, UnknownRun
 
 router = APIRouter(route_class=JsonRoute)
 router.include_router(submit_router.router)
-_runs = APIRouter(prefix="/api/v1/runs", tags=["runs"], route_class=JsonRoute)
+_runs = ResourceRouter("/api/v1/runs", "runs")
 
 RunPath = Annotated[
     str,
@@ -31,7 +30,7 @@ RunPath = Annotated[
 ]
 
 
-@_runs.get("", operation_id="list-runs", summary="List runs")
+@_runs.operation("GET", "list-runs", "List runs")
 def list_runs(
     database: DatabaseDep,
     paging: PagingDep,
@@ -44,37 +43,24 @@ def list_runs(
         return page_of(session, store.runs(device, kind, state), paging, run_document)
 
 
-@_runs.get(
-    "/{run_id}",
-    operation_id="get-run",
-    summary="How far a run is",
-    responses=problems(UnknownRun),
-)
+@_runs.operation("GET /{run_id}", "get-run", "How far a run is")
+@raises(UnknownRun)
 def get_run(run_id: RunPath, database: DatabaseDep) -> Run:
     """State, progress, and what came of it."""
     with database.read() as session:
         return run_document(store.get_run(session, run_id))
 
 
-@_runs.delete(
-    "/{run_id}",
-    operation_id="delete-run",
-    summary="Delete a run",
-    status_code=HTTP_204_NO_CONTENT,
-    responses=problems(UnknownRun, RunNotEnded),
-)
+@_runs.operation("DELETE /{run_id}", "delete-run", "Delete a run")
+@raises(UnknownRun, RunNotEnded)
 def delete_run(run_id: RunPath, database: DatabaseDep) -> None:
     """Delete a run that has ended, with the measurements posted for it; what it made stays."""
     with database.write() as session:
         store.delete_run(session, run_id)
 
 
-@_runs.post(
-    "/{run_id}/cancel",
-    operation_id="cancel-run",
-    summary="Cancel a run",
-    responses=problems(UnknownRun),
-)
+@_runs.operation("POST /{run_id}/cancel", "cancel-run", "Cancel a run")
+@raises(UnknownRun)
 def cancel_run(run_id: RunPath, database: DatabaseDep, runs: RunsDep) -> Run:
     """End a run that waits or runs; nothing of it is stored. One that has ended stays as it is."""
     with database.write() as session:

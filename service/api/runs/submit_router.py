@@ -4,7 +4,6 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Body
 from sqlalchemy.orm import Session
-from starlette.status import HTTP_202_ACCEPTED
 
 from compute.errors import (
     DegeneratePoints,
@@ -22,7 +21,7 @@ from service.api.exports.examples import NEW_EXPORT_RUNS
 from service.api.exports.router import ExportsDep
 from service.api.exports.schema import NewExportRun
 from service.api.json_body import JsonRoute, JsonTypes
-from service.api.openapi import problems
+from service.api.openapi import raises
 from service.api.recordings.recording_manager import RecordingsDep
 from service.api.runs.examples import (
     NEW_CALIBRATION_RUNS,
@@ -76,28 +75,16 @@ NewSelfCalibrationRunBody = Annotated[
 ]
 
 
-@router.post(
-    "/calibration-runs",
+@router.operation(
+    "POST /calibration-runs",
+    "create-calibration-run",
+    "Calibrate a device beside the requests",
     tags=["runs"],
-    operation_id="create-calibration-run",
-    summary="Calibrate a device beside the requests",
-    status_code=HTTP_202_ACCEPTED,
-    responses=problems(
-        UnknownDevice,
-        UnknownCapture,
-        RunExists,
-        CalibrationExists,
-        CaptureOfAnotherDevice,
-        CaptureIncomplete,
-        TooFewPoints,
-        DegeneratePoints,
-        DuplicatePoint,
-        UnknownSensor,
-        ReadingOutsideSensor,
-        InvalidParameter,
-        Busy,
-    ),
+    status_code=202,
 )
+@raises(UnknownDevice, UnknownCapture, RunExists, CalibrationExists, CaptureOfAnotherDevice)
+@raises(CaptureIncomplete, TooFewPoints, DegeneratePoints, DuplicatePoint, UnknownSensor)
+@raises(ReadingOutsideSensor, InvalidParameter, Busy)
 def create_calibration_run(request: NewCalibrationRunBody, acceptance: SubmissionDep) -> Run:
     """Calibrate in a process of its own: follow the run at the header `Location`.
 
@@ -130,33 +117,17 @@ def _points(session: Session, request: NewCalibrationRun | NewMappingRun) -> lis
     )
 
 
-@router.post(
-    "/mapping-runs",
+@router.operation(
+    "POST /mapping-runs",
+    "create-mapping-run",
+    "Map the volume beside the requests",
     tags=["runs"],
-    operation_id="create-mapping-run",
-    summary="Map the volume beside the requests",
-    status_code=HTTP_202_ACCEPTED,
-    responses=problems(
-        UnknownDevice,
-        UnknownCalibration,
-        UnknownCapture,
-        RunExists,
-        CorrectionTableExists,
-        CalibrationOfAnotherDevice,
-        CaptureOfAnotherDevice,
-        CaptureIncomplete,
-        CalibrationRetired,
-        NoActiveCalibration,
-        SensorsChanged,
-        TooFewPoints,
-        DegeneratePoints,
-        DuplicatePoint,
-        UnknownSensor,
-        ReadingOutsideSensor,
-        InvalidParameter,
-        Busy,
-    ),
+    status_code=202,
 )
+@raises(UnknownDevice, UnknownCalibration, UnknownCapture, RunExists, CorrectionTableExists)
+@raises(CalibrationOfAnotherDevice, CaptureOfAnotherDevice, CaptureIncomplete, CalibrationRetired)
+@raises(NoActiveCalibration, SensorsChanged, TooFewPoints, DegeneratePoints, DuplicatePoint)
+@raises(UnknownSensor, ReadingOutsideSensor, InvalidParameter, Busy)
 def create_mapping_run(request: NewMappingRunBody, acceptance: SubmissionDep) -> Run:
     """Build a correction table in a process of its own: follow the run at the header `Location`.
 
@@ -183,29 +154,16 @@ def create_mapping_run(request: NewMappingRunBody, acceptance: SubmissionDep) ->
     return acceptance.run("mapping", request, stored)
 
 
-@router.post(
-    "/self-calibration-runs",
+@router.operation(
+    "POST /self-calibration-runs",
+    "create-self-calibration-run",
+    "Calibrate a device without known coordinates",
     tags=["runs"],
-    operation_id="create-self-calibration-run",
-    summary="Calibrate a device without known coordinates",
-    status_code=HTTP_202_ACCEPTED,
-    responses=problems(
-        UnknownDevice,
-        UnknownCalibration,
-        RunExists,
-        CalibrationExists,
-        CalibrationOfAnotherDevice,
-        CalibrationRetired,
-        NoActiveCalibration,
-        SensorsChanged,
-        TooFewPoints,
-        DegeneratePoints,
-        UnknownSensor,
-        ReadingOutsideSensor,
-        InvalidParameter,
-        Busy,
-    ),
+    status_code=202,
 )
+@raises(UnknownDevice, UnknownCalibration, RunExists, CalibrationExists, CalibrationOfAnotherDevice)
+@raises(CalibrationRetired, NoActiveCalibration, SensorsChanged, TooFewPoints, DegeneratePoints)
+@raises(UnknownSensor, ReadingOutsideSensor, InvalidParameter, Busy)
 def create_self_calibration_run(
     request: NewSelfCalibrationRunBody, acceptance: SubmissionDep
 ) -> Run:
@@ -233,33 +191,17 @@ def create_self_calibration_run(
     return acceptance.run("self-calibration", request, stored)
 
 
-@router.post(
-    "/update-runs",
+@router.operation(
+    "POST /update-runs",
+    "create-update-run",
+    "Bring a calibration up to date by still markers",
     tags=["runs"],
-    operation_id="create-update-run",
-    summary="Bring a calibration up to date by still markers",
-    status_code=HTTP_202_ACCEPTED,
-    responses=problems(
-        UnknownDevice,
-        UnknownCalibration,
-        UnknownCapture,
-        UnknownDriftCheck,
-        RunExists,
-        CalibrationExists,
-        CalibrationOfAnotherDevice,
-        CaptureOfAnotherDevice,
-        CaptureIncomplete,
-        CalibrationRetired,
-        NoActiveCalibration,
-        SensorsChanged,
-        TooFewPoints,
-        DuplicatePoint,
-        UnknownSensor,
-        ReadingOutsideSensor,
-        InvalidParameter,
-        Busy,
-    ),
+    status_code=202,
 )
+@raises(UnknownDevice, UnknownCalibration, UnknownCapture, UnknownDriftCheck, RunExists)
+@raises(CalibrationExists, CalibrationOfAnotherDevice, CaptureOfAnotherDevice, CaptureIncomplete)
+@raises(CalibrationRetired, NoActiveCalibration, SensorsChanged, TooFewPoints, DuplicatePoint)
+@raises(UnknownSensor, ReadingOutsideSensor, InvalidParameter, Busy)
 def create_update_run(request: NewUpdateRunBody, acceptance: SubmissionDep) -> Run:
     """Re-calibrate quickly: what a few still markers say has changed, and the rest as it was.
 
@@ -290,26 +232,15 @@ def create_update_run(request: NewUpdateRunBody, acceptance: SubmissionDep) -> R
     return acceptance.run("update", request, stored)
 
 
-@router.post(
-    "/export-runs",
+@router.operation(
+    "POST /export-runs",
+    "create-export-run",
+    "Export a recording beside the requests",
     tags=["recordings"],
-    operation_id="create-export-run",
-    summary="Export a recording beside the requests",
-    status_code=HTTP_202_ACCEPTED,
-    responses=problems(
-        UnknownDevice,
-        UnknownRecording,
-        UnknownTool,
-        UnknownCalibration,
-        UnknownCorrectionTable,
-        RunExists,
-        ExportExists,
-        RecordingInProgress,
-        InvalidParameter,
-        InsufficientStorage,
-        Busy,
-    ),
+    status_code=202,
 )
+@raises(UnknownDevice, UnknownRecording, UnknownTool, UnknownCalibration, UnknownCorrectionTable)
+@raises(RunExists, ExportExists, RecordingInProgress, InvalidParameter, InsufficientStorage, Busy)
 def create_export_run(
     request: NewExportRunBody,
     acceptance: SubmissionDep,

@@ -2,20 +2,19 @@
 
 from typing import Annotated, Any, Final
 
-from fastapi import APIRouter, Body, Path, Request, Response
-from starlette.status import HTTP_201_CREATED
+from fastapi import Body, Path, Request, Response
 
 from compute.errors import InvalidParameter
 from service.api.base_models import SLUG_PATTERN, Page
 from service.api.dependencies import DatabaseDep
-from service.api.json_body import JsonRoute, JsonTypes
-from service.api.openapi import problems
+from service.api.json_body import JsonTypes
+from service.api.openapi import ResourceRouter, raises
 from service.api.request_parameters import Limit, Offset
 from service.api.security.schema import ApiKey, CreatedApiKey, NewApiKey, created_document, document
 from service.problems.errors import UnknownKey
 from service.security import store
 
-router = APIRouter(prefix="/api/v1/keys", tags=["keys"], route_class=JsonRoute)
+router = ResourceRouter("/api/v1/keys", "keys")
 
 _NEW_KEYS: Final[Any] = {
     "display": {
@@ -42,7 +41,7 @@ KeyPath = Annotated[
 ]
 
 
-@router.get("", operation_id="list-keys", summary="List keys")
+@router.operation("GET", "list-keys", "List keys")
 def list_keys(database: DatabaseDep, limit: Limit = 50, offset: Offset = 0) -> Page[ApiKey]:
     """Keys without their secrets, newest first; also those that are not valid any more."""
     with database.read() as session:
@@ -51,13 +50,8 @@ def list_keys(database: DatabaseDep, limit: Limit = 50, offset: Offset = 0) -> P
     return Page(items=items, total=total, limit=limit, offset=offset)
 
 
-@router.post(
-    "",
-    operation_id="create-key",
-    summary="Make a key",
-    status_code=HTTP_201_CREATED,
-    responses=problems(InvalidParameter),
-)
+@router.operation("POST", "create-key", "Make a key", status_code=201)
+@raises(InvalidParameter)
 def create_key(
     request: Annotated[NewApiKey, JsonTypes(), Body(openapi_examples=_NEW_KEYS)],
     database: DatabaseDep,
@@ -75,21 +69,16 @@ def create_key(
     return created
 
 
-@router.get(
-    "/{key_id}", operation_id="get-key", summary="Read a key", responses=problems(UnknownKey)
-)
+@router.operation("GET /{key_id}", "get-key", "Read a key")
+@raises(UnknownKey)
 def get_key(key_id: KeyPath, database: DatabaseDep) -> ApiKey:
     """One key, without its secret."""
     with database.read() as session:
         return document(store.get_key(session, key_id))
 
 
-@router.post(
-    "/{key_id}/revoke",
-    operation_id="revoke-key",
-    summary="Revoke a key",
-    responses=problems(UnknownKey),
-)
+@router.operation("POST /{key_id}/revoke", "revoke-key", "Revoke a key")
+@raises(UnknownKey)
 def revoke_key(request: Request, key_id: KeyPath, database: DatabaseDep) -> ApiKey:
     """Take a key back for good: at once for requests, within seconds for open streams."""
     with database.write() as session:

@@ -2,13 +2,13 @@
 
 from typing import Annotated
 
-from fastapi import APIRouter, Path, Query
+from fastapi import Path, Query
 
 from compute.errors import UnknownFrame
 from service.api.base_models import SLUG_PATTERN
 from service.api.dependencies import DatabaseDep, LiveDep
 from service.api.devices.store import get_device
-from service.api.openapi import problems
+from service.api.openapi import ResourceRouter, raises
 from service.api.request_parameters import DevicePath
 from service.api.tools.examples import FRAME_NAMES
 from service.api.tools.frame_graph import device_frames
@@ -16,7 +16,7 @@ from service.api.tools.frame_schema import FrameList, FrameState, FrameTransform
 from service.api.tools.schema import TRACKER
 from service.problems.errors import UnknownDevice
 
-router = APIRouter(prefix="/api/v1/devices", tags=["tools"])
+router = ResourceRouter("/api/v1/devices", "tools")
 
 FramePath = Annotated[
     str,
@@ -28,12 +28,10 @@ FramePath = Annotated[
 ]
 
 
-@router.get(
-    "/{device_id}/frames",
-    operation_id="list-frames",
-    summary="A device's frames, and what connects them now",
-    responses=problems(UnknownDevice),
+@router.operation(
+    "GET /{device_id}/frames", "list-frames", "A device's frames, and what connects them now"
 )
+@raises(UnknownDevice)
 def list_frames(device_id: DevicePath, database: DatabaseDep, live: LiveDep) -> FrameList:
     """The tracker's frame, those of the tools, and the registered ones.
 
@@ -61,12 +59,12 @@ def list_frames(device_id: DevicePath, database: DatabaseDep, live: LiveDep) -> 
     )
 
 
-@router.get(
-    "/{device_id}/frames/{frame}",
-    operation_id="get-frame-transform",
-    summary="The transform from one frame to another now",
-    responses=problems(UnknownDevice, UnknownFrame),
+@router.operation(
+    "GET /{device_id}/frames/{frame}",
+    "get-frame-transform",
+    "The transform from one frame to another now",
 )
+@raises(UnknownDevice, UnknownFrame)
 def get_frame_transform(
     device_id: DevicePath,
     frame: FramePath,

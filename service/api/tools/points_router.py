@@ -2,13 +2,13 @@
 
 from typing import Annotated
 
-from fastapi import APIRouter, Body, Path
+from fastapi import Body, Path
 
 from compute.errors import InvalidParameter, NotStationary, TooFewPoses
 from service.api.base_models import SLUG_PATTERN
 from service.api.dependencies import DatabaseDep, LiveDep
-from service.api.json_body import JsonRoute, JsonTypes
-from service.api.openapi import problems
+from service.api.json_body import JsonTypes
+from service.api.openapi import ResourceRouter, raises
 from service.api.tools import concurrency_limits
 from service.api.tools.dependency_check import dependencies
 from service.api.tools.examples import NEW_POINTS, TOOL_IDS
@@ -30,7 +30,7 @@ from service.problems.errors import (
     UnknownTool,
 )
 
-router = APIRouter(prefix="/api/v1/tools", tags=["tools"], route_class=JsonRoute)
+router = ResourceRouter("/api/v1/tools", "tools")
 
 NewPointBody = Annotated[NewPoint, JsonTypes(), Body(openapi_examples=NEW_POINTS)]
 ToolPath = Annotated[
@@ -38,25 +38,10 @@ ToolPath = Annotated[
 ]
 
 
-@router.post(
-    "/{tool_id}/points",
-    operation_id="measure-point",
-    summary="Measure a point with a tool's tip",
-    responses=problems(
-        UnknownTool,
-        ToolReplaced,
-        RegistrationReplaced,
-        TipNotCalibrated,
-        Busy,
-        DeviceNotRunning,
-        NoActiveCalibration,
-        CalibrationSwitched,
-        NoObservation,
-        NotStationary,
-        TooFewPoses,
-        InvalidParameter,
-    ),
-)
+@router.operation("POST /{tool_id}/points", "measure-point", "Measure a point with a tool's tip")
+@raises(UnknownTool, ToolReplaced, RegistrationReplaced, TipNotCalibrated, Busy, DeviceNotRunning)
+@raises(NoActiveCalibration, CalibrationSwitched, NoObservation, NotStationary, TooFewPoses)
+@raises(InvalidParameter)
 def measure_point(
     tool_id: ToolPath, request: NewPointBody, database: DatabaseDep, live: LiveDep
 ) -> MeasuredPoint:

@@ -3,8 +3,7 @@
 from dataclasses import replace
 from typing import Annotated
 
-from fastapi import APIRouter, Body, Path, Response
-from starlette.status import HTTP_201_CREATED, HTTP_204_NO_CONTENT
+from fastapi import Body, Path, Response
 
 from compute.errors import (
     CollinearPoints,
@@ -20,8 +19,8 @@ from compute.errors import (
 from service.api.base_models import SLUG_PATTERN, Page
 from service.api.dependencies import DatabaseDep, LiveDep, SettingsDep
 from service.api.devices.store import get_device
-from service.api.json_body import JsonRoute, JsonTypes
-from service.api.openapi import problems
+from service.api.json_body import JsonTypes
+from service.api.openapi import ResourceRouter, raises
 from service.api.pagination import PagingDep, page_of
 from service.api.request_parameters import DeviceFilter
 from service.api.tools import concurrency_limits
@@ -53,7 +52,7 @@ from service.problems.errors import (
 )
 from service.settings import Settings
 
-router = APIRouter(prefix="/api/v1/registrations", tags=["tools"], route_class=JsonRoute)
+router = ResourceRouter("/api/v1/registrations", "tools")
 
 NewRegistrationBody = Annotated[
     NewRegistration, JsonTypes(), Body(openapi_examples=NEW_REGISTRATIONS)
@@ -68,7 +67,7 @@ RegistrationPath = Annotated[
 ]
 
 
-@router.get("", operation_id="list-registrations", summary="List registrations")
+@router.operation("GET", "list-registrations", "List registrations")
 def list_registrations(
     database: DatabaseDep, paging: PagingDep, device: DeviceFilter = None
 ) -> Page[Registration]:
@@ -77,34 +76,16 @@ def list_registrations(
         return page_of(session, store.registrations(device), paging, store.document)
 
 
-@router.post(
-    "",
-    operation_id="create-registration",
-    summary="Register paired points, three markers, or a surface: a named frame",
-    status_code=HTTP_201_CREATED,
-    responses=problems(
-        UnknownDevice,
-        UnknownTool,
-        UnknownRegistration,
-        RegistrationExists,
-        RegistrationReplaced,
-        ToolReplaced,
-        Busy,
-        DeviceNotRunning,
-        NoActiveCalibration,
-        CalibrationSwitched,
-        NoObservation,
-        NotStationary,
-        TooFewPoses,
-        TooFewPoints,
-        CollinearPoints,
-        DuplicatePoint,
-        UndeterminedParameters,
-        HighError,
-        NoConvergence,
-        InvalidParameter,
-    ),
+@router.operation(
+    "POST",
+    "create-registration",
+    "Register paired points, three markers, or a surface: a named frame",
+    status_code=201,
 )
+@raises(UnknownDevice, UnknownTool, UnknownRegistration, RegistrationExists, RegistrationReplaced)
+@raises(ToolReplaced, Busy, DeviceNotRunning, NoActiveCalibration, CalibrationSwitched)
+@raises(NoObservation, NotStationary, TooFewPoses, TooFewPoints, CollinearPoints, DuplicatePoint)
+@raises(UndeterminedParameters, HighError, NoConvergence, InvalidParameter)
 def create_registration(
     request: NewRegistrationBody,
     database: DatabaseDep,
@@ -185,25 +166,16 @@ def _of_surface(
     )
 
 
-@router.get(
-    "/{registration_id}",
-    operation_id="get-registration",
-    summary="Read a registration",
-    responses=problems(UnknownRegistration),
-)
+@router.operation("GET /{registration_id}", "get-registration", "Read a registration")
+@raises(UnknownRegistration)
 def get_registration(registration_id: RegistrationPath, database: DatabaseDep) -> Registration:
     """One registration."""
     with database.read() as session:
         return store.document(store.get_registration(session, registration_id))
 
 
-@router.delete(
-    "/{registration_id}",
-    operation_id="delete-registration",
-    summary="Delete a registration",
-    status_code=HTTP_204_NO_CONTENT,
-    responses=problems(UnknownRegistration),
-)
+@router.operation("DELETE /{registration_id}", "delete-registration", "Delete a registration")
+@raises(UnknownRegistration)
 def delete_registration(registration_id: RegistrationPath, database: DatabaseDep) -> None:
     """Delete a registration: no pose can be asked for in its frame any more."""
     with database.write() as session:

@@ -4,8 +4,7 @@ from collections.abc import Sequence
 from typing import Annotated, Final, Literal
 
 import numpy as np
-from fastapi import APIRouter, Body, Path, Query, Response
-from starlette.status import HTTP_201_CREATED, HTTP_204_NO_CONTENT
+from fastapi import Body, Path, Query, Response
 
 from compute.errors import (
     HighError,
@@ -21,8 +20,8 @@ from service.api.base_models import SLUG_PATTERN, Page
 from service.api.dependencies import DatabaseDep, LiveDep
 from service.api.devices.device_service import DeviceService, DeviceServiceDep
 from service.api.devices.store import get_device
-from service.api.json_body import JsonRoute, JsonTypes
-from service.api.openapi import problems
+from service.api.json_body import JsonTypes
+from service.api.openapi import ResourceRouter, raises
 from service.api.pagination import PagingDep, page_of
 from service.api.request_parameters import DeviceFilter
 from service.api.tools import concurrency_limits, store
@@ -62,7 +61,7 @@ from service.problems.errors import (
     UnknownTool,
 )
 
-router = APIRouter(prefix="/api/v1", tags=["tools"], route_class=JsonRoute)
+router = ResourceRouter("/api/v1", "tools")
 
 NewToolBody = Annotated[NewTool, JsonTypes(), Body(openapi_examples=NEW_TOOLS)]
 CapturedBody = Annotated[NewCapturedTool, JsonTypes(), Body(openapi_examples=CAPTURED_TOOLS)]
@@ -78,28 +77,16 @@ SpunPath = Annotated[
 ]
 
 
-@router.get("/tools", operation_id="list-tools", summary="List tools")
+@router.operation("GET /tools", "list-tools", "List tools")
 def list_tools(database: DatabaseDep, paging: PagingDep, device: DeviceFilter = None) -> Page[Tool]:
     """Tools by id."""
     with database.read() as session:
         return page_of(session, store.tools(device), paging, store.document)
 
 
-@router.post(
-    "/tools",
-    operation_id="create-tool",
-    summary="Create a tool of known geometry",
-    status_code=HTTP_201_CREATED,
-    responses=problems(
-        UnknownDevice,
-        UnknownTool,
-        ToolExists,
-        TooManyTools,
-        MarkersTaken,
-        InvalidParameter,
-        *GEOMETRY,
-    ),
-)
+@router.operation("POST /tools", "create-tool", "Create a tool of known geometry", status_code=201)
+@raises(UnknownDevice, UnknownTool, ToolExists, TooManyTools, MarkersTaken, InvalidParameter)
+@raises(*GEOMETRY)
 def create_tool(request: NewToolBody, device_service: DeviceServiceDep, response: Response) -> Tool:
     """Markers must not be collinear, and the tool must not look like another one of the device.
 
@@ -110,28 +97,12 @@ def create_tool(request: NewToolBody, device_service: DeviceServiceDep, response
     return _add(device_service, request, body, Origin(kind="given"), response)
 
 
-@router.post(
-    "/tool-captures",
-    operation_id="capture-tool",
-    summary="Define a tool by showing it",
-    status_code=HTTP_201_CREATED,
-    responses=problems(
-        UnknownDevice,
-        UnknownTool,
-        ToolExists,
-        TooManyTools,
-        MarkersTaken,
-        Busy,
-        DeviceNotRunning,
-        NoActiveCalibration,
-        CalibrationSwitched,
-        NoObservation,
-        NotStationary,
-        TooFewPoses,
-        InvalidParameter,
-        *GEOMETRY,
-    ),
+@router.operation(
+    "POST /tool-captures", "capture-tool", "Define a tool by showing it", status_code=201
 )
+@raises(UnknownDevice, UnknownTool, ToolExists, TooManyTools, MarkersTaken, Busy, DeviceNotRunning)
+@raises(NoActiveCalibration, CalibrationSwitched, NoObservation, NotStationary, TooFewPoses)
+@raises(InvalidParameter, *GEOMETRY)
 def capture_tool(
     request: CapturedBody,
     database: DatabaseDep,
@@ -177,24 +148,18 @@ def _add(
     return made
 
 
-@router.get(
-    "/tools/{tool_id}",
-    operation_id="get-tool",
-    summary="Read a tool",
-    responses=problems(UnknownTool),
-)
+@router.operation("GET /tools/{tool_id}", "get-tool", "Read a tool")
+@raises(UnknownTool)
 def get_tool(tool_id: ToolPath, database: DatabaseDep) -> Tool:
     """One tool."""
     with database.read() as session:
         return store.document(store.get_tool(session, tool_id))
 
 
-@router.patch(
-    "/tools/{tool_id}",
-    operation_id="change-tool",
-    summary="Change a tool's title, tip, limits or reference",
-    responses=problems(UnknownTool, InvalidParameter),
+@router.operation(
+    "PATCH /tools/{tool_id}", "change-tool", "Change a tool's title, tip, limits or reference"
 )
+@raises(UnknownTool, InvalidParameter)
 def change_tool(
     tool_id: ToolPath, request: ChangeBody, database: DatabaseDep, device_service: DeviceServiceDep
 ) -> Tool:
@@ -204,25 +169,16 @@ def change_tool(
         return store.document(row)
 
 
-@router.delete(
-    "/tools/{tool_id}",
-    operation_id="delete-tool",
-    summary="Delete a tool",
-    status_code=HTTP_204_NO_CONTENT,
-    responses=problems(UnknownTool, ToolInUse),
-)
+@router.operation("DELETE /tools/{tool_id}", "delete-tool", "Delete a tool")
+@raises(UnknownTool, ToolInUse)
 def delete_tool(tool_id: ToolPath, database: DatabaseDep, device_service: DeviceServiceDep) -> None:
     """Delete a tool and its calibrations; refused while something is relative to it."""
     with device_service.tools_change(_device_of(database, tool_id)) as session:
         store.delete_tool(session, store.get_tool(session, tool_id))
 
 
-@router.get(
-    "/tools/{tool_id}/pose",
-    operation_id="get-tool-pose",
-    summary="Where a tool is now",
-    responses=problems(UnknownTool, InvalidParameter),
-)
+@router.operation("GET /tools/{tool_id}/pose", "get-tool-pose", "Where a tool is now")
+@raises(UnknownTool, InvalidParameter)
 def get_tool_pose(
     tool_id: ToolPath,
     database: DatabaseDep,
@@ -259,13 +215,13 @@ _PROBLEMS_OF_CALIBRATION: Final[Sequence[type[LumilineError]]] = (
 )
 
 
-@router.post(
-    "/tools/{tool_id}/pivot-calibrations",
-    operation_id="calibrate-pivot",
-    summary="Find a tool's tip by pivoting it",
-    status_code=HTTP_201_CREATED,
-    responses=problems(*_PROBLEMS_OF_CALIBRATION),
+@router.operation(
+    "POST /tools/{tool_id}/pivot-calibrations",
+    "calibrate-pivot",
+    "Find a tool's tip by pivoting it",
+    status_code=201,
 )
+@raises(*_PROBLEMS_OF_CALIBRATION)
 def calibrate_pivot(
     tool_id: ToolPath,
     request: CalibrationBody,
@@ -281,13 +237,13 @@ def calibrate_pivot(
     return _calibrated(tool_id, "pivot", request, database, live, device_service)
 
 
-@router.post(
-    "/tools/{tool_id}/spin-calibrations",
-    operation_id="calibrate-spin",
-    summary="Find a tool's long axis by spinning it",
-    status_code=HTTP_201_CREATED,
-    responses=problems(*_PROBLEMS_OF_CALIBRATION),
+@router.operation(
+    "POST /tools/{tool_id}/spin-calibrations",
+    "calibrate-spin",
+    "Find a tool's long axis by spinning it",
+    status_code=201,
 )
+@raises(*_PROBLEMS_OF_CALIBRATION)
 def calibrate_spin(
     tool_id: SpunPath,
     request: CalibrationBody,
@@ -320,12 +276,12 @@ def _calibrated(
         return store.calibration_document(made)
 
 
-@router.get(
-    "/tools/{tool_id}/calibrations",
-    operation_id="list-tool-calibrations",
-    summary="Pivot and spin calibrations of a tool",
-    responses=problems(UnknownTool),
+@router.operation(
+    "GET /tools/{tool_id}/calibrations",
+    "list-tool-calibrations",
+    "Pivot and spin calibrations of a tool",
 )
+@raises(UnknownTool)
 def list_tool_calibrations(
     tool_id: ToolPath, database: DatabaseDep, paging: PagingDep
 ) -> Page[ToolCalibration]:

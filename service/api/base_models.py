@@ -64,20 +64,20 @@ class ResponseModel(BaseModel):
 Model = TypeVar("Model", bound=BaseModel)
 
 
-def from_row(model: type[Model], row: object, **members: Any) -> Model:
-    """Return a row of the database as clients see it.
+def from_attributes(model: type[Model], source: object, **members: Any) -> Model:
+    """Return a model with the values that an object, such as a row of the database, has.
 
-    A field takes the column of its name, or of its name and ``_id`` (``device``: ``device_id``).
+    A field takes the attribute of its name, or of its name and ``_id`` (``device``: ``device_id``).
 
     Args:
-        model: the response.
-        row: the row.
-        members: fields beside the columns, or in their place.
+        model: the model.
+        source: the object.
+        members: fields that it has not, or not as the model has them.
     """
     for name in model.model_fields.keys() - members.keys():
-        column = name if hasattr(row, name) else f"{name}_id"
-        if hasattr(row, column):
-            members[name] = getattr(row, column)
+        attribute = name if hasattr(source, name) else f"{name}_id"
+        if hasattr(source, attribute):
+            members[name] = getattr(source, attribute)
     return model.model_validate(members)
 
 

@@ -158,13 +158,14 @@ class ResourceRouter(APIRouter):
             options = {"status_code": 204} | options
 
         def add(endpoint: Endpoint) -> Endpoint:
+            codes: Sequence[str] = getattr(endpoint, "problems", ())
             self.add_api_route(
                 path,
                 endpoint,
                 methods=[method],
                 operation_id=operation_id,
                 summary=summary,
-                responses=problems(*getattr(endpoint, "errors", ())) | (responses or {}),
+                responses=_responses([PROBLEM_TYPES[code] for code in codes]) | (responses or {}),
                 **options,
             )
             return endpoint
@@ -172,11 +173,16 @@ class ResourceRouter(APIRouter):
         return add
 
 
-def raises(*errors: type[LumilineError]) -> Callable[[Endpoint], Endpoint]:
-    """Return a decorator that names errors of an endpoint, beside those of its input and scope."""
+def raises(*codes: str) -> Callable[[Endpoint], Endpoint]:
+    """Return a decorator that names problems of an endpoint, beside those of its input and scope.
+
+    Args:
+        codes: of the problem types, as the OpenAPI document and problem documents have them.
+    """
 
     def add(endpoint: Endpoint) -> Endpoint:
-        endpoint.errors = (*errors, *getattr(endpoint, "errors", ()))  # type: ignore[attr-defined]
+        before = getattr(endpoint, "problems", ())
+        endpoint.problems = (*codes, *before)  # type: ignore[attr-defined]
         return endpoint
 
     return add

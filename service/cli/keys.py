@@ -69,7 +69,7 @@ def revoke(data_dir: Path | None, key_id: str) -> None:
 
 def _all(database: Database) -> list[ApiKey]:
     with database.read() as session:
-        rows, _ = store.list_keys(session, _MAX_SHOWN, 0)
+        rows = session.scalars(store.KEYS.newest_first().limit(_MAX_SHOWN))
         return [document(row) for row in rows]
 
 

@@ -107,7 +107,7 @@ class Resource(Generic[Row]):
         row: the table.
         key: of an id in the context of errors; with hyphens and an s the path of the list.
         unknown: raised where no row has an id.
-        exists: raised where an id is taken.
+        exists: raised where an id is taken that a client chose.
         name: of a row in messages; None: its key.
         taken: what is said of an id that is taken.
     """
@@ -115,7 +115,7 @@ class Resource(Generic[Row]):
     row: type[Row]
     key: str
     unknown: type[LumilineError]
-    exists: type[LumilineError]
+    exists: type[LumilineError] = LumilineError
     name: str | None = None
     taken: str = "exists already; choose another id, or leave it out"
 

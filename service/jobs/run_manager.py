@@ -133,7 +133,7 @@ class RunManager:
     def _follow(self, run_id: str) -> None:
         """Start the process, store its progress and its result."""
         with self._database.read() as session:
-            row = store.get_run(session, run_id)
+            row = store.RUNS.get(session, run_id)
             kind = self._kinds[row.kind]
             function, arguments = kind.task(session, row)
         try:

@@ -4,10 +4,11 @@ from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
 from typing import Final, Literal, Protocol
 
-from sqlalchemy import func, or_, select, update
+from sqlalchemy import or_, select, update
 from sqlalchemy.orm import Session
 
 from compute.errors import InvalidParameter
+from service.database.engine import Resource
 from service.database.models import ApiKeyRow
 from service.principal import Principal, Scope, current_act, known_scopes
 from service.problems.errors import UnknownKey
@@ -68,29 +69,12 @@ def add_key(session: Session, request: KeyRequest) -> tuple[ApiKeyRow, NewKey]:
     return row, made
 
 
-def get_key(session: Session, key_id: str, *, lock: bool = False) -> ApiKeyRow:
-    """Return a key; raises UnknownKey."""
-    row = session.get(ApiKeyRow, key_id, with_for_update=lock or None)
-    if row is None:
-        raise UnknownKey(f'there is no key "{key_id}"; GET /api/v1/keys lists them', key=key_id)
-    return row
-
-
-def list_keys(session: Session, limit: int, offset: int) -> tuple[Sequence[ApiKeyRow], int]:
-    """Return a page of keys, newest first, and how many there are."""
-    total = session.scalar(select(func.count()).select_from(ApiKeyRow))
-    rows = session.scalars(
-        select(ApiKeyRow)
-        .order_by(ApiKeyRow.created_at.desc(), ApiKeyRow.id)
-        .limit(limit)
-        .offset(offset)
-    ).all()
-    return rows, total or 0
+KEYS: Final = Resource(ApiKeyRow, "key", UnknownKey)
 
 
 def revoke_key(session: Session, key_id: str) -> ApiKeyRow:
     """Revoke a key for good; one that is revoked stays as it is. Raises UnknownKey."""
-    row = get_key(session, key_id, lock=True)
+    row = KEYS.get(session, key_id, lock=True)
     if row.revoked_at is None:
         row.revoked_at = datetime.now(UTC)
         session.flush()

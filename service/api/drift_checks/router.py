@@ -2,15 +2,8 @@
 
 from typing import Annotated
 
-from fastapi import Body, Path, Query, Response
+from fastapi import Body, Query, Response
 
-from compute.errors import (
-    DuplicatePoint,
-    InvalidParameter,
-    ReadingOutsideSensor,
-    TooFewPoints,
-    UnknownSensor,
-)
 from service.api.base_models import SLUG_PATTERN, Page
 from service.api.calibrations.calibration_content import result_of
 from service.api.calibrations.store import get_calibration
@@ -25,28 +18,12 @@ from service.api.drift_checks.stationary_markers import still_set
 from service.api.json_body import JsonTypes
 from service.api.openapi import ResourceRouter, raises
 from service.api.pagination import PagingDep, page_of
-from service.api.request_parameters import CalibrationPath, DeviceFilter
-from service.problems.errors import (
-    CaptureIncomplete,
-    CaptureOfAnotherDevice,
-    DriftCheckExists,
-    SensorsChanged,
-    UnknownCalibration,
-    UnknownCapture,
-    UnknownDriftCheck,
-)
+from service.api.request_parameters import CalibrationPath, DeviceFilter, id_in_path
 
 router = ResourceRouter("/api/v1", "drift-checks")
 
 NewDriftCheckBody = Annotated[NewDriftCheck, JsonTypes(), Body(openapi_examples=NEW_DRIFT_CHECKS)]
-DriftCheckPath = Annotated[
-    str,
-    Path(
-        pattern=SLUG_PATTERN,
-        description="The check's id.",
-        openapi_examples={"frame": {"summary": "of the example body", "value": "sim-drift"}},
-    ),
-]
+DriftCheckPath = Annotated[str, id_in_path("The check's id.", "sim-drift", "frame")]
 
 
 @router.operation(
@@ -55,9 +32,9 @@ DriftCheckPath = Annotated[
     "Is a calibration still good?",
     status_code=201,
 )
-@raises(UnknownCalibration, UnknownCapture, DriftCheckExists, CaptureOfAnotherDevice)
-@raises(CaptureIncomplete, SensorsChanged, TooFewPoints, DuplicatePoint, UnknownSensor)
-@raises(ReadingOutsideSensor, InvalidParameter)
+@raises("unknown-calibration", "unknown-capture", "drift-check-exists", "capture-of-another-device")
+@raises("capture-incomplete", "sensors-changed", "too-few-points", "duplicate-point")
+@raises("unknown-sensor", "reading-outside-sensor", "invalid-parameter")
 def create_drift_check(
     calibration_id: CalibrationPath,
     request: NewDriftCheckBody,
@@ -72,7 +49,7 @@ def create_drift_check(
     from compute.calibration.drift.drift_detection import check_drift
 
     with database.read() as session:
-        store.check_unused(session, request.id)
+        store.DRIFT_CHECKS.check_unused(session, request.id)
         calibration = get_calibration(session, calibration_id)
         sensors = sensors_of_row(get_device(session, calibration.device_id))
         result = result_of(calibration.content)
@@ -107,8 +84,8 @@ def list_drift_checks(
 
 
 @router.operation("GET /drift-checks/{check_id}", "get-drift-check", "Read a drift check")
-@raises(UnknownDriftCheck)
+@raises("unknown-drift-check")
 def get_drift_check(check_id: DriftCheckPath, database: DatabaseDep) -> DriftCheckDocument:
     """One check with its readings."""
     with database.read() as session:
-        return store.document(store.get_drift_check(session, check_id))
+        return store.document(store.DRIFT_CHECKS.get(session, check_id))

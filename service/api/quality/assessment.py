@@ -51,9 +51,9 @@ def quality(session: Session, device_id: str) -> Quality:
             reasons=["no calibration is active: there are no points to judge by"],
             charts=[],
         )
-    using = (device_id, pointer.calibration_id, pointer.table_id)
-    seen = store.samples_with(session, *using)
-    made = store.checks_with(session, *using)
+    using = {"calibration_id": pointer.calibration_id, "table_id": pointer.table_id}
+    seen = store.samples_with(session, device_id=device_id, **using)
+    made = store.checks_with(session, device_id=device_id, **using)
     charts = [_charted(series) for series in (*_of_watch(seen), *_of_checks(made))]
     recommendation, reasons = _advice(charts, made)
     scatter = seen[-1].reference_scatter_mm if seen else None

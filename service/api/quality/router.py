@@ -2,11 +2,10 @@
 
 from typing import Annotated, Literal
 
-from fastapi import Body, Path, Query
+from fastapi import Body, Query
 from starlette.responses import Response
 
-from compute.errors import InvalidParameter, TooFewPoints
-from service.api.base_models import SLUG_PATTERN, Page
+from service.api.base_models import Page
 from service.api.dependencies import DatabaseDep, LiveDep
 from service.api.devices.store import get_device
 from service.api.json_body import JsonTypes
@@ -22,28 +21,13 @@ from service.api.quality.schema import (
     WatchSample,
     WatchSettings,
 )
-from service.api.request_parameters import DeviceFilter, DevicePath
-from service.problems.errors import (
-    CalibrationSwitched,
-    DeviceNotRunning,
-    NoActiveCalibration,
-    QualityCheckExists,
-    UnknownDevice,
-    UnknownQualityCheck,
-)
+from service.api.request_parameters import DeviceFilter, DevicePath, id_in_path
 
 router = ResourceRouter("/api/v1", "quality")
 
 NewCheckBody = Annotated[NewQualityCheck, JsonTypes(), Body(openapi_examples=NEW_CHECKS)]
 WatchBody = Annotated[WatchSettings, JsonTypes(), Body(openapi_examples=WATCHES)]
-CheckPath = Annotated[
-    str,
-    Path(
-        pattern=SLUG_PATTERN,
-        description="The check's id.",
-        openapi_examples={"bar": {"summary": "of the example body", "value": "sim-bar"}},
-    ),
-]
+CheckPath = Annotated[str, id_in_path("The check's id.", "sim-bar", "bar")]
 _PNG = {"content": {"image/png": {"schema": {"type": "string", "format": "binary"}}}}
 
 
@@ -53,8 +37,8 @@ _PNG = {"content": {"image/png": {"schema": {"type": "string", "format": "binary
     "How well does a device measure now?",
     status_code=201,
 )
-@raises(UnknownDevice, DeviceNotRunning, NoActiveCalibration, CalibrationSwitched)
-@raises(QualityCheckExists, TooFewPoints, InvalidParameter)
+@raises("unknown-device", "device-not-running", "no-active-calibration", "calibration-switched")
+@raises("quality-check-exists", "too-few-points", "invalid-parameter")
 def create_quality_check(
     device_id: DevicePath,
     request: NewCheckBody,
@@ -71,7 +55,7 @@ def create_quality_check(
 
     with database.read() as session:
         get_device(session, device_id)
-        store.check_unused(session, request.root.id)
+        store.QUALITY_CHECKS.check_unused(session, request.root.id)
     measured = measure(live, device_id, request.root)
     with database.write() as session:
         get_device(session, device_id, lock=True)
@@ -91,31 +75,36 @@ def list_quality_checks(
 ) -> Page[QualityCheck]:
     """Checks, newest first."""
     with database.read() as session:
-        return page_of(session, store.checks(device, kind), paging, store.document)
+        return page_of(
+            session,
+            store.QUALITY_CHECKS.newest_first(device_id=device, kind=kind),
+            paging,
+            store.document,
+        )
 
 
 @router.operation("GET /quality-checks/{check_id}", "get-quality-check", "Read a quality check")
-@raises(UnknownQualityCheck)
+@raises("unknown-quality-check")
 def get_quality_check(check_id: CheckPath, database: DatabaseDep) -> QualityCheck:
     """One check."""
     with database.read() as session:
-        return store.document(store.get_check(session, check_id))
+        return store.document(store.QUALITY_CHECKS.get(session, check_id))
 
 
 @router.operation(
     "DELETE /quality-checks/{check_id}", "delete-quality-check", "Delete a quality check"
 )
-@raises(UnknownQualityCheck)
+@raises("unknown-quality-check")
 def delete_quality_check(check_id: CheckPath, database: DatabaseDep) -> None:
     """For one that was made wrongly: its values take no part in the charts any more."""
     with database.write() as session:
-        store.delete_check(session, check_id)
+        session.delete(store.QUALITY_CHECKS.get(session, check_id))
 
 
 @router.operation(
     "GET /devices/{device_id}/quality", "get-quality", "Is a device as good as it was?"
 )
-@raises(UnknownDevice)
+@raises("unknown-device")
 def get_quality(device_id: DevicePath, database: DatabaseDep) -> Quality:
     """Control charts of all that was watched and checked with what is active, and what to do."""
     with database.read() as session:
@@ -130,7 +119,7 @@ def get_quality(device_id: DevicePath, database: DatabaseDep) -> Quality:
     responses={200: _PNG},
     response_class=Response,
 )
-@raises(UnknownDevice)
+@raises("unknown-device")
 def get_quality_picture(device_id: DevicePath, database: DatabaseDep) -> Response:
     """The charts of `quality` as PNG."""
     from service.api.quality.control_chart_plot import plot_control_charts
@@ -142,7 +131,7 @@ def get_quality_picture(device_id: DevicePath, database: DatabaseDep) -> Respons
 
 
 @router.operation("GET /devices/{device_id}/watch", "get-watch", "How a device's drift is watched")
-@raises(UnknownDevice)
+@raises("unknown-device")
 def get_watch(device_id: DevicePath, database: DatabaseDep) -> WatchSettings:
     """The settings; the defaults while nobody has changed them."""
     with database.read() as session:
@@ -153,7 +142,7 @@ def get_watch(device_id: DevicePath, database: DatabaseDep) -> WatchSettings:
 @router.operation(
     "PUT /devices/{device_id}/watch", "set-watch", "Say how a device's drift is watched"
 )
-@raises(UnknownDevice)
+@raises("unknown-device")
 def set_watch(device_id: DevicePath, request: WatchBody, database: DatabaseDep) -> WatchSettings:
     """Takes effect within seconds; what was watched before stays in the charts."""
     with database.write() as session:

@@ -16,15 +16,6 @@ from service.api.recordings.recording_manager import RecordingsDep
 from service.api.recordings.repository import replaying_device
 from service.api.recordings.schema import NewRecording, RecordingDetail, RecordingDocument
 from service.api.request_parameters import DeviceFilter, DevicePath, Limit, Offset
-from service.problems.errors import (
-    DeviceNotRunning,
-    InsufficientStorage,
-    RecordingExists,
-    RecordingInProgress,
-    RecordingInUse,
-    UnknownDevice,
-    UnknownRecording,
-)
 
 MEDIA_TYPE: Final = "application/x-hdf5"
 
@@ -55,7 +46,8 @@ FinishedPath = Annotated[
 @router.operation(
     "POST /devices/{device_id}/recordings", "start-recording", "Record a device", status_code=201
 )
-@raises(UnknownDevice, DeviceNotRunning, RecordingExists, RecordingInProgress, InsufficientStorage)
+@raises("unknown-device", "device-not-running", "recording-exists", "recording-in-progress")
+@raises("insufficient-storage")
 def start_recording(
     device_id: DevicePath,
     request: NewRecordingBody,
@@ -86,7 +78,7 @@ def list_recordings(
 
 # The paths that go on from a name come first: a name may have slashes in it.
 @router.operation("POST /recordings/{name:path}/stop", "stop-recording", "End a recording")
-@raises(UnknownRecording)
+@raises("unknown-recording")
 def stop_recording(name: BegunPath, recordings: RecordingsDep) -> RecordingDetail:
     """End a recording and close its file; one that has ended stays as it is."""
     return recordings.stop(name)
@@ -102,7 +94,7 @@ def stop_recording(name: BegunPath, recordings: RecordingsDep) -> RecordingDetai
     },
     response_class=FileResponse,
 )
-@raises(UnknownRecording, RecordingInProgress)
+@raises("unknown-recording", "recording-in-progress")
 def download_recording(name: FinishedPath, recordings: RecordingsDep) -> FileResponse:
     """The file, or the part of it that the header `Range` asks for.
 
@@ -113,14 +105,14 @@ def download_recording(name: FinishedPath, recordings: RecordingsDep) -> FileRes
 
 
 @router.operation("GET /recordings/{name:path}", "get-recording", "Read about a recording")
-@raises(UnknownRecording)
+@raises("unknown-recording")
 def get_recording(name: BegunPath, recordings: RecordingsDep) -> RecordingDetail:
     """What is in a recording, what was lost on the way, and why it ended."""
     return recordings.get(name)
 
 
 @router.operation("DELETE /recordings/{name:path}", "delete-recording", "Delete a recording")
-@raises(UnknownRecording, RecordingInProgress, RecordingInUse)
+@raises("unknown-recording", "recording-in-progress", "recording-in-use")
 def delete_recording(
     name: FinishedPath, database: DatabaseDep, live: LiveDep, recordings: RecordingsDep
 ) -> None:

@@ -6,7 +6,7 @@ from pydantic import Field
 
 from compute.calibration.settings import LabelPolicy
 from compute.mapping.settings import MappingMethod, MappingSettings
-from service.api.base_models import Moment, Note, RequestModel, ResponseModel, Slug
+from service.api.base_models import Moment, Note, RequestModel, ResponseModel, Slug, from_attributes
 from service.api.calibrations.schema import (
     MAX_POINTS,
     CalibrationOptions,
@@ -163,19 +163,4 @@ def run_document(row: RunRow) -> Run:
     result = None
     if row.result_id is not None:
         result = f"{RESULTS[row.kind]}/{row.result_id}"
-    return Run.model_validate(
-        {
-            "id": row.id,
-            "kind": row.kind,
-            "device": row.device_id,
-            "state": row.state,
-            "progress": row.progress,
-            "stage": row.stage,
-            "result_id": row.result_id,
-            "result": result,
-            "problem": row.problem,
-            "created_at": row.created_at,
-            "started_at": row.started_at,
-            "finished_at": row.finished_at,
-        }
-    )
+    return from_attributes(Run, row, result=result)

@@ -1,27 +1,22 @@
 """REST resources that submit runs: /api/v1/calibration-runs, /mapping-runs, ..."""
 
-from typing import Annotated, Any
+from collections.abc import Callable
+from typing import Annotated, Any, Protocol
 
-from fastapi import APIRouter, Body
+from fastapi import Body, Depends, Response
 from sqlalchemy.orm import Session
 
-from compute.errors import (
-    DegeneratePoints,
-    DuplicatePoint,
-    InvalidParameter,
-    ReadingOutsideSensor,
-    TooFewPoints,
-    UnknownSensor,
-)
+from service.api.base_models import from_attributes
 from service.api.calibrations.schema import ControlPoint
 from service.api.calibrations.store import check_unused
 from service.api.correction_tables import store as tables
-from service.api.devices.store import sensors_of_row
+from service.api.dependencies import DatabaseDep, RunsDep, SettingsDep
+from service.api.devices.store import get_device, sensors_of_row
 from service.api.exports.examples import NEW_EXPORT_RUNS
 from service.api.exports.router import ExportsDep
 from service.api.exports.schema import NewExportRun
-from service.api.json_body import JsonRoute, JsonTypes
-from service.api.openapi import raises
+from service.api.json_body import JsonTypes
+from service.api.openapi import ResourceRouter, raises
 from service.api.recordings.recording_manager import RecordingsDep
 from service.api.runs.examples import (
     NEW_CALIBRATION_RUNS,
@@ -35,34 +30,72 @@ from service.api.runs.kinds.mapping import Request as MappingRequest
 from service.api.runs.kinds.self_calibration import Request as SelfCalibrationRequest
 from service.api.runs.kinds.update import Request as UpdateRequest
 from service.api.runs.references import resolve_calibration, resolve_markers, resolve_points
-from service.api.runs.schema import NewCalibrationRun, NewMappingRun, NewUpdateRun, Run
-from service.api.runs.self_calibration_schema import NewSelfCalibrationRun
-from service.api.runs.submission import SubmissionDep
-from service.database.models import DeviceRow
-from service.problems.errors import (
-    Busy,
-    CalibrationExists,
-    CalibrationOfAnotherDevice,
-    CalibrationRetired,
-    CaptureIncomplete,
-    CaptureOfAnotherDevice,
-    CorrectionTableExists,
-    ExportExists,
-    InsufficientStorage,
-    NoActiveCalibration,
-    RecordingInProgress,
-    RunExists,
-    SensorsChanged,
-    UnknownCalibration,
-    UnknownCapture,
-    UnknownCorrectionTable,
-    UnknownDevice,
-    UnknownDriftCheck,
-    UnknownRecording,
-    UnknownTool,
+from service.api.runs.schema import (
+    NewCalibrationRun,
+    NewMappingRun,
+    NewUpdateRun,
+    Run,
+    run_document,
 )
+from service.api.runs.self_calibration_schema import NewSelfCalibrationRun
+from service.database.models import DeviceRow
+from service.jobs import store
+from service.jobs.store import Kind
 
-router = APIRouter(prefix="/api/v1", route_class=JsonRoute)
+router = ResourceRouter("/api/v1", "runs")
+exports_router = ResourceRouter("/api/v1", "recordings")
+
+
+class SubmittedRun(Protocol):
+    """What requests of all kinds of runs have."""
+
+    @property
+    def id(self) -> str | None:
+        """The run's id; None: the server's choice."""
+
+    @property
+    def device(self) -> str:
+        """The device's id."""
+
+
+class Submission:
+    """Takes the runs of one request."""
+
+    def __init__(
+        self, database: DatabaseDep, runs: RunsDep, settings: SettingsDep, response: Response
+    ) -> None:
+        self._database, self._runs, self._response = database, runs, response
+        self._max_waiting = settings.runs_waiting
+
+    def run(
+        self,
+        kind: Kind,
+        request: SubmittedRun,
+        stored: Callable[[Session, DeviceRow], dict[str, Any]],
+    ) -> Run:
+        """Store a run, wake the run manager, and answer with the run's location.
+
+        Args:
+            kind: what is computed.
+            request: with the ids of the run and the device.
+            stored: checks the request, the device being locked, and returns it as it is stored.
+
+        Raises:
+            UnknownDevice, RunExists, Busy: as they say, and what ``stored`` raises.
+        """
+        with self._database.write() as session:
+            device = get_device(session, request.device, lock=True)
+            row = store.add_run(
+                session, kind, device.id, stored(session, device), self._max_waiting, request.id
+            )
+            made = run_document(row)
+        self._runs.submitted()
+        self._response.headers["Location"] = f"/api/v1/runs/{made.id}"
+        return made
+
+
+SubmissionDep = Annotated[Submission, Depends()]
+
 
 NewCalibrationRunBody = Annotated[
     NewCalibrationRun, JsonTypes(), Body(openapi_examples=NEW_CALIBRATION_RUNS)
@@ -79,13 +112,12 @@ NewSelfCalibrationRunBody = Annotated[
     "POST /calibration-runs",
     "create-calibration-run",
     "Calibrate a device beside the requests",
-    tags=["runs"],
     status_code=202,
 )
-@raises(UnknownDevice, UnknownCapture, RunExists, CalibrationExists, CaptureOfAnotherDevice)
-@raises(CaptureIncomplete, TooFewPoints, DegeneratePoints, DuplicatePoint, UnknownSensor)
-@raises(ReadingOutsideSensor, InvalidParameter, Busy)
-def create_calibration_run(request: NewCalibrationRunBody, acceptance: SubmissionDep) -> Run:
+@raises("unknown-device", "unknown-capture", "run-exists", "calibration-exists")
+@raises("capture-of-another-device", "capture-incomplete", "too-few-points", "coplanar-points")
+@raises("duplicate-point", "unknown-sensor", "reading-outside-sensor", "invalid-parameter", "busy")
+def create_calibration_run(request: NewCalibrationRunBody, submission: SubmissionDep) -> Run:
     """Calibrate in a process of its own: follow the run at the header `Location`.
 
     The calibration is stored when it is done, under the run's `result_id`, and not activated.
@@ -93,18 +125,15 @@ def create_calibration_run(request: NewCalibrationRunBody, acceptance: Submissio
 
     def stored(session: Session, device: DeviceRow) -> dict[str, Any]:
         check_unused(session, request.result_id)
+        points, sensors = _points(session, request), sensors_of_row(device)
+        settings = request.settings()
         return calibration.request_of(
-            CalibrationRequest(
-                points=_points(session, request),
-                sensors=sensors_of_row(device),
-                settings=request.settings(),
-                result_id=request.result_id,
-                capture=request.capture,
-                note=request.note,
+            from_attributes(
+                CalibrationRequest, request, points=points, sensors=sensors, settings=settings
             )
         )
 
-    return acceptance.run("calibration", request, stored)
+    return submission.run("calibration", request, stored)
 
 
 def _points(session: Session, request: NewCalibrationRun | NewMappingRun) -> list[ControlPoint]:
@@ -121,14 +150,14 @@ def _points(session: Session, request: NewCalibrationRun | NewMappingRun) -> lis
     "POST /mapping-runs",
     "create-mapping-run",
     "Map the volume beside the requests",
-    tags=["runs"],
     status_code=202,
 )
-@raises(UnknownDevice, UnknownCalibration, UnknownCapture, RunExists, CorrectionTableExists)
-@raises(CalibrationOfAnotherDevice, CaptureOfAnotherDevice, CaptureIncomplete, CalibrationRetired)
-@raises(NoActiveCalibration, SensorsChanged, TooFewPoints, DegeneratePoints, DuplicatePoint)
-@raises(UnknownSensor, ReadingOutsideSensor, InvalidParameter, Busy)
-def create_mapping_run(request: NewMappingRunBody, acceptance: SubmissionDep) -> Run:
+@raises("unknown-device", "unknown-calibration", "unknown-capture", "run-exists")
+@raises("correction-table-exists", "calibration-of-another-device", "capture-of-another-device")
+@raises("capture-incomplete", "calibration-retired", "no-active-calibration", "sensors-changed")
+@raises("too-few-points", "coplanar-points", "duplicate-point", "unknown-sensor")
+@raises("reading-outside-sensor", "invalid-parameter", "busy")
+def create_mapping_run(request: NewMappingRunBody, submission: SubmissionDep) -> Run:
     """Build a correction table in a process of its own: follow the run at the header `Location`.
 
     The table is stored when it is done, under the run's `result_id`, and not activated.
@@ -138,34 +167,32 @@ def create_mapping_run(request: NewMappingRunBody, acceptance: SubmissionDep) ->
         tables.check_unused(session, request.result_id)
         parent = resolve_calibration(session, request.device, request.calibration)
         return mapping.request_of(
-            MappingRequest(
+            from_attributes(
+                MappingRequest,
+                request,
                 calibration=parent.id,
                 points=_points(session, request),
                 sensors=sensors_of_row(device),
                 settings=request.settings(),
-                point_sigma_mm=request.point_sigma_mm,
-                result_id=request.result_id,
-                capture=request.capture,
-                note=request.note,
             ),
             parent,
         )
 
-    return acceptance.run("mapping", request, stored)
+    return submission.run("mapping", request, stored)
 
 
 @router.operation(
     "POST /self-calibration-runs",
     "create-self-calibration-run",
     "Calibrate a device without known coordinates",
-    tags=["runs"],
     status_code=202,
 )
-@raises(UnknownDevice, UnknownCalibration, RunExists, CalibrationExists, CalibrationOfAnotherDevice)
-@raises(CalibrationRetired, NoActiveCalibration, SensorsChanged, TooFewPoints, DegeneratePoints)
-@raises(UnknownSensor, ReadingOutsideSensor, InvalidParameter, Busy)
+@raises("unknown-device", "unknown-calibration", "run-exists", "calibration-exists")
+@raises("calibration-of-another-device", "calibration-retired", "no-active-calibration")
+@raises("sensors-changed", "too-few-points", "coplanar-points", "unknown-sensor")
+@raises("reading-outside-sensor", "invalid-parameter", "busy")
 def create_self_calibration_run(
-    request: NewSelfCalibrationRunBody, acceptance: SubmissionDep
+    request: NewSelfCalibrationRunBody, submission: SubmissionDep
 ) -> Run:
     """Calibrate from a wand, a rigid body or a frame at unknown places, in a process of its own.
 
@@ -177,32 +204,27 @@ def create_self_calibration_run(
         check_unused(session, request.result_id)
         start = resolve_calibration(session, request.device, request.start)
         return self_calibration.request_of(
-            SelfCalibrationRequest(
-                start=start.id,
-                recordings=request.recordings,
-                sensors=sensors_of_row(device),
-                datum=request.datum,
-                result_id=request.result_id,
-                note=request.note,
+            from_attributes(
+                SelfCalibrationRequest, request, start=start.id, sensors=sensors_of_row(device)
             ),
             start,
         )
 
-    return acceptance.run("self-calibration", request, stored)
+    return submission.run("self-calibration", request, stored)
 
 
 @router.operation(
     "POST /update-runs",
     "create-update-run",
     "Bring a calibration up to date by still markers",
-    tags=["runs"],
     status_code=202,
 )
-@raises(UnknownDevice, UnknownCalibration, UnknownCapture, UnknownDriftCheck, RunExists)
-@raises(CalibrationExists, CalibrationOfAnotherDevice, CaptureOfAnotherDevice, CaptureIncomplete)
-@raises(CalibrationRetired, NoActiveCalibration, SensorsChanged, TooFewPoints, DuplicatePoint)
-@raises(UnknownSensor, ReadingOutsideSensor, InvalidParameter, Busy)
-def create_update_run(request: NewUpdateRunBody, acceptance: SubmissionDep) -> Run:
+@raises("unknown-device", "unknown-calibration", "unknown-capture", "unknown-drift-check")
+@raises("run-exists", "calibration-exists", "calibration-of-another-device")
+@raises("capture-of-another-device", "capture-incomplete", "calibration-retired")
+@raises("no-active-calibration", "sensors-changed", "too-few-points", "duplicate-point")
+@raises("unknown-sensor", "reading-outside-sensor", "invalid-parameter", "busy")
+def create_update_run(request: NewUpdateRunBody, submission: SubmissionDep) -> Run:
     """Re-calibrate quickly: what a few still markers say has changed, and the rest as it was.
 
     Eight markers do where a whole frame was measured before. The new calibration names its parent;
@@ -214,36 +236,32 @@ def create_update_run(request: NewUpdateRunBody, acceptance: SubmissionDep) -> R
         sensors = sensors_of_row(device)
         parent, markers, sigma = resolve_markers(session, request, sensors)
         return update.request_of(
-            UpdateRequest(
+            from_attributes(
+                UpdateRequest,
+                request,
                 calibration=parent.id,
                 markers=markers,
                 device_sensors=sensors,
                 position_sigma_mm=sigma,
-                sensors=request.sensors,
-                allowance=request.allowance,
-                result_id=request.result_id,
-                capture=request.capture,
-                drift_check=request.drift_check,
-                note=request.note,
             ),
             parent,
         )
 
-    return acceptance.run("update", request, stored)
+    return submission.run("update", request, stored)
 
 
-@router.operation(
+@exports_router.operation(
     "POST /export-runs",
     "create-export-run",
     "Export a recording beside the requests",
-    tags=["recordings"],
     status_code=202,
 )
-@raises(UnknownDevice, UnknownRecording, UnknownTool, UnknownCalibration, UnknownCorrectionTable)
-@raises(RunExists, ExportExists, RecordingInProgress, InvalidParameter, InsufficientStorage, Busy)
+@raises("unknown-device", "unknown-recording", "unknown-tool", "unknown-calibration")
+@raises("unknown-correction-table", "run-exists", "export-exists", "recording-in-progress")
+@raises("invalid-parameter", "insufficient-storage", "busy")
 def create_export_run(
     request: NewExportRunBody,
-    acceptance: SubmissionDep,
+    submission: SubmissionDep,
     recordings: RecordingsDep,
     exports: ExportsDep,
 ) -> Run:
@@ -263,4 +281,4 @@ def create_export_run(
         exports.check_unused(request.result_id)
         return export.request_of(session, device, request)
 
-    return acceptance.run("export", request, stored)
+    return submission.run("export", request, stored)

@@ -2,16 +2,15 @@
 
 from typing import Annotated, Any, Final
 
-from fastapi import Body, Path, Request, Response
+from fastapi import Body, Request, Response
 
-from compute.errors import InvalidParameter
-from service.api.base_models import SLUG_PATTERN, Page
+from service.api.base_models import Page
 from service.api.dependencies import DatabaseDep
 from service.api.json_body import JsonTypes
 from service.api.openapi import ResourceRouter, raises
-from service.api.request_parameters import Limit, Offset
+from service.api.pagination import PagingDep, page_of
+from service.api.request_parameters import id_in_path
 from service.api.security.schema import ApiKey, CreatedApiKey, NewApiKey, created_document, document
-from service.problems.errors import UnknownKey
 from service.security import store
 
 router = ResourceRouter("/api/v1/keys", "keys")
@@ -33,25 +32,24 @@ _NEW_KEYS: Final[Any] = {
 
 KeyPath = Annotated[
     str,
-    Path(
-        pattern=SLUG_PATTERN,
-        description="The key's id: the part between `lumi_` and the secret.",
-        openapi_examples={"one": {"summary": "one that was made", "value": "examplekey00"}},
+    id_in_path(
+        "The key's id: the part between `lumi_` and the secret.",
+        "examplekey00",
+        "one",
+        "one that was made",
     ),
 ]
 
 
 @router.operation("GET", "list-keys", "List keys")
-def list_keys(database: DatabaseDep, limit: Limit = 50, offset: Offset = 0) -> Page[ApiKey]:
+def list_keys(database: DatabaseDep, paging: PagingDep) -> Page[ApiKey]:
     """Keys without their secrets, newest first; also those that are not valid any more."""
     with database.read() as session:
-        rows, total = store.list_keys(session, limit, offset)
-        items = [document(row) for row in rows]
-    return Page(items=items, total=total, limit=limit, offset=offset)
+        return page_of(session, store.KEYS.newest_first(), paging, document)
 
 
 @router.operation("POST", "create-key", "Make a key", status_code=201)
-@raises(InvalidParameter)
+@raises("invalid-parameter")
 def create_key(
     request: Annotated[NewApiKey, JsonTypes(), Body(openapi_examples=_NEW_KEYS)],
     database: DatabaseDep,
@@ -70,15 +68,15 @@ def create_key(
 
 
 @router.operation("GET /{key_id}", "get-key", "Read a key")
-@raises(UnknownKey)
+@raises("unknown-key")
 def get_key(key_id: KeyPath, database: DatabaseDep) -> ApiKey:
     """One key, without its secret."""
     with database.read() as session:
-        return document(store.get_key(session, key_id))
+        return document(store.KEYS.get(session, key_id))
 
 
 @router.operation("POST /{key_id}/revoke", "revoke-key", "Revoke a key")
-@raises(UnknownKey)
+@raises("unknown-key")
 def revoke_key(request: Request, key_id: KeyPath, database: DatabaseDep) -> ApiKey:
     """Take a key back for good: at once for requests, within seconds for open streams."""
     with database.write() as session:

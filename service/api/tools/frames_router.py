@@ -1,37 +1,31 @@
 """REST resource /api/v1/devices/{id}/frames: a device's frames and the transforms between them."""
 
-from typing import Annotated
+from typing import Annotated, Final
 
-from fastapi import Path, Query
+from fastapi import Query
 
-from compute.errors import UnknownFrame
 from service.api.base_models import SLUG_PATTERN
 from service.api.dependencies import DatabaseDep, LiveDep
 from service.api.devices.store import get_device
 from service.api.openapi import ResourceRouter, raises
-from service.api.request_parameters import DevicePath
-from service.api.tools.examples import FRAME_NAMES
+from service.api.request_parameters import DevicePath, id_in_path
 from service.api.tools.frame_graph import device_frames
 from service.api.tools.frame_schema import FrameList, FrameState, FrameTransform
 from service.api.tools.schema import TRACKER
-from service.problems.errors import UnknownDevice
 
 router = ResourceRouter("/api/v1/devices", "tools")
 
+_DESCRIPTION: Final = "`tracker`, a tool, or a registration."
 FramePath = Annotated[
     str,
-    Path(
-        pattern=SLUG_PATTERN,
-        description="`tracker`, a tool, or a registration.",
-        openapi_examples=FRAME_NAMES,
-    ),
+    id_in_path(_DESCRIPTION, "image", "image", "of the registration of the example body"),
 ]
 
 
 @router.operation(
     "GET /{device_id}/frames", "list-frames", "A device's frames, and what connects them now"
 )
-@raises(UnknownDevice)
+@raises("unknown-device")
 def list_frames(device_id: DevicePath, database: DatabaseDep, live: LiveDep) -> FrameList:
     """The tracker's frame, those of the tools, and the registered ones.
 
@@ -64,7 +58,7 @@ def list_frames(device_id: DevicePath, database: DatabaseDep, live: LiveDep) -> 
     "get-frame-transform",
     "The transform from one frame to another now",
 )
-@raises(UnknownDevice, UnknownFrame)
+@raises("unknown-device", "unknown-frame")
 def get_frame_transform(
     device_id: DevicePath,
     frame: FramePath,

@@ -6,12 +6,11 @@ from typing import Any, Final
 
 import numpy as np
 from pydantic import TypeAdapter
-from sqlalchemy import Select, select
 from sqlalchemy.orm import Session
 
 from compute.errors import InvalidParameter
 from compute.pose.transform import Transform
-from service.api.base_models import Position
+from service.api.base_models import Position, from_attributes
 from service.api.tools.dependency_check import Dependencies
 from service.api.tools.provenance import active_ids, provenance
 from service.api.tools.registration_schema import (
@@ -22,8 +21,8 @@ from service.api.tools.registration_schema import (
     StoredRequest,
 )
 from service.api.tools.schema import TRACKER
-from service.api.tools.store import get_tool
-from service.database.engine import insert
+from service.api.tools.store import TOOLS
+from service.database.engine import Resource
 from service.database.models import RegistrationRow, ToolRow
 from service.problems.errors import CalibrationSwitched, RegistrationExists, UnknownRegistration
 
@@ -32,21 +31,13 @@ NewAny = NewPairedPoints | NewThreeMarkers | NewSurface
 _ASKED: Final[TypeAdapter[Any]] = TypeAdapter(StoredRequest)
 
 
-def get_registration(session: Session, registration_id: str) -> RegistrationRow:
-    """Return a registration; raises UnknownRegistration."""
-    row = session.get(RegistrationRow, registration_id)
-    if row is None:
-        raise UnknownRegistration(
-            f'there is no registration "{registration_id}"; GET /api/v1/registrations lists them',
-            registration=registration_id,
-        )
-    return row
-
-
-def registrations(device_id: str | None) -> Select[RegistrationRow]:
-    """Return those that the filter matches, newest first."""
-    found = select(RegistrationRow).order_by(RegistrationRow.created_at.desc(), RegistrationRow.id)
-    return found if device_id is None else found.where(RegistrationRow.device_id == device_id)
+REGISTRATIONS: Final = Resource(
+    RegistrationRow,
+    "registration",
+    UnknownRegistration,
+    RegistrationExists,
+    taken="exists already; choose another id",
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +79,7 @@ def check_new(session: Session, request: NewAny, reference: str | None) -> None:
                 registration=request.id,
             )
     if reference is not None:
-        tool = get_tool(session, reference)
+        tool = TOOLS.get(session, reference)
         if tool.device_id != request.device:
             raise InvalidParameter(
                 f'tool "{tool.id}" is of device "{tool.device_id}"; the reference must be of '
@@ -145,11 +136,7 @@ def add_registration(
         note=request.note,
         created_at=datetime.now(UTC),
     )
-    taken = RegistrationExists(
-        f'registration "{row.id}" exists already; choose another id', registration=row.id
-    )
-    insert(session, row, taken)
-    return row
+    return REGISTRATIONS.insert(session, row)
 
 
 def frame_from_measured(row: RegistrationRow) -> Transform:
@@ -173,13 +160,5 @@ def measured_points(row: RegistrationRow) -> list[tuple[str, Position]]:
 
 def document(row: RegistrationRow) -> Registration:
     """Return a registration as clients see it."""
-    members = {
-        "id": row.id,
-        "kind": row.asked.get("kind", "paired-points"),
-        "device": row.device_id,
-        "reference": row.reference_id,
-        "request": row.asked,
-        "note": row.note,
-        "created_at": row.created_at,
-    }
-    return Registration.model_validate(row.result | members)
+    kind = row.asked.get("kind", "paired-points")
+    return from_attributes(Registration, row, **row.result, kind=kind, request=row.asked)

@@ -3,30 +3,19 @@
 from dataclasses import replace
 from typing import Annotated
 
-from fastapi import Body, Path, Response
+from fastapi import Body, Response
 
-from compute.errors import (
-    CollinearPoints,
-    DuplicatePoint,
-    HighError,
-    InvalidParameter,
-    NoConvergence,
-    NotStationary,
-    TooFewPoints,
-    TooFewPoses,
-    UndeterminedParameters,
-)
-from service.api.base_models import SLUG_PATTERN, Page
+from service.api.base_models import Page
 from service.api.dependencies import DatabaseDep, LiveDep, SettingsDep
 from service.api.devices.store import get_device
 from service.api.json_body import JsonTypes
 from service.api.openapi import ResourceRouter, raises
 from service.api.pagination import PagingDep, page_of
-from service.api.request_parameters import DeviceFilter
+from service.api.request_parameters import DeviceFilter, id_in_path
 from service.api.tools import concurrency_limits
 from service.api.tools import registrations as store
 from service.api.tools.dependency_check import dependencies
-from service.api.tools.examples import NEW_REGISTRATIONS, REGISTRATION_IDS
+from service.api.tools.examples import NEW_REGISTRATIONS
 from service.api.tools.provenance import active_ids
 from service.api.tools.registration_schema import (
     NewPairedPoints,
@@ -37,19 +26,6 @@ from service.api.tools.registration_schema import (
 )
 from service.database.engine import Database
 from service.pipeline.pipeline_manager import PipelineManager
-from service.problems.errors import (
-    Busy,
-    CalibrationSwitched,
-    DeviceNotRunning,
-    NoActiveCalibration,
-    NoObservation,
-    RegistrationExists,
-    RegistrationReplaced,
-    ToolReplaced,
-    UnknownDevice,
-    UnknownRegistration,
-    UnknownTool,
-)
 from service.settings import Settings
 
 router = ResourceRouter("/api/v1/registrations", "tools")
@@ -58,12 +34,7 @@ NewRegistrationBody = Annotated[
     NewRegistration, JsonTypes(), Body(openapi_examples=NEW_REGISTRATIONS)
 ]
 RegistrationPath = Annotated[
-    str,
-    Path(
-        pattern=SLUG_PATTERN,
-        description="The registration's id, the name of its frame.",
-        openapi_examples=REGISTRATION_IDS,
-    ),
+    str, id_in_path("The registration's id, the name of its frame.", "image", "image")
 ]
 
 
@@ -73,7 +44,9 @@ def list_registrations(
 ) -> Page[Registration]:
     """Registrations, newest first."""
     with database.read() as session:
-        return page_of(session, store.registrations(device), paging, store.document)
+        return page_of(
+            session, store.REGISTRATIONS.newest_first(device_id=device), paging, store.document
+        )
 
 
 @router.operation(
@@ -82,10 +55,11 @@ def list_registrations(
     "Register paired points, three markers, or a surface: a named frame",
     status_code=201,
 )
-@raises(UnknownDevice, UnknownTool, UnknownRegistration, RegistrationExists, RegistrationReplaced)
-@raises(ToolReplaced, Busy, DeviceNotRunning, NoActiveCalibration, CalibrationSwitched)
-@raises(NoObservation, NotStationary, TooFewPoses, TooFewPoints, CollinearPoints, DuplicatePoint)
-@raises(UndeterminedParameters, HighError, NoConvergence, InvalidParameter)
+@raises("unknown-device", "unknown-tool", "unknown-registration", "registration-exists")
+@raises("registration-replaced", "tool-replaced", "busy", "device-not-running")
+@raises("no-active-calibration", "calibration-switched", "nothing-seen", "not-stationary")
+@raises("too-few-poses", "too-few-points", "collinear-points", "duplicate-point")
+@raises("undetermined-parameters", "high-error", "no-convergence", "invalid-parameter")
 def create_registration(
     request: NewRegistrationBody,
     database: DatabaseDep,
@@ -151,7 +125,7 @@ def _of_surface(
     check_size(asked, settings)
     with database.read() as session:
         get_device(session, asked.device)
-        parent = store.get_registration(session, asked.parent)
+        parent = store.REGISTRATIONS.get(session, asked.parent)
         store.check_parent(session, asked, parent)
         start = store.frame_from_measured(parent)
         active = active_ids(session, asked.device)
@@ -167,16 +141,16 @@ def _of_surface(
 
 
 @router.operation("GET /{registration_id}", "get-registration", "Read a registration")
-@raises(UnknownRegistration)
+@raises("unknown-registration")
 def get_registration(registration_id: RegistrationPath, database: DatabaseDep) -> Registration:
     """One registration."""
     with database.read() as session:
-        return store.document(store.get_registration(session, registration_id))
+        return store.document(store.REGISTRATIONS.get(session, registration_id))
 
 
 @router.operation("DELETE /{registration_id}", "delete-registration", "Delete a registration")
-@raises(UnknownRegistration)
+@raises("unknown-registration")
 def delete_registration(registration_id: RegistrationPath, database: DatabaseDep) -> None:
     """Delete a registration: no pose can be asked for in its frame any more."""
     with database.write() as session:
-        session.delete(store.get_registration(session, registration_id))
+        session.delete(store.REGISTRATIONS.get(session, registration_id))

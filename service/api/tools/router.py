@@ -1,19 +1,12 @@
 """REST resources /api/v1/tools and /api/v1/tool-captures."""
 
-from collections.abc import Sequence
 from typing import Annotated, Final, Literal
 
 import numpy as np
-from fastapi import Body, Path, Query, Response
+from fastapi import Body, Query, Response
 
 from compute.errors import (
-    HighError,
     InvalidParameter,
-    LumilineError,
-    NoConvergence,
-    NotStationary,
-    TooFewPoses,
-    TooLittleRotation,
 )
 from compute.pose.rigid_body import RigidBody
 from service.api.base_models import SLUG_PATTERN, Page
@@ -23,18 +16,16 @@ from service.api.devices.store import get_device
 from service.api.json_body import JsonTypes
 from service.api.openapi import ResourceRouter, raises
 from service.api.pagination import PagingDep, page_of
-from service.api.request_parameters import DeviceFilter
+from service.api.request_parameters import DeviceFilter, id_in_path
 from service.api.tools import concurrency_limits, store
 from service.api.tools.examples import (
     CALIBRATIONS,
     CAPTURED_TOOLS,
     CHANGES,
     NEW_TOOLS,
-    SPUN_IDS,
-    TOOL_IDS,
 )
 from service.api.tools.pose_query import frame_of, newest_pose
-from service.api.tools.rigid_bodies import GEOMETRY, check_geometry
+from service.api.tools.rigid_bodies import check_geometry
 from service.api.tools.schema import (
     NewCapturedTool,
     NewTool,
@@ -46,20 +37,6 @@ from service.api.tools.schema import (
     ToolChange,
 )
 from service.api.tools.tip_limit import max_tip_sd_mm
-from service.problems.errors import (
-    Busy,
-    CalibrationSwitched,
-    DeviceNotRunning,
-    MarkersTaken,
-    NoActiveCalibration,
-    NoObservation,
-    ToolExists,
-    ToolInUse,
-    ToolReplaced,
-    TooManyTools,
-    UnknownDevice,
-    UnknownTool,
-)
 
 router = ResourceRouter("/api/v1", "tools")
 
@@ -67,14 +44,9 @@ NewToolBody = Annotated[NewTool, JsonTypes(), Body(openapi_examples=NEW_TOOLS)]
 CapturedBody = Annotated[NewCapturedTool, JsonTypes(), Body(openapi_examples=CAPTURED_TOOLS)]
 ChangeBody = Annotated[ToolChange, JsonTypes(), Body(openapi_examples=CHANGES)]
 CalibrationBody = Annotated[NewToolCalibration, JsonTypes(), Body(openapi_examples=CALIBRATIONS)]
-ToolPath = Annotated[
-    str, Path(pattern=SLUG_PATTERN, description="The tool's id.", openapi_examples=TOOL_IDS)
-]
-
-
-SpunPath = Annotated[
-    str, Path(pattern=SLUG_PATTERN, description="The tool's id.", openapi_examples=SPUN_IDS)
-]
+ToolPath = Annotated[str, id_in_path("The tool's id.", "pointer", "pointer")]
+_CAPTURED: Final = "of the example that captures it"
+SpunPath = Annotated[str, id_in_path("The tool's id.", "clamp", "clamp", _CAPTURED)]
 
 
 @router.operation("GET /tools", "list-tools", "List tools")
@@ -85,8 +57,8 @@ def list_tools(database: DatabaseDep, paging: PagingDep, device: DeviceFilter = 
 
 
 @router.operation("POST /tools", "create-tool", "Create a tool of known geometry", status_code=201)
-@raises(UnknownDevice, UnknownTool, ToolExists, TooManyTools, MarkersTaken, InvalidParameter)
-@raises(*GEOMETRY)
+@raises("unknown-device", "unknown-tool", "tool-exists", "too-many-tools", "markers-taken")
+@raises("invalid-parameter", "degenerate-tool", "indistinguishable-tools")
 def create_tool(request: NewToolBody, device_service: DeviceServiceDep, response: Response) -> Tool:
     """Markers must not be collinear, and the tool must not look like another one of the device.
 
@@ -100,9 +72,10 @@ def create_tool(request: NewToolBody, device_service: DeviceServiceDep, response
 @router.operation(
     "POST /tool-captures", "capture-tool", "Define a tool by showing it", status_code=201
 )
-@raises(UnknownDevice, UnknownTool, ToolExists, TooManyTools, MarkersTaken, Busy, DeviceNotRunning)
-@raises(NoActiveCalibration, CalibrationSwitched, NoObservation, NotStationary, TooFewPoses)
-@raises(InvalidParameter, *GEOMETRY)
+@raises("unknown-device", "unknown-tool", "tool-exists", "too-many-tools", "markers-taken", "busy")
+@raises("device-not-running", "no-active-calibration", "calibration-switched", "nothing-seen")
+@raises("not-stationary", "too-few-poses", "invalid-parameter", "degenerate-tool")
+@raises("indistinguishable-tools")
 def capture_tool(
     request: CapturedBody,
     database: DatabaseDep,
@@ -149,36 +122,36 @@ def _add(
 
 
 @router.operation("GET /tools/{tool_id}", "get-tool", "Read a tool")
-@raises(UnknownTool)
+@raises("unknown-tool")
 def get_tool(tool_id: ToolPath, database: DatabaseDep) -> Tool:
     """One tool."""
     with database.read() as session:
-        return store.document(store.get_tool(session, tool_id))
+        return store.document(store.TOOLS.get(session, tool_id))
 
 
 @router.operation(
     "PATCH /tools/{tool_id}", "change-tool", "Change a tool's title, tip, limits or reference"
 )
-@raises(UnknownTool, InvalidParameter)
+@raises("unknown-tool", "invalid-parameter")
 def change_tool(
     tool_id: ToolPath, request: ChangeBody, database: DatabaseDep, device_service: DeviceServiceDep
 ) -> Tool:
     """Change what is given. Markers never change: delete the tool and create another."""
     with device_service.tools_change(_device_of(database, tool_id)) as session:
-        row = store.change_tool(session, store.get_tool(session, tool_id), request)
+        row = store.change_tool(session, store.TOOLS.get(session, tool_id), request)
         return store.document(row)
 
 
 @router.operation("DELETE /tools/{tool_id}", "delete-tool", "Delete a tool")
-@raises(UnknownTool, ToolInUse)
+@raises("unknown-tool", "tool-in-use")
 def delete_tool(tool_id: ToolPath, database: DatabaseDep, device_service: DeviceServiceDep) -> None:
     """Delete a tool and its calibrations; refused while something is relative to it."""
     with device_service.tools_change(_device_of(database, tool_id)) as session:
-        store.delete_tool(session, store.get_tool(session, tool_id))
+        store.delete_tool(session, store.TOOLS.get(session, tool_id))
 
 
 @router.operation("GET /tools/{tool_id}/pose", "get-tool-pose", "Where a tool is now")
-@raises(UnknownTool, InvalidParameter)
+@raises("unknown-tool", "invalid-parameter")
 def get_tool_pose(
     tool_id: ToolPath,
     database: DatabaseDep,
@@ -196,23 +169,9 @@ def get_tool_pose(
     Always answered with 200: that a tool is not seen is a pose's status and no problem.
     """
     with database.read() as session:
-        tool = store.get_tool(session, tool_id)
+        tool = store.TOOLS.get(session, tool_id)
         wanted = frame_of(session, tool, frame)
         return newest_pose(live, tool, wanted, max_tip_sd_mm(session, tool))
-
-
-_PROBLEMS_OF_CALIBRATION: Final[Sequence[type[LumilineError]]] = (
-    UnknownTool,
-    ToolReplaced,
-    Busy,
-    DeviceNotRunning,
-    CalibrationSwitched,
-    TooFewPoses,
-    TooLittleRotation,
-    HighError,
-    NoConvergence,
-    InvalidParameter,
-)
 
 
 @router.operation(
@@ -221,7 +180,8 @@ _PROBLEMS_OF_CALIBRATION: Final[Sequence[type[LumilineError]]] = (
     "Find a tool's tip by pivoting it",
     status_code=201,
 )
-@raises(*_PROBLEMS_OF_CALIBRATION)
+@raises("unknown-tool", "tool-replaced", "busy", "device-not-running", "calibration-switched")
+@raises("too-few-poses", "too-little-rotation", "high-error", "no-convergence", "invalid-parameter")
 def calibrate_pivot(
     tool_id: ToolPath,
     request: CalibrationBody,
@@ -243,7 +203,8 @@ def calibrate_pivot(
     "Find a tool's long axis by spinning it",
     status_code=201,
 )
-@raises(*_PROBLEMS_OF_CALIBRATION)
+@raises("unknown-tool", "tool-replaced", "busy", "device-not-running", "calibration-switched")
+@raises("too-few-poses", "too-little-rotation", "high-error", "no-convergence", "invalid-parameter")
 def calibrate_spin(
     tool_id: SpunPath,
     request: CalibrationBody,
@@ -266,7 +227,7 @@ def _calibrated(
     from service.api.tools.tip_calibration import calibrate_tip
 
     with database.read() as session:
-        tool = store.get_tool(session, tool_id)
+        tool = store.TOOLS.get(session, tool_id)
         device, reference, created = tool.device_id, tool.reference_id, tool.created_at
     with concurrency_limits.captures:
         result = calibrate_tip(live, device, tool_id, reference, kind, request)
@@ -281,16 +242,16 @@ def _calibrated(
     "list-tool-calibrations",
     "Pivot and spin calibrations of a tool",
 )
-@raises(UnknownTool)
+@raises("unknown-tool")
 def list_tool_calibrations(
     tool_id: ToolPath, database: DatabaseDep, paging: PagingDep
 ) -> Page[ToolCalibration]:
     """What they found, newest first."""
     with database.read() as session:
-        store.get_tool(session, tool_id)
+        store.TOOLS.get(session, tool_id)
         return page_of(session, store.calibrations(tool_id), paging, store.calibration_document)
 
 
 def _device_of(database: DatabaseDep, tool_id: str) -> str:
     with database.read() as session:
-        return store.get_tool(session, tool_id).device_id
+        return store.TOOLS.get(session, tool_id).device_id

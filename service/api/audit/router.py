@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import dataclass
+from operator import eq, ge, lt
 from typing import Annotated, Any, Literal
 
 from fastapi import Depends, Query
@@ -80,15 +81,17 @@ class AuditFilter:
     def entries(self) -> Select[AuditRow]:
         """Return the entries, newest first."""
         conditions = (
-            (self.actor, AuditRow.actor_id == self.actor),
-            (self.operation, AuditRow.operation == self.operation),
-            (self.outcome, AuditRow.outcome == self.outcome),
-            (self.kind, AuditRow.object_kind == self.kind),
-            (self.object_id, AuditRow.object_id == self.object_id),
-            (self.since, AuditRow.at >= self.since),
-            (self.until, AuditRow.at < self.until),
+            (AuditRow.actor_id, eq, self.actor),
+            (AuditRow.operation, eq, self.operation),
+            (AuditRow.outcome, eq, self.outcome),
+            (AuditRow.object_kind, eq, self.kind),
+            (AuditRow.object_id, eq, self.object_id),
+            (AuditRow.at, ge, self.since),
+            (AuditRow.at, lt, self.until),
         )
-        given = [condition for value, condition in conditions if value is not None]
+        given = [
+            compare(column, value) for column, compare, value in conditions if value is not None
+        ]
         return select(AuditRow).where(*given).order_by(AuditRow.id.desc())
 
 

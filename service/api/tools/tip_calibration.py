@@ -11,7 +11,6 @@ from service.api.tools.pose_taps import PoseTap
 from service.api.tools.schema import NewToolCalibration
 from service.pipeline.pipeline_manager import PipelineManager
 from service.pipeline.taps import collect
-from service.problems.errors import CalibrationSwitched
 
 Array = NDArray[np.float64]
 
@@ -37,12 +36,7 @@ def calibrate_tip(
     session = live.session(device_id)
     tap = PoseTap(tool_id, reference if asked.relative else None, MAX_COLLECTED)
     collect(live, session, tap, asked.seconds, tap.ended)
-    if tap.switched:
-        raise CalibrationSwitched(
-            f'another calibration or table of device "{device_id}" was activated while poses were '
-            "collected; do it again",
-            device=device_id,
-        )
+    tap.check_single(device_id, "poses were collected; do it again")
     chosen = subsample(tap.poses, asked.poses)
     if not chosen:
         seen = ", ".join(f"{status}: {count}" for status, count in tap.statuses.items())

@@ -9,7 +9,7 @@ from fastapi.openapi.utils import get_openapi
 from pydantic.json_schema import models_json_schema
 
 from compute.errors import LumilineError, NonFiniteValue
-from service.api.json_body import JsonRoute
+from service.api.inputs import JsonRoute
 from service.principal import SCOPE_MEANINGS
 from service.problems.catalogue import (
     MEDIA_TYPE,

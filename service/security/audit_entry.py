@@ -10,7 +10,7 @@ from starlette.types import Scope
 
 from service.database.audited_session import entry
 from service.database.engine import Database
-from service.logs.redaction import decoded, redact
+from service.logs import decoded, redact
 from service.principal import Act, current_act
 from service.problems.errors import NotReady
 

@@ -10,9 +10,8 @@ from pydantic import BeforeValidator, Field
 from sqlalchemy import Select, select
 
 from service.api.base_models import Moment, Page, RequestMoment, ResponseModel, from_attributes
-from service.api.dependencies import DatabaseDep
+from service.api.inputs import DatabaseDep, PagingDep, page_of
 from service.api.openapi import ResourceRouter
-from service.api.pagination import PagingDep, page_of
 from service.database.models import AuditRow
 
 router = ResourceRouter("/api/v1/audit", "keys")

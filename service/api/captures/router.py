@@ -20,12 +20,17 @@ from service.api.captures.schema import (
     CaptureSettings,
     NewCapture,
 )
-from service.api.dependencies import DatabaseDep, LiveDep
 from service.api.devices.store import get_device
-from service.api.json_body import JsonTypes
+from service.api.inputs import (
+    DatabaseDep,
+    DeviceFilter,
+    JsonTypes,
+    LiveDep,
+    PagingDep,
+    id_in_path,
+    page_of,
+)
 from service.api.openapi import ResourceRouter, raises
-from service.api.pagination import PagingDep, page_of
-from service.api.request_parameters import DeviceFilter, id_in_path
 from service.problems.errors import (
     Busy,
     NoObservation,

@@ -7,7 +7,6 @@ from fastapi import Body, Query, Response
 from service.api.base_models import SLUG_PATTERN, Page
 from service.api.calibrations.calibration_content import result_of
 from service.api.calibrations.store import get_calibration
-from service.api.dependencies import DatabaseDep
 from service.api.devices.sensor import check_sensors
 from service.api.devices.store import get_device, sensors_of_row
 from service.api.drift_checks import store
@@ -15,10 +14,16 @@ from service.api.drift_checks.examples import NEW_DRIFT_CHECKS
 from service.api.drift_checks.marker_references import resolve_stationary_markers
 from service.api.drift_checks.schema import DriftCheckDocument, DriftCheckSummary, NewDriftCheck
 from service.api.drift_checks.stationary_markers import still_set
-from service.api.json_body import JsonTypes
+from service.api.inputs import (
+    CalibrationPath,
+    DatabaseDep,
+    DeviceFilter,
+    JsonTypes,
+    PagingDep,
+    id_in_path,
+    page_of,
+)
 from service.api.openapi import ResourceRouter, raises
-from service.api.pagination import PagingDep, page_of
-from service.api.request_parameters import CalibrationPath, DeviceFilter, id_in_path
 
 router = ResourceRouter("/api/v1", "drift-checks")
 

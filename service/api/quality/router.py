@@ -6,11 +6,18 @@ from fastapi import Body, Query
 from starlette.responses import Response
 
 from service.api.base_models import Page
-from service.api.dependencies import DatabaseDep, LiveDep
 from service.api.devices.store import get_device
-from service.api.json_body import JsonTypes
+from service.api.inputs import (
+    DatabaseDep,
+    DeviceFilter,
+    DevicePath,
+    JsonTypes,
+    LiveDep,
+    PagingDep,
+    id_in_path,
+    page_of,
+)
 from service.api.openapi import ResourceRouter, raises
-from service.api.pagination import PagingDep, page_of
 from service.api.quality import store
 from service.api.quality.assessment import quality
 from service.api.quality.examples import NEW_CHECKS, WATCHES
@@ -21,7 +28,6 @@ from service.api.quality.schema import (
     WatchSample,
     WatchSettings,
 )
-from service.api.request_parameters import DeviceFilter, DevicePath, id_in_path
 
 router = ResourceRouter("/api/v1", "quality")
 

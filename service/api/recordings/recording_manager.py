@@ -9,7 +9,7 @@ from pathlib import Path
 from threading import Event, Lock, Thread
 from typing import Annotated, Final
 
-from service.api.dependencies import of_application
+from service.api.inputs import of_application
 from service.api.recordings.recorder import Recorder, WriteCounters
 from service.api.recordings.recording_job import writer_job
 from service.api.recordings.repository import RecordingRepository, unread

@@ -6,16 +6,22 @@ from fastapi import Body, Path, Response
 from starlette.responses import FileResponse
 
 from service.api.base_models import Page
-from service.api.dependencies import DatabaseDep, LiveDep
 from service.api.devices import store
 from service.api.devices.schema import RECORDING_PATTERN
-from service.api.json_body import JsonTypes
+from service.api.inputs import (
+    DatabaseDep,
+    DeviceFilter,
+    DevicePath,
+    JsonTypes,
+    Limit,
+    LiveDep,
+    Offset,
+)
 from service.api.openapi import ResourceRouter, raises
 from service.api.recordings.examples import BEGUN, FINISHED, NEW_RECORDINGS
 from service.api.recordings.recording_manager import RecordingsDep
 from service.api.recordings.repository import replaying_device
 from service.api.recordings.schema import NewRecording, RecordingDetail, RecordingDocument
-from service.api.request_parameters import DeviceFilter, DevicePath, Limit, Offset
 
 MEDIA_TYPE: Final = "application/x-hdf5"
 

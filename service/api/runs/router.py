@@ -5,10 +5,8 @@ from typing import Annotated
 from fastapi import APIRouter, Query
 
 from service.api.base_models import Page
-from service.api.dependencies import DatabaseDep, RunsDep
+from service.api.inputs import DatabaseDep, DeviceFilter, PagingDep, RunsDep, id_in_path, page_of
 from service.api.openapi import ResourceRouter, raises
-from service.api.pagination import PagingDep, page_of
-from service.api.request_parameters import DeviceFilter, id_in_path
 from service.api.runs import submit_router
 from service.api.runs.schema import Run, run_document
 from service.jobs import store

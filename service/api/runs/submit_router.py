@@ -10,12 +10,11 @@ from service.api.base_models import from_attributes
 from service.api.calibrations.schema import ControlPoint
 from service.api.calibrations.store import check_unused
 from service.api.correction_tables import store as tables
-from service.api.dependencies import DatabaseDep, RunsDep, SettingsDep
 from service.api.devices.store import get_device, sensors_of_row
 from service.api.exports.examples import NEW_EXPORT_RUNS
 from service.api.exports.router import ExportsDep
 from service.api.exports.schema import NewExportRun
-from service.api.json_body import JsonTypes
+from service.api.inputs import DatabaseDep, JsonTypes, RunsDep, SettingsDep
 from service.api.openapi import ResourceRouter, raises
 from service.api.recordings.recording_manager import RecordingsDep
 from service.api.runs.examples import (

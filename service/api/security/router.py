@@ -5,11 +5,8 @@ from typing import Annotated, Any, Final
 from fastapi import Body, Request, Response
 
 from service.api.base_models import Page
-from service.api.dependencies import DatabaseDep
-from service.api.json_body import JsonTypes
+from service.api.inputs import DatabaseDep, JsonTypes, PagingDep, id_in_path, page_of
 from service.api.openapi import ResourceRouter, raises
-from service.api.pagination import PagingDep, page_of
-from service.api.request_parameters import id_in_path
 from service.api.security.schema import ApiKey, CreatedApiKey, NewApiKey, created_document, document
 from service.security import store
 

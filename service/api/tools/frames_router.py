@@ -5,10 +5,9 @@ from typing import Annotated, Final
 from fastapi import Query
 
 from service.api.base_models import SLUG_PATTERN
-from service.api.dependencies import DatabaseDep, LiveDep
 from service.api.devices.store import get_device
+from service.api.inputs import DatabaseDep, DevicePath, LiveDep, id_in_path
 from service.api.openapi import ResourceRouter, raises
-from service.api.request_parameters import DevicePath, id_in_path
 from service.api.tools.frame_graph import device_frames
 from service.api.tools.frame_schema import FrameList, FrameState, FrameTransform
 from service.api.tools.schema import TRACKER

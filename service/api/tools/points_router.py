@@ -4,8 +4,7 @@ from typing import Annotated
 
 from fastapi import Body
 
-from service.api.dependencies import DatabaseDep, LiveDep
-from service.api.json_body import JsonTypes
+from service.api.inputs import DatabaseDep, JsonTypes, LiveDep
 from service.api.openapi import ResourceRouter, raises
 from service.api.tools import concurrency_limits
 from service.api.tools.dependency_check import dependencies

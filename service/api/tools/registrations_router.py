@@ -6,12 +6,18 @@ from typing import Annotated
 from fastapi import Body, Response
 
 from service.api.base_models import Page
-from service.api.dependencies import DatabaseDep, LiveDep, SettingsDep
 from service.api.devices.store import get_device
-from service.api.json_body import JsonTypes
+from service.api.inputs import (
+    DatabaseDep,
+    DeviceFilter,
+    JsonTypes,
+    LiveDep,
+    PagingDep,
+    SettingsDep,
+    id_in_path,
+    page_of,
+)
 from service.api.openapi import ResourceRouter, raises
-from service.api.pagination import PagingDep, page_of
-from service.api.request_parameters import DeviceFilter, id_in_path
 from service.api.tools import concurrency_limits
 from service.api.tools import registrations as store
 from service.api.tools.dependency_check import dependencies

@@ -10,13 +10,18 @@ from compute.errors import (
 )
 from compute.pose.rigid_body import RigidBody
 from service.api.base_models import SLUG_PATTERN, Page
-from service.api.dependencies import DatabaseDep, LiveDep
 from service.api.devices.device_service import DeviceService, DeviceServiceDep
 from service.api.devices.store import get_device
-from service.api.json_body import JsonTypes
+from service.api.inputs import (
+    DatabaseDep,
+    DeviceFilter,
+    JsonTypes,
+    LiveDep,
+    PagingDep,
+    id_in_path,
+    page_of,
+)
 from service.api.openapi import ResourceRouter, raises
-from service.api.pagination import PagingDep, page_of
-from service.api.request_parameters import DeviceFilter, id_in_path
 from service.api.tools import concurrency_limits, store
 from service.api.tools.examples import (
     CALIBRATIONS,

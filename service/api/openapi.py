@@ -1,14 +1,14 @@
 """The OpenAPI document: problem responses by their types, and the shared schemas."""
 
 from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Final, TypeVar
 
 from fastapi import APIRouter, FastAPI
 from fastapi.openapi.utils import get_openapi
 from pydantic.json_schema import models_json_schema
 
-from compute.errors import LumilineError, NonFiniteValue
+from compute.errors import LumilineError
 from service.api.inputs import JsonRoute
 from service.principal import SCOPE_MEANINGS
 from service.problems.catalogue import (
@@ -16,47 +16,19 @@ from service.problems.catalogue import (
     PROBLEM_TYPES,
     Problem,
     ProblemType,
-    problem_type_of,
-)
-from service.problems.errors import (
-    BodyTooLarge,
-    BodyTooSlow,
-    CredentialInQuery,
-    CrossOrigin,
-    DuplicateKey,
-    MalformedJson,
-    MissingScope,
-    NotReady,
-    QueryTooLong,
-    TooManyAttempts,
-    Unauthenticated,
-    UnsupportedMediaType,
 )
 from service.security.operation_scopes import OPERATION_SCOPES, PUBLIC
 
 Responses = dict[int | str, dict[str, Any]]
 Endpoint = TypeVar("Endpoint", bound=Callable[..., Any])
 
-_INVALID: Final = PROBLEM_TYPES["invalid-request"]
-_OF_EVERY_OPERATION: Final = (PROBLEM_TYPES["internal-error"],)
-_OF_RESOURCES: Final = (problem_type_of(NotReady),)
-_OF_ALL_REQUESTS: Final = tuple(
-    problem_type_of(error) for error in (CredentialInQuery, QueryTooLong)
-)
-_OF_THOSE_WITH_SCOPE: Final = tuple(
-    problem_type_of(error) for error in (Unauthenticated, MissingScope, TooManyAttempts)
-)
-_OF_CHANGES: Final = (problem_type_of(CrossOrigin),)
-_OF_BODIES: Final = tuple(
-    problem_type_of(error)
-    for error in (
-        MalformedJson,
-        DuplicateKey,
-        UnsupportedMediaType,
-        BodyTooLarge,
-        BodyTooSlow,
-        NonFiniteValue,
-    )
+_OF_RESOURCES: Final = ("not-ready",)
+_OF_ALL_REQUESTS: Final = ("credential-in-query", "query-too-long")
+_OF_THOSE_WITH_SCOPE: Final = ("unauthenticated", "missing-scope", "too-many-attempts")
+_OF_CHANGES: Final = ("cross-origin",)
+_OF_BODIES: Final = (
+    *("malformed-json", "duplicate-key", "unsupported-media-type"),
+    *("body-too-large", "body-too-slow", "non-finite-value"),
 )
 
 _SCHEME: Final = "key"
@@ -165,7 +137,7 @@ class ResourceRouter(APIRouter):
                 methods=[method],
                 operation_id=operation_id,
                 summary=summary,
-                responses=_responses([PROBLEM_TYPES[code] for code in codes]) | (responses or {}),
+                responses=_responses(codes) | (responses or {}),
                 **options,
             )
             return endpoint
@@ -190,13 +162,14 @@ def raises(*codes: str) -> Callable[[Endpoint], Endpoint]:
 
 def problems(*errors: type[LumilineError]) -> Responses:
     """Return the responses of an operation that raises these errors, for ``responses=``."""
-    return _responses([problem_type_of(error) for error in errors])
+    return _responses([error.code for error in errors])
 
 
-def _responses(kinds: list[ProblemType]) -> Responses:
+def _responses(codes: Iterable[str]) -> Responses:
     by_status: dict[int, dict[str, ProblemType]] = defaultdict(dict)
-    for kind in kinds:
-        by_status[kind.status][kind.code] = kind
+    for code in codes:
+        kind = PROBLEM_TYPES[code]
+        by_status[kind.status][code] = kind
     return {
         status: {
             "description": "; ".join(f"`{code}`: {kind.meaning}" for code, kind in found.items()),
@@ -244,7 +217,7 @@ def _document(app: FastAPI) -> dict[str, Any]:
     return document
 
 
-def _secure(operation: dict[str, Any]) -> tuple[ProblemType, ...]:
+def _secure(operation: dict[str, Any]) -> tuple[str, ...]:
     """Document the scope that an operation needs; return the problems that follow."""
     scope = OPERATION_SCOPES[operation["operationId"]]
     if scope == PUBLIC:
@@ -277,17 +250,17 @@ def _require_discriminators(node: Any, schemas: dict[str, Any]) -> None:
             _require_discriminators(value, schemas)
 
 
-def _complete(operation: dict[str, Any], others: Sequence[ProblemType]) -> None:
+def _complete(operation: dict[str, Any], others: Sequence[str]) -> None:
     """Add the problems of every operation, ``others``, and those that follow from its input."""
     responses = operation["responses"]
-    kinds = [*_OF_EVERY_OPERATION, *others]
+    codes = ["internal-error", *others]
     if responses.get("422", {}).get("content", {}).get("application/json"):
         del responses["422"]  # FastAPI's own description of validation errors
     if operation.get("requestBody") or operation.get("parameters"):
-        kinds.append(_INVALID)
+        codes.append("invalid-request")
     if operation.get("requestBody"):
-        kinds += _OF_BODIES
-    for status, response in _responses(kinds).items():
+        codes += _OF_BODIES
+    for status, response in _responses(codes).items():
         given = responses.get(str(status))
         if given is None:
             responses[str(status)] = response

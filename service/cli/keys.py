@@ -35,7 +35,7 @@ def create(data_dir: Path | None, name: str, scopes: list[str], days: float | No
         settings.folders.recordings.mkdir(parents=True, exist_ok=True)
         migrate(database, fill=seed)
         with database.write() as session:
-            row, made = store.add_key(session, request)
+            row, made = store.add_key(session, **dict(request))
             identity = row.id
     progress_console.print(f"key {identity} for {name}: {', '.join(wanted)}", highlight=False)
     progress_console.print("It is shown once and kept nowhere:", highlight=False)

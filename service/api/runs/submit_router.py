@@ -1,7 +1,7 @@
 """REST resources that submit runs: /api/v1/calibration-runs, /mapping-runs, ..."""
 
 from collections.abc import Callable
-from typing import Annotated, Any, Protocol
+from typing import Annotated, Any
 
 from fastapi import Body, Depends, Response
 from sqlalchemy.orm import Session
@@ -45,18 +45,6 @@ router = ResourceRouter("/api/v1", "runs")
 exports_router = ResourceRouter("/api/v1", "recordings")
 
 
-class SubmittedRun(Protocol):
-    """What requests of all kinds of runs have."""
-
-    @property
-    def id(self) -> str | None:
-        """The run's id; None: the server's choice."""
-
-    @property
-    def device(self) -> str:
-        """The device's id."""
-
-
 class Submission:
     """Takes the runs of one request."""
 
@@ -69,23 +57,25 @@ class Submission:
     def run(
         self,
         kind: Kind,
-        request: SubmittedRun,
+        device_id: str,
+        run_id: str | None,
         stored: Callable[[Session, DeviceRow], dict[str, Any]],
     ) -> Run:
         """Store a run, wake the run manager, and answer with the run's location.
 
         Args:
             kind: what is computed.
-            request: with the ids of the run and the device.
+            device_id: of the device.
+            run_id: the run's id; None: the server's choice.
             stored: checks the request, the device being locked, and returns it as it is stored.
 
         Raises:
             UnknownDevice, RunExists, Busy: as they say, and what ``stored`` raises.
         """
         with self._database.write() as session:
-            device = get_device(session, request.device, lock=True)
+            device = get_device(session, device_id, lock=True)
             row = store.add_run(
-                session, kind, device.id, stored(session, device), self._max_waiting, request.id
+                session, kind, device.id, stored(session, device), self._max_waiting, run_id
             )
             made = run_document(row)
         self._runs.submitted()
@@ -132,7 +122,7 @@ def create_calibration_run(request: NewCalibrationRunBody, submission: Submissio
             )
         )
 
-    return submission.run("calibration", request, stored)
+    return submission.run("calibration", request.device, request.id, stored)
 
 
 def _points(session: Session, request: NewCalibrationRun | NewMappingRun) -> list[ControlPoint]:
@@ -177,7 +167,7 @@ def create_mapping_run(request: NewMappingRunBody, submission: SubmissionDep) ->
             parent,
         )
 
-    return submission.run("mapping", request, stored)
+    return submission.run("mapping", request.device, request.id, stored)
 
 
 @router.operation(
@@ -209,7 +199,7 @@ def create_self_calibration_run(
             start,
         )
 
-    return submission.run("self-calibration", request, stored)
+    return submission.run("self-calibration", request.device, request.id, stored)
 
 
 @router.operation(
@@ -246,7 +236,7 @@ def create_update_run(request: NewUpdateRunBody, submission: SubmissionDep) -> R
             parent,
         )
 
-    return submission.run("update", request, stored)
+    return submission.run("update", request.device, request.id, stored)
 
 
 @exports_router.operation(
@@ -280,4 +270,4 @@ def create_export_run(
         exports.check_unused(request.result_id)
         return export.request_of(session, device, request)
 
-    return submission.run("export", request, stored)
+    return submission.run("export", request.device, request.id, stored)

@@ -57,7 +57,7 @@ def create_key(
     Who may make keys may make them with any scope.
     """
     with database.write() as session:
-        row, made = store.add_key(session, request)
+        row, made = store.add_key(session, **dict(request))
         created = created_document(row, made.text)
     response.headers["Location"] = f"/api/v1/keys/{created.id}"
     response.headers["Cache-Control"] = "no-store"

@@ -4,7 +4,7 @@ from typing import Annotated, Final
 
 from fastapi import Query
 
-from service.api.base_models import SLUG_PATTERN
+from service.api.base_models import SLUG_PATTERN, from_attributes
 from service.api.devices.store import get_device
 from service.api.inputs import DatabaseDep, DevicePath, LiveDep, id_in_path
 from service.api.openapi import ResourceRouter, raises
@@ -38,13 +38,11 @@ def list_frames(device_id: DevicePath, database: DatabaseDep, live: LiveDep) -> 
         device=device_id,
         **found.instant,
         frames=[
-            FrameState(
+            from_attributes(
+                FrameState,
+                node,
                 frame=node.name,
-                kind=node.kind,
-                to=node.to,
                 connected=node.to is None or node.to_from is not None,
-                status=node.status,
-                reason=node.reason,
                 root=found.root(node.name),
             )
             for node in found.nodes.values()

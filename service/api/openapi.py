@@ -44,55 +44,24 @@ _SCHEMES: Final = {
     }
 }
 
-TAGS: Final = [
-    {"name": "devices", "description": "What is read, by which driver, and what it is doing."},
-    {
-        "name": "calibrations",
-        "description": "Camera models from control points. Immutable: create, read, activate, "
-        "retire.",
-    },
-    {
-        "name": "captures",
-        "description": "Guided measurement: place a marker, hold it, capture it, go to the next.",
-    },
-    {
-        "name": "drift-checks",
-        "description": "Is a calibration still good? Still markers read again, kept over time.",
-    },
-    {
-        "name": "quality",
-        "description": "Quick checks with known points and distances, a watch on drift, charts.",
-    },
-    {
-        "name": "correction-tables",
-        "description": "Maps of space: what is added to the readings, by where the marker is.",
-    },
-    {
-        "name": "runs",
-        "description": "Calibrations and maps computed beside the requests: post, follow, cancel.",
-    },
-    {"name": "reconstructions", "description": "3D points from readings that you post."},
-    {
-        "name": "tools",
-        "description": "Rigid tools with markers: geometry, tip, poses, registration to images.",
-    },
-    {
-        "name": "beam-holds",
-        "description": "Beam holds: a signal when a patient leaves the tolerance.",
-    },
-    {
-        "name": "recordings",
-        "description": "Line scans and results of running devices in files, to be replayed.",
-    },
-    {"name": "line-scans", "description": "Peaks of lines that you post, and their picture."},
-    {
-        "name": "device-profiles",
-        "description": "Tracking devices as published, and what they would reach: planning before "
-        "building.",
-    },
-    {"name": "keys", "description": "Who may do what, and who did what."},
-    {"name": "server", "description": "Health, and what problem types mean."},
-]
+_TAGS: Final = {
+    "devices": "What is read, by which driver, and what it is doing.",
+    "calibrations": "Camera models from control points. Immutable: create, read, activate, retire.",
+    "captures": "Guided measurement: place a marker, hold it, capture it, go to the next.",
+    "drift-checks": "Is a calibration still good? Still markers read again, kept over time.",
+    "quality": "Quick checks with known points and distances, a watch on drift, charts.",
+    "correction-tables": "Maps of space: what is added to the readings, by where the marker is.",
+    "runs": "Calibrations and maps computed beside the requests: post, follow, cancel.",
+    "reconstructions": "3D points from readings that you post.",
+    "tools": "Rigid tools with markers: geometry, tip, poses, registration to images.",
+    "beam-holds": "Beam holds: a signal when a patient leaves the tolerance.",
+    "recordings": "Line scans and results of running devices in files, to be replayed.",
+    "line-scans": "Peaks of lines that you post, and their picture.",
+    "device-profiles": "Tracking devices as published, and what they would reach: planning before "
+    "building.",
+    "keys": "Who may do what, and who did what.",
+    "server": "Health, and what problem types mean.",
+}
 
 
 class ResourceRouter(APIRouter):
@@ -196,7 +165,7 @@ def _document(app: FastAPI) -> dict[str, Any]:
         version=app.version,
         summary=app.summary,
         description=app.description,
-        tags=TAGS,
+        tags=[{"name": name, "description": text} for name, text in _TAGS.items()],
         routes=app.routes,
     )
     schemas = document.setdefault("components", {}).setdefault("schemas", {})

@@ -28,11 +28,11 @@ State = Literal["queued", "running", "succeeded", "failed", "cancelled", "interr
 OPEN: Final = ("queued", "running")
 STATES: Final[tuple[State, ...]] = get_args(State)
 
-_SORTS: Final[dict[Kind, str]] = {"mapping": "table", "export": "export"}
-_TAKEN: Final[dict[Kind, tuple[str, type[LumilineError]]]] = {
+_RESULTS: Final[dict[Kind, tuple[str, type[LumilineError]]]] = {
     "mapping": ("correction table", CorrectionTableExists),
     "export": ("export", ExportExists),
 }
+"""What runs make that are no calibrations, and the error about an id that is taken."""
 
 STALE_AFTER: Final = timedelta(seconds=60)
 """A running run whose server has not been heard of for so long has none any more."""
@@ -101,11 +101,12 @@ def add_run(
 
 def _claim_of(kind: Kind, result_id: str) -> str:
     """Return what a run claims until it ends: the id of its result among those of its sort."""
-    return f"{_SORTS.get(kind, 'calibration')}/{result_id}"
+    sort = {"mapping": "table", "export": "export"}.get(kind, "calibration")
+    return f"{sort}/{result_id}"
 
 
 def _claimed(kind: Kind, result_id: str, run_id: str | None) -> LumilineError:
-    what, error = _TAKEN.get(kind, ("calibration", CalibrationExists))
+    what, error = _RESULTS.get(kind, ("calibration", CalibrationExists))
     which = "another run" if run_id is None else f'run "{run_id}"'
     return error(
         f'{which} is to make {what} "{result_id}"; choose another result_id, leave it out, '

@@ -47,11 +47,13 @@ class WorkerProcess:
         """The process's id."""
         return self._process.pid
 
-    def next(self, wait_s: float) -> Message | None:
+    def next(self, wait_s: float) -> Progress | Done | None:
         """Return the next message; None: none came within this time.
 
         Raises:
             WorkerEnded: it ended without a result.
+            LumilineError: what the function raised.
+            RuntimeError: it failed otherwise.
         """
         try:
             if not self._pipe.poll(wait_s):
@@ -65,6 +67,10 @@ class WorkerProcess:
                 "what the system does to a process that takes too much memory",
                 exit_code=code,
             ) from None
+        if isinstance(message, Failed):
+            if message.code is None:
+                raise RuntimeError(message.detail)
+            raise ERRORS[message.code](message.detail, **message.context)
         return message
 
     def kill(self) -> None:
@@ -103,16 +109,9 @@ def call_in_process(
     with WorkerProcess(function, *arguments, memory_bytes=memory_bytes) as worker:
         while True:
             message = worker.next(max(0.0, end - time.monotonic()))
-            match message:
-                case Done(result):
-                    return result
-                case Failed(code, detail, context) if code is not None:
-                    raise ERRORS[code](detail, **context)
-                case Failed(_, detail, _):
-                    raise RuntimeError(detail)
-                case Progress():
-                    continue
-                case None:
-                    raise WorkerEnded(
-                        f"it took longer than {timeout_s:g} s and was ended", timeout_s=timeout_s
-                    )
+            if isinstance(message, Done):
+                return message.result
+            if message is None:
+                raise WorkerEnded(
+                    f"it took longer than {timeout_s:g} s and was ended", timeout_s=timeout_s
+                )

@@ -1,6 +1,6 @@
 """REST resource /api/v1/recordings."""
 
-from typing import Annotated, Final
+from typing import Annotated, Any, Final
 
 from fastapi import Body, Path, Response
 from starlette.responses import FileResponse
@@ -18,7 +18,6 @@ from service.api.inputs import (
     Offset,
 )
 from service.api.openapi import ResourceRouter, raises
-from service.api.recordings.examples import BEGUN, FINISHED, NEW_RECORDINGS
 from service.api.recordings.recording_manager import RecordingsDep
 from service.api.recordings.repository import replaying_device
 from service.api.recordings.schema import NewRecording, RecordingDetail, RecordingDocument
@@ -27,26 +26,27 @@ MEDIA_TYPE: Final = "application/x-hdf5"
 
 router = ResourceRouter("/api/v1", "recordings")
 
+_NEW_RECORDINGS: Final[dict[str, Any]] = {
+    "whole": {
+        "summary": "Lines and results, for a minute",
+        "value": {"name": "first.h5", "contents": ["lines", "results"], "seconds": 60.0},
+    },
+}
 _FILE: Final = {MEDIA_TYPE: {"schema": {"type": "string", "format": "binary"}}}
-NewRecordingBody = Annotated[NewRecording, JsonTypes(), Body(openapi_examples=NEW_RECORDINGS)]
-BegunPath = Annotated[
-    str,
-    Path(
+NewRecordingBody = Annotated[NewRecording, JsonTypes(), Body(openapi_examples=_NEW_RECORDINGS)]
+
+
+def _name_in_path(example: str, name: str, summary: str) -> Any:
+    return Path(
         pattern=RECORDING_PATTERN,
         max_length=200,
         description="File name below the folder `recordings`.",
-        openapi_examples=BEGUN,
-    ),
-]
-FinishedPath = Annotated[
-    str,
-    Path(
-        pattern=RECORDING_PATTERN,
-        max_length=200,
-        description="File name below the folder `recordings`.",
-        openapi_examples=FINISHED,
-    ),
-]
+        openapi_examples={name: {"summary": summary, "value": example}},
+    )
+
+
+BegunPath = Annotated[str, _name_in_path("first.h5", "begun", "begun before")]
+FinishedPath = Annotated[str, _name_in_path("earlier.h5", "finished", "one in the folder")]
 
 
 @router.operation(

@@ -14,8 +14,7 @@ from service.api.quality.point_tap import check_strobed
 from service.api.tools.geometry_capture import MIN_FRAMES, stationary_marker
 from service.api.tools.marker_tap import MarkerObservation, MarkerTap
 from service.api.tools.registration_schema import NewThreeMarkers
-from service.api.tools.registrations import NewRegistrationRecord
-from service.api.tools.target_errors import target_errors
+from service.api.tools.registrations import NewRegistrationRecord, target_errors
 from service.pipeline.pipeline_manager import PipelineManager
 from service.pipeline.taps import collect
 from service.problems.errors import NoObservation

@@ -17,8 +17,8 @@ from compute.pose.registration.icp import (
 from compute.pose.registration.surface import PointCloud, Surface, TriangleMesh
 from compute.pose.transform import Transform
 from service.api.tools.registration_schema import NewSurface
+from service.api.tools.registrations import target_errors
 from service.api.tools.surface_schema import MeshInput, PointCloudInput
-from service.api.tools.target_errors import target_errors
 from service.settings import Settings
 
 Array = NDArray[np.float64]

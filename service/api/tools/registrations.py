@@ -1,5 +1,6 @@
 """Registrations in the database: named frames."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any, Final
@@ -19,11 +20,11 @@ from service.api.tools.registration_schema import (
     NewThreeMarkers,
     Registration,
     StoredRequest,
+    Target,
 )
-from service.api.tools.schema import TRACKER
-from service.api.tools.store import TOOLS
+from service.api.tools.store import TOOLS, check_free
 from service.database.engine import Resource
-from service.database.models import RegistrationRow, ToolRow
+from service.database.models import RegistrationRow
 from service.problems.errors import CalibrationSwitched, RegistrationExists, UnknownRegistration
 
 NewAny = NewPairedPoints | NewThreeMarkers | NewSurface
@@ -68,16 +69,7 @@ def check_new(session: Session, request: NewAny, reference: str | None) -> None:
         UnknownTool: the reference is none.
         InvalidParameter: the id is not to be had, or the reference is another device's.
     """
-    if request.id == TRACKER:
-        raise InvalidParameter(
-            f'"{TRACKER}" is the name of the device\'s own frame; choose another id'
-        )
-    for table, what in ((RegistrationRow, "registration"), (ToolRow, "tool")):
-        if session.get(table, request.id) is not None:
-            raise RegistrationExists(
-                f'{what} "{request.id}" exists already; choose another id',
-                registration=request.id,
-            )
+    check_free(session, request.id, REGISTRATIONS)
     if reference is not None:
         tool = TOOLS.get(session, reference)
         if tool.device_id != request.device:
@@ -162,3 +154,25 @@ def document(row: RegistrationRow) -> Registration:
     """Return a registration as clients see it."""
     kind = row.asked.get("kind", "paired-points")
     return from_attributes(Registration, row, **row.result, kind=kind, request=row.asked)
+
+
+def target_errors(
+    targets: Sequence[Target], measured_from_frame: Transform
+) -> list[dict[str, Any]]:
+    """Return the members of TargetError, by the covariance of the transform.
+
+    Args:
+        targets: places in the frame.
+        measured_from_frame: the registration, with its covariance.
+    """
+    places = np.array([target.frame_mm for target in targets]).reshape(-1, 3)
+    return [
+        {
+            "name": target.name,
+            "error_mm": float(np.sqrt(np.trace(spread))),
+            "covariance_mm2": spread.tolist(),
+        }
+        for target, spread in zip(
+            targets, measured_from_frame.point_covariance(places), strict=True
+        )
+    ]

@@ -62,17 +62,16 @@ def tools(device_id: str | None) -> Select[ToolRow]:
     return found if device_id is None else found.where(ToolRow.device_id == device_id)
 
 
-def check_free(session: Session, identity: str) -> None:
-    """Raise ToolExists when a tool, or the frame of a registration, has this id."""
+def check_free(session: Session, identity: str, resource: Resource[Any] = TOOLS) -> None:
+    """Raise an error of a resource when a tool, or the frame of a registration, has this id."""
     if identity == TRACKER:
         raise InvalidParameter(
             f'"{TRACKER}" is the name of the device\'s own frame; choose another id'
         )
     for table, what in ((ToolRow, "tool"), (RegistrationRow, "registration")):
         if session.get(table, identity) is not None:
-            raise ToolExists(
-                f'{what} "{identity}" exists already; choose another id', tool=identity
-            )
+            detail = f'{what} "{identity}" exists already; choose another id'
+            raise resource.exists(detail, **{resource.key: identity})
 
 
 def check_new(
@@ -172,8 +171,8 @@ def change_tool(session: Session, row: ToolRow, change: ToolChange) -> ToolRow:
         UnknownTool, InvalidParameter: the reference cannot be one.
     """
     given = change.model_fields_set
-    if "title" in given:
-        row.title = change.title
+    for name in given & {"title", "note"}:
+        setattr(row, name, getattr(change, name))
     if "tip_mm" in given:
         # The axis of a spin calibration goes with the geometry, not with the tip.
         kept = tip_of(row).axis
@@ -183,8 +182,6 @@ def change_tool(session: Session, row: ToolRow, change: ToolChange) -> ToolRow:
         row.reference_id = change.reference
     if "limits" in given:
         row.limits = change.limits.model_dump(mode="json")
-    if "note" in given:
-        row.note = change.note
     row.updated_at = datetime.now(UTC)
     session.flush()
     return row

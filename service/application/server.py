@@ -5,14 +5,14 @@ import shutil
 from collections.abc import Iterator
 from typing import Annotated, Final, Literal
 
-from fastapi import APIRouter, Path, Request
+from fastapi import Path, Request
 from pydantic import Field
 from sqlalchemy.exc import SQLAlchemyError
 from starlette.responses import HTMLResponse, JSONResponse, Response
 
 from service.api.base_models import ResponseModel
 from service.api.inputs import DatabaseDep, RunsDep, SettingsDep
-from service.api.openapi import problems
+from service.api.openapi import ResourceRouter, raises
 from service.api.recordings.recording_manager import RecordingManager, RecordingsDep
 from service.database.engine import Database
 from service.database.migration import newest_revision, revision_of
@@ -42,12 +42,7 @@ def check_ready(
     Raises:
         NotReady: what stands in the way; all of it in the message, the first as ``part``.
     """
-    found = [
-        *_database(database),
-        *_live(live),
-        *_runs(runs),
-        *_disk(recordings),
-    ]
+    found = [*_database(database), *_live(live), *_runs(runs), *_disk(recordings)]
     if found:
         raise NotReady("; ".join(text for _, text in found), part=found[0][0])
 
@@ -118,7 +113,7 @@ def _free(recordings: RecordingManager) -> int | None:
         return None
 
 
-router = APIRouter(tags=["server"])
+router = ResourceRouter("", "server")
 
 
 class Health(ResponseModel):
@@ -146,7 +141,7 @@ class Landing(ResponseModel):
     links: dict[str, str]
 
 
-@router.get("/", operation_id="get-landing", summary="Where to go from here")
+@router.operation("GET /", "get-landing", "Where to go from here")
 def get_landing(request: Request) -> Landing:
     """Links to the documentation and the resources."""
     return Landing(
@@ -167,18 +162,14 @@ def get_landing(request: Request) -> Landing:
     )
 
 
-@router.get("/healthz", operation_id="get-health", summary="Is the process alive?")
+@router.operation("GET /healthz", "get-health", "Is the process alive?")
 async def get_health() -> Health:
     """Answers as long as the process does, also while all threads wait for the database."""
     return Health()
 
 
-@router.get(
-    "/readyz",
-    operation_id="get-readiness",
-    summary="Can requests be served?",
-    responses=problems(NotReady),
-)
+@router.operation("GET /readyz", "get-readiness", "Can requests be served?")
+@raises("not-ready")
 def get_readiness(
     request: Request,
     database: DatabaseDep,
@@ -198,20 +189,20 @@ def get_readiness(
     )
 
 
-@router.get("/problems", operation_id="list-problems", summary="List all problem types")
+@router.operation("GET /problems", "list-problems", "List all problem types")
 def list_problems() -> list[ProblemType]:
     """All problem types that the server answers with."""
     return list(PROBLEM_TYPES.values())
 
 
-@router.get(
-    "/problems/{code}",
-    operation_id="get-problem",
-    summary="What a problem type means",
+@router.operation(
+    "GET /problems/{code}",
+    "get-problem",
+    "What a problem type means",
     response_model=ProblemType,
-    responses=problems(UnknownProblem)
-    | {200: {"content": {"text/html": {"schema": {"type": "string"}}}}},
+    responses={200: {"content": {"text/html": {"schema": {"type": "string"}}}}},
 )
+@raises("unknown-problem")
 def get_problem(
     request: Request,
     code: Annotated[

@@ -174,7 +174,7 @@ class RunManager:
             self._end(run_id, "failed", "failed", _problem(error.code, error.detail, error.context))
         except Exception as error:  # noqa: BLE001 - becomes the run's problem
             reference = secrets.token_hex(4)
-            _log.error("run %s, reference %s", run_id, reference, exc_info=error)
+            _log.error("run %s, reference %s: %s", run_id, reference, error, exc_info=error)
             detail = f"unexpected error; the server's log has it under reference {reference}"
             self._end(run_id, "failed", "failed", _problem("internal-error", detail, {}))
         finally:

@@ -52,7 +52,7 @@ def create(
         settings.folders.recordings.mkdir(parents=True, exist_ok=True)
         migrate(database, fill=seed)
         with database.write() as session:
-            row, key = store.add_key(session, request)
+            row, key = store.add_key(session, **dict(request))
             identity = row.id
     progress_console.print(f"key {identity} for {name}: {', '.join(scopes)}", highlight=False)
     progress_console.print("It is shown once and kept nowhere:", highlight=False)
@@ -64,7 +64,8 @@ def create(
 def show(data_dir: DataDir = None, as_json: AsJson = False) -> None:
     """List the keys that were given out."""
     with local_database(data_dir, "keys list") as (database, _), database.read() as session:
-        listed = [document(row) for row in store.list_keys(session, _MAX_SHOWN, 0)[0]]
+        rows = session.scalars(store.KEYS.newest_first().limit(_MAX_SHOWN))
+        listed = [document(row) for row in rows]
     if as_json:
         typer.echo(TypeAdapter(list[ApiKey]).dump_json(listed, indent=2))
         return

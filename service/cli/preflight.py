@@ -12,7 +12,6 @@ from sqlalchemy import URL
 from sqlalchemy.exc import ArgumentError, DBAPIError, SQLAlchemyError
 
 from compute.errors import LumilineError
-from service.api.security.schema import NewApiKey
 from service.application.bootstrap import prepare, trace_optics
 from service.database.engine import Database
 from service.principal import SCOPES, Act, Principal, current_act
@@ -123,7 +122,7 @@ def create_bootstrap_key(settings: Settings) -> None:
         token = current_act.set(Act(_SERVE, "lumiline serve"))
         try:
             with database.write() as session:
-                _, made = store.add_key(session, NewApiKey(name="first key", scopes=SCOPES))
+                _, made = store.add_key(session, "first key", SCOPES)
         finally:
             current_act.reset(token)
     finally:

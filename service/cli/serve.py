@@ -37,7 +37,7 @@ def serve(
     from service.application import shutdown
     from service.application.app import create_app
     from service.cli import preflight
-    from service.logs.setup import configured_logging
+    from service.logs import configured_logging
 
     preflight.check_ports(settings)
     with configured_logging(settings):

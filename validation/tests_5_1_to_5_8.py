@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.calibration.assessment.cross_validation import cross_validate, fitted_errors
+from compute.calibration.assessment.assess import cross_validate, fitted_errors
 from compute.calibration.calibrate import calibrate
 from compute.calibration.mislabels.detector import find_label_errors
 from compute.calibration.mislabels.repair import repair

@@ -7,10 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.calibration.assessment_result import Diagnosis, DistortionSelection
-from compute.calibration.mislabels.finding import LabelFinding
-from compute.calibration.mislabels.repair import exclude, repair
+from compute.calibration.mislabels.repair import CORRECTIONS, LabelFinding
 from compute.calibration.settings import CalibrationSettings
-from compute.camera.model import SensorGeometry, SensorModel, Vector3, vector3
+from compute.camera.model import SensorModel, Vector3, vector3
 
 Array = NDArray[np.float64]
 Method = Literal["metric", "self-calibration", "update", "dlt-iterative", "bundle-11"]
@@ -170,6 +169,11 @@ class MeasurementNoise:
         return total
 
 
+def nested_rows(matrix: Array) -> tuple[tuple[float | None, ...], ...]:
+    """Return a matrix as nested tuples, None for NaN."""
+    return tuple(tuple(None if x != x else x for x in row) for row in matrix.tolist())
+
+
 def measurement_sigma(
     calibration: Calibration, readings_px: Array, sigma_px: Array | None = None
 ) -> Array:
@@ -207,14 +211,11 @@ def repaired_readings(
     """
     readings = np.asarray(readings_px, dtype=np.float64)
     sigma = None if sigma_px is None else np.asarray(sigma_px, dtype=np.float64)
-    policy = "off" if calibration.settings is None else calibration.settings.labels
+    correct = CORRECTIONS.get(calibration.settings.labels) if calibration.settings else None
     same_points = len(calibration.residuals_px) == len(readings)
-    if policy in ("off", "report") or not calibration.labels or not same_points:
+    if correct is None or not calibration.labels or not same_points:
         return readings, sigma
-    sensors = [SensorGeometry(model.name, model.pixels) for model in calibration.models]
-    return (exclude if policy == "exclude" else repair)(
-        calibration.labels, sensors, readings, sigma
-    )
+    return correct(calibration.labels, calibration.models, readings, sigma)
 
 
 def effective_readings(

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from compute.camera.field_distortion import FieldDistortion
+from compute.camera.field_distortion import FieldDistortion, Term
 from compute.camera.rotation import rotation_matrix
 
 Vector3 = tuple[float, float, float]
@@ -89,15 +89,19 @@ class SensorModel:
     @property
     def parameter_count(self) -> int:
         """Number of parameters: 7, or 8 and one for each term of the distortion."""
-        extra = 0 if self.distortion is None else 1 + len(self.distortion.terms)
-        return PARAMETER_COUNT + extra
+        return PARAMETER_COUNT + (0 if self.distortion is None else 1 + len(self.terms))
+
+    @property
+    def terms(self) -> tuple[Term, ...]:
+        """The terms of the distortion; none without."""
+        return () if self.distortion is None else self.distortion.terms
 
     @property
     def parameter_names(self) -> tuple[str, ...]:
         """Names of the parameters in the order of Jacobians and covariances."""
         if self.distortion is None:
             return PARAMETERS
-        terms = (f"u{i}v{j}" for i, j in self.distortion.terms)
+        terms = (f"u{i}v{j}" for i, j in self.terms)
         return (*PARAMETERS, "offset_y_mm", *terms)
 
     @cached_property

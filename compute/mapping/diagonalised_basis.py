@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.mapping.b_splines import b_spline_basis
+from compute.mapping.b_splines import apply_along_axis, b_spline_basis
 from compute.mapping.grid import VoxelGrid
 
 Array = NDArray[np.float64]
@@ -98,7 +98,7 @@ class DiagonalisedBasis:
         full = np.zeros([len(eigenvectors) for eigenvectors in self.vectors])
         full[tuple(self.function_index.T)] = amounts
         for axis, eigenvectors in enumerate(self.vectors):
-            full = np.moveaxis(np.tensordot(eigenvectors, full, axes=(1, axis)), 0, axis)
+            full = apply_along_axis(eigenvectors, full, axis)
         return full
 
 

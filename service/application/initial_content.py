@@ -5,8 +5,8 @@ from typing import Final
 import numpy as np
 from sqlalchemy.orm import Session
 
+from compute.calibration.calibrate import QUANTISATION_PX
 from compute.calibration.result import Calibration, SensorFit
-from compute.calibration.result_assembly import QUANTISATION_PX
 from compute.camera.model import PARAMETER_COUNT
 from hardware.simulated.simulated_rig import PITCH_UM, simulated_sensor_models
 from service.api.calibrations.calibration_content import Outcome, calibration_content

@@ -14,21 +14,19 @@ from compute.calibration.bundle_adjustment.adjustment_result import (
 )
 from compute.calibration.bundle_adjustment.gauge import orthogonal_complement, rigid_motion_jacobian
 from compute.calibration.bundle_adjustment.normal_equations import (
+    HUBER_LIMIT,
     AdjustmentState,
     build_normal_equations,
-)
-from compute.calibration.bundle_adjustment.pose_set import PoseSet
-from compute.calibration.bundle_adjustment.robust_loss import (
-    HUBER_LIMIT,
-    Loss,
     loss_weights,
     robust_scale,
     total_loss,
 )
+from compute.calibration.bundle_adjustment.pose_set import PoseSet
 from compute.calibration.bundle_adjustment.sensor_prior import SensorPrior
+from compute.calibration.settings import Loss
 from compute.camera.model import SensorModel
 from compute.errors import InvalidParameter, NoConvergence
-from compute.progress import Progress
+from compute.progress import Progress, no_progress
 
 Array = NDArray[np.float64]
 
@@ -59,7 +57,7 @@ def adjust(
     free_datum: bool = False,
     loss: Loss = "linear",
     max_iterations: int = MAX_ITERATIONS,
-    progress: Progress | None = None,
+    progress: Progress = no_progress,
 ) -> AdjustmentResult:
     """Adjust sensors, shapes and poses to the readings.
 
@@ -131,7 +129,7 @@ def approximate_solution(
     state = _check_inputs(models, pose_sets)
     count = sum(model.parameter_count for model in state.models)
     count += sum(poses.shape.unknowns for poses in state.pose_sets)
-    search = _Search(state, prior, np.ones(count, dtype=np.bool_), None, steps, free_datum)
+    search = _Search(state, prior, np.ones(count, dtype=np.bool_), no_progress, steps, free_datum)
     with suppress(NoConvergence):
         search.run_stages(loss, COARSE_TOLERANCE)
     return search.state
@@ -144,7 +142,7 @@ class _Search:
     state: AdjustmentState
     prior: SensorPrior | None
     adjusted_parameters: NDArray[np.bool_]
-    progress: Progress | None
+    progress: Progress
     max_iterations: int
     free_datum: bool
     iterations: int = 0
@@ -189,13 +187,6 @@ class _Search:
             scale = min(robust_scale(self.state, self.residuals), scale / 1.5)
         self.run(HUBER_LIMIT, max(tolerance, ROBUST_TOLERANCE))
 
-    def _motion(self) -> Array:
-        """Return the globals' Jacobian by rigid motions of the world, shape (F, 6)."""
-        jacobian = rigid_motion_jacobian(self.state.models)
-        motion = np.zeros((len(self.adjusted_parameters), 6))
-        motion[: len(jacobian)] = jacobian
-        return motion
-
     def run(self, limit: float, tolerance: float) -> None:
         """Iterate until a step predicts a relative decrease of less than ``tolerance``."""
         damping = 1e-4
@@ -205,10 +196,11 @@ class _Search:
             equations = build_normal_equations(self.state, weights, self.prior)
             # A weak prior of the frame would slowly rotate the whole world, by linear steps on a
             # curved path.
-            motion = self._motion() if self.free_datum else None
+            motion = None
+            if self.free_datum:
+                motion = rigid_motion_jacobian(self.state.models, len(self.adjusted_parameters))
             while True:
-                if self.progress is not None:
-                    self.progress(min(self.iterations / self.max_iterations, 1.0), "adjustment")
+                self.progress(min(self.iterations / self.max_iterations, 1.0), "adjustment")
                 if self.iterations >= self.max_iterations:
                     raise NoConvergence(
                         f"the adjustment has not converged after {self.iterations} steps "

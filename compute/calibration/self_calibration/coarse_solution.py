@@ -7,16 +7,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.calibration.bundle_adjustment.normal_equations import HUBER_LIMIT
 from compute.calibration.bundle_adjustment.pose_set import PoseSet
-from compute.calibration.bundle_adjustment.robust_loss import HUBER_LIMIT
 from compute.calibration.bundle_adjustment.sensor_prior import SensorPrior
 from compute.calibration.bundle_adjustment.solver import approximate_solution
 from compute.calibration.self_calibration.datum import align_to_start
-from compute.calibration.self_calibration.initial_poses import (
-    InitialPoses,
-    select_poses,
-    start_poses,
-)
+from compute.calibration.self_calibration.initial_poses import InitialPoses, start_poses
 from compute.calibration.self_calibration.pose_screening import screen_poses
 from compute.calibration.self_calibration.targets import Recording
 from compute.camera.model import PARAMETER_COUNT, SensorModel
@@ -44,21 +40,13 @@ def coarse_prior(models: Sequence[SensorModel], pose_sets: Sequence[PoseSet]) ->
         models: the starting cameras.
         pose_sets: starting poses, which give the distances to the lenses.
     """
-    information = [
-        (1.0 / (COARSE_RELATIVE_SIGMA * size)) ** 2
-        for model, depth in zip(models, _depths(models, pose_sets), strict=True)
-        for size in (
-            model.principal_distance_px,
-            0.5 * model.pixels,
-            *(0.5, 0.5, 0.5),
-            depth,
-            depth,
-            *((depth,) + (1.0,) * (model.parameter_count - PARAMETER_COUNT - 1))[
-                : model.parameter_count - PARAMETER_COUNT
-            ],
-        )
-    ]
-    return SensorPrior(tuple(models), np.diag(information))
+    information = []
+    for model, depth in zip(models, _depths(models, pose_sets), strict=True):
+        sizes = np.ones(model.parameter_count)
+        sizes[:7] = model.principal_distance_px, 0.5 * model.pixels, 0.5, 0.5, 0.5, depth, depth
+        sizes[7:8] = depth
+        information.append((1.0 / (COARSE_RELATIVE_SIGMA * sizes)) ** 2)
+    return SensorPrior(tuple(models), np.diag(np.concatenate(information)))
 
 
 def lens_offset_prior(
@@ -113,7 +101,8 @@ def coarse_solution(
     for number, coarse in enumerate(COARSE_PX):
         if number:
             starts = _place_targets(current, recordings, sigma)
-        inflated = [_inflate_sigma(start.poses, coarse) for start in starts]
+        pose_sets = [start.poses for start in starts]
+        inflated = [replace(p, sigma_px=np.maximum(p.sigma_px, coarse)) for p in pose_sets]
         current = approximate_solution(current, inflated, prior=prior, loss="robust").models
     current = align_to_start(current, models)
     for _ in range(MAX_ROUNDS):
@@ -153,12 +142,4 @@ def _place_targets(
     if not trusted:
         return starts
     # An outlier spoils its whole pose; the search can do without it.
-    fitted = [screen_poses(models, start) for start in starts]
-    return [
-        InitialPoses(select_poses(one.start.poses, one.good), one.start.pose_index[one.good])
-        for one in fitted
-    ]
-
-
-def _inflate_sigma(poses: PoseSet, deviation_px: float) -> PoseSet:
-    return replace(poses, sigma_px=np.maximum(poses.sigma_px, deviation_px))
+    return [screen_poses(models, start).consistent for start in starts]

@@ -10,13 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
-from compute.calibration.assessment.cross_validation import control_errors
-from compute.calibration.calibrate import calibrate_and_assess
+from compute.calibration.assessment.assess import calibrate_and_assess, control_errors
 from compute.calibration.result import AxisErrors, Calibration, count_readings, effective_readings
 from compute.calibration.settings import DEFAULTS, CalibrationSettings
 from compute.camera.model import SensorGeometry
 from compute.errors import DuplicatePoint, InvalidParameter, ReadingOutsideSensor, UnknownSensor
-from compute.progress import Progress
+from compute.progress import Progress, no_progress
 from hardware.driver import SensorDescription
 from service.api.calibrations.schema import (
     LEAVE_ONE_OUT_POINTS,
@@ -67,11 +66,11 @@ def run_calibration(request: NewCalibration, sensors: Sequence[SensorDescription
             f"most {LEAVE_ONE_OUT_POINTS} points",
             points=len(request.points),
         )
-    return calibration_outcome(None, request.device, request.points, sensors, settings)
+    return calibration_outcome(no_progress, request.device, request.points, sensors, settings)
 
 
 def calibration_outcome(
-    progress: Progress | None,
+    progress: Progress,
     device_id: str,
     given: list[ControlPoint],
     sensors: Sequence[SensorDescription],

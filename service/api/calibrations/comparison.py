@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from compute.calibration.assessment.cross_validation import fitted_errors
+from compute.calibration.assessment.assess import fitted_errors
 from compute.calibration.result import Calibration, effective_readings
 from compute.camera.model import PARAMETER_COUNT, PARAMETERS, SensorModel, Vector3, vector3
 from compute.camera.stack import CameraStack

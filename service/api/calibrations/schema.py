@@ -9,8 +9,8 @@ from compute.calibration.settings import (
     CalibrationSettings,
     LabelPolicy,
     Loss,
+    Preset,
 )
-from compute.calibration.single_sensor.distortion_terms import Preset
 from compute.camera.field_distortion import Term
 from compute.camera.model import Vector3
 from service.api.base_models import Moment, Name, Note, Position, RequestModel, ResponseModel, Slug

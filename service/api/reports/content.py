@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.calibration.assessment.cross_validation import control_errors
+from compute.calibration.assessment.assess import control_errors
 from compute.calibration.result import (
     Calibration,
     CrossValidation,

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from compute.calibration.assessment.cross_validation import fitted_errors
+from compute.calibration.assessment.assess import fitted_errors
 from compute.calibration.drift.calibration_update import check_update
 from compute.calibration.drift.stability_check import prediction_residuals
 from compute.calibration.result import Calibration, count_readings

@@ -6,14 +6,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from compute.calibration.mislabels import linearised_camera
-from compute.calibration.mislabels.beam_search import _extend, _reduce
-from compute.calibration.mislabels.hypothesis import Hypothesis
-from compute.calibration.mislabels.linearised_camera import (
+from compute.calibration.mislabels.beam_search import (
     LinearisedCamera,
+    _extend,
+    _reduce,
     evaluate_hypotheses,
     log_posteriors,
 )
-from compute.calibration.mislabels.marginal_likelihood import KNOWN_SIGMA, Evidence, ScalePrior
+from compute.calibration.mislabels.hypothesis import KNOWN_SIGMA, Evidence, Hypothesis, ScalePrior
 
 WIDTH = 7
 EXPLAINED = (

@@ -8,7 +8,7 @@ from pydantic import Field
 from starlette.responses import HTMLResponse, JSONResponse, Response
 
 from service.api.base_models import ResponseModel
-from service.api.dependencies import DatabaseDep, RunsDep, SettingsDep
+from service.api.inputs import DatabaseDep, RunsDep, SettingsDep
 from service.api.openapi import problems
 from service.api.recordings.recording_manager import RecordingsDep
 from service.application.readiness import check_ready, failed_devices, limits

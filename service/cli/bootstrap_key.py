@@ -4,7 +4,6 @@ import logging
 import sys
 from typing import Final
 
-from service.api.security.schema import NewApiKey
 from service.cli.preflight import open_database
 from service.principal import SCOPES, Act, Principal, current_act
 from service.security import store
@@ -38,7 +37,7 @@ def create_bootstrap_key(settings: Settings) -> None:
         token = current_act.set(Act(_SERVE, "lumiline serve"))
         try:
             with database.write() as session:
-                _, made = store.add_key(session, NewApiKey(name="first key", scopes=SCOPES))
+                _, made = store.add_key(session, "first key", SCOPES)
         finally:
             current_act.reset(token)
     finally:

@@ -35,7 +35,7 @@ def create(data_dir: Path | None, name: str, scopes: list[str], days: float | No
         settings.folders.recordings.mkdir(parents=True, exist_ok=True)
         migrate(database, fill=seed)
         with database.write() as session:
-            row, made = store.add_key(session, request)
+            row, made = store.add_key(session, **dict(request))
             identity = row.id
     progress_console.print(f"key {identity} for {name}: {', '.join(wanted)}", highlight=False)
     progress_console.print("It is shown once and kept nowhere:", highlight=False)
@@ -69,7 +69,7 @@ def revoke(data_dir: Path | None, key_id: str) -> None:
 
 def _all(database: Database) -> list[ApiKey]:
     with database.read() as session:
-        rows, _ = store.list_keys(session, _MAX_SHOWN, 0)
+        rows = session.scalars(store.KEYS.newest_first().limit(_MAX_SHOWN))
         return [document(row) for row in rows]
 
 

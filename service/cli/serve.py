@@ -29,7 +29,7 @@ def run(**given: Any) -> None:
     from service.cli.bootstrap_key import create_bootstrap_key
     from service.cli.port_check import check_ports
     from service.cli.preflight import check_startup
-    from service.logs.setup import configured_logging
+    from service.logs import configured_logging
 
     check_ports(settings)
     with configured_logging(settings):

@@ -14,7 +14,7 @@ from service.database.models import RunRow
 from service.jobs import store
 from service.jobs.duration_histogram import DurationHistogram
 from service.jobs.run_kind import RunKind
-from service.jobs.worker import Done, Failed, Progress
+from service.jobs.worker import Done, Progress
 from service.jobs.worker_process import WorkerProcess
 from service.principal import Act, current_act
 from service.problems.catalogue import PROBLEM_TYPES
@@ -123,7 +123,10 @@ class RunManager:
         except LumilineError as error:
             self._end(run_id, "failed", "failed", _problem(error.code, error.detail, error.context))
         except Exception as error:  # noqa: BLE001 - becomes the run's problem
-            self._fail_unexpectedly(run_id, error)
+            reference = secrets.token_hex(4)
+            _log.error("run %s, reference %s", run_id, reference, exc_info=error)
+            detail = f"unexpected error; the server's log has it under reference {reference}"
+            self._end(run_id, "failed", "failed", _problem("internal-error", detail, {}))
         finally:
             with self._lock:
                 self._running.pop(run_id, None)
@@ -133,7 +136,7 @@ class RunManager:
     def _follow(self, run_id: str) -> None:
         """Start the process, store its progress and its result."""
         with self._database.read() as session:
-            row = store.get_run(session, run_id)
+            row = store.RUNS.get(session, run_id)
             kind = self._kinds[row.kind]
             function, arguments = kind.task(session, row)
         try:
@@ -157,9 +160,6 @@ class RunManager:
                 message = worker.next(_POLL_S)
                 if isinstance(message, Done):
                     break
-                if isinstance(message, Failed):
-                    self._failed(run_id, message)
-                    return
                 if message is not None:
                     latest = message
                 now = time.monotonic()
@@ -196,21 +196,6 @@ class RunManager:
             store.finish(row, "succeeded", "done")
             self.durations.ended(row)
         return True
-
-    def _failed(self, run_id: str, message: Failed) -> None:
-        if message.code is None:
-            reference = secrets.token_hex(4)
-            _log.error("run %s, reference %s: %s", run_id, reference, message.detail)
-            self._end(run_id, "failed", "failed", _unexpected(reference))
-            return
-        self._end(
-            run_id, "failed", "failed", _problem(message.code, message.detail, message.context)
-        )
-
-    def _fail_unexpectedly(self, run_id: str, error: Exception) -> None:
-        reference = secrets.token_hex(4)
-        _log.error("run %s, reference %s", run_id, reference, exc_info=error)
-        self._end(run_id, "failed", "failed", _unexpected(reference))
 
     def _end(
         self,
@@ -260,8 +245,3 @@ def _problem(code: str, detail: str, context: Mapping[str, object]) -> dict[str,
     if context:
         problem["context"] = json_safe(context)
     return problem
-
-
-def _unexpected(reference: str) -> dict[str, Any]:
-    detail = f"unexpected error; the server's log has it under reference {reference}"
-    return _problem("internal-error", detail, {})

@@ -10,7 +10,7 @@ from starlette.types import Scope
 
 from service.database.audited_session import entry
 from service.database.engine import Database
-from service.logs.redaction import decoded, redact
+from service.logs import decoded, redact
 from service.principal import Act, current_act
 from service.problems.errors import NotReady
 
@@ -56,13 +56,19 @@ async def _record(
     outcome: str,
     detail: str | None,
 ) -> None:
-    shown = None if detail is None else redact(detail)
+    def write() -> None:
+        token = current_act.set(act)
+        try:
+            with database.write() as session:
+                shown = None if detail is None else redact(detail)
+                session.add(entry(kind, identity, outcome, detail=shown))
+        finally:
+            current_act.reset(token)
+
     problem = None
     try:
         with move_on_after(_WAITED_S) as waited:
-            await run_sync(
-                _write, database, act, kind, identity, outcome, shown, abandon_on_cancel=True
-            )
+            await run_sync(write, abandon_on_cancel=True)
         if waited.cancelled_caught:
             problem = "is not written down yet: the database is slow"
     except (SQLAlchemyError, NotReady):
@@ -70,22 +76,6 @@ async def _record(
     if problem is not None:
         who = act.principal.label
         _log.error("audit: %s by %s, %s, %s", act.operation, who, outcome, problem)
-
-
-def _write(
-    database: Database,
-    act: Act,
-    kind: str,
-    identity: str | None,
-    outcome: str,
-    detail: str | None,
-) -> None:
-    token = current_act.set(act)
-    try:
-        with database.write() as session:
-            session.add(entry(kind, identity, outcome, detail=detail))
-    finally:
-        current_act.reset(token)
 
 
 def _object(path: str) -> tuple[str, str | None]:

@@ -9,7 +9,7 @@ from starlette.responses import Response
 from compute.errors import InvalidParameter
 from service.api.concurrency_limit import ConcurrencyLimit
 from service.api.devices.profiles import find_profile
-from service.api.json_body import JsonRoute, JsonTypes
+from service.api.inputs import JsonRoute, JsonTypes
 from service.api.line_scans.examples import NEW_LINE_SCANS
 from service.api.line_scans.mask_method import MaskMethod
 from service.api.line_scans.peak_search import find_peaks

@@ -7,12 +7,11 @@ from starlette.responses import HTMLResponse, Response
 
 from service.api.base_models import SLUG_PATTERN
 from service.api.concurrency_limit import ConcurrencyLimit
-from service.api.dependencies import DatabaseDep
+from service.api.inputs import CalibrationPath, DatabaseDep
 from service.api.openapi import problems
 from service.api.reports.assembly import assemble_report, report_key
 from service.api.reports.cache import ReportCache
 from service.api.reports.render_process import render_figure, render_page
-from service.api.request_parameters import CalibrationPath
 from service.problems.errors import (
     Busy,
     CalibrationOfAnotherDevice,

@@ -6,8 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from service.logs.formatter import TextFormatter
-from service.logs.redaction import decoded, redact
+from service.logs import TextFormatter, decoded, redact
 from service.security.key_format import make_key
 
 TOKEN = "eyJhbGciOiJSUzI1NiJ9.eyJzdWIiOiJhIn0.c2lnbmF0dXJl"

@@ -7,7 +7,6 @@ from typing import Any
 import pytest
 from sqlalchemy import update
 
-from service.api.security.schema import NewApiKey
 from service.application.app import create_app
 from service.database.models import ApiKeyRow
 from service.principal import Principal
@@ -113,6 +112,6 @@ def test_a_key_that_another_process_revoked_is_forgotten_when_it_is_seen(server:
     assert len(remembered) == 1
     with server.database.write() as session:
         store.revoke_key(session, key_id(key))
-        store.add_key(session, NewApiKey(name="other", scopes=("read:stream",)))
+        store.add_key(session, name="other", scopes=("read:stream",))
     assert server.ask("GET", "/api/v1/devices", key).status_code == 401
     assert len(remembered) == 0

@@ -12,7 +12,6 @@ import httpx
 import pytest
 from sqlalchemy.engine import make_url
 
-from service.api.security.schema import NewApiKey
 from service.database.engine import Database
 from service.database.migration import migrate
 from service.principal import SCOPES
@@ -73,7 +72,7 @@ def admin_key(url: str) -> str:
     try:
         migrate(database)
         with database.write() as session:
-            _, made = store.add_key(session, NewApiKey(name="admin", scopes=SCOPES))
+            _, made = store.add_key(session, name="admin", scopes=SCOPES)
     finally:
         database.close()
     return made.text

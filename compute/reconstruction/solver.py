@@ -14,7 +14,7 @@ from compute.measurement.measurement_model import check_corrections, check_covar
 from compute.reconstruction.native.camera_arguments import fill_cameras
 from compute.reconstruction.native.cuda_launch import MOVED_WORDS, THREADS_PER_BLOCK, CudaLaunch
 from compute.reconstruction.native.kernel_arguments import JOB, MAX_POWER, row_length
-from compute.reconstruction.point_batch import POINT_BYTES, PointBatch
+from compute.reconstruction.point_batch import PointBatch
 from compute.reconstruction.triangulation import INCONSISTENCY_SIGNIFICANCE, chi2_limit
 from compute.warp_host import check_threads, warp_device, worker_threads
 
@@ -26,6 +26,8 @@ MIN_CAPACITY: Final = 16
 other terms then need no other kernel."""
 POINTS_PER_THREAD: Final = 512
 """Fewest points for which another CPU thread is worth its start."""
+_POINT_BYTES: Final = 108
+"""Bytes of a point's position, covariance, chi2 and flags."""
 
 
 def address(array: NDArray[Any]) -> int:
@@ -72,15 +74,23 @@ class CpuLaunch:
             sigma: their standard deviations, shape (N, S) [px], C-contiguous.
         """
         count, sensors = len(readings), self._sensors
-        points = PointBatch.allocate(count, sensors)
-        base = address(points.position_mm)
+        # One block of memory: one address, from which the others follow.
+        block = np.empty(count * (_POINT_BYTES + sensors), dtype=np.uint8)
+        points = PointBatch(
+            np.ndarray((count, 3), np.float64, block),
+            np.ndarray((count, 3, 3), np.float64, block, 24 * count),
+            np.ndarray((count,), np.float64, block, 96 * count),
+            np.ndarray((count, sensors), np.bool_, block, _POINT_BYTES * count),
+            np.ndarray((count,), np.int32, block, 104 * count),
+        )
+        base = address(block)
         addresses = (
             address(readings),
             address(sigma),
             base,
             base + 24 * count,
             base + 96 * count,
-            base + POINT_BYTES * count,
+            base + _POINT_BYTES * count,
             base + 104 * count,
         )
         parts = max(min(self._threads, count // POINTS_PER_THREAD), 1)

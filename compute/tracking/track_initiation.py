@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from compute.measurement.measurement_model import MeasurementModel, PredictedMeasurements
 from compute.measurement.measurements import Measurements
-from compute.reconstruction.correspondence import PredictedPoints
+from compute.reconstruction.correspondence.predicted_candidates import PredictedPoints
 from compute.tracking.candidate_tracks import ConfirmedCandidates
 from compute.tracking.motion_model import MotionModels, combine_modes, is_finite, mean_positions
 from compute.tracking.multi_scan_initiation import MultiScanInitiator

@@ -10,7 +10,7 @@ from compute.errors import InvalidParameter
 from compute.mapping.table import CorrectionTable
 from compute.measurement.measurement_model import MeasurementModel
 from compute.measurement.measurements import Measurements, check_sensors
-from compute.reconstruction.correspondence import MatchSettings
+from compute.reconstruction.correspondence.candidates import MatchSettings
 from compute.tracking.motion_model import (
     ImmStates,
     MotionModels,

@@ -8,14 +8,14 @@ from numpy.typing import NDArray
 
 from compute.measurement.measurement_model import MeasurementModel
 from compute.measurement.measurements import Measurements
-from compute.reconstruction.correspondence import (
+from compute.reconstruction.correspondence.candidates import MatchSettings
+from compute.reconstruction.correspondence.grouping import group_peaks
+from compute.reconstruction.correspondence.intersections import (
     IntersectionPoints,
-    MatchSettings,
-    PredictedPoints,
     SearchPart,
-    group_peaks,
     intersection_points,
 )
+from compute.reconstruction.correspondence.predicted_candidates import PredictedPoints
 from compute.reconstruction.point_batch import PointBatch, PointFlag
 
 Array = NDArray[np.float64]

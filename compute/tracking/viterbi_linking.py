@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.measurement.measurements import Measurements
-from compute.reconstruction.correspondence import IntersectionPoints, SearchPart
+from compute.reconstruction.correspondence.intersections import IntersectionPoints, SearchPart
 from compute.reconstruction.triangulation import chi2_limit
 from compute.tracking.settings import TrackerSettings
 from compute.tracking.unassociated_points import UnassociatedPointFinder

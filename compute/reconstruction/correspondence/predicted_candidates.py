@@ -21,7 +21,7 @@ from compute.reconstruction.correspondence.incremental import (
     extend_with_gated_peaks,
     find_gated_peaks,
 )
-from compute.reconstruction.triangulation import chi2_limit
+from compute.reconstruction.triangulation import chi2_limit, squared_distances
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -127,7 +127,6 @@ def log_prediction_density(
 
 def _distances(away_mm: Array, covariance_mm2: Array) -> tuple[Array, Array]:
     """Return chi2 of differences (..., 3) and the log of their densities, shape (...)."""
-    solution = np.linalg.solve(covariance_mm2, away_mm[..., None])[..., 0]
-    chi2 = (away_mm * solution).sum(axis=-1)
+    chi2 = squared_distances(away_mm, covariance_mm2)
     spread = 3.0 * log(2.0 * pi) + np.log(np.linalg.det(covariance_mm2))
     return chi2, -0.5 * (spread + chi2)

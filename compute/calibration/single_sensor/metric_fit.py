@@ -1,7 +1,6 @@
 """Seven-parameter metric cameras of all sensors from control points, by a multi-start search."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -14,7 +13,6 @@ from compute.calibration.single_sensor.projective_camera import (
     normalisation,
     starting_cameras,
 )
-from compute.camera.dlt import matrix_of
 from compute.camera.model import PARAMETER_COUNT, SensorGeometry, SensorModel
 from compute.camera.stack import CameraStack
 from compute.errors import DegeneratePoints, NoConvergence
@@ -97,9 +95,11 @@ def _search_starts(
     starts = starting_cameras(camera, readings, weight)
     if initial_models is not None:
         inverse = np.linalg.inv(transform)
+        # The matrices leave the distortion out.
+        matrices = CameraStack.of(initial_models).matrices
         others = [
-            _projective_parameters(matrix_of(replace(model, distortion=None)) @ inverse, m, s)
-            for model, m, s in zip(initial_models, centre, scale, strict=True)
+            _projective_parameters(matrix @ inverse, m, s)
+            for matrix, m, s in zip(matrices, centre, scale, strict=True)
         ]
         starts = np.concatenate([starts, np.array(others)[:, None]], axis=1)
     count = starts.shape[1]

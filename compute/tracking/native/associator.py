@@ -7,12 +7,11 @@ from numpy.typing import NDArray
 
 from compute.measurement.measurement_model import MeasurementModel
 from compute.measurement.measurements import Measurements
-from compute.reconstruction.native.camera_arguments import fill_cameras
-from compute.reconstruction.native.kernel_arguments import row_length
+from compute.reconstruction.native.definitions import fill_cameras, row_length
 from compute.reconstruction.solver import address, term_capacity
 from compute.tracking.association import AssociationResult, associate
 from compute.tracking.motion_model import ImmStates, MotionModels
-from compute.tracking.native.kernel_arguments import JOB, MAX_OPTIONS, PARTIAL_BYTES
+from compute.tracking.native.definitions import JOB, MAX_OPTIONS, PARTIAL_BYTES
 from compute.tracking.settings import TrackerSettings
 
 Array = NDArray[np.float64]
@@ -39,7 +38,7 @@ class Associator:
         # Here and not above: Warp takes a second to load.
         import warp as wp
 
-        from compute.tracking.native.kernel import association_kernel
+        from compute.native.native_kernel import native_kernel
 
         self.model, self.motion, self.settings = model, motion, settings
         cameras = model.cameras
@@ -67,8 +66,12 @@ class Associator:
         self._grown = grown
         self._tracks = self._room = 0
         self._work: list[NDArray[Any]] = []
+        sizes = f"{len(cameras)}, {term_capacity(cameras)}"
         self._launch = wp.launch(
-            association_kernel(len(cameras), term_capacity(cameras)),
+            native_kernel(
+                "compute/tracking/native/association.h",
+                f"lumiline::tracking::associate_frame<{sizes}>(address);",
+            ),
             dim=1,
             inputs=[address(job)],
             device="cpu",

@@ -1,13 +1,13 @@
 """Checks of known points and their readings: shapes, values, duplicates, coverage."""
 
 from collections.abc import Sequence
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from compute.camera.model import PARAMETER_COUNT
+from compute.camera.model import PARAMETER_COUNT, SensorGeometry, SensorModel
 from compute.errors import (
     DegeneratePoints,
     DuplicatePoint,
@@ -30,20 +30,11 @@ UNEXPLAINED_PROBABILITY: Final = 0.01
 """Probability with which correct standard deviations are judged too small by the residuals."""
 
 
-class NamedPixelRow(Protocol):
-    """Name and pixel count of a sensor: ``SensorGeometry`` and ``SensorModel`` have both."""
-
-    @property
-    def name(self) -> str:
-        """The sensor's name."""
-
-    @property
-    def pixels(self) -> int:
-        """Number of its pixels."""
+Sensor = SensorGeometry | SensorModel
 
 
 def check_observations(
-    points_mm: Array, readings_px: Array, sensors: Sequence[NamedPixelRow], sigma_px: Array | None
+    points_mm: Array, readings_px: Array, sensors: Sequence[Sensor], sigma_px: Array | None
 ) -> None:
     """Check known points and their readings, whatever they are used for.
 
@@ -92,7 +83,7 @@ def check_observations(
 
 
 def check_control_points(
-    points_mm: Array, readings_px: Array, sensors: Sequence[NamedPixelRow], sigma_px: Array | None
+    points_mm: Array, readings_px: Array, sensors: Sequence[Sensor], sigma_px: Array | None
 ) -> None:
     """Check control points and readings, and that each sensor read enough of them.
 
@@ -113,7 +104,7 @@ def check_control_points(
         _check_coverage(points_mm[np.isfinite(readings_px[:, column])], sensor)
 
 
-def check_inside(readings_px: Array, sensors: Sequence[NamedPixelRow]) -> None:
+def check_inside(readings_px: Array, sensors: Sequence[Sensor]) -> None:
     """Check that readings lie on the sensors' pixels.
 
     Args:
@@ -139,7 +130,7 @@ def check_inside(readings_px: Array, sensors: Sequence[NamedPixelRow]) -> None:
         )
 
 
-def _check_coverage(points_mm: Array, sensor: NamedPixelRow) -> None:
+def _check_coverage(points_mm: Array, sensor: Sensor) -> None:
     if len(points_mm) < PARAMETER_COUNT:
         raise TooFewPoints(
             f"sensor {sensor.name} saw {len(points_mm)} control points; "
@@ -159,7 +150,7 @@ def _check_coverage(points_mm: Array, sensor: NamedPixelRow) -> None:
         )
 
 
-def _check_sigma(sigma_px: Array, readings_px: Array, sensors: Sequence[NamedPixelRow]) -> None:
+def _check_sigma(sigma_px: Array, readings_px: Array, sensors: Sequence[Sensor]) -> None:
     if sigma_px.shape != readings_px.shape:
         raise InvalidParameter(
             f"sigma_px has the shape {sigma_px.shape}; the readings have {readings_px.shape}"

@@ -218,6 +218,18 @@ def chi2_limit(dof: int, probability: float) -> float:
     return float(chdtri(dof, probability)) if dof > 0 else float("inf")
 
 
+def squared_distances(difference: Array, covariance: Array) -> Array:
+    """Return squared Mahalanobis distances, shape (...).
+
+    Args:
+        difference: of D coordinates, shape (..., D).
+        covariance: of the differences, shape (..., D, D).
+    """
+    solved = np.linalg.solve(covariance, difference[..., None])[..., 0]
+    squared: Array = (difference * solved).sum(axis=-1)
+    return squared
+
+
 def triangulate_linear(
     cameras: CameraStack, corrected_px: Array, weights: Array | None = None
 ) -> Array:

@@ -11,18 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.errors import InvalidParameter
-from compute.tracking.blink_codes import BlinkCodes, blink_codes, nearest_word
+from compute.tracking.blink_codes import BlinkCodes
 
 Array = NDArray[np.float64]
-
-__all__ = [
-    "BlinkCodes",
-    "BlinkIdentities",
-    "BlinkModel",
-    "blink_codes",
-    "identify_blinking_markers",
-    "nearest_word",
-]
 
 _LOG_ROOT_TWO_PI: Final = 0.5 * float(np.log(2.0 * np.pi))
 
@@ -32,17 +23,17 @@ class BlinkModel:
     """Detection model of a blinking marker's peaks.
 
     Args:
-        miss_probability: chance that a scan in which the marker is on has no peak of it.
-        false_alarm_probability: chance that a scan in which it is off has a peak that is taken for
+        miss_probability: probability that a scan in which the marker is on has no peak of it.
+        false_alarm_probability: probability that a scan in which it is off has a peak that is taken for
             it.
         log_amplitude_sigma: standard deviation of the logarithm of its amplitude, from scan to
             scan.
         log_amplitude_range: range of the logarithm of false peaks' amplitudes.
         off_level: its light in "off" scans, relative to "on"; 0: none. A marker that only gets
             fainter is seen in every scan.
-        non_marker_probability: chance beforehand that a light is no marker: a reflection, always
+        non_marker_probability: probability beforehand that a light is no marker: a reflection, always
             on, or one that comes and goes.
-        confidence_threshold: chance with which a marker is named.
+        confidence_threshold: probability with which a marker is named.
 
     Raises:
         InvalidParameter: a value out of its range.
@@ -88,7 +79,7 @@ class BlinkIdentities:
         marker: index of its word, -1: not sure, int32, shape (T,).
         phase: bit of the word that the first scan shows, int32, shape (T,); of no meaning where
             the marker is not known.
-        confidence: chance that it is the likeliest marker, named or not, shape (T,).
+        confidence: probability that it is the likeliest marker, named or not, shape (T,).
         errors: scans in which it was on instead of off or the other way round, by that word,
             int32, shape (T,).
     """
@@ -109,7 +100,7 @@ def identify_blinking_markers(
     """Identify the marker of each light, from its amplitudes over a window of scans.
 
     Every word in every phase is a hypothesis, beside a steady light and one that comes and goes by
-    chance. The likelihood is that of peaks present and absent, and of the logarithms of their
+    probability. The likelihood is that of peaks present and absent, and of the logarithms of their
     amplitudes about a mean that each hypothesis has for itself, so that how bright or near a
     marker is does not matter. Sensors are independent, each with its own mean; those that
     never saw the light in the window say nothing. Of two lights that are named alike, only

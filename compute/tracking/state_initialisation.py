@@ -3,18 +3,21 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.errors import InvalidParameter
 from compute.measurement.measurement_model import MeasurementModel
 from compute.reconstruction.triangulation import chi2_limit
 from compute.tracking.motion_model import STATE_SIZE, ImmStates, MotionModels, mix_and_predict
-from compute.tracking.point_assignment import update_with_points
 from compute.tracking.settings import TrackerSettings
+from compute.tracking.unassociated_points import update_with_points
 from compute.tracking.viterbi_linking import PointSequence
 
 Array = NDArray[np.float64]
 
 REPLAY_EXCLUSION_PROBABILITY = 1e-4
-"""Chance that a marker's own point lies outside its gate."""
+"""Probability that a marker's own point lies outside its gate."""
 _MOVING = 6
+_ASYMMETRY_TOLERANCE = 1e-9
+"""Difference of a covariance from its transpose, in parts of its largest entry."""
 _SPEEDS, _ACCELERATIONS = np.arange(3, 6), np.arange(6, 9)
 
 
@@ -128,3 +131,61 @@ def filter_sequence(
             return None
         states = update.states
     return states, bias
+
+
+def check_prior(position_mm: Array, velocity_mm_s: Array, covariance: Array) -> tuple[Array, Array]:
+    """Check known positions and velocities of N markers.
+
+    Args:
+        position_mm: shape (N, 3) [mm].
+        velocity_mm_s: shape (N, 3) [mm/s].
+        covariance: of position and velocity, shape (N, 6, 6), or (6, 6) for all alike.
+
+    Returns:
+        Positions with velocities, shape (N, 6), and their covariance, shape (N, 6, 6).
+
+    Raises:
+        InvalidParameter: other shapes, a value that is not finite, or a covariance that is not
+            symmetric and positive definite.
+    """
+    place = np.asarray(position_mm, dtype=np.float64)
+    velocity = np.asarray(velocity_mm_s, dtype=np.float64)
+    spread = np.asarray(covariance, dtype=np.float64)
+    if place.ndim != 2 or place.shape[1] != 3:
+        raise InvalidParameter(f"position_mm has the shape {place.shape}; it must be (N, 3)")
+    if velocity.shape != place.shape:
+        raise InvalidParameter(
+            f"velocity_mm_s has the shape {velocity.shape}; it must be {place.shape}"
+        )
+    each = (len(place), _MOVING, _MOVING)
+    if spread.shape == each[1:]:
+        spread = np.broadcast_to(spread, each)
+    if spread.shape != each:
+        raise InvalidParameter(
+            f"covariance has the shape {spread.shape}; it must be {each} or {each[1:]}, of "
+            "place and velocity"
+        )
+    mean = np.concatenate([place, velocity], axis=1)
+    for marker, (state, matrix) in enumerate(zip(mean, spread, strict=True)):
+        _check_prior(marker, state, matrix)
+    return mean, spread.copy()
+
+
+def _check_prior(marker: int, mean: Array, covariance: Array) -> None:
+    if not np.isfinite(mean).all():
+        raise InvalidParameter(
+            f"marker {marker} is at {mean[:3].tolist()} mm with {mean[3:].tolist()} mm/s; all must "
+            "be finite"
+        )
+    if not np.isfinite(covariance).all():
+        raise InvalidParameter(f"covariance of marker {marker} is not finite")
+    off = np.abs(covariance - covariance.T).max()
+    if off > _ASYMMETRY_TOLERANCE * np.abs(covariance).max():
+        raise InvalidParameter(
+            f"covariance of marker {marker} is off its transpose by {off:.3g}; it must be symmetric"
+        )
+    least = float(np.linalg.eigvalsh(covariance)[0])
+    if not least > 0.0:
+        raise InvalidParameter(
+            f"covariance of marker {marker} has the eigenvalue {least:.3g}; all must be above 0"
+        )

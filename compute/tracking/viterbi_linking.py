@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.measurement.measurements import Measurements
-from compute.reconstruction.correspondence import IntersectionPoints, SearchPart
+from compute.reconstruction.correspondence.intersections import IntersectionPoints, SearchPart
 from compute.reconstruction.triangulation import chi2_limit
 from compute.tracking.settings import TrackerSettings
 from compute.tracking.unassociated_points import UnassociatedPointFinder
@@ -23,7 +23,7 @@ FIRST_GAP: Final = 2
 MAX_GAP: Final = 4
 """Exposures from any other point to the next."""
 LINK_EXCLUSION_PROBABILITY: Final = 1e-4
-"""Chance that a marker's next point lies outside the gate."""
+"""Probability that a marker's next point lies outside the gate."""
 MISSED_EXPOSURE_LOG_PENALTY: Final = log(0.5)
 """Change of a sequence's log likelihood by an exposure without a point of it."""
 _WINDOW: Final = FIRST_GAP + (MIN_POINTS - 2) * MAX_GAP + 1

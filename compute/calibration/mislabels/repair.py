@@ -8,7 +8,7 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.camera.observation_checks import NamedPixelRow
+from compute.camera.observation_checks import Sensor
 from compute.errors import InvalidParameter
 
 Array = NDArray[np.float64]
@@ -44,7 +44,7 @@ class LabelFinding:
 
 def exclude(
     findings: Sequence[LabelFinding],
-    sensors: Sequence[NamedPixelRow],
+    sensors: Sequence[Sensor],
     readings_px: Array,
     sigma_px: Array | None = None,
 ) -> tuple[Array, Array | None]:
@@ -74,7 +74,7 @@ def exclude(
 
 def repair(
     findings: Sequence[LabelFinding],
-    sensors: Sequence[NamedPixelRow],
+    sensors: Sequence[Sensor],
     readings_px: Array,
     sigma_px: Array | None = None,
 ) -> tuple[Array, Array | None]:
@@ -108,7 +108,7 @@ def repair(
 
 
 def _where(
-    finding: LabelFinding, sensors: Sequence[NamedPixelRow], readings: Array
+    finding: LabelFinding, sensors: Sequence[Sensor], readings: Array
 ) -> tuple[list[int], list[int]]:
     names = [sensor.name for sensor in sensors]
     if finding.sensor is not None and finding.sensor not in names:

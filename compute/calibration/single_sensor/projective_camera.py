@@ -1,14 +1,13 @@
 """The 1D camera in projective form: starts, batched least squares, conversion to metric form."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.camera.dlt import matrix_of
 from compute.camera.model import PARAMETER_COUNT, SensorGeometry, SensorModel
 from compute.camera.stack import CameraStack
 from compute.errors import DegeneratePoints
@@ -300,9 +299,11 @@ def search_starts(
     starts = starting_cameras(camera, readings, weight)
     if initial_models is not None:
         inverse = np.linalg.inv(transform)
+        # The matrices leave the distortion out.
+        matrices = CameraStack.of(initial_models).matrices
         others = [
-            _projective_parameters(matrix_of(replace(model, distortion=None)) @ inverse, m, s)
-            for model, m, s in zip(initial_models, centre, scale, strict=True)
+            _projective_parameters(matrix @ inverse, m, s)
+            for matrix, m, s in zip(matrices, centre, scale, strict=True)
         ]
         starts = np.concatenate([starts, np.array(others)[:, None]], axis=1)
     count = starts.shape[1]

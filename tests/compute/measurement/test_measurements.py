@@ -21,7 +21,7 @@ def one(flags: int, sigma: float = 0.1, policy: FlagPolicy = STANDARD_POLICY) ->
 
 @pytest.mark.parametrize("flag", list(PeakFlag))
 def test_one_flag_follows_its_rule(flag: PeakFlag) -> None:
-    rule, found = STANDARD_POLICY.rule(flag), one(int(flag))
+    rule, found = next(rule for rule in STANDARD_POLICY.rules if rule.flag is flag), one(int(flag))
     used = rule.use != "refused"
     assert found.usable[0, 0] == used
     assert found.suspect[0, 0] == (rule.use == "suspect")

@@ -110,6 +110,7 @@ class Resource(Generic[Row]):
         exists: raised where an id is taken that a client chose.
         name: of a row in messages; None: its key.
         taken: what is said of an id that is taken.
+        path: of the list; None: from the key.
     """
 
     row: type[Row]
@@ -118,12 +119,13 @@ class Resource(Generic[Row]):
     exists: type[LumilineError] = LumilineError
     name: str | None = None
     taken: str = "exists already; choose another id, or leave it out"
+    path: str | None = None
 
     def get(self, session: Session, identity: str, *, lock: bool = False) -> Row:
         """Return the row of an id, locked until the transaction's end on request."""
         row = session.get(self.row, identity, with_for_update=lock or None)
         if row is None:
-            path = f"/api/v1/{self.key.replace('_', '-')}s"
+            path = self.path or f"/api/v1/{self.key.replace('_', '-')}s"
             detail = f'there is no {self._name} "{identity}"; GET {path} lists them'
             raise self.unknown(detail, **{self.key: identity})
         return row

@@ -4,6 +4,7 @@ from typing import Annotated, Any, Final, Literal, get_args
 
 from pydantic import Discriminator, Field, StringConstraints, Tag
 
+from compute.calibration.assessment.assess import MAX_LEAVE_ONE_OUT_POINTS
 from compute.calibration.result import AxisErrors, Calibration, Method
 from compute.calibration.settings import (
     CalibrationSettings,
@@ -17,8 +18,6 @@ from service.api.base_models import Moment, Name, Note, Position, RequestModel, 
 from service.api.calibrations.comparison import Comparison
 
 MAX_POINTS = 10_000
-LEAVE_ONE_OUT_POINTS = 100
-"""Most control points that are left out one by one, and that a request calibrates in full."""
 
 State = Literal["active", "available", "retired"]
 Provenance = Literal["fitted", "self-calibrated", "updated", "nominal"]
@@ -141,7 +140,7 @@ class ControlPointErrors(ResponseModel):
     fitted: PointErrors | None = Field(description="The points that made it; null without any.")
     leave_one_out: PointErrors | None = Field(
         description="Each point by a calibration that never saw it; null without any point, or "
-        f"with more than {LEAVE_ONE_OUT_POINTS}: see `blocks_left_out`."
+        f"with more than {MAX_LEAVE_ONE_OUT_POINTS}: see `blocks_left_out`."
     )
     blocks_left_out: PointErrors | None = Field(
         default=None,

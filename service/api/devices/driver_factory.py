@@ -13,11 +13,11 @@ from service.api.devices.schema import (
     GenicamSource,
     ProfileSource,
     ReplaySource,
+    Sensor,
     SerialSource,
     Source,
     Tcd1304Source,
 )
-from service.api.devices.sensor import Sensor
 from service.problems.errors import DeviceWithoutDriver, UnknownRecording
 from service.settings import DataFolders
 

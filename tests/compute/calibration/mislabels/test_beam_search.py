@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from compute.calibration.mislabels import linearised_camera
+from compute.calibration.mislabels import beam_search as search_module
 from compute.calibration.mislabels.beam_search import (
     LinearisedCamera,
     _extend,
@@ -61,7 +61,7 @@ def test_many_readings_are_worked_out_in_parts_with_the_same_outcome(
     here = camera(5, 160, KNOWN_SIGMA)
     assert here.batch_size < len(hypotheses)
     found = _extend(here, evaluate_hypotheses(here, hypotheses), 12)
-    monkeypatch.setattr(linearised_camera, "MAX_PAIRS_PER_BATCH", 10**9)
+    monkeypatch.setattr(search_module, "MAX_PAIRS_PER_BATCH", 10**9)
     at_once = camera(5, 160, KNOWN_SIGMA)
     assert at_once.batch_size > len(hypotheses)
     every = {

@@ -11,6 +11,7 @@ from compute.calibration.result import Calibration, SensorFit
 from compute.calibration.single_sensor.camera_fit import fitted_columns
 from compute.camera.model import vector3
 from compute.camera.stack import CameraStack
+from compute.mapping.grid import box_points
 from compute.progress import Progress, no_progress
 
 Array = NDArray[np.float64]
@@ -141,7 +142,7 @@ class _PrecisionPredictor:
 
     def predict(self) -> tuple[float | None, float | None, tuple[Suggestion, ...]]:
         """Return the mean and largest sigma over the volume [mm], and further control points."""
-        volume, jacobian, rows = self._visible(_grid(self.low, self.high, VOLUME_GRID_NODES))
+        volume, jacobian, rows = self._visible(box_points(self.low, self.high, VOLUME_GRID_NODES))
         if not len(volume):
             return None, None, ()
         by_parameter = self._point_jacobian(jacobian, rows)
@@ -180,7 +181,7 @@ class _PrecisionPredictor:
         centre, half = 0.5 * (self.low + self.high), 0.5 * (self.high - self.low)
         reach = CANDIDATE_BOX_FACTOR * half
         positions, _, rows = self._visible(
-            _grid(centre - reach, centre + reach, CANDIDATE_GRID_NODES)
+            box_points(centre - reach, centre + reach, CANDIDATE_GRID_NODES)
         )
         towards = self.covariance @ by_parameter.reshape(-1, len(self.covariance)).T
         found = []
@@ -208,11 +209,6 @@ class _PrecisionPredictor:
 
 def _summary(variances: Array) -> tuple[float, float]:
     return float(np.sqrt(variances.mean())), float(np.sqrt(variances.max()))
-
-
-def _grid(low: Array, high: Array, count: int) -> Array:
-    axes = [np.linspace(a, b, count) for a, b in zip(low, high, strict=True)]
-    return np.stack([g.ravel() for g in np.meshgrid(*axes, indexing="ij")], axis=1)
 
 
 def _remarks(calibration: Calibration, sensors: tuple[SensorDiagnosis, ...]) -> tuple[str, ...]:

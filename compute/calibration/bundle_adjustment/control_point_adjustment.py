@@ -12,7 +12,7 @@ from compute.calibration.bundle_adjustment.sensor_prior import SensorPrior
 from compute.calibration.bundle_adjustment.solver import adjust
 from compute.calibration.single_sensor.camera_fit import fitted_columns
 from compute.calibration.single_sensor.sensor_fits import ControlObservations, SensorFits
-from compute.camera.model import PARAMETER_COUNT, SensorModel
+from compute.camera.model import SensorModel
 from compute.camera.stack import CameraStack
 from compute.progress import Progress, no_progress
 
@@ -96,15 +96,11 @@ def adjust_control_points(
 
 def _prior(fits: SensorFits) -> SensorPrior | None:
     """Return the prior of the lens offsets along the slits; None without distortion."""
-    at_prior, information = [], []
-    for row, model in enumerate(fits.models):
-        diagonal = np.zeros(model.parameter_count)
-        if model.distortion is not None:
-            diagonal[PARAMETER_COUNT] = fits.lens_offsets.prior.sigma_mm[row] ** -2.0
-            mean = float(fits.lens_offsets.prior.mean_mm[row])
-            model = replace(model, distortion=replace(model.distortion, offset_y_mm=mean))
-        at_prior.append(model)
-        information.append(diagonal)
-    if not any(diagonal.any() for diagonal in information):
-        return None
-    return SensorPrior(tuple(at_prior), np.diag(np.concatenate(information)))
+    prior = fits.lens_offsets.prior
+    at_means = [
+        model
+        if model.distortion is None
+        else replace(model, distortion=replace(model.distortion, offset_y_mm=mean))
+        for model, mean in zip(fits.models, prior.mean_mm.tolist(), strict=True)
+    ]
+    return SensorPrior.of_lens_offsets(at_means, prior.sigma_mm)

@@ -80,13 +80,11 @@ def adjust(
         NoConvergence: an observed marker starts behind a lens, or the search does not converge.
         UndeterminedParameters: more than one solution fits.
     """
-    state = _check_inputs(models, pose_sets)
-    count = sum(model.parameter_count for model in state.models)
-    shapes = sum(poses.shape.unknowns for poses in state.pose_sets)
-    if free is not None and free.shape != (count,):
-        raise InvalidParameter(f"free has shape {free.shape}; it must be ({count},)")
-    adjusted_parameters = np.ones(count + shapes, dtype=np.bool_)
+    state, adjusted_parameters = _check_inputs(models, pose_sets)
     if free is not None:
+        count = sum(model.parameter_count for model in state.models)
+        if free.shape != (count,):
+            raise InvalidParameter(f"free has shape {free.shape}; it must be ({count},)")
         adjusted_parameters[:count] = free
     if free_datum and not adjusted_parameters.all():
         raise InvalidParameter("a free frame needs all parameters free; held ones fix the frame")
@@ -126,10 +124,8 @@ def approximate_solution(
     Raises:
         InvalidParameter, NoConvergence: as ``adjust``, for the start.
     """
-    state = _check_inputs(models, pose_sets)
-    count = sum(model.parameter_count for model in state.models)
-    count += sum(poses.shape.unknowns for poses in state.pose_sets)
-    search = _Search(state, prior, np.ones(count, dtype=np.bool_), no_progress, steps, free_datum)
+    state, every = _check_inputs(models, pose_sets)
+    search = _Search(state, prior, every, no_progress, steps, free_datum)
     with suppress(NoConvergence):
         search.run_stages(loss, COARSE_TOLERANCE)
     return search.state
@@ -249,7 +245,10 @@ class _Search:
                 return
 
 
-def _check_inputs(models: Sequence[SensorModel], pose_sets: Sequence[PoseSet]) -> AdjustmentState:
+def _check_inputs(
+    models: Sequence[SensorModel], pose_sets: Sequence[PoseSet]
+) -> tuple[AdjustmentState, NDArray[np.bool_]]:
+    """Return the starting state, and a mask that adjusts all its globals."""
     for model in models:
         if model.cubic_per_px2 != 0.0:
             raise InvalidParameter(
@@ -263,7 +262,9 @@ def _check_inputs(models: Sequence[SensorModel], pose_sets: Sequence[PoseSet]) -
                 f"set {number + 1} has readings of {poses.readings_px.shape[-1]} sensors; "
                 f"there are {len(models)}"
             )
-    return AdjustmentState(tuple(models), tuple(pose_sets))
+    count = sum(model.parameter_count for model in models)
+    count += sum(poses.shape.unknowns for poses in pose_sets)
+    return AdjustmentState(tuple(models), tuple(pose_sets)), np.ones(count, dtype=np.bool_)
 
 
 def _solve_damped(normal: Array, right: Array, motion: Array | None) -> Array:

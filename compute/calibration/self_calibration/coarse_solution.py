@@ -15,7 +15,7 @@ from compute.calibration.self_calibration.datum import align_to_start
 from compute.calibration.self_calibration.initial_poses import InitialPoses, start_poses
 from compute.calibration.self_calibration.pose_screening import screen_poses
 from compute.calibration.self_calibration.targets import Recording
-from compute.camera.model import PARAMETER_COUNT, SensorModel
+from compute.camera.model import SensorModel
 from compute.errors import NoConvergence, TooFewPoints
 
 Array = NDArray[np.float64]
@@ -33,13 +33,8 @@ OUTLIER_POSE_SHARE: Final = 0.1
 """Share of readings beyond the robust limit from which poses are taken for wrong."""
 
 
-def coarse_prior(models: Sequence[SensorModel], pose_sets: Sequence[PoseSet]) -> SensorPrior:
-    """Return a prior at the start with standard deviations of COARSE_RELATIVE_SIGMA.
-
-    Args:
-        models: the starting cameras.
-        pose_sets: starting poses, which give the distances to the lenses.
-    """
+def _coarse_prior(models: Sequence[SensorModel], pose_sets: Sequence[PoseSet]) -> SensorPrior:
+    """Return a prior at the start with standard deviations of COARSE_RELATIVE_SIGMA."""
     information = []
     for model, depth in zip(models, _depths(models, pose_sets), strict=True):
         sizes = np.ones(model.parameter_count)
@@ -61,15 +56,8 @@ def lens_offset_prior(
     Returns:
         The prior; None where no sensor has distortion.
     """
-    if all(model.distortion is None for model in models):
-        return None
-    information = []
-    for model, depth in zip(models, _depths(models, pose_sets), strict=True):
-        diagonal = np.zeros(model.parameter_count)
-        if model.distortion is not None:
-            diagonal[PARAMETER_COUNT] = (LENS_OFFSET_SIGMA_V * depth) ** -2
-        information.append(diagonal)
-    return SensorPrior(tuple(models), np.diag(np.concatenate(information)))
+    sigma = [LENS_OFFSET_SIGMA_V * depth for depth in _depths(models, pose_sets)]
+    return SensorPrior.of_lens_offsets(models, sigma)
 
 
 def _depths(models: Sequence[SensorModel], pose_sets: Sequence[PoseSet]) -> list[float]:
@@ -97,7 +85,7 @@ def coarse_solution(
     """
     current = tuple(models)
     starts = _place_targets(current, recordings, sigma, trusted=False)
-    prior = coarse_prior(models, [start.poses for start in starts])
+    prior = _coarse_prior(models, [start.poses for start in starts])
     for number, coarse in enumerate(COARSE_PX):
         if number:
             starts = _place_targets(current, recordings, sigma)

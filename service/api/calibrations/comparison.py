@@ -11,6 +11,7 @@ from compute.calibration.assessment.assess import fitted_errors
 from compute.calibration.result import Calibration, effective_readings
 from compute.camera.model import PARAMETER_COUNT, PARAMETERS, SensorModel, Vector3, vector3
 from compute.camera.stack import CameraStack
+from compute.mapping.grid import box_points
 from compute.reconstruction.triangulation import reconstruct
 
 Array = NDArray[np.float64]
@@ -47,7 +48,7 @@ class ParameterDifference:
         sensor: the sensor's name.
         parameter: the parameter's name, which says its unit.
         one: its value in the first calibration; None for rotations, whose difference is a small
-            turn in the sensor's frame.
+            rotation in the sensor's frame.
         other: its value in the second.
         difference: second less first.
         sigmas: over the root of both variances together; None where neither has any. Calibrations
@@ -73,7 +74,7 @@ class PositionDifferences:
         mean_mm: mean difference by axis, second less first.
         rms_mm: root mean square of the distance.
         max_mm: the largest distance.
-        aligned_rms_mm: RMS after the best turn and shift of one to the other: what is left when
+        aligned_rms_mm: RMS after the best rigid motion of one to the other: what is left when
             the two only differ in where the frame is.
         rms_sigma: RMS of the difference over its deviation as of both covariances.
     """
@@ -149,20 +150,10 @@ def _parameters(one: Calibration, other: Calibration) -> list[ParameterDifferenc
     found = []
     variances = [_variances(calibration) for calibration in (one, other)]
     for sensor, (first, second) in enumerate(zip(one.models, other.models, strict=True)):
-        differences = _model_differences(first, second)
-        for name, (value, to, difference) in differences.items():
+        for name, (value, to, difference) in _model_differences(first, second).items():
             variance = sum(known[sensor].get(name, 0.0) for known in variances)
-            sigmas = abs(difference) / np.sqrt(variance) if variance > 0.0 else None
-            found.append(
-                ParameterDifference(
-                    first.name,
-                    name,
-                    value,
-                    to,
-                    difference,
-                    None if sigmas is None else float(sigmas),
-                )
-            )
+            sigmas = float(abs(difference) / np.sqrt(variance)) if variance > 0.0 else None
+            found.append(ParameterDifference(first.name, name, value, to, difference, sigmas))
     return found
 
 
@@ -205,7 +196,7 @@ def _distortion(model: SensorModel) -> dict[str, float]:
 def _positions(
     one: Calibration, other: Calibration, low_mm: Array, high_mm: Array
 ) -> PositionDifferences | None:
-    points = box_grid(low_mm, high_mm, _SIDE)
+    points = box_points(low_mm, high_mm, _SIDE)
     readings = predicted_readings(one, points)
     covariance = np.array(other.covariance)
     # The readings have no noise here: what is uncertain is the calibrations' own.
@@ -233,12 +224,6 @@ def _positions(
         aligned_rms_mm=_rms(aligned),
         rms_sigma=rms_sigma if np.isfinite(rms_sigma) else None,
     )
-
-
-def box_grid(low_mm: Array, high_mm: Array, side: int) -> Array:
-    """Return positions on a grid over a box, shape (side^3, 3) [mm]."""
-    axes = [np.linspace(low_mm[axis], high_mm[axis], side) for axis in range(3)]
-    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
 def predicted_readings(calibration: Calibration, points_mm: Array) -> Array:

@@ -18,7 +18,8 @@ from compute.calibration.result import (
     repaired_readings,
 )
 from compute.camera.stack import CameraStack
-from service.api.calibrations.comparison import Comparison, box_grid, predicted_readings
+from compute.mapping.grid import box_points
+from service.api.calibrations.comparison import Comparison, predicted_readings
 
 Array = NDArray[np.float64]
 
@@ -151,7 +152,7 @@ class ReportContent:
         """Deviations on a grid over the control points' box, shape (M, 3) [mm]; empty without."""
         if self.volume_mm is None:
             return np.empty((0, 3))
-        return self.uncertainty_mm(box_grid(*self.volume_mm, 7))
+        return self.uncertainty_mm(box_points(*self.volume_mm, 7))
 
     @cached_property
     def suspicious(self) -> list[tuple[str, str, float, float]]:

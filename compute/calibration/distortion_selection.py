@@ -193,8 +193,7 @@ def _losses(errors_px: Array, sigma_px: Array, loss: Loss) -> Array:
     squares = np.nan_to_num((errors_px / sigma_px) ** 2)
     if loss == "robust":
         squares = np.minimum(squares, MAX_LOSS_SIGMA**2)
-    total: Array = squares.sum(axis=1)
-    return total
+    return np.asarray(squares.sum(axis=1))
 
 
 def _standard_error(

@@ -37,8 +37,7 @@ def find_supported_cells(
     # Plus the distance from the cell's centre to its corners, for wide cells.
     reach = REACH * spacing_mm + 0.5 * float(np.linalg.norm(grid.pitch_mm))
     counts = cKDTree(seen_mm).query_ball_point(centres, reach, return_length=True)
-    found: NDArray[np.bool_] = (inside & (counts >= min_neighbours)).reshape(grid.cells)
-    return found
+    return np.asarray((inside & (counts >= min_neighbours)).reshape(grid.cells))
 
 
 def within_hull(points_mm: Array, positions_mm: Array) -> NDArray[np.bool_]:
@@ -101,8 +100,7 @@ def cell_corners(grid: VoxelGrid) -> Array:
 
 def _lattice(grid: VoxelGrid, node_positions: Sequence[NDArray[np.floating]]) -> Array:
     index = mesh_points(node_positions)
-    lattice: Array = np.asarray(grid.origin_mm) + index * np.asarray(grid.pitch_mm)
-    return lattice
+    return np.asarray(np.asarray(grid.origin_mm) + index * np.asarray(grid.pitch_mm))
 
 
 def corner_values(grid: VoxelGrid, function: Callable[[Array], Array]) -> Array:

@@ -79,8 +79,7 @@ class DiagonalisedBasis:
     def penalty(self, weights: Array) -> Array:
         """Return the functions' penalties, shape (R,), for weights of the axes (3,)."""
         total: Array = self.costs @ weights
-        raised: Array = np.maximum(total, total[total > 0.0].min())
-        return raised
+        return np.asarray(np.maximum(total, total[total > 0.0].min()))
 
     def values(self, points_mm: Array) -> Array:
         """Evaluate the functions at points (N, 3), shape (N, R)."""
@@ -105,5 +104,4 @@ class DiagonalisedBasis:
 def _polynomials(count: int, order: int) -> Array:
     """Return orthonormal polynomials of degree 0 to order - 1 over equal steps, as columns."""
     powers = np.vander(np.linspace(-1.0, 1.0, count), order, increasing=True)
-    orthonormal: Array = np.linalg.qr(powers)[0]
-    return orthonormal
+    return np.asarray(np.linalg.qr(powers)[0])

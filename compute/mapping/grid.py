@@ -63,17 +63,6 @@ class VoxelGrid:
         return cell, cell_coordinate - cell, inside
 
 
-def mesh_points(axes: Sequence[NDArray[np.floating]] | Array) -> Array:
+def mesh_points(axes: Sequence[NDArray[np.floating]]) -> Array:
     """Return the points of a mesh with these coordinates along x, y and z, shape (N, 3)."""
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-
-
-def box_points(low_mm: Array, high_mm: Array, count: int) -> Array:
-    """Return positions on a mesh over a box, shape (count^3, 3) [mm].
-
-    Args:
-        low_mm: the corner with the lowest coordinates, shape (3,) [mm].
-        high_mm: the opposite corner, shape (3,) [mm].
-        count: positions along each axis.
-    """
-    return mesh_points(np.linspace(low_mm, high_mm, count).T)

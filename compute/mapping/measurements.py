@@ -110,8 +110,7 @@ def _extents(points: Array) -> Array:
     """Return the points' extents along their principal axes, largest first, shape (3,) [mm]."""
     centred = points - points.mean(axis=0)
     _, _, axes = np.linalg.svd(centred, full_matrices=False)
-    extents: Array = np.sort(np.ptp(centred @ axes.T, axis=0))[::-1]
-    return extents
+    return np.asarray(np.sort(np.ptp(centred @ axes.T, axis=0))[::-1])
 
 
 def point_spacing(measured: MappingMeasurements) -> float:

@@ -122,8 +122,7 @@ def _posterior_probabilities(trials: tuple[PenaltyTrial, ...], prior: Array) -> 
     drawn = np.random.default_rng(blocks).dirichlet(np.ones(blocks), BOOTSTRAP_REPLICATES) * blocks
     logs = -0.5 * deviances @ drawn.T + np.log(prior)[:, None]
     each = np.exp(logs - logs.max(axis=0))
-    probabilities: Array = (each / each.sum(axis=0)).mean(axis=1)
-    return probabilities
+    return np.asarray((each / each.sum(axis=0)).mean(axis=1))
 
 
 @dataclass(frozen=True, eq=False)

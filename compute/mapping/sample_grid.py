@@ -68,8 +68,7 @@ class SampleGrid:
         """Return values (N,) at the nodes, shape (nx + 1, ...); missing ones of the nearest."""
         nodes = self._to_grid(values)
         index = distance_transform_edt(np.isnan(nodes), return_distances=False, return_indices=True)
-        filled: Array = nodes[tuple(index)]
-        return filled
+        return np.asarray(nodes[tuple(index)])
 
     def _to_grid(self, values: Array) -> Array:
         nodes = np.full([cells + 1 for cells in self.grid.cells], np.nan)

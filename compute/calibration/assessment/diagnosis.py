@@ -11,7 +11,6 @@ from compute.calibration.result import Calibration, SensorFit
 from compute.calibration.single_sensor.camera_fit import fitted_columns
 from compute.camera.model import vector3
 from compute.camera.stack import CameraStack
-from compute.mapping.grid import box_points
 from compute.progress import Progress, no_progress
 
 Array = NDArray[np.float64]
@@ -174,8 +173,7 @@ class _PrecisionPredictor:
         weighted = jacobian / self.sigma[:, None] ** 2
         normal = np.einsum("msi,msj->mij", weighted, jacobian)
         gain = np.linalg.solve(normal, weighted.swapaxes(1, 2))
-        point_derivatives: Array = -gain @ rows
-        return point_derivatives
+        return np.asarray(-gain @ rows)
 
     def _suggestions(self, by_parameter: Array, before: Array) -> tuple[Suggestion, ...]:
         centre, half = 0.5 * (self.low + self.high), 0.5 * (self.high - self.low)
@@ -209,6 +207,18 @@ class _PrecisionPredictor:
 
 def _summary(variances: Array) -> tuple[float, float]:
     return float(np.sqrt(variances.mean())), float(np.sqrt(variances.max()))
+
+
+def box_points(low_mm: Array, high_mm: Array, count: int) -> Array:
+    """Return positions on a mesh over a box, shape (count^3, 3) [mm].
+
+    Args:
+        low_mm: the corner with the lowest coordinates, shape (3,) [mm].
+        high_mm: the opposite corner, shape (3,) [mm].
+        count: positions along each axis.
+    """
+    axes = np.linspace(low_mm, high_mm, count).T
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
 def _remarks(calibration: Calibration, sensors: tuple[SensorDiagnosis, ...]) -> tuple[str, ...]:

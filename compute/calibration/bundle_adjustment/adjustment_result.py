@@ -86,8 +86,7 @@ class AdjustmentResult:
 
     def pose_sensor_covariance(self, index: int = 0) -> Array:
         """Return the covariances between one set's poses and the globals, shape (B, d, F)."""
-        carried: Array = -self._reduced.back_substitution[index] @ self.global_covariance
-        return carried
+        return np.asarray(-self._reduced.back_substitution[index] @ self.global_covariance)
 
 
 def assemble_result(
@@ -238,8 +237,7 @@ def _global_covariance(
     cofactor = change @ (inverse * scale[:, None] * scale) @ change.T
     if noise_equations is not None:
         cofactor = cofactor @ _propagate(noise_equations, reduced) @ cofactor
-    covariance: Array = 0.5 * (cofactor + cofactor.T)
-    return covariance
+    return np.asarray(0.5 * (cofactor + cofactor.T))
 
 
 def _propagate(noise_equations: NormalEquations, reduced: ReducedEquations) -> Array:

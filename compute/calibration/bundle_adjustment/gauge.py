@@ -122,5 +122,4 @@ def shift_origins(models: Sequence[SensorModel], shifts_mm: Sequence[Array]) -> 
 def orthogonal_complement(columns: Array) -> Array:
     """Return an orthonormal basis of the orthogonal complement of some columns."""
     basis, _ = np.linalg.qr(columns, mode="complete")
-    rest: Array = basis[:, columns.shape[1] :]
-    return rest
+    return np.asarray(basis[:, columns.shape[1] :])

@@ -93,5 +93,4 @@ def inverse_left_jacobian(vector: Array) -> Array:
     second = 1.0 / 12.0
     if angle > 1e-4:
         second = 1.0 / angle**2 - (1.0 + np.cos(angle)) / (2.0 * angle * np.sin(angle))
-    inverse: Array = np.eye(3) - 0.5 * cross + second * (cross @ cross)
-    return inverse
+    return np.asarray(np.eye(3) - 0.5 * cross + second * (cross @ cross))

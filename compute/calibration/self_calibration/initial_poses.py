@@ -134,8 +134,7 @@ def _limit_distances(models: Sequence[SensorModel], marker_mm: Array, scale: flo
     distance = np.linalg.norm(away, axis=-1, keepdims=True)
     usual = float(np.nanmedian(distance))
     kept = np.clip(distance, usual / DISTANCE_RATIO, usual * DISTANCE_RATIO)
-    drawn: Array = centre + away * (kept / (distance * scale))
-    return drawn
+    return np.asarray(centre + away * (kept / (distance * scale)))
 
 
 def _shape(target: CalibrationTarget, marker_mm: Array) -> TargetShape:
@@ -198,5 +197,4 @@ def _rotations(own: Array, seen: Array) -> Array:
     left, _, right = np.linalg.svd(cross)
     sign = np.where(np.linalg.det(left @ right) < 0.0, -1.0, 1.0)
     left[:, :, 2] *= sign[:, None]
-    rotation: Array = left @ right
-    return rotation
+    return np.asarray(left @ right)

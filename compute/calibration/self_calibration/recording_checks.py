@@ -164,8 +164,7 @@ def _directions(poses: PoseSet) -> Array:
     seen = poses.seen.sum(axis=2) >= 2
     both = seen[:, first] & seen[:, second]
     between = (marker[:, first] - marker[:, second])[both]
-    unit: Array = between / np.linalg.norm(between, axis=1, keepdims=True)
-    return unit
+    return np.asarray(between / np.linalg.norm(between, axis=1, keepdims=True))
 
 
 def check_count(models: Sequence[SensorModel], pose_sets: Sequence[PoseSet]) -> None:

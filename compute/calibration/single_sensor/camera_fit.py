@@ -364,15 +364,13 @@ class EquationGroup:
     def ratios(self) -> Array:
         """Smallest over largest singular value, shape (G,); 0 with an empty column."""
         singular = np.linalg.svd(self.triangles, compute_uv=False)
-        ratios: Array = singular[:, -1] / np.maximum(singular[:, 0], 1e-300)
-        return ratios
+        return np.asarray(singular[:, -1] / np.maximum(singular[:, 0], 1e-300))
 
     @property
     def cofactors(self) -> Array:
         """(A'A)^-1 of the design matrices A, shape (G, F, F)."""
         inverse = np.linalg.inv(self.triangles) / self.scale[:, :, None]
-        product: Array = inverse @ inverse.swapaxes(1, 2)
-        return product
+        return np.asarray(inverse @ inverse.swapaxes(1, 2))
 
 
 def equation_groups(

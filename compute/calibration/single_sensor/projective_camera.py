@@ -167,8 +167,7 @@ class ProjectiveCamera:
         misfit = self.project(theta)
         misfit -= readings_px
         misfit *= weights
-        squares: Array = np.einsum("kn,kn->k", misfit, misfit)
-        return squares
+        return np.asarray(np.einsum("kn,kn->k", misfit, misfit))
 
     def _in_front(self, theta: Array) -> Array:
         """Reduce the depth's gradient where a point would come too near or behind."""
@@ -193,8 +192,7 @@ def _solve(design: Array, right: Array, damping: Array | float) -> Array:
         damping if isinstance(damping, float) else damping[:, None]
     ) + 1e-13
     gradient = (transposed @ right[..., None])[..., 0] * scale
-    step: Array = np.linalg.solve(normal, gradient[..., None])[..., 0] * scale
-    return step
+    return np.asarray(np.linalg.solve(normal, gradient[..., None])[..., 0] * scale)
 
 
 def starting_cameras(camera: ProjectiveCamera, readings: Array, weights: Array) -> Array:
@@ -268,8 +266,7 @@ def _grid() -> Array:
     ring = np.sqrt(1.0 - height**2)
     directions = np.column_stack([np.cos(angle) * ring, np.sin(angle) * ring, height])
     gradients = np.array([0.02, 0.06, 0.13, 0.27, 0.5])
-    grid: Array = (gradients[:, None, None] * directions).reshape(-1, 3)
-    return grid
+    return np.asarray((gradients[:, None, None] * directions).reshape(-1, 3))
 
 
 def search_starts(
@@ -328,8 +325,7 @@ def projective_matrices(theta: Array, transform: Array, centre_px: Array, scale_
     second = np.ones((len(theta), 4))
     second[:, :3] = theta[:, 4:]
     first = scale_px[:, None] * theta[:, :4] + centre_px[:, None] * second
-    matrices: Array = np.stack([first, second], axis=1) @ transform
-    return matrices
+    return np.asarray(np.stack([first, second], axis=1) @ transform)
 
 
 def metric_cameras(
@@ -393,5 +389,4 @@ def metric_models(
 def _projective_parameters(matrix: Array, centre_px: float, scale_px: float) -> Array:
     """Return (a, b, g) of a 2x4 matrix in the normalised frame, with its points in front."""
     first, second = matrix / matrix[1, 3]
-    theta: Array = np.concatenate([(first - centre_px * second) / scale_px, second[:3]])
-    return theta
+    return np.asarray(np.concatenate([(first - centre_px * second) / scale_px, second[:3]]))

@@ -338,8 +338,7 @@ def projected_point_sigma(
         Standard deviations of the readings due to the points, shape (N, S) [px].
     """
     jacobian = CameraStack.of(models).linearise(points_mm)[1]
-    point_sigma: Array = sigma_mm * np.linalg.norm(jacobian, axis=2)
-    return point_sigma
+    return np.asarray(sigma_mm * np.linalg.norm(jacobian, axis=2))
 
 
 def block_count(points: int) -> int:

@@ -49,8 +49,7 @@ def robust_starts(
         near = [abs(cost[index] - cost[other]) <= 1e-6 * cost[other] for other in distinct]
         if not any(near):
             distinct.append(int(index))
-    best: Array = theta[distinct[:count]]
-    return best
+    return np.asarray(theta[distinct[:count]])
 
 
 def _concentrate(

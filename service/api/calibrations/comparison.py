@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from compute.calibration.assessment.assess import fitted_errors
+from compute.calibration.assessment.diagnosis import box_points
 from compute.calibration.result import Calibration, effective_readings
 from compute.camera.model import PARAMETER_COUNT, PARAMETERS, SensorModel, Vector3, vector3
 from compute.camera.stack import CameraStack
-from compute.mapping.grid import box_points
 from compute.reconstruction.triangulation import reconstruct
 
 Array = NDArray[np.float64]

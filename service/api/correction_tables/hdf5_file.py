@@ -40,16 +40,8 @@ _MAX_SENSORS: Final = 64
 _MAX_VALUES: Final = 2**24
 """Largest number of values in one array, 128 MiB."""
 _MAX_TEXT: Final = 2**18
-_READ_ERRORS: Final = (
-    OSError,
-    RuntimeError,
-    KeyError,
-    EOFError,
-    OverflowError,
-    ValueError,
-    TypeError,
-)
-"""What h5py raises, of damaged datatypes (ValueError, TypeError) and addresses (OverflowError) too."""
+_DAMAGED_FILE: Final = (OSError, RuntimeError, KeyError, EOFError, OverflowError)
+"""What h5py raises of files cut short or damaged; OverflowError: of addresses that no file has."""
 _DEFLATE, _SHUFFLE = h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE
 
 
@@ -97,7 +89,8 @@ def read_table(data: bytes) -> TableContent:
     try:
         with h5py.File(io.BytesIO(data), "r") as file:
             return _read(file)
-    except _READ_ERRORS as error:
+    except (*_DAMAGED_FILE, ValueError, TypeError) as error:
+        # ValueError and TypeError: what h5py says of datatypes that make none of its own.
         raise InvalidTableFile(
             f"the file is HDF5 but is cut short or damaged: {_first_line(error)}"
         ) from error

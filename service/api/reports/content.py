@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.calibration.assessment.assess import control_errors
+from compute.calibration.assessment.diagnosis import box_points
 from compute.calibration.result import (
     Calibration,
     CrossValidation,
@@ -18,7 +19,6 @@ from compute.calibration.result import (
     repaired_readings,
 )
 from compute.camera.stack import CameraStack
-from compute.mapping.grid import box_points
 from service.api.calibrations.comparison import Comparison, predicted_readings
 
 Array = NDArray[np.float64]

@@ -68,7 +68,7 @@ class PositionDifferences:
     """What the second calibration makes of readings that the first explains exactly.
 
     Args:
-        points: places on a grid over the control points' box.
+        points: positions on a grid over the control points' box.
         low_mm: the box's corner with the least coordinates.
         high_mm: the opposite corner.
         mean_mm: mean difference by axis, second less first.
@@ -76,7 +76,7 @@ class PositionDifferences:
         max_mm: the largest distance.
         aligned_rms_mm: RMS after the best rigid motion of one to the other: what is left when
             the two only differ in where the frame is.
-        rms_sigma: RMS of the difference over its deviation as of both covariances.
+        rms_sigma: RMS of the difference over its standard deviation by both covariances.
     """
 
     points: int
@@ -160,22 +160,22 @@ def _parameters(one: Calibration, other: Calibration) -> list[ParameterDifferenc
 def _variances(calibration: Calibration) -> list[dict[str, float]]:
     """Return the variances of each sensor's parameters by name."""
     diagonal = np.diag(np.array(calibration.covariance)).tolist()
-    found, place = [], 0
+    found, first = [], 0
     for model in calibration.models:
         names = model.parameter_names
-        found.append(dict(zip(names, diagonal[place : place + len(names)], strict=True)))
-        place += len(names)
+        found.append(dict(zip(names, diagonal[first : first + len(names)], strict=True)))
+        first += len(names)
     return found
 
 
 def _model_differences(
     one: SensorModel, other: SensorModel
 ) -> dict[str, tuple[float | None, float | None, float]]:
-    turn = Rotation.from_matrix(other.rotation @ one.rotation.T).as_rotvec().tolist()
+    rotation = Rotation.from_matrix(other.rotation @ one.rotation.T).as_rotvec().tolist()
     found: dict[str, tuple[float | None, float | None, float]] = {}
     for name in PARAMETERS[:PARAMETER_COUNT]:
         if name.startswith("rotation_"):
-            found[name] = None, None, turn["xyz".index(name[9])]
+            found[name] = None, None, rotation["xyz".index(name[9])]
         else:
             first, second = float(getattr(one, name)), float(getattr(other, name))
             found[name] = first, second, second - first
@@ -206,12 +206,13 @@ def _positions(
     known = np.isfinite(found.position_mm).all(axis=1) & np.isfinite(first.position_mm).all(axis=1)
     if known.sum() < 4:
         return None
-    at, to = points[known], found.position_mm[known]
-    difference = to - at
-    spread = found.covariance_mm2[known] + first.covariance_mm2[known]
-    squares = np.einsum("ni,nij,nj->n", difference, np.linalg.pinv(spread), difference)
-    turn, _ = Rotation.align_vectors(to - to.mean(axis=0), at - at.mean(axis=0))
-    aligned = (to - to.mean(axis=0)) - turn.apply(at - at.mean(axis=0))
+    given, other_mm = points[known], found.position_mm[known]
+    difference = other_mm - given
+    covariance_mm2 = found.covariance_mm2[known] + first.covariance_mm2[known]
+    squares = np.einsum("ni,nij,nj->n", difference, np.linalg.pinv(covariance_mm2), difference)
+    other_centred, given_centred = other_mm - other_mm.mean(axis=0), given - given.mean(axis=0)
+    rotation, _ = Rotation.align_vectors(other_centred, given_centred)
+    aligned = other_centred - rotation.apply(given_centred)
     distance = np.linalg.norm(difference, axis=1)
     rms_sigma = float(np.sqrt(squares.mean() / 3.0))
     return PositionDifferences(

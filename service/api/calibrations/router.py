@@ -112,7 +112,7 @@ def get_calibration(calibration_id: CalibrationPath, database: DatabaseDep) -> J
 def compare_calibrations(
     calibration_id: CalibrationPath, other_id: OtherPath, database: DatabaseDep
 ) -> ComparisonDocument:
-    """Two calibrations of one device: parameters in their deviations, positions over the control
+    """Two calibrations of one device: parameters in standard deviations, positions over the control
     points' box, and which is better on the same observations.
     """
     from service.api.calibrations.comparison import compare
@@ -147,7 +147,7 @@ def activate_calibration(
     """Make this the active calibration of its device, in a running one from the next frame on.
 
     The move is written into the device's history of activations. To roll back, activate the
-    previous one again. Of activations at the same moment one wins; the others are told.
+    previous one again. Of activations at the same moment one wins; the others get 409.
     """
     with database.read() as session:
         device = store.CALIBRATIONS.get(session, calibration_id).device_id

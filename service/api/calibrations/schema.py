@@ -98,7 +98,7 @@ class CalibrationOptions(RequestModel):
     labels: LabelPolicy = Field(
         default="off",
         description="What is done with wrong and exchanged labels: not looked for, reported, "
-        "left out, or mended.",
+        "left out, or repaired.",
     )
 
     def settings(self) -> CalibrationSettings:
@@ -122,7 +122,7 @@ class NewCalibration(CalibrationOptions):
 class PointErrors(ResponseModel):
     """Differences between given and reconstructed control points."""
 
-    statistics: AxisErrors | None = Field(description="Null when no point could be had.")
+    statistics: AxisErrors | None = Field(description="Null when no point was reconstructed.")
     differences_mm: list[Vector3 | None] = Field(
         description="Reconstructed minus given, in the order of the points; null: no position."
     )
@@ -163,8 +163,8 @@ class CalibrationSummary(ResponseModel):
     device: str
     state: State
     provenance: Provenance = Field(
-        description="`fitted`: from control points. `self-calibrated`: from subjects at unknown "
-        "places. `updated`: from its `parent` and still markers. `nominal`: a design's values, "
+        description="`fitted`: from control points. `self-calibrated`: from targets at unknown "
+        "poses. `updated`: from its `parent` and stationary markers. `nominal`: a design's values, "
         "not measured."
     )
     method: Method

@@ -67,7 +67,9 @@ class CorrectionTableDocument(ResponseModel):
     sensors: list[str]
     grid: Grid
     degree: Literal[1, 3] = Field(description="Of the splines; 1: trilinear.")
-    valid_share: list[float] = Field(description="Share of cells vouched for, by sensor.")
+    valid_share: list[float] = Field(
+        description="Share of cells that measurements support, by sensor."
+    )
     max_correction_px: list[float] = Field(description="Largest coefficient there, by sensor.")
     settings: dict[str, Any] = Field(description="How it was asked to be made.")
     validation: dict[str, Any] = Field(description="Figures on points that it never saw.")

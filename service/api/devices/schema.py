@@ -126,7 +126,7 @@ class Device(ResponseModel):
     id: str
     title: str
     source: Source
-    sensors: list[Sensor] = Field(description="In the order of the lines of a frame.")
+    sensors: list[Sensor] = Field(description="In the order of the scans of a frame.")
     autostart: bool
     tracking: Tracking
     active_calibration_id: str | None

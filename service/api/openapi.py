@@ -87,18 +87,18 @@ class ResourceRouter(APIRouter):
         """Return a decorator that adds an operation; ``raises`` below it names its problems.
 
         Args:
-            route: method of HTTP and path below the prefix, such as ``GET /{run_id}``; what is
-                deleted is answered with 204.
+            route: method of HTTP and path below the prefix, such as ``GET /{run_id}``; an endpoint
+                that returns None is answered with 204.
             operation_id: its name in the OpenAPI document and the table of scopes.
             summary: of the document.
             responses: other answers of the document.
             options: as of ``APIRouter.add_api_route``.
         """
         method, _, path = route.partition(" ")
-        if method == "DELETE":
-            options = {"status_code": 204} | options
 
         def add(endpoint: Endpoint) -> Endpoint:
+            if endpoint.__annotations__["return"] is None:
+                options.setdefault("status_code", 204)
             codes: Sequence[str] = getattr(endpoint, "problems", ())
             self.add_api_route(
                 path,

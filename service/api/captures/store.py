@@ -10,7 +10,7 @@ from sqlalchemy.orm import Session
 from compute.errors import DuplicatePoint
 from service.api.base_models import from_attributes
 from service.api.calibrations.schema import ControlPoint, Reading
-from service.api.captures.movement_check import MIN_POINT_DISTANCE_MM, check_marker_moved
+from service.api.captures.averaging import MIN_POINT_DISTANCE_MM, check_marker_moved
 from service.api.captures.schema import Capture, CapturedTarget, NewCapture, Target
 from service.api.devices.store import get_device, sensors_of_row
 from service.database.engine import Resource

@@ -1,6 +1,6 @@
 """REST resources of quality checks, drift monitors and assessments."""
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Final, Literal
 
 from fastapi import Body, Query
 from starlette.responses import Response
@@ -20,7 +20,6 @@ from service.api.inputs import (
 from service.api.openapi import ResourceRouter, raises
 from service.api.quality import store
 from service.api.quality.assessment import quality
-from service.api.quality.examples import NEW_CHECKS, WATCHES
 from service.api.quality.schema import (
     NewQualityCheck,
     Quality,
@@ -31,8 +30,27 @@ from service.api.quality.schema import (
 
 router = ResourceRouter("/api/v1", "quality")
 
-NewCheckBody = Annotated[NewQualityCheck, JsonTypes(), Body(openapi_examples=NEW_CHECKS)]
-WatchBody = Annotated[WatchSettings, JsonTypes(), Body(openapi_examples=WATCHES)]
+_NEW_CHECKS: Final[dict[str, Any]] = {
+    "bar": {
+        "summary": "The simulated bar's two markers, which turn on a circle of 146 mm radius",
+        "value": {
+            "id": "sim-bar",
+            "kind": "point-to-point",
+            "markers": [0, 1],
+            "reference_mm": 292.0,
+            "reference_sigma_mm": 0.05,
+            "seconds": 2.0,
+            "tolerance_mm": 1.0,
+        },
+    },
+}
+
+_WATCHES: Final[dict[str, Any]] = {
+    "ten-minutes": {"summary": "A value each ten minutes", "value": {"interval_s": 600.0}},
+}
+
+NewCheckBody = Annotated[NewQualityCheck, JsonTypes(), Body(openapi_examples=_NEW_CHECKS)]
+WatchBody = Annotated[WatchSettings, JsonTypes(), Body(openapi_examples=_WATCHES)]
 CheckPath = Annotated[str, id_in_path("The check's id.", "sim-bar", "bar")]
 _PNG = {"content": {"image/png": {"schema": {"type": "string", "format": "binary"}}}}
 

@@ -11,7 +11,7 @@ from service.application.app import create_app
 from service.database.models import ApiKeyRow
 from service.principal import Principal
 from service.security import store
-from service.security.key_cache import CACHE_LIFETIME_S, KeyCache
+from service.security.authenticator import CACHE_LIFETIME_S, KeyCache
 from service.settings import Settings
 from tests.service.fake_pipeline import FakePipeline, TestClient
 from tests.service.security.conftest import Secured, bearer, key_id

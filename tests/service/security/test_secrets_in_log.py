@@ -16,7 +16,7 @@ from service.database.engine import Database
 from service.database.migration import migrate
 from service.principal import SCOPES
 from service.security import store
-from service.security.key_format import make_key
+from service.security.store import make_key
 from tests.service.conftest import postgres_schema
 
 PASSWORD = "s3cret-of-the-database"

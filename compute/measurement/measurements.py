@@ -172,7 +172,8 @@ class Measurements:
         if (ascending[:, 1:] == ascending[:, :-1]).any():
             order = np.lexsort((self.flags, self.variance_px2, position), axis=-1)
         order = order[:, :columns]
-        return Measurements(*(getattr(self, name)[rows, order] for name in _PEAK_FIELDS), order)
+        sorted_fields = {name: getattr(self, name)[rows, order] for name in _PEAK_FIELDS}
+        return Measurements(**sorted_fields, original_index=order)
 
     @property
     def max_count(self) -> int:

@@ -6,7 +6,7 @@ from enum import IntFlag
 from functools import cache
 from itertools import compress
 from math import isfinite
-from typing import Annotated, Any, Self, get_args, get_type_hints
+from typing import Annotated, Any, Self, cast, get_args, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,7 +42,7 @@ class Batch:
         """
         sizes = {"S": sensors, "M": models}
         columns = []
-        for kind, axes in _columns(cls):
+        for kind, axes in _columns(cast("Any", cls)):
             shape = (count, *(sizes.get(axis, axis) for axis in axes))
             columns.append(
                 kind.zeros(count, sensors, models)
@@ -194,7 +194,9 @@ class PointBatch(Batch):
         return [
             PointEstimate(
                 tuple(position) if isfinite(position[0]) else None,
-                tuple(map(tuple, covariance)) if isfinite(position[0]) else None,
+                (tuple(covariance[0]), tuple(covariance[1]), tuple(covariance[2]))
+                if isfinite(position[0])
+                else None,
                 sigma if isfinite(sigma) else None,
                 tuple(compress(names, used)),
                 flag_names(PointFlag(flags)),

@@ -1,8 +1,5 @@
 """Association of peaks with tracks, sensor by sensor, and the filter update (JPDA)."""
 
-from dataclasses import dataclass
-from typing import Self
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -32,6 +29,7 @@ from compute.tracking.motion_model import (
     update_mode_probabilities,
 )
 from compute.tracking.settings import TrackerSettings
+from compute.tracking.tracks import AssociationResult
 
 Array = NDArray[np.float64]
 
@@ -46,51 +44,6 @@ SUSPECT_RESIDUAL_SIGMA = 3.0
 """A reading this far from what all others and the prediction say counts for less."""
 ASSOCIATION_PROBABILITY_THRESHOLD = 0.5
 """Probability from which a peak is reported as a track's."""
-
-
-@dataclass(eq=False)
-class AssociationResult:
-    """Peaks and updated states of T tracks after an exposure.
-
-    Args:
-        states: after the update.
-        peaks: index of each sensor's peak; -1: none, int32, shape (T, S).
-        merged: whether that peak is shared, shape (T, S).
-        probability: probability that it is the track's, 0 where there is none, shape (T, S).
-        nis: normalised innovation squared, shape (T,).
-        log_likelihood_ratio: of the readings being the track's to being false peaks, shape (T,).
-        hypotheses_pruned: whether hypotheses of non-negligible weight were pruned, shape (T,).
-        in_view: number of sensors that have the predicted position in view, shape (T,).
-    """
-
-    states: ImmStates
-    peaks: NDArray[np.int32]
-    merged: NDArray[np.bool_]
-    probability: Array
-    nis: Array
-    log_likelihood_ratio: Array
-    hypotheses_pruned: NDArray[np.bool_]
-    in_view: NDArray[np.int32]
-
-    @classmethod
-    def missed(cls, states: ImmStates, sensors: int) -> Self:
-        """Return the result where no track has a peak.
-
-        Args:
-            states: of T tracks.
-            sensors: number of sensors S.
-        """
-        count, shape = len(states), (len(states), sensors)
-        return cls(
-            states,
-            np.full(shape, -1, np.int32),
-            np.zeros(shape, np.bool_),
-            np.zeros(shape),
-            np.zeros(count),
-            np.zeros(count),
-            np.zeros(count, np.bool_),
-            np.zeros(count, np.int32),
-        )
 
 
 def associate(

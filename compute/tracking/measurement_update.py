@@ -134,8 +134,9 @@ def log_evidence(probability: Array, log_likelihood: Array) -> Array:
         log_likelihood: of the readings under each model, shape (T, M).
     """
     top = log_likelihood.max(axis=1)
-    evidence: Array = (probability * np.exp(log_likelihood - top[:, None])).sum(axis=1)
-    return top + np.log(evidence)
+    evidence = (probability * np.exp(log_likelihood - top[:, None])).sum(axis=1)
+    log: Array = top + np.log(evidence)
+    return log
 
 
 def reading_variance(whole: CombinedState, jacobian: Array, sensor: int, bias: Array) -> Array:

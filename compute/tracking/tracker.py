@@ -12,7 +12,6 @@ from compute.measurement.measurement_model import MeasurementModel
 from compute.measurement.measurements import Measurements, check_sensors
 from compute.reconstruction.correspondence.candidates import MatchSettings
 from compute.reconstruction.solver import PointSolver
-from compute.tracking.association import AssociationResult
 from compute.tracking.motion_model import (
     MotionModels,
     combine_modes,
@@ -27,6 +26,7 @@ from compute.tracking.track_initiation import TrackInitiator
 from compute.tracking.track_management import exclude_prior_duplicates, indistinguishable_tracks
 from compute.tracking.tracks import (
     MIN_SUPPORT_SENSORS,
+    AssociationResult,
     Associations,
     Exposure,
     Tracks,

@@ -85,7 +85,7 @@ def merge_probability(apart_px: float, variance_px2: float, resolution_px: float
 
 def event_marginals(
     cluster_tracks: list[ClusterTrack],
-    peaks: list[tuple[int, float, float]],
+    peaks: list[Peak],
     settings: TrackerSettings,
 ) -> tuple[list[list[Marginals]], float]:
     """Return each track's marginals, and a bound on the weight of pruned hypotheses.
@@ -99,12 +99,12 @@ def event_marginals(
 
     Args:
         cluster_tracks: the cluster's tracks.
-        peaks: index, position [px] and variance [px^2] of the peaks that they contend for.
+        peaks: index, position [px] and variance [px^2] of the peaks that they compete for.
         settings: detection, false peaks, merging, gate, most hypotheses.
 
     Returns:
-        Claims of each contender, and the largest weight of hypotheses that were not followed,
-        in parts of all that were; 0 where all were.
+        Marginals of each track, and the largest weight of hypotheses that were pruned, in parts of
+        all that were kept; 0 where all were.
     """
     merge_probabilities = {
         (one, two): merge_probability(
@@ -210,7 +210,7 @@ def _greedy(options: list[list[_Option]], missed: float) -> float:
 def _options(
     track: int,
     cluster_tracks: list[ClusterTrack],
-    peaks: list[tuple[int, float, float]],
+    peaks: list[Peak],
     merge_probabilities: dict[tuple[int, int], float],
     settings: TrackerSettings,
 ) -> list[_Option]:
@@ -241,7 +241,7 @@ def _options(
 def _resolved(
     one: _Option, two: _Option, merge_probabilities: dict[tuple[int, int], float]
 ) -> float:
-    """Return the chance that the tracks of two peaks were not found as one."""
+    """Return the probability that the tracks of two peaks were not found as one."""
     if len(one.tracks) > 1 or len(two.tracks) > 1:
         return 1.0
     pair = (one.tracks[0], two.tracks[0])
@@ -256,7 +256,7 @@ def _share_variance(one: ClusterTrack, two: ClusterTrack) -> float:
 
 def _marginals(
     track: int,
-    peak: tuple[int, float, float],
+    peak: Peak,
     tracks: tuple[int, ...],
     probability: float,
     cluster_tracks: list[ClusterTrack],

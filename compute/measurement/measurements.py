@@ -175,11 +175,6 @@ class Measurements:
         sorted_fields = {name: getattr(self, name)[rows, order] for name in _PEAK_FIELDS}
         return Measurements(**sorted_fields, original_index=order)
 
-    @property
-    def max_count(self) -> int:
-        """Number of columns K: no sensor has more peaks."""
-        return int(self.position_px.shape[-1])
-
     @cached_property
     def count(self) -> NDArray[np.intp]:
         """Number of usable peaks of each sensor, shape (S,)."""

@@ -1,8 +1,4 @@
-"""Joint association events of the tracks that compete for a sensor's peaks (JPDA).
-
-All hypotheses of a cluster with non-negligible weight, as long as they are few; beyond, the most
-likely partial hypotheses are extended track by track, and the weight of the pruned ones is bounded.
-"""
+"""Joint association events of the tracks that compete for a sensor's peaks (JPDA)."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -89,6 +85,9 @@ def event_marginals(
     settings: TrackerSettings,
 ) -> tuple[list[list[Marginals]], float]:
     """Return each track's marginals, and a bound on the weight of pruned hypotheses.
+
+    All events of non-negligible weight, while they are few; beyond, the most likely partial events
+    are extended track by track, and the weight of the pruned ones is bounded.
 
     Each track is read as a peak of its own, shares one with another track, or is missed. Of
     hypotheses in which the same tracks have the same peaks only the likeliest counts: the average

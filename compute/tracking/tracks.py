@@ -245,9 +245,7 @@ class AssociationResult:
 
 # As arrays' own numbers: an enumeration's operations take as long as an array's. TENTATIVE is 0.
 _CONFIRMED, _COASTING = np.int8(TrackState.CONFIRMED), np.int8(TrackState.COASTING)
-_MERGED, _AMBIGUOUS = np.int32(TrackFlag.MERGED), np.int32(TrackFlag.AMBIGUOUS)
-_FEW_SENSORS, _SUSPECT_PEAK = np.int32(TrackFlag.FEW_SENSORS), np.int32(TrackFlag.SUSPECT_PEAK)
-_OUTSIDE_MAP = np.int32(TrackFlag.OUTSIDE_MAP)
+_MERGED, _AMBIGUOUS, _FEW_SENSORS, _SUSPECT_PEAK, _OUTSIDE_MAP = map(np.int32, TrackFlag)
 
 
 def to_track_batch(

@@ -1,7 +1,7 @@
 """Set packing: the likeliest set of candidates that uses each peak once."""
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from math import exp
@@ -241,17 +241,9 @@ class _Search:
         self, cluster: tuple[int, ...], covered: int, once: int, budget: float
     ) -> tuple[int, list[tuple[float, tuple[int, ...]]]]:
         """Return the resource with the fewest ways to go, and those with what each loses."""
-        takers: dict[int, list[int]] = {}
-        left = covered
-        while left:
-            bit = left & -left
-            left ^= bit
-            takers[bit] = []
+        takers: dict[int, list[int]] = {bit: [] for bit in _bits(covered)}
         for index in cluster:
-            mask = self.mask[index]
-            while mask:
-                bit = mask & -mask
-                mask ^= bit
+            for bit in _bits(self.mask[index]):
                 takers[bit].append(index)
 
         def ways(bit: int) -> tuple[int, float, int]:
@@ -305,10 +297,7 @@ class _Search:
                 else:
                     apart.append(part)
             parts = [*apart, (joined, members)]
-        unused = covered & ~still & ~full
-        while unused:
-            bit = unused & -unused
-            unused ^= bit
+        for bit in _bits(covered & ~still & ~full):
             loss += self.price[bit] * (2 if bit & self.double & ~once else 1)
         if loss > budget:
             return None
@@ -322,6 +311,13 @@ class _Search:
             best += some.best
             probability.update(some.probability)
         return _WeightedSets(weight, loss, best, probability)
+
+
+def _bits(mask: int) -> Iterator[int]:
+    """Yield the bits of a number that are set, the lowest first."""
+    while mask:
+        yield mask & -mask
+        mask &= mask - 1
 
 
 def _sum_alternatives(found: Sequence[_WeightedSets]) -> _WeightedSets | None:

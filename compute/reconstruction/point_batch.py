@@ -64,10 +64,10 @@ class Batch:
     def rows(self, index: Rows) -> Self:
         """Return some of the items."""
         return type(self)(
-            *(
+            *[
                 value.rows(index) if isinstance(value, Batch) else value[index]
                 for value in vars(self).values()
-            )
+            ]
         )
 
     def part(self, first: int, last: int) -> Self:
@@ -95,10 +95,11 @@ class Batch:
     @classmethod
     def concatenate(cls, parts: Iterable[Self]) -> Self:
         """Return the items of one batch or more, in order."""
-        first, *others = parts
-        if not others:
-            return first
-        columns = zip(*(vars(part).values() for part in (first, *others)), strict=True)
+        every = list(parts)
+        filled = [part for part in every if len(part)] or every[:1]
+        if len(filled) == 1:
+            return filled[0]
+        columns = zip(*(vars(part).values() for part in filled), strict=True)
         return cls(
             *(
                 type(column[0]).concatenate(column)

@@ -76,12 +76,7 @@ def power_terms(order: int, *, odd_only: bool) -> tuple[Term, ...]:
 
 def symmetric_terms(order: int) -> tuple[Term, ...]:
     """Return the terms of a centred lens: i odd, j even, i + j at most ``order``."""
-    return tuple(
-        (i, j)
-        for i in range(1, order + 1, 2)
-        for j in range(0, order - i + 1, 2)
-        if (i, j) not in DEGENERATE
-    )
+    return tuple((i, j) for i, j in all_terms(order) if i % 2 == 1 and j % 2 == 0)
 
 
 def all_terms(order: int) -> tuple[Term, ...]:

@@ -112,7 +112,6 @@ class SensorModel:
     def retract(self, step: NDArray[np.float64]) -> "SensorModel":
         """Return the model after a step of its parameters, in the order of ``parameter_names``."""
         turned = Rotation.from_rotvec(step[2:5]) * Rotation.from_rotvec(self.rotation_vector_rad)
-        x, y, z = turned.as_rotvec()
         distortion = self.distortion
         if distortion is not None:
             coefficients = np.asarray(distortion.coefficients) + step[PARAMETER_COUNT + 1 :]
@@ -125,7 +124,7 @@ class SensorModel:
             self,
             principal_distance_px=self.principal_distance_px + float(step[0]),
             principal_point_px=self.principal_point_px + float(step[1]),
-            rotation_vector_rad=(float(x), float(y), float(z)),
+            rotation_vector_rad=vector3(turned.as_rotvec()),
             offset_x_mm=self.offset_x_mm + float(step[5]),
             offset_z_mm=self.offset_z_mm + float(step[6]),
             distortion=distortion,

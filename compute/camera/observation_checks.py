@@ -59,21 +59,17 @@ def check_observations(
             f"readings_px has the shape {readings_px.shape}; {right[0]} points and {right[1]} "
             f"sensors make {right}"
         )
-    bad = np.argwhere(~np.isfinite(points_mm))
-    if len(bad):
-        row, axis = bad[0]
+    for row, axis in np.argwhere(~np.isfinite(points_mm))[:1].tolist():
         raise NonFiniteValue(
             f"point {row + 1} has {'XYZ'[axis]} = {points_mm[row, axis]}; it must be finite",
-            point=int(row) + 1,
+            point=row + 1,
         )
-    infinite = np.argwhere(np.isinf(readings_px))
-    if len(infinite):
-        row, column = infinite[0]
+    for row, column in np.argwhere(np.isinf(readings_px))[:1].tolist():
         raise NonFiniteValue(
             f"the reading of point {row + 1} by sensor {sensors[column].name} is "
             f"{readings_px[row, column]}; it must be finite (leave out what was not seen, in an "
             "array as NaN)",
-            point=int(row) + 1,
+            point=row + 1,
             sensor=sensors[column].name,
         )
     if sigma_px is not None:
@@ -117,14 +113,13 @@ def check_inside(readings_px: Array, sensors: Sequence[Sensor]) -> None:
     pixels = np.array([sensor.pixels for sensor in sensors])
     with np.errstate(invalid="ignore"):
         outside = np.argwhere((readings_px < -0.5) | (readings_px > pixels - 0.5))
-    if len(outside):
-        row, column = outside[0]
+    for row, column in outside[:1].tolist():
         sensor = sensors[column]
         raise ReadingOutsideSensor(
             f"the reading {readings_px[row, column]:g} px of point {row + 1} lies outside "
             f"sensor {sensor.name}, whose {sensor.pixels} pixels reach from -0.5 to "
             f"{sensor.pixels - 0.5:g} px",
-            point=int(row) + 1,
+            point=row + 1,
             sensor=sensor.name,
             reading_px=float(readings_px[row, column]),
         )
@@ -158,13 +153,12 @@ def _check_sigma(sigma_px: Array, readings_px: Array, sensors: Sequence[Sensor])
     low, high = SIGMA_RANGE_PX
     with np.errstate(invalid="ignore"):
         wrong = np.argwhere(np.isfinite(readings_px) & ~((sigma_px >= low) & (sigma_px <= high)))
-    if len(wrong):
-        row, column = wrong[0]
+    for row, column in wrong[:1].tolist():
         raise InvalidParameter(
             f"the standard deviation of the reading of point {row + 1} by sensor "
             f"{sensors[column].name} is {sigma_px[row, column]} px; it must lie in {low:g} .. "
             f"{high:g} px",
-            point=int(row) + 1,
+            point=row + 1,
             sensor=sensors[column].name,
         )
 

@@ -1,8 +1,4 @@
-"""FlagPolicy: what each peak flag means for triangulation, correspondence, tracking and pose.
-
-One table, as data. Every stage takes the ``Measurements`` that were made by it; none looks at
-peak flags by itself.
-"""
+"""FlagPolicy: what each peak flag means for triangulation, correspondence, tracking and pose."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -13,7 +9,6 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.flags import flag_names
 from compute.signal.peaks import PeakFlag
 
 Array = NDArray[np.float64]
@@ -220,32 +215,3 @@ class FlagPolicy:
 
 
 STANDARD_POLICY: Final = FlagPolicy()
-
-
-def policy_table() -> str:
-    """Return the rules as a Markdown table; docs/reference/flags.md holds what this returns."""
-    rows = [
-        "| flag | where | use | standard deviation | starts a track or tool | why |",
-        "|---|---|---|---|---|---|",
-    ]
-    for where, rules in (
-        ("in general", STANDARD_RULES),
-        ("fitted peaks", FIT_RULES),
-        ("stripes of known shape", KNOWN_SHAPE_RULES),
-        ("shadows of coded windows", SHADOW_RULES),
-    ):
-        for rule in rules:
-            sigma = "as stated" if rule.sigma_factor == 1.0 else f"x {rule.sigma_factor:g}"
-            if rule.added_sigma_px:
-                sigma = f"and {rule.added_sigma_px:g} px, in squares"
-            if rule.use == "refused":
-                sigma = ""
-            use = f"{rule.use}, not for tools" if rule.shared else rule.use
-            (name,) = flag_names(rule.flag)
-            start = "yes" if rule.initiates else "no"
-            rows.append(f"| `{name}` | {where} | {use} | {sigma} | {start} | {rule.why} |")
-    return "\n".join(rows) + "\n"
-
-
-if __name__ == "__main__":
-    print(policy_table(), end="")

@@ -172,12 +172,8 @@ class Measurements:
         if (ascending[:, 1:] == ascending[:, :-1]).any():
             order = np.lexsort((self.flags, self.variance_px2, position), axis=-1)
         order = order[:, :columns]
-        return Measurements(*(getattr(self, name)[rows, order] for name in _PEAK_FIELDS), order)
-
-    @property
-    def max_count(self) -> int:
-        """Number of columns K: no sensor has more peaks."""
-        return int(self.position_px.shape[-1])
+        sorted_fields = {name: getattr(self, name)[rows, order] for name in _PEAK_FIELDS}
+        return Measurements(**sorted_fields, original_index=order)
 
     @cached_property
     def count(self) -> NDArray[np.intp]:
@@ -213,11 +209,13 @@ class Measurements:
         Returns:
             Two arrays of shape (S,) [px]; NaN for sensors with no peak or several.
         """
-        one = self.count == 1
-        peak = self.usable.argmax(axis=1)
-        row = np.arange(len(peak))
-        reading = np.where(one, self.position_px[row, peak], np.nan)
-        return reading, np.where(one, np.sqrt(self.variance_px2[row, peak]), np.nan)
+        reading, sigma = self.readings(self.single_peaks[None])
+        return reading[0], sigma[0]
+
+    @property
+    def single_peaks(self) -> NDArray[np.intp]:
+        """Index of the usable peak of each sensor that has only one; else -1, shape (S,)."""
+        return np.where(self.count == 1, self.usable.argmax(axis=1), -1)
 
     def is_near(self, reading_px: Array, distance_px: float) -> NDArray[np.bool_]:
         """Return whether a usable peak lies near predicted readings.

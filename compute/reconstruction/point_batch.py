@@ -6,7 +6,7 @@ from enum import IntFlag
 from functools import cache
 from itertools import compress
 from math import isfinite
-from typing import Annotated, Any, Self, get_args, get_type_hints
+from typing import Annotated, Any, Self, cast, get_args, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,7 +42,7 @@ class Batch:
         """
         sizes = {"S": sensors, "M": models}
         columns = []
-        for kind, axes in _columns(cls):
+        for kind, axes in _columns(cast("Any", cls)):
             shape = (count, *(sizes.get(axis, axis) for axis in axes))
             columns.append(
                 kind.zeros(count, sensors, models)
@@ -64,10 +64,10 @@ class Batch:
     def rows(self, index: Rows) -> Self:
         """Return some of the items."""
         return type(self)(
-            *(
+            *[
                 value.rows(index) if isinstance(value, Batch) else value[index]
                 for value in vars(self).values()
-            )
+            ]
         )
 
     def part(self, first: int, last: int) -> Self:
@@ -95,10 +95,11 @@ class Batch:
     @classmethod
     def concatenate(cls, parts: Iterable[Self]) -> Self:
         """Return the items of one batch or more, in order."""
-        first, *others = parts
-        if not others:
-            return first
-        columns = zip(*(vars(part).values() for part in (first, *others)), strict=True)
+        every = list(parts)
+        filled = [part for part in every if len(part)] or every[:1]
+        if len(filled) == 1:
+            return filled[0]
+        columns = zip(*(vars(part).values() for part in filled), strict=True)
         return cls(
             *(
                 type(column[0]).concatenate(column)
@@ -194,7 +195,9 @@ class PointBatch(Batch):
         return [
             PointEstimate(
                 tuple(position) if isfinite(position[0]) else None,
-                tuple(map(tuple, covariance)) if isfinite(position[0]) else None,
+                (tuple(covariance[0]), tuple(covariance[1]), tuple(covariance[2]))
+                if isfinite(position[0])
+                else None,
                 sigma if isfinite(sigma) else None,
                 tuple(compress(names, used)),
                 flag_names(PointFlag(flags)),

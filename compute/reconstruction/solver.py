@@ -151,7 +151,15 @@ class PointSolver:
         import warp as wp
 
         stack = cameras if isinstance(cameras, CameraStack) else CameraStack.of(cameras)
-        _check(stack)
+        if not 1 <= len(stack) <= MAX_SENSORS:
+            raise InvalidParameter(
+                f"there are {len(stack)} sensors; there must be 1 to {MAX_SENSORS}"
+            )
+        for term in stack.terms:
+            if max(term) > MAX_POWER:
+                raise InvalidParameter(
+                    f"a term of distortion has the powers {term}; they must be {MAX_POWER} at most"
+                )
         check_calibration(stack, parameter_covariance, corrections)
         self.sensors = len(stack)
         place = warp_device(wp, device)
@@ -258,15 +266,3 @@ def term_capacity(cameras: CameraStack) -> int:
     while capacity < len(cameras.terms):
         capacity *= 2
     return capacity
-
-
-def _check(cameras: CameraStack) -> None:
-    if not 1 <= len(cameras) <= MAX_SENSORS:
-        raise InvalidParameter(
-            f"there are {len(cameras)} sensors; there must be 1 to {MAX_SENSORS}"
-        )
-    for term in cameras.terms:
-        if max(term) > MAX_POWER:
-            raise InvalidParameter(
-                f"a term of distortion has the powers {term}; they must be {MAX_POWER} at most"
-            )

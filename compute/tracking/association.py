@@ -1,8 +1,5 @@
 """Association of peaks with tracks, sensor by sensor, and the filter update (JPDA)."""
 
-from dataclasses import dataclass
-from typing import Self
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -32,6 +29,7 @@ from compute.tracking.motion_model import (
     update_mode_probabilities,
 )
 from compute.tracking.settings import TrackerSettings
+from compute.tracking.tracks import AssociationResult
 
 Array = NDArray[np.float64]
 
@@ -46,51 +44,6 @@ SUSPECT_RESIDUAL_SIGMA = 3.0
 """A reading this far from what all others and the prediction say counts for less."""
 ASSOCIATION_PROBABILITY_THRESHOLD = 0.5
 """Probability from which a peak is reported as a track's."""
-
-
-@dataclass(eq=False)
-class AssociationResult:
-    """Peaks and updated states of T tracks after an exposure.
-
-    Args:
-        states: after the update.
-        peaks: index of each sensor's peak; -1: none, int32, shape (T, S).
-        merged: whether that peak is shared, shape (T, S).
-        probability: probability that it is the track's, 0 where there is none, shape (T, S).
-        nis: normalised innovation squared, shape (T,).
-        log_likelihood_ratio: of the readings being the track's to being false peaks, shape (T,).
-        hypotheses_pruned: whether hypotheses of non-negligible weight were pruned, shape (T,).
-        in_view: number of sensors that have the predicted position in view, shape (T,).
-    """
-
-    states: ImmStates
-    peaks: NDArray[np.int32]
-    merged: NDArray[np.bool_]
-    probability: Array
-    nis: Array
-    log_likelihood_ratio: Array
-    hypotheses_pruned: NDArray[np.bool_]
-    in_view: NDArray[np.int32]
-
-    @classmethod
-    def missed(cls, states: ImmStates, sensors: int) -> Self:
-        """Return the result where no track has a peak.
-
-        Args:
-            states: of T tracks.
-            sensors: number of sensors S.
-        """
-        count, shape = len(states), (len(states), sensors)
-        return cls(
-            states,
-            np.full(shape, -1, np.int32),
-            np.zeros(shape, np.bool_),
-            np.zeros(shape),
-            np.zeros(count),
-            np.zeros(count),
-            np.zeros(count, np.bool_),
-            np.zeros(count, np.int32),
-        )
 
 
 def associate(
@@ -154,17 +107,12 @@ class _Work:
 
     def associate_unambiguous(self, *, first: bool) -> None:
         """Find readings without rivals among what is open, and update by all of them at once."""
-        reading = self._readings()
-        variance = self._variance(self.whole, self.predicted.jacobian_px_per_mm)
-        choice, contested = _unambiguous_peaks(
-            reading,
-            variance,
-            self.predicted.in_view & self.contested,
-            self.peaks,
-            self.peaks.usable & ~self.taken,
-            self.settings,
+        moved = np.einsum(
+            "tsi,ti->ts", self.predicted.jacobian_px_per_mm, self.whole.mean[:, :3] - self.place
         )
-        self.contested = contested
+        reading = self.predicted.reading_px + moved
+        variance = self._variance(self.whole, self.predicted.jacobian_px_per_mm)
+        choice, self.contested = self._unambiguous_peaks(reading, variance)
         used = choice >= 0
         if not used.any():
             return
@@ -293,12 +241,6 @@ class _Work:
         density = -0.5 * (off + np.log(2.0 * np.pi * total))
         result.log_likelihood_ratio[track] += marginal.probability * (density + self._gain)
 
-    def _readings(self) -> Array:
-        """Return the predicted readings at the states' present means, shape (T, S)."""
-        apart = self.whole.mean[:, :3] - self.place
-        moved: Array = np.einsum("tsi,ti->ts", self.predicted.jacobian_px_per_mm, apart)
-        return self.predicted.reading_px + moved
-
     def _variance(self, whole: CombinedState, jacobian: Array) -> Array:
         """Return the variance of predicted readings, constant errors included, shape (T, S)."""
         half = jacobian @ whole.covariance[:, :3, :3]
@@ -308,44 +250,36 @@ class _Work:
         variance += self.bias[:, diagonal, diagonal]
         return np.asarray(np.maximum(variance, 0.0))
 
+    def _unambiguous_peaks(
+        self, reading: Array, variance: Array
+    ) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
+        """Return the peak of each track and sensor that leaves no choice (-1), and the contested.
 
-def _unambiguous_peaks(
-    reading: Array,
-    variance: Array,
-    open_: NDArray[np.bool_],
-    peaks: Measurements,
-    free: NDArray[np.bool_],
-    settings: TrackerSettings,
-) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
-    """Return the peak of each track and sensor that leaves no choice (-1), and what is contested.
+        A peak leaves none when it is the only one in the gate of a track, in no other's gate, and
+        no track beside this one lacks a peak of its own, which might be in this one.
 
-    A peak leaves none when it is the only one in the gate of a track, in no other's gate, and no
-    track beside this one lacks a peak of its own, which might be in this one.
-
-    Args:
-        reading: predicted, shape (T, S).
-        variance: of the predictions, shape (T, S).
-        open_: what is looked at, shape (T, S).
-        peaks: of the frame.
-        free: which peaks are looked at, shape (S, K).
-        settings: gate and widths.
-    """
-    sought = open_ & (variance <= settings.max_prediction_sigma_px**2)
-    at = np.where(sought, reading, np.inf)
-    with np.errstate(invalid="ignore"):
-        off = np.abs(peaks.position_px[None] - at[..., None])
-        limit = settings.gate_sigma**2 * (variance[..., None] + peaks.variance_px2)
-        gated = (off**2 <= limit) & free
-        alone = gated & (gated.sum(axis=0) == 1)
-        own = (gated.sum(axis=2) == 1) & alone.any(axis=2)
-        apart = np.abs(at[:, None] - at[None])
-        deviation = np.sqrt(variance)
-        reach = SHARED_PEAK_REACH * (settings.resolution_px + deviation[:, None] + deviation[None])
-        near = apart <= reach
-    near[np.arange(len(reading)), np.arange(len(reading))] = False
-    near &= ~(own[:, None] & own[None])
-    beside = near.any(axis=1)
-    decided = own & ~beside
-    choice = np.where(decided, gated.argmax(axis=2), -1).astype(np.int32)
-    contested = sought & ~decided & (gated.any(axis=2) | beside)
-    return choice, contested
+        Args:
+            reading: predicted, shape (T, S).
+            variance: of the predictions, shape (T, S).
+        """
+        settings, peaks = self.settings, self.peaks
+        sought = self.predicted.in_view & self.contested
+        sought &= variance <= settings.max_prediction_sigma_px**2
+        at = np.where(sought, reading, np.inf)
+        with np.errstate(invalid="ignore"):
+            off = np.abs(peaks.position_px[None] - at[..., None])
+            limit = settings.gate_sigma**2 * (variance[..., None] + peaks.variance_px2)
+            gated = (off**2 <= limit) & peaks.usable & ~self.taken
+            alone = gated & (gated.sum(axis=0) == 1)
+            own = (gated.sum(axis=2) == 1) & alone.any(axis=2)
+            apart = np.abs(at[:, None] - at[None])
+            sigma = np.sqrt(variance)
+            reach = SHARED_PEAK_REACH * (settings.resolution_px + sigma[:, None] + sigma[None])
+            near = apart <= reach
+        near[np.arange(len(reading)), np.arange(len(reading))] = False
+        near &= ~(own[:, None] & own[None])
+        beside = near.any(axis=1)
+        decided = own & ~beside
+        choice = np.where(decided, gated.argmax(axis=2), -1).astype(np.int32)
+        contested = sought & ~decided & (gated.any(axis=2) | beside)
+        return choice, contested

@@ -74,7 +74,8 @@ def joint_update(
     log = -0.5 * (nis + np.linalg.slogdet(total)[1] + _LOG_2PI * count[:, None])
     # Joseph's form: the difference of the covariances is negative by rounding where a track that
     # was lost, known to half a metre, is seen to a hundredth of a millimetre again.
-    kept = np.eye(STATE_SIZE) - _of_places(gain @ jacobian)
+    kept = np.broadcast_to(np.eye(STATE_SIZE), states.covariance.shape).copy()
+    kept[..., :3] -= gain @ jacobian
     common = kept @ masked @ gain.swapaxes(-1, -2)
     noise = (innovation.bias * innovation.used[:, None, :])[:, None].copy()
     diagonal = np.arange(jacobian.shape[-2])
@@ -134,8 +135,9 @@ def log_evidence(probability: Array, log_likelihood: Array) -> Array:
         log_likelihood: of the readings under each model, shape (T, M).
     """
     top = log_likelihood.max(axis=1)
-    evidence: Array = (probability * np.exp(log_likelihood - top[:, None])).sum(axis=1)
-    return top + np.log(evidence)
+    evidence = (probability * np.exp(log_likelihood - top[:, None])).sum(axis=1)
+    log: Array = top + np.log(evidence)
+    return log
 
 
 def reading_variance(whole: CombinedState, jacobian: Array, sensor: int, bias: Array) -> Array:
@@ -151,13 +153,6 @@ def reading_variance(whole: CombinedState, jacobian: Array, sensor: int, bias: A
     cross = whole.bias_cross_covariance[:, :3, sensor]
     variance += 2.0 * np.einsum("ti,ti->t", jacobian, cross) + bias
     return variance
-
-
-def _of_places(change: Array) -> Array:
-    """Return changes (T, M, 9, 3) by the place as ones by the whole state, (T, M, 9, 9)."""
-    whole = np.zeros((*change.shape[:-1], STATE_SIZE))
-    whole[..., :3] = change
-    return whole
 
 
 def innovation_covariance(

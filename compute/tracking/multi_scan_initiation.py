@@ -79,12 +79,13 @@ class MultiScanInitiator:
         row, sensor = np.nonzero(explained_peaks >= 0)
         left[sensor, explained_peaks[row, sensor]] = False
         for one in self._sequences.find(time_ns, peaks, left):
-            if self._candidates.is_new(one.peaks[-1]):
+            last = one.points.part(-1, len(one.points))
+            if self._candidates.is_new(last.choice[0]):
                 begun = filter_sequence(
                     self._associator.model, self._associator.motion, self._associator.settings, one
                 )
                 if begun is not None:
-                    self._candidates.begin(*begun, one.position_mm[-1:], one.peaks[-1:], time_ns)
+                    self._candidates.begin(*begun, last.position_mm, last.choice, time_ns)
         found = self._candidates.decide()
         if found is not None:
             self._fruitless = self._pauses = 0

@@ -12,7 +12,6 @@ from compute.measurement.measurement_model import MeasurementModel
 from compute.measurement.measurements import Measurements, check_sensors
 from compute.reconstruction.correspondence.candidates import MatchSettings
 from compute.reconstruction.solver import PointSolver
-from compute.tracking.association import AssociationResult
 from compute.tracking.motion_model import (
     MotionModels,
     combine_modes,
@@ -27,6 +26,7 @@ from compute.tracking.track_initiation import TrackInitiator
 from compute.tracking.track_management import exclude_prior_duplicates, indistinguishable_tracks
 from compute.tracking.tracks import (
     MIN_SUPPORT_SENSORS,
+    AssociationResult,
     Associations,
     Exposure,
     Tracks,
@@ -78,10 +78,7 @@ class Tracker:
         self.motion = MotionModels.of(settings)
         self._pixels = pixels
         self._initiator = TrackInitiator(*self._build(cameras, parameter_covariance, corrections))
-        self._tracks = Tracks.empty(len(self.model), len(self.motion))
-        self._time_ns: int | None = None
-        self._begun_ns: int | None = None
-        self._last_ns: int | None = None
+        self.reset()
 
     def _build(
         self,
@@ -132,7 +129,9 @@ class Tracker:
     def reset(self) -> None:
         """Delete all tracks; identity numbers continue."""
         self._tracks = Tracks.empty(len(self.model), len(self.motion))
-        self._time_ns = self._begun_ns = None
+        self._time_ns: int | None = None
+        self._begun_ns: int | None = None
+        self._last_ns: int | None = None
         self._initiator.reset()
 
     def add_prior_tracks(

@@ -198,11 +198,54 @@ class Associations(Batch):
         return free
 
 
+@dataclass(eq=False)
+class AssociationResult:
+    """Peaks and updated states of T tracks after an exposure.
+
+    Args:
+        states: after the update.
+        peaks: index of each sensor's peak; -1: none, int32, shape (T, S).
+        merged: whether that peak is shared, shape (T, S).
+        probability: probability that it is the track's, 0 where there is none, shape (T, S).
+        nis: normalised innovation squared, shape (T,).
+        log_likelihood_ratio: of the readings being the track's to being false peaks, shape (T,).
+        hypotheses_pruned: whether hypotheses of non-negligible weight were pruned, shape (T,).
+        in_view: number of sensors that have the predicted position in view, shape (T,).
+    """
+
+    states: ImmStates
+    peaks: NDArray[np.int32]
+    merged: NDArray[np.bool_]
+    probability: Array
+    nis: Array
+    log_likelihood_ratio: Array
+    hypotheses_pruned: NDArray[np.bool_]
+    in_view: NDArray[np.int32]
+
+    @classmethod
+    def missed(cls, states: ImmStates, sensors: int) -> Self:
+        """Return the result where no track has a peak.
+
+        Args:
+            states: of T tracks.
+            sensors: number of sensors S.
+        """
+        count, shape = len(states), (len(states), sensors)
+        return cls(
+            states,
+            np.full(shape, -1, np.int32),
+            np.zeros(shape, np.bool_),
+            np.zeros(shape),
+            np.zeros(count),
+            np.zeros(count),
+            np.zeros(count, np.bool_),
+            np.zeros(count, np.int32),
+        )
+
+
 # As arrays' own numbers: an enumeration's operations take as long as an array's. TENTATIVE is 0.
 _CONFIRMED, _COASTING = np.int8(TrackState.CONFIRMED), np.int8(TrackState.COASTING)
-_MERGED, _AMBIGUOUS = np.int32(TrackFlag.MERGED), np.int32(TrackFlag.AMBIGUOUS)
-_FEW_SENSORS, _SUSPECT_PEAK = np.int32(TrackFlag.FEW_SENSORS), np.int32(TrackFlag.SUSPECT_PEAK)
-_OUTSIDE_MAP = np.int32(TrackFlag.OUTSIDE_MAP)
+_MERGED, _AMBIGUOUS, _FEW_SENSORS, _SUSPECT_PEAK, _OUTSIDE_MAP = map(np.int32, TrackFlag)
 
 
 def to_track_batch(

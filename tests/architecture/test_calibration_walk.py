@@ -12,6 +12,7 @@ from tests.service.fake_pipeline import FakePipeline, TestClient
 MAX_REQUEST = 9
 MAX_CALIBRATION = 25
 BACKGROUND = {
+    "compute.errors",  # of devices that do not run
     "service.api.quality.drift_monitor",
     "service.api.quality.store",
     "service.api.recordings.recording_manager",

@@ -169,7 +169,7 @@ class CandidateSet:
         return missed
 
     def _columns(self) -> tuple[list[tuple[int, ...]], list[float]]:
-        room, sensors = self.peaks.max_count, len(self.peaks)
+        room, sensors = self.peaks.position_px.shape[1], len(self.peaks)
         scores = self.candidates.scores(self.settings, self._missed(self.candidates))
         # Three peaks alone always meet.
         scores[(self.candidates.dof < 1) & (self.candidates.predicted < 0)] = -inf
@@ -192,7 +192,7 @@ class CandidateSet:
         packing = solve_set_packing(
             columns, scores, settings.window, settings.max_hypotheses, self.peaks.capacity
         )
-        room = self.peaks.max_count
+        room = self.peaks.position_px.shape[1]
         peaks = len(self.peaks) * room
         left = self.free.sum(axis=1).astype(np.float64)
         for index in packing.chosen:
@@ -208,7 +208,11 @@ class CandidateSet:
         gone: set[int] = set()
         for index, error in zip(packing.chosen, errors.tolist(), strict=True):
             if error <= max_error:
-                self._make(index, error > settings.max_error_rate or self.cut > 0)
+                choice = tuple(self.candidates.choice[index].tolist())
+                ambiguous = error > settings.max_error_rate or self.cut > 0
+                predicted = int(self.candidates.predicted[index])
+                self.groups.append(Group(choice, ambiguous, predicted))
+                self.group_points.append(self.candidates.points.part(index, index + 1))
                 gone.update(columns[index])
         for resource in gone:
             if resource < peaks:
@@ -218,11 +222,6 @@ class CandidateSet:
         elif gone:
             keep = np.array([gone.isdisjoint(column) for column in columns])
             self.candidates = self.candidates.rows(keep)
-
-    def _make(self, index: int, ambiguous: bool) -> None:
-        choice = tuple(self.candidates.choice[index].tolist())
-        self.groups.append(Group(choice, ambiguous, int(self.candidates.predicted[index])))
-        self.group_points.append(self.candidates.points.part(index, index + 1))
 
     def _add_single(self) -> None:
         """One peak left on each of three sensors or more may be a marker that others missed."""

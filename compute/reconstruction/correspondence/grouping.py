@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from math import exp, log, pi
+from math import log, pi
 from typing import Final
 
 import numpy as np
@@ -123,7 +123,7 @@ def _nothing_to_choose(solve: Solve, measurements: Measurements) -> Corresponden
     count = measurements.count
     if (count == 1).sum() < 3 or count.max() > 1:
         return _result([], PointBatch.empty(len(measurements)), measurements)
-    choice = np.where(count == 1, measurements.usable.argmax(axis=1), -1)
+    choice = measurements.single_peaks
     points = solve(*measurements.readings(choice[None]))
     return _result([Group(tuple(choice.tolist()), ambiguous=False)], points, measurements)
 
@@ -219,15 +219,13 @@ def group_four_sensor_frame(
     score += log(settings.markers_per_mm3) + SENSORS * settings.log_seen
     if score.min() <= 0.0:
         return None
-    spread = points.covariance_mm2[good].trace(axis1=1, axis2=2)
-    groups = []
-    for row, misfit, foreign_probability, value, far in zip(
-        rows, own.tolist(), foreign.tolist(), score.tolist(), spread.tolist(), strict=True
-    ):
-        doubt = 1.0 / (1.0 + exp(min(value, 700.0))) + foreign_probability
-        doubt += exp(min(odds + 0.5 * misfit, 0.0))
-        ambiguous = doubt > settings.max_error_rate or far > MAX_EXTENT_MM**2
-        groups.append(Group(plan.columns[row], ambiguous))
+    error = 1.0 / (1.0 + np.exp(np.minimum(score, 700.0))) + foreign
+    error += np.exp(np.minimum(odds + 0.5 * own, 0.0))
+    variance = points.covariance_mm2[good].trace(axis1=1, axis2=2)
+    ambiguous = (error > settings.max_error_rate) | (variance > MAX_EXTENT_MM**2)
+    groups = [
+        Group(plan.columns[row], flag) for row, flag in zip(rows, ambiguous.tolist(), strict=True)
+    ]
     return groups, points.rows(good)
 
 

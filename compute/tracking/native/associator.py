@@ -9,10 +9,11 @@ from compute.measurement.measurement_model import MeasurementModel
 from compute.measurement.measurements import Measurements
 from compute.reconstruction.native.definitions import fill_cameras, row_length
 from compute.reconstruction.solver import address, term_capacity
-from compute.tracking.association import AssociationResult, associate
+from compute.tracking.association import associate
 from compute.tracking.motion_model import ImmStates, MotionModels
 from compute.tracking.native.definitions import JOB, MAX_OPTIONS, PARTIAL_BYTES
 from compute.tracking.settings import TrackerSettings
+from compute.tracking.tracks import AssociationResult
 
 Array = NDArray[np.float64]
 

@@ -134,12 +134,7 @@ def summary(row: ReconstructionRow) -> ReconstructionSummary:
 def document(row: ReconstructionRow) -> Reconstruction:
     """Return the reconstruction as clients see it."""
     return Reconstruction(
-        id=row.id,
-        device=row.device_id,
-        calibration_id=row.calibration_id,
-        table=row.table_id,
-        point_count=row.point_count,
-        created_at=row.created_at,
+        **vars(summary(row)),
         points=_POINTS.validate_python(row.points),
         estimates=_ESTIMATES.validate_python(row.estimates),
     )

@@ -125,6 +125,8 @@ def test_doubt_shortens_a_track_s_life() -> None:
     tracks = tracks_at([still] * 4, [still] * 4)
     tracks.unsupported[:] = [
         0,
+        UNSUPPORTED_EXPOSURES,
+        UNSUPPORTED_EXPOSURES,
         UNSUPPORTED_EXPOSURES - 1,
     ]
     tracks.probation_left[:] = [PROBATION_EXPOSURES, 1, 0, PROBATION_EXPOSURES]

@@ -101,7 +101,7 @@ def preset_terms(name: str) -> tuple[Term, ...]:
     )
 
 
-def _check_order(terms: Sequence[Term]) -> None:
+def check_order(terms: Sequence[Term]) -> None:
     """Check that no term has an order so high that its values vanish over any field of view."""
     for term in terms:
         if sum(term) > MAX_ORDER:
@@ -158,7 +158,7 @@ class CalibrationSettings:
                 )
         if not isinstance(self.distortion, str):
             check_terms(self.distortion)
-            _check_order(self.distortion)
+            check_order(self.distortion)
         elif self.distortion != "auto":
             preset_terms(self.distortion)
         sigma = self.control_sigma_mm

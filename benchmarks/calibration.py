@@ -41,11 +41,10 @@ from benchmarks.calibration_peers import (
 )
 from benchmarks.triangulation import rig
 from compute.calibration.calibrate import calibrate
-from compute.calibration.single_sensor.camera_fit import minimise
-from compute.calibration.single_sensor.design_matrix import equation_groups
-from compute.camera.dlt import collinearity_parameters_of, model_from_collinearity
+from compute.calibration.single_sensor.camera_fit import equation_groups, minimise
 from compute.camera.model import SensorGeometry, SensorModel
 from compute.camera.stack import CameraStack
+from validation.thesis_methods.dlt import collinearity_parameters_of, model_from_collinearity
 from validation.thesis_methods.eleven_parameter_bundle import (
     StepGrid,
     from_array,

@@ -14,7 +14,7 @@ from compute.tracking.joint_events import (
     NEGLIGIBLE_WEIGHT_RATIO,
     SHARE_FRACTION_VARIANCE,
 )
-from compute.tracking.native.kernel_arguments import MAX_OPTIONS
+from compute.tracking.native.definitions import MAX_OPTIONS
 
 ERRORS: Final = 28
 STEP_S: Final = 0.005

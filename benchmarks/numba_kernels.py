@@ -26,7 +26,7 @@ from compute.native.headers import module_options
 from compute.pose.filtering.imm_model import IMM_STATES, ImmModel
 from compute.pose.filtering.native.kernel_arguments import POSE, STEP, imm_state_size, scratch_size
 from compute.pose.settings import ImmSettings, MotionSettings
-from compute.tracking.native.kernel_arguments import JOB, MAX_OPTIONS, PARTIAL_BYTES
+from compute.tracking.native.definitions import JOB, MAX_OPTIONS, PARTIAL_BYTES
 from compute.tracking.settings import TrackerSettings
 
 Array = NDArray[np.float64]

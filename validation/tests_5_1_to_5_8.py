@@ -6,16 +6,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.calibration.assessment.cross_validation import cross_validate, fitted_errors
+from compute.calibration.assessment.assess import cross_validate, fitted_errors
 from compute.calibration.calibrate import calibrate
 from compute.calibration.mislabels.detector import find_label_errors
 from compute.calibration.mislabels.repair import repair
 from compute.calibration.result import AxisErrors, Calibration
-from compute.camera.dlt import (
-    CollinearityParameters,
-    model_from_collinearity,
-    model_from_matrix,
-)
 from compute.camera.model import SensorGeometry
 from compute.camera.stack import CameraStack
 from compute.errors import LumilineError
@@ -29,6 +24,11 @@ from validation.thesis_data import (
     generate_readings,
     load_cameras,
     load_test,
+)
+from validation.thesis_methods.dlt import (
+    CollinearityParameters,
+    model_from_collinearity,
+    model_from_matrix,
 )
 from validation.thesis_methods.iterative_dlt import IterativeDlt, iterative_dlt
 

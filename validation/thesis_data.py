@@ -7,8 +7,8 @@ from importlib.resources import files
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.camera.dlt import CollinearityParameters
 from compute.camera.model import SensorGeometry
+from validation.thesis_methods.dlt import CollinearityParameters
 
 Array = NDArray[np.float64]
 

@@ -1,88 +1,44 @@
-"""Calibrate a device from control points: sensor models with a joint covariance, assessed."""
+"""Calibrate a device from control points: sensor models with a joint covariance."""
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.calibration.assessment.cross_validation import cross_validate
-from compute.calibration.assessment.diagnosis import diagnose
 from compute.calibration.assessment_result import DistortionSelection
-from compute.calibration.bundle_adjustment.control_point_adjustment import projected_point_sigma
+from compute.calibration.bundle_adjustment.control_point_adjustment import (
+    MIN_REDUNDANCY,
+    JointFit,
+    adjust_control_points,
+)
 from compute.calibration.distortion_selection import select_terms
 from compute.calibration.mislabels.detector import find_label_errors
-from compute.calibration.mislabels.finding import LabelFinding
-from compute.calibration.mislabels.repair import exclude, repair
-from compute.calibration.result import Calibration, effective_readings
-from compute.calibration.result_assembly import (
-    assemble_with_exact_points,
-    assemble_with_uncertain_points,
-)
-from compute.calibration.settings import DEFAULTS, CalibrationSettings
-from compute.calibration.single_sensor.camera_fit import LensOffsets
-from compute.calibration.single_sensor.distortion_terms import preset_terms
+from compute.calibration.mislabels.repair import CORRECTIONS, LabelFinding
+from compute.calibration.result import Calibration, SensorFit, nested_rows
+from compute.calibration.settings import DEFAULTS, CalibrationSettings, preset_terms
+from compute.calibration.single_sensor.camera_fit import LensOffsets, equation_groups
 from compute.calibration.single_sensor.sensor_fits import (
+    SIGMA_FLOOR_PX,
     ControlObservations,
     SensorFits,
     fit_distorted,
     fit_undistorted,
+    projected_point_sigma,
 )
-from compute.camera.model import SensorGeometry, SensorModel
-from compute.camera.observation_checks import check_control_points
+from compute.camera.model import PARAMETER_COUNT, SensorGeometry, SensorModel, vector3
+from compute.camera.observation_checks import UNEXPLAINED_PROBABILITY, check_control_points
 from compute.errors import DegeneratePoints, NoConvergence
-from compute.progress import Progress
+from compute.progress import Progress, no_progress, partial_progress
+from compute.reconstruction.triangulation import chi2_limit
+from compute.robust_statistics import EFFICIENCY_LOSS
 
 Array = NDArray[np.float64]
 
-
-MAX_LEAVE_ONE_OUT_POINTS: Final = 100
-"""Largest number of control points that are left out one by one; more only block by block."""
-
-
-def calibrate_and_assess(
-    points_mm: Array,
-    readings_px: Array,
-    sensors: Sequence[SensorGeometry],
-    sigma_px: Array | None = None,
-    settings: CalibrationSettings = DEFAULTS,
-    progress: Progress | None = None,
-) -> Calibration:
-    """Calibrate, cross-validate and diagnose.
-
-    The result is that of ``calibrate`` with ``cross_validation`` (by points where these are few,
-    then by blocks of space) and ``diagnosis``.
-
-    Args:
-        points_mm: control points, shape (N, 3) [mm].
-        readings_px: readings, shape (N, S) [px]; NaN where a sensor did not see the point.
-        sensors: the device's S sensors.
-        sigma_px: standard deviations of the readings, shape (N, S) [px], or None.
-        settings: distortion, the control points' uncertainty, loss, labels.
-        progress: called with the fraction done and the stage.
-
-    Raises:
-        LumilineError: those of ``calibrate``.
-    """
-    found = calibrate(
-        points_mm,
-        readings_px,
-        sensors,
-        sigma_px,
-        settings,
-        progress=_partial_progress(progress, 0.0, 0.5),
-    )
-    observations = points_mm, readings_px, sensors, sigma_px
-    checks = []
-    if len(points_mm) <= MAX_LEAVE_ONE_OUT_POINTS:
-        by_points = _partial_progress(progress, 0.5, 0.75)
-        checks.append(cross_validate(found, *observations, "points", by_points))
-    by_blocks = _partial_progress(progress, 0.75, 0.9)
-    checks.append(cross_validate(found, *observations, "blocks", by_blocks))
-    used, _ = effective_readings(found, readings_px)
-    diagnosis = diagnose(found, points_mm, used, _partial_progress(progress, 0.9, 1.0))
-    return replace(found, cross_validation=tuple(checks), diagnosis=diagnosis)
+QUANTISATION_PX: Final = 1.0 / np.sqrt(12.0)
+MAX_NOISE_ITERATIONS: Final = 12
+NOISE_TOLERANCE: Final = 0.02
 
 
 def calibrate(
@@ -92,7 +48,7 @@ def calibrate(
     sigma_px: Array | None = None,
     settings: CalibrationSettings = DEFAULTS,
     initial_models: Sequence[SensorModel] | None = None,
-    progress: Progress | None = None,
+    progress: Progress = no_progress,
 ) -> Calibration:
     """Calibrate S sensors from N control points.
 
@@ -122,22 +78,15 @@ def calibrate(
     readings = np.asarray(readings_px, dtype=np.float64)
     sigma = None if sigma_px is None else np.asarray(sigma_px, dtype=np.float64)
     check_control_points(points, readings, sensors, sigma)
-    labels = None
+    labels: tuple[LabelFinding, ...] = ()
     if settings.labels != "off":
-        search = _partial_progress(progress, 0.0, 0.05)
+        search = partial_progress(progress, 0.0, 0.05)
         labels = find_label_errors(points, readings, sensors, sigma, search).findings
-        if labels and settings.labels != "report":
-            correct = exclude if settings.labels == "exclude" else repair
+        correct = CORRECTIONS.get(settings.labels)
+        if labels and correct is not None:
             readings, sigma = correct(labels, sensors, readings, sigma)
             check_control_points(points, readings, sensors, sigma)
-    seen = np.isfinite(readings)
-    observed = ControlObservations(
-        points,
-        readings,
-        np.where(seen, 1.0 if sigma is None else sigma, 1.0),
-        sigma is not None,
-        tuple(sensors),
-    )
+    observed = ControlObservations.of(points, readings, sensors, sigma)
     try:
         result = _fit(observed, settings, initial_models, progress)
     except (DegeneratePoints, NoConvergence) as error:
@@ -149,7 +98,7 @@ def calibrate(
         raise type(error)(
             f"{error.detail}; labels that look wrong: {named}{advice}", **error.context
         ) from error
-    return replace(result, labels=labels or ())
+    return replace(result, labels=labels)
 
 
 def _describe(finding: LabelFinding) -> str:
@@ -162,32 +111,24 @@ def _fit(
     observed: ControlObservations,
     settings: CalibrationSettings,
     initial_models: Sequence[SensorModel] | None,
-    progress: Progress | None,
+    progress: Progress,
 ) -> Calibration:
-    _report_progress(progress, 0.05, "cameras without distortion")
+    progress(0.05, "cameras without distortion")
     models, weights = fit_undistorted(observed, settings.loss, initial_models)
-    weighted = _with_point_sigma(observed, models, settings.control_sigma_mm)
+    weighted = observed
+    if settings.control_sigma_mm is not None and observed.sigma_known:
+        weighted = observed.with_point_sigma(models, settings.control_sigma_mm)
     fits, selection = _fit_distortion(weighted, models, weights, settings, progress)
-    _report_progress(progress, 0.8, "covariance")
+    progress(0.8, "covariance")
     if settings.control_sigma_mm is None:
         result = assemble_with_exact_points(observed, fits, settings)
     else:
-        joint = _partial_progress(progress, 0.8, 1.0)
-        result = assemble_with_uncertain_points(
+        joint = partial_progress(progress, 0.8, 1.0)
+        result = _assemble_with_uncertain_points(
             observed, fits, settings, settings.control_sigma_mm, joint
         )
-    _report_progress(progress, 1.0, "calibrated")
+    progress(1.0, "calibrated")
     return replace(result, distortion=selection)
-
-
-def _with_point_sigma(
-    observed: ControlObservations, models: tuple[SensorModel, ...], control_sigma_mm: float | None
-) -> ControlObservations:
-    """Add the control points' uncertainty to the readings' standard deviations."""
-    if control_sigma_mm is None or not observed.sigma_known:
-        return observed
-    point_sigma = np.nan_to_num(projected_point_sigma(models, observed.points_mm, control_sigma_mm))
-    return replace(observed, sigma_px=np.hypot(observed.sigma_px, point_sigma))
 
 
 def _fit_distortion(
@@ -195,37 +136,200 @@ def _fit_distortion(
     models: tuple[SensorModel, ...],
     weights: Array,
     settings: CalibrationSettings,
-    progress: Progress | None,
+    progress: Progress,
 ) -> tuple[SensorFits, DistortionSelection | None]:
     requested = settings.distortion
     lens_offsets = LensOffsets.of(models, observed.pitch_um, observed.points_mm, observed.seen)
+    fits = SensorFits(models, weights, lens_offsets)
     if requested == "none":
-        return SensorFits(models, weights, lens_offsets), None
+        return fits, None
     if requested == "auto":
-        terms, selection = select_terms(
-            observed,
-            models,
-            weights,
-            lens_offsets,
-            settings.loss,
-            _partial_progress(progress, 0.1, 0.7),
-        )
+        search = partial_progress(progress, 0.1, 0.7)
+        terms, selection = select_terms(observed, fits, settings.loss, search)
+    elif isinstance(requested, str):
+        terms = (preset_terms(requested),) * len(models)
+        selection = DistortionSelection(requested, "as asked")
     else:
-        named = isinstance(requested, str)
-        sensor_terms = preset_terms(requested) if isinstance(requested, str) else requested
-        terms = (sensor_terms,) * len(models)
-        selection = DistortionSelection(str(requested) if named else "terms", "as asked")
-    _report_progress(progress, 0.7, f"distortion {selection.chosen}")
-    return fit_distorted(observed, models, terms, lens_offsets, settings.loss, weights), selection
+        terms = (requested,) * len(models)
+        selection = DistortionSelection("terms", "as asked")
+    progress(0.7, f"distortion {selection.chosen}")
+    return fit_distorted(observed, fits, terms, settings.loss), selection
 
 
-def _report_progress(progress: Progress | None, fraction: float, stage: str) -> None:
-    if progress is not None:
-        progress(fraction, stage)
+def _fit_statistics(
+    model: SensorModel,
+    seen: int,
+    residuals_px: Array,
+    sigma_px: Array | None,
+    chi2_terms: Array | None = None,
+) -> tuple[SensorFit, float]:
+    """Return a sensor's fit statistics and the factor from cofactor to covariance.
+
+    Args:
+        model: the fitted camera.
+        seen: number of control points that the sensor read.
+        residuals_px: fitted minus measured readings, those with weight only, shape (N,) [px].
+        sigma_px: their standard deviations, shape (N,) [px]; None: not known.
+        chi2_terms: residuals over sigma for the chi-square test, shape (N,); None: of these.
+    """
+    # The offset along the slit is a parameter and its prior an observation: they cancel.
+    dof = len(residuals_px) - PARAMETER_COUNT - len(model.terms)
+    square_sum = float((residuals_px**2).sum())
+    chi2_per_dof, factor = None, 1.0
+    source: Literal["given", "residuals", "assumed"]
+    if sigma_px is not None:
+        source, sigma = "given", float(np.sqrt((sigma_px**2).mean()))
+        if dof > 0:
+            terms = residuals_px / sigma_px if chi2_terms is None else chi2_terms
+            chi2 = float((terms**2).sum())
+            chi2_per_dof = chi2 / dof
+            # The given standard deviations do not explain the residuals: inflate the covariance.
+            if chi2 > chi2_limit(dof, UNEXPLAINED_PROBABILITY):
+                factor = chi2_per_dof
+    elif dof > 2:
+        # dof - 2 allows for the uncertainty of the estimate: squared errors over the covariance
+        # then average 7, as with a known standard deviation.
+        source, sigma = "residuals", max(float(np.sqrt(square_sum / (dof - 2))), SIGMA_FLOOR_PX)
+        factor = sigma**2
+    else:
+        # Two degrees of freedom or fewer are too few for an estimate.
+        residual_sigma_px = float(np.sqrt(square_sum / max(dof, 1)))
+        source, sigma = "assumed", max(float(QUANTISATION_PX), residual_sigma_px)
+        factor = sigma**2
+    rms, largest = float(np.sqrt((residuals_px**2).mean())), float(np.abs(residuals_px).max())
+    return SensorFit(model, seen, rms, largest, sigma, source, chi2_per_dof), factor
 
 
-def _partial_progress(progress: Progress | None, first: float, last: float) -> Progress | None:
-    """Return the callback of a part of a computation, from one fraction of the whole to another."""
-    if progress is None:
-        return None
-    return lambda fraction, stage: progress(first + (last - first) * fraction, stage)
+def assemble_with_exact_points(
+    observed: ControlObservations, fits: SensorFits, settings: CalibrationSettings
+) -> Calibration:
+    """Return the calibration of sensors that were fitted one by one to exact points.
+
+    Args:
+        observed: control points and readings of S sensors.
+        fits: the fitted cameras and the readings' weights.
+        settings: the settings of the run, which the result repeats.
+    """
+    residuals = observed.residuals_px(fits.models)
+    first = np.cumsum([0, *(model.parameter_count for model in fits.models)])
+    found, factors = [], []
+    for column, (model, rows) in enumerate(zip(fits.models, fits.used(observed).T, strict=True)):
+        sigma = observed.sigma_px[rows, column] if observed.sigma_known else None
+        seen = int(observed.seen[:, column].sum())
+        fit, factor = _fit_statistics(model, seen, residuals[rows, column], sigma)
+        found.append(fit)
+        factors.append(factor * (EFFICIENCY_LOSS if settings.loss == "robust" else 1.0))
+    covariance = np.zeros((first[-1], first[-1]))
+    for group in equation_groups(
+        fits.models,
+        observed.points_mm,
+        fits.known_weights(observed),
+        fits.lens_offsets.prior.sigma_mm,
+    ):
+        for sensor, inverse in zip(group.sensors, group.cofactors, strict=True):
+            columns = first[sensor] + group.columns
+            covariance[columns[:, None], columns] = inverse * factors[sensor]
+    return _calibration(observed, fits, settings, found, covariance, residuals)
+
+
+def _assemble_with_uncertain_points(
+    observed: ControlObservations,
+    fits: SensorFits,
+    settings: CalibrationSettings,
+    control_sigma_mm: float,
+    progress: Progress,
+) -> Calibration:
+    """Adjust sensors and uncertain control points jointly and return the calibration."""
+    point_sigma = projected_point_sigma(fits.models, observed.points_mm, control_sigma_mm)
+    if observed.sigma_known:
+        sigma = observed.sigma_px
+        joint = adjust_control_points(observed, fits, sigma, control_sigma_mm, progress)
+    else:
+        joint, sigma = _estimate_noise(observed, fits, point_sigma, control_sigma_mm, progress)
+    chi2_terms = observed.residuals_px(joint.models) / np.hypot(sigma, point_sigma)
+    found, factors = [], []
+    for column, (model, rows) in enumerate(zip(joint.models, fits.used(observed).T, strict=True)):
+        fit, factor = _fit_statistics(
+            model,
+            int(observed.seen[:, column].sum()),
+            joint.residuals_px[rows, column],
+            sigma[rows, column],
+            chi2_terms[rows, column],
+        )
+        if not observed.sigma_known:
+            # Estimated from these residuals: a chi-square test would say nothing.
+            fit, factor = replace(fit, sigma_source="residuals", chi2_per_dof=None), 1.0
+        found.append(fit)
+        factors += [factor**0.5] * model.parameter_count
+    covariance = joint.covariance * np.outer(factors, factors)
+    result = _calibration(observed, fits, settings, found, covariance, joint.residuals_px)
+    return replace(result, point_shifts_mm=tuple(vector3(row) for row in joint.shifts_mm))
+
+
+def _estimate_noise(
+    observed: ControlObservations,
+    fits: SensorFits,
+    point_sigma_px: Array,
+    control_sigma_mm: float,
+    progress: Progress,
+) -> tuple[JointFit, Array]:
+    """Adjust, and estimate the readings' noise by variance components (Helmert's method).
+
+    Each iteration sets a sensor's variance to its squared residuals over its redundancy. A sensor
+    without redundancy keeps the estimate of ``_noise_without_points``.
+
+    Returns:
+        The adjustment, and the readings' standard deviations, shape (N, S) [px].
+    """
+    first = _noise_without_points(observed, fits, point_sigma_px)
+    sigma = first
+    for _ in range(MAX_NOISE_ITERATIONS):
+        scaled = replace(fits, lens_offsets=fits.lens_offsets.scaled(1.0 / sigma))
+        wide = np.broadcast_to(sigma, point_sigma_px.shape)
+        joint = adjust_control_points(observed, scaled, wide, control_sigma_mm, progress)
+        checked = joint.redundancy > MIN_REDUNDANCY
+        # redundancy - 2: as in ``fit_statistics``.
+        wider = np.sqrt(joint.redundancy / np.maximum(joint.redundancy - 2.0, 1.0))
+        estimated = np.maximum(sigma * joint.sigma_ratio * wider, SIGMA_FLOOR_PX)
+        new = np.where(checked, estimated, first)
+        converged = np.abs(new / sigma - 1.0).max() < NOISE_TOLERANCE
+        sigma = new
+        if converged:
+            break
+    return joint, wide
+
+
+def _noise_without_points(
+    observed: ControlObservations, fits: SensorFits, point_sigma_px: Array
+) -> Array:
+    """Return each sensor's noise less the part that the points' uncertainty explains, (S,) [px]."""
+    sigma = []
+    residuals = observed.residuals_px(fits.models)
+    for column, (model, rows) in enumerate(zip(fits.models, fits.used(observed).T, strict=True)):
+        fit, _ = _fit_statistics(model, int(rows.sum()), residuals[rows, column], None)
+        if fit.sigma_source == "assumed":
+            sigma.append(float(QUANTISATION_PX))
+            continue
+        explained = float((point_sigma_px[rows, column] ** 2).mean())
+        sigma.append(float(np.sqrt(max(fit.sigma_px**2 - explained, (0.5 * fit.sigma_px) ** 2))))
+    return np.array(sigma)
+
+
+def _calibration(
+    observed: ControlObservations,
+    fits: SensorFits,
+    settings: CalibrationSettings,
+    found: list[SensorFit],
+    covariance: Array,
+    residuals_px: Array,
+) -> Calibration:
+    seen = observed.seen
+    robust = settings.loss == "robust"
+    return Calibration(
+        "metric",
+        tuple(found),
+        tuple(tuple(row) for row in covariance.tolist()),
+        nested_rows(np.where(seen, residuals_px, np.nan)),
+        settings,
+        reading_weights=nested_rows(np.where(seen, fits.weights, np.nan)) if robust else None,
+    )

@@ -1,32 +1,25 @@
 """Selection of distortion terms by cross-validation over blocks of space."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.calibration.assessment.cross_validation import block_count, spatial_block_index
 from compute.calibration.assessment_result import CandidateTerms, DistortionSelection
-from compute.calibration.settings import Loss
-from compute.calibration.single_sensor.camera_fit import LensOffsets, minimise_with_distortion
-from compute.calibration.single_sensor.distortion_terms import (
-    AUTO_CANDIDATES,
-    free_parameters,
-    preset_terms,
-)
+from compute.calibration.settings import AUTO_CANDIDATES, Loss, free_parameters, preset_terms
 from compute.calibration.single_sensor.sensor_fits import (
     ControlObservations,
     SensorFits,
+    block_count,
     fit_distorted,
     residual_sigma,
+    spatial_block_index,
 )
 from compute.camera.field_distortion import Term
-from compute.camera.model import SensorModel
-from compute.camera.stack import CameraStack
 from compute.errors import DegeneratePoints, NoConvergence, TooFewPoints
-from compute.progress import Progress
+from compute.progress import Progress, no_progress
 
 Array = NDArray[np.float64]
 
@@ -38,21 +31,23 @@ MAX_LOSS_SIGMA: Final = 6.0
 
 @dataclass(frozen=True, eq=False)
 class _ScoredTerms:
-    """Prediction errors of one candidate set of terms."""
+    """Prediction errors (N, S) [px] of one candidate set of terms, and their loss (N,)."""
 
     name: str
     terms: tuple[tuple[Term, ...], ...]
     reduced_terms: tuple[tuple[str, str], ...]
     errors_px: Array
 
+    @property
+    def parameters(self) -> int:
+        return sum(free_parameters(terms) for terms in self.terms)
+
 
 def select_terms(
     observed: ControlObservations,
-    undistorted: tuple[SensorModel, ...],
-    weights: Array,
-    lens_offsets: LensOffsets,
+    undistorted: SensorFits,
     loss: Loss,
-    progress: Progress | None = None,
+    progress: Progress = no_progress,
 ) -> tuple[tuple[tuple[Term, ...], ...], DistortionSelection]:
     """Select one of ``AUTO_CANDIDATES``, or no terms, by cross-validation over blocks of space.
 
@@ -65,8 +60,6 @@ def select_terms(
     Args:
         observed: control points and readings.
         undistorted: the seven-parameter cameras.
-        weights: of the readings by a robust loss, shape (N, S); ones without.
-        lens_offsets: positions of the lenses along the slits.
         loss: "linear" or "robust".
         progress: called with the fraction done and the candidate.
 
@@ -80,62 +73,56 @@ def select_terms(
     names = ("none", *AUTO_CANDIDATES)
     rows: list[CandidateTerms] = []
     scored: list[_ScoredTerms] = []
-    fits = SensorFits(undistorted, weights, lens_offsets)
+    fits = undistorted
     for number, name in enumerate(names):
-        if progress is not None:
-            progress(number / len(names), f"cross-validation of distortion {name}")
+        progress(number / len(names), f"cross-validation of distortion {name}")
         terms, reduced_terms = _supported_terms(observed, folds, name, names)
         note = ""
-        if all(own == () for own in terms) and name != "none":
+        if not any(terms) and name != "none":
             note = "too few points for it"
         elif any(terms == other.terms for other in scored):
             note = "too few points for more than a smaller set"
         else:
             try:
-                fitted = fit_distorted(observed, undistorted, terms, lens_offsets, loss, weights)
+                fitted = fit_distorted(observed, undistorted, terms, loss)
                 errors = _prediction_errors(observed, fitted, folds, blocks)
                 scored.append(_ScoredTerms(name, terms, reduced_terms, errors))
                 fits = fitted
             except (DegeneratePoints, NoConvergence, TooFewPoints) as error:
                 note = error.detail
-        rows.append(_unfitted_candidate(name, note))
+        full = preset_terms(name)
+        rows.append(CandidateTerms(name, full, free_parameters(full), None, None, None, None, note))
     if not scored:
-        none = ((),) * len(undistorted)
+        none = ((),) * len(undistorted.models)
         return none, DistortionSelection("none", _reason_unjudged(rows), tuple(rows), count)
-    sigma = _reading_sigma(observed, fits)
-    losses = [_losses(one.errors_px, sigma, loss) for one in scored]
+    sigma = observed.sigma_px
+    if not observed.sigma_known:
+        sigma = residual_sigma(observed, fits.models, fits.weights)
+    losses = np.array([_losses(one.errors_px, sigma, loss) for one in scored])
     readings = int(observed.seen.sum())
-    totals = np.array([values.sum() / readings for values in losses])
+    totals = losses.sum(axis=1) / readings
     best = int(totals.argmin())
     excess = totals - totals[best]
-    standard_errors = np.array(
-        [_standard_error(values - losses[best], blocks, count, readings) for values in losses]
+    errors = np.array(
+        [_standard_error(row - losses[best], blocks, count, readings) for row in losses]
     )
-    order = sorted(range(len(scored)), key=lambda one: _parameters(scored[one].terms))
-    chosen = first_within_standard_error(order, excess, standard_errors)
-    table = []
-    for row in rows:
-        found = next((k for k, one in enumerate(scored) if one.name == row.name), None)
-        if found is None:
-            table.append(row)
-            continue
-        table.append(
-            CandidateTerms(
-                row.name,
-                row.terms,
-                row.parameters,
-                float(np.sqrt(np.nanmean(scored[found].errors_px ** 2))),
-                float(totals[found]),
-                float(excess[found]),
-                float(standard_errors[found]),
-            )
+    table = {row.name: row for row in rows}
+    for one, total, more, error in zip(
+        scored, totals.tolist(), excess.tolist(), errors.tolist(), strict=True
+    ):
+        table[one.name] = replace(
+            table[one.name],
+            left_out_rms_px=float(np.sqrt(np.nanmean(one.errors_px**2))),
+            loss=total,
+            loss_excess=more,
+            loss_excess_error=error,
         )
-    taken = scored[chosen]
-    reason = _reason(
-        taken.name, scored[best].name, float(excess[chosen]), float(standard_errors[chosen])
-    )
-    return taken.terms, DistortionSelection(
-        taken.name, reason, tuple(table), count, taken.reduced_terms
+    order = sorted(range(len(scored)), key=lambda one: scored[one].parameters)
+    chosen = first_within_standard_error(order, excess, errors)
+    selected = scored[chosen]
+    reason = _reason(selected.name, scored[best].name, float(excess[chosen]), float(errors[chosen]))
+    return selected.terms, DistortionSelection(
+        selected.name, reason, tuple(table.values()), count, selected.reduced_terms
     )
 
 
@@ -150,19 +137,11 @@ def first_within_standard_error(order: Sequence[int], excess: Array, error: Arra
     return next(one for one in order if excess[one] <= error[one])
 
 
-def _unfitted_candidate(name: str, note: str) -> CandidateTerms:
-    terms = () if name == "none" else preset_terms(name)
-    return CandidateTerms(name, terms, free_parameters(terms), None, None, None, None, note)
-
-
 def _supported_terms(
     observed: ControlObservations, folds: NDArray[np.bool_], name: str, names: tuple[str, ...]
 ) -> tuple[tuple[tuple[Term, ...], ...], tuple[tuple[str, str], ...]]:
     """Return each sensor's terms: those of the set, or of a smaller one where points are few."""
-    sets = [
-        (candidate, () if candidate == "none" else preset_terms(candidate)) for candidate in names
-    ]
-    sets = sets[: names.index(name) + 1]
+    sets = [(smaller, preset_terms(smaller)) for smaller in names[: names.index(name) + 1]]
     terms, reduced_terms = [], []
     for sensor, rows in zip(observed.sensors, observed.seen.T, strict=True):
         fewest = int((folds & rows).sum(axis=1).min())
@@ -195,17 +174,7 @@ def _prediction_errors(
         NoConvergence: a fit without a block does not come to rest.
     """
     sensors, count = len(fits.models), len(folds)
-    index = np.tile(np.arange(sensors), count)
-    left = np.repeat(folds, sensors, axis=0).T
-    weights = (observed.weights * np.sqrt(fits.weights))[:, index] * left
-    ended = minimise_with_distortion(
-        CameraStack.of(fits.models).rows(index),
-        observed.points_mm,
-        observed.readings_px[:, index],
-        weights,
-        fits.lens_offsets.prior.rows(index),
-        multi_start=False,
-    )
+    ended = fits.fit_without(observed, folds)
     if not ended.converged.all():
         where = int(np.flatnonzero(~ended.converged)[0])
         raise NoConvergence(
@@ -219,21 +188,12 @@ def _prediction_errors(
     return errors
 
 
-def _reading_sigma(observed: ControlObservations, fits: SensorFits) -> Array:
-    """Return the readings' standard deviations (N, S), given or from the largest fit."""
-    if observed.sigma_known:
-        return observed.sigma_px
-    sigma = residual_sigma(observed, fits.models, fits.weights)
-    return np.broadcast_to(sigma, observed.readings_px.shape)
-
-
 def _losses(errors_px: Array, sigma_px: Array, loss: Loss) -> Array:
     """Return squared prediction errors over the variance, summed over sensors, shape (N,)."""
     squares = np.nan_to_num((errors_px / sigma_px) ** 2)
     if loss == "robust":
         squares = np.minimum(squares, MAX_LOSS_SIGMA**2)
-    total: Array = squares.sum(axis=1)
-    return total
+    return np.asarray(squares.sum(axis=1))
 
 
 def _standard_error(
@@ -241,10 +201,6 @@ def _standard_error(
 ) -> float:
     sums = np.bincount(blocks, weights=differences, minlength=count)
     return float(np.sqrt(count / (count - 1) * ((sums - sums.mean()) ** 2).sum()) / readings)
-
-
-def _parameters(terms: tuple[tuple[Term, ...], ...]) -> int:
-    return sum(free_parameters(own) for own in terms)
 
 
 def _reason_unjudged(rows: Sequence[CandidateTerms]) -> str:

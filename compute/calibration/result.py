@@ -1,16 +1,16 @@
 """Calibration: sensor models, joint covariance, residuals; the readings' noise that follows."""
 
 from dataclasses import dataclass
-from typing import Literal, Self
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from compute.calibration.assessment_result import Diagnosis, DistortionSelection
-from compute.calibration.mislabels.finding import LabelFinding
-from compute.calibration.mislabels.repair import exclude, repair
+from compute.calibration.mislabels.repair import CORRECTIONS, LabelFinding
 from compute.calibration.settings import CalibrationSettings
-from compute.camera.model import SensorGeometry, SensorModel, Vector3, vector3
+from compute.camera.model import SensorModel, Vector3, vector3
+from compute.measurement.measurements import MeasurementNoise
 
 Array = NDArray[np.float64]
 Method = Literal["metric", "self-calibration", "update", "dlt-iterative", "bundle-11"]
@@ -136,38 +136,18 @@ class Calibration:
         return tuple(fit.model for fit in self.sensors)
 
 
-@dataclass(frozen=True, eq=False)
-class MeasurementNoise:
-    """Noise and model error of each sensor's readings under a calibration.
+def measurement_noise(calibration: Calibration) -> MeasurementNoise:
+    """Return the readings' noise by a calibration's fit statistics."""
+    fits = calibration.sensors
+    sensor_sigma = np.array([fit.sigma_px for fit in fits])
+    excess = np.array([max((fit.chi2_per_dof or 1.0) - 1.0, 0.0) for fit in fits])
+    minimum = [fit.sigma_px if fit.sigma_source == "residuals" else 0.0 for fit in fits]
+    return MeasurementNoise(sensor_sigma, sensor_sigma * np.sqrt(excess), np.array(minimum))
 
-    Args:
-        sensor_sigma_px: standard deviation of a reading without one of its own, shape (S,) [px].
-        model_error_px: root of the residuals' variance in excess of the noise, shape (S,) [px].
-        min_sigma_px: lower bound of a reading's standard deviation, shape (S,) [px].
-    """
 
-    sensor_sigma_px: Array
-    model_error_px: Array
-    min_sigma_px: Array
-
-    @classmethod
-    def of(cls, calibration: Calibration) -> Self:
-        """Derive the noise from a calibration's fit statistics."""
-        fits = calibration.sensors
-        sensor_sigma = np.array([fit.sigma_px for fit in fits])
-        excess = np.array([max((fit.chi2_per_dof or 1.0) - 1.0, 0.0) for fit in fits])
-        minimum = [fit.sigma_px if fit.sigma_source == "residuals" else 0.0 for fit in fits]
-        return cls(sensor_sigma, sensor_sigma * np.sqrt(excess), np.array(minimum))
-
-    def sigma(self, sigma_px: Array) -> Array:
-        """Return the readings' standard deviations for reconstruction, shape (..., S) [px].
-
-        Args:
-            sigma_px: the readings' own, shape (..., S) [px]; NaN: the calibration's is used.
-        """
-        noise = np.where(np.isnan(sigma_px), self.sensor_sigma_px, sigma_px)
-        total: Array = np.maximum(np.hypot(noise, self.model_error_px), self.min_sigma_px)
-        return total
+def nested_rows(matrix: Array) -> tuple[tuple[float | None, ...], ...]:
+    """Return a matrix as nested tuples, None for NaN."""
+    return tuple(tuple(None if x != x else x for x in row) for row in matrix.tolist())
 
 
 def measurement_sigma(
@@ -186,7 +166,7 @@ def measurement_sigma(
         sigma_px: the readings' own standard deviations, shape (..., S) [px]; NaN or None: the
             calibration's are used.
     """
-    noise = MeasurementNoise.of(calibration)
+    noise = measurement_noise(calibration)
     own = noise.sensor_sigma_px if sigma_px is None else sigma_px
     return noise.sigma(np.broadcast_to(own, readings_px.shape))
 
@@ -207,14 +187,11 @@ def repaired_readings(
     """
     readings = np.asarray(readings_px, dtype=np.float64)
     sigma = None if sigma_px is None else np.asarray(sigma_px, dtype=np.float64)
-    policy = "off" if calibration.settings is None else calibration.settings.labels
+    correct = CORRECTIONS.get(calibration.settings.labels) if calibration.settings else None
     same_points = len(calibration.residuals_px) == len(readings)
-    if policy in ("off", "report") or not calibration.labels or not same_points:
+    if correct is None or not calibration.labels or not same_points:
         return readings, sigma
-    sensors = [SensorGeometry(model.name, model.pixels) for model in calibration.models]
-    return (exclude if policy == "exclude" else repair)(
-        calibration.labels, sensors, readings, sigma
-    )
+    return correct(calibration.labels, calibration.models, readings, sigma)
 
 
 def effective_readings(

@@ -1,4 +1,4 @@
-"""Distortion as a polynomial in both field angles: terms, values, derivatives and inverse.
+"""Distortion as a polynomial in both field angles: terms, values and derivatives.
 
 A point at x, y, z in a sensor's frame is read at ``p = p0 + c (u + d(u, v))`` with the field
 angles ``u = x/z`` along the row and ``v = y/(z + d)`` along the lens's axis, and
@@ -17,7 +17,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.errors import InvalidParameter, NoConvergence
+from compute.errors import InvalidParameter
 
 Array = NDArray[np.float64]
 Term = tuple[int, int]
@@ -64,10 +64,6 @@ class FieldDistortion:
             )
 
 
-_MAX_ITERATIONS: Final = 50
-_TOLERANCE: Final = 1e-14
-
-
 def power_terms(order: int, *, odd_only: bool) -> tuple[Term, ...]:
     """Return the terms in u alone, from u^3 to a power.
 
@@ -80,12 +76,7 @@ def power_terms(order: int, *, odd_only: bool) -> tuple[Term, ...]:
 
 def symmetric_terms(order: int) -> tuple[Term, ...]:
     """Return the terms of a centred lens: i odd, j even, i + j at most ``order``."""
-    return tuple(
-        (i, j)
-        for i in range(1, order + 1, 2)
-        for j in range(0, order - i + 1, 2)
-        if (i, j) not in DEGENERATE
-    )
+    return tuple((i, j) for i, j in all_terms(order) if i % 2 == 1 and j % 2 == 0)
 
 
 def all_terms(order: int) -> tuple[Term, ...]:
@@ -157,34 +148,6 @@ def distortion(u: Array, v: Array, terms: Sequence[Term], coefficients: Array) -
     """
     values: Array = term_values(u, v, terms) @ coefficients
     return values
-
-
-def undistort(distorted: Array, v: Array, terms: Sequence[Term], coefficients: Array) -> Array:
-    """Solve ``u + d(u, v) = distorted`` for u by Newton's method, shape (...).
-
-    Args:
-        distorted: the distorted field angle, shape (...).
-        v: field angle along the slit, shape (...).
-        terms: K powers (i, j).
-        coefficients: a_ij, shape (K,).
-
-    Raises:
-        NoConvergence: the polynomial has no such u nearby: it is used beyond its field.
-    """
-    u = np.array(distorted, dtype=np.float64)
-    for _ in range(_MAX_ITERATIONS):
-        derivative = 1.0 + term_derivatives(u, v, terms)[0] @ coefficients
-        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            step = (distorted - u - distortion(u, v, terms, coefficients)) / derivative
-        if not np.isfinite(step).all():
-            break
-        u = u + step
-        if (np.abs(step) <= _TOLERANCE * (1.0 + np.abs(u))).all():
-            return u
-    raise NoConvergence(
-        f"no field angle has the distorted value {np.ravel(distorted)[:3].tolist()}...; the "
-        "distortion was fitted to a smaller field"
-    )
 
 
 def _powers(values: Array, terms: Sequence[Term], axis: int) -> list[Array]:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from compute.camera.field_distortion import FieldDistortion
+from compute.camera.field_distortion import FieldDistortion, Term
 from compute.camera.rotation import rotation_matrix
 
 Vector3 = tuple[float, float, float]
@@ -89,15 +89,19 @@ class SensorModel:
     @property
     def parameter_count(self) -> int:
         """Number of parameters: 7, or 8 and one for each term of the distortion."""
-        extra = 0 if self.distortion is None else 1 + len(self.distortion.terms)
-        return PARAMETER_COUNT + extra
+        return PARAMETER_COUNT + (0 if self.distortion is None else 1 + len(self.terms))
+
+    @property
+    def terms(self) -> tuple[Term, ...]:
+        """The terms of the distortion; none without."""
+        return () if self.distortion is None else self.distortion.terms
 
     @property
     def parameter_names(self) -> tuple[str, ...]:
         """Names of the parameters in the order of Jacobians and covariances."""
         if self.distortion is None:
             return PARAMETERS
-        terms = (f"u{i}v{j}" for i, j in self.distortion.terms)
+        terms = (f"u{i}v{j}" for i, j in self.terms)
         return (*PARAMETERS, "offset_y_mm", *terms)
 
     @cached_property
@@ -108,7 +112,6 @@ class SensorModel:
     def retract(self, step: NDArray[np.float64]) -> "SensorModel":
         """Return the model after a step of its parameters, in the order of ``parameter_names``."""
         turned = Rotation.from_rotvec(step[2:5]) * Rotation.from_rotvec(self.rotation_vector_rad)
-        x, y, z = turned.as_rotvec()
         distortion = self.distortion
         if distortion is not None:
             coefficients = np.asarray(distortion.coefficients) + step[PARAMETER_COUNT + 1 :]
@@ -121,7 +124,7 @@ class SensorModel:
             self,
             principal_distance_px=self.principal_distance_px + float(step[0]),
             principal_point_px=self.principal_point_px + float(step[1]),
-            rotation_vector_rad=(float(x), float(y), float(z)),
+            rotation_vector_rad=vector3(turned.as_rotvec()),
             offset_x_mm=self.offset_x_mm + float(step[5]),
             offset_z_mm=self.offset_z_mm + float(step[6]),
             distortion=distortion,

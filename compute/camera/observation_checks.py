@@ -1,13 +1,13 @@
 """Checks of known points and their readings: shapes, values, duplicates, coverage."""
 
 from collections.abc import Sequence
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from compute.camera.model import PARAMETER_COUNT
+from compute.camera.model import PARAMETER_COUNT, SensorGeometry, SensorModel
 from compute.errors import (
     DegeneratePoints,
     DuplicatePoint,
@@ -30,20 +30,11 @@ UNEXPLAINED_PROBABILITY: Final = 0.01
 """Probability with which correct standard deviations are judged too small by the residuals."""
 
 
-class NamedPixelRow(Protocol):
-    """Name and pixel count of a sensor: ``SensorGeometry`` and ``SensorModel`` have both."""
-
-    @property
-    def name(self) -> str:
-        """The sensor's name."""
-
-    @property
-    def pixels(self) -> int:
-        """Number of its pixels."""
+Sensor = SensorGeometry | SensorModel
 
 
 def check_observations(
-    points_mm: Array, readings_px: Array, sensors: Sequence[NamedPixelRow], sigma_px: Array | None
+    points_mm: Array, readings_px: Array, sensors: Sequence[Sensor], sigma_px: Array | None
 ) -> None:
     """Check known points and their readings, whatever they are used for.
 
@@ -68,21 +59,17 @@ def check_observations(
             f"readings_px has the shape {readings_px.shape}; {right[0]} points and {right[1]} "
             f"sensors make {right}"
         )
-    bad = np.argwhere(~np.isfinite(points_mm))
-    if len(bad):
-        row, axis = bad[0]
+    for row, axis in np.argwhere(~np.isfinite(points_mm))[:1].tolist():
         raise NonFiniteValue(
             f"point {row + 1} has {'XYZ'[axis]} = {points_mm[row, axis]}; it must be finite",
-            point=int(row) + 1,
+            point=row + 1,
         )
-    infinite = np.argwhere(np.isinf(readings_px))
-    if len(infinite):
-        row, column = infinite[0]
+    for row, column in np.argwhere(np.isinf(readings_px))[:1].tolist():
         raise NonFiniteValue(
             f"the reading of point {row + 1} by sensor {sensors[column].name} is "
             f"{readings_px[row, column]}; it must be finite (leave out what was not seen, in an "
             "array as NaN)",
-            point=int(row) + 1,
+            point=row + 1,
             sensor=sensors[column].name,
         )
     if sigma_px is not None:
@@ -92,7 +79,7 @@ def check_observations(
 
 
 def check_control_points(
-    points_mm: Array, readings_px: Array, sensors: Sequence[NamedPixelRow], sigma_px: Array | None
+    points_mm: Array, readings_px: Array, sensors: Sequence[Sensor], sigma_px: Array | None
 ) -> None:
     """Check control points and readings, and that each sensor read enough of them.
 
@@ -113,7 +100,7 @@ def check_control_points(
         _check_coverage(points_mm[np.isfinite(readings_px[:, column])], sensor)
 
 
-def check_inside(readings_px: Array, sensors: Sequence[NamedPixelRow]) -> None:
+def check_inside(readings_px: Array, sensors: Sequence[Sensor]) -> None:
     """Check that readings lie on the sensors' pixels.
 
     Args:
@@ -126,20 +113,19 @@ def check_inside(readings_px: Array, sensors: Sequence[NamedPixelRow]) -> None:
     pixels = np.array([sensor.pixels for sensor in sensors])
     with np.errstate(invalid="ignore"):
         outside = np.argwhere((readings_px < -0.5) | (readings_px > pixels - 0.5))
-    if len(outside):
-        row, column = outside[0]
+    for row, column in outside[:1].tolist():
         sensor = sensors[column]
         raise ReadingOutsideSensor(
             f"the reading {readings_px[row, column]:g} px of point {row + 1} lies outside "
             f"sensor {sensor.name}, whose {sensor.pixels} pixels reach from -0.5 to "
             f"{sensor.pixels - 0.5:g} px",
-            point=int(row) + 1,
+            point=row + 1,
             sensor=sensor.name,
             reading_px=float(readings_px[row, column]),
         )
 
 
-def _check_coverage(points_mm: Array, sensor: NamedPixelRow) -> None:
+def _check_coverage(points_mm: Array, sensor: Sensor) -> None:
     if len(points_mm) < PARAMETER_COUNT:
         raise TooFewPoints(
             f"sensor {sensor.name} saw {len(points_mm)} control points; "
@@ -159,7 +145,7 @@ def _check_coverage(points_mm: Array, sensor: NamedPixelRow) -> None:
         )
 
 
-def _check_sigma(sigma_px: Array, readings_px: Array, sensors: Sequence[NamedPixelRow]) -> None:
+def _check_sigma(sigma_px: Array, readings_px: Array, sensors: Sequence[Sensor]) -> None:
     if sigma_px.shape != readings_px.shape:
         raise InvalidParameter(
             f"sigma_px has the shape {sigma_px.shape}; the readings have {readings_px.shape}"
@@ -167,13 +153,12 @@ def _check_sigma(sigma_px: Array, readings_px: Array, sensors: Sequence[NamedPix
     low, high = SIGMA_RANGE_PX
     with np.errstate(invalid="ignore"):
         wrong = np.argwhere(np.isfinite(readings_px) & ~((sigma_px >= low) & (sigma_px <= high)))
-    if len(wrong):
-        row, column = wrong[0]
+    for row, column in wrong[:1].tolist():
         raise InvalidParameter(
             f"the standard deviation of the reading of point {row + 1} by sensor "
             f"{sensors[column].name} is {sigma_px[row, column]} px; it must lie in {low:g} .. "
             f"{high:g} px",
-            point=int(row) + 1,
+            point=row + 1,
             sensor=sensors[column].name,
         )
 

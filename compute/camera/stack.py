@@ -1,7 +1,7 @@
 """Several 1D cameras as arrays: projection of points and its Jacobians, batched."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import numpy as np
@@ -67,12 +67,8 @@ class CameraStack:
             np.array([model.rotation for model in models]).reshape(-1, 3, 3),
             np.array(
                 [
-                    (
-                        model.offset_x_mm,
-                        0.0 if model.distortion is None else model.distortion.offset_y_mm,
-                        model.offset_z_mm,
-                    )
-                    for model in models
+                    (model.offset_x_mm, 0.0 if d is None else d.offset_y_mm, model.offset_z_mm)
+                    for model, d in zip(models, distortions, strict=True)
                 ]
             ).reshape(-1, 3),
             np.array([model.cubic_per_px2 for model in models], dtype=np.float64),
@@ -130,16 +126,9 @@ class CameraStack:
 
     def rows(self, index: NDArray[np.intp]) -> "CameraStack":
         """Return some of the cameras, with the same columns."""
-        return replace(
-            self,
-            principal_distance_px=self.principal_distance_px[index],
-            principal_point_px=self.principal_point_px[index],
-            rotation=self.rotation[index],
-            offset_mm=self.offset_mm[index],
-            cubic_per_px2=self.cubic_per_px2[index],
-            coefficients=self.coefficients[index],
-            row_behind_mm=self.row_behind_mm[index],
-            parameter_index=self.parameter_index[index],
+        arrays = {field.name: getattr(self, field.name) for field in fields(self)}
+        return CameraStack(
+            **{name: a if name == "terms" else a[index] for name, a in arrays.items()}
         )
 
     def __len__(self) -> int:
@@ -248,8 +237,8 @@ class CameraStack:
             depth = rotated[..., 2] + self.offset_mm[:, 2]
             depth = np.where(depth > 0.0, depth, np.nan)
             u = (rotated[..., 0] + self.offset_mm[:, 0]) / depth
-            slopes = reading_jacobian(rotated, u, self.principal_distance_px / depth)
-            return self.principal_point_px + self.principal_distance_px * u, slopes
+            jacobian = _undistorted_jacobian(rotated, u, self.principal_distance_px / depth)
+            return self.principal_point_px + self.principal_distance_px * u, jacobian
         reading, by_frame, angle, values = self._distorted(points_mm)
         jacobian = np.empty((*angle.shape, self.width))
         jacobian[..., 0] = angle
@@ -288,7 +277,7 @@ class CameraStack:
         return self.principal_point_px + c * angle, by_frame, angle, values
 
 
-def reading_jacobian(rotated_mm: Array, u: Array, gain: Array) -> Array:
+def _undistorted_jacobian(rotated_mm: Array, u: Array, gain: Array) -> Array:
     """Return d reading / d parameters without distortion, shape (..., 7), as in PARAMETERS.
 
     Args:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.errors import InvalidParameter
-from compute.mapping.grid import VoxelGrid
+from compute.mapping.grid import VoxelGrid, mesh_points
 
 Array = NDArray[np.float64]
 
@@ -62,7 +62,7 @@ def interpolate_corners(values: Array) -> Array:
         matrix[cells + 1 :] = ends[[0, -1]]
         right = np.zeros((cells + 3, cells + 1))
         right[: cells + 1] = np.eye(cells + 1)
-        coefficients = _apply_along_axis(np.linalg.solve(matrix, right), coefficients, axis)
+        coefficients = apply_along_axis(np.linalg.solve(matrix, right), coefficients, axis)
     return coefficients
 
 
@@ -84,12 +84,18 @@ def interpolate_function(grid: VoxelGrid, function: Callable[[Array], Array]) ->
         np.put_along_axis(matrix, cell[:, None] + np.arange(4), weights, axis=1)
         inverses.append(np.asarray(np.linalg.inv(matrix), dtype=np.float64))
         axes.append(origin + pitch * cell_coordinate)
-    sites = np.stack([one.ravel() for one in np.meshgrid(*axes, indexing="ij")], axis=1)
-    coefficients = function(sites).reshape([len(axis) for axis in axes])
+    coefficients = function(mesh_points(axes)).reshape([len(axis) for axis in axes])
     for axis, inverse in enumerate(inverses):
-        coefficients = _apply_along_axis(inverse, coefficients, axis)
+        coefficients = apply_along_axis(inverse, coefficients, axis)
     return coefficients
 
 
-def _apply_along_axis(matrix: Array, values: Array, axis: int) -> Array:
+def apply_along_axis(matrix: Array, values: Array, axis: int) -> Array:
+    """Return values with a matrix (M, N) applied along one of their axes, of length N.
+
+    Args:
+        matrix: shape (M, N).
+        values: any shape with N at the axis.
+        axis: the axis.
+    """
     return np.moveaxis(np.tensordot(matrix, values, axes=(1, axis)), 0, axis)

@@ -1,7 +1,9 @@
 """Construction of a correction table from mapping measurements."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
+from itertools import count
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,15 +19,23 @@ from compute.mapping.cell_support import (
 )
 from compute.mapping.diagonalised_basis import DiagonalisedBasis
 from compute.mapping.grid import VoxelGrid
-from compute.mapping.grid_extent import grid_for_points, point_spacing
-from compute.mapping.measurements import MappingMeasurements, check_measurements
-from compute.mapping.result import MappingResult, MappingValidation, SensorMapping
-from compute.mapping.sample_grid import SampleGrid, fill_nearest
+from compute.mapping.measurements import (
+    MappingMeasurements,
+    check_measurements,
+    grid_for_points,
+    point_spacing,
+)
+from compute.mapping.result import (
+    MappingResult,
+    MappingSettings,
+    MappingValidation,
+    SensorMapping,
+)
+from compute.mapping.sample_grid import SampleGrid
 from compute.mapping.sensor_data import SensorData
 from compute.mapping.sensor_fit import fit_sensor, summarise_fit
-from compute.mapping.settings import MappingSettings
 from compute.mapping.table import CorrectionTable
-from compute.progress import Progress
+from compute.progress import Progress, no_progress, partial_progress
 
 Array = NDArray[np.float64]
 
@@ -52,7 +62,7 @@ def build_table(
     measured: MappingMeasurements,
     parameter_covariance: Array | None = None,
     settings: MappingSettings | None = None,
-    progress: Progress = lambda _share, _stage: None,
+    progress: Progress = no_progress,
 ) -> MappingResult:
     """Build the table of corrections, projection minus measurement.
 
@@ -141,14 +151,7 @@ def _fit_p_splines(
     parts = []
     for column, model in enumerate(models):
         seen = np.flatnonzero(np.isfinite(samples[:, column]))
-        parameter_mask = cameras.parameter_mask[column]
-
-        def parameter_jacobian(
-            points: Array, column: int = column, parameter_mask: Array = parameter_mask
-        ) -> Array:
-            found: Array = cameras.parameter_jacobian(points)[:, column][:, parameter_mask]
-            return found
-
+        mask = cameras.parameter_mask[column]
         known = measured.sigma_px is not None
         data = SensorData(
             model.name,
@@ -158,12 +161,11 @@ def _fit_p_splines(
             variance[seen, column] if known else np.ones(len(seen)),
             known,
             block[seen],
-            parameter_jacobian,
-            None
-            if joint is None
-            else joint[column, :, column][np.ix_(parameter_mask, parameter_mask)],
+            partial(_parameter_jacobian, cameras, column),
+            None if joint is None else joint[column, :, column][np.ix_(mask, mask)],
         )
-        on_trial = _TrialProgress(progress, column, len(models), model.name)
+        share = partial_progress(progress, column / len(models), (column + 1) / len(models))
+        on_trial = _trial_progress(share, f"smoothness of {model.name}")
         fitted = fit_sensor(data, functions, settings.penalty_weight, on_trial)
         valid = find_supported_cells(grid, data.points_mm, settings.min_neighbours, spacing)
         parts.append(
@@ -210,26 +212,21 @@ def _interpolate(
             float(valid.mean()),
         )
         parts.append(
-            _SensorPart(
-                coefficients, fill_nearest(sample_grid, variance[:, column]), valid, figures
-            )
+            _SensorPart(coefficients, sample_grid.fill_nearest(variance[:, column]), valid, figures)
         )
     return parts
 
 
-class _TrialProgress:
-    """Reports progress of one sensor's penalty trials, whose number is not known in advance."""
+def _parameter_jacobian(cameras: CameraStack, column: int, points_mm: Array) -> Array:
+    """Return d reading / d parameters of one sensor at points (N, 3), shape (N, P)."""
+    by_parameter = cameras.parameter_jacobian(points_mm)[:, column]
+    return np.asarray(by_parameter[:, cameras.parameter_mask[column]])
 
-    def __init__(self, progress: Progress, sensor: int, sensors: int, name: str) -> None:
-        self._progress = progress
-        self._sensor, self._sensors, self._name = sensor, sensors, name
-        self._trials = 0
 
-    def __call__(self) -> None:
-        """Count one more trial."""
-        self._trials += 1
-        share = 1.0 - float(np.exp(-2.0 * self._trials / _TYPICAL_TRIALS))
-        self._progress((self._sensor + share) / self._sensors, f"smoothness of {self._name}")
+def _trial_progress(progress: Progress, stage: str) -> Callable[[], None]:
+    """Return what counts one sensor's penalty trials, whose number is not known in advance."""
+    trials = count(1)
+    return lambda: progress(1.0 - float(np.exp(-2.0 * next(trials) / _TYPICAL_TRIALS)), stage)
 
 
 def _spatial_blocks(points_mm: Array, spacing: float) -> NDArray[np.intp]:

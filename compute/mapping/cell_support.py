@@ -8,7 +8,7 @@ from scipy.ndimage import binary_fill_holes
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from compute.errors import TooFewPoints
-from compute.mapping.grid import VoxelGrid
+from compute.mapping.grid import VoxelGrid, mesh_points
 
 Array = NDArray[np.float64]
 
@@ -37,8 +37,7 @@ def find_supported_cells(
     # Plus the distance from the cell's centre to its corners, for wide cells.
     reach = REACH * spacing_mm + 0.5 * float(np.linalg.norm(grid.pitch_mm))
     counts = cKDTree(seen_mm).query_ball_point(centres, reach, return_length=True)
-    found: NDArray[np.bool_] = (inside & (counts >= min_neighbours)).reshape(grid.cells)
-    return found
+    return np.asarray((inside & (counts >= min_neighbours)).reshape(grid.cells))
 
 
 def within_hull(points_mm: Array, positions_mm: Array) -> NDArray[np.bool_]:
@@ -100,9 +99,8 @@ def cell_corners(grid: VoxelGrid) -> Array:
 
 
 def _lattice(grid: VoxelGrid, node_positions: Sequence[NDArray[np.floating]]) -> Array:
-    index = np.stack([one.ravel() for one in np.meshgrid(*node_positions, indexing="ij")], axis=1)
-    lattice: Array = np.asarray(grid.origin_mm) + index * np.asarray(grid.pitch_mm)
-    return lattice
+    index = mesh_points(node_positions)
+    return np.asarray(np.asarray(grid.origin_mm) + index * np.asarray(grid.pitch_mm))
 
 
 def corner_values(grid: VoxelGrid, function: Callable[[Array], Array]) -> Array:
@@ -122,25 +120,17 @@ def corner_values(grid: VoxelGrid, function: Callable[[Array], Array]) -> Array:
     """
     values = function(cell_corners(grid)).reshape([cells + 1 for cells in grid.cells])
     centres = function(cell_centres(grid)).reshape(grid.cells)
-    wanted = (_mean_of_corners(values) + 2.0 * centres) / 3.0
-    around = _sum_around(np.ones(grid.cells))
+    wanted = (_neighbour_sums(values) / 8.0 + 2.0 * centres) / 3.0
+    around = _neighbour_sums(np.pad(np.ones(grid.cells), 1))
     for _ in range(_MAX_ITERATIONS):
-        values = values * _sum_around(wanted / _mean_of_corners(values)) / around
+        ratio = wanted / (_neighbour_sums(values) / 8.0)
+        values = values * _neighbour_sums(np.pad(ratio, 1)) / around
     return values
 
 
-def _mean_of_corners(values: Array) -> Array:
-    """Return the means of the corners' values (nx + 1, ...) by cell, shape (nx, ...)."""
+def _neighbour_sums(values: Array) -> Array:
+    """Return sums of 2 x 2 x 2 neighbouring values (nx + 1, ...), shape (nx, ...)."""
     for axis in range(3):
         low = values.take(range(values.shape[axis] - 1), axis)
-        values = 0.5 * (low + values.take(range(1, values.shape[axis]), axis))
+        values = low + values.take(range(1, values.shape[axis]), axis)
     return values
-
-
-def _sum_around(values: Array) -> Array:
-    """Return the sums of cell values (nx, ...) around the corners, shape (nx + 1, ...)."""
-    padded = np.pad(values, 1)
-    for axis in range(3):
-        low = padded.take(range(padded.shape[axis] - 1), axis)
-        padded = low + padded.take(range(1, padded.shape[axis]), axis)
-    return padded

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.mapping.b_splines import b_spline_basis
+from compute.mapping.b_splines import apply_along_axis, b_spline_basis
 from compute.mapping.grid import VoxelGrid
 
 Array = NDArray[np.float64]
@@ -79,8 +79,7 @@ class DiagonalisedBasis:
     def penalty(self, weights: Array) -> Array:
         """Return the functions' penalties, shape (R,), for weights of the axes (3,)."""
         total: Array = self.costs @ weights
-        raised: Array = np.maximum(total, total[total > 0.0].min())
-        return raised
+        return np.asarray(np.maximum(total, total[total > 0.0].min()))
 
     def values(self, points_mm: Array) -> Array:
         """Evaluate the functions at points (N, 3), shape (N, R)."""
@@ -98,12 +97,11 @@ class DiagonalisedBasis:
         full = np.zeros([len(eigenvectors) for eigenvectors in self.vectors])
         full[tuple(self.function_index.T)] = amounts
         for axis, eigenvectors in enumerate(self.vectors):
-            full = np.moveaxis(np.tensordot(eigenvectors, full, axes=(1, axis)), 0, axis)
+            full = apply_along_axis(eigenvectors, full, axis)
         return full
 
 
 def _polynomials(count: int, order: int) -> Array:
     """Return orthonormal polynomials of degree 0 to order - 1 over equal steps, as columns."""
     powers = np.vander(np.linspace(-1.0, 1.0, count), order, increasing=True)
-    orthonormal: Array = np.linalg.qr(powers)[0]
-    return orthonormal
+    return np.asarray(np.linalg.qr(powers)[0])

@@ -1,5 +1,6 @@
 """VoxelGrid: a box of equal cells in object space."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -60,3 +61,8 @@ class VoxelGrid:
         cell_coordinate = np.clip(cell_coordinate, 0.0, count)
         cell = np.minimum(cell_coordinate.astype(np.intp), count - 1)
         return cell, cell_coordinate - cell, inside
+
+
+def mesh_points(axes: Sequence[NDArray[np.floating]]) -> Array:
+    """Return the points of a mesh with these coordinates along x, y and z, shape (N, 3)."""
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)

@@ -1,15 +1,19 @@
-"""MappingMeasurements: readings of markers at known positions, with checks."""
+"""MappingMeasurements: readings of markers at known positions; their checks and their grid."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
 
-from compute.camera.model import SensorModel
+from compute.camera.model import SensorModel, vector3
 from compute.camera.observation_checks import FLATNESS_LIMIT, check_observations
 from compute.camera.stack import CameraStack
 from compute.errors import DegeneratePoints, InvalidParameter, TooFewPoints
+from compute.mapping.grid import VoxelGrid
+from compute.mapping.result import MappingSettings
 
 Array = NDArray[np.float64]
 
@@ -17,6 +21,10 @@ MIN_POINTS = 8
 """Smallest number of points of a sensor: the corners of one cell."""
 MIN_EXTENT_SHARE = 0.1
 """Smallest extent of a sensor's points relative to that of all, along their principal axes."""
+MAX_CELLS: Final = 200_000
+"""Largest number of cells of a grid."""
+MAX_ALONG: Final = 256
+"""Largest number of cells along an axis."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,5 +110,44 @@ def _extents(points: Array) -> Array:
     """Return the points' extents along their principal axes, largest first, shape (3,) [mm]."""
     centred = points - points.mean(axis=0)
     _, _, axes = np.linalg.svd(centred, full_matrices=False)
-    extents: Array = np.sort(np.ptp(centred @ axes.T, axis=0))[::-1]
-    return extents
+    return np.asarray(np.sort(np.ptp(centred @ axes.T, axis=0))[::-1])
+
+
+def point_spacing(measured: MappingMeasurements) -> float:
+    """Return the mean distance between neighbouring points, as if evenly spread [mm]."""
+    volume = float(ConvexHull(measured.points_mm).volume)
+    return float(np.cbrt(volume / len(measured.points_mm)))
+
+
+def grid_for_points(
+    measured: MappingMeasurements, spacing: float, settings: MappingSettings
+) -> VoxelGrid:
+    """Return the grid over the box of the measurements.
+
+    Args:
+        measured: the measurements.
+        spacing: mean distance between neighbours, the pitch if the settings have none [mm].
+        settings: the mapping settings.
+
+    Raises:
+        InvalidParameter: the pitch makes too many cells.
+    """
+    low, high = measured.points_mm.min(axis=0), measured.points_mm.max(axis=0)
+    requested = settings.pitch_mm
+    wanted = np.full(3, spacing) if requested is None else np.asarray(requested)
+    with np.errstate(over="ignore"):  # a tiny pitch: refused below
+        counts = np.maximum((high - low) / wanted, 1.0)
+    counts = np.rint(counts) if requested is None else np.ceil(counts - 1e-9)
+    if requested is None:
+        # Clustered points: no more cells than the limit.
+        counts = np.minimum(counts, MAX_ALONG)
+    if counts.max() > MAX_ALONG or counts.prod() > MAX_CELLS:
+        raise InvalidParameter(
+            f"pitch_mm {requested} makes {'x'.join(f'{count:.0f}' for count in counts)} cells of "
+            f"the measured volume of {'x'.join(f'{side:.4g}' for side in high - low)} mm; at most "
+            f"{MAX_CELLS} and {MAX_ALONG} along an axis are held, take a larger one"
+        )
+    pitch = (high - low) / counts if requested is None else wanted
+    origin = 0.5 * (low + high) - 0.5 * pitch * counts
+    x, y, z = (int(count) for count in counts)
+    return VoxelGrid(vector3(origin), vector3(pitch), (x, y, z))

@@ -84,14 +84,12 @@ class PenalisedFit:
         The Bayesian covariance of a penalised fit (G. Wahba, Bayesian "confidence intervals" for
         the cross-validated smoothing spline, 1983, doi:10.1111/j.2517-6161.1983.tb01239.x).
         """
-        squares: Array = (self.whitened_rows(functions) ** 2).sum(axis=1)
-        return squares
+        return np.asarray((self.whitened_rows(functions) ** 2).sum(axis=1))
 
     def covariance(self) -> Array:
         """Return the posterior covariance of the coefficients, shape (R + Q, R + Q)."""
         half = solve_triangular(self.precision_factor, np.eye(len(self.amounts)), lower=True)
-        covariance: Array = half.T @ half
-        return covariance
+        return np.asarray(half.T @ half)
 
     @property
     def effective_parameters(self) -> float:
@@ -169,8 +167,7 @@ class LeftOutErrors:
             square = square / square.mean() + np.log(square.mean())
         each = square + self.log_variance
         first = np.cumsum(self.sizes) - self.sizes
-        blocks: Array = np.add.reduceat(each, first)
-        return blocks
+        return np.asarray(np.add.reduceat(each, first))
 
     @property
     def scale(self) -> float:

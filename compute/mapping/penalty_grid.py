@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.mapping.diagonalised_basis import DiagonalisedBasis
-from compute.mapping.p_splines import PenalisedProblem
+from compute.mapping.p_splines import PenalisedFit, PenalisedProblem
 
 Array = NDArray[np.float64]
 Axes = tuple[int, int, int]
@@ -52,6 +52,15 @@ class PenaltyTrial:
     def total(self) -> float:
         """Minus twice the log density of all left-out blocks, up to a constant."""
         return float(self.deviances.sum())
+
+    def fit(self, problem: PenalisedProblem, functions: DiagonalisedBasis) -> PenalisedFit:
+        """Fit samples with this penalty.
+
+        Args:
+            problem: the samples.
+            functions: the penalised functions.
+        """
+        return problem.solve(self.weight * functions.penalty(self.axes))
 
 
 def evaluate_penalty(

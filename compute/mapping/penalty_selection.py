@@ -1,4 +1,4 @@
-"""Penalty selection by cross-validation over blocks, with probabilities of penalties."""
+"""Penalties with their probabilities by cross-validation over blocks; average of their fits."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -13,7 +13,6 @@ from compute.mapping.penalty_grid import (
     IDENTICAL_FIT_DEVIANCE_THRESHOLD,
     PenaltyGrid,
     PenaltyTrial,
-    evaluate_penalty,
     step_widths,
 )
 
@@ -23,23 +22,8 @@ MAX_ROUNDS = 3
 """Largest number of rounds of searching the axes' weights about the best."""
 BOOTSTRAP_REPLICATES = 200
 """Bayesian bootstrap replicates of the blocks for the probabilities of penalties."""
-
-
-@dataclass(frozen=True, eq=False)
-class FittedPenalty:
-    """A penalty and the fit with it.
-
-    Args:
-        weight: weight of the penalty [1/px^2].
-        axes: relative weights of the axes, shape (3,).
-        fit: the fit.
-        score: mean deviance of left-out blocks, see ``LeftOutErrors.deviances``.
-    """
-
-    weight: float
-    axes: Array
-    fit: PenalisedFit
-    score: float
+MIN_SHARE = 1e-3
+"""Probability relative to the best below which a penalty is left out."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,43 +44,11 @@ class PenaltyPosterior:
         """Return whether left-out blocks demand larger variances.
 
         Tests twice the log likelihood ratio of a common factor of all variances against ``limit``.
-        The
-        residuals need not show it: a fit that follows the noise leaves none.
+        The residuals need not show it: a fit that follows the noise leaves none.
         """
         likeliest = min(self.trials, key=lambda trial: trial.scaled_deviance)
         least = min(trial.total for trial in self.trials)
         return likeliest.scale > 1.0 and least - likeliest.scaled_deviance > limit
-
-
-def fit_penalty(
-    problem: PenalisedProblem, functions: DiagonalisedBasis, weight: float, axes: Array
-) -> FittedPenalty:
-    """Fit with a given penalty.
-
-    Args:
-        problem: the samples.
-        functions: the penalised functions.
-        weight: weight of the penalty [1/px^2].
-        axes: relative weights of the axes, shape (3,).
-    """
-    fit = problem.solve(weight * functions.penalty(axes))
-    deviances = fit.left_out().deviances(known_variance=problem.known_variance)
-    return FittedPenalty(weight, axes, fit, float(deviances.sum()) / len(problem.samples))
-
-
-def single_penalty(
-    problem: PenalisedProblem, functions: DiagonalisedBasis, weight: float
-) -> PenaltyPosterior:
-    """Return the posterior of a penalty that is known.
-
-    Args:
-        problem: the samples.
-        functions: the penalised functions.
-        weight: weight of the penalty [1/px^2].
-    """
-    return PenaltyPosterior(
-        (evaluate_penalty(problem, functions, weight, np.ones(3)),), 0, np.ones(1)
-    )
 
 
 def cross_validate_penalties(
@@ -111,10 +63,8 @@ def cross_validate_penalties(
     points: errors of neighbours are correlated, and a fit that follows them would score too well.
 
     The weights lie on a grid, the axes' relative weights included, as corrections vary less along
-    the
-    depth than across it: first all weights with equal axes, then those about the best with one
-        axis'
-    weight raised or lowered, and again about the best of these.
+    the depth than across it: first all weights with equal axes, then those about the best with one
+    axis' weight raised or lowered, and again about the best of these.
 
     Args:
         problem: the samples.
@@ -172,8 +122,83 @@ def _posterior_probabilities(trials: tuple[PenaltyTrial, ...], prior: Array) -> 
     drawn = np.random.default_rng(blocks).dirichlet(np.ones(blocks), BOOTSTRAP_REPLICATES) * blocks
     logs = -0.5 * deviances @ drawn.T + np.log(prior)[:, None]
     each = np.exp(logs - logs.max(axis=0))
-    probabilities: Array = (each / each.sum(axis=0)).mean(axis=1)
-    return probabilities
+    return np.asarray((each / each.sum(axis=0)).mean(axis=1))
+
+
+@dataclass(frozen=True, eq=False)
+class AveragedFit:
+    """Mean and covariance of a mixture of posterior distributions over penalties.
+
+    The covariance is the mean of the fits' own plus that of their means: the right penalty is
+    unknown, and with noise as large as the correction the fits differ by as much as each is
+    uncertain.
+
+    Args:
+        amounts: coefficients of the functions, shape (R + Q,).
+        covariance: shape (R + Q, R + Q).
+        error: of samples in left-out blocks, whitened, shape (T,).
+        sigma: the standard deviations expected of them, shape (T,).
+        effective_parameters: the mean.
+        factor: mean factor of the samples' variances that the fits show; included in the
+            covariance and ``sigma``.
+    """
+
+    amounts: Array
+    covariance: Array
+    error: Array
+    sigma: Array
+    effective_parameters: float
+    factor: float
+
+    def variance(self, functions: Array) -> Array:
+        """Return the variances of linear combinations with rows (n, R + Q), shape (n,)."""
+        variance: Array = ((functions @ self.covariance) * functions).sum(axis=1)
+        return np.maximum(variance, 0.0)
+
+
+def average(
+    problem: PenalisedProblem,
+    functions: DiagonalisedBasis,
+    penalties: PenaltyPosterior,
+    factor: Callable[[PenalisedFit], float],
+) -> AveragedFit:
+    """Fit with all penalties of relevant probability and average.
+
+    Args:
+        problem: the samples.
+        functions: the penalised functions.
+        penalties: the penalties with their probabilities.
+        factor: returns the factor of the samples' variances that a fit shows.
+    """
+    counted = np.flatnonzero(penalties.probabilities >= MIN_SHARE * penalties.probabilities.max())
+    probabilities = penalties.probabilities[counted] / penalties.probabilities[counted].sum()
+    amounts, errors = [], []
+    covariance = np.zeros_like(problem.gram)
+    variance = np.zeros_like(problem.samples)
+    parameters, factors = [], []
+    for share, number in zip(probabilities, counted, strict=True):
+        trial = penalties.trials[number]
+        fit = trial.fit(problem, functions)
+        left_out = fit.left_out()
+        variance_factor = factor(fit)
+        covariance += share * variance_factor * fit.covariance()
+        variance += share * variance_factor * left_out.sigma**2
+        amounts.append(fit.amounts)
+        errors.append(left_out.error)
+        parameters.append(fit.effective_parameters)
+        factors.append(variance_factor)
+    mean, error = probabilities @ np.stack(amounts), probabilities @ np.stack(errors)
+    between = np.sqrt(probabilities)[:, None] * (np.stack(amounts) - mean)
+    covariance += between.T @ between
+    variance += probabilities @ (np.stack(errors) - error) ** 2
+    return AveragedFit(
+        mean,
+        covariance,
+        error,
+        np.sqrt(variance),
+        float(probabilities @ parameters),
+        float(np.clip(probabilities @ factors, min(factors), max(factors))),  # exactly 1 of ones
+    )
 
 
 def gcv_score(fit: PenalisedFit) -> float:

@@ -46,15 +46,14 @@ class SampleGrid:
         """Return the spline through values, and the cells that they support.
 
         A cell is supported if all its nodes have values: its corners and, for degree 3, those
-            around it.
+        around it.
 
         Args:
             values: shape (N,); NaN where unknown.
             degree: 1 or 3.
         """
-        nodes = self.to_grid(values)
-        missing = np.isnan(nodes)
-        filled = _filled(nodes)
+        missing = np.isnan(self._to_grid(values))
+        filled = self.fill_nearest(values)
         reach = 0 if degree == 1 else _SPLINE_REACH - 1
         valid = np.ones(self.grid.cells, dtype=np.bool_)
         for x, y, z in np.argwhere(missing):
@@ -65,33 +64,16 @@ class SampleGrid:
             ] = False
         return (filled if degree == 1 else interpolate_corners(filled)), valid
 
-    def to_grid(self, values: Array) -> Array:
-        """Return values (N,) at the nodes, shape (nx + 1, ny + 1, nz + 1); NaN where unknown."""
+    def fill_nearest(self, values: Array) -> Array:
+        """Return values (N,) at the nodes, shape (nx + 1, ...); missing ones of the nearest."""
+        nodes = self._to_grid(values)
+        index = distance_transform_edt(np.isnan(nodes), return_distances=False, return_indices=True)
+        return np.asarray(nodes[tuple(index)])
+
+    def _to_grid(self, values: Array) -> Array:
         nodes = np.full([cells + 1 for cells in self.grid.cells], np.nan)
         nodes[tuple(self.node_index.T)] = values
         return nodes
-
-
-def fill_nearest(sample_grid: SampleGrid, values: Array) -> Array:
-    """Return values at all nodes; a missing one is that of the nearest.
-
-    Args:
-        sample_grid: the grid.
-        values: at the measurements, shape (N,).
-
-    Returns:
-        Shape (nx + 1, ny + 1, nz + 1).
-    """
-    return _filled(sample_grid.to_grid(values))
-
-
-def _filled(nodes: Array) -> Array:
-    missing = np.isnan(nodes)
-    if not missing.any():
-        return nodes
-    index = distance_transform_edt(missing, return_distances=False, return_indices=True)
-    filled: Array = nodes[tuple(index)]
-    return filled
 
 
 def _steps(values: Array, axis: str) -> tuple[float, float, int]:

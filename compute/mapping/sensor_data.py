@@ -45,35 +45,58 @@ class SensorData:
     parameter_covariance: Array | None
 
 
-def accumulate_equations(
-    data: SensorData, functions: DiagonalisedBasis, parameter_transform: Array, precision: Array
-) -> PenalisedProblem:
+@dataclass(frozen=True, eq=False)
+class CorrectionFunctions:
+    """Functions of which a correction is composed: R penalised ones and Q of the camera.
+
+    Args:
+        functions: the penalised functions.
+        parameter_jacobian: as in SensorData.
+        parameter_transform: from the camera's parameters to its Q functions, shape (P, Q).
+        precision: prior precisions of these, shape (Q,).
+    """
+
+    functions: DiagonalisedBasis
+    parameter_jacobian: Callable[[Array], Array]
+    parameter_transform: Array
+    precision: Array
+
+    def values(self, points_mm: Array) -> Array:
+        """Evaluate all functions at points (N, 3), shape (N, R + Q)."""
+        of_camera = self.parameter_jacobian(points_mm) @ self.parameter_transform
+        return np.concatenate([self.functions.values(points_mm), of_camera], axis=1)
+
+    def in_chunks(self, points_mm: Array, reduce: Callable[[Array], Array]) -> Array:
+        """Evaluate at points (N, 3) in chunks and reduce each chunk's rows (n, R + Q) to (n,)."""
+        starts = range(0, len(points_mm), CHUNK)
+        return np.concatenate(
+            [reduce(self.values(points_mm[start : start + CHUNK])) for start in starts]
+        )
+
+
+def accumulate_equations(data: SensorData, model: CorrectionFunctions) -> PenalisedProblem:
     """Accumulate the normal equations in chunks, and the blocks to leave out.
 
     Args:
         data: the samples.
-        functions: the R penalised functions.
-        parameter_transform: from the camera's parameters to Q functions, shape (P, Q).
-        precision: prior precisions of the Q functions, shape (Q,).
+        model: the functions.
     """
     weight = 1.0 / np.sqrt(data.variance_px2)
-    size = len(functions) + parameter_transform.shape[1]
+    size = len(model.functions) + len(model.precision)
     gram, product = np.zeros((size, size)), np.zeros(size)
     for start in range(0, len(weight), CHUNK):
         part = slice(start, start + CHUNK)
-        rows = _whitened_rows(data, functions, parameter_transform, np.arange(len(weight))[part])
+        rows = model.values(data.points_mm[part]) / np.sqrt(data.variance_px2[part])[:, None]
         gram += rows.T @ rows
         product += rows.T @ (data.samples_px[part] * weight[part])
     order, sizes = left_out_blocks(data.block)
-    tested = _whitened_rows(data, functions, parameter_transform, order)
-    square = float(((data.samples_px * weight) ** 2).sum())
     return PenalisedProblem(
         gram,
         product,
-        square,
+        float(((data.samples_px * weight) ** 2).sum()),
         len(weight),
-        precision,
-        tested,
+        model.precision,
+        model.values(data.points_mm[order]) / np.sqrt(data.variance_px2[order])[:, None],
         data.samples_px[order] * weight[order],
         sizes,
         data.known_variance,
@@ -88,30 +111,3 @@ def left_out_blocks(block: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[
         numbers, sizes = numbers[selection], sizes[selection]
     order = np.argsort(block, kind="stable")
     return order[np.isin(block[order], numbers)], sizes
-
-
-def _whitened_rows(
-    data: SensorData,
-    functions: DiagonalisedBasis,
-    parameter_transform: Array,
-    index: NDArray[np.intp],
-) -> Array:
-    points = data.points_mm[index]
-    rows = stack_functions(functions, data.parameter_jacobian(points) @ parameter_transform, points)
-    return rows / np.sqrt(data.variance_px2[index])[:, None]
-
-
-def stack_functions(
-    functions: DiagonalisedBasis, camera_functions: Array, points_mm: Array
-) -> Array:
-    """Evaluate the functions at points and append those of the camera.
-
-    Args:
-        functions: the R penalised functions.
-        camera_functions: values of the camera's functions, shape (N, Q).
-        points_mm: shape (N, 3) [mm].
-
-    Returns:
-        Shape (N, R + Q).
-    """
-    return np.concatenate([functions.values(points_mm), camera_functions], axis=1)

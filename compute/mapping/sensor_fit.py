@@ -11,23 +11,21 @@ from compute.camera.observation_checks import UNEXPLAINED_PROBABILITY
 from compute.errors import DegeneratePoints, TooFewPoints
 from compute.mapping.b_splines import interpolate_function
 from compute.mapping.diagonalised_basis import DiagonalisedBasis
-from compute.mapping.model_averaging import AveragedFit, average
 from compute.mapping.p_splines import GROSS_ERROR_THRESHOLD, PenalisedFit, PenalisedProblem
+from compute.mapping.penalty_grid import PenaltyTrial, evaluate_penalty
 from compute.mapping.penalty_selection import (
-    FittedPenalty,
+    AveragedFit,
     PenaltyPosterior,
+    average,
     cross_validate_penalties,
-    fit_penalty,
     gcv_score,
-    single_penalty,
 )
 from compute.mapping.result import SensorMapping, Suspect
 from compute.mapping.sensor_data import (
-    CHUNK,
+    CorrectionFunctions,
     SensorData,
     accumulate_equations,
     left_out_blocks,
-    stack_functions,
 )
 
 Array = NDArray[np.float64]
@@ -51,19 +49,16 @@ class FittedCorrection:
     """One sensor's correction: splines plus the calibration's error.
 
     Args:
-        functions: the penalised functions.
-        parameter_transform: from the camera's parameters to the Q unpenalised functions, shape (P,
-            Q).
-        parameter_jacobian: as in SensorData.
-        chosen: the most probable penalty and the fit with it.
+        model: the functions of which it is composed.
+        chosen: the most probable penalty.
+        fit: the fit with it.
         average: average over the penalties.
         variance_factor: factor of the samples' variances before the fit.
     """
 
-    functions: DiagonalisedBasis
-    parameter_transform: Array
-    parameter_jacobian: Callable[[Array], Array]
-    chosen: FittedPenalty
+    model: CorrectionFunctions
+    chosen: PenaltyTrial
+    fit: PenalisedFit
     average: AveragedFit
     variance_factor: float
 
@@ -75,23 +70,16 @@ class FittedCorrection:
     @property
     def coefficients_px(self) -> Array:
         """Cubic coefficients of the whole correction, shape (nx + 3, ny + 3, nz + 3) [px]."""
-        amounts = self.average.amounts
-        count = len(self.functions)
-        camera_functions = self.parameter_transform @ amounts[count:]
-        return self.functions.coefficients(amounts[:count]) + interpolate_function(
-            self.functions.grid, lambda points: self.parameter_jacobian(points) @ camera_functions
+        amounts, model = self.average.amounts, self.model
+        count = len(model.functions)
+        parameters = model.parameter_transform @ amounts[count:]
+        return model.functions.coefficients(amounts[:count]) + interpolate_function(
+            model.functions.grid, lambda points: model.parameter_jacobian(points) @ parameters
         )
 
     def variance_px2(self, points_mm: Array) -> Array:
         """Return the variances of predicted readings at points (N, 3), shape (N,) [px^2]."""
-        parts = []
-        for start in range(0, len(points_mm), CHUNK):
-            points = points_mm[start : start + CHUNK]
-            rows = stack_functions(
-                self.functions, self.parameter_jacobian(points) @ self.parameter_transform, points
-            )
-            parts.append(self.average.variance(rows))
-        return np.concatenate(parts)
+        return self.model.in_chunks(points_mm, self.average.variance)
 
 
 def fit_sensor(
@@ -116,18 +104,16 @@ def fit_sensor(
     Raises:
         TooFewPoints, DegeneratePoints: the measurements do not determine the calibration's error.
     """
-    parameter_transform, precision = _parameter_drift(data)
+    model = CorrectionFunctions(functions, data.parameter_jacobian, *_parameter_drift(data))
     contradiction = float(chdtri(1.0, 2.0 * CONTRADICTED_PROBABILITY))  # too small ones alone
     separable = data.parameter_covariance is not None
-    variance_factor = (
-        _initial_variance(data, parameter_transform)
-        if separable and not data.known_variance
-        else 1.0
-    )
+    variance_factor = 1.0
+    if separable and not data.known_variance:
+        variance_factor = _initial_variance(data, model.parameter_transform)
     for _ in range(MAX_ITERATIONS):
         applied_factor = variance_factor
         scaled = replace(data, variance_px2=data.variance_px2 * applied_factor)
-        problem = accumulate_equations(scaled, functions, parameter_transform, precision)
+        problem = accumulate_equations(scaled, model)
 
         def select_penalty(
             problem: PenalisedProblem, applied_factor: float = applied_factor
@@ -136,7 +122,8 @@ def fit_sensor(
                 return cross_validate_penalties(problem, functions, on_trial)
             # Where the variances are not known, the weight is in units of theirs.
             weight = penalty_weight if data.known_variance else penalty_weight / applied_factor
-            return single_penalty(problem, functions, weight)
+            known = evaluate_penalty(problem, functions, weight, np.ones(3))
+            return PenaltyPosterior((known,), 0, np.ones(1))
 
         penalties = select_penalty(problem)
         estimated = not data.known_variance or applied_factor != 1.0
@@ -144,9 +131,9 @@ def fit_sensor(
             estimated = True
             problem = replace(problem, known_variance=False)
             penalties = select_penalty(problem)
-        likeliest = penalties.trials[penalties.best]
-        chosen = fit_penalty(problem, functions, likeliest.weight, likeliest.axes)
-        ratio = _variance_ratio(chosen.fit) if estimated else _excess_variance(chosen.fit)
+        chosen = penalties.trials[penalties.best]
+        fit = chosen.fit(problem, functions)
+        ratio = _variance_ratio(fit) if estimated else _excess_variance(fit)
         variance_factor = max(applied_factor * ratio, VARIANCE_FLOOR_PX2)
         # The factor applies to the samples' variances, not to the calibration's covariance:
         # refit with it. Without such a covariance the factor applies to everything.
@@ -154,21 +141,16 @@ def fit_sensor(
             break
     each = _variance_ratio if estimated else lambda _fit: ratio
     averaged = average(problem, functions, penalties, each)
-    return FittedCorrection(
-        functions, parameter_transform, data.parameter_jacobian, chosen, averaged, applied_factor
-    )
+    return FittedCorrection(model, chosen, fit, averaged, applied_factor)
 
 
 def _initial_variance(data: SensorData, parameter_transform: Array) -> float:
     """Return the mean squared residual of the camera's parameters alone [px^2], an upper bound."""
     parameter_jacobian = data.parameter_jacobian(data.points_mm) @ parameter_transform
-    rest = (
-        data.samples_px
-        - parameter_jacobian @ np.linalg.lstsq(parameter_jacobian, data.samples_px)[0]
-    )
+    fitted = parameter_jacobian @ np.linalg.lstsq(parameter_jacobian, data.samples_px)[0]
+    rest = data.samples_px - fitted
     dof = max(len(rest) - parameter_jacobian.shape[1], 1)
-    left = float(rest @ rest) / float(dof)
-    return left if left > VARIANCE_FLOOR_PX2 else VARIANCE_FLOOR_PX2
+    return max(VARIANCE_FLOOR_PX2, float(rest @ rest) / float(dof))
 
 
 def summarise_fit(data: SensorData, fitted: FittedCorrection, valid_share: float) -> SensorMapping:
@@ -179,7 +161,7 @@ def summarise_fit(data: SensorData, fitted: FittedCorrection, valid_share: float
         fitted: the fit.
         valid_share: share of the cells that the samples support.
     """
-    fit, average = fitted.chosen.fit, fitted.average
+    fit, average = fitted.fit, fitted.average
     order, _ = left_out_blocks(data.block)
     normalised_error = np.abs(average.error) / average.sigma
     errors = average.error * np.sqrt(data.variance_px2[order] * fitted.variance_factor)
@@ -192,12 +174,12 @@ def summarise_fit(data: SensorData, fitted: FittedCorrection, valid_share: float
     )
     factor = fitted.factor
     x, y, z = fitted.chosen.axes.tolist()
-    residual = _residuals(data, fitted)
+    correction = fitted.model.in_chunks(data.points_mm, lambda rows: rows @ average.amounts)
     return SensorMapping(
         data.name,
         len(data.samples_px),
         _rms(data.samples_px),
-        _rms(residual),
+        _rms(data.samples_px - correction),
         _rms(errors),
         float((normalised_error**2).mean()),
         average.effective_parameters,
@@ -242,19 +224,6 @@ def _parameter_drift(data: SensorData) -> tuple[Array, Array]:
     parameter_transform = np.zeros((count, len(singular)))
     parameter_transform[acting] = (right.T / singular) / scale[acting, None]
     return parameter_transform, np.full(len(singular), UNINFORMATIVE_PRECISION)
-
-
-def _residuals(data: SensorData, fitted: FittedCorrection) -> Array:
-    """Return the residuals of the fit, shape (N,) [px]."""
-    parts = []
-    for start in range(0, len(data.points_mm), CHUNK):
-        points = data.points_mm[start : start + CHUNK]
-        rows = stack_functions(
-            fitted.functions, data.parameter_jacobian(points) @ fitted.parameter_transform, points
-        )
-        parts.append(rows @ fitted.average.amounts)
-    rest: Array = data.samples_px - np.concatenate(parts)
-    return rest
 
 
 def _variance_ratio(fit: PenalisedFit) -> float:

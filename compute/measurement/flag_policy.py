@@ -1,18 +1,14 @@
-"""FlagPolicy: what each peak flag means for triangulation, correspondence, tracking and pose.
+"""FlagPolicy: what each peak flag means for triangulation, correspondence, tracking and pose."""
 
-One table, as data. Every stage takes the ``Measurements`` that were made by it; none looks at
-peak flags by itself.
-"""
-
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property, reduce
+from operator import or_
 from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.flags import flag_names
 from compute.signal.peaks import PeakFlag
 
 Array = NDArray[np.float64]
@@ -134,6 +130,27 @@ SHADOW_RULES: Final = (
 """Exceptions for the shadows of coded windows."""
 
 
+@dataclass(frozen=True, eq=False)
+class FlagLookup:
+    """Rules by the value of a peak's flags, each of shape (2^flags,).
+
+    Args:
+        refused: whether it is treated as not detected.
+        suspect: whether points and tracks from it are marked.
+        variance_factor: square of the factor on its standard deviation.
+        added_variance_px2: variance that is added [px^2].
+        initiates: whether a track or tool may be started from it.
+        shared: whether it may be the peak of two markers.
+    """
+
+    refused: NDArray[np.bool_]
+    suspect: NDArray[np.bool_]
+    variance_factor: Array
+    added_variance_px2: Array
+    initiates: NDArray[np.bool_]
+    shared: NDArray[np.bool_]
+
+
 @dataclass(frozen=True)
 class FlagPolicy:
     """Rules for all peak flags.
@@ -171,95 +188,30 @@ class FlagPolicy:
         other = {rule.flag: rule for rule in rules}
         return replace(self, rules=tuple(other.get(rule.flag, rule) for rule in self.rules))
 
-    def rule(self, flag: PeakFlag) -> FlagRule:
-        """Return the rule for one flag."""
-        return next(rule for rule in self.rules if rule.flag is flag)
-
     def flags_where(self, use: Use) -> PeakFlag:
         """Return the flags with a use."""
-        return _union(rule for rule in self.rules if rule.use == use)
+        flags = (rule.flag for rule in self.rules if rule.use == use)
+        return reduce(or_, flags, PeakFlag.NONE)
 
     @cached_property
-    def lookup(self) -> "FlagLookup":
+    def lookup(self) -> FlagLookup:
         """The rules for every combination of flags."""
-        return _lookup(self.rules)
+        every = np.arange(1 << len(self.rules))
+        has = np.array([(every & int(rule.flag)) != 0 for rule in self.rules])
 
+        def any_of(values: Sequence[bool]) -> NDArray[np.bool_]:
+            return np.asarray(has[np.array(values, dtype=np.bool_)].any(axis=0))
 
-@dataclass(frozen=True, eq=False)
-class FlagLookup:
-    """Rules by the value of a peak's flags, each of shape (2^flags,).
-
-    Args:
-        refused: whether it is treated as not detected.
-        suspect: whether points and tracks from it are marked.
-        variance_factor: square of the factor on its standard deviation.
-        added_variance_px2: variance that is added [px^2].
-        initiates: whether a track or tool may be started from it.
-        shared: whether it may be the peak of two markers.
-    """
-
-    refused: NDArray[np.bool_]
-    suspect: NDArray[np.bool_]
-    variance_factor: Array
-    added_variance_px2: Array
-    initiates: NDArray[np.bool_]
-    shared: NDArray[np.bool_]
-
-
-@lru_cache(maxsize=16)
-def _lookup(rules: tuple[FlagRule, ...]) -> FlagLookup:
-    every = np.arange(1 << len(rules))
-    has = np.array([(every & int(rule.flag)) != 0 for rule in rules])
-
-    def any_of(values: Sequence[bool]) -> NDArray[np.bool_]:
-        return np.asarray(has[np.array(values, dtype=np.bool_)].any(axis=0))
-
-    factor = np.array([rule.sigma_factor for rule in rules])[:, None]
-    added = np.array([rule.added_sigma_px for rule in rules])[:, None]
-    return FlagLookup(
-        any_of([rule.use == "refused" for rule in rules]),
-        any_of([rule.use == "suspect" for rule in rules]),
-        np.where(has, factor, 1.0).max(axis=0) ** 2,
-        (np.where(has, added, 0.0) ** 2).sum(axis=0),
-        ~any_of([not rule.initiates for rule in rules]),
-        any_of([rule.shared for rule in rules]),
-    )
-
-
-def _union(rules: Iterable[FlagRule]) -> PeakFlag:
-    flags = PeakFlag.NONE
-    for rule in rules:
-        flags |= rule.flag
-    return flags
+        factor = np.array([rule.sigma_factor for rule in self.rules])[:, None]
+        added = np.array([rule.added_sigma_px for rule in self.rules])[:, None]
+        return FlagLookup(
+            any_of([rule.use == "refused" for rule in self.rules]),
+            any_of([rule.use == "suspect" for rule in self.rules]),
+            np.where(has, factor, 1.0).max(axis=0) ** 2,
+            (np.where(has, added, 0.0) ** 2).sum(axis=0),
+            ~any_of([not rule.initiates for rule in self.rules]),
+            any_of([rule.shared for rule in self.rules]),
+        )
 
 
 STANDARD_POLICY: Final = FlagPolicy()
-
-
-def policy_table() -> str:
-    """Return the rules as a Markdown table; docs/reference/flags.md holds what this returns."""
-    rows = [
-        "| flag | where | use | standard deviation | starts a track or tool | why |",
-        "|---|---|---|---|---|---|",
-    ]
-    for where, rules in (
-        ("in general", STANDARD_RULES),
-        ("fitted peaks", FIT_RULES),
-        ("stripes of known shape", KNOWN_SHAPE_RULES),
-        ("shadows of coded windows", SHADOW_RULES),
-    ):
-        for rule in rules:
-            sigma = "as stated" if rule.sigma_factor == 1.0 else f"x {rule.sigma_factor:g}"
-            if rule.added_sigma_px:
-                sigma = f"and {rule.added_sigma_px:g} px, in squares"
-            if rule.use == "refused":
-                sigma = ""
-            use = f"{rule.use}, not for tools" if rule.shared else rule.use
-            (name,) = flag_names(rule.flag)
-            start = "yes" if rule.initiates else "no"
-            rows.append(f"| `{name}` | {where} | {use} | {sigma} | {start} | {rule.why} |")
-    return "\n".join(rows) + "\n"
-
-
-if __name__ == "__main__":
-    print(policy_table(), end="")

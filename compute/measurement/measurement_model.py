@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 from compute.camera.model import SensorModel
 from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter
-from compute.mapping.table import CorrectionTable
-from compute.measurement.cubic_inverse import invert_cubic
+from compute.mapping.table import Corrections, CorrectionTable
 
 Array = NDArray[np.float64]
 
@@ -57,15 +56,7 @@ class PredictedMeasurements:
             first: index of the first point.
             last: index after the last point.
         """
-        rows = slice(first, last)
-        return PredictedMeasurements(
-            self.reading_px[rows],
-            self.jacobian_px_per_mm[rows],
-            self.in_view[rows],
-            self.table_variance_px2[rows],
-            self.inside_hull[rows],
-            self.common_jacobian_px[rows],
-        )
+        return PredictedMeasurements(*(values[first:last] for values in vars(self).values()))
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,8 +80,7 @@ class MeasurementModel:
     pixels: tuple[int, ...] | None = None
 
     def __post_init__(self) -> None:
-        check_corrections(self.cameras, self.corrections)
-        check_covariance(self.cameras, self.parameter_covariance)
+        check_calibration(self.cameras, self.parameter_covariance, self.corrections)
         pixels = self.pixels
         if pixels is not None and (len(pixels) != len(self.cameras) or min(pixels) < 1):
             raise InvalidParameter(
@@ -168,12 +158,7 @@ class MeasurementModel:
 
     def linearise(self, points_mm: Array) -> tuple[Array, Array]:
         """Predict raw readings (N, S) [px] and d reading / d point (N, S, 3) of points (N, 3)."""
-        reading, jacobian = self._uncorrected(points_mm)
-        if self.corrections is not None:
-            # A correction is added to a reading, so it is subtracted from what is expected.
-            correction = self.corrections.at(points_mm)
-            reading = reading - correction.value_px
-            jacobian = jacobian - correction.gradient_px_per_mm
+        reading, jacobian, _ = self._linearise(points_mm)
         return reading, jacobian
 
     def predict(
@@ -185,14 +170,11 @@ class MeasurementModel:
             points_mm: shape (N, 3) [mm]; NaN: no point.
             with_common_errors: whether to fill ``common_jacobian_px``.
         """
-        reading, jacobian = self._uncorrected(points_mm)
-        if self.corrections is None:
+        reading, jacobian, correction = self._linearise(points_mm)
+        if correction is None:
             variance = np.zeros(reading.shape)
             inside = np.ones(reading.shape, dtype=np.bool_)
         else:
-            correction = self.corrections.at(points_mm)
-            reading = reading - correction.value_px
-            jacobian = jacobian - correction.gradient_px_per_mm
             variance, inside = np.nan_to_num(correction.variance_px2), correction.inside
         # NaN compares as false.
         in_view = (reading >= self.first_px) & (reading <= self.last_px)
@@ -299,13 +281,18 @@ class MeasurementModel:
         covariance[:, diagonal, diagonal] += variance_px2
         return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)), dtype=np.float64)
 
-    def _uncorrected(self, points_mm: Array) -> tuple[Array, Array]:
-        """Return readings without the table, and their Jacobian by the point."""
+    def _linearise(self, points_mm: Array) -> tuple[Array, Array, Corrections | None]:
+        """Return raw readings, their Jacobian by the point, and the table's correction there."""
         reading, jacobian = self.cameras.linearise(points_mm)
         if self.has_cubic_distortion:
             reading, derivative = self._invert_cubic(reading)
             jacobian = jacobian * derivative[..., None]
-        return reading, jacobian
+        if self.corrections is None:
+            return reading, jacobian, None
+        # A correction is added to a reading, so it is subtracted from what is expected.
+        correction = self.corrections.at(points_mm)
+        reading = reading - correction.value_px
+        return reading, jacobian - correction.gradient_px_per_mm, correction
 
     def _invert_cubic(self, corrected_px: Array) -> tuple[Array, Array]:
         """Return raw readings, and d raw / d corrected."""
@@ -314,36 +301,62 @@ class MeasurementModel:
         return reading, 1.0 / cameras.correction_derivative(reading)
 
 
-def check_corrections(cameras: CameraStack, corrections: CorrectionTable | None) -> None:
-    """Refuse a correction table for another number of sensors.
+def check_calibration(
+    cameras: CameraStack, parameter_covariance: Array | None, corrections: CorrectionTable | None
+) -> None:
+    """Refuse a covariance or a correction table that is not that of the cameras.
 
     Args:
-        cameras: S cameras.
-        corrections: the table; None: none.
+        cameras: S cameras with P parameters.
+        parameter_covariance: must have the shape (P, P); None: none.
+        corrections: the table, which must be of S sensors; None: none.
 
     Raises:
-        InvalidParameter: the table has another number of sensors.
+        InvalidParameter: a covariance of another shape, or a table of other sensors.
     """
     if corrections is not None and len(corrections.sensors) != len(cameras):
         raise InvalidParameter(
             f"the correction table is of {len(corrections.sensors)} sensors; there are "
             f"{len(cameras)} cameras"
         )
-
-
-def check_covariance(cameras: CameraStack, parameter_covariance: Array | None) -> None:
-    """Refuse a parameter covariance of another shape.
-
-    Args:
-        cameras: S cameras with P parameters.
-        parameter_covariance: must have the shape (P, P); None: none.
-
-    Raises:
-        InvalidParameter: the covariance has another shape.
-    """
     count = int(cameras.parameter_mask.sum())
     if parameter_covariance is not None and np.shape(parameter_covariance) != (count, count):
         raise InvalidParameter(
             f"the parameters' covariance has the shape {np.shape(parameter_covariance)}; the "
             f"cameras have {count} parameters"
         )
+
+
+def invert_cubic(corrected_px: Array, principal_point_px: Array, cubic_per_px2: Array) -> Array:
+    """Solve ``q + D (q - p0)^3 = p`` for the raw readings q.
+
+    Cardano's root on the branch through p0, in its trigonometric (D < 0) and hyperbolic (D > 0)
+    form, then one Newton step, which removes the rounding of the functions.
+
+    Args:
+        corrected_px: corrected readings p, shape (..., S) [px].
+        principal_point_px: p0, shape (S,) [px].
+        cubic_per_px2: D, shape (S,) [1/px^2].
+
+    Returns:
+        Raw readings q, shape (..., S) [px]; NaN beyond the fold ``q - p0 = 1 / sqrt(-3 D)`` of a
+        negative D, where no reading corrects to p.
+    """
+    offset = corrected_px - principal_point_px
+    # t + D t^3 = w with t = 2 x / k, k = sqrt(3 |D|), is 3 x +- 4 x^3 = 1.5 k w.
+    scale = np.sqrt(3.0 * np.abs(cubic_per_px2))
+    plain = scale == 0.0
+    argument = 1.5 * scale * offset
+    with np.errstate(invalid="ignore"):
+        root = np.where(
+            cubic_per_px2 < 0.0,
+            np.sin(np.arcsin(argument) / 3.0),
+            np.sinh(np.arcsinh(argument) / 3.0),
+        )
+    root = np.where(plain, offset, 2.0 * root / np.where(plain, 1.0, scale))
+    slope = 1.0 + 3.0 * cubic_per_px2 * root**2
+    misfit = root + cubic_per_px2 * root**3 - offset
+    # At the fold itself the slope is 0 and the root is exact enough.
+    root = root - np.divide(misfit, slope, out=np.zeros_like(misfit), where=slope > 1e-6)
+    reading: Array = principal_point_px + root
+    return reading

@@ -1,6 +1,6 @@
-"""Measurements: the peaks of an exposure, weighed once by the flag policy."""
+"""Measurements: the peaks of an exposure, weighed once by the flag policy; their noise."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import numpy as np
@@ -132,16 +132,7 @@ class Measurements:
 
     def exposure(self, index: int | NDArray[np.intp]) -> "Measurements":
         """Return one of several exposures, or some of them."""
-        return Measurements(
-            self.position_px[index],
-            self.variance_px2[index],
-            self.flags[index],
-            self.can_initiate[index],
-            self.suspect[index],
-            self.shared[index],
-            self.found_px[index],
-            self.amplitude[index],
-        )
+        return Measurements(*(getattr(self, name)[index] for name in _PEAK_FIELDS))
 
     @cached_property
     def usable(self) -> NDArray[np.bool_]:
@@ -181,22 +172,8 @@ class Measurements:
         if (ascending[:, 1:] == ascending[:, :-1]).any():
             order = np.lexsort((self.flags, self.variance_px2, position), axis=-1)
         order = order[:, :columns]
-        return Measurements(
-            ascending[:, :columns],
-            self.variance_px2[rows, order],
-            self.flags[rows, order],
-            self.can_initiate[rows, order],
-            self.suspect[rows, order],
-            self.shared[rows, order],
-            self.found_px[rows, order],
-            self.amplitude[rows, order],
-            order,
-        )
-
-    @property
-    def max_count(self) -> int:
-        """Number of columns K: no sensor has more peaks."""
-        return int(self.position_px.shape[-1])
+        sorted_fields = {name: getattr(self, name)[rows, order] for name in _PEAK_FIELDS}
+        return Measurements(**sorted_fields, original_index=order)
 
     @cached_property
     def count(self) -> NDArray[np.intp]:
@@ -232,11 +209,13 @@ class Measurements:
         Returns:
             Two arrays of shape (S,) [px]; NaN for sensors with no peak or several.
         """
-        one = self.count == 1
-        peak = self.usable.argmax(axis=1)
-        row = np.arange(len(peak))
-        reading = np.where(one, self.position_px[row, peak], np.nan)
-        return reading, np.where(one, np.sqrt(self.variance_px2[row, peak]), np.nan)
+        reading, sigma = self.readings(self.single_peaks[None])
+        return reading[0], sigma[0]
+
+    @property
+    def single_peaks(self) -> NDArray[np.intp]:
+        """Index of the usable peak of each sensor that has only one; else -1, shape (S,)."""
+        return np.where(self.count == 1, self.usable.argmax(axis=1), -1)
 
     def is_near(self, reading_px: Array, distance_px: float) -> NDArray[np.bool_]:
         """Return whether a usable peak lies near predicted readings.
@@ -275,6 +254,35 @@ class Measurements:
             density[many] = np.maximum(density[many], found)
         log: Array = np.log(density)
         return log
+
+
+_PEAK_FIELDS = tuple(field.name for field in fields(Measurements))[:-1]
+"""Fields with a value for each peak."""
+
+
+@dataclass(frozen=True, eq=False)
+class MeasurementNoise:
+    """Noise and model error of each sensor's readings under a calibration.
+
+    Args:
+        sensor_sigma_px: standard deviation of a reading without one of its own, shape (S,) [px].
+        model_error_px: root of the residuals' variance in excess of the noise, shape (S,) [px].
+        min_sigma_px: lower bound of a reading's standard deviation, shape (S,) [px].
+    """
+
+    sensor_sigma_px: Array
+    model_error_px: Array
+    min_sigma_px: Array
+
+    def sigma(self, sigma_px: Array) -> Array:
+        """Return the readings' standard deviations for reconstruction, shape (..., S) [px].
+
+        Args:
+            sigma_px: the readings' own, shape (..., S) [px]; NaN: the calibration's is used.
+        """
+        noise = np.where(np.isnan(sigma_px), self.sensor_sigma_px, sigma_px)
+        total: Array = np.maximum(np.hypot(noise, self.model_error_px), self.min_sigma_px)
+        return total
 
 
 def check_sensors(measurements: Measurements, sensors: int) -> None:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter
 from compute.planning.coverage import Box
-from compute.reconstruction.correspondence import FALSE_REJECTION
+from compute.reconstruction.correspondence.candidates import FALSE_REJECTION
 from compute.reconstruction.triangulation import chi2_limit, reconstruct
 
 Array = NDArray[np.float64]

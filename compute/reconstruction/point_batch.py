@@ -1,9 +1,12 @@
-"""PointBatch and PointEstimate: reconstructed points as arrays, and one as a value."""
+"""Batch: items as arrays, one row each; PointBatch: reconstructed points, PointEstimate: one."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import IntFlag
+from functools import cache
+from itertools import compress
 from math import isfinite
-from typing import Final
+from typing import Annotated, Any, Self, cast, get_args, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,8 +14,112 @@ from numpy.typing import NDArray
 from compute.camera.model import Vector3
 from compute.flags import flag_names
 
-POINT_BYTES: Final = 108
-"""Bytes of a point's position, covariance, chi2 and flags."""
+Array = NDArray[np.float64]
+Rows = NDArray[np.intp] | NDArray[np.bool_] | slice
+"""Indices of rows, or a mask."""
+
+
+class Batch:
+    """Base of dataclasses whose fields are arrays or batches, with one row for each item.
+
+    ``Annotated[Array, "S", 3]`` is an array with rows of shape (S, 3), for S sensors;
+    "M": motion models.
+    """
+
+    def __len__(self) -> int:
+        """Return the number of items."""
+        first: Array | Batch = next(iter(vars(self).values()))
+        return len(first)
+
+    @classmethod
+    def zeros(cls, count: int, sensors: int, models: int = 1) -> Self:
+        """Return a batch of zeros.
+
+        Args:
+            count: number of items.
+            sensors: number of sensors S.
+            models: number of motion models M.
+        """
+        sizes = {"S": sensors, "M": models}
+        columns = []
+        for kind, axes in _columns(cast("Any", cls)):
+            shape = (count, *(sizes.get(axis, axis) for axis in axes))
+            columns.append(
+                kind.zeros(count, sensors, models)
+                if issubclass(kind, Batch)
+                else np.zeros(shape, kind)
+            )
+        return cls(*columns)
+
+    @classmethod
+    def empty(cls, sensors: int, models: int = 1) -> Self:
+        """Return the batch of no items.
+
+        Args:
+            sensors: number of sensors S.
+            models: number of motion models M.
+        """
+        return cls.zeros(0, sensors, models)
+
+    def rows(self, index: Rows) -> Self:
+        """Return some of the items."""
+        return type(self)(
+            *[
+                value.rows(index) if isinstance(value, Batch) else value[index]
+                for value in vars(self).values()
+            ]
+        )
+
+    def part(self, first: int, last: int) -> Self:
+        """Return a range of the items; the arrays are shared.
+
+        Args:
+            first: index of the first item.
+            last: index after the last item.
+        """
+        return self.rows(slice(first, last))
+
+    def put(self, index: Rows, items: Self) -> None:
+        """Overwrite some of the items.
+
+        Args:
+            index: their rows, or a mask.
+            items: the new items, one for each of them.
+        """
+        for value, new in zip(vars(self).values(), vars(items).values(), strict=True):
+            if isinstance(value, Batch):
+                value.put(index, new)
+            else:
+                value[index] = new
+
+    @classmethod
+    def concatenate(cls, parts: Iterable[Self]) -> Self:
+        """Return the items of one batch or more, in order."""
+        every = list(parts)
+        filled = [part for part in every if len(part)] or every[:1]
+        if len(filled) == 1:
+            return filled[0]
+        columns = zip(*(vars(part).values() for part in filled), strict=True)
+        return cls(
+            *(
+                type(column[0]).concatenate(column)
+                if isinstance(column[0], Batch)
+                else np.concatenate(column)
+                for column in columns
+            )
+        )
+
+
+@cache
+def _columns(batch: type[Batch]) -> list[tuple[Any, tuple[Any, ...]]]:
+    """Return the type of each column's values, or its batch, and the axes of a row."""
+    columns = []
+    for hint in get_type_hints(batch, include_extras=True).values():
+        kind, *axes = get_args(hint) if hasattr(hint, "__metadata__") else (hint,)
+        # NDArray[T] is ndarray[shape, dtype[T]], and no type.
+        values = kind if isinstance(kind, type) else get_args(get_args(kind)[1])[0]
+        columns.append((values, tuple(axes)))
+    return columns
 
 
 class PointFlag(IntFlag):
@@ -58,7 +165,7 @@ class PointEstimate:
 
 
 @dataclass(frozen=True, eq=False)
-class PointBatch:
+class PointBatch(Batch):
     """N reconstructed points as arrays; NaN where there is no position.
 
     Args:
@@ -69,84 +176,13 @@ class PointBatch:
         flags: PointFlag values, int32, shape (N,).
     """
 
-    position_mm: NDArray[np.float64]
-    covariance_mm2: NDArray[np.float64]
-    chi2: NDArray[np.float64]
-    used: NDArray[np.bool_]
+    position_mm: Annotated[Array, 3]
+    covariance_mm2: Annotated[Array, 3, 3]
+    chi2: Array
+    used: Annotated[NDArray[np.bool_], "S"]
     flags: NDArray[np.int32]
 
-    def __len__(self) -> int:
-        """Return the number of points."""
-        return len(self.position_mm)
-
-    def part(self, first: int, last: int) -> "PointBatch":
-        """Return a range of the points; the arrays are shared.
-
-        Args:
-            first: index of the first point.
-            last: index after the last point.
-        """
-        rows = slice(first, last)
-        return PointBatch(
-            self.position_mm[rows],
-            self.covariance_mm2[rows],
-            self.chi2[rows],
-            self.used[rows],
-            self.flags[rows],
-        )
-
-    def take(self, index: NDArray[np.intp] | NDArray[np.bool_]) -> "PointBatch":
-        """Return some of the points, by their indices or by a mask."""
-        return PointBatch(
-            self.position_mm[index],
-            self.covariance_mm2[index],
-            self.chi2[index],
-            self.used[index],
-            self.flags[index],
-        )
-
-    @classmethod
-    def empty(cls, sensors: int) -> "PointBatch":
-        """Return the batch of no points, for a number of sensors."""
-        return cls(
-            np.empty((0, 3)),
-            np.empty((0, 3, 3)),
-            np.empty(0),
-            np.empty((0, sensors), dtype=np.bool_),
-            np.empty(0, dtype=np.int32),
-        )
-
-    @classmethod
-    def allocate(cls, count: int, sensors: int) -> "PointBatch":
-        """Return a batch to be filled, in one block of memory.
-
-        Args:
-            count: number of points N.
-            sensors: number of sensors S.
-        """
-        block = np.empty(count * (POINT_BYTES + sensors), dtype=np.uint8)
-        return cls(
-            np.ndarray((count, 3), np.float64, block),
-            np.ndarray((count, 3, 3), np.float64, block, 24 * count),
-            np.ndarray((count,), np.float64, block, 96 * count),
-            np.ndarray((count, sensors), np.bool_, block, POINT_BYTES * count),
-            np.ndarray((count,), np.int32, block, 104 * count),
-        )
-
-    @classmethod
-    def concatenate(cls, parts: "list[PointBatch]") -> "PointBatch":
-        """Return the points of one batch or more, in order."""
-        if len(parts) == 1:
-            return parts[0]
-        return cls(
-            np.concatenate([part.position_mm for part in parts]),
-            np.concatenate([part.covariance_mm2 for part in parts]),
-            np.concatenate([part.chi2 for part in parts]),
-            np.concatenate([part.used for part in parts]),
-            np.concatenate([part.flags for part in parts]),
-        )
-
-    def residual_sigma(self) -> NDArray[np.float64]:
+    def residual_sigma(self) -> Array:
         """Root of chi2 per degree of freedom, shape (N,); NaN without redundancy."""
         dof = self.used.sum(axis=1) - 3
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -154,26 +190,17 @@ class PointBatch:
 
     def estimates(self, names: tuple[str, ...]) -> list[PointEstimate]:
         """Return the points as values; ``names`` are the sensors' names in order."""
-        rows = zip(
-            self.position_mm.tolist(),
-            self.covariance_mm2.tolist(),
-            self.residual_sigma().tolist(),
-            self.used.tolist(),
-            self.flags.tolist(),
-            strict=True,
-        )
-        estimates = []
-        for position, covariance, sigma, used, flags in rows:
-            found = isfinite(position[0])
-            estimates.append(
-                PointEstimate(
-                    tuple(position) if found else None,
-                    (tuple(covariance[0]), tuple(covariance[1]), tuple(covariance[2]))
-                    if found
-                    else None,
-                    sigma if isfinite(sigma) else None,
-                    tuple(name for name, use in zip(names, used, strict=True) if use),
-                    flag_names(PointFlag(flags)),
-                )
+        columns = vars(self) | {"chi2": self.residual_sigma()}
+        rows = zip(*(column.tolist() for column in columns.values()), strict=True)
+        return [
+            PointEstimate(
+                tuple(position) if isfinite(position[0]) else None,
+                (tuple(covariance[0]), tuple(covariance[1]), tuple(covariance[2]))
+                if isfinite(position[0])
+                else None,
+                sigma if isfinite(sigma) else None,
+                tuple(compress(names, used)),
+                flag_names(PointFlag(flags)),
             )
-        return estimates
+            for position, covariance, sigma, used, flags in rows
+        ]

@@ -10,11 +10,10 @@ from compute.camera.model import SensorModel
 from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter
 from compute.mapping.table import CorrectionTable
-from compute.measurement.measurement_model import check_corrections, check_covariance
-from compute.reconstruction.native.camera_arguments import fill_cameras
+from compute.measurement.measurement_model import check_calibration
 from compute.reconstruction.native.cuda_launch import MOVED_WORDS, THREADS_PER_BLOCK, CudaLaunch
-from compute.reconstruction.native.kernel_arguments import JOB, MAX_POWER, row_length
-from compute.reconstruction.point_batch import POINT_BYTES, PointBatch
+from compute.reconstruction.native.definitions import JOB, MAX_POWER, fill_cameras, row_length
+from compute.reconstruction.point_batch import PointBatch
 from compute.reconstruction.triangulation import INCONSISTENCY_SIGNIFICANCE, chi2_limit
 from compute.warp_host import check_threads, warp_device, worker_threads
 
@@ -26,6 +25,8 @@ MIN_CAPACITY: Final = 16
 other terms then need no other kernel."""
 POINTS_PER_THREAD: Final = 512
 """Fewest points for which another CPU thread is worth its start."""
+_POINT_BYTES: Final = 108
+"""Bytes of a point's position, covariance, chi2 and flags."""
 
 
 def address(array: NDArray[Any]) -> int:
@@ -72,15 +73,23 @@ class CpuLaunch:
             sigma: their standard deviations, shape (N, S) [px], C-contiguous.
         """
         count, sensors = len(readings), self._sensors
-        points = PointBatch.allocate(count, sensors)
-        base = address(points.position_mm)
+        # One block of memory: one address, from which the others follow.
+        block = np.empty(count * (_POINT_BYTES + sensors), dtype=np.uint8)
+        points = PointBatch(
+            np.ndarray((count, 3), np.float64, block),
+            np.ndarray((count, 3, 3), np.float64, block, 24 * count),
+            np.ndarray((count,), np.float64, block, 96 * count),
+            np.ndarray((count, sensors), np.bool_, block, _POINT_BYTES * count),
+            np.ndarray((count,), np.int32, block, 104 * count),
+        )
+        base = address(block)
         addresses = (
             address(readings),
             address(sigma),
             base,
             base + 24 * count,
             base + 96 * count,
-            base + POINT_BYTES * count,
+            base + _POINT_BYTES * count,
             base + 104 * count,
         )
         parts = max(min(self._threads, count // POINTS_PER_THREAD), 1)
@@ -141,11 +150,17 @@ class PointSolver:
         # Here and not above: Warp takes a second to load, and the types are used without it.
         import warp as wp
 
-        from compute.reconstruction.native.kernel import point_kernel
-
         stack = cameras if isinstance(cameras, CameraStack) else CameraStack.of(cameras)
-        _check(stack, parameter_covariance)
-        check_corrections(stack, corrections)
+        if not 1 <= len(stack) <= MAX_SENSORS:
+            raise InvalidParameter(
+                f"there are {len(stack)} sensors; there must be 1 to {MAX_SENSORS}"
+            )
+        for term in stack.terms:
+            if max(term) > MAX_POWER:
+                raise InvalidParameter(
+                    f"a term of distortion has the powers {term}; they must be {MAX_POWER} at most"
+                )
+        check_calibration(stack, parameter_covariance, corrections)
         self.sensors = len(stack)
         place = warp_device(wp, device)
         self.device = str(place.alias)
@@ -209,6 +224,21 @@ class PointSolver:
         return self.launch.solve(readings, np.ascontiguousarray(sigma))
 
 
+def point_kernel(sensors: int, capacity: int) -> Any:
+    """Return the kernel of the triangulation; launch it with one thread a point. Loads Warp.
+
+    Args:
+        sensors: number of sensors S.
+        capacity: largest number of terms of distortion.
+    """
+    from compute.native.native_kernel import native_kernel
+
+    return native_kernel(
+        "compute/reconstruction/native/triangulation.h",
+        f"lumiline::solve_point<{sensors}, {capacity}>(number, address);",
+    )
+
+
 def load_kernels(sensors: int, device: str | None = None) -> None:
     """Load the kernels for a number of sensors, with up to MIN_CAPACITY terms of distortion.
 
@@ -220,8 +250,6 @@ def load_kernels(sensors: int, device: str | None = None) -> None:
         InvalidParameter: no such device.
     """
     import warp as wp
-
-    from compute.reconstruction.native.kernel import point_kernel
 
     place = warp_device(wp, device)
     # As they are launched: a kernel is built anew for blocks of another size.
@@ -238,16 +266,3 @@ def term_capacity(cameras: CameraStack) -> int:
     while capacity < len(cameras.terms):
         capacity *= 2
     return capacity
-
-
-def _check(cameras: CameraStack, covariance: Array | None) -> None:
-    if not 1 <= len(cameras) <= MAX_SENSORS:
-        raise InvalidParameter(
-            f"there are {len(cameras)} sensors; there must be 1 to {MAX_SENSORS}"
-        )
-    for term in cameras.terms:
-        if max(term) > MAX_POWER:
-            raise InvalidParameter(
-                f"a term of distortion has the powers {term}; they must be {MAX_POWER} at most"
-            )
-    check_covariance(cameras, covariance)

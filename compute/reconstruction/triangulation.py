@@ -140,8 +140,8 @@ class _Equations:
     model: MeasurementModel
     readings_px: Array
 
-    def at(self, position: Array, index: NDArray[np.intp] | slice, whitening: Array) -> Array:
-        """Return whitened Jacobians and residuals side by side, shape (N, S, 4); 0 where not used.
+    def gram(self, position: Array, index: NDArray[np.intp] | slice, whitening: Array) -> Array:
+        """Return A' A of A, whitened Jacobians and residuals side by side, shape (N, 4, 4).
 
         Args:
             position: of the points ``index``, shape (N, 3).
@@ -154,14 +154,9 @@ class _Equations:
         rows[..., :3] = jacobian
         rows[..., 3] = residual
         rows[np.isnan(readings)] = 0.0
-        whitened: Array = whitening @ rows
-        return whitened
-
-
-def _gram(rows: Array) -> Array:
-    """Return A' A of the equations (N, S, 4), shape (N, 4, 4)."""
-    gram: Array = rows.transpose(0, 2, 1) @ rows
-    return gram
+        whitened = whitening @ rows
+        gram: Array = whitened.transpose(0, 2, 1) @ whitened
+        return gram
 
 
 def _solve(gram: Array, damping: Array) -> Array:
@@ -182,7 +177,7 @@ def _refine(
         Positions (N, 3), A' A of the whitened equations there (N, 4, 4), which converged (N,).
     """
     position = start.copy()
-    gram = _gram(equations.at(position, slice(None), whitening))
+    gram = equations.gram(position, slice(None), whitening)
     damping = np.full(len(start), INITIAL_DAMPING)
     converged = np.zeros(len(start), dtype=np.bool_)
     # A start behind a lens has no residual; the point stays unconverged and is flagged.
@@ -192,7 +187,7 @@ def _refine(
             break
         step = _solve(gram[index], damping[index])
         trial = position[index] + step
-        trial_gram = _gram(equations.at(trial, index, whitening[index]))
+        trial_gram = equations.gram(trial, index, whitening[index])
         # The next step would be shorter by the curvature over this one's length: below a
         # nanometre, far under any rounding of the result, it is not worth taking.
         small = np.abs(step).max(axis=1) <= STEP_TOLERANCE_MM
@@ -218,9 +213,19 @@ def chi2_limit(dof: int, probability: float) -> float:
     return float(chdtri(dof, probability)) if dof > 0 else float("inf")
 
 
-def triangulate_linear(
-    cameras: CameraStack, corrected_px: Array, weights: Array | None = None
-) -> Array:
+def squared_distances(difference: Array, covariance: Array) -> Array:
+    """Return squared Mahalanobis distances, shape (...).
+
+    Args:
+        difference: of D coordinates, shape (..., D).
+        covariance: of the differences, shape (..., D, D).
+    """
+    solved = np.linalg.solve(covariance, difference[..., None])[..., 0]
+    squared: Array = (difference * solved).sum(axis=-1)
+    return squared
+
+
+def triangulate_linear(cameras: CameraStack, corrected_px: Array) -> Array:
     """Intersect the planes of corrected readings; thesis [5.13]-[5.15], [5.22]-[5.24].
 
     Each reading q gives one plane ``(m1 - q m2).X~ = 0``. With the metric matrices this is
@@ -228,8 +233,7 @@ def triangulate_linear(
 
     Args:
         cameras: S cameras.
-        corrected_px: readings after ``cameras.corrected``, shape (N, S); NaN where not seen.
-        weights: factors for the equations, shape (N, S); None: all 1, as in the thesis.
+        corrected_px: readings with the cubic term, shape (N, S); NaN where not seen.
 
     Returns:
         Points, shape (N, 3) [mm]; NaN where fewer than three sensors saw the point or where
@@ -239,7 +243,7 @@ def triangulate_linear(
     seen = np.isfinite(corrected_px)
     q = np.where(seen, corrected_px, 0.0)
     rows = matrices[:, 0] - q[..., None] * matrices[:, 1]
-    rows = rows * (seen if weights is None else seen * weights)[..., None]
+    rows = rows * seen[..., None]
     points = np.full((len(rows), 3), np.nan)
     enough = seen.sum(axis=1) >= 3
     if not enough.any():

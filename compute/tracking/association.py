@@ -1,7 +1,5 @@
 """Association of peaks with tracks, sensor by sensor, and the filter update (JPDA)."""
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,9 +15,11 @@ from compute.tracking.joint_events import (
 from compute.tracking.measurement_update import (
     Innovation,
     PdaMixture,
-    joint_update,
     leave_one_out_residuals,
+    log_evidence,
     pda_update,
+    reading_variance,
+    update_by_readings,
 )
 from compute.tracking.motion_model import (
     CombinedState,
@@ -29,6 +29,7 @@ from compute.tracking.motion_model import (
     update_mode_probabilities,
 )
 from compute.tracking.settings import TrackerSettings
+from compute.tracking.tracks import AssociationResult
 
 Array = NDArray[np.float64]
 
@@ -43,31 +44,6 @@ SUSPECT_RESIDUAL_SIGMA = 3.0
 """A reading this far from what all others and the prediction say counts for less."""
 ASSOCIATION_PROBABILITY_THRESHOLD = 0.5
 """Probability from which a peak is reported as a track's."""
-
-
-@dataclass(frozen=True, eq=False)
-class AssociationResult:
-    """Peaks and updated states of T tracks after an exposure.
-
-    Args:
-        states: after the update.
-        peaks: index of each sensor's peak; -1: none, int32, shape (T, S).
-        merged: whether that peak is shared, shape (T, S).
-        probability: probability that it is the track's, 0 where there is none, shape (T, S).
-        nis: normalised innovation squared, shape (T,).
-        log_likelihood_ratio: of the readings being the track's to being false peaks, shape (T,).
-        hypotheses_pruned: whether hypotheses of non-negligible weight were pruned, shape (T,).
-        in_view: number of sensors that have the predicted position in view, shape (T,).
-    """
-
-    states: ImmStates
-    peaks: NDArray[np.int32]
-    merged: NDArray[np.bool_]
-    probability: Array
-    nis: Array
-    log_likelihood_ratio: Array
-    hypotheses_pruned: NDArray[np.bool_]
-    in_view: NDArray[np.int32]
 
 
 def associate(
@@ -98,20 +74,12 @@ def associate(
         work.associate_unambiguous(first=False)
     if work.contested.any():
         work.associate_contested()
-    return AssociationResult(
-        work.states,
-        work.choice,
-        work.merged,
-        work.probability,
-        work.nis,
-        work.log_likelihood_ratio,
-        work.hypotheses_pruned,
-        work.predicted.in_view.sum(axis=1, dtype=np.int32),
-    )
+    work.result.in_view = work.predicted.in_view.sum(axis=1, dtype=np.int32)
+    return work.result
 
 
 class _Work:
-    """The frame in progress; see ``Associated`` for the arrays."""
+    """The association in progress."""
 
     def __init__(
         self,
@@ -124,15 +92,8 @@ class _Work:
     ) -> None:
         self.model, self.motion, self.settings = model, motion, settings
         # A copy: it is written to.
-        self.states = states.rows(np.arange(len(states)))
+        self.result = AssociationResult.missed(states.rows(np.arange(len(states))), len(model))
         self.bias, self.peaks = bias, peaks
-        shape = (len(states), len(model))
-        self.choice = np.full(shape, -1, dtype=np.int32)
-        self.merged = np.zeros(shape, dtype=np.bool_)
-        self.probability = np.zeros(shape)
-        self.nis = np.zeros(len(states))
-        self.log_likelihood_ratio = np.zeros(len(states))
-        self.hypotheses_pruned = np.zeros(len(states), dtype=np.bool_)
         self.taken = np.zeros(peaks.position_px.shape, dtype=np.bool_)
         self.whole = combine_modes(motion, states)
         self.place = self.whole.mean[:, :3]
@@ -146,17 +107,12 @@ class _Work:
 
     def associate_unambiguous(self, *, first: bool) -> None:
         """Find readings without rivals among what is open, and update by all of them at once."""
-        reading = self._readings()
-        variance = self._variance(self.whole, self.predicted.jacobian_px_per_mm)
-        choice, contested = _unambiguous_peaks(
-            reading,
-            variance,
-            self.predicted.in_view & self.contested,
-            self.peaks,
-            self.peaks.usable & ~self.taken,
-            self.settings,
+        moved = np.einsum(
+            "tsi,ti->ts", self.predicted.jacobian_px_per_mm, self.whole.mean[:, :3] - self.place
         )
-        self.contested = contested
+        reading = self.predicted.reading_px + moved
+        variance = self._variance(self.whole, self.predicted.jacobian_px_per_mm)
+        choice, self.contested = self._unambiguous_peaks(reading, variance)
         used = choice >= 0
         if not used.any():
             return
@@ -186,17 +142,17 @@ class _Work:
         states, log, nis = self._update(
             used, position, noise, iterations=MAX_ITERATIONS if first else 1
         )
-        self.choice = np.where(used, choice, self.choice)
-        self.probability = np.where(used, 1.0, self.probability)
+        result = self.result
+        result.peaks = np.where(used, choice, result.peaks)
+        result.probability = np.where(used, 1.0, result.probability)
         self.taken[np.broadcast_to(sensor, used.shape)[used], choice[used]] = True
-        top = log.max(axis=1)
-        share = self.states.probability * np.exp(log - top[:, None])
-        self.log_likelihood_ratio += top + np.log(share.sum(axis=1)) + used.sum(axis=1) * self._gain
-        states.probability = self.states.probability.copy()
+        before = result.states.probability
+        result.log_likelihood_ratio += log_evidence(before, log) + used.sum(axis=1) * self._gain
+        states.probability = before.copy()
         update_mode_probabilities(states, log)
-        self.nis += (states.probability * nis).sum(axis=1)
-        self.states = states
-        self._renew()
+        result.nis += (states.probability * nis).sum(axis=1)
+        result.states = states
+        self.whole = combine_modes(self.motion, states)
 
     def associate_contested(self) -> None:
         """Take what is still open by joint hypotheses, the least contested sensors first."""
@@ -209,15 +165,12 @@ class _Work:
         self, used: NDArray[np.bool_], position: Array, noise: Array, iterations: int
     ) -> tuple[ImmStates, Array, Array]:
         """Return the joint update, with slopes taken anew while steps are long."""
+        states = self.result.states
         for iteration in range(iterations):
-            innovation = Innovation.of(used, self.predicted.jacobian_px_per_mm, noise, self.bias)
-            apart = self.states.mean[..., :3] - self.place[:, None]
-            expected = self.predicted.reading_px[:, None] + np.einsum(
-                "tsi,tmi->tms", self.predicted.jacobian_px_per_mm, apart
+            updated = update_by_readings(
+                states, self.predicted, self.place, used, position, noise, self.bias
             )
-            difference = np.where(used[:, None], position[:, None] - expected, 0.0)
-            updated = joint_update(self.states, innovation, difference)
-            place = (self.states.probability[..., None] * updated[0].mean[..., :3]).sum(axis=1)
+            place = (states.probability[..., None] * updated[0].mean[..., :3]).sum(axis=1)
             far = used.any(axis=1) & ~(np.abs(place - self.place) < RELINEARISATION_STEP_MM).all(
                 axis=1
             )
@@ -229,14 +182,14 @@ class _Work:
 
     def _take_sensor(self, sensor: int, rows: NDArray[np.intp]) -> None:
         """Take one sensor's peaks by the joint hypotheses of the tracks ``rows``."""
-        states = self.states.rows(rows)
+        states = self.result.states.rows(rows)
         whole = combine_modes(self.motion, states)
         jacobian = self.predicted.jacobian_px_per_mm[rows, sensor]
         reading = self.predicted.reading_px[rows, sensor] + np.einsum(
             "ti,ti->t", jacobian, whole.mean[:, :3] - self.place[rows]
         )
         bias = self.bias[rows, sensor]
-        variance = _variance(whole, jacobian, sensor, bias[:, sensor])
+        variance = np.maximum(reading_variance(whole, jacobian, sensor, bias[:, sensor]), 0.0)
         found = self._event_marginals(sensor, reading, variance)
         most = max((len(own) for own in found), default=0)
         if most == 0:
@@ -249,7 +202,7 @@ class _Work:
                 difference[place, column] = marginal.difference_px
                 noise[place, column] = marginal.variance_px2
         soft = PdaMixture(weight, difference, noise)
-        self.states.put(rows, pda_update(states, whole, soft, sensor, jacobian, bias))
+        self.result.states.put(rows, pda_update(states, whole, soft, sensor, jacobian, bias))
         for place, own in enumerate(found):
             for marginal in own:
                 self._record(int(rows[place]), sensor, marginal, float(variance[place]))
@@ -259,49 +212,34 @@ class _Work:
     ) -> list[list[Marginals]]:
         """Return what each of the contending tracks may have read."""
         free = np.flatnonzero(self.peaks.usable[sensor] & ~self.taken[sensor])
-        peaks = [
-            (
-                int(peak),
-                float(self.peaks.position_px[sensor, peak]),
-                float(self.peaks.variance_px2[sensor, peak]),
-            )
-            for peak in free
-        ]
+        columns = free, self.peaks.position_px[sensor, free], self.peaks.variance_px2[sensor, free]
+        peaks = list(zip(*(column.tolist() for column in columns), strict=True))
         found: list[list[Marginals]] = [[] for _ in reading]
         rows = np.flatnonzero(self.contested[:, sensor])
-        cluster_tracks = [
-            ClusterTrack(float(a), float(b)) for a, b in zip(reading, variance, strict=True)
-        ]
+        cluster_tracks = list(map(ClusterTrack, reading.tolist(), variance.tolist()))
         for members, cluster_peaks in split_clusters(cluster_tracks, peaks, self.settings):
             own, pruned_weight = event_marginals(
                 [cluster_tracks[m] for m in members], cluster_peaks, self.settings
             )
             for member, each in zip(members, own, strict=True):
                 found[member] = each
-                self.hypotheses_pruned[rows[member]] |= pruned_weight > PRUNED_WEIGHT_THRESHOLD
+                pruned = pruned_weight > PRUNED_WEIGHT_THRESHOLD
+                self.result.hypotheses_pruned[rows[member]] |= pruned
         return found
 
     def _record(self, track: int, sensor: int, marginal: Marginals, variance: float) -> None:
         if marginal.probability <= ASSOCIATION_PROBABILITY_THRESHOLD:
             return
-        self.choice[track, sensor] = marginal.peak
-        self.probability[track, sensor] = marginal.probability
-        self.merged[track, sensor] = marginal.merged
+        result = self.result
+        result.peaks[track, sensor] = marginal.peak
+        result.probability[track, sensor] = marginal.probability
+        result.merged[track, sensor] = marginal.merged
         self.taken[sensor, marginal.peak] = True
         total = variance + marginal.variance_px2
         off = marginal.difference_px**2 / total
-        self.nis[track] += off
+        result.nis[track] += off
         density = -0.5 * (off + np.log(2.0 * np.pi * total))
-        self.log_likelihood_ratio[track] += marginal.probability * (density + self._gain)
-
-    def _renew(self) -> None:
-        self.whole = combine_modes(self.motion, self.states)
-
-    def _readings(self) -> Array:
-        """Return the predicted readings at the states' present means, shape (T, S)."""
-        apart = self.whole.mean[:, :3] - self.place
-        moved: Array = np.einsum("tsi,ti->ts", self.predicted.jacobian_px_per_mm, apart)
-        return self.predicted.reading_px + moved
+        result.log_likelihood_ratio[track] += marginal.probability * (density + self._gain)
 
     def _variance(self, whole: CombinedState, jacobian: Array) -> Array:
         """Return the variance of predicted readings, constant errors included, shape (T, S)."""
@@ -312,53 +250,36 @@ class _Work:
         variance += self.bias[:, diagonal, diagonal]
         return np.asarray(np.maximum(variance, 0.0))
 
+    def _unambiguous_peaks(
+        self, reading: Array, variance: Array
+    ) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
+        """Return the peak of each track and sensor that leaves no choice (-1), and the contested.
 
-def _variance(whole: CombinedState, jacobian: Array, sensor: int, bias: Array) -> Array:
-    """Return the variance of one sensor's predicted readings, with its bias's own, shape (T,)."""
-    variance: Array = np.einsum("ti,tij,tj->t", jacobian, whole.covariance[:, :3, :3], jacobian)
-    variance += (
-        2.0 * np.einsum("ti,ti->t", jacobian, whole.bias_cross_covariance[:, :3, sensor]) + bias
-    )
-    return np.asarray(np.maximum(variance, 0.0))
+        A peak leaves none when it is the only one in the gate of a track, in no other's gate, and
+        no track beside this one lacks a peak of its own, which might be in this one.
 
-
-def _unambiguous_peaks(
-    reading: Array,
-    variance: Array,
-    open_: NDArray[np.bool_],
-    peaks: Measurements,
-    free: NDArray[np.bool_],
-    settings: TrackerSettings,
-) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
-    """Return the peak of each track and sensor that leaves no choice (-1), and what is contested.
-
-    A peak leaves none when it is the only one in the gate of a track, in no other's gate, and no
-    track beside this one lacks a peak of its own, which might be in this one.
-
-    Args:
-        reading: predicted, shape (T, S).
-        variance: of the predictions, shape (T, S).
-        open_: what is looked at, shape (T, S).
-        peaks: of the frame.
-        free: which peaks are looked at, shape (S, K).
-        settings: gate and widths.
-    """
-    sought = open_ & (variance <= settings.max_prediction_sigma_px**2)
-    at = np.where(sought, reading, np.inf)
-    with np.errstate(invalid="ignore"):
-        off = np.abs(peaks.position_px[None] - at[..., None])
-        limit = settings.gate_sigma**2 * (variance[..., None] + peaks.variance_px2)
-        gated = (off**2 <= limit) & free
-        alone = gated & (gated.sum(axis=0) == 1)
-        own = (gated.sum(axis=2) == 1) & alone.any(axis=2)
-        apart = np.abs(at[:, None] - at[None])
-        deviation = np.sqrt(variance)
-        reach = SHARED_PEAK_REACH * (settings.resolution_px + deviation[:, None] + deviation[None])
-        near = apart <= reach
-    near[np.arange(len(reading)), np.arange(len(reading))] = False
-    near &= ~(own[:, None] & own[None])
-    beside = near.any(axis=1)
-    decided = own & ~beside
-    choice = np.where(decided, gated.argmax(axis=2), -1).astype(np.int32)
-    contested = sought & ~decided & (gated.any(axis=2) | beside)
-    return choice, contested
+        Args:
+            reading: predicted, shape (T, S).
+            variance: of the predictions, shape (T, S).
+        """
+        settings, peaks = self.settings, self.peaks
+        sought = self.predicted.in_view & self.contested
+        sought &= variance <= settings.max_prediction_sigma_px**2
+        at = np.where(sought, reading, np.inf)
+        with np.errstate(invalid="ignore"):
+            off = np.abs(peaks.position_px[None] - at[..., None])
+            limit = settings.gate_sigma**2 * (variance[..., None] + peaks.variance_px2)
+            gated = (off**2 <= limit) & peaks.usable & ~self.taken
+            alone = gated & (gated.sum(axis=0) == 1)
+            own = (gated.sum(axis=2) == 1) & alone.any(axis=2)
+            apart = np.abs(at[:, None] - at[None])
+            sigma = np.sqrt(variance)
+            reach = SHARED_PEAK_REACH * (settings.resolution_px + sigma[:, None] + sigma[None])
+            near = apart <= reach
+        near[np.arange(len(reading)), np.arange(len(reading))] = False
+        near &= ~(own[:, None] & own[None])
+        beside = near.any(axis=1)
+        decided = own & ~beside
+        choice = np.where(decided, gated.argmax(axis=2), -1).astype(np.int32)
+        contested = sought & ~decided & (gated.any(axis=2) | beside)
+        return choice, contested

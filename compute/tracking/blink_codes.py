@@ -1,6 +1,5 @@
 """BlinkCodes: on/off code words with a minimum distance in every phase."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
@@ -137,32 +136,6 @@ def blink_codes(
             found=len(taken),
         )
     return BlinkCodes(tuple(f"{word:0{length}b}" for word in taken), distance, cyclic)
-
-
-def nearest_word(codes: BlinkCodes, bits: Sequence[bool | None]) -> tuple[int, int, int] | None:
-    """Return marker, phase and number of wrong bits of a received word; None: not decodable.
-
-    Certain is what the distance proves: with e wrong bits and u unknown ones, ``2 e + u`` must be
-    less than the distance.
-
-    Args:
-        codes: the words.
-        bits: of as many successive scans as a word has: on, off, or not known.
-
-    Raises:
-        InvalidParameter: another number of scans.
-    """
-    if len(bits) != codes.length:
-        raise InvalidParameter(f"there are {len(bits)} scans; a word has {codes.length}")
-    known = np.array([bit is not None for bit in bits])
-    seen = np.array([bool(bit) for bit in bits])
-    unknown = int((~known).sum())
-    for phase in range(codes.length if codes.cyclic else 1):
-        wrong = ((np.roll(codes.bits, -phase, axis=1) != seen) & known).sum(axis=1)
-        marker = int(wrong.argmin())
-        if 2 * int(wrong[marker]) + unknown < codes.distance:
-            return marker, phase, int(wrong[marker])
-    return None
 
 
 def _rotate(words: Words, shift: int, length: int) -> Words:

@@ -11,18 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.errors import InvalidParameter
-from compute.tracking.blink_codes import BlinkCodes, blink_codes, nearest_word
+from compute.tracking.blink_codes import BlinkCodes
 
 Array = NDArray[np.float64]
-
-__all__ = [
-    "BlinkCodes",
-    "BlinkIdentities",
-    "BlinkModel",
-    "blink_codes",
-    "identify_blinking_markers",
-    "nearest_word",
-]
 
 _LOG_ROOT_TWO_PI: Final = 0.5 * float(np.log(2.0 * np.pi))
 
@@ -32,17 +23,16 @@ class BlinkModel:
     """Detection model of a blinking marker's peaks.
 
     Args:
-        miss_probability: chance that a scan in which the marker is on has no peak of it.
-        false_alarm_probability: chance that a scan in which it is off has a peak that is taken for
-            it.
+        miss_probability: of a scan in which the marker is on to have no peak of it.
+        false_alarm_probability: of a scan in which it is off to have a peak that is taken for it.
         log_amplitude_sigma: standard deviation of the logarithm of its amplitude, from scan to
             scan.
         log_amplitude_range: range of the logarithm of false peaks' amplitudes.
         off_level: its light in "off" scans, relative to "on"; 0: none. A marker that only gets
             fainter is seen in every scan.
-        non_marker_probability: chance beforehand that a light is no marker: a reflection, always
-            on, or one that comes and goes.
-        confidence_threshold: chance with which a marker is named.
+        non_marker_probability: prior, that a light is no marker: a reflection, always on, or one
+            that comes and goes.
+        confidence_threshold: probability with which a marker is named.
 
     Raises:
         InvalidParameter: a value out of its range.
@@ -88,7 +78,7 @@ class BlinkIdentities:
         marker: index of its word, -1: not sure, int32, shape (T,).
         phase: bit of the word that the first scan shows, int32, shape (T,); of no meaning where
             the marker is not known.
-        confidence: chance that it is the likeliest marker, named or not, shape (T,).
+        confidence: probability that it is the likeliest marker, named or not, shape (T,).
         errors: scans in which it was on instead of off or the other way round, by that word,
             int32, shape (T,).
     """
@@ -109,11 +99,11 @@ def identify_blinking_markers(
     """Identify the marker of each light, from its amplitudes over a window of scans.
 
     Every word in every phase is a hypothesis, beside a steady light and one that comes and goes by
-    chance. The likelihood is that of peaks present and absent, and of the logarithms of their
+    probability. The likelihood is that of peaks present and absent, and of the logarithms of their
     amplitudes about a mean that each hypothesis has for itself, so that how bright or near a
     marker is does not matter. Sensors are independent, each with its own mean; those that
     never saw the light in the window say nothing. Of two lights that are named alike, only
-    the likelier is, if it is so by the odds that ``sure`` demands; else neither.
+    the likelier is, if it is so by the odds that ``confidence_threshold`` demands; else neither.
 
     Args:
         codes: the words.
@@ -129,47 +119,47 @@ def identify_blinking_markers(
         InvalidParameter: another shape, no phase for words that are not cyclic, or an amplitude
             that is not positive.
     """
-    given = np.asarray(amplitude, dtype=np.float64)
-    if given.ndim == 2:
-        given = given[:, None]
-    if given.ndim != 3:
+    values = np.asarray(amplitude, dtype=np.float64)
+    if values.ndim == 2:
+        values = values[:, None]
+    if values.ndim != 3:
         raise InvalidParameter(
             f"amplitude has the shape {np.shape(amplitude)}; it must be (T, W) or (T, S, W)"
         )
     if known is None:
-        there = np.ones(given.shape, dtype=np.bool_)
+        there = np.ones(values.shape, dtype=np.bool_)
     elif np.shape(known) != np.shape(amplitude):
         raise InvalidParameter(
             f"known has the shape {np.shape(known)}, amplitude {np.shape(amplitude)}; "
             "they must have one"
         )
     else:
-        there = np.asarray(known, dtype=np.bool_).reshape(given.shape)
-        given = np.where(there, given, np.nan)
+        there = np.asarray(known, dtype=np.bool_).reshape(values.shape)
+        values = np.where(there, values, np.nan)
     if phase is None and not codes.cyclic:
         raise InvalidParameter("these words are not cyclic; give the phase of the first scan")
-    if (given <= 0.0).any():
+    if (values <= 0.0).any():
         raise InvalidParameter("an amplitude is not positive; give NaN where there was no peak")
     how = model or BlinkModel()
     phases = np.arange(codes.length) if phase is None else np.array([phase % codes.length])
-    scans = np.arange(given.shape[-1])
+    scans = np.arange(values.shape[-1])
     # By word, then phase, shape (H, W).
     on = codes.bits[:, (phases[:, None] + scans) % codes.length].reshape(-1, len(scans))
-    likelihood = _log_likelihood(on, given, there, how) - np.log(
+    likelihood = _log_likelihood(on, values, there, how) - np.log(
         len(on) / (1.0 - how.non_marker_probability)
     )
     others = np.logaddexp(
-        _log_likelihood(np.ones((1, len(scans)), dtype=np.bool_), given, there, how)[:, 0],
-        _log_likelihood_random(given, there, how),
+        _log_likelihood(np.ones((1, len(scans)), dtype=np.bool_), values, there, how)[:, 0],
+        _log_likelihood_random(values, there, how),
     ) + np.log(0.5 * how.non_marker_probability)
     every = np.concatenate([likelihood, others[:, None]], axis=1)
     top = every.max(axis=1, keepdims=True)
     weight = np.exp(every - top)
     share = weight / weight.sum(axis=1, keepdims=True)
-    by_word = share[:, :-1].reshape(len(given), len(codes), len(phases)).sum(axis=2)
+    by_word = share[:, :-1].reshape(len(values), len(codes), len(phases)).sum(axis=2)
     word = by_word.argmax(axis=1)
-    rows = np.arange(len(given))
-    best_phase = likelihood.reshape(len(given), len(codes), -1)[rows, word].argmax(axis=1)
+    rows = np.arange(len(values))
+    best_phase = likelihood.reshape(len(values), len(codes), -1)[rows, word].argmax(axis=1)
     confidence = by_word[rows, word]
     marker = np.where(confidence >= how.confidence_threshold, word, -1)
     marker = _resolve_duplicates(marker, likelihood.max(axis=1) - others, how)
@@ -178,7 +168,7 @@ def identify_blinking_markers(
         marker.astype(np.int32),
         phases[best_phase].astype(np.int32),
         confidence,
-        _errors(expected, given, there, how),
+        _errors(expected, values, there, how),
     )
 
 

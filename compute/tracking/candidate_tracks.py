@@ -1,22 +1,22 @@
 """CandidateTracks: tentative tracks of a dense scene, confirmed as a consistent set."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from math import log
-from typing import Final
+from typing import Annotated, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.measurement.measurement_model import MeasurementModel
 from compute.measurement.measurements import Measurements
+from compute.reconstruction.point_batch import Batch
 from compute.tracking.max_weight_independent_set import (
     best_alternatives,
+    greedy_independent_set,
     max_weight_independent_set,
 )
-from compute.tracking.motion_model import ImmStates, MotionModels, mean_positions, mix_and_predict
+from compute.tracking.motion_model import ImmStates, mean_positions, mix_and_predict
 from compute.tracking.native.associator import Associator
-from compute.tracking.settings import TrackerSettings
-from compute.tracking.track_management import MIN_SUPPORT_SENSORS
+from compute.tracking.tracks import MIN_SUPPORT_SENSORS
 from compute.tracking.unresolved_neighbours import (
     NEIGHBOUR_FIELDS,
     inflate_unresolved,
@@ -29,9 +29,9 @@ Array = NDArray[np.float64]
 WINDOW_EXPOSURES: Final = 16
 """Exposures that are remembered."""
 MIN_AGE: Final = 6
-"""Exposures after which a tracklet may be a marker."""
+"""Exposures after which a candidate may be a marker."""
 REJECTION_AGE: Final = 5
-"""Exposures after which a tracklet that too few sensors see is given up."""
+"""Exposures after which a candidate that too few sensors see is given up."""
 DETECTION_FRACTION_THRESHOLD: Final = 0.65
 """Part of the exposures in which a sensor must have seen it, or a peak that may be shared."""
 REJECTION_FRACTION_THRESHOLD: Final = 0.45
@@ -43,7 +43,7 @@ MIN_PEAKS: Final = 2
 MAX_BLIND_EXPOSURES: Final = 3
 """Exposures without them, in a row."""
 CONFLICT_SHARE_THRESHOLD: Final = 0.2
-"""Part of its peaks beyond which a tracklet is in conflict with another one that has them too."""
+"""Part of its peaks beyond which a candidate is in conflict with another one that has them too."""
 DUPLICATE_SHARE_THRESHOLD: Final = 0.6
 """Part beyond which it is the same one."""
 SCORE_RATIO_THRESHOLD: Final = 1.5
@@ -51,12 +51,12 @@ SCORE_RATIO_THRESHOLD: Final = 1.5
 MAX_GHOSTS: Final = 0.1
 """Expected number of ghosts beyond which confirmed candidates are ambiguous."""
 MAX_CANDIDATES: Final = 80
-"""Tracklets that are followed."""
+"""Candidates that are followed."""
 
 
 @dataclass(eq=False)
-class _Candidates:
-    """T tracklets.
+class CandidateBatch(Batch):
+    """T candidates.
 
     Args:
         states: at the last exposure.
@@ -69,104 +69,53 @@ class _Candidates:
         blind: exposures in a row without peaks enough, shape (T,).
         nis: of the last exposure, shape (T,).
         neighbours: other peaks beside its own, see ``unresolved_neighbours``, (T, S, 3).
+        ambiguous: whether one that was confirmed may be a ghost, shape (T,).
     """
 
     states: ImmStates
-    bias: Array
-    position_mm: Array
-    peaks: NDArray[np.int32]
-    missed: NDArray[np.bool_]
-    score: Array
+    bias: Annotated[Array, "S", "S"]
+    position_mm: Annotated[Array, 3]
+    peaks: Annotated[NDArray[np.int32], WINDOW_EXPOSURES, "S"]
+    missed: Annotated[NDArray[np.bool_], WINDOW_EXPOSURES, "S"]
+    score: Annotated[Array, WINDOW_EXPOSURES]
     age: NDArray[np.intp]
     blind: NDArray[np.intp]
     nis: Array
-    neighbours: Array
-
-    def rows(self, index: NDArray[np.intp] | NDArray[np.bool_]) -> "_Candidates":
-        return _Candidates(
-            self.states.rows(index),
-            *(getattr(self, field.name)[index] for field in fields(self)[1:]),
-        )
-
-    def concatenate(self, other: "_Candidates") -> "_Candidates":
-        return _Candidates(
-            self.states.concatenate(other.states),
-            *(
-                np.concatenate([getattr(self, field.name), getattr(other, field.name)])
-                for field in fields(self)[1:]
-            ),
-        )
-
-    def __len__(self) -> int:
-        return len(self.age)
-
-
-@dataclass(frozen=True, eq=False)
-class ConfirmedCandidates:
-    """States of N candidates that were confirmed as markers.
-
-    Args:
-        states: at the exposure.
-        bias: as of tracks, shape (N, S, S).
-        position_mm: position at which that was evaluated, shape (N, 3).
-        peaks: of the exposure; -1: none, shape (N, S).
-        nis: of the exposure, shape (N,).
-        ambiguous: whether they may be ghosts, shape (N,).
-    """
-
-    states: ImmStates
-    bias: Array
-    position_mm: Array
-    peaks: NDArray[np.int32]
-    nis: Array
+    neighbours: Annotated[Array, "S", NEIGHBOUR_FIELDS]
     ambiguous: NDArray[np.bool_]
-
-    def __len__(self) -> int:
-        """Return the number of markers."""
-        return len(self.nis)
 
 
 class CandidateTracks:
     """Filters candidate tracks independently of each other, and confirms a consistent set.
 
-    Ghosts have peaks of markers. Followed together with these they would take them; followed alone,
-    each peak may be several tracklets', and over some exposures it shows which set of them explains
-    all: a ghost loses a sensor when its markers move apart, and what it explains, its markers do as
-    well, each with more besides.
+    Ghosts have peaks of markers. Tracked together with markers they would take them; tracked alone,
+    several candidates may share a peak, and over some exposures one set of them explains all: a
+    ghost loses a sensor when its markers move apart, and what it explains, its markers do as well,
+    each with more besides.
 
     Args:
-        model: of the readings.
-        motion: M models.
-        settings: of the tracker.
         associator: of peaks with tracks.
     """
 
-    def __init__(
-        self,
-        model: MeasurementModel,
-        motion: MotionModels,
-        settings: TrackerSettings,
-        associator: Associator,
-    ) -> None:
-        self._model, self._motion, self._settings = model, motion, settings
+    def __init__(self, associator: Associator) -> None:
         self._associator = associator
+        self._model, self._settings = associator.model, associator.settings
+        model = associator.model
         self._blind_sensors = max(len(model) - MIN_SUPPORT_SENSORS, 0) // 2
-        self._kept: _Candidates | None = None
+        self._kept = CandidateBatch.empty(len(model), len(associator.motion))
         self._free = np.zeros(len(model), dtype=np.intp)
         self._time_ns = 0
 
     def __len__(self) -> int:
-        """Return the number of tracklets."""
-        return 0 if self._kept is None else len(self._kept)
+        """Return the number of candidates."""
+        return len(self._kept)
 
     def forget(self) -> None:
         """Delete all candidates."""
-        self._kept = None
+        self._kept = self._kept.part(0, 0)
 
     def explained_peaks(self) -> NDArray[np.int32]:
         """Return the last exposure's peaks of well supported candidates, shape (N, S)."""
-        if self._kept is None:
-            return np.empty((0, len(self._model)), dtype=np.int32)
         kept = self._kept
         well_seen = (kept.age >= REJECTION_AGE) & self._is_detected_steadily()
         peaks: NDArray[np.int32] = kept.peaks[well_seen, -1]
@@ -174,10 +123,8 @@ class CandidateTracks:
 
     def is_new(self, peaks: NDArray[np.int32]) -> bool:
         """Return whether there is room and no candidate has three of these peaks, shape (S,)."""
-        if self._kept is None or len(self._kept) == 0:
-            return True
         same = ((self._kept.peaks[:, -1] == peaks) & (peaks >= 0)).sum(axis=1)
-        return len(self) < MAX_CANDIDATES and int(same.max()) < 3
+        return len(self) < MAX_CANDIDATES and int(same.max(initial=0)) < 3
 
     def begin(
         self,
@@ -196,23 +143,11 @@ class CandidateTracks:
             peaks: index of each sensor's peak, -1: none, shape (N, S).
             time_ns: time of the exposure [ns].
         """
-        rows = np.arange(len(states))
-        sensors = len(self._model)
-        history = np.full((len(rows), WINDOW_EXPOSURES, sensors), -1, dtype=np.int32)
-        history[:, -1] = peaks
-        added = _Candidates(
-            states,
-            bias,
-            position_mm,
-            history,
-            np.zeros(history.shape, dtype=np.bool_),
-            np.zeros((len(rows), WINDOW_EXPOSURES)),
-            np.zeros(len(rows), dtype=np.intp),
-            np.zeros(len(rows), dtype=np.intp),
-            np.zeros(len(rows)),
-            np.zeros((len(rows), sensors, NEIGHBOUR_FIELDS)),
-        )
-        self._kept = added if self._kept is None else self._kept.concatenate(added)
+        added = CandidateBatch.zeros(len(states), len(self._model))
+        added.states, added.bias, added.position_mm = states, bias, position_mm
+        added.peaks[:] = -1
+        added.peaks[:, -1] = peaks
+        self._kept = CandidateBatch.concatenate([self._kept, added])
         self._time_ns = time_ns
 
     def follow(self, time_ns: int, peaks: Measurements, free: NDArray[np.bool_]) -> None:
@@ -224,15 +159,14 @@ class CandidateTracks:
             free: peaks that may be used, shape (S, K).
         """
         kept = self._kept
-        if kept is None or len(kept) == 0:
-            self._time_ns = time_ns
-            return
         step = np.full(len(kept), (time_ns - self._time_ns) * 1e-9)
         self._time_ns = time_ns
-        states = mix_and_predict(self._motion, kept.states, step)
+        if len(kept) == 0:
+            return
+        states = mix_and_predict(self._associator.motion, kept.states, step)
         left = peaks.only(free)
         self._free = free.sum(axis=1)
-        crowd = peaks.log_density(
+        density = peaks.log_density(
             self._settings.clutter_density_per_px, self._settings.resolution_px
         )
         kept.peaks = np.roll(kept.peaks, -1, axis=1)
@@ -240,7 +174,7 @@ class CandidateTracks:
         kept.score = np.roll(kept.score, -1, axis=1)
         base = log(self._settings.clutter_density_per_px)
         hidden = predict_merged(kept.neighbours, step, self._settings)
-        reading = self._readings(states) if hidden.any() else None
+        reading = self._model.predict(mean_positions(states)).reading_px if hidden.any() else None
         for one in range(len(kept)):
             row = np.array([one])
             own = left
@@ -251,7 +185,7 @@ class CandidateTracks:
             kept.peaks[one, -1] = found.peaks[0]
             used = found.peaks[0] >= 0
             # Against other markers' peaks, not against false ones.
-            kept.score[one, -1] = found.log_likelihood_ratio[0] - (used * (crowd - base)).sum()
+            kept.score[one, -1] = found.log_likelihood_ratio[0] - (used * (density - base)).sum()
             kept.nis[one] = found.nis[0]
         there = self._model.predict(mean_positions(kept.states))
         shared = peaks.is_near(there.reading_px, self._settings.resolution_px)
@@ -271,14 +205,9 @@ class CandidateTracks:
         self._kept = kept.rows(good)
         self._drop_duplicates()
 
-    def _readings(self, states: ImmStates) -> Array:
-        return self._model.predict(mean_positions(states)).reading_px
-
-    def decide(self) -> ConfirmedCandidates | None:
+    def decide(self) -> CandidateBatch | None:
         """Confirm and remove the candidates that are markers; None: there are none."""
         kept = self._kept
-        if kept is None or len(kept) == 0:
-            return None
         score = kept.score.sum(axis=1)
         ready = np.flatnonzero(score > 0.0)
         if len(ready) == 0:
@@ -307,14 +236,8 @@ class CandidateTracks:
         if not good.any():
             return None
         found = ready[good]
-        markers = ConfirmedCandidates(
-            kept.states.rows(found),
-            kept.bias[found],
-            kept.position_mm[found],
-            kept.peaks[found, -1],
-            kept.nis[found],
-            np.full(len(found), doubtful),
-        )
+        markers = kept.rows(found)
+        markers.ambiguous[:] = doubtful
         stay = np.ones(len(kept), dtype=np.bool_)
         stay[found] = False
         # What lived on their peaks is a ghost.
@@ -329,10 +252,9 @@ class CandidateTracks:
         a ghost that has none of these looks like a marker.
 
         Args:
-            taken: tracklets that explain peaks.
+            taken: candidates that explain peaks.
             explained_peaks: ghosts that last.
         """
-        assert self._kept is not None
         left = []
         for sensor, count in enumerate(self._free.tolist()):
             own = self._kept.peaks[taken, -1, sensor]
@@ -355,26 +277,18 @@ class CandidateTracks:
 
     def _detection_counts(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Return how often each sensor saw each, and how often it could have, (T, S)."""
-        assert self._kept is not None
         seen = (self._kept.peaks >= 0).sum(axis=1)
         # Where a peak may be shared, a sensor says nothing.
         return seen, seen + self._kept.missed.sum(axis=1)
 
     def _drop_duplicates(self) -> None:
-        """Of tracklets that have come to have the same peaks, keep the likeliest."""
+        """Of candidates that have come to have the same peaks, keep the likeliest."""
         kept = self._kept
-        if kept is None or len(kept) < 2:
-            return
         sizes, shared = _shared(kept.peaks[:, -4:])
         same = (shared > DUPLICATE_SHARE_THRESHOLD * np.minimum(sizes[:, None], sizes[None])) & (
             shared > 0
         )
-        order = np.argsort(-kept.score.sum(axis=1), kind="stable")
-        stay = np.zeros(len(kept), dtype=np.bool_)
-        for one in order.tolist():
-            stay[one] = not (same[one] & stay).any()
-        if not stay.all():
-            self._kept = kept.rows(stay)
+        self._kept = kept.rows(greedy_independent_set(kept.score.sum(axis=1), same))
 
 
 def _shared(peaks: NDArray[np.int32]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

@@ -1,8 +1,4 @@
-"""Joint association events of the tracks that compete for a sensor's peaks (JPDA).
-
-All hypotheses of a cluster with non-negligible weight, as long as they are few; beyond, the most
-likely partial hypotheses are extended track by track, and the weight of the pruned ones is bounded.
-"""
+"""Joint association events of the tracks that compete for a sensor's peaks (JPDA)."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -85,10 +81,13 @@ def merge_probability(apart_px: float, variance_px2: float, resolution_px: float
 
 def event_marginals(
     cluster_tracks: list[ClusterTrack],
-    peaks: list[tuple[int, float, float]],
+    peaks: list[Peak],
     settings: TrackerSettings,
 ) -> tuple[list[list[Marginals]], float]:
     """Return each track's marginals, and a bound on the weight of pruned hypotheses.
+
+    All events of non-negligible weight, while they are few; beyond, the most likely partial events
+    are extended track by track, and the weight of the pruned ones is bounded.
 
     Each track is read as a peak of its own, shares one with another track, or is missed. Of
     hypotheses in which the same tracks have the same peaks only the likeliest counts: the average
@@ -99,12 +98,12 @@ def event_marginals(
 
     Args:
         cluster_tracks: the cluster's tracks.
-        peaks: index, position [px] and variance [px^2] of the peaks that they contend for.
+        peaks: index, position [px] and variance [px^2] of the peaks that they compete for.
         settings: detection, false peaks, merging, gate, most hypotheses.
 
     Returns:
-        Claims of each contender, and the largest weight of hypotheses that were not followed,
-        in parts of all that were; 0 where all were.
+        Marginals of each track, and the largest weight of hypotheses that were pruned, in parts of
+        all that were kept; 0 where all were.
     """
     merge_probabilities = {
         (one, two): merge_probability(
@@ -210,7 +209,7 @@ def _greedy(options: list[list[_Option]], missed: float) -> float:
 def _options(
     track: int,
     cluster_tracks: list[ClusterTrack],
-    peaks: list[tuple[int, float, float]],
+    peaks: list[Peak],
     merge_probabilities: dict[tuple[int, int], float],
     settings: TrackerSettings,
 ) -> list[_Option]:
@@ -241,7 +240,7 @@ def _options(
 def _resolved(
     one: _Option, two: _Option, merge_probabilities: dict[tuple[int, int], float]
 ) -> float:
-    """Return the chance that the tracks of two peaks were not found as one."""
+    """Return the probability that the tracks of two peaks were not found as one."""
     if len(one.tracks) > 1 or len(two.tracks) > 1:
         return 1.0
     pair = (one.tracks[0], two.tracks[0])
@@ -256,7 +255,7 @@ def _share_variance(one: ClusterTrack, two: ClusterTrack) -> float:
 
 def _marginals(
     track: int,
-    peak: tuple[int, float, float],
+    peak: Peak,
     tracks: tuple[int, ...],
     probability: float,
     cluster_tracks: list[ClusterTrack],

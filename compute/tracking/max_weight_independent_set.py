@@ -21,15 +21,25 @@ def max_weight_independent_set(score: Array, conflict: NDArray[np.bool_]) -> NDA
         score: log likelihood ratios, above 0, shape (C,).
         conflict: symmetric, none with itself, shape (C, C).
     """
-    order = np.argsort(-score, kind="stable")
-    selected = np.zeros(len(score), dtype=np.bool_)
-    for index in order.tolist():
-        selected[index] = not (conflict[index] & selected).any()
+    selected = greedy_independent_set(score, conflict)
     for _ in range(MAX_ROUNDS):
         if not (
             _one_for_all(score, conflict, selected) or _several_for_one(score, conflict, selected)
         ):
             break
+    return selected
+
+
+def greedy_independent_set(score: Array, conflict: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Choose sequences by falling score that are in conflict with none chosen before, of C.
+
+    Args:
+        score: log likelihood ratios, shape (C,).
+        conflict: symmetric, shape (C, C).
+    """
+    selected = np.zeros(len(score), dtype=np.bool_)
+    for index in np.argsort(-score, kind="stable").tolist():
+        selected[index] = not (conflict[index] & selected).any()
     return selected
 
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.measurement.measurement_model import PredictedMeasurements
 from compute.tracking.motion_model import STATE_SIZE, CombinedState, ImmStates
 
 Array = NDArray[np.float64]
@@ -73,7 +74,8 @@ def joint_update(
     log = -0.5 * (nis + np.linalg.slogdet(total)[1] + _LOG_2PI * count[:, None])
     # Joseph's form: the difference of the covariances is negative by rounding where a track that
     # was lost, known to half a metre, is seen to a hundredth of a millimetre again.
-    kept = np.eye(STATE_SIZE) - _of_places(gain @ jacobian)
+    kept = np.broadcast_to(np.eye(STATE_SIZE), states.covariance.shape).copy()
+    kept[..., :3] -= gain @ jacobian
     common = kept @ masked @ gain.swapaxes(-1, -2)
     noise = (innovation.bias * innovation.used[:, None, :])[:, None].copy()
     diagonal = np.arange(jacobian.shape[-2])
@@ -95,11 +97,62 @@ def joint_update(
     )
 
 
-def _of_places(change: Array) -> Array:
-    """Return changes (T, M, 9, 3) by the place as ones by the whole state, (T, M, 9, 9)."""
-    whole = np.zeros((*change.shape[:-1], STATE_SIZE))
-    whole[..., :3] = change
-    return whole
+def update_by_readings(
+    states: ImmStates,
+    predicted: PredictedMeasurements,
+    position_mm: Array,
+    used: NDArray[np.bool_],
+    position_px: Array,
+    variance_px2: Array,
+    bias: Array,
+) -> tuple[ImmStates, Array, Array]:
+    """Update the states by readings that are linearised at given positions.
+
+    Args:
+        states: of T tracks, predicted.
+        predicted: predicted readings at the positions.
+        position_mm: where to linearise, shape (T, 3) [mm].
+        used: which readings count, shape (T, S).
+        position_px: readings, shape (T, S) [px].
+        variance_px2: variance of their noise, shape (T, S) [px^2].
+        bias: covariance of the readings' constant errors, shape (T, S, S) [px^2].
+
+    Returns:
+        See ``joint_update``.
+    """
+    jacobian = predicted.jacobian_px_per_mm
+    apart = states.mean[..., :3] - position_mm[:, None]
+    expected = predicted.reading_px[:, None] + np.einsum("tsi,tmi->tms", jacobian, apart)
+    difference = np.where(used[:, None], position_px[:, None] - expected, 0.0)
+    return joint_update(states, Innovation.of(used, jacobian, variance_px2, bias), difference)
+
+
+def log_evidence(probability: Array, log_likelihood: Array) -> Array:
+    """Return the log likelihood of each track's readings under all models together, shape (T,).
+
+    Args:
+        probability: of the models before the readings, shape (T, M).
+        log_likelihood: of the readings under each model, shape (T, M).
+    """
+    top = log_likelihood.max(axis=1)
+    evidence = (probability * np.exp(log_likelihood - top[:, None])).sum(axis=1)
+    log: Array = top + np.log(evidence)
+    return log
+
+
+def reading_variance(whole: CombinedState, jacobian: Array, sensor: int, bias: Array) -> Array:
+    """Return the variance of one sensor's predicted readings, with its bias's own, shape (T,).
+
+    Args:
+        whole: the combined prediction of T tracks.
+        jacobian: d reading / d position, shape (T, 3) [px/mm].
+        sensor: index of the sensor.
+        bias: variance of the sensor's constant error, shape (T,) [px^2].
+    """
+    variance: Array = np.einsum("ti,tij,tj->t", jacobian, whole.covariance[:, :3, :3], jacobian)
+    cross = whole.bias_cross_covariance[:, :3, sensor]
+    variance += 2.0 * np.einsum("ti,ti->t", jacobian, cross) + bias
+    return variance
 
 
 def innovation_covariance(
@@ -190,12 +243,8 @@ def pda_update(
     apart = np.einsum("tmi,ti->tm", states.mean[..., :3] - whole.mean[:, None, :3], jacobian)
     difference = soft.difference[:, None] - apart[..., None]
     total = own[..., None] + soft.variance[:, None]
-    middle = np.einsum("ti,tij,tj->t", jacobian, whole.covariance[:, :3, :3], jacobian)
-    middle += (
-        2.0 * np.einsum("ti,ti->t", jacobian, whole.bias_cross_covariance[:, :3, sensor])
-        + bias[:, sensor]
-    )
-    of_whole = middle[:, None] + soft.variance
+    combined = reading_variance(whole, jacobian, sensor, bias[:, sensor])
+    of_whole = combined[:, None] + soft.variance
     # The chances were worked out for the mixture: under each model they are as much more or less.
     log = -0.5 * (difference**2 / total + np.log(total))
     log -= (-0.5 * (soft.difference**2 / of_whole + np.log(of_whole)))[:, None]

@@ -2,10 +2,12 @@
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.reconstruction.point_batch import Batch
 from compute.tracking.settings import TrackerSettings
 
 Array = NDArray[np.float64]
@@ -52,14 +54,11 @@ class MotionModels:
         """Return transitions and noise covariances over T times [s], each (T, M, 9, 9)."""
         kind = self.has_acceleration, self.noise_psd
         each = [_step(kind, step) for step in step_s.tolist()]
-        if not each:
-            return np.empty((0, len(self), STATE_SIZE, STATE_SIZE)), np.empty(
-                (0, len(self), STATE_SIZE, STATE_SIZE)
-            )
-        if all(one is each[0] for one in each):
-            shape = (len(each), len(self), STATE_SIZE, STATE_SIZE)
+        shape = (len(each), len(self), STATE_SIZE, STATE_SIZE)
+        if each and all(one is each[0] for one in each):
             return np.broadcast_to(each[0][0], shape), np.broadcast_to(each[0][1], shape)
-        return np.stack([one[0] for one in each]), np.stack([one[1] for one in each])
+        transition, noise = (np.array([one[i] for one in each]).reshape(shape) for i in (0, 1))
+        return transition, noise
 
     def mode_transition_probabilities(self, step_s: Array) -> Array:
         """Return the transition probabilities of the models, shape (T, M, M); rows: from.
@@ -125,7 +124,7 @@ def ca_transition(t: float, noise_psd: float) -> tuple[Array, Array]:
 
 
 @dataclass(eq=False)
-class ImmStates:
+class ImmStates(Batch):
     """Means and covariances of T tracks under M models; arrays are replaced as a whole.
 
     The calibration's error biases each sensor's readings. The bias is the same in every frame, so
@@ -140,59 +139,10 @@ class ImmStates:
         probability: of the models, shape (T, M).
     """
 
-    mean: Array
-    covariance: Array
-    bias_cross_covariance: Array
-    probability: Array
-
-    def __len__(self) -> int:
-        """Return the number of tracks."""
-        return len(self.mean)
-
-    @classmethod
-    def empty(cls, models: int, sensors: int) -> "ImmStates":
-        """Return the states of no tracks.
-
-        Args:
-            models: number of motion models M.
-            sensors: number of sensors S.
-        """
-        return cls(
-            np.empty((0, models, STATE_SIZE)),
-            np.empty((0, models, STATE_SIZE, STATE_SIZE)),
-            np.empty((0, models, STATE_SIZE, sensors)),
-            np.empty((0, models)),
-        )
-
-    def rows(self, index: NDArray[np.intp] | NDArray[np.bool_]) -> "ImmStates":
-        """Return a copy of some tracks' states."""
-        return ImmStates(
-            self.mean[index],
-            self.covariance[index],
-            self.bias_cross_covariance[index],
-            self.probability[index],
-        )
-
-    def put(self, index: NDArray[np.intp] | NDArray[np.bool_], states: "ImmStates") -> None:
-        """Overwrite the states of some tracks.
-
-        Args:
-            index: their rows, or a mask.
-            states: the new states, one for each of them.
-        """
-        self.mean[index] = states.mean
-        self.covariance[index] = states.covariance
-        self.bias_cross_covariance[index] = states.bias_cross_covariance
-        self.probability[index] = states.probability
-
-    def concatenate(self, other: "ImmStates") -> "ImmStates":
-        """Return these states and others after them."""
-        return ImmStates(
-            np.concatenate([self.mean, other.mean]),
-            np.concatenate([self.covariance, other.covariance]),
-            np.concatenate([self.bias_cross_covariance, other.bias_cross_covariance]),
-            np.concatenate([self.probability, other.probability]),
-        )
+    mean: Annotated[Array, "M", STATE_SIZE]
+    covariance: Annotated[Array, "M", STATE_SIZE, STATE_SIZE]
+    bias_cross_covariance: Annotated[Array, "M", STATE_SIZE, "S"]
+    probability: Annotated[Array, "M"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,9 +175,10 @@ def mix_and_predict(models: MotionModels, states: ImmStates, step_s: Array) -> I
     if len(models) > 1 and len(states):
         joint = states.probability[:, :, None] * models.mode_transition_probabilities(step_s)
         ahead = joint.sum(axis=1)
-        mean = np.empty_like(states.mean)
-        covariance = np.empty_like(states.covariance)
-        bias_cross_covariance = np.empty_like(states.bias_cross_covariance)
+        mean, covariance, bias_cross_covariance = (
+            np.empty_like(part)
+            for part in (states.mean, states.covariance, states.bias_cross_covariance)
+        )
         for to, has in enumerate(models.has_acceleration):
             weights = joint[:, :, to] / ahead[:, to, None]
             mixed = _mixture(models, states, weights)
@@ -270,12 +221,10 @@ def mean_positions(states: ImmStates) -> Array:
 
 def is_finite(states: ImmStates) -> NDArray[np.bool_]:
     """Return which tracks' states are finite in all that their places depend on, shape (T,)."""
-    parts = (
-        np.isfinite(states.mean).all(axis=(1, 2)),
-        np.isfinite(states.covariance).all(axis=(1, 2, 3)),
-        np.isfinite(states.probability).all(axis=1),
-    )
-    return np.asarray(parts[0] & parts[1] & parts[2], dtype=np.bool_)
+    finite = np.isfinite(states.mean).all(axis=(1, 2))
+    finite &= np.isfinite(states.covariance).all(axis=(1, 2, 3))
+    finite &= np.isfinite(states.probability).all(axis=1)
+    return np.asarray(finite)
 
 
 def update_mode_probabilities(states: ImmStates, log_likelihood: Array) -> None:
@@ -294,25 +243,20 @@ def update_mode_probabilities(states: ImmStates, log_likelihood: Array) -> None:
 def _mixture(models: MotionModels, states: ImmStates, weights: Array) -> CombinedState:
     """Return mean and covariance of the models' mixture with weights (T, M)."""
     has = models.has_acceleration
-    mean, covariance, bias_cross_covariance = (
-        states.mean,
-        states.covariance,
-        states.bias_cross_covariance,
-    )
+    mean, covariance = states.mean, states.covariance
     if any(has) and not all(has):
         source = has.index(True)
         mean, covariance = mean.copy(), covariance.copy()
+        acceleration = covariance[:, source, _ACCELERATION, _ACCELERATION]
         for model, own in enumerate(has):
             if not own:
                 mean[:, model, _ACCELERATION] = mean[:, source, _ACCELERATION]
-                covariance[:, model, _ACCELERATION, _ACCELERATION] = covariance[
-                    :, source, _ACCELERATION, _ACCELERATION
-                ]
+                covariance[:, model, _ACCELERATION, _ACCELERATION] = acceleration
     middle = (weights[..., None] * mean).sum(axis=1)
     off = mean - middle[:, None]
     spread = covariance + off[..., :, None] * off[..., None, :]
     return CombinedState(
         middle,
         (weights[..., None, None] * spread).sum(axis=1),
-        (weights[..., None, None] * bias_cross_covariance).sum(axis=1),
+        (weights[..., None, None] * states.bias_cross_covariance).sum(axis=1),
     )

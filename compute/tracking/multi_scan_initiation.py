@@ -5,12 +5,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.measurement.measurement_model import MeasurementModel
 from compute.measurement.measurements import Measurements
-from compute.tracking.candidate_tracks import CandidateTracks, ConfirmedCandidates
-from compute.tracking.motion_model import MotionModels
+from compute.tracking.candidate_tracks import CandidateBatch, CandidateTracks
 from compute.tracking.native.associator import Associator
-from compute.tracking.settings import TrackerSettings
 from compute.tracking.state_initialisation import filter_sequence
 from compute.tracking.unassociated_points import UnassociatedPointFinder
 from compute.tracking.viterbi_linking import ViterbiLinker
@@ -28,31 +25,21 @@ class MultiScanInitiator:
     """Initiates tracks over successive exposures; pauses longer where it finds none.
 
     Args:
-        model: of the readings.
-        motion: M models.
-        settings: of the tracker.
         finder: of points.
         associator: of peaks with tracks.
     """
 
-    def __init__(
-        self,
-        model: MeasurementModel,
-        motion: MotionModels,
-        settings: TrackerSettings,
-        finder: UnassociatedPointFinder,
-        associator: Associator,
-    ) -> None:
-        self._model, self._motion, self._settings = model, motion, settings
-        self._sequences = ViterbiLinker(settings, finder)
-        self._tracklets = CandidateTracks(model, motion, settings, associator)
+    def __init__(self, finder: UnassociatedPointFinder, associator: Associator) -> None:
+        self._associator = associator
+        self._sequences = ViterbiLinker(associator.settings, finder)
+        self._candidates = CandidateTracks(associator)
         self._fruitless = self._pauses = 0
         self._resume_ns: int | None = None
 
     def forget(self) -> None:
         """Delete candidates and sequences."""
         self._sequences.forget()
-        self._tracklets.forget()
+        self._candidates.forget()
         self._fruitless = self._pauses = 0
         self._resume_ns = None
 
@@ -68,13 +55,13 @@ class MultiScanInitiator:
             return False
         return (
             ghost_suspected
-            or len(self._tracklets) > 0
+            or len(self._candidates) > 0
             or float(np.prod(counts, dtype=float)) > DENSE_COMBINATIONS_THRESHOLD
         )
 
     def search(
         self, time_ns: int, peaks: Measurements, free: NDArray[np.bool_]
-    ) -> ConfirmedCandidates | None:
+    ) -> CandidateBatch | None:
         """Return the markers confirmed by this exposure; None: none, or the search pauses.
 
         Args:
@@ -86,27 +73,30 @@ class MultiScanInitiator:
             if time_ns < self._resume_ns:
                 return None
             self._resume_ns = None
-        self._tracklets.follow(time_ns, peaks, free)
+        self._candidates.follow(time_ns, peaks, free)
         left = free.copy()
-        explained_peaks = self._tracklets.explained_peaks()
+        explained_peaks = self._candidates.explained_peaks()
         row, sensor = np.nonzero(explained_peaks >= 0)
         left[sensor, explained_peaks[row, sensor]] = False
         for one in self._sequences.find(time_ns, peaks, left):
-            if self._tracklets.is_new(one.peaks[-1]):
-                begun = filter_sequence(self._model, self._motion, self._settings, one)
+            last = one.points.part(-1, len(one.points))
+            if self._candidates.is_new(last.choice[0]):
+                begun = filter_sequence(
+                    self._associator.model, self._associator.motion, self._associator.settings, one
+                )
                 if begun is not None:
-                    self._tracklets.begin(*begun, one.position_mm[-1:], one.peaks[-1:], time_ns)
-        found = self._tracklets.decide()
+                    self._candidates.begin(*begun, last.position_mm, last.choice, time_ns)
+        found = self._candidates.decide()
         if found is not None:
             self._fruitless = self._pauses = 0
-        elif len(self._tracklets) == 0:
+        elif len(self._candidates) == 0:
             self._fruitless += 1
             if self._fruitless >= MAX_FRUITLESS_EXPOSURES:
                 self._pause(time_ns)
         return found
 
     def _pause(self, time_ns: int) -> None:
-        pause_s = self._settings.initiation_interval_s * 2.0**self._pauses
+        pause_s = self._associator.settings.initiation_interval_s * 2.0**self._pauses
         self._resume_ns = time_ns + round(pause_s * 1e9)
         self._pauses = min(self._pauses + 1, MAX_PAUSE_DOUBLINGS)
         self._fruitless = 0

@@ -1,13 +1,42 @@
 """TrackerSettings: motion, detection, initiation and termination parameters."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from math import isfinite
+from math import inf
 from typing import Literal, get_args
 
 from compute.errors import InvalidParameter
 
 MotionModel = Literal["velocity", "acceleration", "interacting"]
 """Constant velocity, constant acceleration, or both interacting."""
+
+
+_RANGES: tuple[tuple[tuple[str, ...], Callable[[float], bool], str], ...] = (
+    (
+        (
+            "acceleration_psd",
+            "jerk_psd",
+            "mean_sojourn_s",
+            "start_speed_mm_s",
+            "start_acceleration_mm_s2",
+            "clutter_density_per_px",
+            "resolution_px",
+            "max_prediction_sigma_px",
+            "coast_s",
+        ),
+        lambda value: 0.0 < value < inf,
+        "be finite and above 0",
+    ),
+    (
+        ("detection_probability", "false_track_probability"),
+        lambda value: 0.0 < value < 1.0,
+        "lie between 0 and 1",
+    ),
+    (("gate_sigma",), lambda value: 1.0 < value < inf, "be finite and above 1"),
+    (("confirm_hits", "max_hypotheses"), lambda value: 1 <= value < inf, "be 1 or more"),
+    (("initiation_interval_s", "confirm_misses"), lambda value: 0 <= value < inf, "be 0 or more"),
+)
+"""Names of values, whether a value is allowed, and what it must be."""
 
 
 @dataclass(frozen=True)
@@ -67,33 +96,8 @@ class TrackerSettings:
             raise InvalidParameter(
                 f"motion is {self.motion!r}; it must be one of {', '.join(get_args(MotionModel))}"
             )
-        for name in (
-            "acceleration_psd",
-            "jerk_psd",
-            "mean_sojourn_s",
-            "start_speed_mm_s",
-            "start_acceleration_mm_s2",
-            "clutter_density_per_px",
-            "resolution_px",
-            "max_prediction_sigma_px",
-            "coast_s",
-        ):
-            _check(name, getattr(self, name), above=0.0)
-        for name in ("detection_probability", "false_track_probability"):
-            value = getattr(self, name)
-            if not 0.0 < value < 1.0:
-                raise InvalidParameter(f"{name} is {value}; it must lie between 0 and 1")
-        _check("gate_sigma", self.gate_sigma, above=1.0)
-        for name in ("confirm_hits", "max_hypotheses"):
-            value = getattr(self, name)
-            if not (isfinite(value) and value >= 1):
-                raise InvalidParameter(f"{name} is {value}; it must be 1 or more")
-        for name in ("initiation_interval_s", "confirm_misses"):
-            value = getattr(self, name)
-            if not (isfinite(value) and value >= 0):
-                raise InvalidParameter(f"{name} is {value}; it must be 0 or more")
-
-
-def _check(name: str, value: float, above: float) -> None:
-    if not (isfinite(value) and value > above):
-        raise InvalidParameter(f"{name} is {value}; it must be finite and above {above:g}")
+        for names, allowed, message in _RANGES:
+            for name in names:
+                value = getattr(self, name)
+                if not allowed(value):
+                    raise InvalidParameter(f"{name} is {value}; it must {message}")

@@ -3,18 +3,21 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.errors import InvalidParameter
 from compute.measurement.measurement_model import MeasurementModel
 from compute.reconstruction.triangulation import chi2_limit
-from compute.tracking.motion_model import STATE_SIZE, ImmStates, MotionModels, mix_and_predict
-from compute.tracking.point_assignment import update_with_points
+from compute.tracking.motion_model import ImmStates, MotionModels, mix_and_predict
 from compute.tracking.settings import TrackerSettings
+from compute.tracking.unassociated_points import update_with_points
 from compute.tracking.viterbi_linking import PointSequence
 
 Array = NDArray[np.float64]
 
 REPLAY_EXCLUSION_PROBABILITY = 1e-4
-"""Chance that a marker's own point lies outside its gate."""
+"""Probability that a marker's own point lies outside its gate."""
 _MOVING = 6
+_ASYMMETRY_TOLERANCE = 1e-9
+"""Difference of a covariance from its transpose, in parts of its largest entry."""
 _SPEEDS, _ACCELERATIONS = np.arange(3, 6), np.arange(6, 9)
 
 
@@ -79,23 +82,22 @@ def states_from_prior(
         sensors: how many there are; what is given owes nothing to their constant errors.
     """
     count, models = len(mean), len(motion)
-    whole = np.zeros((count, models, STATE_SIZE))
-    whole[..., :_MOVING] = mean[:, None]
-    spread = np.zeros((count, models, STATE_SIZE, STATE_SIZE))
-    spread[..., :_MOVING, :_MOVING] = covariance[:, None]
+    states = ImmStates.zeros(count, sensors, models)
+    states.mean[..., :_MOVING] = mean[:, None]
+    states.covariance[..., :_MOVING, :_MOVING] = covariance[:, None]
+    variance = settings.start_acceleration_mm_s2**2
     for own, has in enumerate(motion.has_acceleration):
         if has:
-            spread[:, own, _ACCELERATIONS, _ACCELERATIONS] = settings.start_acceleration_mm_s2**2
-    return ImmStates(
-        whole,
-        spread,
-        np.zeros((count, models, STATE_SIZE, sensors)),
-        np.full((count, models), 1.0 / models),
-    )
+            states.covariance[:, own, _ACCELERATIONS, _ACCELERATIONS] = variance
+    states.probability[:] = 1.0 / models
+    return states
 
 
 def filter_sequence(
-    model: MeasurementModel, motion: MotionModels, settings: TrackerSettings, points: PointSequence
+    model: MeasurementModel,
+    motion: MotionModels,
+    settings: TrackerSettings,
+    sequence: PointSequence,
 ) -> tuple[ImmStates, Array] | None:
     """Filter a sequence of points into the state of a new track.
 
@@ -103,18 +105,19 @@ def filter_sequence(
         model: the measurement model, of S sensors.
         motion: M motion models.
         settings: start values, detection probability and clutter density.
-        points: the sequence, the earliest first.
+        sequence: the points, the earliest first.
 
     Returns:
         The state at the last point and the covariance (1, S, S) [px^2] of the readings' constant
         errors; None where a point does not fit the motion of a marker.
     """
+    points, times = sequence.points, sequence.time_ns
     states, bias = states_from_points(
         model, motion, settings, points.position_mm[:1], points.sigma_px[:1]
     )
-    used = points.peaks >= 0
-    for at in range(1, len(points.time_ns)):
-        step = np.array([(points.time_ns[at] - points.time_ns[at - 1]) * 1e-9])
+    used = points.choice >= 0
+    for at in range(1, len(times)):
+        step = np.array([(times[at] - times[at - 1]) * 1e-9])
         update = update_with_points(
             model,
             settings,
@@ -128,3 +131,60 @@ def filter_sequence(
             return None
         states = update.states
     return states, bias
+
+
+def check_prior(position_mm: Array, velocity_mm_s: Array, covariance: Array) -> tuple[Array, Array]:
+    """Check known positions and velocities of N markers.
+
+    Args:
+        position_mm: shape (N, 3) [mm].
+        velocity_mm_s: shape (N, 3) [mm/s].
+        covariance: of position and velocity, shape (N, 6, 6), or (6, 6) for all alike.
+
+    Returns:
+        Positions with velocities, shape (N, 6), and their covariance, shape (N, 6, 6).
+
+    Raises:
+        InvalidParameter: other shapes, a value that is not finite, or a covariance that is not
+            symmetric and positive definite.
+    """
+    place = np.asarray(position_mm, dtype=np.float64)
+    velocity = np.asarray(velocity_mm_s, dtype=np.float64)
+    matrices = np.asarray(covariance, dtype=np.float64)
+    if place.ndim != 2 or place.shape[1] != 3:
+        raise InvalidParameter(f"position_mm has the shape {place.shape}; it must be (N, 3)")
+    if velocity.shape != place.shape:
+        raise InvalidParameter(
+            f"velocity_mm_s has the shape {velocity.shape}; it must be {place.shape}"
+        )
+    each = (len(place), _MOVING, _MOVING)
+    if matrices.shape not in (each, each[1:]):
+        raise InvalidParameter(
+            f"covariance has the shape {matrices.shape}; it must be {each} or {each[1:]}, of "
+            "place and velocity"
+        )
+    matrices = np.broadcast_to(matrices, each)
+    mean = np.concatenate([place, velocity], axis=1)
+    for marker, (state, matrix) in enumerate(zip(mean, matrices, strict=True)):
+        _check_prior(marker, state, matrix)
+    return mean, matrices.copy()
+
+
+def _check_prior(marker: int, mean: Array, covariance: Array) -> None:
+    if not np.isfinite(mean).all():
+        raise InvalidParameter(
+            f"marker {marker} is at {mean[:3].tolist()} mm with {mean[3:].tolist()} mm/s; all must "
+            "be finite"
+        )
+    if not np.isfinite(covariance).all():
+        raise InvalidParameter(f"covariance of marker {marker} is not finite")
+    off = np.abs(covariance - covariance.T).max()
+    if off > _ASYMMETRY_TOLERANCE * np.abs(covariance).max():
+        raise InvalidParameter(
+            f"covariance of marker {marker} is off its transpose by {off:.3g}; it must be symmetric"
+        )
+    least = float(np.linalg.eigvalsh(covariance)[0])
+    if not least > 0.0:
+        raise InvalidParameter(
+            f"covariance of marker {marker} has the eigenvalue {least:.3g}; all must be above 0"
+        )

@@ -3,29 +3,29 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.measurement.measurement_model import MeasurementModel, PredictedMeasurements
-from compute.measurement.measurements import Measurements
-from compute.reconstruction.correspondence import PredictedPoints
-from compute.tracking.candidate_tracks import ConfirmedCandidates
-from compute.tracking.motion_model import MotionModels, combine_modes, is_finite, mean_positions
+from compute.measurement.measurement_model import PredictedMeasurements
+from compute.reconstruction.correspondence.predicted_candidates import PredictedPoints
+from compute.tracking.candidate_tracks import CandidateBatch
+from compute.tracking.motion_model import ImmStates, combine_modes, is_finite, mean_positions
 from compute.tracking.multi_scan_initiation import MultiScanInitiator
 from compute.tracking.native.associator import Associator
-from compute.tracking.point_assignment import assign_points, update_with_points
-from compute.tracking.settings import TrackerSettings
 from compute.tracking.state_initialisation import states_from_points
 from compute.tracking.track_management import (
-    MIN_SUPPORT_SENSORS,
     MIN_SUPPORTED_HITS_AMBIGUOUS,
     PROBATION_EXPOSURES,
-    UNSUPPORTED_EXPOSURES,
     expired,
     find_replaced_track,
     match_lost_track,
     possibly_swapped,
     select_confirmed,
 )
-from compute.tracking.tracks import Associations, Tracks
-from compute.tracking.unassociated_points import UnassociatedPointFinder, UnassociatedPoints
+from compute.tracking.tracks import MIN_SUPPORT_SENSORS, Associations, Exposure, Tracks
+from compute.tracking.unassociated_points import (
+    UnassociatedPointFinder,
+    UnassociatedPoints,
+    assign_points,
+    update_with_points,
+)
 
 Array = NDArray[np.float64]
 
@@ -39,44 +39,30 @@ class TrackInitiator:
     begins with two points of at least three sensors; then it is followed as others are.
 
     Args:
-        model: of the readings.
-        motion: M models.
-        settings: of the tracker.
         finder: of points.
         associator: of peaks with tracks.
     """
 
-    def __init__(
-        self,
-        model: MeasurementModel,
-        motion: MotionModels,
-        settings: TrackerSettings,
-        finder: UnassociatedPointFinder,
-        associator: Associator,
-    ) -> None:
-        self._model, self._motion, self._settings = model, motion, settings
-        self._finder, self._associator = finder, associator
-        self._crowd = MultiScanInitiator(model, motion, settings, finder, associator)
+    def __init__(self, finder: UnassociatedPointFinder, associator: Associator) -> None:
+        self._motion, self._settings = associator.motion, associator.settings
         self._next = 1
         self._searched_ns: dict[int | None, int] = {}
+        self.set_cameras(finder, associator)
 
-    def set_cameras(
-        self, model: MeasurementModel, finder: UnassociatedPointFinder, associator: Associator
-    ) -> None:
+    def set_cameras(self, finder: UnassociatedPointFinder, associator: Associator) -> None:
         """Switch to another calibration of the same sensors.
 
         Args:
-            model: its measurement model.
             finder: reconstructs points from unassociated peaks by it.
             associator: associates peaks with tracks by it.
         """
-        self._model, self._finder, self._associator = model, finder, associator
-        self._crowd = MultiScanInitiator(model, self._motion, self._settings, finder, associator)
+        self._finder, self._associator, self._model = finder, associator, associator.model
+        self._dense_scene = MultiScanInitiator(finder, associator)
 
     def reset(self) -> None:
         """Reset the search; identity numbers continue."""
         self._searched_ns.clear()
-        self._crowd.forget()
+        self._dense_scene.forget()
 
     def numbers(self, count: int) -> int:
         """Reserve consecutive identity numbers and return the first."""
@@ -89,10 +75,8 @@ class TrackInitiator:
         tracks: Tracks,
         part: NDArray[np.intp],
         seen: Associations,
-        peaks: Measurements,
+        exposure: Exposure,
         unassociated: NDArray[np.bool_],
-        marker: int | None,
-        time_ns: int,
     ) -> tuple[Tracks, Associations]:
         """Search the free peaks; return the tracks and their associations after it.
 
@@ -100,21 +84,18 @@ class TrackInitiator:
             tracks: all; those that take part are changed.
             part: rows of those that the exposure may show.
             seen: what they saw so far.
-            peaks: of the frame.
-            unassociated: those that no track has seen so far, shape (S, K).
-            marker: the one that was lit; None: all were.
-            time_ns: of the frame.
+            exposure: the exposure.
+            unassociated: its peaks that no track has seen so far, shape (S, K).
         """
+        marker, time_ns, peaks = exposure.marker, exposure.time_ns, exposure.peaks
         last = self._searched_ns.get(marker)
         due = last is None or time_ns - last >= round(self._settings.initiation_interval_s * 1e9)
         due |= marker is not None and not (tracks.marker == marker).any()
-        if not due and self._nothing_to_do(tracks, unassociated, marker, time_ns):
+        if not due and self._nothing_to_do(tracks, unassociated, exposure):
             return tracks, seen
         hits = tracks.hits[part].copy()
         tentative = part[~tracks.confirmed[part]]
-        self._update_tentative(
-            tracks, tentative[tracks.hits[tentative] > 0], seen, peaks, marker, time_ns
-        )
+        self._update_tentative(tracks, tentative[tracks.hits[tentative] > 0], seen, exposure)
         sound = is_finite(tracks.states)
         hits, part = hits[sound[part]], part[sound[part]]
         tentative = tentative[sound[tentative]]
@@ -122,22 +103,24 @@ class TrackInitiator:
         new: tuple[Tracks, Associations] | None = None
         # What a weak track has may be another marker's; it may find it again itself.
         unsupported = self._possible_ghosts(tracks, part, seen)
-        free = free_peaks(peaks, seen, unsupported)
-        if marker is None and self._crowd.is_dense(free, ghost_suspected=bool(unsupported.any())):
-            found = self._crowd.search(time_ns, peaks, free)
-            new = None if found is None else self._confirmed_tracks(found, time_ns)
+        free = seen.free_peaks(peaks, unsupported)
+        ghost_suspected = bool(unsupported.any())
+        if marker is None and self._dense_scene.is_dense(free, ghost_suspected=ghost_suspected):
+            found = self._dense_scene.search(time_ns, peaks, free)
+            new = None if found is None else self._start_confirmed(found, exposure)
         elif due or len(begun):
             self._searched_ns[marker] = time_ns
             lost = tracks.confirmed & (seen.sensor_counts() < 3)
             open_ = np.union1d(begun, part[unsupported[part] | lost[part]])
             points = self._finder.find(peaks, free, self._expected(tracks, open_))
             if points is not None:
-                others = self._match(tracks, open_, points, seen, peaks, marker, time_ns)
+                others = self._match(tracks, open_, points, seen, exposure)
                 if len(others):
-                    new = self._start(points, others, marker, time_ns)
+                    new = self._start_tentative(points.rows(others), exposure)
         tracks.misses[part] += ~tracks.confirmed[part] & (tracks.hits[part] == hits)
         if new is not None:
-            tracks, seen = tracks.concatenate(new[0]), seen.concatenate(new[1])
+            tracks = Tracks.concatenate([tracks, new[0]])
+            seen = Associations.concatenate([seen, new[1]])
         keep = self._confirm(tracks, part, seen, unsupported, time_ns)
         keep &= ~expired(tracks, self._settings, time_ns)
         # What is not finite now never will be again, and its place is nowhere.
@@ -145,26 +128,28 @@ class TrackInitiator:
         return (tracks, seen) if keep.all() else (tracks.rows(keep), seen.rows(keep))
 
     def _nothing_to_do(
-        self, tracks: Tracks, unassociated: NDArray[np.bool_], marker: int | None, time_ns: int
+        self, tracks: Tracks, unassociated: NDArray[np.bool_], exposure: Exposure
     ) -> bool:
         """Return whether nothing is to be done where no search is due: the short way out."""
-        if not tracks.confirmed.all() or (tracks.unsupported >= UNSUPPORTED_EXPOSURES).any():
+        if not tracks.confirmed.all() or tracks.may_be_ghosts.any():
             return False
         coast_ns = round(self._settings.coast_s * 1e9)
-        if len(tracks) and time_ns - int(tracks.seen_ns.min()) > coast_ns:
+        if len(tracks) and exposure.time_ns - int(tracks.seen_ns.min()) > coast_ns:
             return False
         states = tracks.states
         # One that is not finite makes the sum so.
         whole = states.mean.sum() + states.covariance.sum() + states.probability.sum()
         if not np.isfinite(whole):
             return False
-        return marker is not None or not self._crowd.is_dense(unassociated, ghost_suspected=False)
+        return exposure.marker is not None or not self._dense_scene.is_dense(
+            unassociated, ghost_suspected=False
+        )
 
     def _possible_ghosts(
         self, tracks: Tracks, part: NDArray[np.intp], seen: Associations
     ) -> NDArray[np.bool_]:
         """Return which tracks may be ghosts, or have peaks of those that may be, shape (T,)."""
-        unsupported = tracks.confirmed & (tracks.unsupported >= UNSUPPORTED_EXPOSURES)
+        unsupported = tracks.confirmed & tracks.may_be_ghosts
         unsupported &= seen.sensor_counts() >= 2
         if not unsupported[part].any():
             return unsupported
@@ -174,18 +159,12 @@ class TrackInitiator:
         )
 
     def _update_tentative(
-        self,
-        tracks: Tracks,
-        rows: NDArray[np.intp],
-        seen: Associations,
-        peaks: Measurements,
-        marker: int | None,
-        time_ns: int,
+        self, tracks: Tracks, rows: NDArray[np.intp], seen: Associations, exposure: Exposure
     ) -> None:
         """Update tentative tracks, of which the velocity is known, by peaks that are left."""
         if len(rows) == 0:
             return
-        unassociated = peaks.only(free_peaks(peaks, seen, np.zeros(len(tracks), dtype=np.bool_)))
+        unassociated = exposure.peaks.only(seen.free_peaks(exposure.peaks))
         found = self._associator.associate(
             tracks.states.rows(rows), tracks.bias[rows], unassociated
         )
@@ -195,14 +174,14 @@ class TrackInitiator:
         sensor_counts = (found.peaks >= 0).sum(axis=1)
         hit = sensor_counts >= 3
         predicted = self._model.predict(combine_modes(self._motion, found.states).mean[:, :3])
-        tracks.supported_hits[rows] += hit & self._supported(predicted, found.peaks, peaks, marker)
+        tracks.supported_hits[rows] += hit & self._supported(predicted, found.peaks, exposure)
         tracks.hits[rows] += hit
         tracks.log_likelihood_ratio[rows] += found.log_likelihood_ratio
         missed = np.maximum(found.in_view - sensor_counts, 0)
         tracks.log_likelihood_ratio[rows] += missed * np.log(
             1.0 - self._settings.detection_probability
         )
-        tracks.seen_ns[rows[hit]] = time_ns
+        tracks.seen_ns[rows[hit]] = exposure.time_ns
 
     def _expected(self, tracks: Tracks, rows: NDArray[np.intp]) -> PredictedPoints:
         whole = combine_modes(self._motion, tracks.states.rows(rows))
@@ -214,15 +193,13 @@ class TrackInitiator:
         open_: NDArray[np.intp],
         points: UnassociatedPoints,
         seen: Associations,
-        peaks: Measurements,
-        marker: int | None,
-        time_ns: int,
+        exposure: Exposure,
     ) -> NDArray[np.intp]:
         """Update open tracks by their points; return the points that start others."""
         rows, columns = assign_points(self._motion, tracks.states.rows(open_), points)
-        rows = open_[rows]
+        rows, marker = open_[rows], exposure.marker
         if len(rows):
-            self._update(tracks, rows, points, columns, seen, peaks, marker, time_ns)
+            self._update(tracks, rows, points.rows(columns), seen, exposure)
             if marker is not None:
                 tracks.marker[rows] = marker
         if marker is not None:
@@ -236,15 +213,11 @@ class TrackInitiator:
         tracks: Tracks,
         rows: NDArray[np.intp],
         points: UnassociatedPoints,
-        columns: NDArray[np.intp],
         seen: Associations,
-        peaks: Measurements,
-        marker: int | None,
-        time_ns: int,
+        exposure: Exposure,
     ) -> None:
-        """Update tracks by the readings of their points."""
-        sensor = np.arange(len(self._model))
-        chosen = points.peaks[columns]
+        """Update tracks by the readings of their points, one each."""
+        peaks, sensor, chosen = exposure.peaks, np.arange(len(self._model)), points.peaks
         at = np.maximum(chosen, 0)
         # A sensor whose peak the track has already says nothing new.
         fresh = (chosen >= 0) & (seen.peaks[rows] < 0)
@@ -255,34 +228,32 @@ class TrackInitiator:
             tracks.bias[rows],
             np.where(fresh, peaks.position_px[sensor, at], np.nan),
             peaks.variance_px2[sensor, at],
-            points.position_mm[columns],
+            points.position_mm,
         )
         tracks.states.put(rows, update.states)
         seen.peaks[rows] = np.where(fresh, chosen, seen.peaks[rows])
         seen.nis[rows] += update.nis
         tracks.hits[rows] += 1
-        tracks.supported_hits[rows] += self._supported(update.predicted, chosen, peaks, marker)
+        tracks.supported_hits[rows] += self._supported(update.predicted, chosen, exposure)
         tracks.log_likelihood_ratio[rows] += update.log_likelihood_ratio
-        tracks.seen_ns[rows] = time_ns
-        confirmed, doubt = tracks.confirmed[rows], points.ambiguous[columns] & fresh.any(axis=1)
+        tracks.seen_ns[rows] = exposure.time_ns
+        now, before = points.ambiguous & fresh.any(axis=1), tracks.ambiguous_identity[rows]
         tracks.ambiguous_identity[rows] = np.where(
-            confirmed,
-            tracks.ambiguous_identity[rows] | doubt,
-            tracks.ambiguous_identity[rows] & doubt,
+            tracks.confirmed[rows], before | now, before & now
         )
 
     def _supported(
         self,
         predicted: PredictedMeasurements,
         chosen: NDArray[np.int32],
-        peaks: Measurements,
-        marker: int | None,
+        exposure: Exposure,
     ) -> NDArray[np.bool_]:
         """Return whether these points are no ghosts by what sensors see of them, shape (N,).
 
         A peak that another track has says so, too, where it may be shared.
         """
-        if marker is not None or int(peaks.usable.sum(axis=1).max()) == 1:
+        peaks = exposure.peaks
+        if exposure.marker is not None or int(peaks.usable.sum(axis=1).max()) == 1:
             # A marker that is lit alone, or alone in view, has no ghosts.
             return np.ones(len(chosen), dtype=np.bool_)
         shared = peaks.is_near(predicted.reading_px, self._settings.resolution_px)
@@ -291,65 +262,59 @@ class TrackInitiator:
         supported: NDArray[np.bool_] = (count >= MIN_SUPPORT_SENSORS) | few
         return supported
 
-    def _start(
-        self,
-        points: UnassociatedPoints,
-        rows: NDArray[np.intp],
-        marker: int | None,
-        time_ns: int,
+    def _start_tentative(
+        self, points: UnassociatedPoints, exposure: Exposure
     ) -> tuple[Tracks, Associations]:
         """Return tentative tracks at these points, and what they saw."""
-        place = points.position_mm[rows]
+        place = points.position_mm
         states, bias = states_from_points(
-            self._model, self._motion, self._settings, place, points.sigma_px[rows]
+            self._model, self._motion, self._settings, place, points.sigma_px
         )
-        seen = Associations.empty(len(rows), len(self._model))
-        seen.peaks[:] = points.peaks[rows]
-        tracks = Tracks.create(
-            states,
-            bias,
-            place,
-            first=self.numbers(len(rows)),
-            marker=marker,
-            time_ns=time_ns,
-            confirmed=False,
-            ambiguous_identity=points.ambiguous[rows],
-        )
-        return tracks, seen
+        seen = Associations.missed(len(points), len(self._model))
+        seen.peaks[:] = points.peaks
+        return self._start(states, bias, place, points.ambiguous, exposure), seen
 
-    def _confirmed_tracks(
-        self, found: ConfirmedCandidates, time_ns: int
+    def _start_confirmed(
+        self, found: CandidateBatch, exposure: Exposure
     ) -> tuple[Tracks, Associations]:
         """Return the tracks of markers that have been followed for long enough."""
-        count = len(found)
-        seen = Associations.empty(count, len(self._model))
-        seen.peaks[:], seen.nis[:] = found.peaks, found.nis
-        tracks = Tracks.create(
-            found.states,
-            found.bias,
-            found.position_mm,
-            first=self.numbers(count),
-            marker=None,
-            time_ns=time_ns,
-            confirmed=False,
-            ambiguous_identity=found.ambiguous,
-        )
+        seen = Associations.missed(len(found), len(self._model))
+        seen.peaks[:], seen.nis[:] = found.peaks[:, -1], found.nis
+        tracks = self._start(found.states, found.bias, found.position_mm, found.ambiguous, exposure)
         tracks.hits[:] = self._settings.confirm_hits
         tracks.supported_hits[:] = MIN_SUPPORTED_HITS_AMBIGUOUS
         tracks.log_likelihood_ratio[:] = np.inf
         tracks.probation_left[:] = PROBATION_EXPOSURES
         return tracks, seen
 
+    def _start(
+        self,
+        states: ImmStates,
+        bias: Array,
+        position_mm: Array,
+        ambiguous: NDArray[np.bool_],
+        exposure: Exposure,
+    ) -> Tracks:
+        return Tracks.create(
+            states,
+            bias,
+            position_mm,
+            first=self.numbers(len(states)),
+            marker=exposure.marker,
+            time_ns=exposure.time_ns,
+            ambiguous_identity=ambiguous,
+        )
+
     def _confirm(
         self,
         tracks: Tracks,
         part: NDArray[np.intp],
         seen: Associations,
-        doubted: NDArray[np.bool_],
+        possible_ghosts: NDArray[np.bool_],
         time_ns: int,
     ) -> NDArray[np.bool_]:
         """Confirm tracks, as the lost ones that they are; return which tracks to keep."""
-        doubtful = part[doubted[part]]
+        unreliable = part[possible_ghosts[part]]
         keep = np.ones(len(tracks), dtype=np.bool_)
         sensor_counts = seen.sensor_counts()
         for row in select_confirmed(tracks, self._settings):
@@ -358,7 +323,7 @@ class TrackInitiator:
             tracks.confirmed[row] = True
             found = match_lost_track(self._motion, tracks, int(row), lost)
             if found is None and sensor_counts[row] >= MIN_SUPPORT_SENSORS:
-                ghost = find_replaced_track(seen.peaks, int(row), doubtful[keep[doubtful]])
+                ghost = find_replaced_track(seen.peaks, int(row), unreliable[keep[unreliable]])
                 found = None if ghost is None else (ghost, True)
             if found is None:
                 continue
@@ -369,19 +334,3 @@ class TrackInitiator:
                 tracks.marker[row] = tracks.marker[old]
             tracks.ambiguous_identity[row] |= ambiguous | tracks.ambiguous_identity[old]
         return keep
-
-
-def free_peaks(
-    peaks: Measurements, seen: Associations, unsupported: NDArray[np.bool_]
-) -> NDArray[np.bool_]:
-    """Return the usable peaks that no reliable track explains, shape (S, K).
-
-    Args:
-        peaks: measurements of the exposure.
-        seen: associations of T tracks.
-        unsupported: tracks that do not count as reliable, shape (T,).
-    """
-    free = peaks.usable.copy()
-    track, sensor = np.nonzero((seen.peaks >= 0) & ~unsupported[:, None])
-    free[sensor, seen.peaks[track, sensor]] = False
-    return free

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.errors import InvalidParameter
-from compute.reconstruction.triangulation import chi2_limit
+from compute.reconstruction.triangulation import chi2_limit, squared_distances
 from compute.tracking.motion_model import ImmStates, MotionModels, combine_modes
 from compute.tracking.settings import TrackerSettings
 from compute.tracking.tracks import Tracks
@@ -17,10 +17,6 @@ REACQUISITION_SIGNIFICANCE = 1e-4
 """Probability that a lost marker which moved as predicted is not recognised."""
 INDISTINGUISHABLE_SIGNIFICANCE = 0.01
 """Significance of a difference in position and velocity that tells two tracks apart."""
-UNSUPPORTED_EXPOSURES = 5
-"""A track with this surplus of exposures without support over those with it may be a ghost."""
-MIN_SUPPORT_SENSORS = 4
-"""Sensors that support a track: three planes always meet, a fourth excludes most ghosts."""
 MIN_SUPPORTED_HITS = 2
 """Exposures in which MIN_SUPPORT_SENSORS must have seen a new track."""
 MIN_SUPPORTED_HITS_AMBIGUOUS = 10
@@ -55,38 +51,6 @@ def select_confirmed(tracks: Tracks, settings: TrackerSettings) -> NDArray[np.in
         tracks.ambiguous_identity, MIN_SUPPORTED_HITS_AMBIGUOUS, MIN_SUPPORTED_HITS
     )
     return np.flatnonzero(good)
-
-
-def update_support(
-    tracks: Tracks,
-    rows: NDArray[np.intp],
-    sensor_counts: NDArray[np.integer],
-    possible: NDArray[np.integer],
-    in_view: NDArray[np.integer],
-) -> None:
-    """Update the counters of exposures with and without MIN_SUPPORT_SENSORS, in place.
-
-    Args:
-        tracks: all.
-        rows: of those that were looked for.
-        sensor_counts: how many sensors saw each of them.
-        possible: how many saw it or have a peak there that it may share.
-        in_view: how many could have.
-    """
-    unsupported = tracks.unsupported[rows]
-    if (
-        not unsupported.any()
-        and (sensor_counts >= MIN_SUPPORT_SENSORS).all()
-        and not tracks.probation_left.any()
-    ):
-        return
-    # What nothing is seen of is hidden, not contradicted.
-    few = (possible < MIN_SUPPORT_SENSORS) & (in_view >= MIN_SUPPORT_SENSORS) & (sensor_counts > 0)
-    step = np.where(sensor_counts >= MIN_SUPPORT_SENSORS, -1, np.where(few, 1, 0))
-    tracks.unsupported[rows] = np.clip(unsupported + step, 0, 2 * UNSUPPORTED_EXPOSURES)
-    tracks.probation_left[rows] = np.maximum(
-        tracks.probation_left[rows] - (sensor_counts >= MIN_SUPPORT_SENSORS), 0
-    )
 
 
 def possibly_swapped(
@@ -156,11 +120,9 @@ def match_lost_track(
         return None
     both = combine_modes(motion, tracks.states.rows(np.array([row, *free])))
     mean, covariance = both.mean[:, :_MOTION], both.covariance[:, :_MOTION, :_MOTION]
-    off = mean[1:] - mean[0]
     total = covariance[1:] + covariance[0]
-    squared = (off * np.linalg.solve(total, off[..., None])[..., 0]).sum(axis=1)
-    limit = chi2_limit(_MOTION, REACQUISITION_SIGNIFICANCE)
-    near = np.flatnonzero(squared <= limit)
+    squared = squared_distances(mean[1:] - mean[0], total)
+    near = np.flatnonzero(squared <= chi2_limit(_MOTION, REACQUISITION_SIGNIFICANCE))
     if len(near) == 0:
         return None
     cost = squared[near] + np.linalg.slogdet(total[near])[1]
@@ -169,26 +131,26 @@ def match_lost_track(
 
 
 def exclude_prior_duplicates(
-    motion: MotionModels, tracks: Tracks, given: ImmStates, position_mm: Array
+    motion: MotionModels, tracks: Tracks, prior: ImmStates, position_mm: Array
 ) -> NDArray[np.intp]:
     """Return the rows of tracks that are kept when prior tracks are added.
 
     Args:
         motion: M models.
-        tracks: all, at the time of what is given.
-        given: states of N markers.
+        tracks: all, at the time of the prior.
+        prior: states of N markers.
         position_mm: of these, shape (N, 3).
 
     Raises:
-        InvalidParameter: a given marker may be one that is tracked.
+        InvalidParameter: a prior marker may be one that is tracked.
     """
     keep = np.ones(len(tracks), dtype=np.bool_)
-    own, other = combine_modes(motion, tracks.states), combine_modes(motion, given)
+    own, other = combine_modes(motion, tracks.states), combine_modes(motion, prior)
     for marker, (mean, covariance) in enumerate(zip(other.mean, other.covariance, strict=True)):
         off = own.mean[:, :_MOTION] - mean[:_MOTION]
         total = own.covariance[:, :_MOTION, :_MOTION] + covariance[:_MOTION, :_MOTION]
-        squared = (off * np.linalg.solve(total, off[..., None])[..., 0]).sum(axis=1)
-        same = squared <= chi2_limit(_MOTION, INDISTINGUISHABLE_SIGNIFICANCE)
+        limit = chi2_limit(_MOTION, INDISTINGUISHABLE_SIGNIFICANCE)
+        same = squared_distances(off, total) <= limit
         for row in np.flatnonzero(same & tracks.confirmed)[:1]:
             raise InvalidParameter(
                 f"marker {marker} at {position_mm[marker].tolist()} mm may be track "
@@ -226,24 +188,16 @@ def indistinguishable_tracks(
     found: set[int] = set()
     for one, two in np.argwhere(np.triu(close)):
         # What the calibration's error does to both alike does not part them.
-        common = _common(
-            whole.bias_cross_covariance[one],
-            whole.bias_cross_covariance[two],
-            tracks.bias[rows[one]],
-        )
-        total = whole.covariance[one] + whole.covariance[two] - common - common.T
+        bias, cross = tracks.bias[rows[one]], whole.bias_cross_covariance
+        total = whole.covariance[one] + whole.covariance[two]
+        if bias.any():
+            common = cross[one] @ np.linalg.pinv(bias, hermitian=True) @ cross[two].T
+            total = total - common - common.T
         total = total[:_MOTION, :_MOTION]
         off = whole.mean[one, :_MOTION] - whole.mean[two, :_MOTION]
         if off @ np.linalg.solve(total, off) <= limit:
             found |= {int(one), int(two)}
     return rows[sorted(found)]
-
-
-def _common(one: Array, two: Array, bias: Array) -> Array:
-    if not bias.any():
-        return np.zeros((len(one), len(two)))
-    common: Array = one @ np.linalg.pinv(bias, hermitian=True) @ two.T
-    return common
 
 
 def expired(tracks: Tracks, settings: TrackerSettings, time_ns: int) -> NDArray[np.bool_]:
@@ -257,7 +211,7 @@ def expired(tracks: Tracks, settings: TrackerSettings, time_ns: int) -> NDArray[
         settings: limits of confirmation and coasting.
         time_ns: time of the exposure [ns].
     """
-    unsupported = tracks.unsupported >= UNSUPPORTED_EXPOSURES
+    unsupported = tracks.may_be_ghosts
     unseen_ns, coast_ns = time_ns - tracks.seen_ns, round(settings.coast_s * 1e9)
     if tracks.confirmed.all() and not unsupported.any():
         return unseen_ns > coast_ns

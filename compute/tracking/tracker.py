@@ -10,26 +10,28 @@ from compute.errors import InvalidParameter
 from compute.mapping.table import CorrectionTable
 from compute.measurement.measurement_model import MeasurementModel
 from compute.measurement.measurements import Measurements, check_sensors
-from compute.reconstruction.correspondence import MatchSettings
+from compute.reconstruction.correspondence.candidates import MatchSettings
+from compute.reconstruction.solver import PointSolver
 from compute.tracking.motion_model import (
-    ImmStates,
     MotionModels,
     combine_modes,
     mean_positions,
     mix_and_predict,
 )
-from compute.tracking.prior_tracks import PriorTracks
+from compute.tracking.native.associator import Associator
 from compute.tracking.settings import TrackerSettings
-from compute.tracking.state_initialisation import states_from_prior
-from compute.tracking.track_batch import TrackBatch, to_track_batch
-from compute.tracking.track_initiation import TrackInitiator, free_peaks
-from compute.tracking.track_management import (
+from compute.tracking.state_initialisation import check_prior, states_from_prior
+from compute.tracking.track_batch import TrackBatch
+from compute.tracking.track_initiation import TrackInitiator
+from compute.tracking.track_management import exclude_prior_duplicates, indistinguishable_tracks
+from compute.tracking.tracks import (
     MIN_SUPPORT_SENSORS,
-    exclude_prior_duplicates,
-    indistinguishable_tracks,
-    update_support,
+    AssociationResult,
+    Associations,
+    Exposure,
+    Tracks,
+    to_track_batch,
 )
-from compute.tracking.tracks import Associations, Tracks
 from compute.tracking.unassociated_points import UnassociatedPointFinder
 from compute.tracking.unresolved_neighbours import (
     any_neighbour,
@@ -75,37 +77,26 @@ class Tracker:
         self.settings = settings
         self.motion = MotionModels.of(settings)
         self._pixels = pixels
-        self.model, finder = self._build(cameras, parameter_covariance, corrections, pixels)
-        self._newcomers = TrackInitiator(
-            self.model, self.motion, settings, finder, self._associator
-        )
-        self._tracks = Tracks.empty(len(self.motion), len(self.model))
-        self._time_ns: int | None = None
-        self._begun_ns: int | None = None
-        self._last_ns: int | None = None
+        self._initiator = TrackInitiator(*self._build(cameras, parameter_covariance, corrections))
+        self.reset()
 
     def _build(
         self,
         cameras: CameraStack,
         parameter_covariance: Array | None,
         corrections: CorrectionTable | None,
-        pixels: tuple[int, ...] | None,
-    ) -> tuple[MeasurementModel, UnassociatedPointFinder]:
-        # Here and not above: Warp takes a second to load, and the types are used without it.
-        from compute.reconstruction.solver import PointSolver
-        from compute.tracking.native.associator import Associator
-
-        model = MeasurementModel(cameras, parameter_covariance, corrections, pixels)
-        self._associator = Associator(model, self.motion, self.settings)
+    ) -> tuple[UnassociatedPointFinder, Associator]:
+        self.model = MeasurementModel(cameras, parameter_covariance, corrections, self._pixels)
+        self._associator = Associator(self.model, self.motion, self.settings)
         solver = PointSolver(cameras, parameter_covariance, corrections, "cpu", threads=1)
         finder = UnassociatedPointFinder(
             lambda readings, sigma: solver.solve(readings, np.where(sigma > 0.0, sigma, 1.0)),
-            model,
+            self.model,
             MatchSettings(
                 self.settings.detection_probability, self.settings.clutter_density_per_px
             ),
         )
-        return model, finder
+        return finder, self._associator
 
     def set_cameras(
         self,
@@ -130,17 +121,18 @@ class Tracker:
             raise InvalidParameter(
                 f"there are {len(cameras)} cameras; the tracker is for {len(self.model)}"
             )
-        self.model, finder = self._build(cameras, parameter_covariance, corrections, self._pixels)
-        self._newcomers.set_cameras(self.model, finder, self._associator)
+        self._initiator.set_cameras(*self._build(cameras, parameter_covariance, corrections))
         self._tracks.states.bias_cross_covariance[:] = 0.0
         self._tracks.bias[:] = 0.0
         self._tracks.bias_mm[:] = np.inf
 
     def reset(self) -> None:
         """Delete all tracks; identity numbers continue."""
-        self._tracks = Tracks.empty(len(self.motion), len(self.model))
-        self._time_ns = self._begun_ns = None
-        self._newcomers.reset()
+        self._tracks = Tracks.empty(len(self.model), len(self.motion))
+        self._time_ns: int | None = None
+        self._begun_ns: int | None = None
+        self._last_ns: int | None = None
+        self._initiator.reset()
 
     def add_prior_tracks(
         self,
@@ -168,35 +160,33 @@ class Tracker:
                 positive definite, a time before the last exposure's, several markers with one
                 strobe slot, or a marker that may be one that is tracked already.
         """
-        starts = PriorTracks.of(position_mm, velocity_mm_s, covariance)
+        mean, covariance = check_prior(position_mm, velocity_mm_s, covariance)
         last = max((t for t in (self._time_ns, self._begun_ns) if t is not None), default=time_ns)
         if time_ns < last:
             raise InvalidParameter(
                 f"time_ns is {time_ns}, the exposure or start before was at {last}; it must not be "
                 "earlier"
             )
-        if marker is not None and (marker < 0 or len(starts) > 1):
+        if marker is not None and (marker < 0 or len(mean) > 1):
             raise InvalidParameter(
-                f"marker is {marker} for {len(starts)} markers; it must be 0 or more, for one"
+                f"marker is {marker} for {len(mean)} markers; it must be 0 or more, for one"
             )
-        states = states_from_prior(
-            self.motion, self.settings, starts.mean, starts.covariance, len(self.model)
-        )
+        states = states_from_prior(self.motion, self.settings, mean, covariance, len(self.model))
         self._predict(np.arange(len(self._tracks)), time_ns)
         self._tracks = self._tracks.rows(
-            exclude_prior_duplicates(self.motion, self._tracks, states, starts.mean[:, :3])
+            exclude_prior_duplicates(self.motion, self._tracks, states, mean[:, :3])
         )
         begun = Tracks.create(
             states,
-            self.model.systematic_covariance(starts.mean[:, :3]),
-            starts.mean[:, :3],
-            first=self._newcomers.numbers(len(starts)),
+            self.model.systematic_covariance(mean[:, :3]),
+            mean[:, :3],
+            first=self._initiator.numbers(len(mean)),
             marker=marker,
             time_ns=time_ns,
-            confirmed=True,
-            ambiguous_identity=np.zeros(len(starts), dtype=np.bool_),
+            ambiguous_identity=np.zeros(len(mean), dtype=np.bool_),
         )
-        self._tracks = self._tracks.concatenate(begun)
+        begun.confirmed[:] = True
+        self._tracks = Tracks.concatenate([self._tracks, begun])
         self._begun_ns = time_ns
         return begun.identity.copy()
 
@@ -231,17 +221,17 @@ class Tracker:
         if marker is not None and marker < 0:
             raise InvalidParameter(f"marker is {marker}; it must be 0 or more, or None")
         self._last_ns, self._time_ns = self._time_ns, time_ns
-        tracks = self._tracks
-        seen = Associations.empty(len(tracks), len(self.model))
+        tracks, exposure = self._tracks, Exposure(time_ns, peaks, marker)
+        seen = Associations.missed(len(tracks), len(self.model))
         part = self._visible_rows(marker)
         self._predict(part, time_ns)
-        followed = part[tracks.confirmed[part]]
-        self._update_confirmed(followed, peaks, seen, marker, time_ns)
-        free = free_peaks(peaks, seen, np.zeros(len(tracks), dtype=np.bool_))
+        confirmed = part[tracks.confirmed[part]]
+        self._update_confirmed(confirmed, seen, exposure)
+        free = seen.free_peaks(peaks)
         if marker is None:
-            self._update_neighbours(followed, peaks, seen, free, time_ns)
-        self._tracks, seen = self._newcomers.find(tracks, part, seen, peaks, free, marker, time_ns)
-        return to_track_batch(self.model, self.motion, self._tracks, seen, peaks, time_ns)
+            self._update_neighbours(confirmed, seen, free, exposure)
+        self._tracks, seen = self._initiator.find(tracks, part, seen, exposure, free)
+        return to_track_batch(self.model, self.motion, self._tracks, seen, exposure)
 
     def _visible_rows(self, marker: int | None) -> NDArray[np.intp]:
         """Return the rows of tracks that this exposure may show."""
@@ -276,30 +266,23 @@ class Tracker:
         tracks.states.put(rows, states)
 
     def _update_confirmed(
-        self,
-        rows: NDArray[np.intp],
-        peaks: Measurements,
-        seen: Associations,
-        marker: int | None,
-        time_ns: int,
+        self, rows: NDArray[np.intp], seen: Associations, exposure: Exposure
     ) -> None:
         """Update confirmed tracks."""
-        tracks = self._tracks
+        tracks, peaks, marker = self._tracks, exposure.peaks, exposure.marker
         if len(rows) == 0 or not peaks.usable.any():
             return
-        inflated = self._inflate_unresolved(rows, peaks, time_ns)
+        inflated = self._inflate_unresolved(rows, exposure)
         found = self._associator.associate(tracks.states.rows(rows), tracks.bias[rows], inflated)
         tracks.states.put(rows, found.states)
         seen.peaks[rows], seen.nis[rows] = found.peaks, found.nis
         seen.merged[rows] = found.merged.any(axis=1)
         seen.hypotheses_pruned[rows] = found.hypotheses_pruned
         sensor_counts = (found.peaks >= 0).sum(axis=1)
-        possible = self._count_possible_sensors(
-            found.states, found.peaks, sensor_counts, found.in_view, peaks
-        )
-        update_support(tracks, rows, sensor_counts, possible, found.in_view)
+        possible = self._count_possible_sensors(found, sensor_counts, peaks)
+        tracks.update_support(rows, sensor_counts, possible, found.in_view)
         alive = rows[found.log_likelihood_ratio >= ALIVE_LOG_LIKELIHOOD_RATIO]
-        tracks.seen_ns[alive] = time_ns
+        tracks.seen_ns[alive] = exposure.time_ns
         if marker is not None:
             known = rows[sensor_counts >= 3]
             tracks.marker[known] = marker
@@ -307,14 +290,12 @@ class Tracker:
         else:
             tracks.ambiguous_identity[indistinguishable_tracks(self.motion, tracks, rows)] = True
 
-    def _inflate_unresolved(
-        self, rows: NDArray[np.intp], peaks: Measurements, time_ns: int
-    ) -> Measurements:
+    def _inflate_unresolved(self, rows: NDArray[np.intp], exposure: Exposure) -> Measurements:
         """Return the peaks, less certain where one that is not tracked may be merged with them."""
-        tracks = self._tracks
+        tracks, peaks = self._tracks, exposure.peaks
         if not tracks.neighbours[rows, :, 2].any() or self._last_ns is None:
             return peaks
-        step = np.full(len(rows), (time_ns - self._last_ns) * 1e-9)
+        step = np.full(len(rows), (exposure.time_ns - self._last_ns) * 1e-9)
         hidden = predict_merged(tracks.neighbours[rows], step, self.settings)
         some = np.flatnonzero(hidden.any(axis=1))
         if len(some) == 0:
@@ -325,13 +306,12 @@ class Tracker:
     def _update_neighbours(
         self,
         rows: NDArray[np.intp],
-        peaks: Measurements,
         seen: Associations,
         free: NDArray[np.bool_],
-        time_ns: int,
+        exposure: Exposure,
     ) -> None:
-        """Note the peaks that are no track's beside those that are."""
-        tracks = self._tracks
+        """Update the untracked peaks beside those of tracks."""
+        tracks, peaks, time_ns = self._tracks, exposure.peaks, exposure.time_ns
         if len(rows) == 0:
             return
         known = tracks.neighbours[rows, :, 2].any()
@@ -344,20 +324,15 @@ class Tracker:
         )
 
     def _count_possible_sensors(
-        self,
-        states: ImmStates,
-        own: NDArray[np.int32],
-        sensor_counts: NDArray[np.integer],
-        in_view: NDArray[np.int32],
-        peaks: Measurements,
+        self, found: AssociationResult, sensor_counts: NDArray[np.integer], peaks: Measurements
     ) -> NDArray[np.integer]:
         """Return how many sensors saw each track, or have a peak there that it may share, (T,)."""
         possible = sensor_counts.copy()
         few = np.flatnonzero(
-            (sensor_counts < MIN_SUPPORT_SENSORS) & (in_view >= MIN_SUPPORT_SENSORS)
+            (sensor_counts < MIN_SUPPORT_SENSORS) & (found.in_view >= MIN_SUPPORT_SENSORS)
         )
         if len(few):
-            reading = self.model.predict(mean_positions(states)[few]).reading_px
+            reading = self.model.predict(mean_positions(found.states)[few]).reading_px
             shared = peaks.is_near(reading, self.settings.resolution_px)
-            possible[few] = ((own[few] >= 0) | shared).sum(axis=1)
+            possible[few] = ((found.peaks[few] >= 0) | shared).sum(axis=1)
         return possible

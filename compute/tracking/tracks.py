@@ -1,19 +1,43 @@
-"""Tracks and Associations: each track's state between exposures, and its peaks in one."""
+"""Tracks and Associations: each track's state between exposures, its peaks in one, its report."""
 
-from dataclasses import dataclass, fields
-from typing import Self
+from dataclasses import dataclass, replace
+from typing import Annotated, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.tracking.motion_model import ImmStates
+from compute.measurement.measurement_model import MeasurementModel
+from compute.measurement.measurements import Measurements
+from compute.reconstruction.point_batch import Batch
+from compute.tracking.motion_model import ImmStates, MotionModels, combine_modes, mix_and_predict
+from compute.tracking.track_batch import TrackBatch, TrackFlag, TrackState
 from compute.tracking.unresolved_neighbours import NEIGHBOUR_FIELDS
 
 Array = NDArray[np.float64]
 
+UNSUPPORTED_EXPOSURES = 5
+"""A track with this surplus of exposures without support over those with it may be a ghost."""
+MIN_SUPPORT_SENSORS = 4
+"""Sensors that support a track: three planes always meet, a fourth excludes most ghosts."""
+
+
+@dataclass(frozen=True, eq=False)
+class Exposure:
+    """What the sensors saw at one time.
+
+    Args:
+        time_ns: middle of the exposure [ns].
+        peaks: the peaks of the S sensors, up to K each.
+        marker: strobe slot that was lit; None: all markers.
+    """
+
+    time_ns: int
+    peaks: Measurements
+    marker: int | None
+
 
 @dataclass(eq=False)
-class Tracks:
+class Tracks(Batch):
     """T tracks, the oldest first.
 
     Args:
@@ -52,36 +76,9 @@ class Tracks:
     unsupported: NDArray[np.int32]
     probation_left: NDArray[np.int32]
     log_likelihood_ratio: Array
-    bias: Array
-    bias_mm: Array
-    neighbours: Array
-
-    @classmethod
-    def empty(cls, models: int, sensors: int) -> Self:
-        """Return no tracks.
-
-        Args:
-            models: number of motion models M.
-            sensors: number of sensors S.
-        """
-        return cls(
-            ImmStates.empty(models, sensors),
-            np.empty(0, np.int64),
-            np.empty(0, np.int32),
-            np.empty(0, np.bool_),
-            np.empty(0, np.bool_),
-            np.empty(0, np.int64),
-            np.empty(0, np.int64),
-            np.empty(0, np.int32),
-            np.empty(0, np.int32),
-            np.empty(0, np.int32),
-            np.empty(0, np.int32),
-            np.empty(0, np.int32),
-            np.empty(0),
-            np.empty((0, sensors, sensors)),
-            np.empty((0, 3)),
-            np.empty((0, sensors, NEIGHBOUR_FIELDS)),
-        )
+    bias: Annotated[Array, "S", "S"]
+    bias_mm: Annotated[Array, 3]
+    neighbours: Annotated[Array, "S", NEIGHBOUR_FIELDS]
 
     @classmethod
     def create(
@@ -93,10 +90,9 @@ class Tracks:
         first: int,
         marker: int | None,
         time_ns: int,
-        confirmed: bool,
         ambiguous_identity: NDArray[np.bool_],
     ) -> Self:
-        """Create tracks that were seen in this exposure.
+        """Create tentative tracks that were seen in this exposure.
 
         Args:
             states: of N markers.
@@ -105,53 +101,53 @@ class Tracks:
             first: number of the first; the others follow.
             marker: strobe slot of them all; None: not known.
             time_ns: of the states.
-            confirmed: whether they are markers for sure.
             ambiguous_identity: whether an identity is not sure, shape (N,).
         """
         count = len(states)
-        return cls(
-            states,
-            np.arange(first, first + count, dtype=np.int64),
-            np.full(count, -1 if marker is None else marker, dtype=np.int32),
-            np.full(count, confirmed, dtype=np.bool_),
-            ambiguous_identity.copy(),
-            np.full(count, time_ns, dtype=np.int64),
-            np.full(count, time_ns, dtype=np.int64),
-            np.zeros(count, dtype=np.int32),
-            np.zeros(count, dtype=np.int32),
-            np.zeros(count, dtype=np.int32),
-            np.zeros(count, dtype=np.int32),
-            np.zeros(count, dtype=np.int32),
-            np.zeros(count),
-            bias,
-            position_mm.copy(),
-            np.zeros((count, bias.shape[1], NEIGHBOUR_FIELDS)),
+        return replace(
+            cls.zeros(count, bias.shape[1]),
+            states=states,
+            identity=np.arange(first, first + count, dtype=np.int64),
+            marker=np.full(count, -1 if marker is None else marker, dtype=np.int32),
+            ambiguous_identity=ambiguous_identity.copy(),
+            time_ns=np.full(count, time_ns, dtype=np.int64),
+            seen_ns=np.full(count, time_ns, dtype=np.int64),
+            bias=bias,
+            bias_mm=position_mm.copy(),
         )
 
-    def __len__(self) -> int:
-        """Return the number of tracks."""
-        return len(self.identity)
+    @property
+    def may_be_ghosts(self) -> NDArray[np.bool_]:
+        """Which tracks too few sensors have supported lately, shape (T,)."""
+        return self.unsupported >= UNSUPPORTED_EXPOSURES
 
-    def rows(self, index: NDArray[np.intp] | NDArray[np.bool_]) -> Self:
-        """Return a copy of some tracks."""
-        return type(self)(
-            self.states.rows(index),
-            *(getattr(self, field.name)[index] for field in fields(self)[1:]),
-        )
+    def update_support(
+        self,
+        rows: NDArray[np.intp],
+        sensor_counts: NDArray[np.integer],
+        possible: NDArray[np.integer],
+        in_view: NDArray[np.integer],
+    ) -> None:
+        """Update the counters of exposures with and without MIN_SUPPORT_SENSORS, in place.
 
-    def concatenate(self, other: "Tracks") -> Self:
-        """Return these tracks and others after them."""
-        return type(self)(
-            self.states.concatenate(other.states),
-            *(
-                np.concatenate([getattr(self, field.name), getattr(other, field.name)])
-                for field in fields(self)[1:]
-            ),
-        )
+        Args:
+            rows: of the tracks that were looked for, N of them.
+            sensor_counts: how many sensors saw each of them, shape (N,).
+            possible: how many saw it or have a peak there that it may share, shape (N,).
+            in_view: how many could have, shape (N,).
+        """
+        unsupported, supported = self.unsupported[rows], sensor_counts >= MIN_SUPPORT_SENSORS
+        if not unsupported.any() and supported.all() and not self.probation_left.any():
+            return
+        # What nothing is seen of is hidden, not contradicted.
+        few = (possible < MIN_SUPPORT_SENSORS) & (in_view >= MIN_SUPPORT_SENSORS)
+        step = np.where(supported, -1, np.where(few & (sensor_counts > 0), 1, 0))
+        self.unsupported[rows] = np.clip(unsupported + step, 0, 2 * UNSUPPORTED_EXPOSURES)
+        self.probation_left[rows] = np.maximum(self.probation_left[rows] - supported, 0)
 
 
 @dataclass(eq=False)
-class Associations:
+class Associations(Batch):
     """Peaks that T tracks took of S sensors in one exposure.
 
     Args:
@@ -162,40 +158,149 @@ class Associations:
         nis: normalised innovation squared; 0 where no sensor saw it, shape (T,).
     """
 
-    peaks: NDArray[np.int32]
+    peaks: Annotated[NDArray[np.int32], "S"]
     merged: NDArray[np.bool_]
     hypotheses_pruned: NDArray[np.bool_]
     nis: Array
 
     @classmethod
-    def empty(cls, tracks: int, sensors: int) -> Self:
+    def missed(cls, tracks: int, sensors: int) -> Self:
         """Return the associations of tracks that no sensor saw.
 
         Args:
             tracks: number of tracks T.
             sensors: number of sensors S.
         """
-        return cls(
-            np.full((tracks, sensors), -1, dtype=np.int32),
-            np.zeros(tracks, dtype=np.bool_),
-            np.zeros(tracks, dtype=np.bool_),
-            np.zeros(tracks),
-        )
+        none = np.zeros(tracks, dtype=np.bool_)
+        peaks = np.full((tracks, sensors), -1, dtype=np.int32)
+        return cls(peaks, none, none.copy(), np.zeros(tracks))
 
     def sensor_counts(self) -> NDArray[np.int32]:
         """Return how many sensors saw each track, shape (T,)."""
         count: NDArray[np.int32] = (self.peaks >= 0).sum(axis=1).astype(np.int32)
         return count
 
-    def rows(self, index: NDArray[np.intp] | NDArray[np.bool_]) -> Self:
-        """Return a copy of some tracks' associations."""
-        return type(self)(*(getattr(self, field.name)[index] for field in fields(self)))
+    def free_peaks(
+        self, peaks: Measurements, unreliable: NDArray[np.bool_] | None = None
+    ) -> NDArray[np.bool_]:
+        """Return the usable peaks that no reliable track explains, shape (S, K).
 
-    def concatenate(self, other: "Associations") -> Self:
-        """Return these associations and others after them."""
-        return type(self)(
-            *(
-                np.concatenate([getattr(self, field.name), getattr(other, field.name)])
-                for field in fields(self)
-            )
+        Args:
+            peaks: measurements of the exposure.
+            unreliable: tracks that do not count, shape (T,); None: all count.
+        """
+        free = peaks.usable.copy()
+        explained = self.peaks >= 0
+        if unreliable is not None:
+            explained &= ~unreliable[:, None]
+        track, sensor = np.nonzero(explained)
+        free[sensor, self.peaks[track, sensor]] = False
+        return free
+
+
+@dataclass(eq=False)
+class AssociationResult:
+    """Peaks and updated states of T tracks after an exposure.
+
+    Args:
+        states: after the update.
+        peaks: index of each sensor's peak; -1: none, int32, shape (T, S).
+        merged: whether that peak is shared, shape (T, S).
+        probability: probability that it is the track's, 0 where there is none, shape (T, S).
+        nis: normalised innovation squared, shape (T,).
+        log_likelihood_ratio: of the readings being the track's to being false peaks, shape (T,).
+        hypotheses_pruned: whether hypotheses of non-negligible weight were pruned, shape (T,).
+        in_view: number of sensors that have the predicted position in view, shape (T,).
+    """
+
+    states: ImmStates
+    peaks: NDArray[np.int32]
+    merged: NDArray[np.bool_]
+    probability: Array
+    nis: Array
+    log_likelihood_ratio: Array
+    hypotheses_pruned: NDArray[np.bool_]
+    in_view: NDArray[np.int32]
+
+    @classmethod
+    def missed(cls, states: ImmStates, sensors: int) -> Self:
+        """Return the result where no track has a peak.
+
+        Args:
+            states: of T tracks.
+            sensors: number of sensors S.
+        """
+        count, shape = len(states), (len(states), sensors)
+        return cls(
+            states,
+            np.full(shape, -1, np.int32),
+            np.zeros(shape, np.bool_),
+            np.zeros(shape),
+            np.zeros(count),
+            np.zeros(count),
+            np.zeros(count, np.bool_),
+            np.zeros(count, np.int32),
         )
+
+
+# As arrays' own numbers: an enumeration's operations take as long as an array's. TENTATIVE is 0.
+_CONFIRMED, _COASTING = np.int8(TrackState.CONFIRMED), np.int8(TrackState.COASTING)
+_MERGED, _AMBIGUOUS, _FEW_SENSORS, _SUSPECT_PEAK, _OUTSIDE_MAP = map(np.int32, TrackFlag)
+
+
+def to_track_batch(
+    model: MeasurementModel,
+    motion: MotionModels,
+    tracks: Tracks,
+    seen: Associations,
+    exposure: Exposure,
+) -> TrackBatch:
+    """Return the tracks after an exposure, predicted to it where they were not updated.
+
+    Args:
+        model: the measurement model, of S sensors.
+        motion: M motion models.
+        tracks: T tracks.
+        seen: their associations in the exposure.
+        exposure: the exposure.
+    """
+    time_ns, peaks = exposure.time_ns, exposure.peaks
+    states = tracks.states
+    late = np.flatnonzero(tracks.time_ns != time_ns)
+    if len(late):
+        states = states.rows(np.arange(len(tracks)))
+        step = np.asarray((time_ns - tracks.time_ns[late]) * 1e-9, dtype=np.float64)
+        states.put(late, mix_and_predict(motion, tracks.states.rows(late), step))
+    whole = combine_modes(motion, states)
+    mean, covariance = whole.mean.copy(), whole.covariance.copy()
+    if not any(motion.has_acceleration):
+        mean[:, 6:] = np.nan
+        covariance[:, 6:] = covariance[:, :, 6:] = np.nan
+    dof = seen.sensor_counts()
+    used = seen.peaks >= 0
+    state = np.where(dof > 0, _CONFIRMED, _COASTING)
+    state *= tracks.confirmed
+    flags = seen.merged * _MERGED
+    ambiguous = tracks.ambiguous_identity | seen.hypotheses_pruned | tracks.may_be_ghosts
+    flags |= ambiguous * _AMBIGUOUS
+    flags |= (dof < 3) * _FEW_SENSORS
+    if np.count_nonzero(peaks.suspect):
+        sensor = np.arange(len(model))
+        suspect = used & peaks.suspect[sensor, np.maximum(seen.peaks, 0)]
+        flags |= suspect.any(axis=1) * _SUSPECT_PEAK
+    if model.corrections is not None:
+        outside = (used & ~model.inside_hull(mean[:, :3])).any(axis=1)
+        flags |= outside * _OUTSIDE_MAP
+    return TrackBatch(
+        tracks.identity.copy(),
+        tracks.marker.copy(),
+        state,
+        flags,
+        mean[:, :3],
+        mean[:, 3:6],
+        mean[:, 6:],
+        covariance,
+        seen.peaks,
+        np.where(dof > 0, seen.nis, np.nan),
+        dof,
+    )

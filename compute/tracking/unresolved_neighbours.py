@@ -1,9 +1,4 @@
-"""Unresolved neighbours: untracked peaks that may merge with a track's peak.
-
-Joint hypotheses cover two tracked markers that share a peak. An untracked marker displaces the peak
-of a tracked one just as much. So an untracked peak near a track's own is followed along the scan;
-where it is expected to merge with the track's peak, that peak's variance is inflated.
-"""
+"""Unresolved neighbours: untracked peaks that may merge with a track's peak, and displace it."""
 
 from dataclasses import replace
 from typing import Final
@@ -110,8 +105,6 @@ def update_neighbours(
     step = np.maximum(step_s, 1e-9)[:, None]
     ahead = neighbours[..., 0] + neighbours[..., 1] * step
     known = neighbours[..., 2] >= _MIN_SEEN
-    after = np.zeros_like(neighbours)
-    after[..., 0], after[..., 1], after[..., 2] = ahead, neighbours[..., 1], neighbours[..., 2]
     there = own >= 0
     place = np.where(there, peaks.position_px[sensor, np.maximum(own, 0)], np.nan)
     distance = np.where(free, peaks.position_px, np.nan)[None] - place[..., None]
@@ -131,11 +124,9 @@ def update_neighbours(
     # What is hidden goes on as it went; what should be seen and is not has gone.
     hidden = known & (np.abs(ahead) <= _HIDDEN * merge)
     unknown = neighbours[..., 2] == 0
-    after[..., 0] = np.where(found, nearest, ahead)
-    after[..., 1] = np.where(found & ~unknown, rate, np.where(unknown, 0.0, neighbours[..., 1]))
-    after[..., 2] = np.where(
-        found, np.minimum(neighbours[..., 2] + 1.0, _MAX_SEEN), neighbours[..., 2]
-    )
+    rate = np.where(found, rate, neighbours[..., 1])
+    seen = np.minimum(neighbours[..., 2] + found, _MAX_SEEN)
+    after = np.stack([np.where(found, nearest, ahead), np.where(unknown, 0.0, rate), seen], axis=-1)
     after[~found & ~hidden & there] = 0.0
     after[~np.isfinite(after).all(axis=2)] = 0.0
     return after

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.measurement.measurements import Measurements
-from compute.reconstruction.correspondence import IntersectionPoints, SearchPart
+from compute.reconstruction.correspondence.intersections import IntersectionPoints, SearchPart
 from compute.reconstruction.triangulation import chi2_limit
 from compute.tracking.settings import TrackerSettings
 from compute.tracking.unassociated_points import UnassociatedPointFinder
@@ -23,7 +23,7 @@ FIRST_GAP: Final = 2
 MAX_GAP: Final = 4
 """Exposures from any other point to the next."""
 LINK_EXCLUSION_PROBABILITY: Final = 1e-4
-"""Chance that a marker's next point lies outside the gate."""
+"""Probability that a marker's next point lies outside the gate."""
 MISSED_EXPOSURE_LOG_PENALTY: Final = log(0.5)
 """Change of a sequence's log likelihood by an exposure without a point of it."""
 _WINDOW: Final = FIRST_GAP + (MIN_POINTS - 2) * MAX_GAP + 1
@@ -62,17 +62,11 @@ class PointSequence:
 
     Args:
         time_ns: of each, L of them.
-        position_mm: shape (L, 3).
-        peaks: index of each sensor's peak; -1: none, shape (L, S).
-        position_px: of the peaks; NaN where there is none, shape (L, S).
-        sigma_px: shape (L, S).
+        points: the points.
     """
 
     time_ns: tuple[int, ...]
-    position_mm: Array
-    peaks: NDArray[np.int32]
-    position_px: Array
-    sigma_px: Array
+    points: IntersectionPoints
 
 
 class ViterbiLinker:
@@ -187,13 +181,7 @@ class ViterbiLinker:
         path = []
         while number in by_number:
             layer = by_number[number]
-            path.append((layer, at))
-            number, at = (int(value) for value in layer.before[at])
-        path.reverse()
-        return PointSequence(
-            tuple(layer.time_ns for layer, _ in path),
-            np.stack([layer.points.position_mm[at] for layer, at in path]),
-            np.stack([layer.points.choice[at] for layer, at in path]).astype(np.int32),
-            np.stack([layer.points.position_px[at] for layer, at in path]),
-            np.stack([layer.points.sigma_px[at] for layer, at in path]),
-        )
+            path.append((layer.time_ns, layer.points.part(at, at + 1)))
+            number, at = layer.before[at].tolist()
+        times, points = zip(*reversed(path), strict=True)
+        return PointSequence(times, IntersectionPoints.concatenate(points))

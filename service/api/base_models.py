@@ -64,7 +64,7 @@ class ResponseModel(BaseModel):
 Model = TypeVar("Model", bound=BaseModel)
 
 
-def from_attributes(model: type[Model], source: object, **members: Any) -> Model:
+def from_attributes(model: type[Model], source: object, /, **members: Any) -> Model:
     """Return a model with the values that an object, such as a row of the database, has.
 
     A field takes the attribute of its name, or of its name and ``_id`` (``device``: ``device_id``).

@@ -5,15 +5,14 @@ from typing import Final
 import numpy as np
 from sqlalchemy.orm import Session
 
+from compute.calibration.calibrate import QUANTISATION_PX
 from compute.calibration.result import Calibration, SensorFit
-from compute.calibration.result_assembly import QUANTISATION_PX
 from compute.camera.model import PARAMETER_COUNT
 from hardware.simulated.simulated_rig import PITCH_UM, simulated_sensor_models
 from service.api.calibrations.calibration_content import Outcome, calibration_content
 from service.api.calibrations.schema import ControlPointErrors
 from service.api.calibrations.store import activate, add_calibration
-from service.api.devices.schema import NewDevice, SimulatedSource
-from service.api.devices.sensor import Sensor
+from service.api.devices.schema import NewDevice, Sensor, SimulatedSource
 from service.api.devices.store import add_device
 
 DEVICE_ID: Final = "sim"

@@ -18,8 +18,7 @@ from compute.planning.cramer_rao import centroids
 from hardware.simulated.profile_driver import ProfileDriver
 from hardware.simulated.profile_settings import ProfileSettings
 from service.api.devices.driver_factory import validated_sensors
-from service.api.devices.schema import NewDevice, ProfileSource
-from service.api.devices.sensor import Sensor
+from service.api.devices.schema import NewDevice, ProfileSource, Sensor
 from service.api.devices.store import add_device, source_of
 from service.application.initial_content import store_nominal
 from service.database.models import DeviceRow

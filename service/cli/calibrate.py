@@ -7,10 +7,9 @@ import numpy as np
 import typer
 from rich.table import Table
 
-from compute.calibration.assessment.cross_validation import control_errors
-from compute.calibration.calibrate import calibrate_and_assess
+from compute.calibration.assessment.assess import calibrate_and_assess, control_errors
 from compute.calibration.distortion_selection import refusals
-from compute.calibration.mislabels.finding import LabelFinding
+from compute.calibration.mislabels.repair import LabelFinding
 from compute.calibration.result import (
     AxisErrors,
     Calibration,

@@ -11,8 +11,7 @@ from rich.table import Table
 
 from compute.mapping.build import build_table
 from compute.mapping.measurements import MappingMeasurements
-from compute.mapping.result import MappingResult
-from compute.mapping.settings import MappingMethod, MappingSettings
+from compute.mapping.result import MappingMethod, MappingResult, MappingSettings
 from service.cli.json_files import read_calibration
 from service.cli.observations_csv import read_observations
 from service.cli.output import console, fail, file_errors, make_table, progress, say, spec

@@ -110,6 +110,7 @@ class Resource(Generic[Row]):
         exists: raised where an id is taken that a client chose.
         name: of a row in messages; None: its key.
         taken: what is said of an id that is taken.
+        path: of the list; None: from the key.
     """
 
     row: type[Row]
@@ -118,12 +119,13 @@ class Resource(Generic[Row]):
     exists: type[LumilineError] = LumilineError
     name: str | None = None
     taken: str = "exists already; choose another id, or leave it out"
+    path: str | None = None
 
     def get(self, session: Session, identity: str, *, lock: bool = False) -> Row:
         """Return the row of an id, locked until the transaction's end on request."""
         row = session.get(self.row, identity, with_for_update=lock or None)
         if row is None:
-            path = f"/api/v1/{self.key.replace('_', '-')}s"
+            path = self.path or f"/api/v1/{self.key.replace('_', '-')}s"
             detail = f'there is no {self._name} "{identity}"; GET {path} lists them'
             raise self.unknown(detail, **{self.key: identity})
         return row
@@ -143,7 +145,11 @@ class Resource(Generic[Row]):
         """Insert a row and return it; raises an error where its id is taken."""
         identity = str(row.__dict__["id"])
         self.check_unused(session, identity)
-        insert(session, row, self._taken(identity))
+        try:
+            session.add(row)
+            session.flush()
+        except IntegrityError as error:  # two requests at the same moment
+            raise self._taken(identity) from error
         return row
 
     @property

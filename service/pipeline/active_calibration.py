@@ -8,9 +8,10 @@ from typing import Any, Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.calibration.result import Calibration, MeasurementNoise
+from compute.calibration.result import Calibration, measurement_noise
 from compute.mapping.table import CorrectionTable
 from compute.measurement.measurement_model import MeasurementModel
+from compute.measurement.measurements import MeasurementNoise
 from compute.reconstruction.solver import PointSolver
 
 Array = NDArray[np.float64]
@@ -82,7 +83,7 @@ class PreparedCalibration:
     @cached_property
     def measurement_noise(self) -> MeasurementNoise:
         """Standard deviations of the sensors' readings, the calibration's misfit included."""
-        return MeasurementNoise.of(self.calibration)
+        return measurement_noise(self.calibration)
 
     @property
     def covariance(self) -> Array | None:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from compute.measurement.flag_policy import FlagPolicy
 from compute.measurement.measurements import Measurements
-from compute.reconstruction.correspondence import group_peaks
+from compute.reconstruction.correspondence.grouping import group_peaks
 from compute.reconstruction.point_batch import PointBatch, PointFlag
 from compute.signal.peaks import PeakBatch
 from hardware.line_frame import LineFrame

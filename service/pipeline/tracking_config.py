@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Final
 if TYPE_CHECKING:
     from compute.pose.rigid_body import RigidBody
     from compute.pose.settings import ToolTrackerSettings
-    from compute.tracking.blink_decoding import BlinkCodes, BlinkModel
+    from compute.tracking.blink_codes import BlinkCodes
+    from compute.tracking.blink_decoding import BlinkModel
     from compute.tracking.settings import TrackerSettings
     from service.pipeline.beam_hold_spec import BeamHoldConfig
 

@@ -10,8 +10,9 @@ from tests.architecture.walks import differences, listed, tracing
 from tests.service.fake_pipeline import FakePipeline, TestClient
 
 MAX_REQUEST = 9
-MAX_CALIBRATION = 30
+MAX_CALIBRATION = 25
 BACKGROUND = {
+    "compute.errors",  # of devices that do not run
     "service.api.quality.drift_monitor",
     "service.api.quality.store",
     "service.api.recordings.recording_manager",

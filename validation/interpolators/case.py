@@ -12,7 +12,7 @@ from compute.camera.model import SensorModel
 from compute.camera.stack import CameraStack
 from compute.mapping.build import build_table
 from compute.mapping.measurements import MappingMeasurements
-from compute.mapping.settings import MappingMethod, MappingSettings
+from compute.mapping.result import MappingMethod, MappingSettings
 from validation.map_bound.scene import Scene, bar_scene
 from validation.result_tables import Cell, ResultTable, TablesCase
 

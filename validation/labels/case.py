@@ -9,10 +9,8 @@ import numpy as np
 from compute.calibration.calibrate import calibrate
 from compute.calibration.mislabels.detector import find_label_errors
 from compute.calibration.mislabels.evaluation import SensorReadings, evaluate
-from compute.calibration.mislabels.finding import LabelFinding
-from compute.calibration.mislabels.hypothesis import Hypothesis
-from compute.calibration.mislabels.marginal_likelihood import KNOWN_SIGMA
-from compute.calibration.mislabels.repair import repair
+from compute.calibration.mislabels.hypothesis import KNOWN_SIGMA, Hypothesis
+from compute.calibration.mislabels.repair import LabelFinding, repair
 from compute.calibration.mislabels.sensor_search import search_sensor_labels
 from validation.labels.simulated_data import (
     SIGMA_PX,

@@ -7,7 +7,7 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.calibration.mislabels.finding import LabelFinding
+from compute.calibration.mislabels.repair import LabelFinding
 from compute.camera.field_distortion import FieldDistortion
 from compute.camera.model import SensorGeometry, SensorModel
 from compute.camera.stack import CameraStack

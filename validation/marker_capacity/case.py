@@ -3,7 +3,7 @@
 from typing import Final
 
 from compute.planning.ghost_points import candidates, intersecting_points
-from compute.reconstruction.correspondence import MatchSettings
+from compute.reconstruction.correspondence.candidates import MatchSettings
 from validation.marker_capacity.monte_carlo import (
     FRAMES,
     MARKERS,

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.measurement.measurements import Measurements
-from compute.reconstruction.correspondence import Correspondence, PredictedPoints, group_peaks
+from compute.reconstruction.correspondence.grouping import Correspondence, group_peaks
+from compute.reconstruction.correspondence.predicted_candidates import PredictedPoints
 from compute.signal.peaks import PeakFlag
 from validation.marker_capacity.rigs import RIGS, Rig, with_noise
 

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.calibration.calibrate import calibrate
-from compute.camera.dlt import collinearity_parameters_of
 from compute.camera.model import SensorModel
 from validation.thesis_data import DFW_V500, csv_rows, load_test
+from validation.thesis_methods.dlt import collinearity_parameters_of
 from validation.thesis_methods.eleven_parameter_bundle import (
     PARAMETER_ORDER,
     THESIS_SWEEPS,

@@ -6,7 +6,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.camera.dlt import CollinearityParameters
 from compute.camera.model import SensorModel
 from validation.result_tables import Cell, ResultTable, TablesCase
 from validation.table_5.calibration_frame import (
@@ -36,6 +35,7 @@ from validation.tests_5_1_to_5_8 import (
     generated_columns,
 )
 from validation.thesis_data import DFW_V500, LONG_DFW_V500, csv_rows
+from validation.thesis_methods.dlt import CollinearityParameters
 from validation.thesis_methods.eleven_parameter_bundle import (
     PARAMETER_ORDER,
     THESIS_SWEEPS,

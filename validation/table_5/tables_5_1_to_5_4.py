@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 
 from compute.calibration.calibrate import calibrate
 from compute.calibration.result import AxisErrors
-from compute.camera.dlt import dlt_parameters_of, model_from_matrix
 from compute.camera.model import SensorGeometry, SensorModel
 from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter
@@ -24,6 +23,7 @@ from validation.table_5.twelve_points import (
 )
 from validation.tests_5_1_to_5_8 import AS_PUBLISHED, CASES, LEAVE_ONE_OUT, METRIC
 from validation.thesis_data import LINEAR_CCD, csv_rows, load_test
+from validation.thesis_methods.dlt import dlt_parameters_of, model_from_matrix
 from validation.thesis_methods.iterative_dlt import iterative_dlt
 
 Array = NDArray[np.float64]

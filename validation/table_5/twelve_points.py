@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from compute.calibration.calibrate import calibrate
-from compute.camera.dlt import model_from_collinearity
 from compute.camera.model import SensorGeometry, SensorModel
 from validation.thesis_data import LINEAR_CCD, load_cameras, load_test
+from validation.thesis_methods.dlt import model_from_collinearity
 
 Array = NDArray[np.float64]
 

@@ -13,16 +13,16 @@ from numpy.typing import NDArray
 
 from compute.calibration.calibrate import calibrate
 from compute.calibration.result import AxisErrors
-from compute.camera.dlt import (
-    CollinearityParameters,
-    model_from_collinearity,
-    model_from_matrix,
-)
 from compute.camera.stack import CameraStack
 from compute.reconstruction.triangulation import triangulate_linear
 from validation.section_6.rotating_bar import BAR_MM, RATE_HZ, STILL_FRAMES, TURN_S
 from validation.table_5.error_statistics import STATISTICS, statistics_of
 from validation.thesis_data import LONG_DFW_V500, csv_rows, generate_readings, load_test
+from validation.thesis_methods.dlt import (
+    CollinearityParameters,
+    model_from_collinearity,
+    model_from_matrix,
+)
 from validation.thesis_methods.iterative_dlt import iterative_dlt
 
 Array = NDArray[np.float64]

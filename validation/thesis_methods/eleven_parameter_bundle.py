@@ -6,11 +6,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.camera.dlt import (
-    CollinearityParameters,
-)
 from compute.camera.model import SensorGeometry
 from compute.errors import InvalidParameter, NoConvergence
+from validation.thesis_methods.dlt import (
+    CollinearityParameters,
+)
 
 Array = NDArray[np.float64]
 

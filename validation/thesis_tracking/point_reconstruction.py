@@ -10,7 +10,7 @@ from compute.camera.stack import CameraStack
 from compute.mapping.table import CorrectionTable
 from compute.measurement.measurement_model import MeasurementModel
 from compute.measurement.measurements import Measurements
-from compute.reconstruction.correspondence import Correspondence, group_peaks
+from compute.reconstruction.correspondence.grouping import Correspondence, group_peaks
 from compute.reconstruction.point_batch import PointFlag
 from validation.thesis_tracking.settings import MIN_SENSORS
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.measurement.measurements import Measurements
-from compute.reconstruction.correspondence import Correspondence
+from compute.reconstruction.correspondence.grouping import Correspondence
 from validation.thesis_tracking.point_reconstruction import SolvedPoints, SpacePoints
 from validation.thesis_tracking.settings import ThesisSettings
 from validation.thesis_tracking.track_report import TrackReport

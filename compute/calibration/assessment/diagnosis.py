@@ -1,5 +1,6 @@
 """Diagnosis: weak parameters, coverage by control points, and the most useful further point."""
 
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -7,14 +8,10 @@ from numpy.typing import NDArray
 
 from compute.calibration.assessment_result import Diagnosis, SensorDiagnosis, Suggestion
 from compute.calibration.result import Calibration, SensorFit
-from compute.calibration.single_sensor.design_matrix import (
-    design_matrix,
-    fitted_columns,
-    recentred_camera,
-)
+from compute.calibration.single_sensor.camera_fit import fitted_columns
 from compute.camera.model import vector3
 from compute.camera.stack import CameraStack
-from compute.progress import Progress
+from compute.progress import Progress, no_progress
 
 Array = NDArray[np.float64]
 
@@ -47,7 +44,7 @@ def diagnose(
     calibration: Calibration,
     points_mm: Array,
     readings_px: Array,
-    progress: Progress | None = None,
+    progress: Progress = no_progress,
 ) -> Diagnosis:
     """Diagnose how well control points determine a calibration, and where another helps most.
 
@@ -69,30 +66,34 @@ def diagnose(
             calibration.sensors, readings.T, np.isfinite(readings).T, strict=True
         )
     )
-    if progress is not None:
-        progress(0.2, "most useful further point")
-    influence = _PrecisionPredictor(calibration, points)
-    mean, largest = influence.current()
-    return Diagnosis(
-        sensors,
-        mean,
-        largest,
-        influence.suggestions(),
-        _remarks(calibration, sensors),
-    )
+    progress(0.2, "most useful further point")
+    mean, largest, suggestions = _PrecisionPredictor(calibration, points).predict()
+    return Diagnosis(sensors, mean, largest, suggestions, _remarks(calibration, sensors))
 
 
 def _sensor(fit: SensorFit, points: Array, readings: Array) -> SensorDiagnosis:
     model = fit.model
+    columns = fitted_columns(model)
+    # Far from the origin, a rotation and a translation have nearly the same effect.
     centre = points.mean(axis=0)
-    recentred = recentred_camera(model, centre)
-    matrix = design_matrix(recentred, points - centre, np.full(len(points), 1.0 / fit.sigma_px))
+    shift = model.rotation @ centre
+    distortion = model.distortion
+    if distortion is not None:
+        distortion = replace(distortion, offset_y_mm=distortion.offset_y_mm + float(shift[1]))
+    recentred = replace(
+        model,
+        offset_x_mm=model.offset_x_mm + float(shift[0]),
+        offset_z_mm=model.offset_z_mm + float(shift[2]),
+        distortion=distortion,
+    )
+    matrix = CameraStack.of([recentred]).parameter_jacobian(points - centre)[:, 0, columns]
+    matrix = matrix * (1.0 / fit.sigma_px)
     scale = np.linalg.norm(matrix, axis=0)
     scale = np.where(scale > 0.0, scale, 1.0)
     _, singular, right = np.linalg.svd(matrix / scale, full_matrices=False)
     # Shares of scaled parameters: columns of length 1.
     shares = right[-1] ** 2
-    names = [model.parameter_names[column] for column in fitted_columns(model)]
+    names = [model.parameter_names[column] for column in columns]
     order = np.argsort(-shares, kind="stable")[:4]
     weakest = tuple((names[k], float(np.sqrt(shares[k]))) for k in order)
     frame = points @ model.rotation.T
@@ -137,8 +138,17 @@ class _PrecisionPredictor:
         self.sigma = np.array([fit.sigma_px for fit in calibration.sensors])
         self.low, self.high = points.min(axis=0), points.max(axis=0)
         self.covariance = np.array(calibration.covariance)
-        volume, jacobian, rows = self._visible(_grid(self.low, self.high, VOLUME_GRID_NODES))
-        self.point_derivatives = self._point_jacobian(jacobian, rows) if len(volume) else None
+
+    def predict(self) -> tuple[float | None, float | None, tuple[Suggestion, ...]]:
+        """Return the mean and largest sigma over the volume [mm], and further control points."""
+        volume, jacobian, rows = self._visible(box_points(self.low, self.high, VOLUME_GRID_NODES))
+        if not len(volume):
+            return None, None, ()
+        by_parameter = self._point_jacobian(jacobian, rows)
+        variances: Array = np.einsum(
+            "mip,pq,miq->m", by_parameter, self.covariance, by_parameter, optimize=True
+        )
+        return *_summary(variances), self._suggestions(by_parameter, variances)
 
     def _visible(self, points: Array) -> tuple[Array, Array, Array]:
         """Return the points that three sensors see, with Jacobians by point and by parameters.
@@ -163,36 +173,15 @@ class _PrecisionPredictor:
         weighted = jacobian / self.sigma[:, None] ** 2
         normal = np.einsum("msi,msj->mij", weighted, jacobian)
         gain = np.linalg.solve(normal, weighted.swapaxes(1, 2))
-        point_derivatives: Array = -gain @ rows
-        return point_derivatives
+        return np.asarray(-gain @ rows)
 
-    def current(self) -> tuple[float | None, float | None]:
-        if self.point_derivatives is None:
-            return None, None
-        return _summary(self._variances())
-
-    def _variances(self) -> Array:
-        assert self.point_derivatives is not None
-        variances: Array = np.einsum(
-            "mip,pq,miq->m",
-            self.point_derivatives,
-            self.covariance,
-            self.point_derivatives,
-            optimize=True,
-        )
-        return variances
-
-    def suggestions(self) -> tuple[Suggestion, ...]:
-        if self.point_derivatives is None:
-            return ()
+    def _suggestions(self, by_parameter: Array, before: Array) -> tuple[Suggestion, ...]:
         centre, half = 0.5 * (self.low + self.high), 0.5 * (self.high - self.low)
         reach = CANDIDATE_BOX_FACTOR * half
         positions, _, rows = self._visible(
-            _grid(centre - reach, centre + reach, CANDIDATE_GRID_NODES)
+            box_points(centre - reach, centre + reach, CANDIDATE_GRID_NODES)
         )
-        before = self._variances()
-        nodes, parameters = len(self.point_derivatives), len(self.covariance)
-        towards = self.covariance @ self.point_derivatives.reshape(-1, parameters).T
+        towards = self.covariance @ by_parameter.reshape(-1, len(self.covariance)).T
         found = []
         for position, row in zip(positions, rows, strict=True):
             sees = row.any(axis=1)
@@ -201,9 +190,7 @@ class _PrecisionPredictor:
             gain = np.linalg.solve(
                 noise + jacobian @ self.covariance @ jacobian.T, jacobian @ towards
             )
-            lowered = (
-                (gain * (jacobian @ towards)).reshape(len(jacobian), nodes, 3).sum(axis=(0, 2))
-            )
+            lowered = (gain * (jacobian @ towards)).reshape(len(jacobian), -1, 3).sum(axis=(0, 2))
             mean, largest = _summary(np.maximum(before - lowered, 0.0))
             found.append(Suggestion(vector3(position), mean, largest))
         found.sort(key=lambda one: one.mean_sigma_mm)
@@ -222,9 +209,16 @@ def _summary(variances: Array) -> tuple[float, float]:
     return float(np.sqrt(variances.mean())), float(np.sqrt(variances.max()))
 
 
-def _grid(low: Array, high: Array, count: int) -> Array:
-    axes = [np.linspace(a, b, count) for a, b in zip(low, high, strict=True)]
-    return np.stack([g.ravel() for g in np.meshgrid(*axes, indexing="ij")], axis=1)
+def box_points(low_mm: Array, high_mm: Array, count: int) -> Array:
+    """Return positions on a mesh over a box, shape (count^3, 3) [mm].
+
+    Args:
+        low_mm: the corner with the lowest coordinates, shape (3,) [mm].
+        high_mm: the opposite corner, shape (3,) [mm].
+        count: positions along each axis.
+    """
+    axes = np.linspace(low_mm, high_mm, count).T
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
 def _remarks(calibration: Calibration, sensors: tuple[SensorDiagnosis, ...]) -> tuple[str, ...]:

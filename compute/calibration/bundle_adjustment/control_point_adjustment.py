@@ -10,11 +10,11 @@ from compute.calibration.bundle_adjustment.data_snooping import redundancy
 from compute.calibration.bundle_adjustment.pose_set import PoseSet
 from compute.calibration.bundle_adjustment.sensor_prior import SensorPrior
 from compute.calibration.bundle_adjustment.solver import adjust
-from compute.calibration.single_sensor.design_matrix import fitted_columns
+from compute.calibration.single_sensor.camera_fit import fitted_columns
 from compute.calibration.single_sensor.sensor_fits import ControlObservations, SensorFits
-from compute.camera.model import PARAMETER_COUNT, SensorModel
+from compute.camera.model import SensorModel
 from compute.camera.stack import CameraStack
-from compute.progress import Progress
+from compute.progress import Progress, no_progress
 
 Array = NDArray[np.float64]
 
@@ -49,7 +49,7 @@ def adjust_control_points(
     fits: SensorFits,
     sigma_px: Array,
     control_sigma_mm: float,
-    progress: Progress | None = None,
+    progress: Progress = no_progress,
 ) -> JointFit:
     """Adjust all sensors and the control points jointly; each coordinate has a prior.
 
@@ -67,7 +67,7 @@ def adjust_control_points(
         NoConvergence, UndeterminedParameters: see ``adjust``.
     """
     points = observed.points_mm
-    counts = observed.seen & (fits.weights > 0.0)
+    counts = fits.used(observed)
     poses = PoseSet.points(
         points,
         np.where(counts, observed.readings_px, np.nan),
@@ -94,35 +94,13 @@ def adjust_control_points(
     )
 
 
-def projected_point_sigma(
-    models: tuple[SensorModel, ...], points_mm: Array, sigma_mm: float
-) -> Array:
-    """Project the control points' uncertainty onto the readings.
-
-    Args:
-        models: S cameras.
-        points_mm: control points, shape (N, 3) [mm].
-        sigma_mm: standard deviation of each coordinate [mm].
-
-    Returns:
-        Standard deviations of the readings due to the points, shape (N, S) [px].
-    """
-    jacobian = CameraStack.of(models).linearise(points_mm)[1]
-    point_sigma: Array = sigma_mm * np.linalg.norm(jacobian, axis=2)
-    return point_sigma
-
-
 def _prior(fits: SensorFits) -> SensorPrior | None:
     """Return the prior of the lens offsets along the slits; None without distortion."""
-    at_prior, information = [], []
-    for row, model in enumerate(fits.models):
-        diagonal = np.zeros(model.parameter_count)
-        if model.distortion is not None:
-            diagonal[PARAMETER_COUNT] = fits.lens_offsets.prior.sigma_mm[row] ** -2.0
-            mean = float(fits.lens_offsets.prior.mean_mm[row])
-            model = replace(model, distortion=replace(model.distortion, offset_y_mm=mean))
-        at_prior.append(model)
-        information.append(diagonal)
-    if not any(diagonal.any() for diagonal in information):
-        return None
-    return SensorPrior(tuple(at_prior), np.diag(np.concatenate(information)))
+    prior = fits.lens_offsets.prior
+    at_means = [
+        model
+        if model.distortion is None
+        else replace(model, distortion=replace(model.distortion, offset_y_mm=mean))
+        for model, mean in zip(fits.models, prior.mean_mm.tolist(), strict=True)
+    ]
+    return SensorPrior.of_lens_offsets(at_means, prior.sigma_mm)

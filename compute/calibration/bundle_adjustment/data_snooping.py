@@ -6,6 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.calibration.bundle_adjustment.adjustment_result import AdjustmentResult
+from compute.calibration.bundle_adjustment.gauge import gather_parameters
+from compute.calibration.bundle_adjustment.normal_equations import WhitenedJacobians
 from compute.camera.stack import CameraStack
 from compute.robust_statistics import MAD_TO_SIGMA
 
@@ -30,30 +32,21 @@ def redundancy(adjusted: AdjustmentResult, index: int = 0) -> Array:
     """
     poses = adjusted.pose_sets[index]
     cameras = CameraStack.of(adjusted.models)
-    marker = poses.marker_positions().reshape(-1, 3)
-    full = (*poses.readings_px.shape, -1)
-    _, by_place = cameras.linearise(marker)
-    scale = np.where(poses.seen, 1.0 / poses.sigma_px, 0.0)[..., None]
-    position_jacobian = np.nan_to_num(by_place).reshape(full) * scale
-    local = position_jacobian @ poses.marker_jacobian()
-    by_parameter = np.nan_to_num(cameras.parameter_jacobian(marker)).reshape(full) * scale
-    size = len(adjusted.global_covariance)
-    present = np.flatnonzero(cameras.parameter_mask)
-    order = cameras.parameter_index.ravel()[present]
+    at = WhitenedJacobians.of(cameras, poses, np.where(poses.seen, 1.0 / poses.sigma_px, 0.0))
     sensors, width = cameras.parameter_index.shape
     rows = np.zeros((*poses.readings_px.shape, sensors * width))
     sensor = np.arange(sensors)[:, None]
-    rows[:, :, sensor, sensor * width + np.arange(width)] = by_parameter
-    by_globals = np.zeros((*poses.readings_px.shape, size))
-    by_globals[..., order] = rows[..., present]
-    if poses.shape.unknowns:
-        first = len(present) + sum(p.shape.unknowns for p in adjusted.pose_sets[:index])
-        changes = np.einsum("bij,mkj->bkim", poses.rotation, poses.shape.basis)
-        by_globals[..., first : first + poses.shape.unknowns] = position_jacobian @ changes
+    rows[:, :, sensor, sensor * width + np.arange(width)] = at.by_parameter
+    by_sensors = gather_parameters(cameras, rows)
+    count = by_sensors.shape[-1]
+    by_globals = np.zeros((*poses.readings_px.shape, len(adjusted.global_covariance)))
+    by_globals[..., :count] = by_sensors
+    first = count + sum(p.shape.unknowns for p in adjusted.pose_sets[:index])
+    by_globals[..., first : first + poses.shape.unknowns] = at.by_shape
     inverse, carried = adjusted.eliminated(index)
-    by_globals -= local @ carried[:, None]
+    by_globals -= at.by_pose @ carried[:, None]
     fitted = ((by_globals @ adjusted.global_covariance) * by_globals).sum(axis=-1)
-    fitted += ((local @ inverse[:, None]) * local).sum(axis=-1)
+    fitted += ((at.by_pose @ inverse[:, None]) * at.by_pose).sum(axis=-1)
     return np.where(poses.seen, np.clip(1.0 - fitted, 0.0, 1.0), 0.0)
 
 

@@ -12,13 +12,15 @@ from compute.camera.stack import CameraStack
 
 Array = NDArray[np.float64]
 
-_AXES = np.eye(3)
 
-
-def rigid_motion_jacobian(models: Sequence[SensorModel]) -> Array:
+def rigid_motion_jacobian(models: Sequence[SensorModel], size: int = 0) -> Array:
     """Return d parameters / d (rotation, translation) of the world, shape (P, 6).
 
     For ``X <- X + w x X + t`` with cameras whose readings of the moved points do not change.
+
+    Args:
+        models: the cameras, with P parameters in all.
+        size: number of rows if there are other unknowns, which do not change: theirs are 0.
     """
     blocks = []
     for model in models:
@@ -28,7 +30,8 @@ def rigid_motion_jacobian(models: Sequence[SensorModel]) -> Array:
         if model.distortion is not None:
             block[7, 3:] = -model.rotation[1]
         blocks.append(block)
-    return np.concatenate(blocks)
+    jacobian = np.concatenate(blocks)
+    return np.pad(jacobian, ((0, max(size - len(jacobian), 0)), (0, 0)))
 
 
 def transform_world(model: SensorModel, rotation: Array, translation_mm: Array) -> SensorModel:
@@ -74,27 +77,39 @@ def inner_constraints(cameras: CameraStack, points_mm: Array, weights: Array) ->
     rotated = np.cross(arms[:, None], whitened)
     by_motion = np.concatenate([rotated, whitened], axis=2)
     datum = np.einsum("nsm,nsp->msp", by_motion, by_parameter).reshape(6, -1)
+    return np.ascontiguousarray(gather_parameters(cameras, datum).T)
+
+
+def gather_parameters(cameras: CameraStack, values: Array) -> Array:
+    """Return values by all parameters in the order of the cameras' joint covariance.
+
+    Args:
+        cameras: S cameras with P parameters in all.
+        values: by each camera and parameter of the stack, shape (..., S * width).
+
+    Returns:
+        Shape (..., P).
+    """
     present = np.flatnonzero(cameras.parameter_mask)
-    ordered = np.empty((6, len(present)))
-    ordered[:, cameras.parameter_index.ravel()[present]] = datum[:, present]
-    return np.ascontiguousarray(ordered.T)
+    gathered = np.empty((*values.shape[:-1], len(present)))
+    gathered[..., cameras.parameter_index.ravel()[present]] = values[..., present]
+    return gathered
 
 
-def centring(models: Sequence[SensorModel], centre_mm: Array) -> Array:
-    """Return T, shape (P, P), from steps of cameras to steps with the origin at a point.
+def shift_origins(models: Sequence[SensorModel], shifts_mm: Sequence[Array]) -> Array:
+    """Return T, shape (P, P), from steps of cameras to steps about other origins.
 
     Seen from the centre of the measured volume, rotations and translations of a camera correlate
     least.
 
     Args:
         models: the cameras, with P parameters in all.
-        centre_mm: the new origin, shape (3,) [mm].
+        shifts_mm: for each, the new origin less the old in its own frame, shape (3,) [mm].
     """
-    size = sum(model.parameter_count for model in models)
-    change = np.eye(size)
+    change = np.eye(sum(model.parameter_count for model in models))
     first = 0
-    for model in models:
-        a, b, c = (model.rotation @ centre_mm).tolist()
+    for model, shift in zip(models, shifts_mm, strict=True):
+        a, b, c = shift.tolist()
         # d(offset + R m) = d offset + w x (R m)
         change[first + 5, first + 2 : first + 5] = (0.0, c, -b)
         change[first + 6, first + 2 : first + 5] = (b, -a, 0.0)
@@ -107,5 +122,4 @@ def centring(models: Sequence[SensorModel], centre_mm: Array) -> Array:
 def orthogonal_complement(columns: Array) -> Array:
     """Return an orthonormal basis of the orthogonal complement of some columns."""
     basis, _ = np.linalg.qr(columns, mode="complete")
-    rest: Array = basis[:, columns.shape[1] :]
-    return rest
+    return np.asarray(basis[:, columns.shape[1] :])

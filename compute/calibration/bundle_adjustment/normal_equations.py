@@ -1,17 +1,26 @@
-"""Normal equations of a bundle adjustment: assembly, and reduction by Schur complement."""
+"""State, loss and normal equations of a bundle adjustment, with their Schur complement."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.calibration.bundle_adjustment.gauge import gather_parameters
 from compute.calibration.bundle_adjustment.pose_set import PoseSet
 from compute.calibration.bundle_adjustment.sensor_prior import SensorPrior
 from compute.camera.model import SensorModel
 from compute.camera.stack import CameraStack
+from compute.robust_statistics import MAD_TO_SIGMA
 
 Array = NDArray[np.float64]
+
+HUBER_LIMIT: Final = 3.0
+"""Residual, in standard deviations, beyond which it counts by its size and not by its square
+(Huber, doi:10.1214/aoms/1177703732): of good readings 0.3 % lie beyond, so that the covariance is
+that of least squares; an outlier has no more influence than a residual of three standard
+deviations."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,6 +165,45 @@ def _damp(normal: Array, damping: float) -> None:
     normal[..., diagonal_index, diagonal_index] += np.where(diagonal > 0.0, damping * diagonal, 1.0)
 
 
+@dataclass(frozen=True, eq=False)
+class WhitenedJacobians:
+    """Readings of one pose set and their Jacobians, over their standard deviations.
+
+    Args:
+        projected_px: readings of the cameras, shape (B, K, S) [px], not over sigma.
+        by_parameter: by the cameras' parameters, shape (B, K, S, width).
+        by_pose: by the poses' unknowns, shape (B, K, S, d).
+        by_shape: by the unknowns of the shape, shape (B, K, S, M).
+    """
+
+    projected_px: Array
+    by_parameter: Array
+    by_pose: Array
+    by_shape: Array
+
+    @classmethod
+    def of(cls, cameras: CameraStack, poses: PoseSet, weight: Array) -> "WhitenedJacobians":
+        """Linearise the readings.
+
+        Args:
+            cameras: S cameras.
+            poses: B poses of K markers.
+            weight: 1 / standard deviation, shape (B, K, S) [1/px]; 0: not seen.
+        """
+        marker = poses.marker_positions().reshape(-1, 3)
+        full = (*poses.readings_px.shape, -1)
+        scale = weight[..., None]
+        projected, by_position = cameras.linearise(marker)
+        by_position = np.nan_to_num(by_position).reshape(full) * scale
+        # (B, K, S, 3) @ (B, K, 3, unknowns)
+        return cls(
+            projected.reshape(full[:-1]),
+            np.nan_to_num(cameras.parameter_jacobian(marker)).reshape(full) * scale,
+            by_position @ poses.marker_jacobian(),
+            by_position @ np.einsum("bij,mkj->bkim", poses.rotation, poses.shape.basis),
+        )
+
+
 def build_normal_equations(
     state: AdjustmentState, weights: Sequence[Array], prior: SensorPrior | None
 ) -> NormalEquations:
@@ -167,9 +215,7 @@ def build_normal_equations(
         prior: of the sensors.
     """
     cameras = CameraStack.of(state.models)
-    present = np.flatnonzero(cameras.parameter_mask)
-    order = cameras.parameter_index.ravel()[present]
-    count = len(present)
+    count = int(cameras.parameter_mask.sum())
     size = count + sum(poses.shape.unknowns for poses in state.pose_sets)
     normal, gradient = np.zeros((size, size)), np.zeros(size)
     sensors, width = cameras.parameter_index.shape
@@ -180,40 +226,32 @@ def build_normal_equations(
     for poses, weight in zip(state.pose_sets, weights, strict=True):
         shape = slice(first, first + poses.shape.unknowns)
         first = shape.stop
-        marker = poses.marker_positions().reshape(-1, 3)
-        projected, position_jacobian = cameras.linearise(marker)
-        full = (*poses.readings_px.shape, -1)
         scale = np.where(poses.seen, np.sqrt(weight) / poses.sigma_px, 0.0)
-        residual = np.where(
-            poses.seen, (projected.reshape(full[:-1]) - poses.readings_px) * scale, 0.0
+        at = WhitenedJacobians.of(cameras, poses, scale)
+        residual = np.where(poses.seen, (at.projected_px - poses.readings_px) * scale, 0.0)
+        sensor_normal += np.einsum(
+            "bksp,bksq->spq", at.by_parameter, at.by_parameter, optimize=True
         )
-        inverse_sigma = scale[..., None]
-        globals_ = np.nan_to_num(cameras.parameter_jacobian(marker)).reshape(full) * inverse_sigma
-        weighted_position_jacobian = np.nan_to_num(position_jacobian).reshape(full) * inverse_sigma
-        local = weighted_position_jacobian @ poses.marker_jacobian()  # (B, K, S, 3) @ (B, K, 3, d)
-        sensor_normal += np.einsum("bksp,bksq->spq", globals_, globals_, optimize=True)
-        sensor_gradient += np.einsum("bksp,bks->sp", globals_, residual)
+        sensor_gradient += np.einsum("bksp,bks->sp", at.by_parameter, residual)
 
-        flat = local.reshape(len(poses), -1, poses.unknowns)
+        flat = at.by_pose.reshape(len(poses), -1, poses.unknowns)
         transposed = flat.transpose(0, 2, 1)
         block_normal = transposed @ flat
         block_gradient = (transposed @ residual.reshape(len(poses), -1, 1))[..., 0]
         # (B, S, width, K) @ (B, S, K, d)
-        crossed = globals_.transpose(0, 2, 3, 1) @ local.transpose(0, 2, 1, 3)
+        crossed = at.by_parameter.transpose(0, 2, 3, 1) @ at.by_pose.transpose(0, 2, 1, 3)
+        crossed = crossed.reshape(len(poses), sensors * width, -1).swapaxes(1, 2)
         mixed = np.zeros((len(poses), size, poses.unknowns))
-        mixed[:, order] = crossed.reshape(len(poses), sensors * width, -1)[:, present]
+        mixed[:, :count] = gather_parameters(cameras, crossed).swapaxes(1, 2)
         if poses.shape.unknowns:
-            changes = np.einsum("bij,mkj->bkim", poses.rotation, poses.shape.basis)
-            shape_jacobian = weighted_position_jacobian @ changes  # (B, K, S, M)
-            rows = shape_jacobian.reshape(-1, poses.shape.unknowns)
+            rows = at.by_shape.reshape(-1, poses.shape.unknowns)
             normal[shape, shape] += rows.T @ rows
             gradient[shape] += rows.T @ residual.ravel()
-            with_sensors = np.einsum("bksp,bksm->spm", globals_, shape_jacobian, optimize=True)
-            part = np.zeros((count, poses.shape.unknowns))
-            part[order] = with_sensors.reshape(sensors * width, -1)[present]
-            normal[:count, shape] += part
-            normal[shape, :count] += part.T
-            mixed[:, shape] = shape_jacobian.reshape(*flat.shape[:2], -1).transpose(0, 2, 1) @ flat
+            with_sensors = np.einsum("bksp,bksm->spm", at.by_parameter, at.by_shape, optimize=True)
+            part = gather_parameters(cameras, with_sensors.reshape(sensors * width, -1).T)
+            normal[shape, :count] += part
+            normal[:count, shape] += part.T
+            mixed[:, shape] = at.by_shape.reshape(*flat.shape[:2], -1).transpose(0, 2, 1) @ flat
         known, known_jacobian = poses.shape.equations()
         normal[shape, shape] += known_jacobian.T @ known_jacobian
         gradient[shape] += known_jacobian.T @ known
@@ -227,11 +265,68 @@ def build_normal_equations(
     together = np.zeros((sensors, width, sensors, width))
     index = np.arange(sensors)
     together[index, :, index] = sensor_normal
-    square = together.reshape(sensors * width, -1)[np.ix_(present, present)]
-    normal[np.ix_(order, order)] += square
-    gradient[order] += sensor_gradient.ravel()[present]
+    square = gather_parameters(cameras, together.reshape(sensors * width, -1))
+    normal[:count, :count] += gather_parameters(cameras, square.T).T
+    gradient[:count] += gather_parameters(cameras, sensor_gradient.ravel())
     if prior is not None:
         difference, prior_jacobian = prior.difference(state.models)
         normal[:count, :count] += prior_jacobian.T @ prior.information @ prior_jacobian
         gradient[:count] += prior_jacobian.T @ prior.information @ difference
     return NormalEquations(normal, gradient, tuple(blocks))
+
+
+def total_loss(
+    state: AdjustmentState, residuals: Sequence[Array], prior: SensorPrior | None, limit: float
+) -> float:
+    """Return the loss of a state; NaN with an observed marker behind a lens.
+
+    Args:
+        state: sensors and poses.
+        residuals: over sigma, shape (B, K, S) for each pose set.
+        prior: of the sensors, or None.
+        limit: beyond this residual Huber's linear loss holds; inf: squares only.
+    """
+    total = 0.0
+    for poses, residual in zip(state.pose_sets, residuals, strict=True):
+        size = np.abs(residual)
+        if np.isfinite(limit):
+            total += float(np.where(size <= limit, size**2, 2.0 * limit * size - limit**2).sum())
+        else:
+            total += float((size**2).sum())
+        placed = poses.prior()
+        if placed is not None:
+            away, information = placed
+            total += float(np.einsum("bi,bij,bj->", away, information, away))
+        total += float((poses.shape.equations()[0] ** 2).sum())
+    if prior is not None:
+        away = prior.difference(state.models)[0]
+        total += float(away @ prior.information @ away)
+    return total
+
+
+def loss_weights(residuals: Sequence[Array], limit: float) -> list[Array]:
+    """Return the weights of iteratively reweighted least squares.
+
+    Args:
+        residuals: over sigma, shape (B, K, S) for each pose set.
+        limit: Huber's limit; inf: all weights are 1.
+
+    Returns:
+        Weights, shape (B, K, S) for each set.
+    """
+    return [
+        limit / np.maximum(np.abs(one), limit) if np.isfinite(limit) else np.ones_like(one)
+        for one in residuals
+    ]
+
+
+def robust_scale(state: AdjustmentState, residuals: Sequence[Array]) -> float:
+    """Estimate the residuals' scale from their median absolute value; at least 1.
+
+    Args:
+        state: sensors and poses.
+        residuals: over sigma, shape (B, K, S) for each pose set.
+    """
+    seen = [r[poses.seen] for r, poses in zip(residuals, state.pose_sets, strict=True)]
+    together = np.abs(np.concatenate(seen))
+    return max(1.0, MAD_TO_SIGMA * float(np.median(together))) if len(together) else 1.0

@@ -128,6 +128,16 @@ class PoseSet:
         jacobian[..., len(rotation_axes) :] = _AXES
         return jacobian
 
+    def select(self, which: NDArray[np.bool_] | NDArray[np.intp]) -> "PoseSet":
+        """Return some of the poses, by a mask (B,) or indices; without known positions."""
+        return PoseSet(
+            self.shape,
+            self.translation_mm[which],
+            self.rotation[which],
+            self.readings_px[which],
+            self.sigma_px[which],
+        )
+
     def retract(self, step: Array) -> "PoseSet":
         """Return the poses after steps (B, unknowns)."""
         rotation_axes = list(self.shape.rotation_axes)

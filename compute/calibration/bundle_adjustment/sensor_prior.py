@@ -25,6 +25,26 @@ class SensorPrior:
     models: tuple[SensorModel, ...]
     information: Array
 
+    @classmethod
+    def of_lens_offsets(
+        cls, models: Sequence[SensorModel], sigma_mm: Sequence[float] | Array
+    ) -> "SensorPrior | None":
+        """Return the prior of the lens offsets along the slits; None where no sensor has any.
+
+        Args:
+            models: S cameras at the prior's means.
+            sigma_mm: standard deviations, shape (S,) [mm].
+        """
+        if all(model.distortion is None for model in models):
+            return None
+        information = []
+        for model, sigma in zip(models, sigma_mm, strict=True):
+            diagonal = np.zeros(model.parameter_count)
+            if model.distortion is not None:
+                diagonal[PARAMETER_COUNT] = float(sigma) ** -2.0
+            information.append(diagonal)
+        return cls(tuple(models), np.diag(np.concatenate(information)))
+
     def difference(self, models: Sequence[SensorModel]) -> tuple[Array, Array]:
         """Return models minus means (P,), and its Jacobian by the parameters (P, P)."""
         steps = [step_between(old, new) for old, new in zip(self.models, models, strict=True)]
@@ -73,5 +93,4 @@ def inverse_left_jacobian(vector: Array) -> Array:
     second = 1.0 / 12.0
     if angle > 1e-4:
         second = 1.0 / angle**2 - (1.0 + np.cos(angle)) / (2.0 * angle * np.sin(angle))
-    inverse: Array = np.eye(3) - 0.5 * cross + second * (cross @ cross)
-    return inverse
+    return np.asarray(np.eye(3) - 0.5 * cross + second * (cross @ cross))

@@ -14,21 +14,19 @@ from compute.calibration.bundle_adjustment.adjustment_result import (
 )
 from compute.calibration.bundle_adjustment.gauge import orthogonal_complement, rigid_motion_jacobian
 from compute.calibration.bundle_adjustment.normal_equations import (
+    HUBER_LIMIT,
     AdjustmentState,
     build_normal_equations,
-)
-from compute.calibration.bundle_adjustment.pose_set import PoseSet
-from compute.calibration.bundle_adjustment.robust_loss import (
-    HUBER_LIMIT,
-    Loss,
     loss_weights,
     robust_scale,
     total_loss,
 )
+from compute.calibration.bundle_adjustment.pose_set import PoseSet
 from compute.calibration.bundle_adjustment.sensor_prior import SensorPrior
+from compute.calibration.settings import Loss
 from compute.camera.model import SensorModel
 from compute.errors import InvalidParameter, NoConvergence
-from compute.progress import Progress
+from compute.progress import Progress, no_progress
 
 Array = NDArray[np.float64]
 
@@ -59,7 +57,7 @@ def adjust(
     free_datum: bool = False,
     loss: Loss = "linear",
     max_iterations: int = MAX_ITERATIONS,
-    progress: Progress | None = None,
+    progress: Progress = no_progress,
 ) -> AdjustmentResult:
     """Adjust sensors, shapes and poses to the readings.
 
@@ -82,13 +80,11 @@ def adjust(
         NoConvergence: an observed marker starts behind a lens, or the search does not converge.
         UndeterminedParameters: more than one solution fits.
     """
-    state = _check_inputs(models, pose_sets)
-    count = sum(model.parameter_count for model in state.models)
-    shapes = sum(poses.shape.unknowns for poses in state.pose_sets)
-    if free is not None and free.shape != (count,):
-        raise InvalidParameter(f"free has shape {free.shape}; it must be ({count},)")
-    adjusted_parameters = np.ones(count + shapes, dtype=np.bool_)
+    state, adjusted_parameters = _check_inputs(models, pose_sets)
     if free is not None:
+        count = sum(model.parameter_count for model in state.models)
+        if free.shape != (count,):
+            raise InvalidParameter(f"free has shape {free.shape}; it must be ({count},)")
         adjusted_parameters[:count] = free
     if free_datum and not adjusted_parameters.all():
         raise InvalidParameter("a free frame needs all parameters free; held ones fix the frame")
@@ -128,10 +124,8 @@ def approximate_solution(
     Raises:
         InvalidParameter, NoConvergence: as ``adjust``, for the start.
     """
-    state = _check_inputs(models, pose_sets)
-    count = sum(model.parameter_count for model in state.models)
-    count += sum(poses.shape.unknowns for poses in state.pose_sets)
-    search = _Search(state, prior, np.ones(count, dtype=np.bool_), None, steps, free_datum)
+    state, every = _check_inputs(models, pose_sets)
+    search = _Search(state, prior, every, no_progress, steps, free_datum)
     with suppress(NoConvergence):
         search.run_stages(loss, COARSE_TOLERANCE)
     return search.state
@@ -144,7 +138,7 @@ class _Search:
     state: AdjustmentState
     prior: SensorPrior | None
     adjusted_parameters: NDArray[np.bool_]
-    progress: Progress | None
+    progress: Progress
     max_iterations: int
     free_datum: bool
     iterations: int = 0
@@ -189,13 +183,6 @@ class _Search:
             scale = min(robust_scale(self.state, self.residuals), scale / 1.5)
         self.run(HUBER_LIMIT, max(tolerance, ROBUST_TOLERANCE))
 
-    def _motion(self) -> Array:
-        """Return the globals' Jacobian by rigid motions of the world, shape (F, 6)."""
-        jacobian = rigid_motion_jacobian(self.state.models)
-        motion = np.zeros((len(self.adjusted_parameters), 6))
-        motion[: len(jacobian)] = jacobian
-        return motion
-
     def run(self, limit: float, tolerance: float) -> None:
         """Iterate until a step predicts a relative decrease of less than ``tolerance``."""
         damping = 1e-4
@@ -205,10 +192,11 @@ class _Search:
             equations = build_normal_equations(self.state, weights, self.prior)
             # A weak prior of the frame would slowly rotate the whole world, by linear steps on a
             # curved path.
-            motion = self._motion() if self.free_datum else None
+            motion = None
+            if self.free_datum:
+                motion = rigid_motion_jacobian(self.state.models, len(self.adjusted_parameters))
             while True:
-                if self.progress is not None:
-                    self.progress(min(self.iterations / self.max_iterations, 1.0), "adjustment")
+                self.progress(min(self.iterations / self.max_iterations, 1.0), "adjustment")
                 if self.iterations >= self.max_iterations:
                     raise NoConvergence(
                         f"the adjustment has not converged after {self.iterations} steps "
@@ -257,7 +245,10 @@ class _Search:
                 return
 
 
-def _check_inputs(models: Sequence[SensorModel], pose_sets: Sequence[PoseSet]) -> AdjustmentState:
+def _check_inputs(
+    models: Sequence[SensorModel], pose_sets: Sequence[PoseSet]
+) -> tuple[AdjustmentState, NDArray[np.bool_]]:
+    """Return the starting state, and a mask that adjusts all its globals."""
     for model in models:
         if model.cubic_per_px2 != 0.0:
             raise InvalidParameter(
@@ -271,7 +262,9 @@ def _check_inputs(models: Sequence[SensorModel], pose_sets: Sequence[PoseSet]) -
                 f"set {number + 1} has readings of {poses.readings_px.shape[-1]} sensors; "
                 f"there are {len(models)}"
             )
-    return AdjustmentState(tuple(models), tuple(pose_sets))
+    count = sum(model.parameter_count for model in models)
+    count += sum(poses.shape.unknowns for poses in pose_sets)
+    return AdjustmentState(tuple(models), tuple(pose_sets)), np.ones(count, dtype=np.bool_)
 
 
 def _solve_damped(normal: Array, right: Array, motion: Array | None) -> Array:

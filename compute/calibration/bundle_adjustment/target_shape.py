@@ -11,9 +11,6 @@ from compute.errors import InvalidParameter
 
 Array = NDArray[np.float64]
 
-POINT_ROTATION_AXES: tuple[int, ...] = ()
-LINE_ROTATION_AXES = (1, 2)
-BODY_ROTATION_AXES = (0, 1, 2)
 COLLINEARITY_LIMIT = 1e-6
 """Markers whose distance from a line is less than this, relative to its length, are on it."""
 
@@ -95,25 +92,18 @@ class TargetShape:
 
 def point_shape() -> TargetShape:
     """Return the shape of a single marker."""
-    return TargetShape(
-        np.zeros((1, 3)), POINT_ROTATION_AXES, np.zeros((0, 1, 3)), np.inf, np.zeros((1, 3))
-    )
+    return TargetShape(np.zeros((1, 3)), (), np.zeros((0, 1, 3)), np.inf, np.zeros((1, 3)))
 
 
-def line_shape(
-    position_mm: Sequence[float] | Array,
-    sigma_mm: float = 0.0,
-    distances: Sequence[KnownDistance] = (),
-) -> TargetShape:
+def line_shape(position_mm: Sequence[float] | Array, sigma_mm: float = 0.0) -> TargetShape:
     """Return the shape of markers on a line.
 
     Args:
         position_mm: their positions along it, shape (K,), at least two, all different [mm].
-        sigma_mm: standard deviation of each place [mm]; 0: exact; inf: only the distances count.
-        distances: measured distances between markers.
+        sigma_mm: standard deviation of each position [mm]; 0: exact.
 
     Raises:
-        InvalidParameter: fewer than two markers, two at one place, or a value that is not finite.
+        InvalidParameter: fewer than two markers, two that coincide, or a value not finite.
     """
     along = np.asarray(position_mm, dtype=np.float64)
     if along.ndim != 1 or len(along) < 2 or not np.isfinite(along).all():
@@ -129,7 +119,7 @@ def line_shape(
         changes = np.zeros((len(along) - 1, len(along), 3))
         # All directions but a common shift along the line.
         changes[..., 0] = orthogonal_complement(np.ones((len(along), 1))).T
-    return TargetShape(marker, LINE_ROTATION_AXES, changes, sigma_mm, marker, tuple(distances))
+    return TargetShape(marker, (1, 2), changes, sigma_mm, marker)
 
 
 def body_shape(
@@ -167,7 +157,7 @@ def body_shape(
         rotated = np.cross(axes[:, None], marker)
         rigid = np.concatenate([shifts, rotated]).reshape(6, -1).T
         changes = orthogonal_complement(rigid).T.reshape(-1, len(marker), 3)
-    return TargetShape(marker, BODY_ROTATION_AXES, changes, sigma_mm, marker, tuple(distances))
+    return TargetShape(marker, (0, 1, 2), changes, sigma_mm, marker, tuple(distances))
 
 
 def _varies(sigma_mm: float) -> bool:

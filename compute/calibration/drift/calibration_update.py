@@ -11,7 +11,7 @@ from compute.calibration.bundle_adjustment.pose_set import PoseSet
 from compute.calibration.bundle_adjustment.sensor_prior import SensorPrior
 from compute.calibration.bundle_adjustment.solver import adjust
 from compute.calibration.drift.stability_check import StationaryMarkers, prediction_residuals
-from compute.calibration.result import Calibration
+from compute.calibration.result import Calibration, nested_rows
 from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter, UnknownSensor
 
@@ -93,7 +93,7 @@ def update_calibration(
             )
         ),
         tuple(tuple(row) for row in covariance.tolist()),
-        tuple(tuple(None if np.isnan(x) else x for x in row) for row in residuals.tolist()),
+        nested_rows(residuals),
         settings=calibration.settings,
     )
 

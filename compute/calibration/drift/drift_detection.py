@@ -113,41 +113,33 @@ def check_drift(calibration: Calibration, stationary: StationaryMarkers) -> Drif
         for column in range(len(cameras))
     )
     good = p_value >= FALSE_ALARM_PROBABILITY
-    whole = None
+    motion = None
     if not good and sum(sensor.moved for sensor in sensors) > 1:
-        whole = _fit_rigid_motion(cameras, compared, seen)
-    return DriftCheck(
-        good,
-        p_value,
-        chi2,
-        dof,
-        whole is not None,
-        None if whole is None else whole[0],
-        None if whole is None else whole[1],
-        sensors,
-    )
+        motion = _fit_rigid_motion(cameras, compared, seen)
+    angle, shift = motion or (None, None)
+    return DriftCheck(good, p_value, chi2, dof, motion is not None, angle, shift, sensors)
 
 
 def _chi2(compared: PredictionResiduals, which: NDArray[np.bool_]) -> tuple[float, int]:
     """Return chi2 of a mask's readings (M, S), and their number."""
-    flat = which.ravel()
-    residual = compared.residual_px.ravel()[flat]
-    covariance = _covariance_matrix(compared)[np.ix_(flat, flat)]
+    residual, covariance = _selected(compared, which)
     return float(residual @ np.linalg.solve(covariance, residual)), len(residual)
 
 
-def _covariance_matrix(compared: PredictionResiduals) -> Array:
-    return compared.covariance_px2.reshape(compared.residual_px.size, -1)
+def _selected(compared: PredictionResiduals, which: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """Return the residuals of a mask's readings and their covariance."""
+    flat = which.ravel()
+    covariance = compared.covariance_px2.reshape(flat.size, -1)
+    return compared.residual_px.ravel()[flat], covariance[np.ix_(flat, flat)]
 
 
 def _fit_change(
     compared: PredictionResiduals, which: NDArray[np.bool_], columns: Array
 ) -> tuple[Array, Array, float]:
     """Fit changes (C,) with Jacobian (M, S, C) to a mask's readings: values, covariance, chi2."""
-    flat = which.ravel()
-    residual = compared.residual_px.ravel()[flat]
-    design = columns.reshape(flat.size, -1)[flat]
-    whiten = np.linalg.inv(np.linalg.cholesky(_covariance_matrix(compared)[np.ix_(flat, flat)]))
+    residual, covariance = _selected(compared, which)
+    design = columns.reshape(which.size, -1)[which.ravel()]
+    whiten = np.linalg.inv(np.linalg.cholesky(covariance))
     rows, right = whiten @ design, whiten @ residual
     values: Array = np.asarray(np.linalg.lstsq(rows, right, rcond=None)[0], dtype=np.float64)
     left = right - rows @ values
@@ -174,16 +166,13 @@ def _sensor_drift(
     rms = float(np.sqrt(np.mean(compared.residual_px[own] ** 2)))
     if p_value >= limit:
         return SensorDrift(model.name, count, rms, p_value, False, None, "", None, None, None)
-    best: tuple[float, str, float, float] | None = None
+    fits = []
     for name in EXPLANATIONS:
-        index = model.parameter_names.index(name)
         change_jacobian = np.zeros((*seen.shape, 1))
-        change_jacobian[:, column, 0] = jacobian[:, column, index]
+        change_jacobian[:, column, 0] = jacobian[:, column, model.parameter_names.index(name)]
         values, covariance, left = _fit_change(compared, own, change_jacobian)
-        if best is None or left < best[0]:
-            best = left, name, float(values[0]), float(np.sqrt(covariance[0, 0]))
-    assert best is not None
-    left, name, change, sigma = best
+        fits.append((left, name, float(values[0]), float(np.sqrt(covariance[0, 0]))))
+    left, name, change, sigma = min(fits, key=lambda fit: fit[0])
     after = float(chdtrc(dof - 1, left)) if dof > 1 else None
     return SensorDrift(
         model.name, count, rms, p_value, True, name, EXPLANATIONS[name], change, sigma, after

@@ -1,8 +1,9 @@
 """Detection of label errors in control data: readings that carry the label of another point."""
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from math import log, pi
+from math import comb, exp, log, pi
 from statistics import median
 from typing import Final
 
@@ -10,12 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2 as chi2_distribution
 
-from compute.calibration.mislabels.device_search import DeviceExplanation, search_device
-from compute.calibration.mislabels.evaluation import SensorReadings
-from compute.calibration.mislabels.finding import LabelErrorKind, LabelFinding
-from compute.calibration.mislabels.hypothesis import Hypothesis
+from compute.calibration.mislabels.evaluation import SensorReadings, evaluate
+from compute.calibration.mislabels.hypothesis import (
+    KNOWN_SIGMA,
+    Hypothesis,
+    ScalePrior,
+    log_exchange_prior,
+)
 from compute.calibration.mislabels.lens_fit import with_lens
-from compute.calibration.mislabels.marginal_likelihood import KNOWN_SIGMA, ScalePrior
+from compute.calibration.mislabels.repair import LabelErrorKind, LabelFinding
 from compute.calibration.mislabels.sensor_search import (
     SensorExplanation,
     contradicts_sigma,
@@ -23,24 +27,7 @@ from compute.calibration.mislabels.sensor_search import (
 )
 from compute.camera.model import SensorGeometry
 from compute.camera.observation_checks import check_control_points
-from compute.progress import Progress
-
-
-@dataclass(frozen=True)
-class LabelReport:
-    """The label errors of a device's control data.
-
-    Args:
-        findings: the errors, those of all sensors first, then sensor by sensor.
-        sigma_px: estimated standard deviation of a reading, one for each sensor [px].
-        explanation_probability: for each sensor, posterior probability of its findings together;
-            low where other explanations fit about as well.
-    """
-
-    findings: tuple[LabelFinding, ...]
-    sigma_px: tuple[float, ...]
-    explanation_probability: tuple[float, ...]
-
+from compute.progress import Progress, no_progress
 
 Array = NDArray[np.float64]
 
@@ -53,8 +40,25 @@ POOLED_READINGS: Final = 6.0
 LOG_ALTERNATIVE_PRIOR: Final = log(1e-4)
 """Log prior probability of a wrong common factor of the standard deviations, or of a lens with
 distortion that does not contradict them everywhere."""
+COMMON_EXCHANGE_PROBABILITY: Final = 0.02
+"""Prior probability that two points have each other's labels in all sensors."""
+SEARCH_MARGIN: Final = 12.0
+"""Log posterior below what is needed at which an exchange of points is not searched for."""
 SUSPICIOUS_P_VALUE: Final = 1e-4
 """p-value of the best hypothesis's sum of squares below which these are tried."""
+
+
+@dataclass(frozen=True)
+class LabelReport:
+    """The label errors of a device's control data.
+
+    Args:
+        findings: the errors, those of all sensors first, then sensor by sensor.
+        sigma_px: estimated standard deviation of a reading, one for each sensor [px].
+    """
+
+    findings: tuple[LabelFinding, ...]
+    sigma_px: tuple[float, ...]
 
 
 def find_label_errors(
@@ -62,7 +66,7 @@ def find_label_errors(
     readings_px: Array,
     sensors: Sequence[SensorGeometry],
     sigma_px: Array | None = None,
-    progress: Progress | None = None,
+    progress: Progress = no_progress,
 ) -> LabelReport:
     """Find wrong, missing and exchanged labels; the data are not changed.
 
@@ -93,35 +97,23 @@ def find_label_errors(
     readings = np.asarray(readings_px, dtype=np.float64)
     known_sigma = None if sigma_px is None else np.asarray(sigma_px, dtype=np.float64)
     check_control_points(points, readings, sensors, known_sigma)
-    sigma = (
-        np.ones(readings.shape)
-        if known_sigma is None
-        else np.where(np.isfinite(readings), known_sigma, 1)
-    )
+    sigma, scale = np.ones(readings.shape), UNKNOWN_SIGMA
+    if known_sigma is not None:
+        sigma, scale = np.where(np.isfinite(readings), known_sigma, 1.0), KNOWN_SIGMA
     data = [
-        SensorReadings(
-            points,
-            readings[:, column],
-            sigma[:, column],
-            sensor,
-            UNKNOWN_SIGMA if known_sigma is None else KNOWN_SIGMA,
-        )
+        SensorReadings(points, readings[:, column], sigma[:, column], sensor, scale)
         for column, sensor in enumerate(sensors)
     ]
-    names = [sensor.name for sensor in sensors]
-
     found: list[SensorExplanation] = []
     for column, one in enumerate(data):
-        if progress is not None:
-            progress(column / len(data), f"labels of {names[column]}")
+        progress(column / len(data), f"labels of {one.sensor.name}")
         data[column], labels = _search_sensor(one)
         found.append(labels)
     if known_sigma is None:
-        chosen = list(zip(data, found, strict=True))
-        usual = ScalePrior(POOLED_READINGS, median(labels.factor for _, labels in chosen))
-        data = [replace(one, scale=usual) for one, _ in chosen]
+        usual = ScalePrior(POOLED_READINGS, median(labels.factor for labels in found))
+        data = [replace(one, scale=usual) for one in data]
         found = [search_sensor_labels(one) for one in data]
-    return _report(search_device(data, found), readings, names)
+    return _report(*_search_device(data, found), readings)
 
 
 def _search_sensor(data: SensorReadings) -> tuple[SensorReadings, SensorExplanation]:
@@ -198,37 +190,87 @@ def _covariance(data: SensorReadings, labels: SensorExplanation) -> Array:
     return np.asarray(np.linalg.inv(weighted.T @ weighted))
 
 
-def _report(found: DeviceExplanation, readings_px: Array, names: Sequence[str]) -> LabelReport:
+def _search_device(
+    readings: list[SensorReadings], found: list[SensorExplanation]
+) -> tuple[dict[tuple[int, int], float], list[SensorReadings], list[SensorExplanation]]:
+    """Find exchanges that are likelier for the points than for single sensors.
+
+    Returns:
+        Pairs of points, counted from 0, with exchanged labels, and their probability; each
+        sensor's readings once those are repaired, and what is left to explain of them.
+    """
+    common: dict[tuple[int, int], float] = {}
+    refused: set[tuple[int, int]] = set()
+    while pair := next((p for p in _exchanged_pairs(found) if p not in refused), None):
+        refused.add(pair)
+        prior = log(COMMON_EXCHANGE_PROBABILITY / comb(len(readings[0].points_mm), 2))
+        expected_gain = prior + sum(
+            _expected_gain(*each, pair) for each in zip(readings, found, strict=True)
+        )
+        if expected_gain < -SEARCH_MARGIN:
+            continue
+        swapped = [one.exchanged(*pair) for one in readings]
+        after = [search_sensor_labels(one) for one in swapped]
+        gain = prior + sum(
+            new.best.log_posterior - old.best.log_posterior
+            for new, old in zip(after, found, strict=True)
+        )
+        if gain > 0.0:
+            common[pair] = 1.0 / (1.0 + exp(-min(gain, 700.0)))
+            readings, found = swapped, after
+    return common, readings, found
+
+
+def _expected_gain(data: SensorReadings, labels: SensorExplanation, pair: tuple[int, int]) -> float:
+    """Return the approximate gain of a sensor's best hypothesis when two points are exchanged."""
+    best = labels.best
+    own = log_exchange_prior(len(data.seen))
+    if pair in best.hypothesis.cycles:
+        return -own
+    if best.hypothesis.affected_points & set(pair):
+        return SEARCH_MARGIN  # Its errors are mixed up with the pair: only a search can tell.
+    evaluated = evaluate(data, [best.hypothesis.with_cycle(pair)], best.theta)
+    return max(own, evaluated[0].log_posterior - own - best.log_posterior if evaluated else own)
+
+
+def _exchanged_pairs(found: Sequence[SensorExplanation]) -> list[tuple[int, int]]:
+    """Return the pairs exchanged in any sensor, those in most sensors first."""
+    counted = Counter(
+        (cycle[0], cycle[1])
+        for labels in found
+        for cycle in labels.best.hypothesis.cycles
+        if len(cycle) == 2
+    )
+    return sorted(counted, key=lambda pair: (-counted[pair], pair))
+
+
+def _report(
+    common: dict[tuple[int, int], float],
+    data: list[SensorReadings],
+    found: list[SensorExplanation],
+    readings_px: Array,
+) -> LabelReport:
     findings: list[LabelFinding] = []
-    for exchange in found.common:
+    sensors = list(zip(data, found, strict=True))
+    for pair, probability in common.items():
         residuals = [
-            _label_residuals(labels, data, readings_px[:, column], exchange.pair)
-            for column, (data, labels) in enumerate(zip(found.readings, found.sensors, strict=True))
+            _label_residuals(*sensor, readings_px[:, column], pair)
+            for column, sensor in enumerate(sensors)
         ]
-        most = max(residuals, key=lambda residual: max(abs(s or 0.0) for s in residual.normalised))
-        findings.append(_finding("exchanged", None, exchange.pair, exchange.probability, most))
-    for name, data, labels in zip(names, found.readings, found.sensors, strict=True):
+        largest = max(residuals, key=lambda residual: max(abs(s or 0.0) for s in residual[1]))
+        counted = tuple(point + 1 for point in pair)
+        findings.append(LabelFinding("exchanged", None, counted, probability, *largest))
+    for one, labels in sensors:
         for kind, points, error in _errors(labels.best.hypothesis):
-            residual = _label_residuals(labels, data, data.readings_px, points)
-            findings.append(_finding(kind, name, points, labels.probability(error), residual))
+            residual = _label_residuals(one, labels, one.readings_px, points)
+            counted = tuple(point + 1 for point in points)
+            probability = labels.probability(error)
+            findings.append(LabelFinding(kind, one.sensor.name, counted, probability, *residual))
     sigma = tuple(
-        float(np.sqrt((data.sigma_px[data.seen] ** 2).mean())) * labels.factor
-        for data, labels in zip(found.readings, found.sensors, strict=True)
+        float(np.sqrt((one.sigma_px[one.seen] ** 2).mean())) * labels.factor
+        for one, labels in sensors
     )
-    return LabelReport(
-        tuple(findings), sigma, tuple(labels.probability() for labels in found.sensors)
-    )
-
-
-def _finding(
-    kind: LabelErrorKind,
-    sensor: str | None,
-    points: tuple[int, ...],
-    probability: float,
-    residual: "_LabelResiduals",
-) -> LabelFinding:
-    counted = tuple(point + 1 for point in points)
-    return LabelFinding(kind, sensor, counted, probability, residual.px, residual.normalised)
+    return LabelReport(tuple(findings), sigma)
 
 
 def _errors(
@@ -242,18 +284,14 @@ def _errors(
         yield "wrong", (point,), Hypothesis(wrong=frozenset({point}))
 
 
-@dataclass(frozen=True)
-class _LabelResiduals:
-    px: tuple[float | None, ...]
-    normalised: tuple[float | None, ...]
-
-
 def _label_residuals(
-    labels: SensorExplanation, data: SensorReadings, labelled_px: Array, points: Sequence[int]
-) -> _LabelResiduals:
-    """Return by how much readings miss what the camera of an explanation reads at points."""
-    best = labels.best
-    fitted, jacobian = data.camera.linearise(best.theta[None])
+    data: SensorReadings, labels: SensorExplanation, labelled_px: Array, points: Sequence[int]
+) -> tuple[tuple[float | None, ...], tuple[float | None, ...]]:
+    """Return residuals of readings at points [px], and the same over their standard deviation.
+
+    Relative to the camera of the best hypothesis; None without a reading.
+    """
+    fitted, jacobian = data.camera.linearise(labels.best.theta[None])
     covariance = _covariance(data, labels)
     usual = float(np.median(data.sigma_px[data.seen]))
     px: list[float | None] = []
@@ -269,4 +307,4 @@ def _label_residuals(
         sigma = float(np.sqrt(own**2 + gradient @ covariance @ gradient)) * labels.factor
         px.append(off)
         normalised.append(off / sigma)
-    return _LabelResiduals(tuple(px), tuple(normalised))
+    return tuple(px), tuple(normalised)

@@ -8,8 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.calibration.mislabels.hypothesis import Hypothesis
-from compute.calibration.mislabels.marginal_likelihood import Evidence, ScalePrior
+from compute.calibration.mislabels.hypothesis import Evidence, Hypothesis, ScalePrior
 from compute.calibration.single_sensor.projective_camera import ProjectiveCamera
 from compute.calibration.single_sensor.trimmed_least_squares import robust_starts
 from compute.camera.model import SensorGeometry

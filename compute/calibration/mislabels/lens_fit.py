@@ -9,15 +9,15 @@ from numpy.typing import NDArray
 
 from compute.calibration.mislabels.evaluation import SensorReadings
 from compute.calibration.mislabels.hypothesis import Hypothesis
+from compute.calibration.settings import Preset, preset_terms
 from compute.calibration.single_sensor.camera_fit import LensOffsets
-from compute.calibration.single_sensor.distortion_terms import Preset, preset_terms
-from compute.calibration.single_sensor.projective_camera import PARAMETER_COUNT_PROJECTIVE
 from compute.calibration.single_sensor.sensor_fits import (
     ControlObservations,
+    SensorFits,
     fit_distorted,
     fit_undistorted,
 )
-from compute.camera.model import SensorModel
+from compute.camera.model import PARAMETER_COUNT, SensorModel
 from compute.camera.stack import CameraStack
 from compute.errors import DegeneratePoints, LumilineError, NoConvergence, TooFewPoints
 from compute.robust_statistics import BIWEIGHT_LIMIT, mad_sigma
@@ -87,7 +87,7 @@ def with_lens(data: SensorReadings, found: Hypothesis | None = None) -> SensorRe
         return None
     width = model.parameter_count
     columns = CameraStack.of([model]).parameter_jacobian(data.points_mm)[
-        :, 0, PARAMETER_COUNT_PROJECTIVE + 1 : width
+        :, 0, PARAMETER_COUNT + 1 : width
     ]
     columns = columns / np.maximum(np.abs(columns[data.seen]).max(axis=0), 1e-12)
     plain = CameraStack.of([replace(model, distortion=None)]).project(data.points_mm)[:, 0]
@@ -104,18 +104,19 @@ def _fits(observed: ControlObservations) -> Iterator[_RobustFit]:
         plain, weights = fit_undistorted(observed, "robust")
     except NOT_FITTED:
         return
-    yield _fit(observed, plain[0], PARAMETER_COUNT_PROJECTIVE)
+    yield _fit(observed, plain[0], PARAMETER_COUNT)
     lens_offsets = LensOffsets.of(plain, observed.pitch_um, observed.points_mm, observed.seen)
+    undistorted = SensorFits(plain, weights, lens_offsets)
     for name in CANDIDATES:
         terms = preset_terms(name)
         # The offset along the slit has a prior: it is not counted.
-        if rows.sum() < READINGS_EACH * (PARAMETER_COUNT_PROJECTIVE + len(terms)):
+        if rows.sum() < READINGS_EACH * (PARAMETER_COUNT + len(terms)):
             continue
         try:
-            fitted = fit_distorted(observed, plain, [terms], lens_offsets, "robust", weights)
+            fitted = fit_distorted(observed, undistorted, [terms], "robust")
         except NOT_FITTED:
             continue
-        yield _fit(observed, fitted.models[0], PARAMETER_COUNT_PROJECTIVE + len(terms))
+        yield _fit(observed, fitted.models[0], PARAMETER_COUNT + len(terms))
 
 
 def _fit(observed: ControlObservations, model: SensorModel, parameters: int) -> _RobustFit:

@@ -1,21 +1,50 @@
-"""Repair or exclusion of label errors in control data."""
+"""LabelFinding: one label error in control data; its repair or exclusion."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import pairwise
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.calibration.mislabels.finding import LabelFinding
-from compute.camera.model import SensorGeometry
+from compute.camera.observation_checks import Sensor
 from compute.errors import InvalidParameter
 
 Array = NDArray[np.float64]
+LabelErrorKind = Literal["wrong", "exchanged", "missing"]
+
+
+@dataclass(frozen=True)
+class LabelFinding:
+    """One label error.
+
+    Args:
+        kind: "wrong": the reading belongs to no point. "exchanged": readings carry each other's
+            labels. "missing": the reading belongs to another point, which has none.
+        sensor: the sensor's name; None: all sensors, the points themselves carry each other's
+            labels.
+        points: counted from 1. "wrong": the point. "exchanged": the reading labelled with each
+            of these belongs to the next, the last one's to the first. "missing": the label that
+            the reading carries, and the point that it belongs to.
+        probability: posterior probability, among all hypotheses examined, 0 to 1.
+        residual_px: residuals of the readings labelled ``points`` from the sensor calibrated
+            without the error [px]; for all sensors, from the one with the largest; None without a
+            reading.
+        normalised_residual: the same over its standard deviation, from noise and calibration.
+    """
+
+    kind: LabelErrorKind
+    sensor: str | None
+    points: tuple[int, ...]
+    probability: float
+    residual_px: tuple[float | None, ...]
+    normalised_residual: tuple[float | None, ...]
 
 
 def exclude(
     findings: Sequence[LabelFinding],
-    sensors: Sequence[SensorGeometry],
+    sensors: Sequence[Sensor],
     readings_px: Array,
     sigma_px: Array | None = None,
 ) -> tuple[Array, Array | None]:
@@ -26,9 +55,6 @@ def exclude(
         sensors: the device's sensors in order.
         readings_px: readings, shape (N, S) [px]; NaN where not seen.
         sigma_px: their standard deviations, shape (N, S) [px], or None; returned unchanged.
-
-    Returns:
-        Readings and standard deviations, shape (N, S) [px].
 
     Raises:
         InvalidParameter: a finding names an unknown sensor or point.
@@ -48,7 +74,7 @@ def exclude(
 
 def repair(
     findings: Sequence[LabelFinding],
-    sensors: Sequence[SensorGeometry],
+    sensors: Sequence[Sensor],
     readings_px: Array,
     sigma_px: Array | None = None,
 ) -> tuple[Array, Array | None]:
@@ -82,7 +108,7 @@ def repair(
 
 
 def _where(
-    finding: LabelFinding, sensors: Sequence[SensorGeometry], readings: Array
+    finding: LabelFinding, sensors: Sequence[Sensor], readings: Array
 ) -> tuple[list[int], list[int]]:
     names = [sensor.name for sensor in sensors]
     if finding.sensor is not None and finding.sensor not in names:
@@ -97,3 +123,7 @@ def _where(
         )
     columns = range(len(names)) if finding.sensor is None else [names.index(finding.sensor)]
     return list(columns), [point - 1 for point in finding.points]
+
+
+CORRECTIONS: Final = {"exclude": exclude, "repair": repair}
+"""The corrections of the label policies; the others correct nothing."""

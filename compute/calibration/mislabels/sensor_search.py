@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2 as chi2_distribution
 
-from compute.calibration.mislabels.beam_search import BEAM_WIDTH, beam_search
+from compute.calibration.mislabels.beam_search import BEAM_WIDTH, LinearisedCamera, beam_search
 from compute.calibration.mislabels.evaluation import (
     FIT_STEPS,
     EvaluatedHypothesis,
@@ -17,7 +17,6 @@ from compute.calibration.mislabels.evaluation import (
     evaluate,
 )
 from compute.calibration.mislabels.hypothesis import Hypothesis
-from compute.calibration.mislabels.linearised_camera import LinearisedCamera
 
 Array = NDArray[np.float64]
 
@@ -93,11 +92,9 @@ class SensorExplanation:
     evaluated: tuple[EvaluatedHypothesis, ...]
     factor: float
 
-    def probability(self, error: Hypothesis | None = None) -> float:
-        """Return the posterior probability of these errors, or of the best hypothesis."""
+    def probability(self, error: Hypothesis) -> float:
+        """Return the posterior probability of these errors."""
         weights = np.exp([one.log_posterior - self.best.log_posterior for one in self.evaluated])
-        if error is None:
-            return float(1.0 / weights.sum())
         holds = [
             error.wrong <= one.hypothesis.wrong
             and error.cycles <= one.hypothesis.cycles
@@ -142,8 +139,7 @@ def contradicts_sigma(data: SensorReadings) -> bool:
     """Return whether the readings contradict their standard deviations or the camera model.
 
     Either the best-fitting half of the readings contradicts sigma, or it agrees and many of the
-    others
-    are outliers: more than a few wrong labels.
+    others are outliers: more than a few wrong labels.
     """
     if _is_clean(_without_errors(data)):
         return False

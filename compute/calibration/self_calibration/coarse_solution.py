@@ -7,19 +7,15 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.calibration.bundle_adjustment.normal_equations import HUBER_LIMIT
 from compute.calibration.bundle_adjustment.pose_set import PoseSet
-from compute.calibration.bundle_adjustment.robust_loss import HUBER_LIMIT
 from compute.calibration.bundle_adjustment.sensor_prior import SensorPrior
 from compute.calibration.bundle_adjustment.solver import approximate_solution
 from compute.calibration.self_calibration.datum import align_to_start
-from compute.calibration.self_calibration.initial_poses import (
-    InitialPoses,
-    select_poses,
-    start_poses,
-)
+from compute.calibration.self_calibration.initial_poses import InitialPoses, start_poses
 from compute.calibration.self_calibration.pose_screening import screen_poses
 from compute.calibration.self_calibration.targets import Recording
-from compute.camera.model import PARAMETER_COUNT, SensorModel
+from compute.camera.model import SensorModel
 from compute.errors import NoConvergence, TooFewPoints
 
 Array = NDArray[np.float64]
@@ -37,28 +33,15 @@ OUTLIER_POSE_SHARE: Final = 0.1
 """Share of readings beyond the robust limit from which poses are taken for wrong."""
 
 
-def coarse_prior(models: Sequence[SensorModel], pose_sets: Sequence[PoseSet]) -> SensorPrior:
-    """Return a prior at the start with standard deviations of COARSE_RELATIVE_SIGMA.
-
-    Args:
-        models: the starting cameras.
-        pose_sets: starting poses, which give the distances to the lenses.
-    """
-    information = [
-        (1.0 / (COARSE_RELATIVE_SIGMA * size)) ** 2
-        for model, depth in zip(models, _depths(models, pose_sets), strict=True)
-        for size in (
-            model.principal_distance_px,
-            0.5 * model.pixels,
-            *(0.5, 0.5, 0.5),
-            depth,
-            depth,
-            *((depth,) + (1.0,) * (model.parameter_count - PARAMETER_COUNT - 1))[
-                : model.parameter_count - PARAMETER_COUNT
-            ],
-        )
-    ]
-    return SensorPrior(tuple(models), np.diag(information))
+def _coarse_prior(models: Sequence[SensorModel], pose_sets: Sequence[PoseSet]) -> SensorPrior:
+    """Return a prior at the start with standard deviations of COARSE_RELATIVE_SIGMA."""
+    information = []
+    for model, depth in zip(models, _depths(models, pose_sets), strict=True):
+        sizes = np.ones(model.parameter_count)
+        sizes[:7] = model.principal_distance_px, 0.5 * model.pixels, 0.5, 0.5, 0.5, depth, depth
+        sizes[7:8] = depth
+        information.append((1.0 / (COARSE_RELATIVE_SIGMA * sizes)) ** 2)
+    return SensorPrior(tuple(models), np.diag(np.concatenate(information)))
 
 
 def lens_offset_prior(
@@ -73,15 +56,8 @@ def lens_offset_prior(
     Returns:
         The prior; None where no sensor has distortion.
     """
-    if all(model.distortion is None for model in models):
-        return None
-    information = []
-    for model, depth in zip(models, _depths(models, pose_sets), strict=True):
-        diagonal = np.zeros(model.parameter_count)
-        if model.distortion is not None:
-            diagonal[PARAMETER_COUNT] = (LENS_OFFSET_SIGMA_V * depth) ** -2
-        information.append(diagonal)
-    return SensorPrior(tuple(models), np.diag(np.concatenate(information)))
+    sigma = [LENS_OFFSET_SIGMA_V * depth for depth in _depths(models, pose_sets)]
+    return SensorPrior.of_lens_offsets(models, sigma)
 
 
 def _depths(models: Sequence[SensorModel], pose_sets: Sequence[PoseSet]) -> list[float]:
@@ -109,11 +85,12 @@ def coarse_solution(
     """
     current = tuple(models)
     starts = _place_targets(current, recordings, sigma, trusted=False)
-    prior = coarse_prior(models, [start.poses for start in starts])
+    prior = _coarse_prior(models, [start.poses for start in starts])
     for number, coarse in enumerate(COARSE_PX):
         if number:
             starts = _place_targets(current, recordings, sigma)
-        inflated = [_inflate_sigma(start.poses, coarse) for start in starts]
+        pose_sets = [start.poses for start in starts]
+        inflated = [replace(p, sigma_px=np.maximum(p.sigma_px, coarse)) for p in pose_sets]
         current = approximate_solution(current, inflated, prior=prior, loss="robust").models
     current = align_to_start(current, models)
     for _ in range(MAX_ROUNDS):
@@ -153,12 +130,4 @@ def _place_targets(
     if not trusted:
         return starts
     # An outlier spoils its whole pose; the search can do without it.
-    fitted = [screen_poses(models, start) for start in starts]
-    return [
-        InitialPoses(select_poses(one.start.poses, one.good), one.start.pose_index[one.good])
-        for one in fitted
-    ]
-
-
-def _inflate_sigma(poses: PoseSet, deviation_px: float) -> PoseSet:
-    return replace(poses, sigma_px=np.maximum(poses.sigma_px, deviation_px))
+    return [screen_poses(models, start).consistent for start in starts]

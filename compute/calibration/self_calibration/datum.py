@@ -9,7 +9,11 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from compute.calibration.bundle_adjustment.adjustment_result import AdjustmentResult
-from compute.calibration.bundle_adjustment.gauge import rigid_motion_jacobian, transform_world
+from compute.calibration.bundle_adjustment.gauge import (
+    rigid_motion_jacobian,
+    shift_origins,
+    transform_world,
+)
 from compute.calibration.bundle_adjustment.pose_set import PoseSet
 from compute.calibration.bundle_adjustment.solver import adjust
 from compute.calibration.bundle_adjustment.target_shape import body_shape
@@ -66,11 +70,7 @@ def to_start_frame(adjusted: AdjustmentResult, start: Sequence[SensorModel]) -> 
         fitted = adjust(start, [cloud], free=held).pose_sets[0]
     rotation = fitted.rotation[0]
     translation = fitted.translation_mm[0] - rotation @ centre
-    return DatumResult(
-        tuple(transform_world(model, rotation, translation) for model in adjusted.models),
-        tuple(poses.transformed(rotation, translation) for poses in adjusted.pose_sets),
-        _transform_covariance(adjusted.models, adjusted.sensor_covariance, rotation, translation),
-    )
+    return _transform(adjusted, adjusted.sensor_covariance, rotation, translation)
 
 
 def to_first_pose_frame(
@@ -104,11 +104,7 @@ def to_first_pose_frame(
         - crossed_motion.T
         + camera_motion @ adjusted.pose_covariance(index)[pose] @ camera_motion.T
     )
-    return DatumResult(
-        tuple(transform_world(model, rotation, translation) for model in adjusted.models),
-        tuple(one.transformed(rotation, translation) for one in adjusted.pose_sets),
-        _transform_covariance(adjusted.models, covariance, rotation, translation),
-    )
+    return _transform(adjusted, covariance, rotation, translation)
 
 
 def align_to_start(
@@ -126,14 +122,24 @@ def align_to_start(
     return tuple(transform_world(model, rotation, translation) for model in models)
 
 
+def rotation_between(models: Sequence[SensorModel], start: Sequence[SensorModel]) -> Array:
+    """Return the rotation of the world that brings cameras closest to those of the start, (3, 3).
+
+    Args:
+        models: S cameras.
+        start: the S starting cameras.
+    """
+    rotations = np.array(
+        [given.rotation.T @ found.rotation for found, given in zip(models, start, strict=True)]
+    )
+    return np.asarray(Rotation.from_matrix(rotations).mean().as_matrix())
+
+
 def _rigid_motion_between(
     models: Sequence[SensorModel], start: Sequence[SensorModel]
 ) -> tuple[Array, Array]:
     """Return the rigid motion that brings cameras closest to those of the start."""
-    rotations = np.array(
-        [given.rotation.T @ found.rotation for found, given in zip(models, start, strict=True)]
-    )
-    rotation = Rotation.from_matrix(rotations).mean().as_matrix()
+    rotation = rotation_between(models, start)
     # The lens is known except for its offset along the slit: two equations a camera.
     rows, right = [], []
     for found, given in zip(models, start, strict=True):
@@ -144,23 +150,18 @@ def _rigid_motion_between(
     return rotation, np.asarray(translation, dtype=np.float64)
 
 
-def _transform_covariance(
-    models: Sequence[SensorModel], covariance: Array, rotation: Array, translation_mm: Array
-) -> Array:
-    """Return the sensors' covariance after ``X <- rotation X + translation``.
+def _transform(
+    adjusted: AdjustmentResult, covariance: Array, rotation: Array, translation_mm: Array
+) -> DatumResult:
+    """Return sensors and poses after ``X <- rotation X + translation``.
 
     Rotations are steps in a camera's own frame and do not change; the offsets become ``o - R' t``
     with ``R' = R rotation'``, which rotates with the camera.
     """
-    change = np.eye(len(covariance))
-    first = 0
-    for model in models:
-        a, b, c = (model.rotation @ rotation.T @ translation_mm).tolist()
-        # d(-R' t) = -w x (R' t)
-        change[first + 5, first + 2 : first + 5] = (0.0, -c, b)
-        change[first + 6, first + 2 : first + 5] = (-b, a, 0.0)
-        if model.distortion is not None:
-            change[first + 7, first + 2 : first + 5] = (c, 0.0, -a)
-        first += model.parameter_count
-    transformed: Array = change @ covariance @ change.T
-    return transformed
+    models = adjusted.models
+    change = shift_origins(models, [-(m.rotation @ rotation.T @ translation_mm) for m in models])
+    return DatumResult(
+        tuple(transform_world(model, rotation, translation_mm) for model in models),
+        tuple(poses.transformed(rotation, translation_mm) for poses in adjusted.pose_sets),
+        change @ covariance @ change.T,
+    )

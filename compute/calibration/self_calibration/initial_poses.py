@@ -60,6 +60,10 @@ class InitialPoses:
     poses: PoseSet
     pose_index: NDArray[np.intp]
 
+    def select(self, which: NDArray[np.bool_]) -> "InitialPoses":
+        """Return some of the poses, by a mask (B',)."""
+        return InitialPoses(self.poses.select(which), self.pose_index[which])
+
 
 def start_poses(
     models: Sequence[SensorModel],
@@ -90,13 +94,12 @@ def start_poses(
     if fit.any():
         rotation, translation = _fit_poses(shape, marker[fit])
         poses = PoseSet(shape, translation, rotation, recording.readings_px[fit], sigma_px[fit])
-        kept = np.flatnonzero(fit)
         # Fitted to the shape, a marker may have come to lie behind a lens.
         projected = cameras.project(poses.marker_positions().reshape(-1, 3))
         ahead = np.isfinite(projected).reshape(poses.readings_px.shape) | ~poses.seen
         good = ahead.all(axis=(1, 2)) & (poses.seen.sum(axis=(1, 2)) >= poses.unknowns)
         if good.any():
-            return InitialPoses(select_poses(poses, good), kept[good])
+            return InitialPoses(poses, np.flatnonzero(fit)).select(good)
     raise TooFewPoints(
         f"none of the {len(marker)} poses shows enough markers to enough sensors: a marker "
         "needs three sensors, a wand two markers, a rigid body three",
@@ -131,24 +134,7 @@ def _limit_distances(models: Sequence[SensorModel], marker_mm: Array, scale: flo
     distance = np.linalg.norm(away, axis=-1, keepdims=True)
     usual = float(np.nanmedian(distance))
     kept = np.clip(distance, usual / DISTANCE_RATIO, usual * DISTANCE_RATIO)
-    drawn: Array = centre + away * (kept / (distance * scale))
-    return drawn
-
-
-def select_poses(poses: PoseSet, which: NDArray[np.bool_] | NDArray[np.intp]) -> PoseSet:
-    """Return some of the poses.
-
-    Args:
-        poses: B poses.
-        which: mask, shape (B,), or indices.
-    """
-    return PoseSet(
-        poses.shape,
-        poses.translation_mm[which],
-        poses.rotation[which],
-        poses.readings_px[which],
-        poses.sigma_px[which],
-    )
+    return np.asarray(centre + away * (kept / (distance * scale)))
 
 
 def _shape(target: CalibrationTarget, marker_mm: Array) -> TargetShape:
@@ -173,17 +159,21 @@ def _shape(target: CalibrationTarget, marker_mm: Array) -> TargetShape:
     return target.shape(mean * (known.length_mm / float(np.median(length))))
 
 
+def marker_distances(marker_mm: Array) -> Array:
+    """Return the distances between all pairs of markers (..., K, 3), shape (..., pairs) [mm]."""
+    first, second = np.triu_indices(marker_mm.shape[-2], 1)
+    return np.asarray(np.linalg.norm(marker_mm[..., first, :] - marker_mm[..., second, :], axis=-1))
+
+
 def _scale(shape: TargetShape, marker_mm: Array) -> float:
-    first, second = np.triu_indices(len(shape), 1)
-    known_length = np.linalg.norm(shape.marker_mm[first] - shape.marker_mm[second], axis=1)
     if shape.distances and not np.isfinite(shape.sigma_mm):
         # The shape came from the same markers: only the known distance says something.
-        first, second = (
-            np.array([getattr(d, end) for d in shape.distances]) for end in ("first", "second")
-        )
+        ends = np.array([(known.first, known.second) for known in shape.distances])
         known_length = np.array([known.length_mm for known in shape.distances])
-    measured_length = np.linalg.norm(marker_mm[:, first] - marker_mm[:, second], axis=2)
-    ratio = measured_length / known_length
+        between = marker_mm[:, ends[:, 0]] - marker_mm[:, ends[:, 1]]
+        ratio = np.linalg.norm(between, axis=2) / known_length
+    else:
+        ratio = marker_distances(marker_mm) / marker_distances(shape.marker_mm)
     return float(np.median(ratio[np.isfinite(ratio)])) if np.isfinite(ratio).any() else np.nan
 
 
@@ -194,11 +184,11 @@ def _fit_poses(shape: TargetShape, marker_mm: Array) -> tuple[Array, Array]:
     seen = np.where(known, marker_mm, 0.0)
     centre = seen.sum(axis=1) / count
     own = np.where(known, shape.marker_mm, 0.0)
-    own_middle = own.sum(axis=1) / count
+    own_centre = own.sum(axis=1) / count
     away = np.where(known, marker_mm - centre[:, None], 0.0)
-    own = np.where(known, own - own_middle[:, None], 0.0)
+    own = np.where(known, own - own_centre[:, None], 0.0)
     rotation = _rotations(own, away)
-    return rotation, centre - np.einsum("bij,bj->bi", rotation, own_middle)
+    return rotation, centre - np.einsum("bij,bj->bi", rotation, own_centre)
 
 
 def _rotations(own: Array, seen: Array) -> Array:
@@ -207,5 +197,4 @@ def _rotations(own: Array, seen: Array) -> Array:
     left, _, right = np.linalg.svd(cross)
     sign = np.where(np.linalg.det(left @ right) < 0.0, -1.0, 1.0)
     left[:, :, 2] *= sign[:, None]
-    rotation: Array = left @ right
-    return rotation
+    return np.asarray(left @ right)

@@ -1,4 +1,4 @@
-"""Screening of poses: those that contradict their readings, and single outliers in them."""
+"""Poses fitted one by one (resection); those that contradict their readings, and outliers."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -7,16 +7,21 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.calibration.bundle_adjustment.normal_equations import AdjustmentState
-from compute.calibration.bundle_adjustment.parameter_covariance import undetermined_poses
+from compute.calibration.bundle_adjustment.adjustment_result import undetermined_poses
+from compute.calibration.bundle_adjustment.normal_equations import (
+    AdjustmentState,
+    build_normal_equations,
+)
 from compute.calibration.bundle_adjustment.pose_set import PoseSet
-from compute.calibration.bundle_adjustment.resection import resect
-from compute.calibration.self_calibration.initial_poses import InitialPoses, select_poses
+from compute.calibration.self_calibration.initial_poses import InitialPoses
 from compute.camera.model import SensorModel
 from compute.reconstruction.triangulation import chi2_limit
 
 Array = NDArray[np.float64]
 
+MAX_ITERATIONS: Final = 60
+CONVERGENCE_TOLERANCE: Final = 1e-9
+"""Decrease of a pose's chi2 that its last step predicted, beside its own rounding."""
 CONTRADICTION_PROBABILITY: Final = 1e-6
 """Probability that a good pose is taken for one with an outlier."""
 WORSE_RATIO_THRESHOLD: Final = 10.0
@@ -32,13 +37,16 @@ class ScreenedPoses:
 
     Args:
         start: all poses, fitted.
-        misfit: chi2 over degrees of freedom, shape (B,); 0 without any.
         good: poses consistent with their readings, within the cameras' errors, shape (B,).
     """
 
     start: InitialPoses
-    misfit: Array
     good: NDArray[np.bool_]
+
+    @property
+    def consistent(self) -> InitialPoses:
+        """The good poses."""
+        return self.start.select(self.good)
 
 
 def screen_poses(models: Sequence[SensorModel], start: InitialPoses) -> ScreenedPoses:
@@ -53,13 +61,9 @@ def screen_poses(models: Sequence[SensorModel], start: InitialPoses) -> Screened
     misfit = np.where(dof > 0, chi2 / np.maximum(dof, 1), 0.0)
     checked = misfit[dof > 0]
     typical = float(np.median(checked)) if len(checked) else 0.0
-    limits = _limits(dof) / np.maximum(dof, 1)
+    limits = [chi2_limit(int(one), CONTRADICTION_PROBABILITY) for one in dof] / np.maximum(dof, 1)
     good = (misfit <= np.maximum(limits, WORSE_RATIO_THRESHOLD * typical)) & np.isfinite(chi2)
-    return ScreenedPoses(InitialPoses(poses, start.pose_index), misfit, good)
-
-
-def _limits(dof: NDArray[np.int_]) -> Array:
-    return np.array([chi2_limit(int(one), CONTRADICTION_PROBABILITY) for one in dof])
+    return ScreenedPoses(InitialPoses(poses, start.pose_index), good)
 
 
 def find_outlier_readings(
@@ -80,7 +84,7 @@ def find_outlier_readings(
     """
     seen = poses.seen
     pose, marker, sensor = np.nonzero(seen)
-    trials = select_poses(poses, pose)
+    trials = poses.select(pose)
     readings = trials.readings_px.copy()
     readings[np.arange(len(pose)), marker, sensor] = np.nan
     trials = replace(trials, readings_px=readings)
@@ -88,9 +92,9 @@ def find_outlier_readings(
     chi2 = np.full(len(pose), np.inf)
     off = np.zeros(len(pose))
     if fit.any():
-        fitted, chi2[fit] = resect(models, select_poses(trials, fit))
+        fitted, chi2[fit] = resect(models, trials.select(fit))
         where = (np.arange(len(fitted)), marker[fit], sensor[fit])
-        whole = replace(fitted, readings_px=select_poses(poses, pose[fit]).readings_px)
+        whole = replace(fitted, readings_px=poses.select(pose[fit]).readings_px)
         off[fit] = AdjustmentState(tuple(models), (whole,)).residuals()[0][where]
     found, marker_and_sensor, sizes = [], [], []
     for number in range(len(poses)):
@@ -109,3 +113,56 @@ def find_outlier_readings(
         np.array(marker_and_sensor, dtype=np.intp).reshape(-1, 2),
         np.array(sizes),
     )
+
+
+def resect(models: Sequence[SensorModel], poses: PoseSet) -> tuple[PoseSet, Array]:
+    """Fit each pose to its readings by Levenberg-Marquardt, with its own damping.
+
+    Args:
+        models: the cameras, held fixed.
+        poses: B starting poses, with all observed markers in front of the lenses.
+
+    Returns:
+        The poses, and the sum of squared residuals over sigma of each, shape (B,).
+    """
+    chi2 = _chi2(models, poses)
+    damping = np.full(len(poses), 1e-4)
+    ones = np.ones(poses.readings_px.shape)
+    diagonal_index = np.arange(poses.unknowns)
+    active = np.isfinite(chi2)
+    for _ in range(MAX_ITERATIONS):
+        if not active.any():
+            break
+        block = build_normal_equations(
+            AdjustmentState(tuple(models), (poses,)), [ones], None
+        ).blocks[0]
+        normal, gradient = block.normal.copy(), block.gradient
+        diagonal = normal[:, diagonal_index, diagonal_index]
+        floor = 1e-300 + 1e-15 * diagonal.max(axis=1, keepdims=True)
+        normal[:, diagonal_index, diagonal_index] += damping[:, None] * diagonal + floor
+        normal[~active] = np.eye(poses.unknowns)
+        step: Array = -np.asarray(np.linalg.solve(normal, gradient[..., None]))[..., 0]
+        step[~active] = 0.0
+        trial = poses.retract(step)
+        new = _chi2(models, trial)
+        better = active & (new <= chi2)
+        predicted = -(gradient * step).sum(axis=1)
+        poses = replace(
+            poses,
+            translation_mm=np.where(better[:, None], trial.translation_mm, poses.translation_mm),
+            rotation=np.where(better[:, None, None], trial.rotation, poses.rotation),
+        )
+        chi2 = np.where(better, new, chi2)
+        active = active & (predicted > CONVERGENCE_TOLERANCE + 1e-12 * chi2) & (damping < 1e12)
+        damping *= np.where(better, 0.1, 10.0)
+    return poses, chi2
+
+
+def _chi2(models: Sequence[SensorModel], poses: PoseSet) -> Array:
+    squares = AdjustmentState(tuple(models), (poses,)).residuals()[0] ** 2
+    total: Array = squares.sum(axis=(1, 2))
+    prior = poses.prior()
+    if prior is not None:
+        difference, information = prior
+        total = total + np.einsum("bi,bij,bj->b", difference, information, difference)
+    return total

@@ -5,11 +5,11 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from compute.calibration.bundle_adjustment.pose_set import PoseSet
+from compute.calibration.self_calibration.datum import rotation_between
 from compute.calibration.self_calibration.targets import Recording
-from compute.camera.model import SensorGeometry, SensorModel
+from compute.camera.model import SensorModel
 from compute.camera.observation_checks import FLATNESS_LIMIT, check_inside
 from compute.errors import DegeneratePoints, InvalidParameter, TooFewPoints
 
@@ -47,14 +47,13 @@ def check_recordings(models: Sequence[SensorModel], recordings: Sequence[Recordi
         )
     if not recordings:
         raise InvalidParameter("no recordings; give one at least")
-    geometry = [SensorGeometry(model.name, model.pixels) for model in models]
     for number, recording in enumerate(recordings):
         if recording.readings_px.shape[2] != len(models):
             raise InvalidParameter(
                 f"recording {number + 1} has readings of {recording.readings_px.shape[2]} "
                 f"sensors; the device has {len(models)}"
             )
-        check_inside(recording.readings_px.reshape(-1, len(models)), geometry)
+        check_inside(recording.readings_px.reshape(-1, len(models)), models)
 
 
 def check_scale(start: Sequence[SensorModel], found: Sequence[SensorModel]) -> None:
@@ -107,10 +106,7 @@ def device_scale(start: Sequence[SensorModel], found: Sequence[SensorModel]) -> 
         start: the S starting cameras.
         found: the S cameras of the solution.
     """
-    rotations = np.array(
-        [old.rotation.T @ new.rotation for old, new in zip(start, found, strict=True)]
-    )
-    rotation = Rotation.from_matrix(rotations).mean().as_matrix()
+    rotation = rotation_between(found, start)
     rows, right = [], []
     for old, new in zip(start, found, strict=True):
         turned = new.rotation @ rotation.T
@@ -168,8 +164,7 @@ def _directions(poses: PoseSet) -> Array:
     seen = poses.seen.sum(axis=2) >= 2
     both = seen[:, first] & seen[:, second]
     between = (marker[:, first] - marker[:, second])[both]
-    unit: Array = between / np.linalg.norm(between, axis=1, keepdims=True)
-    return unit
+    return np.asarray(between / np.linalg.norm(between, axis=1, keepdims=True))
 
 
 def check_count(models: Sequence[SensorModel], pose_sets: Sequence[PoseSet]) -> None:

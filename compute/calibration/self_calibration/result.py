@@ -1,11 +1,28 @@
 """SelfCalibration: result of a self-calibration with its targets and rejected readings."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from compute.calibration.result import Calibration
-from compute.camera.model import Vector3
+import numpy as np
+from numpy.typing import NDArray
 
+from compute.calibration.bundle_adjustment.adjustment_result import AdjustmentResult
+from compute.calibration.bundle_adjustment.pose_set import PoseSet
+from compute.calibration.result import Calibration, SensorFit, nested_rows
+from compute.calibration.self_calibration.datum import DatumResult
+from compute.calibration.self_calibration.initial_poses import (
+    InitialPoses,
+    marker_distances,
+    triangulate,
+)
+from compute.calibration.self_calibration.targets import Recording
+from compute.camera.model import SensorModel, Vector3, vector3
+from compute.camera.observation_checks import UNEXPLAINED_PROBABILITY
+from compute.camera.stack import CameraStack
+from compute.reconstruction.triangulation import chi2_limit
+
+Array = NDArray[np.float64]
 Datum = Literal["start", "first-pose"]
 
 
@@ -71,3 +88,92 @@ class SelfCalibration:
     rejected: tuple[RejectedMeasurement, ...]
     chi2_per_dof: float
     dof: int
+
+
+def summarise(
+    adjusted: AdjustmentResult,
+    placed: DatumResult,
+    starts: Sequence[InitialPoses],
+    recordings: Sequence[Recording],
+    *,
+    datum: Datum,
+    start_scales: Sequence[float],
+    device_scale: float,
+    rejected: Sequence[RejectedMeasurement],
+    sigma_given: bool,
+) -> SelfCalibration:
+    """Summarise a run as a SelfCalibration.
+
+    Residuals that the given standard deviations do not explain inflate the covariance, as in
+    ``calibrate``; with estimated ones the uncertainty of the estimate is included.
+
+    Args:
+        adjusted: the adjustment.
+        placed: the same in the world frame.
+        starts: the poses that were used.
+        recordings: the readings.
+        datum: which frame is the world's.
+        start_scales: lengths seen by the start over the known ones, for each recording.
+        device_scale: size of the solved device over that of the start.
+        rejected: readings that were rejected.
+        sigma_given: whether the readings came with standard deviations.
+    """
+    dof = adjusted.dof
+    chi2_per_dof = adjusted.chi2 / dof if dof > 0 else float("nan")
+    factor = 1.0
+    if sigma_given and dof > 0 and adjusted.chi2 > chi2_limit(dof, UNEXPLAINED_PROBABILITY):
+        factor = chi2_per_dof
+    elif not sigma_given and dof > 2:
+        factor = dof / (dof - 2)
+    residuals = _in_pixels(adjusted, starts, recordings)
+    of_sensor = np.concatenate([np.nonzero(start.poses.seen)[2] for start in starts])
+    sigma = np.concatenate([start.poses.sigma_px[start.poses.seen] for start in starts])
+    fits = tuple(
+        SensorFit(
+            model,
+            int(np.isfinite(residuals[:, column]).sum()),
+            float(np.sqrt(np.nanmean(residuals[:, column] ** 2))),
+            float(np.nanmax(np.abs(residuals[:, column]))),
+            float(np.sqrt(np.mean(sigma[of_sensor == column] ** 2))),
+            "given" if sigma_given else "residuals",
+            chi2_per_dof if sigma_given else None,
+        )
+        for column, model in enumerate(placed.models)
+    )
+    calibration = Calibration(
+        "self-calibration",
+        fits,
+        tuple(tuple(row) for row in (placed.covariance * factor).tolist()),
+        nested_rows(residuals),
+    )
+    targets = tuple(
+        TargetFit(
+            len(recording.readings_px),
+            len(poses),
+            tuple(vector3(row) for row in poses.shape.marker_mm),
+            scale,
+            _length_error(placed.models, poses),
+        )
+        for poses, scale, recording in zip(placed.pose_sets, start_scales, recordings, strict=True)
+    )
+    return SelfCalibration(
+        calibration, datum, device_scale, targets, tuple(rejected), chi2_per_dof, dof
+    )
+
+
+def _in_pixels(
+    adjusted: AdjustmentResult, starts: Sequence[InitialPoses], recordings: Sequence[Recording]
+) -> Array:
+    """Return fitted minus read [px], a row for each marker of each pose, NaN where not used."""
+    rows = []
+    for residual, start, recording in zip(adjusted.residuals, starts, recordings, strict=True):
+        full = np.full(recording.readings_px.shape, np.nan)
+        full[start.pose_index] = residual * start.poses.sigma_px
+        rows.append(full.reshape(-1, len(adjusted.models)))
+    return np.concatenate(rows)
+
+
+def _length_error(models: Sequence[SensorModel], poses: PoseSet) -> float | None:
+    measured = marker_distances(triangulate(CameraStack.of(models), poses.readings_px))
+    error = (measured - marker_distances(poses.shape.marker_mm))[np.isfinite(measured)]
+    return float(np.sqrt(np.mean(error**2))) if len(error) else None

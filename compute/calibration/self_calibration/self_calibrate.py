@@ -7,13 +7,15 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.calibration.bundle_adjustment.adjustment_result import AdjustmentResult
+from compute.calibration.bundle_adjustment.adjustment_result import (
+    AdjustmentResult,
+    undetermined_poses,
+)
 from compute.calibration.bundle_adjustment.data_snooping import (
     SIGMA_FLOOR_PX,
     sensor_sigma,
     worst_readings,
 )
-from compute.calibration.bundle_adjustment.parameter_covariance import undetermined_poses
 from compute.calibration.bundle_adjustment.solver import adjust
 from compute.calibration.self_calibration.coarse_solution import coarse_solution, lens_offset_prior
 from compute.calibration.self_calibration.datum import (
@@ -25,7 +27,6 @@ from compute.calibration.self_calibration.datum import (
 from compute.calibration.self_calibration.initial_poses import (
     InitialPoses,
     observed_scale,
-    select_poses,
     start_poses,
 )
 from compute.calibration.self_calibration.pose_screening import find_outlier_readings, screen_poses
@@ -37,12 +38,16 @@ from compute.calibration.self_calibration.recording_checks import (
     check_volume_coverage,
     device_scale,
 )
-from compute.calibration.self_calibration.result import Datum, RejectedMeasurement, SelfCalibration
-from compute.calibration.self_calibration.result_summary import RunResult, summarise
+from compute.calibration.self_calibration.result import (
+    Datum,
+    RejectedMeasurement,
+    SelfCalibration,
+    summarise,
+)
 from compute.calibration.self_calibration.targets import Recording, RigidBody
 from compute.camera.model import SensorModel
 from compute.errors import InvalidParameter, NoConvergence
-from compute.progress import Progress
+from compute.progress import Progress, no_progress
 
 Array = NDArray[np.float64]
 
@@ -58,7 +63,7 @@ def self_calibrate(
     recordings: Sequence[Recording],
     *,
     datum: Datum = "start",
-    progress: Progress | None = None,
+    progress: Progress = no_progress,
 ) -> SelfCalibration:
     """Calibrate S sensors without known coordinates, from approximate cameras.
 
@@ -81,7 +86,6 @@ def self_calibrate(
         UndeterminedParameters: a combination of parameters is undetermined.
         NoConvergence: the start is too wrong, or the readings contradict one another.
     """
-    report = progress or _silent
     check_recordings(models, recordings)
     sigma_given = {recording.sigma_px is not None for recording in recordings}
     if len(sigma_given) > 1:
@@ -90,22 +94,22 @@ def self_calibrate(
         raise InvalidParameter(
             'datum is "first-pose", but the first recording is not of a rigid body of known shape'
         )
-    report(0.0, "start")
+    progress(0.0, "start")
     work = _SelfCalibrationState(tuple(models), tuple(recordings), sigma_given == {True})
     scales = tuple(observed_scale(models, recording) for recording in recordings)
     for scale in scales:
         check_observed_scale(scale)
     check_count(models, [start.poses for start in work.starts(False)])
-    report(0.1, "search")
+    progress(0.1, "search")
     work.models = coarse_solution(models, work.kept_recordings(), work.sigma)
     check_scale(models, work.models)
-    report(0.5, "adjustment")
+    progress(0.5, "adjustment")
     check_volume_coverage([start.poses for start in work.starts(True)])
     for _ in range(SCREENING_ROUNDS):
         adjusted = work.adjusted(work.screen_poses())
         if not work.sigma_given:
             work.scale_sigma(sensor_sigma(adjusted, robust=True))
-    report(0.7, "outliers")
+    progress(0.7, "outliers")
     work.reject_single_outliers()
     for _ in range(REJECTION_ROUNDS):
         starts = work.screen_poses()
@@ -118,25 +122,21 @@ def self_calibrate(
             starts = work.screen_poses()
             adjusted = work.adjusted(starts)
     work.check_share(starts)
-    report(0.95, "world frame")
+    progress(0.95, "world frame")
     placed = _apply_datum(adjusted, models, starts, recordings, datum)
-    found = RunResult(
+    result = summarise(
         adjusted,
         placed,
-        tuple(starts),
-        tuple(recordings),
-        scales,
-        device_scale(models, placed.models),
-        tuple(work.rejected),
-        work.sigma_given,
+        starts,
+        recordings,
+        datum=datum,
+        start_scales=scales,
+        device_scale=device_scale(models, placed.models),
+        rejected=work.rejected,
+        sigma_given=work.sigma_given,
     )
-    result = summarise(found, datum)
-    report(1.0, "done")
+    progress(1.0, "done")
     return result
-
-
-def _silent(_fraction: float, _stage: str) -> None:
-    """Do nothing."""
 
 
 def _apply_datum(
@@ -186,27 +186,18 @@ class _SelfCalibrationState:
         starts = []
         for recording, sigma in zip(self.kept_recordings(), self.sigma, strict=True):
             start = start_poses(self.models, recording, sigma, trusted=trusted)
-            closed = ~undetermined_poses(self.models, start.poses)
-            starts.append(InitialPoses(select_poses(start.poses, closed), start.pose_index[closed]))
+            starts.append(start.select(~undetermined_poses(self.models, start.poses)))
         return starts
 
     def screen_poses(self) -> list[InitialPoses]:
         """Fit all poses to the current cameras, without contradictory ones."""
-        starts = []
-        for start in self.starts(True):
-            fitted = screen_poses(self.models, start)
-            starts.append(
-                InitialPoses(
-                    select_poses(fitted.start.poses, fitted.good), start.pose_index[fitted.good]
-                )
-            )
-        return starts
+        return [screen_poses(self.models, start).consistent for start in self.starts(True)]
 
     def reject_single_outliers(self) -> None:
         """Reject the single outlier of each contradictory pose that has one."""
         for number, start in enumerate(self.starts(True)):
             fitted = screen_poses(self.models, start)
-            bad = select_poses(start.poses, ~fitted.good)
+            bad = start.poses.select(~fitted.good)
             if len(bad):
                 poses, indices, residuals = find_outlier_readings(self.models, bad)
                 pose_index = start.pose_index[~fitted.good][poses]

@@ -1,4 +1,4 @@
-"""Least-squares fit of many cameras to readings of the same points, by Levenberg-Marquardt.
+"""Least-squares fit of many cameras to readings of the same points, and what determines them.
 
 The lens offset along the slit, on which the field angle v depends, is fitted where a distortion
 term contains v. The readings determine it weakly: it shifts v in proportion to depth, and nearly
@@ -14,15 +14,14 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.calibration.single_sensor.distortion_terms import depends_on_v
+from compute.calibration.settings import depends_on_v
 from compute.camera.field_distortion import FieldDistortion, Term
 from compute.camera.model import PARAMETER_COUNT, SensorModel
 from compute.camera.stack import CameraStack
+from compute.errors import DegeneratePoints
 
 Array = NDArray[np.float64]
 
-OFFSET_Y_INDEX: Final = 7
-"""Parameter index of the lens offset along the slit."""
 MAX_ITERATIONS: Final = 200
 DECREASE_TOLERANCE: Final = 1e-9
 """Relative decrease of the mean square below which the search ends: the step is then shorter than
@@ -35,6 +34,13 @@ OFFSET_SIGMA_V: Final = 0.1
 lens at the centre of its volume at least as well; its field is three times as wide."""
 START_FIELD_ANGLES_V: Final = (0.0, -0.1, 0.1)
 """Field angles v of the centroid from which the search starts."""
+MIN_SINGULAR_RATIO: Final = 1e-5
+"""Smallest ratio of singular values of the Jacobian with columns of length 1. The measured and
+simulated frames of the thesis have 1e-4 and more; the corners of a box that a sensor sees along
+its edges, 1e-5 and less even with noise."""
+MIN_SINGULAR_RATIO_DISTORTED: Final = 1e-7
+"""The same with distortion, whose terms are alike where the field is small; below it, normal
+equations hold nothing but rounding of the least combination."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,10 +167,10 @@ class _NormalEquations:
         gradient = (transposed @ residuals[..., None])[..., 0]
         squares = (residuals**2).sum(axis=1)
         if prior is not None and cameras.has_distortion:
-            prior_weight = cameras.parameter_mask[:, OFFSET_Y_INDEX] / prior.sigma_mm
+            prior_weight = cameras.parameter_mask[:, PARAMETER_COUNT] / prior.sigma_mm
             prior_residual = (cameras.offset_mm[:, 1] - prior.mean_mm) * prior_weight
-            normal[:, OFFSET_Y_INDEX, OFFSET_Y_INDEX] += prior_weight**2
-            gradient[:, OFFSET_Y_INDEX] += prior_residual * prior_weight
+            normal[:, PARAMETER_COUNT, PARAMETER_COUNT] += prior_weight**2
+            gradient[:, PARAMETER_COUNT] += prior_residual * prior_weight
             squares = squares + prior_residual**2
         squares[behind] = np.inf
         return cls(normal, gradient, squares)
@@ -328,3 +334,154 @@ def minimise_with_distortion(
     )
     best = np.argmin(ended.squares.reshape(starts, count), axis=0) * count + np.arange(count)
     return MinimisationResult(ended.cameras.rows(best), ended.squares[best], ended.converged[best])
+
+
+def fitted_columns(model: SensorModel) -> NDArray[np.intp]:
+    """Return which parameters of a model are fitted: all but a lens offset without effect."""
+    columns = np.arange(model.parameter_count)
+    if model.distortion is not None and not depends_on_v(model.distortion.terms):
+        columns = np.delete(columns, PARAMETER_COUNT)
+    return columns
+
+
+@dataclass(frozen=True, eq=False)
+class EquationGroup:
+    """Equations of sensors with the same fitted parameters, as QR factors.
+
+    Args:
+        sensors: their indices, shape (G,).
+        columns: their fitted parameters, shape (F,).
+        scale: lengths of the columns, shape (G, F).
+        triangles: R of the columns scaled to length 1, shape (G, F, F).
+    """
+
+    sensors: NDArray[np.intp]
+    columns: NDArray[np.intp]
+    scale: Array
+    triangles: Array
+
+    @property
+    def ratios(self) -> Array:
+        """Smallest over largest singular value, shape (G,); 0 with an empty column."""
+        singular = np.linalg.svd(self.triangles, compute_uv=False)
+        return np.asarray(singular[:, -1] / np.maximum(singular[:, 0], 1e-300))
+
+    @property
+    def cofactors(self) -> Array:
+        """(A'A)^-1 of the design matrices A, shape (G, F, F)."""
+        inverse = np.linalg.inv(self.triangles) / self.scale[:, :, None]
+        return np.asarray(inverse @ inverse.swapaxes(1, 2))
+
+
+def equation_groups(
+    models: Sequence[SensorModel],
+    points_mm: Array,
+    weights: Array,
+    offset_sigma_mm: Array | None = None,
+    centre_mm: Array | None = None,
+    stack: CameraStack | None = None,
+) -> list[EquationGroup]:
+    """Factorise the design matrices of S cameras, grouped by their fitted parameters.
+
+    Args:
+        models: the S cameras.
+        points_mm: control points, shape (N, 3) [mm].
+        weights: 1 / standard deviation, shape (N, S) [1/px]; 0: not read.
+        offset_sigma_mm: standard deviations of the priors of the lens offsets, shape (S,) [mm].
+        centre_mm: origin, shape (3,) [mm]; None: the world's.
+        stack: the same cameras as a stack; None: made here.
+    """
+    if stack is None:
+        stack = CameraStack.of(models)
+    if centre_mm is not None:
+        moved = stack.offset_mm + stack.rotation @ centre_mm
+        stack, points_mm = replace(stack, offset_mm=moved), points_mm - centre_mm
+    jacobian = stack.parameter_jacobian(points_mm).swapaxes(0, 1)
+    used = weights.T[..., None]
+    rows = np.where(used > 0.0, jacobian, 0.0) * used
+    groups: dict[tuple[int, ...], list[int]] = {}
+    for sensor, model in enumerate(models):
+        columns = fitted_columns(model)
+        # By the stack's columns, which hold the terms of all sensors.
+        stack_columns = np.flatnonzero(stack.parameter_mask[sensor])[columns]
+        groups.setdefault((*stack_columns.tolist(), -1, *columns.tolist()), []).append(sensor)
+    found = []
+    for key, members in groups.items():
+        split = key.index(-1)
+        stack_columns, columns = np.array(key[:split]), np.array(key[split + 1 :])
+        sensors = np.array(members)
+        matrix = rows[sensors][:, :, stack_columns]
+        if offset_sigma_mm is not None and PARAMETER_COUNT in key[:split]:
+            prior = np.zeros((len(sensors), 1, len(stack_columns)))
+            prior[:, 0, key.index(PARAMETER_COUNT)] = 1.0 / offset_sigma_mm[sensors]
+            matrix = np.concatenate([matrix, prior], axis=1)
+        scale = np.sqrt((matrix**2).sum(axis=1))
+        scale = np.where(scale > 0.0, scale, 1.0)
+        scaled = matrix / scale[:, None, :]
+        triangles = np.asarray(np.linalg.qr(scaled, mode="r"), dtype=np.float64)
+        found.append(EquationGroup(sensors, columns, scale, triangles))
+    return found
+
+
+def check_determined(
+    models: Sequence[SensorModel],
+    points_mm: Array,
+    weights: Array,
+    offset_sigma_mm: Array | None = None,
+    stack: CameraStack | None = None,
+) -> None:
+    """Check that the readings determine all parameters of each sensor.
+
+    Args:
+        models: the S cameras.
+        points_mm: control points, shape (N, 3) [mm].
+        weights: 1 / standard deviation, shape (N, S) [1/px]; 0: not read.
+        offset_sigma_mm: standard deviations of the priors of the lens offsets, shape (S,) [mm].
+        stack: the same cameras as a stack; None: made here.
+
+    Raises:
+        DegeneratePoints: the first sensor with an undetermined combination of parameters.
+    """
+    for sensor, ratio in undetermined_sensors(models, points_mm, weights, offset_sigma_mm, stack):
+        model = models[sensor]
+        terms = "" if model.distortion is None else " or take fewer distortion terms"
+        raise DegeneratePoints(
+            f"sensor {model.name} cannot be calibrated with these "
+            f"{int((weights[:, sensor] > 0.0).sum())} control points: seen along its slit "
+            "they coincide or line up so that many cameras fit as well "
+            f"(ratio of singular values {ratio:.1e}, at least {_min_ratio(model):g} is needed); "
+            f"add points off their grid{terms}",
+            sensor=model.name,
+        )
+
+
+def undetermined_sensors(
+    models: Sequence[SensorModel],
+    points_mm: Array,
+    weights: Array,
+    offset_sigma_mm: Array | None = None,
+    stack: CameraStack | None = None,
+) -> list[tuple[int, float]]:
+    """Return the sensors with an undetermined combination of parameters.
+
+    Args:
+        models: the S cameras.
+        points_mm: control points, shape (N, 3) [mm].
+        weights: 1 / standard deviation, shape (N, S) [1/px]; 0: not read.
+        offset_sigma_mm: standard deviations of the priors of the lens offsets, shape (S,) [mm].
+        stack: the same cameras as a stack; None: made here.
+
+    Returns:
+        Their indices, each with the ratio of singular values of its Jacobian.
+    """
+    centre = points_mm.mean(axis=0)
+    return [
+        (sensor, ratio)
+        for group in equation_groups(models, points_mm, weights, offset_sigma_mm, centre, stack)
+        for sensor, ratio in zip(group.sensors.tolist(), group.ratios.tolist(), strict=True)
+        if not ratio >= _min_ratio(models[sensor])
+    ]
+
+
+def _min_ratio(model: SensorModel) -> float:
+    return MIN_SINGULAR_RATIO if model.distortion is None else MIN_SINGULAR_RATIO_DISTORTED

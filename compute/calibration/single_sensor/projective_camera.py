@@ -1,5 +1,6 @@
-"""The 1D camera in projective form: linear solution, grid of starts, batched least squares."""
+"""The 1D camera in projective form: starts, batched least squares, conversion to metric form."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Final
@@ -7,7 +8,20 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.camera.model import PARAMETER_COUNT, SensorGeometry, SensorModel
+from compute.camera.stack import CameraStack
+from compute.errors import DegeneratePoints
+
 Array = NDArray[np.float64]
+
+SEARCH_STEPS: Final = 60
+MIN_RELATIVE_DEPTH: Final = 0.05
+"""Smallest depth of a point in a trial camera, the centroid's being 1."""
+DAMPING_FLOOR, DAMPING_CEILING = 1e-12, 1e8
+LOWEST_STARTS: Final = 6
+"""Nodes of the grid from which each sensor is searched, besides its linear solution."""
+DUPLICATE_TOLERANCE: Final = 1e-12
+"""Relative weights of sensors that differ by less are the same: one matrix serves all."""
 
 
 def normalisation(points_mm: Array) -> Array:
@@ -21,12 +35,6 @@ def normalisation(points_mm: Array) -> Array:
     transform[:3, 3] = -scale * centre
     transform[3, 3] = 1.0
     return transform
-
-
-PARAMETER_COUNT_PROJECTIVE = 7
-MIN_RELATIVE_DEPTH = 0.05
-"""Smallest depth of a point in a trial camera, the centroid's being 1."""
-DAMPING_FLOOR, DAMPING_CEILING = 1e-12, 1e8
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +62,7 @@ class ProjectiveCamera:
     @property
     def width(self) -> int:
         """Number of parameters: 7 + K."""
-        return PARAMETER_COUNT_PROJECTIVE + (0 if self.extra is None else self.extra.shape[1])
+        return PARAMETER_COUNT + (0 if self.extra is None else self.extra.shape[1])
 
     @classmethod
     def of(cls, points_mm: Array, readings_px: Array) -> "ProjectiveCamera":
@@ -77,22 +85,22 @@ class ProjectiveCamera:
     def project(self, theta: Array) -> Array:
         """Return the readings of cameras (K, width), shape (K, N) [px]."""
         numerator = theta[:, :3] @ self.points.T + theta[:, 3:4]
-        readings: Array = numerator / (1.0 + theta[:, 4:PARAMETER_COUNT_PROJECTIVE] @ self.points.T)
+        readings: Array = numerator / (1.0 + theta[:, 4:PARAMETER_COUNT] @ self.points.T)
         if self.extra is not None:
-            readings += theta[:, PARAMETER_COUNT_PROJECTIVE:] @ self.extra.T
+            readings += theta[:, PARAMETER_COUNT:] @ self.extra.T
         return np.asarray(readings * self.scale_px + self.zero_px)
 
     def linearise(self, theta: Array) -> tuple[Array, Array]:
         """Return readings (K, N) [px] and their Jacobian by theta, shape (K, N, width)."""
-        depth = 1.0 + theta[:, 4:PARAMETER_COUNT_PROJECTIVE] @ self.points.T
+        depth = 1.0 + theta[:, 4:PARAMETER_COUNT] @ self.points.T
         readings = (theta[:, :3] @ self.points.T + theta[:, 3:4]) / depth
         jacobian = np.empty((*readings.shape, self.width))
         jacobian[..., :3] = self.points / depth[..., None]
         jacobian[..., 3] = 1.0 / depth
-        jacobian[..., 4:PARAMETER_COUNT_PROJECTIVE] = -readings[..., None] * jacobian[..., :3]
+        jacobian[..., 4:PARAMETER_COUNT] = -readings[..., None] * jacobian[..., :3]
         if self.extra is not None:
-            jacobian[..., PARAMETER_COUNT_PROJECTIVE:] = self.extra
-            readings = readings + theta[:, PARAMETER_COUNT_PROJECTIVE:] @ self.extra.T
+            jacobian[..., PARAMETER_COUNT:] = self.extra
+            readings = readings + theta[:, PARAMETER_COUNT:] @ self.extra.T
         jacobian *= self.scale_px
         return readings * self.scale_px + self.zero_px, jacobian
 
@@ -105,13 +113,13 @@ class ProjectiveCamera:
         """
         zero = self.zero_px
         q = (np.where(weights > 0.0, readings_px, zero) - zero) / self.scale_px
-        design = np.empty((*q.shape, PARAMETER_COUNT_PROJECTIVE))
+        design = np.empty((*q.shape, PARAMETER_COUNT))
         design[..., :3] = self.points
         design[..., 3] = 1.0
         design[..., 4:] = -q[..., None] * self.points
         design *= weights[..., None]
         found = self._in_front(_solve(design, q * weights, 1e-12))
-        return np.pad(found, ((0, 0), (0, self.width - PARAMETER_COUNT_PROJECTIVE)))
+        return np.pad(found, ((0, 0), (0, self.width - PARAMETER_COUNT)))
 
     def fit(self, readings_px: Array, weights: Array, theta: Array, steps: int) -> Array:
         """Minimise the weighted squares by Levenberg-Marquardt.
@@ -159,17 +167,16 @@ class ProjectiveCamera:
         misfit = self.project(theta)
         misfit -= readings_px
         misfit *= weights
-        squares: Array = np.einsum("kn,kn->k", misfit, misfit)
-        return squares
+        return np.asarray(np.einsum("kn,kn->k", misfit, misfit))
 
     def _in_front(self, theta: Array) -> Array:
         """Reduce the depth's gradient where a point would come too near or behind."""
-        lowest = (theta[:, 4:PARAMETER_COUNT_PROJECTIVE] @ self.points.T).min(axis=1)
+        lowest = (theta[:, 4:PARAMETER_COUNT] @ self.points.T).min(axis=1)
         if lowest.min() >= MIN_RELATIVE_DEPTH - 1.0:
             return theta
         shrink = np.minimum(1.0, (1.0 - MIN_RELATIVE_DEPTH) / np.maximum(-lowest, 1e-12))
         theta = theta.copy()
-        theta[:, 4:PARAMETER_COUNT_PROJECTIVE] *= shrink[:, None]
+        theta[:, 4:PARAMETER_COUNT] *= shrink[:, None]
         return theta
 
 
@@ -185,14 +192,7 @@ def _solve(design: Array, right: Array, damping: Array | float) -> Array:
         damping if isinstance(damping, float) else damping[:, None]
     ) + 1e-13
     gradient = (transposed @ right[..., None])[..., 0] * scale
-    step: Array = np.linalg.solve(normal, gradient[..., None])[..., 0] * scale
-    return step
-
-
-LOWEST_STARTS: Final = 6
-"""Nodes of the grid from which each sensor is searched, besides its linear solution."""
-DUPLICATE_TOLERANCE: Final = 1e-12
-"""Relative weights of sensors that differ by less are the same: one matrix serves all."""
+    return np.asarray(np.linalg.solve(normal, gradient[..., None])[..., 0] * scale)
 
 
 def starting_cameras(camera: ProjectiveCamera, readings: Array, weights: Array) -> Array:
@@ -266,5 +266,127 @@ def _grid() -> Array:
     ring = np.sqrt(1.0 - height**2)
     directions = np.column_stack([np.cos(angle) * ring, np.sin(angle) * ring, height])
     gradients = np.array([0.02, 0.06, 0.13, 0.27, 0.5])
-    grid: Array = (gradients[:, None, None] * directions).reshape(-1, 3)
-    return grid
+    return np.asarray((gradients[:, None, None] * directions).reshape(-1, 3))
+
+
+def search_starts(
+    points_mm: Array,
+    readings_px: Array,
+    weights: Array,
+    initial_models: Sequence[SensorModel] | None,
+) -> Array:
+    """Search the projective cameras of sensors that all read all points.
+
+    Args:
+        points_mm: shape (N, 3) [mm].
+        readings_px: shape (N, S) [px].
+        weights: 1 / standard deviation, shape (N, S) [1/px].
+        initial_models: S cameras from which the search starts too, without their distortion.
+
+    Returns:
+        The best 2x4 matrix of each sensor, shape (S, 2, 4).
+    """
+    transform = normalisation(points_mm)
+    points = points_mm @ transform[:3, :3].T + transform[:3, 3]
+    camera = ProjectiveCamera(points, 0.0, 1.0)
+    centre, scale = readings_px.mean(axis=0), readings_px.std(axis=0)
+    scale = np.where(scale > 0.0, scale, 1.0)
+    readings = ((readings_px - centre) / scale).T
+    weight = (weights * scale).T
+    starts = starting_cameras(camera, readings, weight)
+    if initial_models is not None:
+        inverse = np.linalg.inv(transform)
+        # The matrices leave the distortion out.
+        matrices = CameraStack.of(initial_models).matrices
+        others = [
+            _projective_parameters(matrix @ inverse, m, s)
+            for matrix, m, s in zip(matrices, centre, scale, strict=True)
+        ]
+        starts = np.concatenate([starts, np.array(others)[:, None]], axis=1)
+    count = starts.shape[1]
+    rows = np.repeat(readings, count, axis=0)
+    row_weights = np.repeat(weight, count, axis=0)
+    theta = camera.fit(rows, row_weights, starts.reshape(-1, 7), SEARCH_STEPS)
+    squares = (((camera.project(theta) - rows) * row_weights) ** 2).sum(axis=1)
+    best = np.argmin(squares.reshape(-1, count), axis=1)
+    chosen = theta.reshape(-1, count, 7)[np.arange(len(best)), best]
+    return projective_matrices(chosen, transform, centre, scale)
+
+
+def projective_matrices(theta: Array, transform: Array, centre_px: Array, scale_px: Array) -> Array:
+    """Return the 2x4 matrices of cameras in a normalised frame, shape (S, 2, 4).
+
+    Args:
+        theta: (a, b, g), shape (S, 7).
+        transform: the frame's ``normalisation``, shape (4, 4).
+        centre_px: centres of the normalised readings, shape (S,) [px].
+        scale_px: their scales, shape (S,) [px].
+    """
+    second = np.ones((len(theta), 4))
+    second[:, :3] = theta[:, 4:]
+    first = scale_px[:, None] * theta[:, :4] + centre_px[:, None] * second
+    return np.asarray(np.stack([first, second], axis=1) @ transform)
+
+
+def metric_cameras(
+    matrices: Array, sensors: Sequence[SensorGeometry], seen_mm: Array
+) -> CameraStack:
+    """Return the metric cameras of 2x4 matrices, whatever their scale and sign.
+
+    Args:
+        matrices: shape (S, 2, 4).
+        sensors: the S sensors.
+        seen_mm: a point in front of each lens, shape (S, 3) [mm].
+
+    Raises:
+        DegeneratePoints: a camera reads the same of all points.
+    """
+    first, second = matrices[:, 0], matrices[:, 1]
+    norm = np.sqrt((second[:, :3] ** 2).sum(axis=1))
+    facing = (second[:, :3] * seen_mm).sum(axis=1) + second[:, 3]
+    norm = np.where(facing < 0.0, -norm, norm)[:, None]
+    first, second = first / norm, second / norm
+    point = (first[:, :3] * second[:, :3]).sum(axis=1)
+    along = first - point[:, None] * second
+    distance = np.sqrt((along[:, :3] ** 2).sum(axis=1))
+    for column in np.flatnonzero(~(distance > 1e-12 * np.maximum(1.0, np.abs(point)))):
+        raise DegeneratePoints(
+            f"sensor {sensors[column].name} reads the same of all its control points, as far as a "
+            "camera can tell; spread them across the sensor",
+            sensor=sensors[column].name,
+        )
+    along /= distance[:, None]
+    x, z = along[:, :3], second[:, :3]
+    y = z[:, [1, 2, 0]] * x[:, [2, 0, 1]] - z[:, [2, 0, 1]] * x[:, [1, 2, 0]]
+    count, none = len(matrices), np.zeros(len(matrices))
+    return CameraStack(
+        principal_distance_px=distance,
+        principal_point_px=point,
+        rotation=np.stack([x, y, z], axis=1),
+        offset_mm=np.stack([along[:, 3], none, second[:, 3]], axis=1),
+        cubic_per_px2=none,
+        terms=(),
+        coefficients=np.zeros((count, 0)),
+        row_behind_mm=none,
+        parameter_index=np.arange(count * PARAMETER_COUNT).reshape(count, PARAMETER_COUNT),
+    )
+
+
+def metric_models(
+    cameras: CameraStack, sensors: Sequence[SensorGeometry]
+) -> tuple[SensorModel, ...]:
+    """Return cameras without distortion as models.
+
+    Args:
+        cameras: S cameras.
+        sensors: the S sensors, for their names and pixels.
+    """
+    return cameras.models(
+        [SensorModel(one.name, one.pixels, 1.0, 0.0, (0.0, 0.0, 0.0), 0.0, 0.0) for one in sensors]
+    )
+
+
+def _projective_parameters(matrix: Array, centre_px: float, scale_px: float) -> Array:
+    """Return (a, b, g) of a 2x4 matrix in the normalised frame, with its points in front."""
+    first, second = matrix / matrix[1, 3]
+    return np.asarray(np.concatenate([(first - centre_px * second) / scale_px, second[:3]]))

@@ -1,23 +1,29 @@
 """Fit of all sensors to exact control points: metric, with distortion, least squares or robust."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.calibration.settings import Loss
+from compute.calibration.settings import Loss, free_parameters
 from compute.calibration.single_sensor.camera_fit import (
     LensOffsets,
+    MinimisationResult,
+    check_determined,
     minimise,
     minimise_with_distortion,
     start_with_terms,
 )
-from compute.calibration.single_sensor.design_matrix import check_determined
-from compute.calibration.single_sensor.distortion_terms import free_parameters
-from compute.calibration.single_sensor.metric_fit import fit_metric_cameras, metric_from_projective
-from compute.calibration.single_sensor.projective_camera import ProjectiveCamera, normalisation
+from compute.calibration.single_sensor.projective_camera import (
+    ProjectiveCamera,
+    metric_cameras,
+    metric_models,
+    normalisation,
+    projective_matrices,
+    search_starts,
+)
 from compute.calibration.single_sensor.trimmed_least_squares import robust_starts
 from compute.camera.field_distortion import Term
 from compute.camera.model import PARAMETER_COUNT, SensorGeometry, SensorModel
@@ -35,6 +41,9 @@ MAX_REWEIGHTINGS: Final = 60
 WEIGHT_TOLERANCE: Final = 1e-6
 HUBER_ITERATIONS: Final = 8
 STEPS_PER_REWEIGHTING: Final = 4
+MAX_BLOCKS: Final = 16
+MIN_BLOCKS: Final = 5
+POINTS_PER_BLOCK: Final = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +63,42 @@ class ControlObservations:
     sigma_px: Array
     sigma_known: bool
     sensors: tuple[SensorGeometry, ...]
+
+    @classmethod
+    def of(
+        cls,
+        points_mm: Array,
+        readings_px: Array,
+        sensors: Sequence[SensorGeometry],
+        sigma_px: Array | None,
+    ) -> "ControlObservations":
+        """Return observations whose standard deviations may be unknown.
+
+        Args:
+            points_mm: shape (N, 3) [mm].
+            readings_px: shape (N, S) [px]; NaN where not seen.
+            sensors: the S sensors.
+            sigma_px: standard deviations of the readings, shape (N, S) [px]; None: not known.
+        """
+        sigma = 1.0 if sigma_px is None else np.where(np.isfinite(readings_px), sigma_px, 1.0)
+        wide = np.broadcast_to(sigma, readings_px.shape)
+        return cls(points_mm, readings_px, wide, sigma_px is not None, tuple(sensors))
+
+    def with_point_sigma(
+        self, models: Sequence[SensorModel], point_sigma_mm: float
+    ) -> "ControlObservations":
+        """Add the control points' uncertainty to the readings' standard deviations.
+
+        Args:
+            models: the S cameras.
+            point_sigma_mm: standard deviation of each coordinate [mm].
+        """
+        point_sigma = projected_point_sigma(models, self.points_mm, point_sigma_mm)
+        return replace(self, sigma_px=np.hypot(self.sigma_px, np.nan_to_num(point_sigma)))
+
+    def residuals_px(self, models: Sequence[SensorModel]) -> Array:
+        """Return readings of S cameras minus measured ones, shape (N, S) [px]."""
+        return CameraStack.of(models).project(self.points_mm) - self.readings_px
 
     @property
     def seen(self) -> NDArray[np.bool_]:
@@ -85,6 +130,38 @@ class SensorFits:
     weights: Array
     lens_offsets: LensOffsets
 
+    def used(self, observed: ControlObservations) -> NDArray[np.bool_]:
+        """Return which readings count, shape (N, S)."""
+        return observed.seen & (self.weights > 0.0)
+
+    def known_weights(self, observed: ControlObservations) -> Array:
+        """Return 1 / standard deviation of the readings that count, 0 of others, (N, S) [1/px]."""
+        return np.where(self.weights > 0.0, observed.weights, 0.0)
+
+    def fit_without(
+        self, observed: ControlObservations, kept: NDArray[np.bool_]
+    ) -> MinimisationResult:
+        """Refit all cameras to parts of the points, starting from these.
+
+        Args:
+            observed: control points and readings.
+            kept: points of each part, shape (G, N).
+
+        Returns:
+            G S cameras, the first part's first.
+        """
+        sensors = len(self.models)
+        index = np.tile(np.arange(sensors), len(kept))
+        weights = (observed.weights * np.sqrt(self.weights))[:, index]
+        return minimise_with_distortion(
+            CameraStack.of(self.models).rows(index),
+            observed.points_mm,
+            observed.readings_px[:, index],
+            weights * np.repeat(kept, sensors, axis=0).T,
+            self.lens_offsets.prior.rows(index),
+            multi_start=False,
+        )
+
 
 def fit_undistorted(
     observed: ControlObservations, loss: Loss, initial_models: Sequence[SensorModel] | None = None
@@ -102,7 +179,6 @@ def fit_undistorted(
     Raises:
         DegeneratePoints, NoConvergence: see ``fit_metric_cameras``.
     """
-    ones = np.ones(observed.readings_px.shape)
     if loss == "linear":
         found = fit_metric_cameras(
             observed.points_mm,
@@ -111,20 +187,73 @@ def fit_undistorted(
             observed.sensors,
             initial_models,
         )
-        return found, ones
-    starts = tuple(_robust_start(observed, column) for column in range(len(observed.sensors)))
-    models, weights = _reweight(observed, starts, None)
-    _check_determined(observed, models, weights, None)
+        return found, np.ones(observed.readings_px.shape)
+    models, weights = _reweight(observed, _robust_start(observed), None)
+    check_determined(models, observed.points_mm, np.where(weights > 0.0, observed.weights, 0.0))
     return models, weights
+
+
+def fit_metric_cameras(
+    points_mm: Array,
+    readings_px: Array,
+    sigma_px: Array,
+    sensors: Sequence[SensorGeometry],
+    initial_models: Sequence[SensorModel] | None = None,
+) -> tuple[SensorModel, ...]:
+    """Minimise each sensor's squared normalised residuals from several starts; keep the lowest.
+
+    All starts of all sensors are searched at once in the projective form, whose numerator is
+    linear; the best of each is refined in the metric form.
+
+    Args:
+        points_mm: control points, shape (N, 3).
+        readings_px: readings, shape (N, S) [px]; NaN where a sensor did not see the point.
+        sigma_px: their standard deviations, shape (N, S) [px], or ones.
+        sensors: their geometry.
+        initial_models: cameras from which the search starts too, one a sensor; their distortion
+            is ignored. None: no others.
+
+    Raises:
+        DegeneratePoints: more than one camera fits.
+        NoConvergence: no start led to a minimum with all points in front of the lens.
+    """
+    seen = np.isfinite(readings_px)
+    weights = np.where(seen, 1.0 / np.where(seen, sigma_px, 1.0), 0.0)
+    matrices, centre_mm = np.empty((len(sensors), 2, 4)), np.empty((len(sensors), 3))
+    patterns: dict[bytes, list[int]] = {}
+    for column in range(len(sensors)):
+        patterns.setdefault(seen[:, column].tobytes(), []).append(column)
+    for members in patterns.values():
+        columns = np.array(members)
+        rows = seen[:, columns[0]]
+        points = points_mm[rows]
+        matrices[columns] = search_starts(
+            points,
+            readings_px[np.ix_(rows, columns)],
+            weights[np.ix_(rows, columns)],
+            None if initial_models is None else [initial_models[column] for column in columns],
+        )
+        centre_mm[columns] = points.mean(axis=0)
+    starts = metric_cameras(matrices, sensors, centre_mm)
+    ended = minimise(starts, points_mm, readings_px, weights)
+    fitted = metric_models(ended.cameras, sensors)
+    # First whether there is one camera: a search for none does not come to rest.
+    check_determined(fitted, points_mm, weights, stack=ended.cameras)
+    for column, model in enumerate(fitted):
+        if not ended.converged[column]:
+            raise NoConvergence(
+                f"sensor {model.name}: no camera with all its {int(seen[:, column].sum())} control "
+                "points in front of it fits the readings; look for exchanged or wrong labels",
+                sensor=model.name,
+            )
+    return fitted
 
 
 def fit_distorted(
     observed: ControlObservations,
-    undistorted: Sequence[SensorModel],
+    undistorted: SensorFits,
     terms: Sequence[tuple[Term, ...]],
-    lens_offsets: LensOffsets,
     loss: Loss,
-    weights: Array,
 ) -> SensorFits:
     """Fit the cameras with distortion terms, one set for each sensor.
 
@@ -132,12 +261,7 @@ def fit_distorted(
         observed: control points and readings.
         undistorted: the seven-parameter cameras, from which the fit starts.
         terms: the distortion terms of each sensor; an empty tuple for none.
-        lens_offsets: where the lenses lie along the slits, with their prior.
         loss: "linear" or "robust".
-        weights: of the readings with the undistorted cameras, shape (N, S).
-
-    Returns:
-        The fitted cameras, the readings' weights and the offsets.
 
     Raises:
         TooFewPoints: a sensor has fewer readings than parameters.
@@ -145,7 +269,7 @@ def fit_distorted(
         NoConvergence: a search did not converge.
     """
     if not any(terms):
-        return SensorFits(tuple(undistorted), weights, lens_offsets)
+        return undistorted
     for sensor, sensor_terms, rows in zip(observed.sensors, terms, observed.seen.T, strict=True):
         needed = free_parameters(sensor_terms)
         if rows.sum() < needed:
@@ -156,30 +280,25 @@ def fit_distorted(
                 sensor=sensor.name,
                 points=int(rows.sum()),
             )
-    models = start_with_terms(undistorted, terms, lens_offsets)
-    scaled = (
-        lens_offsets
-        if observed.sigma_known
-        else lens_offsets.scaled(np.full(len(models), INITIAL_SIGMA_PX))
-    )
-    for iteration in range(2):
-        if loss == "robust":
-            models, weights = _reweight(observed, models, scaled, multi_start=iteration == 0)
-        else:
-            models = _minimise(
-                observed, models, scaled, observed.weights, multi_start=iteration == 0
-            )
-        if iteration == 1:
-            break
-        # The first fit gives the principal distance with distortion and the readings' standard
-        # deviation, which scales the prior.
-        lens_offsets = lens_offsets.at(models, observed.pitch_um)
-        models = start_with_terms(models, terms, lens_offsets)
-        scaled = lens_offsets
+    models, weights, offsets = undistorted.models, undistorted.weights, undistorted.lens_offsets
+    for first in (True, False):
+        models = start_with_terms(models, terms, offsets)
+        scaled = offsets
         if not observed.sigma_known:
-            scaled = lens_offsets.scaled(residual_sigma(observed, models, weights))
-    _check_determined(observed, models, weights, scaled)
-    return SensorFits(models, weights, scaled)
+            unknown = np.full(len(models), INITIAL_SIGMA_PX)
+            sigma = unknown if first else residual_sigma(observed, models, weights)
+            scaled = offsets.scaled(sigma)
+        if loss == "robust":
+            models, weights = _reweight(observed, models, scaled, multi_start=first)
+        else:
+            models = _minimise(observed, models, scaled, observed.weights, multi_start=first)
+        # The first fit gives the principal distance with distortion, and the noise.
+        offsets = offsets.at(models, observed.pitch_um)
+    fits = SensorFits(models, weights, scaled)
+    check_determined(
+        models, observed.points_mm, fits.known_weights(observed), scaled.prior.sigma_mm
+    )
+    return fits
 
 
 def residual_sigma(
@@ -195,25 +314,64 @@ def residual_sigma(
     Returns:
         Standard deviations, shape (S,) [px].
     """
-    residuals = CameraStack.of(models).project(observed.points_mm) - observed.readings_px
     sigma = []
-    for model, column, weight in zip(models, residuals.T, weights.T, strict=True):
+    for model, column, weight in zip(
+        models, observed.residuals_px(models).T, weights.T, strict=True
+    ):
         rows = np.isfinite(column) & (weight > 0.0)
-        terms = () if model.distortion is None else model.distortion.terms
-        dof = max(int(rows.sum()) - PARAMETER_COUNT - len(terms), 1)
+        dof = max(int(rows.sum()) - PARAMETER_COUNT - len(model.terms), 1)
         sigma.append(max(float(np.sqrt((column[rows] ** 2).sum() / dof)), SIGMA_FLOOR_PX))
     return np.array(sigma)
 
 
-def _check_determined(
-    observed: ControlObservations,
-    models: Sequence[SensorModel],
-    weights: Array,
-    lens_offsets: LensOffsets | None,
-) -> None:
-    used = np.where(weights > 0.0, observed.weights, 0.0)
-    sigma = None if lens_offsets is None else lens_offsets.prior.sigma_mm
-    check_determined(models, observed.points_mm, used, sigma)
+def projected_point_sigma(
+    models: Sequence[SensorModel], points_mm: Array, sigma_mm: float
+) -> Array:
+    """Project the control points' uncertainty onto the readings.
+
+    Args:
+        models: S cameras.
+        points_mm: control points, shape (N, 3) [mm].
+        sigma_mm: standard deviation of each coordinate [mm].
+
+    Returns:
+        Standard deviations of the readings due to the points, shape (N, S) [px].
+    """
+    jacobian = CameraStack.of(models).linearise(points_mm)[1]
+    return np.asarray(sigma_mm * np.linalg.norm(jacobian, axis=2))
+
+
+def block_count(points: int) -> int:
+    """Return the number of blocks for a number of points: three points each, 5 to 16 blocks."""
+    return int(min(points, max(MIN_BLOCKS, min(MAX_BLOCKS, points // POINTS_PER_BLOCK))))
+
+
+def spatial_block_index(points_mm: Array, count: int) -> NDArray[np.intp]:
+    """Assign points to blocks of space, by repeated halving across the longest extent.
+
+    Model errors of neighbouring points are correlated. Points that are left out one by one would
+    be predicted from neighbours with the same error; a block is not.
+
+    Args:
+        points_mm: shape (N, 3) [mm].
+        count: number of blocks, at most N.
+
+    Returns:
+        The block of each point, 0 .. count - 1, shape (N,).
+    """
+    blocks = np.zeros(len(points_mm), dtype=np.intp)
+    parts = [(np.arange(len(points_mm)), 0, count)]
+    while parts:
+        rows, first, share = parts.pop()
+        if share == 1:
+            blocks[rows] = first
+            continue
+        extent = np.ptp(points_mm[rows], axis=0)
+        order = rows[np.argsort(points_mm[rows, int(extent.argmax())], kind="stable")]
+        low = share // 2
+        cut = round(len(rows) * low / share)
+        parts += [(order[:cut], first, low), (order[cut:], first + low, share - low)]
+    return blocks
 
 
 def _minimise(
@@ -230,17 +388,18 @@ def _minimise(
     else:
         ended = minimise_with_distortion(*problem, lens_offsets.prior, multi_start=multi_start)
     models = ended.cameras.models(starts)
-    for column, (sensor, start) in enumerate(zip(observed.sensors, starts, strict=True)):
-        if not ended.converged[column]:
-            # Undetermined parameters explain the failure better than "did not converge".
-            _check_determined(observed, models, weights, lens_offsets)
-            count = 0 if start.distortion is None else len(start.distortion.terms)
-            raise NoConvergence(
-                f"sensor {sensor.name}: the search for its {PARAMETER_COUNT} parameters and "
-                f"{count} distortion terms did not converge; look for wrong labels, spread "
-                "the points over the field, or take fewer terms",
-                sensor=sensor.name,
-            )
+    for column in np.flatnonzero(~ended.converged):
+        # Undetermined parameters explain the failure better than "did not converge".
+        used = np.where(weights > 0.0, observed.weights, 0.0)
+        sigma = None if lens_offsets is None else lens_offsets.prior.sigma_mm
+        check_determined(models, observed.points_mm, used, sigma)
+        name = observed.sensors[column].name
+        raise NoConvergence(
+            f"sensor {name}: the search for its {PARAMETER_COUNT} parameters and "
+            f"{len(starts[column].terms)} distortion terms did not converge; look for wrong "
+            "labels, spread the points over the field, or take fewer terms",
+            sensor=name,
+        )
     return models
 
 
@@ -286,17 +445,15 @@ def _reweight(
     return models, np.where(observed.seen, weights, 1.0)
 
 
-def _robust_start(observed: ControlObservations, column: int) -> SensorModel:
-    """Return one sensor's camera of least trimmed squares."""
-    rows = observed.seen[:, column]
-    points, readings = observed.points_mm[rows], observed.readings_px[rows, column]
-    camera = ProjectiveCamera.of(points, readings)
-    theta = robust_starts(camera, readings, observed.sigma_px[rows, column], 1)[0]
-    return metric_from_projective(
-        theta,
-        normalisation(points),
-        camera.centre_px,
-        camera.scale_px,
-        observed.sensors[column],
-        points.mean(axis=0),
-    )
+def _robust_start(observed: ControlObservations) -> tuple[SensorModel, ...]:
+    """Return each sensor's camera of least trimmed squares."""
+    matrices, centres = [], []
+    for column, rows in enumerate(observed.seen.T):
+        points, readings = observed.points_mm[rows], observed.readings_px[rows, column]
+        camera = ProjectiveCamera.of(points, readings)
+        theta = robust_starts(camera, readings, observed.sigma_px[rows, column], 1)
+        centre, scale = np.array([camera.centre_px]), np.array([camera.scale_px])
+        matrices.append(projective_matrices(theta, normalisation(points), centre, scale)[0])
+        centres.append(points.mean(axis=0))
+    cameras = metric_cameras(np.array(matrices), observed.sensors, np.array(centres))
+    return metric_models(cameras, observed.sensors)

@@ -3,10 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.calibration.single_sensor.projective_camera import (
-    PARAMETER_COUNT_PROJECTIVE,
-    ProjectiveCamera,
-)
+from compute.calibration.single_sensor.projective_camera import ProjectiveCamera
+from compute.camera.model import PARAMETER_COUNT
 
 Array = NDArray[np.float64]
 
@@ -34,9 +32,7 @@ def robust_starts(
     """
     seen = np.flatnonzero(np.isfinite(readings_px))
     rng = np.random.default_rng(SEED)
-    chosen = seen[
-        np.argsort(rng.random((RANDOM_SUBSETS, len(seen))), axis=1)[:, :PARAMETER_COUNT_PROJECTIVE]
-    ]
+    chosen = seen[np.argsort(rng.random((RANDOM_SUBSETS, len(seen))), axis=1)[:, :PARAMETER_COUNT]]
     values = np.where(np.isfinite(readings_px), readings_px, camera.centre_px)
     unit = np.zeros(len(values))
     unit[seen] = 1.0 / sigma_px[seen]
@@ -53,8 +49,7 @@ def robust_starts(
         near = [abs(cost[index] - cost[other]) <= 1e-6 * cost[other] for other in distinct]
         if not any(near):
             distinct.append(int(index))
-    best: Array = theta[distinct[:count]]
-    return best
+    return np.asarray(theta[distinct[:count]])
 
 
 def _concentrate(

@@ -1,8 +1,8 @@
 """ErrorEstimate: probability that a group is wrong, beyond what other sets of candidates show."""
 
 from dataclasses import dataclass
-from math import exp, log, pi
-from typing import Any, Final
+from math import log
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,24 +11,18 @@ from compute.measurement.measurements import Measurements
 from compute.reconstruction.correspondence.candidates import (
     MAX_EXTENT_MM,
     Candidates,
+    MatchSettings,
     MisfitDensity,
     Solve,
+    UnexplainedPeaks,
     solve_combinations,
 )
 from compute.reconstruction.correspondence.predicted_candidates import (
     PredictedPoints,
     log_prediction_density,
 )
-from compute.reconstruction.correspondence.rigid_bodies import BodyMatch
-from compute.reconstruction.correspondence.settings import MatchSettings
 
 Array = NDArray[np.float64]
-
-_UNSEEN: Final = 0.25
-"""Unexplained peaks of a sensor that are expected beside those that are there, and for each
-marker as many more as it has chances to be missed."""
-_MIN_LOG_DENSITY: Final = -100.0
-_LOG_ROOT_TWO_PI: Final = 0.5 * log(2.0 * pi)
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +33,7 @@ class ErrorEstimate:
         solve: triangulates readings.
         peaks: of the frame.
         settings: the model.
-        unassigned_peaks: peaks of each sensor that the set does not explain, shape (S,).
+        unexplained: peaks that the set does not explain.
         markers: number of markers in the set.
         predicted: predicted positions of markers; None: none.
     """
@@ -47,16 +41,9 @@ class ErrorEstimate:
     solve: Solve
     peaks: Measurements
     settings: MatchSettings
-    unassigned_peaks: Array
+    unexplained: UnexplainedPeaks
     markers: int
     predicted: PredictedPoints | None = None
-
-    @property
-    def unexplained(self) -> Array:
-        """Expected number of unexplained peaks of each sensor, shape (S,)."""
-        expected = _UNSEEN + self.markers * (1.0 - self.settings.detection_probability)
-        unexplained: Array = np.maximum(self.unassigned_peaks, 0.0) + expected
-        return unexplained
 
     def error_probability(
         self, candidates: Candidates, misfit_density: MisfitDensity, predicted: MisfitDensity
@@ -92,27 +79,12 @@ class ErrorEstimate:
         # Three of the misfits are to the prediction, of which there is one.
         true += np.where(tracked, 0.0, log(self.markers))
         dof = np.where(tracked, candidates.dof - 3, candidates.dof)
-        near = dof * log_misfit_density(misfit_density) + np.where(
-            tracked, 3.0 * log_misfit_density(predicted), 0.0
+        near = dof * misfit_density.log_ratio() + np.where(
+            tracked, 3.0 * predicted.log_ratio(), 0.0
         )
-        ways = used @ np.log(self.unexplained)
+        ways = used @ np.log(self.unexplained.expected)
         odds: Array = np.exp(np.minimum(ways - true + near + 0.5 * candidates.chi2, 0.0))
         return odds
-
-    def body_error_probability(
-        self, match: BodyMatch, members: Candidates, misfit_density: MisfitDensity
-    ) -> float:
-        """Return the expected number of wrong matches that fit as well as a body's does.
-
-        Args:
-            match: the body's match, with its chi2.
-            members: candidates that are its markers.
-            misfit_density: density of wrong distances between points.
-        """
-        ways = float(((members.choice >= 0) @ np.log(self.unexplained)).sum())
-        peaks = int((members.choice >= 0).sum())
-        near = match.dof * log_misfit_density(misfit_density) + 0.5 * match.chi2
-        return exp(min(ways - peaks * log(self.settings.detection_probability) + near, 0.0))
 
     def _foreign_peak_probability(self, candidates: Candidates) -> Array:
         """Return the chances that one of a candidate's peaks is not its own, which it missed.
@@ -134,25 +106,10 @@ class ErrorEstimate:
         if self.predicted is not None and len(tracked):
             # What the prediction says is one more observation, with the peak and without.
             alone = log_prediction_density(
-                fewer.candidates.take(tracked), self.predicted, of[tracked]
+                fewer.candidates.rows(tracked), self.predicted, of[tracked]
             )
             log_density[tracked] += candidates.log_density[which[tracked]] - alone
         missed = 1.0 / self.settings.detection_probability - 1.0
-        odds = missed * self.density[sensor] * np.exp(-log_density)
+        odds = missed * self.unexplained.density_per_px[sensor] * np.exp(-log_density)
         total: Any = np.bincount(which, odds, minlength=len(candidates))
         return np.asarray(total, dtype=np.float64)
-
-    @property
-    def density(self) -> Array:
-        """Return how dense unexplained peaks are, over where the peaks lie, shape (S,) [1/px]."""
-        place, count = self.peaks.position_px, self.peaks.count
-        last = place[np.arange(len(place)), np.maximum(count - 1, 0)]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            density = self.unexplained * (count - 1) / ((last - place[:, 0]) * (count + 1))
-        return np.where(count >= 3, density, self.settings.clutter_density_per_px)
-
-
-def log_misfit_density(misfit_density: MisfitDensity) -> float:
-    """Return the log density of wrong misfits at zero over that of noise."""
-    # Where nothing was counted nothing was tried, and the figure is not used.
-    return max(misfit_density.log_density() + _LOG_ROOT_TWO_PI, _MIN_LOG_DENSITY)

@@ -1,22 +1,25 @@
-"""Candidates: combinations of peaks that intersect, with their likelihoods."""
+"""Candidates: combinations of peaks that intersect, and their likelihood by MatchSettings."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from math import lgamma, log, pi
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.errors import InvalidParameter
 from compute.measurement.measurements import Measurements
-from compute.reconstruction.correspondence.settings import FALSE_REJECTION, MatchSettings
-from compute.reconstruction.point_batch import PointBatch
+from compute.reconstruction.point_batch import Batch, PointBatch
 from compute.reconstruction.triangulation import chi2_limit
 
 Array = NDArray[np.float64]
 Choice = NDArray[np.intp]
 Solve = Callable[[Array, Array], PointBatch]
 
+FALSE_REJECTION = 1e-6
+"""Probability that the peaks of one marker are not grouped."""
 MISFIT_BANDS = np.array([1.0, 3.0, 20.0])
 """Misfits of up to these times what a marker may have tell how many are there by chance."""
 MAX_EXTENT_MM = 500.0
@@ -25,11 +28,75 @@ PRIOR_EXTENT_MM = 5.0
 """Up to which a less determined point is taken as likelier. Markers that are evenly spread are
 dense in readings where these tell little, far away; but nothing is known of a volume so far out."""
 _HALF_COUNT = 0.5
+_MIN_LOG_RATIO = -100.0
+_UNSEEN = 0.25
+"""Unexplained peaks of a sensor that are expected beside those that are there, and for each
+marker as many more as it has chances to be missed."""
 _LOG_TWO_PI = log(2.0 * pi)
 
 
+@dataclass(frozen=True)
+class MatchSettings:
+    """Model of peaks and markers, accepted error rate, and limits of the search.
+
+    The first three need only the right order of magnitude: they cancel where two markers exchange
+    peaks, and the density of chance intersections is measured in the frame itself.
+
+    Args:
+        detection_probability: probability that a sensor has a peak of a marker.
+        clutter_density_per_px: density of false peaks [1/px].
+        markers_per_mm3: density of markers [1/mm^3].
+        max_error_rate: largest error probability of a group that counts as unambiguous.
+        max_points: most combinations that are reconstructed in a frame.
+        max_hypotheses: most branches of the enumeration of sets of markers, for each cluster of
+            linked peaks; beyond, error probabilities are bounded by linear programmes.
+
+    Raises:
+        InvalidParameter: a value out of its range.
+    """
+
+    detection_probability: float = 0.95
+    clutter_density_per_px: float = 2e-4
+    markers_per_mm3: float = 1e-7
+    max_error_rate: float = 1e-3
+    max_points: int = 200_000
+    max_hypotheses: int = 1_000
+
+    def __post_init__(self) -> None:
+        for name in ("detection_probability", "max_error_rate"):
+            value = getattr(self, name)
+            if not 0.0 < value < 1.0:
+                raise InvalidParameter(
+                    f"{name} is {value}; it must lie between 0 and 1", **{name: value}
+                )
+        for name in (
+            "clutter_density_per_px",
+            "markers_per_mm3",
+            "max_points",
+            "max_hypotheses",
+        ):
+            value = getattr(self, name)
+            if not 0.0 < value < float("inf"):
+                raise InvalidParameter(f"{name} is {value}; it must be positive", **{name: value})
+
+    @property
+    def log_seen(self) -> float:
+        """Log likelihood ratio of a detected marker's peak to a false peak [log px]."""
+        return log(self.detection_probability) - log(self.clutter_density_per_px)
+
+    @property
+    def log_missed(self) -> float:
+        """Log likelihood of a missed detection."""
+        return log(1.0 - self.detection_probability)
+
+    @property
+    def window(self) -> float:
+        """Log odds beyond which other sets of markers are not enumerated."""
+        return 3.0 - log(self.max_error_rate)
+
+
 @dataclass(frozen=True, eq=False)
-class Candidates:
+class Candidates(Batch):
     """C combinations of peaks with the points where they intersect.
 
     Args:
@@ -44,7 +111,7 @@ class Candidates:
         log_density: log of that point's density at the position, shape (C,) [1/mm^3]; 0: none.
     """
 
-    choice: Choice
+    choice: Annotated[Choice, "S"]
     points: PointBatch
     chi2: Array
     dof: NDArray[np.intp]
@@ -52,10 +119,6 @@ class Candidates:
     log_marginal_capped: Array
     predicted: NDArray[np.intp]
     log_density: Array
-
-    def __len__(self) -> int:
-        """Return the number of combinations."""
-        return len(self.choice)
 
     @property
     def position_mm(self) -> Array:
@@ -66,34 +129,6 @@ class Candidates:
     def covariance_mm2(self) -> Array:
         """Covariances of the positions, shape (C, 3, 3) [mm^2]."""
         return self.points.covariance_mm2
-
-    def take(self, index: NDArray[np.intp] | NDArray[np.bool_]) -> "Candidates":
-        """Return some of the combinations."""
-        return Candidates(
-            self.choice[index],
-            self.points.take(index),
-            self.chi2[index],
-            self.dof[index],
-            self.log_marginal[index],
-            self.log_marginal_capped[index],
-            self.predicted[index],
-            self.log_density[index],
-        )
-
-    def concatenate(self, other: "Candidates") -> "Candidates":
-        """Return these combinations and others after them."""
-        if len(self) == 0:
-            return other
-        return Candidates(
-            np.concatenate([self.choice, other.choice]),
-            PointBatch.concatenate([self.points, other.points]),
-            np.concatenate([self.chi2, other.chi2]),
-            np.concatenate([self.dof, other.dof]),
-            np.concatenate([self.log_marginal, other.log_marginal]),
-            np.concatenate([self.log_marginal_capped, other.log_marginal_capped]),
-            np.concatenate([self.predicted, other.predicted]),
-            np.concatenate([self.log_density, other.log_density]),
-        )
 
     def scores(self, settings: MatchSettings, missed: NDArray[np.intp]) -> Array:
         """Return log likelihood ratios to the peaks being false, shape (C,).
@@ -145,22 +180,22 @@ def solve_combinations(solve: Solve, peaks: Measurements, choice: Choice) -> Sol
     dof = points.used.sum(axis=1) - 3
     with np.errstate(invalid="ignore"):
         good = np.flatnonzero(points.chi2 <= _limits(len(peaks))[np.maximum(dof, 0)])
-    candidates = empty_candidates(len(peaks))
-    if len(good):
-        chi2, n_dof, covariance = points.chi2[good], dof[good], points.covariance_mm2[good]
-        log_sigma = np.log(np.where(points.used[good], sigma[good], 1.0)).sum(axis=1)
-        rest = -log_sigma - 0.5 * _LOG_TWO_PI * n_dof - 0.5 * chi2
-        log_volume, compared = log_volumes(covariance)
-        candidates = Candidates(
-            choice[good],
-            points.take(good),
-            chi2,
-            n_dof,
-            log_volume + rest,
-            compared + rest,
-            np.full(len(good), -1),
-            np.zeros(len(good)),
-        )
+    if not len(good):
+        return SolvedCombinations(Candidates.empty(len(peaks)), good, points.chi2, dof)
+    chi2, n_dof, covariance = points.chi2[good], dof[good], points.covariance_mm2[good]
+    log_sigma = np.log(np.where(points.used[good], sigma[good], 1.0)).sum(axis=1)
+    rest = -log_sigma - 0.5 * _LOG_TWO_PI * n_dof - 0.5 * chi2
+    log_volume, compared = log_volumes(covariance)
+    candidates = Candidates(
+        choice[good],
+        points.rows(good),
+        chi2,
+        n_dof,
+        log_volume + rest,
+        compared + rest,
+        np.full(len(good), -1),
+        np.zeros(len(good)),
+    )
     return SolvedCombinations(candidates, good, points.chi2, dof)
 
 
@@ -191,23 +226,6 @@ def _limits(sensors: int) -> Array:
     return np.array([min(_limit(n_dof), 1e300) for n_dof in range(sensors - 2)])
 
 
-@cache
-def empty_candidates(sensors: int) -> Candidates:
-    """Return no combinations."""
-    none = np.empty(0)
-    whole = np.empty(0, dtype=np.intp)
-    return Candidates(
-        np.empty((0, sensors), dtype=np.intp),
-        PointBatch.empty(sensors),
-        none,
-        whole,
-        none,
-        none,
-        whole,
-        none,
-    )
-
-
 class MisfitDensity:
     """Density of wrong combinations' misfits about zero, as counted in this frame.
 
@@ -230,14 +248,15 @@ class MisfitDensity:
         self._hits += hits
         self._width += width
 
-    def log_density(self) -> float:
-        """Return the log density of wrong misfits at zero, per standard deviation."""
+    def log_ratio(self) -> float:
+        """Return the log density of wrong misfits at zero over that of noise."""
         if self._width[-1] <= 0.0:
-            return -np.inf
+            # Nothing was tried, and the figure is not used.
+            return _MIN_LOG_RATIO
         # What is seen in a band for sure, and half a misfit in the broadest at least.
         sure = np.maximum(self._hits - np.sqrt(np.maximum(self._hits, 0.0)), 0.0)
         sure[-1] = max(self._hits[-1], 0.0) + _HALF_COUNT
-        return float(np.log((sure / self._width).max()))
+        return max(float(np.log((sure / self._width).max())) + 0.5 * _LOG_TWO_PI, _MIN_LOG_RATIO)
 
     def count(self, chi2: Array, dof: int, true: int) -> None:
         """Count the misfits of all combinations with the same degrees of freedom.
@@ -262,3 +281,29 @@ def _log_ball_volumes(dof: int) -> Array:
     log_ball = 0.5 * dof * log(pi) - lgamma(0.5 * dof + 1.0)
     volumes: Array = log_ball + dof * (0.5 * log(_limit(dof)) + np.log(MISFIT_BANDS))
     return volumes
+
+
+class UnexplainedPeaks:
+    """Peaks of an exposure that its likeliest set of markers does not explain.
+
+    Attributes:
+        expected: expected number of them on each sensor, shape (S,).
+        density_per_px: how dense they are over where the peaks lie, shape (S,) [1/px].
+
+    Args:
+        peaks: of the exposure, sorted.
+        settings: the model of peaks.
+        unassigned: number of peaks of each sensor that the set leaves, shape (S,).
+        markers: number of markers in the set.
+    """
+
+    def __init__(
+        self, peaks: Measurements, settings: MatchSettings, unassigned: Array, markers: int
+    ) -> None:
+        missed = markers * (1.0 - settings.detection_probability)
+        self.expected: Array = np.maximum(unassigned, 0.0) + (_UNSEEN + missed)
+        place, count = peaks.position_px, peaks.count
+        last = place[np.arange(len(place)), np.maximum(count - 1, 0)]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            density = self.expected * (count - 1) / ((last - place[:, 0]) * (count + 1))
+        self.density_per_px = np.where(count >= 3, density, settings.clutter_density_per_px)

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from math import exp, log, pi
+from math import log, pi
 from typing import Final
 
 import numpy as np
@@ -12,22 +12,18 @@ from numpy.typing import NDArray
 from compute.errors import InvalidParameter
 from compute.measurement.measurement_model import MeasurementModel
 from compute.measurement.measurements import Measurements
-from compute.reconstruction.correspondence.ambiguity import ErrorEstimate, log_misfit_density
-from compute.reconstruction.correspondence.candidate_set import CandidateSet
+from compute.reconstruction.correspondence.candidate_set import CandidateSet, Group
 from compute.reconstruction.correspondence.candidates import (
+    FALSE_REJECTION,
     MAX_EXTENT_MM,
     Choice,
+    MatchSettings,
     MisfitDensity,
     Solve,
+    UnexplainedPeaks,
     log_volumes,
 )
 from compute.reconstruction.correspondence.predicted_candidates import PredictedPoints
-from compute.reconstruction.correspondence.settings import (
-    FALSE_REJECTION,
-    Correspondence,
-    Group,
-    MatchSettings,
-)
 from compute.reconstruction.point_batch import PointBatch
 from compute.reconstruction.triangulation import chi2_limit
 
@@ -36,26 +32,54 @@ Array = NDArray[np.float64]
 _STANDARD: Final = MatchSettings()
 
 
+@dataclass(frozen=True, eq=False)
+class Correspondence:
+    """Readings grouped to markers.
+
+    Args:
+        readings_px: shape (M, S), NaN where a sensor did not see the marker.
+        sigma_px: their standard deviations, shape (M, S).
+        ambiguous: whether another grouping is likelier than the settings' ``max_error_rate``, or
+            the search was cut; shape (M,).
+        points: the points of the groups, solved from these readings, M of them.
+        peaks: index of each sensor's peak, in the order given, -1: none; shape (M, S).
+        predicted: index of the predicted point that it is, -1: none; shape (M,).
+        cut: combinations and sets that were not examined because there were too many; where this
+            is not 0, the groups that they might have changed are ambiguous.
+    """
+
+    readings_px: Array
+    sigma_px: Array
+    ambiguous: NDArray[np.bool_]
+    points: PointBatch
+    peaks: NDArray[np.intp]
+    predicted: NDArray[np.intp]
+    cut: int
+
+    def __len__(self) -> int:
+        """Return the number of groups."""
+        return len(self.readings_px)
+
+
 def group_peaks(
     solve: Solve,
     measurements: Measurements,
     *,
     model: MeasurementModel | None = None,
     predicted: PredictedPoints | None = None,
-    bodies_mm: Sequence[Array] = (),
     settings: MatchSettings = _STANDARD,
 ) -> Correspondence:
     """Group the peaks of S sensors to markers by the consistency of their planes.
 
     N markers on three sensors make N^3 points, each of which fits exactly; further sensors,
-    predicted points and rigid bodies tell the N true ones from the ghosts [2.15]. Combinations
+    and predicted points tell the N true ones from the ghosts [2.15]. Combinations
     that meet are found step by step; of those, the set that explains the peaks best is taken,
     each peak used once (twice, if it is merged); every other set that comes near is weighed
     against it. A marker is ambiguous if the sets without it have a larger share than
     ``settings.max_error_rate``, or if as many wrong combinations of the unexplained peaks are to be
     expected by chance, or if not everything could be looked at.
 
-    What fewer than four sensors saw is no candidate without a prediction or a body. Only where
+    What fewer than four sensors saw is no candidate without a prediction. Only where
     nothing is left to choose, one peak on each of three or more sensors, is it taken: as
     unambiguous if that is all that there is.
 
@@ -67,93 +91,59 @@ def group_peaks(
         model: the measurement model of the same sensors; None: only small frames can be grouped,
             those with up to ``candidate_set.MAX_UNPREDICTED_COMBINATIONS`` combinations.
         predicted: where markers are expected; needs ``model``.
-        bodies_mm: markers of rigid bodies in their own coordinates, (M, 3) each [mm].
         settings: the model of peaks and markers, and the bounds.
 
     Raises:
-        InvalidParameter: predicted points without ``model``, or a body of too few markers.
+        InvalidParameter: predicted points without ``model``.
     """
     if predicted is not None and model is None:
         raise InvalidParameter("predicted points need a model, which says where they are seen")
-    outside = (predicted is not None and len(predicted) > 0) or len(bodies_mm) > 0
     count = measurements.count
     seeing = int((count > 0).sum())
-    if seeing < 3 or (not outside and (count.max() == 1 or seeing == 3)):
+    if predicted is not None and len(predicted) == 0:
+        predicted = None
+    if seeing < 3 or (predicted is None and (count.max() == 1 or seeing == 3)):
         return _nothing_to_choose(solve, measurements)
     peaks = measurements.sort()
-    small = None if outside else group_four_sensor_frame(solve, peaks, settings)
+    small = group_four_sensor_frame(solve, peaks, settings) if predicted is None else None
     if small is not None:
-        return _result(*small, peaks, 0)
+        return _result(*small, peaks)
     candidate_set = CandidateSet(solve, peaks, settings, model)
-    if predicted is not None and len(predicted) > 0:
+    if predicted is not None:
         candidate_set.add_predicted(predicted)
     if seeing >= 4:
         candidate_set.add_free()
-    for index, body in enumerate(bodies_mm):
-        candidate_set.add_body(index, np.asarray(body, dtype=np.float64))
     candidate_set.finish()
-    groups = candidate_set.groups
-    points = PointBatch.concatenate([PointBatch.empty(len(peaks)), *candidate_set.group_points])
-    return _result(groups, points, peaks, candidate_set.cut)
+    points = PointBatch.concatenate(candidate_set.group_points)
+    return _result(candidate_set.groups, points, peaks, candidate_set.cut)
 
 
 def _nothing_to_choose(solve: Solve, measurements: Measurements) -> Correspondence:
     """Return the group of single peaks of three or more sensors, if that is all there is."""
     count = measurements.count
-    sensors = len(measurements)
     if (count == 1).sum() < 3 or count.max() > 1:
-        return _no_groups(sensors)
-    choice = np.where(count == 1, measurements.usable.argmax(axis=1), -1)[None]
-    readings, sigma = measurements.readings(choice)
-    return Correspondence(
-        readings,
-        sigma,
-        np.zeros(1, dtype=np.bool_),
-        solve(readings, sigma),
-        choice,
-        np.full(1, -1),
-        np.full(1, -1),
-        np.full(1, -1),
-        0,
-    )
-
-
-def _no_groups(sensors: int, cut: int = 0) -> Correspondence:
-    empty, none = np.empty((0, sensors)), np.empty(0, dtype=np.intp)
-    return Correspondence(
-        empty,
-        empty,
-        np.zeros(0, dtype=np.bool_),
-        PointBatch.empty(sensors),
-        np.empty((0, sensors), dtype=np.intp),
-        none,
-        none,
-        none,
-        cut,
-    )
+        return _result([], PointBatch.empty(len(measurements)), measurements)
+    choice = measurements.single_peaks
+    points = solve(*measurements.readings(choice[None]))
+    return _result([Group(tuple(choice.tolist()), ambiguous=False)], points, measurements)
 
 
 def _result(
-    found: Sequence[Group], points: PointBatch, peaks: Measurements, cut: int
+    found: Sequence[Group], points: PointBatch, peaks: Measurements, cut: int = 0
 ) -> Correspondence:
     """Return groups and their points in the order of the groups' peaks."""
-    if not found:
-        return _no_groups(len(peaks), cut)
     order = sorted(range(len(found)), key=lambda index: found[index].choice)
     groups = [found[index] for index in order]
-    choice = np.array([group.choice for group in groups])
-    readings, sigma = peaks.readings(choice)
-    assert peaks.original_index is not None
-    original_index = np.where(choice < 0, -1, peaks.original_index[np.arange(len(peaks)), choice])
+    choice = np.array([group.choice for group in groups], np.intp).reshape(-1, len(peaks))
+    original = choice
+    if peaks.original_index is not None:
+        original = np.where(choice < 0, -1, peaks.original_index[np.arange(len(peaks)), choice])
     return Correspondence(
-        readings,
-        sigma,
-        np.array([group.ambiguous for group in groups]),
-        points.take(np.array(order)),
-        original_index,
-        np.array([group.predicted for group in groups]),
-        np.array([group.body for group in groups]),
-        np.array([group.body_marker for group in groups]),
+        *peaks.readings(choice),
+        np.array([group.ambiguous for group in groups], np.bool_),
+        points.rows(np.array(order, np.intp)),
+        original,
+        np.array([group.predicted for group in groups], np.intp),
         cut,
     )
 
@@ -214,32 +204,29 @@ def group_four_sensor_frame(
     own = chi2[good]
     misfit_density = MisfitDensity()
     misfit_density.count(chi2, 1, min(counts))
-    known = ErrorEstimate(solve, peaks, settings, np.array(left, dtype=np.float64), len(rows))
-    ways = float(np.log(known.unexplained).sum())
+    unexplained = UnexplainedPeaks(peaks, settings, np.array(left, dtype=np.float64), len(rows))
     odds = (
-        ways
+        float(np.log(unexplained.expected).sum())
         - SENSORS * log(settings.detection_probability)
         - log(len(rows))
-        + log_misfit_density(misfit_density)
+        + misfit_density.log_ratio()
     )
     # Of a peak's innovation, by what the other three say.
     log_density = volume[:, :1] - volume[:, 1:] - log_sigma - _HALF_LOG_TWO_PI
-    foreign = np.exp(0.5 * own[:, None] - log_density) @ known.density
+    foreign = np.exp(0.5 * own[:, None] - log_density) @ unexplained.density_per_px
     foreign *= 1.0 / settings.detection_probability - 1.0
     score = compared[:: SENSORS + 1] - log_sigma.sum(axis=1) - _HALF_LOG_TWO_PI - 0.5 * own
     score += log(settings.markers_per_mm3) + SENSORS * settings.log_seen
     if score.min() <= 0.0:
         return None
-    spread = points.covariance_mm2[good].trace(axis1=1, axis2=2)
-    groups = []
-    for row, misfit, foreign_probability, value, far in zip(
-        rows, own.tolist(), foreign.tolist(), score.tolist(), spread.tolist(), strict=True
-    ):
-        doubt = 1.0 / (1.0 + exp(min(value, 700.0))) + foreign_probability
-        doubt += exp(min(odds + 0.5 * misfit, 0.0))
-        ambiguous = doubt > settings.max_error_rate or far > MAX_EXTENT_MM**2
-        groups.append(Group(plan.columns[row], ambiguous))
-    return groups, points.take(good)
+    error = 1.0 / (1.0 + np.exp(np.minimum(score, 700.0))) + foreign
+    error += np.exp(np.minimum(odds + 0.5 * own, 0.0))
+    variance = points.covariance_mm2[good].trace(axis1=1, axis2=2)
+    ambiguous = (error > settings.max_error_rate) | (variance > MAX_EXTENT_MM**2)
+    groups = [
+        Group(plan.columns[row], flag) for row, flag in zip(rows, ambiguous.tolist(), strict=True)
+    ]
+    return groups, points.rows(good)
 
 
 def _family(

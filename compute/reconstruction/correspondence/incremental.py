@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from compute.measurement.measurement_model import MeasurementModel, PredictedMeasurements
 from compute.measurement.measurements import Measurements
 from compute.reconstruction.correspondence.candidates import (
+    FALSE_REJECTION,
     MISFIT_BANDS,
     Choice,
     MisfitDensity,
     Solve,
 )
-from compute.reconstruction.correspondence.settings import FALSE_REJECTION
 from compute.reconstruction.triangulation import chi2_limit
 
 Array = NDArray[np.float64]

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from functools import cache
 from itertools import combinations
 from math import comb, inf, log
-from typing import Final
+from typing import Annotated, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,12 +13,13 @@ from compute.measurement.measurement_model import MeasurementModel
 from compute.measurement.measurements import Measurements
 from compute.reconstruction.correspondence.candidates import (
     Candidates,
+    MatchSettings,
     MisfitDensity,
     Solve,
     solve_combinations,
 )
 from compute.reconstruction.correspondence.incremental import complete_triples
-from compute.reconstruction.correspondence.settings import MatchSettings
+from compute.reconstruction.point_batch import Batch
 
 Array = NDArray[np.float64]
 
@@ -36,7 +37,7 @@ MAX_INTERSECTION_POINTS: Final = 600
 
 
 @dataclass(frozen=True, eq=False)
-class IntersectionPoints:
+class IntersectionPoints(Batch):
     """N combinations of three peaks or more that meet in a point.
 
     Args:
@@ -51,29 +52,13 @@ class IntersectionPoints:
             shape (N,).
     """
 
-    choice: NDArray[np.intp]
-    position_mm: Array
-    covariance_mm2: Array
-    position_px: Array
-    sigma_px: Array
+    choice: Annotated[NDArray[np.intp], "S"]
+    position_mm: Annotated[Array, 3]
+    covariance_mm2: Annotated[Array, 3, 3]
+    position_px: Annotated[Array, "S"]
+    sigma_px: Annotated[Array, "S"]
     log_ratio: Array
     log_ratio_with_prior: Array
-
-    def __len__(self) -> int:
-        """Return the number of points."""
-        return len(self.choice)
-
-    def take(self, index: NDArray[np.intp] | NDArray[np.bool_]) -> "IntersectionPoints":
-        """Return some of the points."""
-        return IntersectionPoints(
-            self.choice[index],
-            self.position_mm[index],
-            self.covariance_mm2[index],
-            self.position_px[index],
-            self.sigma_px[index],
-            self.log_ratio[index],
-            self.log_ratio_with_prior[index],
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,22 +166,11 @@ def _merged(
 ) -> IntersectionPoints:
     """Return candidates as points, each combination once, in an order of their own."""
     sensors = len(peaks)
-    if not candidates or sum(len(one) for one in candidates) == 0:
-        none = np.empty(0)
-        return IntersectionPoints(
-            np.empty((0, sensors), np.intp),
-            np.empty((0, 3)),
-            np.empty((0, 3, 3)),
-            np.empty((0, sensors)),
-            np.empty((0, sensors)),
-            none,
-            none,
-        )
-    whole = candidates[0]
-    for one in candidates[1:]:
-        whole = whole.concatenate(one)
+    whole = Candidates.concatenate([Candidates.empty(sensors), *candidates])
+    if len(whole) == 0:
+        return IntersectionPoints.empty(sensors)
     _, index = np.unique(whole.choice, axis=0, return_index=True)
-    whole = whole.take(index)
+    whole = whole.rows(index)
     used = whole.choice >= 0
     missed = (~used & model.predict(whole.position_mm).in_view).sum(axis=1)
     crowd = np.log(settings.detection_probability) - peaks.log_density(
@@ -207,7 +181,7 @@ def _merged(
     alone = np.where(used.sum(axis=1) > 3, peaks_only + log(settings.markers_per_mm3), -inf)
     if len(whole) > MAX_INTERSECTION_POINTS:
         best = np.sort(np.argsort(-peaks_only, kind="stable")[:MAX_INTERSECTION_POINTS])
-        whole, used, peaks_only, alone = whole.take(best), used[best], peaks_only[best], alone[best]
+        whole, used, peaks_only, alone = whole.rows(best), used[best], peaks_only[best], alone[best]
     position, sigma = peaks.readings(whole.choice)
     assert peaks.original_index is not None
     original_index = np.where(used, peaks.original_index[np.arange(sensors), whole.choice], -1)

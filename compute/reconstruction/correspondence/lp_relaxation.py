@@ -1,6 +1,7 @@
 """Linear-programming relaxation of set packing, for clusters too large to enumerate."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from math import exp
 from typing import Any, Final
 
@@ -10,28 +11,36 @@ _COMPETING_SETS: Final = 10.0
 """Sets that may be as good as the best one without a column, of which one is bounded."""
 
 
+@dataclass(frozen=True)
+class PackingProblem:
+    """Columns with scores that share resources.
+
+    Args:
+        columns: the resources that each uses.
+        scores: of each.
+        room: of resources that have more than one place.
+    """
+
+    columns: Sequence[Column]
+    scores: Sequence[float]
+    room: Mapping[int, int]
+
+
 class LpRelaxation:
     """Maximum sum of scores, each resource used at most up to its capacity.
 
     SciPy's optimisers (HiGHS) are loaded here, where they are needed: small frames never do.
 
     Args:
-        columns: the resources that each uses.
-        scores: of each.
+        problem: columns, scores and capacities.
         cluster: the columns that may be taken.
-        room: of resources that have more than one place.
     """
 
-    def __init__(
-        self,
-        columns: Sequence[Column],
-        scores: Sequence[float],
-        cluster: Sequence[int],
-        room: Mapping[int, int],
-    ) -> None:
+    def __init__(self, problem: PackingProblem, cluster: Sequence[int]) -> None:
         import numpy as np
         from scipy.sparse import csr_matrix
 
+        columns, scores = problem.columns, problem.scores
         self.columns, self.scores, self.cluster = columns, scores, list(cluster)
         self.resources = sorted({r for index in cluster for r in columns[index]})
         row = {resource: at for at, resource in enumerate(self.resources)}
@@ -39,7 +48,7 @@ class LpRelaxation:
         cols = [at for at, index in enumerate(cluster) for _ in columns[index]]
         shape = (len(self.resources), len(self.cluster))
         self.matrix: Any = csr_matrix((np.ones(len(rows)), (rows, cols)), shape=shape)
-        self.limits = np.array([float(room.get(r, 1)) for r in self.resources])
+        self.limits = np.array([float(problem.room.get(r, 1)) for r in self.resources])
         self.cost = np.array([-scores[index] for index in cluster])
 
     def dual_prices(self) -> dict[int, float] | None:

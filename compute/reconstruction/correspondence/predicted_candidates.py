@@ -1,6 +1,6 @@
 """Candidates for predicted points: a track's prediction as one more observation."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import log, pi
 from typing import Final
 
@@ -11,18 +11,17 @@ from compute.errors import InvalidParameter
 from compute.measurement.measurement_model import MeasurementModel
 from compute.measurement.measurements import Measurements
 from compute.reconstruction.correspondence.candidates import (
+    FALSE_REJECTION,
     Candidates,
     MisfitDensity,
     Solve,
-    empty_candidates,
     solve_combinations,
 )
 from compute.reconstruction.correspondence.incremental import (
     extend_with_gated_peaks,
     find_gated_peaks,
 )
-from compute.reconstruction.correspondence.settings import FALSE_REJECTION
-from compute.reconstruction.triangulation import chi2_limit
+from compute.reconstruction.triangulation import chi2_limit, squared_distances
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -47,14 +46,11 @@ class PredictedPoints:
 
     def __post_init__(self) -> None:
         count = len(self.position_mm)
-        if np.shape(self.position_mm) != (count, 3) or np.shape(self.covariance_mm2) != (
-            count,
-            3,
-            3,
-        ):
+        shapes = np.shape(self.position_mm), np.shape(self.covariance_mm2)
+        if shapes != ((count, 3), (count, 3, 3)):
             raise InvalidParameter(
-                f"predicted points have the shapes {np.shape(self.position_mm)} and "
-                f"{np.shape(self.covariance_mm2)}; they must be (T, 3) and (T, 3, 3)"
+                f"predicted points have the shapes {shapes[0]} and {shapes[1]}; they must be "
+                "(T, 3) and (T, 3, 3)"
             )
         if not (np.isfinite(self.position_mm).all() and np.isfinite(self.covariance_mm2).all()):
             raise InvalidParameter("a predicted point is not finite; leave it out")
@@ -95,7 +91,7 @@ def predicted_candidates(
     rows = np.flatnonzero((gated.count > 0).sum(axis=1) >= _MIN_SENSORS)
     choice, cut = extend_with_gated_peaks(start, gated, rows, _MIN_SENSORS, max_combinations)
     if len(choice) == 0:
-        return empty_candidates(len(peaks)), cut
+        return Candidates.empty(len(peaks)), cut
     meets = solve_combinations(solve, peaks, np.unique(choice, axis=0)).candidates
     # Each of them for each prediction that it lies near.
     chi2, log_density = _distances(
@@ -104,20 +100,15 @@ def predicted_candidates(
     dof = meets.dof + 3
     limits = np.array([chi2_limit(n_dof, FALSE_REJECTION) for n_dof in range(len(peaks) + 1)])
     row, point = np.nonzero(meets.chi2[:, None] + chi2 <= limits[dof][:, None])
-    near = meets.take(row)
-    return (
-        Candidates(
-            near.choice,
-            near.points,
-            near.chi2 + chi2[row, point],
-            near.dof + 3,
-            near.log_marginal,
-            near.log_marginal_capped,
-            point.astype(np.intp),
-            log_density[row, point],
-        ),
-        cut,
+    near = meets.rows(row)
+    found = replace(
+        near,
+        chi2=near.chi2 + chi2[row, point],
+        dof=near.dof + 3,
+        predicted=point,
+        log_density=log_density[row, point],
     )
+    return found, cut
 
 
 def log_prediction_density(
@@ -136,7 +127,6 @@ def log_prediction_density(
 
 def _distances(away_mm: Array, covariance_mm2: Array) -> tuple[Array, Array]:
     """Return chi2 of differences (..., 3) and the log of their densities, shape (...)."""
-    solution = np.linalg.solve(covariance_mm2, away_mm[..., None])[..., 0]
-    chi2 = (away_mm * solution).sum(axis=-1)
+    chi2 = squared_distances(away_mm, covariance_mm2)
     spread = 3.0 * log(2.0 * pi) + np.log(np.linalg.det(covariance_mm2))
     return chi2, -0.5 * (spread + chi2)

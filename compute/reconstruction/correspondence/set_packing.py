@@ -1,13 +1,13 @@
 """Set packing: the likeliest set of candidates that uses each peak once."""
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from math import exp
 from typing import Final
 
-from compute.reconstruction.correspondence.lp_relaxation import Column, LpRelaxation
+from compute.reconstruction.correspondence.lp_relaxation import Column, LpRelaxation, PackingProblem
 
 _SWEEPS: Final = 6
 _LP_MIN_COLUMNS: Final = 40  # columns from which on a linear programme tightens the bound
@@ -59,6 +59,7 @@ def solve_set_packing(
         capacity: how many columns may share a resource, where it is more than one.
     """
     room = capacity or {}
+    problem = PackingProblem(columns, scores, room)
     chosen: dict[int, float] = {}
     cut = 0
     useful = [index for index, score in enumerate(scores) if score > 0.0]
@@ -66,16 +67,19 @@ def solve_set_packing(
         if len(cluster) == 1:
             chosen[cluster[0]] = 1.0 / (1.0 + exp(min(scores[cluster[0]], 700.0)))
             continue
-        prices = _prices(columns, scores, cluster, room)
+        prices = _prices(problem, cluster)
         if len(cluster) >= _LP_MIN_COLUMNS:
-            prices = LpRelaxation(columns, scores, cluster, room).dual_prices() or prices
-        greedy = _greedy(columns, scores, cluster, room)
+            prices = LpRelaxation(problem, cluster).dual_prices() or prices
+        greedy = _greedy(problem, cluster)
         bound = sum(price * room.get(resource, 1) for resource, price in prices.items())
         reach = window + bound - sum(scores[index] for index in greedy)
-        margins = _margins(columns, scores, cluster, prices)
+        margins = {
+            index: max(sum(prices[r] for r in columns[index]) - scores[index], 0.0)
+            for index in cluster
+        }
         near = [index for index in cluster if margins[index] <= reach + _PRICE_TOLERANCE]
         for part in _clusters(columns, near):
-            search = _Search(columns, prices, margins, room, max_branches)
+            search = _Search(problem, prices, margins, max_branches)
             whole, complete = search.enumerate_near_best(part, window)
             if whole is None:
                 cut += 1
@@ -86,20 +90,14 @@ def solve_set_packing(
                     (index, max(1.0 - whole.probability[index], 0.0)) for index in whole.best
                 )
             else:
-                chosen.update(
-                    LpRelaxation(columns, scores, part, room).error_probability_bounds(whole.best)
-                )
+                chosen.update(LpRelaxation(problem, part).error_probability_bounds(whole.best))
     order = tuple(sorted(chosen))
     return SetPacking(order, tuple(chosen[index] for index in order), cut)
 
 
-def _greedy(
-    columns: Sequence[Column],
-    scores: Sequence[float],
-    cluster: Sequence[int],
-    room: Mapping[int, int],
-) -> list[int]:
+def _greedy(problem: PackingProblem, cluster: Sequence[int]) -> list[int]:
     """Return columns by falling score, as long as there is room for them."""
+    columns, scores, room = problem.columns, problem.scores, problem.room
     used: dict[int, int] = defaultdict(int)
     taken = []
     for index in sorted(cluster, key=lambda index: (-scores[index], index)):
@@ -132,24 +130,9 @@ def _clusters(columns: Sequence[Column], use: Sequence[int]) -> list[list[int]]:
     return list(found.values())
 
 
-def _margins(
-    columns: Sequence[Column],
-    scores: Sequence[float],
-    cluster: Sequence[int],
-    prices: Mapping[int, float],
-) -> dict[int, float]:
-    return {
-        index: max(sum(prices[r] for r in columns[index]) - scores[index], 0.0) for index in cluster
-    }
-
-
-def _prices(
-    columns: Sequence[Column],
-    scores: Sequence[float],
-    cluster: Sequence[int],
-    room: Mapping[int, int],
-) -> dict[int, float]:
+def _prices(problem: PackingProblem, cluster: Sequence[int]) -> dict[int, float]:
     """Return prices that cover every column's score, lowered one by one."""
+    columns, scores, room = problem.columns, problem.scores, problem.room
     using: dict[int, list[int]] = defaultdict(list)
     for index in cluster:
         for resource in columns[index]:
@@ -196,16 +179,15 @@ class _Search:
 
     def __init__(
         self,
-        columns: Sequence[Column],
+        problem: PackingProblem,
         prices: Mapping[int, float],
         margins: Mapping[int, float],
-        room: Mapping[int, int],
         max_branches: int,
     ) -> None:
         bit = {resource: 1 << at for at, resource in enumerate(sorted(prices))}
-        self.mask = {index: sum(bit[r] for r in columns[index]) for index in margins}
+        self.mask = {index: sum(bit[r] for r in problem.columns[index]) for index in margins}
         self.price = {bit[r]: price for r, price in prices.items()}
-        self.double = sum(bit[r] for r in prices if room.get(r, 1) > 1)
+        self.double = sum(bit[r] for r in prices if problem.room.get(r, 1) > 1)
         self.margins, self.max_branches = margins, max_branches
         self.known: dict[tuple[tuple[int, ...], int], tuple[float, _WeightedSets | None]] = {}
         self.nodes = 0
@@ -259,17 +241,9 @@ class _Search:
         self, cluster: tuple[int, ...], covered: int, once: int, budget: float
     ) -> tuple[int, list[tuple[float, tuple[int, ...]]]]:
         """Return the resource with the fewest ways to go, and those with what each loses."""
-        takers: dict[int, list[int]] = {}
-        left = covered
-        while left:
-            bit = left & -left
-            left ^= bit
-            takers[bit] = []
+        takers: dict[int, list[int]] = {bit: [] for bit in _bits(covered)}
         for index in cluster:
-            mask = self.mask[index]
-            while mask:
-                bit = mask & -mask
-                mask ^= bit
+            for bit in _bits(self.mask[index]):
                 takers[bit].append(index)
 
         def ways(bit: int) -> tuple[int, float, int]:
@@ -323,10 +297,7 @@ class _Search:
                 else:
                     apart.append(part)
             parts = [*apart, (joined, members)]
-        unused = covered & ~still & ~full
-        while unused:
-            bit = unused & -unused
-            unused ^= bit
+        for bit in _bits(covered & ~still & ~full):
             loss += self.price[bit] * (2 if bit & self.double & ~once else 1)
         if loss > budget:
             return None
@@ -340,6 +311,13 @@ class _Search:
             best += some.best
             probability.update(some.probability)
         return _WeightedSets(weight, loss, best, probability)
+
+
+def _bits(mask: int) -> Iterator[int]:
+    """Yield the bits of a number that are set, the lowest first."""
+    while mask:
+        yield mask & -mask
+        mask &= mask - 1
 
 
 def _sum_alternatives(found: Sequence[_WeightedSets]) -> _WeightedSets | None:

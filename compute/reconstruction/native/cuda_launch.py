@@ -66,10 +66,10 @@ class CudaLaunch:
             self._direct_launch.set_dim(count)
             self._direct_launch.launch()
             self._wp.synchronize_stream(self._device)
-            points = PointBatch.allocate(count, self._sensors)
+            points = PointBatch.zeros(count, self._sensors)
             self._collect(host, points, 0, count)
             return points
-        points = PointBatch.allocate(count, self._sensors)
+        points = PointBatch.zeros(count, self._sensors)
         for first in range(0, count, POINTS_PER_LAUNCH):
             end = min(first + POINTS_PER_LAUNCH, count)
             self.upload(readings[first:end], sigma[first:end])
@@ -107,14 +107,7 @@ class CudaLaunch:
         self.wait()
 
     def _collect(self, host: list[NDArray[Any]], points: PointBatch, first: int, end: int) -> None:
-        filled: list[NDArray[Any]] = [
-            points.position_mm,
-            points.covariance_mm2,
-            points.chi2,
-            points.used,
-            points.flags,
-        ]
-        for source, target in zip(host[2:], filled, strict=True):
+        for source, target in zip(host[2:], vars(points).values(), strict=True):
             part = target[first:end]
             part[...] = source[: part.size].reshape(part.shape)
 

@@ -1,9 +1,14 @@
-"""Constants and records of the triangulation kernel, for C++."""
+"""Records and constants of the kernels' cameras and of the triangulation kernel."""
 
-from typing import Final
+from collections.abc import Callable
+from typing import Any, Final
 
-from compute.native.records import constants, header
-from compute.reconstruction.native.kernel_arguments import CAMERAS, CPU_LANES, MAX_POWER, POINT_JOB
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.camera.stack import CameraStack
+from compute.mapping.table import CorrectionTable
+from compute.native.records import Record, constants, header
 from compute.reconstruction.point_batch import PointFlag
 from compute.reconstruction.triangulation import (
     CHI2_ROUNDING_FACTOR,
@@ -17,6 +22,59 @@ from compute.reconstruction.triangulation import (
     UNINFORMATIVE_SIGMA_RATIO,
     WEIGHTING_ITERATIONS,
 )
+
+Array = NDArray[np.float64]
+Keep = Callable[[NDArray[Any]], int]
+"""Keeps an array where the kernel reads it, and returns its address there."""
+
+CAMERA_FIELDS: Final = 16
+"""c, p0, the rotation row by row, x, y, z of the offset, D, and the row's distance."""
+CPU_LANES: Final = 4
+"""Sensors that the CPU takes together."""
+MAX_POWER: Final = 15
+"""Highest power of a field angle in a term of distortion."""
+
+CAMERAS: Final = Record(
+    "CameraRecord",
+    {
+        # With R sensors last: (16, R), (K, R); (K, 2).
+        "models": "const double*",
+        "coefficients": "const double*",
+        "powers": "const int*",
+        # Of the correction table, with R sensors last.
+        "table_values": "const double*",
+        "table_variance": "const double*",
+        "table_valid": "const unsigned char*",
+        "terms": "long long",
+        "max_power": "long long",
+        # Of the table; 0 without one.
+        "degree": "long long",
+        "cells": "long long[3]",
+        "origin_mm": "double[3]",
+        "pitch_mm": "double[3]",
+    },
+)
+"""Cameras and their correction table, as all kernels take them; 64-bit words only."""
+
+POINT_JOB: Final = Record(
+    "PointJob",
+    {
+        # (N, S), (N, S); then what is written: (N, 3), (N, 9), (N,), (N, S), (N,).
+        "readings": "const double*",
+        "sigma": "const double*",
+        "position": "double*",
+        "covariance": "double*",
+        "chi2": "double*",
+        "used": "unsigned char*",
+        "flags": "int*",
+        # (S + 1,); (S w, S w) of the cameras' parameters, 0: without covariance.
+        "chi2_limits": "const double*",
+        "parameter_covariance": "const double*",
+        "cameras": CAMERAS,
+    },
+)
+"""One job: N points of one set of cameras; 64-bit words only."""
+JOB: Final = POINT_JOB.dtype
 
 HEADER: Final = header(
     "lumiline",
@@ -45,3 +103,70 @@ HEADER: Final = header(
         }
     ),
 )
+
+
+def row_length(sensors: int, *, cuda: bool) -> int:
+    """Return R, the padded length of rows with a value for each sensor.
+
+    Args:
+        sensors: number of sensors S.
+        cuda: whether the rows are for CUDA, which needs no padding.
+    """
+    return sensors if cuda else -(-sensors // CPU_LANES) * CPU_LANES
+
+
+def fill_cameras(
+    record: NDArray[np.void],
+    keep: Keep,
+    cameras: CameraStack,
+    corrections: CorrectionTable | None,
+    row: int,
+) -> None:
+    """Write cameras and their correction table into a CAMERAS record.
+
+    Args:
+        record: the record.
+        keep: for the arrays.
+        cameras: S cameras.
+        corrections: their table; None: none.
+        row: length of rows with a value for each sensor, as of ``row_length``.
+    """
+    record["models"] = keep(_filled(_fields(cameras), row))
+    record["coefficients"] = keep(_filled(cameras.coefficients.T, row))
+    record["powers"] = keep(np.array(cameras.terms, dtype=np.int32).reshape(-1, 2))
+    record["terms"] = len(cameras.terms)
+    record["max_power"] = max((max(term) for term in cameras.terms), default=0)
+    if corrections is None:
+        return
+    for name, values in (
+        ("table_values", corrections.coefficients_px),
+        ("table_variance", corrections.variance_px2),
+        ("table_valid", corrections.valid.astype(np.uint8)),
+    ):
+        record[name] = keep(_filled(np.moveaxis(values, 0, -1), row))
+    record["degree"] = corrections.degree
+    record["cells"] = corrections.grid.cells
+    record["origin_mm"], record["pitch_mm"] = corrections.grid.origin_mm, corrections.grid.pitch_mm
+
+
+def _filled(values: NDArray[Any], row: int) -> NDArray[Any]:
+    """Return values with the sensors last, filled up with zeros to rows of this length."""
+    filled = np.zeros((*values.shape[:-1], row), dtype=values.dtype)
+    filled[..., : values.shape[-1]] = values
+    return filled
+
+
+def _fields(cameras: CameraStack) -> Array:
+    """Return the cameras' parameters with the sensors last, shape (16, S)."""
+    fields = np.concatenate(
+        [
+            cameras.principal_distance_px[None],
+            cameras.principal_point_px[None],
+            cameras.rotation.reshape(-1, 9).T,
+            cameras.offset_mm.T,
+            cameras.cubic_per_px2[None],
+            cameras.row_behind_mm[None],
+        ]
+    )
+    assert len(fields) == CAMERA_FIELDS
+    return fields

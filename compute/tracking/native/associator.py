@@ -7,13 +7,13 @@ from numpy.typing import NDArray
 
 from compute.measurement.measurement_model import MeasurementModel
 from compute.measurement.measurements import Measurements
-from compute.reconstruction.native.camera_arguments import fill_cameras
-from compute.reconstruction.native.kernel_arguments import row_length
+from compute.reconstruction.native.definitions import fill_cameras, row_length
 from compute.reconstruction.solver import address, term_capacity
-from compute.tracking.association import AssociationResult, associate
+from compute.tracking.association import associate
 from compute.tracking.motion_model import ImmStates, MotionModels
-from compute.tracking.native.kernel_arguments import JOB, MAX_OPTIONS, PARTIAL_BYTES
+from compute.tracking.native.definitions import JOB, MAX_OPTIONS, PARTIAL_BYTES
 from compute.tracking.settings import TrackerSettings
+from compute.tracking.tracks import AssociationResult
 
 Array = NDArray[np.float64]
 
@@ -28,8 +28,8 @@ class Associator:
     first made for a number of sensors (seconds), and is cached on disk.
 
     Args:
-        model: of the readings.
-        motion: M models.
+        model: the measurement model, of S sensors.
+        motion: M motion models.
         settings: detection probability, clutter density and gate.
     """
 
@@ -39,9 +39,9 @@ class Associator:
         # Here and not above: Warp takes a second to load.
         import warp as wp
 
-        from compute.tracking.native.kernel import association_kernel
+        from compute.native.native_kernel import native_kernel
 
-        self._model, self._motion, self._settings = model, motion, settings
+        self.model, self.motion, self.settings = model, motion, settings
         cameras = model.cameras
         self._job = np.zeros(1, dtype=JOB)
         # Kept: the job has their addresses.
@@ -67,8 +67,12 @@ class Associator:
         self._grown = grown
         self._tracks = self._room = 0
         self._work: list[NDArray[Any]] = []
+        sizes = f"{len(cameras)}, {term_capacity(cameras)}"
         self._launch = wp.launch(
-            association_kernel(len(cameras), term_capacity(cameras)),
+            native_kernel(
+                "compute/tracking/native/association.h",
+                f"lumiline::tracking::associate_frame<{sizes}>(address);",
+            ),
             dim=1,
             inputs=[address(job)],
             device="cpu",
@@ -83,59 +87,32 @@ class Associator:
             bias: covariance of the readings' constant errors, shape (T, S, S) [px^2].
             peaks: measurements of the exposure.
         """
-        count, sensors = len(states), len(self._model)
+        count = len(states)
         room = peaks.position_px.shape[1]
         job = self._job
         if count > self._tracks or room > self._room:
             self._reserve(max(count, self._tracks), max(room, self._room))
-        after = ImmStates(
-            np.ascontiguousarray(states.mean).copy(),
-            np.ascontiguousarray(states.covariance).copy(),
-            np.ascontiguousarray(states.bias_cross_covariance).copy(),
-            np.ascontiguousarray(states.probability).copy(),
-        )
-        choice = np.empty((count, sensors), np.int32)
-        merged = np.zeros((count, sensors), np.bool_)
-        probability = np.zeros((count, sensors))
-        nis, log_likelihood_ratio = np.zeros(count), np.zeros(count)
-        hypotheses_pruned = np.zeros(count, np.bool_)
-        in_view = np.empty(count, np.int32)
-        given = (
-            after.mean,
-            after.covariance,
-            after.bias_cross_covariance,
-            after.probability,
+        after = ImmStates(*(np.array(value, order="C") for value in vars(states).values()))
+        result = AssociationResult.missed(after, len(self.model))
+        _, *written = vars(result).values()
+        arrays = (
+            *vars(after).values(),
             np.ascontiguousarray(bias),
             np.ascontiguousarray(peaks.position_px),
             np.ascontiguousarray(peaks.variance_px2),
             np.ascontiguousarray(peaks.usable),
-            choice,
-            merged,
-            probability,
-            nis,
-            log_likelihood_ratio,
-            hypotheses_pruned,
-            in_view,
+            *written,
         )
         words = job.view(np.uint64)
-        words[: len(given)] = [address(array) for array in given]
+        words[: len(arrays)] = [address(array) for array in arrays]
         job["tracks"], job["room"], job["failed"] = count, room, 0
         self._launch.launch()
         if job["failed"][0]:
-            return associate(self._model, self._motion, self._settings, states, bias, peaks)
-        return AssociationResult(
-            after,
-            choice,
-            merged,
-            probability,
-            nis,
-            log_likelihood_ratio,
-            hypotheses_pruned,
-            in_view,
-        )
+            return associate(self.model, self.motion, self.settings, states, bias, peaks)
+        return result
 
     def _reserve(self, tracks: int, room: int) -> None:
-        sensors = len(self._model)
+        sensors = len(self.model)
         self._tracks, self._room = tracks, room
         self._work = [
             np.empty(tracks * (15 + 9 * sensors)),

@@ -19,7 +19,7 @@ from service.api.beam_holds.schema import (
     Rules,
     ToolWatch,
 )
-from service.api.devices.activation import active
+from service.api.devices.store import active
 from service.api.tools.store import TOOLS
 from service.database.engine import insert
 from service.database.models import HoldRow

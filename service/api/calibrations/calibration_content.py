@@ -10,16 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
-from compute.calibration.assessment.cross_validation import control_errors
-from compute.calibration.calibrate import calibrate_and_assess
+from compute.calibration.assessment.assess import (
+    MAX_LEAVE_ONE_OUT_POINTS,
+    calibrate_and_assess,
+    control_errors,
+)
 from compute.calibration.result import AxisErrors, Calibration, count_readings, effective_readings
 from compute.calibration.settings import DEFAULTS, CalibrationSettings
 from compute.camera.model import SensorGeometry
 from compute.errors import DuplicatePoint, InvalidParameter, ReadingOutsideSensor, UnknownSensor
-from compute.progress import Progress
+from compute.progress import Progress, no_progress
 from hardware.driver import SensorDescription
 from service.api.calibrations.schema import (
-    LEAVE_ONE_OUT_POINTS,
     ControlPoint,
     ControlPointErrors,
     NewCalibration,
@@ -60,18 +62,18 @@ def run_calibration(request: NewCalibration, sensors: Sequence[SensorDescription
         LumilineError: the points cannot calibrate; see ``calibrate_and_assess``.
     """
     settings = request.settings()
-    if len(request.points) > LEAVE_ONE_OUT_POINTS and settings != DEFAULTS:
+    if len(request.points) > MAX_LEAVE_ONE_OUT_POINTS and settings != DEFAULTS:
         raise InvalidParameter(
             f"{len(request.points)} points are calibrated with distortion, uncertain points, a "
             f"robust loss or labels in a run only: POST it to /api/v1/calibration-runs, or give at "
-            f"most {LEAVE_ONE_OUT_POINTS} points",
+            f"most {MAX_LEAVE_ONE_OUT_POINTS} points",
             points=len(request.points),
         )
-    return calibration_outcome(None, request.device, request.points, sensors, settings)
+    return calibration_outcome(no_progress, request.device, request.points, sensors, settings)
 
 
 def calibration_outcome(
-    progress: Progress | None,
+    progress: Progress,
     device_id: str,
     given: list[ControlPoint],
     sensors: Sequence[SensorDescription],
@@ -161,12 +163,16 @@ def result_of(content: dict[str, Any]) -> Calibration:
     return _RESULT.validate_python(content["result"])
 
 
-def content_hash(content: dict[str, Any]) -> str:
-    """Return the SHA-256 of the canonical JSON: sorted keys, no spaces, UTF-8."""
-    text = json.dumps(
+def canonical_json(content: dict[str, Any]) -> bytes:
+    """Return the canonical JSON: sorted keys, no spaces, UTF-8."""
+    return json.dumps(
         content, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False
-    )
-    return hashlib.sha256(text.encode()).hexdigest()
+    ).encode()
+
+
+def content_hash(content: dict[str, Any]) -> str:
+    """Return the SHA-256 of the canonical JSON."""
+    return hashlib.sha256(canonical_json(content)).hexdigest()
 
 
 class ObservedPoint(Protocol):

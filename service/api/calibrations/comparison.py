@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from compute.calibration.assessment.cross_validation import fitted_errors
+from compute.calibration.assessment.assess import fitted_errors
+from compute.calibration.assessment.diagnosis import box_points
 from compute.calibration.result import Calibration, effective_readings
 from compute.camera.model import PARAMETER_COUNT, PARAMETERS, SensorModel, Vector3, vector3
 from compute.camera.stack import CameraStack
@@ -47,7 +48,7 @@ class ParameterDifference:
         sensor: the sensor's name.
         parameter: the parameter's name, which says its unit.
         one: its value in the first calibration; None for rotations, whose difference is a small
-            turn in the sensor's frame.
+            rotation in the sensor's frame.
         other: its value in the second.
         difference: second less first.
         sigmas: over the root of both variances together; None where neither has any. Calibrations
@@ -67,15 +68,15 @@ class PositionDifferences:
     """What the second calibration makes of readings that the first explains exactly.
 
     Args:
-        points: places on a grid over the control points' box.
+        points: positions on a grid over the control points' box.
         low_mm: the box's corner with the least coordinates.
         high_mm: the opposite corner.
         mean_mm: mean difference by axis, second less first.
         rms_mm: root mean square of the distance.
         max_mm: the largest distance.
-        aligned_rms_mm: RMS after the best turn and shift of one to the other: what is left when
+        aligned_rms_mm: RMS after the best rigid motion of one to the other: what is left when
             the two only differ in where the frame is.
-        rms_sigma: RMS of the difference over its deviation as of both covariances.
+        rms_sigma: RMS of the difference over its standard deviation by both covariances.
     """
 
     points: int
@@ -149,42 +150,32 @@ def _parameters(one: Calibration, other: Calibration) -> list[ParameterDifferenc
     found = []
     variances = [_variances(calibration) for calibration in (one, other)]
     for sensor, (first, second) in enumerate(zip(one.models, other.models, strict=True)):
-        differences = _model_differences(first, second)
-        for name, (value, to, difference) in differences.items():
+        for name, (value, to, difference) in _model_differences(first, second).items():
             variance = sum(known[sensor].get(name, 0.0) for known in variances)
-            sigmas = abs(difference) / np.sqrt(variance) if variance > 0.0 else None
-            found.append(
-                ParameterDifference(
-                    first.name,
-                    name,
-                    value,
-                    to,
-                    difference,
-                    None if sigmas is None else float(sigmas),
-                )
-            )
+            sigmas = float(abs(difference) / np.sqrt(variance)) if variance > 0.0 else None
+            found.append(ParameterDifference(first.name, name, value, to, difference, sigmas))
     return found
 
 
 def _variances(calibration: Calibration) -> list[dict[str, float]]:
     """Return the variances of each sensor's parameters by name."""
     diagonal = np.diag(np.array(calibration.covariance)).tolist()
-    found, place = [], 0
+    found, first = [], 0
     for model in calibration.models:
         names = model.parameter_names
-        found.append(dict(zip(names, diagonal[place : place + len(names)], strict=True)))
-        place += len(names)
+        found.append(dict(zip(names, diagonal[first : first + len(names)], strict=True)))
+        first += len(names)
     return found
 
 
 def _model_differences(
     one: SensorModel, other: SensorModel
 ) -> dict[str, tuple[float | None, float | None, float]]:
-    turn = Rotation.from_matrix(other.rotation @ one.rotation.T).as_rotvec().tolist()
+    rotation = Rotation.from_matrix(other.rotation @ one.rotation.T).as_rotvec().tolist()
     found: dict[str, tuple[float | None, float | None, float]] = {}
     for name in PARAMETERS[:PARAMETER_COUNT]:
         if name.startswith("rotation_"):
-            found[name] = None, None, turn["xyz".index(name[9])]
+            found[name] = None, None, rotation["xyz".index(name[9])]
         else:
             first, second = float(getattr(one, name)), float(getattr(other, name))
             found[name] = first, second, second - first
@@ -205,7 +196,7 @@ def _distortion(model: SensorModel) -> dict[str, float]:
 def _positions(
     one: Calibration, other: Calibration, low_mm: Array, high_mm: Array
 ) -> PositionDifferences | None:
-    points = box_grid(low_mm, high_mm, _SIDE)
+    points = box_points(low_mm, high_mm, _SIDE)
     readings = predicted_readings(one, points)
     covariance = np.array(other.covariance)
     # The readings have no noise here: what is uncertain is the calibrations' own.
@@ -215,12 +206,13 @@ def _positions(
     known = np.isfinite(found.position_mm).all(axis=1) & np.isfinite(first.position_mm).all(axis=1)
     if known.sum() < 4:
         return None
-    at, to = points[known], found.position_mm[known]
-    difference = to - at
-    spread = found.covariance_mm2[known] + first.covariance_mm2[known]
-    squares = np.einsum("ni,nij,nj->n", difference, np.linalg.pinv(spread), difference)
-    turn, _ = Rotation.align_vectors(to - to.mean(axis=0), at - at.mean(axis=0))
-    aligned = (to - to.mean(axis=0)) - turn.apply(at - at.mean(axis=0))
+    given, other_mm = points[known], found.position_mm[known]
+    difference = other_mm - given
+    covariance_mm2 = found.covariance_mm2[known] + first.covariance_mm2[known]
+    squares = np.einsum("ni,nij,nj->n", difference, np.linalg.pinv(covariance_mm2), difference)
+    other_centred, given_centred = other_mm - other_mm.mean(axis=0), given - given.mean(axis=0)
+    rotation, _ = Rotation.align_vectors(other_centred, given_centred)
+    aligned = other_centred - rotation.apply(given_centred)
     distance = np.linalg.norm(difference, axis=1)
     rms_sigma = float(np.sqrt(squares.mean() / 3.0))
     return PositionDifferences(
@@ -233,12 +225,6 @@ def _positions(
         aligned_rms_mm=_rms(aligned),
         rms_sigma=rms_sigma if np.isfinite(rms_sigma) else None,
     )
-
-
-def box_grid(low_mm: Array, high_mm: Array, side: int) -> Array:
-    """Return positions on a grid over a box, shape (side^3, 3) [mm]."""
-    axes = [np.linspace(low_mm[axis], high_mm[axis], side) for axis in range(3)]
-    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
 def predicted_readings(calibration: Calibration, points_mm: Array) -> Array:

@@ -2,20 +2,10 @@
 
 from typing import Annotated
 
-from fastapi import APIRouter, Body, Path, Query
+from fastapi import Body, Query
 from starlette.responses import JSONResponse
-from starlette.status import HTTP_201_CREATED
 
-from compute.errors import (
-    DegeneratePoints,
-    DuplicatePoint,
-    InvalidParameter,
-    NoConvergence,
-    ReadingOutsideSensor,
-    TooFewPoints,
-    UnknownSensor,
-)
-from service.api.base_models import SLUG_PATTERN, Page
+from service.api.base_models import Page
 from service.api.calibrations import store
 from service.api.calibrations.calibration_content import result_of, run_calibration
 from service.api.calibrations.examples import NEW_CALIBRATIONS
@@ -27,52 +17,30 @@ from service.api.calibrations.schema import (
     State,
 )
 from service.api.devices.device_service import DeviceServiceDep
-from service.api.devices.sensor import check_sensors
-from service.api.devices.store import get_device, sensors_of_row
+from service.api.devices.store import check_sensors, get_device, sensors_of_row
 from service.api.inputs import (
     CalibrationPath,
     DatabaseDep,
     DeviceFilter,
     ExpectedActive,
-    JsonRoute,
     JsonTypes,
     PagingDep,
+    id_in_path,
     page_of,
 )
-from service.api.openapi import problems
-from service.problems.errors import (
-    ActivationConflict,
-    CalibrationActive,
-    CalibrationExists,
-    CalibrationOfAnotherDevice,
-    CalibrationRetired,
-    SensorsChanged,
-    UnknownCalibration,
-    UnknownDevice,
-)
+from service.api.openapi import ResourceRouter, raises
+from service.problems.errors import CalibrationOfAnotherDevice
 
-router = APIRouter(prefix="/api/v1/calibrations", tags=["calibrations"], route_class=JsonRoute)
+router = ResourceRouter("/api/v1/calibrations", "calibrations")
 
 NewCalibrationBody = Annotated[NewCalibration, JsonTypes(), Body(openapi_examples=NEW_CALIBRATIONS)]
-OtherPath = Annotated[
-    str,
-    Path(
-        pattern=SLUG_PATTERN,
-        description="The other calibration's id.",
-        openapi_examples={"frame": {"summary": "of the example body", "value": "sim-frame"}},
-    ),
-]
+OtherPath = Annotated[str, id_in_path("The other calibration's id.", "sim-frame", "frame")]
 RetiredPath = Annotated[
-    str,
-    Path(
-        pattern=SLUG_PATTERN,
-        description="The calibration's id.",
-        openapi_examples={"frame": {"summary": "one that is not active", "value": "sim-frame"}},
-    ),
+    str, id_in_path("The calibration's id.", "sim-frame", "frame", "one that is not active")
 ]
 
 
-@router.get("", operation_id="list-calibrations", summary="List calibrations")
+@router.operation("GET", "list-calibrations", "List calibrations")
 def list_calibrations(
     database: DatabaseDep,
     paging: PagingDep,
@@ -89,25 +57,16 @@ def list_calibrations(
         )
 
 
-@router.post(
-    "",
-    operation_id="create-calibration",
-    summary="Calibrate a device",
-    status_code=HTTP_201_CREATED,
+@router.operation(
+    "POST",
+    "create-calibration",
+    "Calibrate a device",
+    status_code=201,
     response_model=CalibrationDocument,
-    responses=problems(
-        UnknownDevice,
-        CalibrationExists,
-        SensorsChanged,
-        TooFewPoints,
-        DegeneratePoints,
-        DuplicatePoint,
-        UnknownSensor,
-        ReadingOutsideSensor,
-        InvalidParameter,
-        NoConvergence,
-    ),
 )
+@raises("unknown-device", "calibration-exists", "sensors-changed", "too-few-points")
+@raises("coplanar-points", "duplicate-point", "unknown-sensor", "reading-outside-sensor")
+@raises("invalid-parameter", "no-convergence")
 def create_calibration(request: NewCalibrationBody, database: DatabaseDep) -> JSONResponse:
     """Calibrate every sensor from control points. The calibration is stored, not activated.
 
@@ -116,7 +75,7 @@ def create_calibration(request: NewCalibrationBody, database: DatabaseDep) -> JS
     """
     with database.read() as session:
         sensors = sensors_of_row(get_device(session, request.device))
-        store.check_unused(session, request.id)
+        store.CALIBRATIONS.check_unused(session, request.id)
     outcome = run_calibration(request, sensors)
     with database.write() as session:
         # The run held no lock: the device may have been given other sensors meanwhile.
@@ -125,16 +84,16 @@ def create_calibration(request: NewCalibrationBody, database: DatabaseDep) -> JS
         row = store.add_calibration(session, request.device, outcome, request.note, request.id)
         made = store.document(session, row)
     location = {"Location": f"/api/v1/calibrations/{made['id']}"}
-    return JSONResponse(made, HTTP_201_CREATED, location)
+    return JSONResponse(made, 201, location)
 
 
-@router.get(
-    "/{calibration_id}",
-    operation_id="get-calibration",
-    summary="Read a calibration",
+@router.operation(
+    "GET /{calibration_id}",
+    "get-calibration",
+    "Read a calibration",
     response_model=CalibrationDocument,
-    responses=problems(UnknownCalibration),
 )
+@raises("unknown-calibration")
 def get_calibration(calibration_id: CalibrationPath, database: DatabaseDep) -> JSONResponse:
     """One calibration: models, joint covariance, residuals, control-point errors.
 
@@ -142,26 +101,24 @@ def get_calibration(calibration_id: CalibrationPath, database: DatabaseDep) -> J
     came later.
     """
     with database.read() as session:
-        found = store.document(session, store.get_calibration(session, calibration_id))
+        found = store.document(session, store.CALIBRATIONS.get(session, calibration_id))
     return JSONResponse(found)
 
 
-@router.get(
-    "/{calibration_id}/compare/{other_id}",
-    operation_id="compare-calibrations",
-    summary="Compare two calibrations",
-    responses=problems(UnknownCalibration, CalibrationOfAnotherDevice, SensorsChanged),
+@router.operation(
+    "GET /{calibration_id}/compare/{other_id}", "compare-calibrations", "Compare two calibrations"
 )
+@raises("unknown-calibration", "calibration-of-another-device", "sensors-changed")
 def compare_calibrations(
     calibration_id: CalibrationPath, other_id: OtherPath, database: DatabaseDep
 ) -> ComparisonDocument:
-    """Two calibrations of one device: parameters in their deviations, positions over the control
+    """Two calibrations of one device: parameters in standard deviations, positions over the control
     points' box, and which is better on the same observations.
     """
     from service.api.calibrations.comparison import compare
 
     with database.read() as session:
-        rows = [store.get_calibration(session, name) for name in (calibration_id, other_id)]
+        rows = [store.CALIBRATIONS.get(session, name) for name in (calibration_id, other_id)]
         if rows[0].device_id != rows[1].device_id:
             raise CalibrationOfAnotherDevice(
                 f'calibration "{rows[1].id}" is of device "{rows[1].device_id}"; "{rows[0].id}" is '
@@ -177,12 +134,10 @@ def compare_calibrations(
     )
 
 
-@router.post(
-    "/{calibration_id}/activate",
-    operation_id="activate-calibration",
-    summary="Activate a calibration",
-    responses=problems(UnknownCalibration, CalibrationRetired, SensorsChanged, ActivationConflict),
+@router.operation(
+    "POST /{calibration_id}/activate", "activate-calibration", "Activate a calibration"
 )
+@raises("unknown-calibration", "calibration-retired", "sensors-changed", "activation-conflict")
 def activate_calibration(
     calibration_id: CalibrationPath,
     database: DatabaseDep,
@@ -192,22 +147,18 @@ def activate_calibration(
     """Make this the active calibration of its device, in a running one from the next frame on.
 
     The move is written into the device's history of activations. To roll back, activate the
-    previous one again. Of activations at the same moment one wins; the others are told.
+    previous one again. Of activations at the same moment one wins; the others get 409.
     """
     with database.read() as session:
-        device = store.get_calibration(session, calibration_id).device_id
+        device = store.CALIBRATIONS.get(session, calibration_id).device_id
     with device_service.pointer_move(
         device, lambda now: now.calibration_id == calibration_id, expected
     ) as session:
         return store.summary(session, store.activate(session, calibration_id))
 
 
-@router.post(
-    "/{calibration_id}/retire",
-    operation_id="retire-calibration",
-    summary="Retire a calibration",
-    responses=problems(UnknownCalibration, CalibrationActive),
-)
+@router.operation("POST /{calibration_id}/retire", "retire-calibration", "Retire a calibration")
+@raises("unknown-calibration", "calibration-active")
 def retire_calibration(calibration_id: RetiredPath, database: DatabaseDep) -> CalibrationSummary:
     """Take a calibration out of use for good. It stays readable; it cannot be activated again."""
     with database.write() as session:

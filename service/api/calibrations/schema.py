@@ -4,21 +4,20 @@ from typing import Annotated, Any, Final, Literal, get_args
 
 from pydantic import Discriminator, Field, StringConstraints, Tag
 
+from compute.calibration.assessment.assess import MAX_LEAVE_ONE_OUT_POINTS
 from compute.calibration.result import AxisErrors, Calibration, Method
 from compute.calibration.settings import (
     CalibrationSettings,
     LabelPolicy,
     Loss,
+    Preset,
 )
-from compute.calibration.single_sensor.distortion_terms import Preset
 from compute.camera.field_distortion import Term
 from compute.camera.model import Vector3
 from service.api.base_models import Moment, Name, Note, Position, RequestModel, ResponseModel, Slug
 from service.api.calibrations.comparison import Comparison
 
 MAX_POINTS = 10_000
-LEAVE_ONE_OUT_POINTS = 100
-"""Most control points that are left out one by one, and that a request calibrates in full."""
 
 State = Literal["active", "available", "retired"]
 Provenance = Literal["fitted", "self-calibrated", "updated", "nominal"]
@@ -99,7 +98,7 @@ class CalibrationOptions(RequestModel):
     labels: LabelPolicy = Field(
         default="off",
         description="What is done with wrong and exchanged labels: not looked for, reported, "
-        "left out, or mended.",
+        "left out, or repaired.",
     )
 
     def settings(self) -> CalibrationSettings:
@@ -123,7 +122,7 @@ class NewCalibration(CalibrationOptions):
 class PointErrors(ResponseModel):
     """Differences between given and reconstructed control points."""
 
-    statistics: AxisErrors | None = Field(description="Null when no point could be had.")
+    statistics: AxisErrors | None = Field(description="Null when no point was reconstructed.")
     differences_mm: list[Vector3 | None] = Field(
         description="Reconstructed minus given, in the order of the points; null: no position."
     )
@@ -141,7 +140,7 @@ class ControlPointErrors(ResponseModel):
     fitted: PointErrors | None = Field(description="The points that made it; null without any.")
     leave_one_out: PointErrors | None = Field(
         description="Each point by a calibration that never saw it; null without any point, or "
-        f"with more than {LEAVE_ONE_OUT_POINTS}: see `blocks_left_out`."
+        f"with more than {MAX_LEAVE_ONE_OUT_POINTS}: see `blocks_left_out`."
     )
     blocks_left_out: PointErrors | None = Field(
         default=None,
@@ -164,8 +163,8 @@ class CalibrationSummary(ResponseModel):
     device: str
     state: State
     provenance: Provenance = Field(
-        description="`fitted`: from control points. `self-calibrated`: from subjects at unknown "
-        "places. `updated`: from its `parent` and still markers. `nominal`: a design's values, "
+        description="`fitted`: from control points. `self-calibrated`: from targets at unknown "
+        "poses. `updated`: from its `parent` and stationary markers. `nominal`: a design's values, "
         "not measured."
     )
     method: Method

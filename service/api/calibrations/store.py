@@ -8,18 +8,24 @@ import numpy as np
 from sqlalchemy import Select, select
 from sqlalchemy.orm import Session
 
-from service.api.calibrations.calibration_content import Outcome, observations, result_of
+from service.api.base_models import from_attributes
+from service.api.calibrations.calibration_content import (
+    Outcome,
+    observations,
+    optional_rows,
+    result_of,
+)
 from service.api.calibrations.comparison import CalibrationWithControlPoints
 from service.api.calibrations.schema import CalibrationSummary, ControlPoint, State
-from service.api.devices.activation import (
+from service.api.devices.schema import Sensor
+from service.api.devices.store import (
     Target,
     active,
     check_not_retired,
     lock_device,
     move_pointer,
 )
-from service.api.devices.sensor import Sensor
-from service.database.engine import insert
+from service.database.engine import Resource
 from service.database.models import ActiveCalibrationRow, CalibrationRow
 from service.problems.errors import (
     CalibrationActive,
@@ -27,16 +33,14 @@ from service.problems.errors import (
     UnknownCalibration,
 )
 
-
-def get_calibration(session: Session, calibration_id: str) -> CalibrationRow:
-    """Return a calibration; raises UnknownCalibration."""
-    row = session.get(CalibrationRow, calibration_id)
-    if row is None:
-        raise UnknownCalibration(
-            f'there is no calibration "{calibration_id}"; GET /api/v1/calibrations lists them',
-            calibration=calibration_id,
-        )
-    return row
+CALIBRATIONS = Resource(
+    CalibrationRow,
+    "calibration",
+    UnknownCalibration,
+    CalibrationExists,
+    taken="exists already and is never overwritten; choose another id, or leave it out",
+)
+get_calibration = CALIBRATIONS.get
 
 
 def active_id(session: Session, device_id: str) -> str | None:
@@ -48,9 +52,7 @@ def active_id(session: Session, device_id: str) -> str | None:
 def calibrations(device_id: str | None, state: State | None) -> Select[CalibrationRow]:
     """Return those that the filter matches, newest first."""
     active = select(ActiveCalibrationRow.calibration_id)
-    found = select(CalibrationRow).order_by(CalibrationRow.created_at.desc(), CalibrationRow.id)
-    if device_id is not None:
-        found = found.where(CalibrationRow.device_id == device_id)
+    found = CALIBRATIONS.newest_first(device_id=device_id)
     if state == "active":
         found = found.where(CalibrationRow.id.in_(active))
     elif state == "retired":
@@ -60,25 +62,10 @@ def calibrations(device_id: str | None, state: State | None) -> Select[Calibrati
     return found
 
 
-def check_unused(session: Session, calibration_id: str | None) -> None:
-    """Raise CalibrationExists when the id that a client chose is taken."""
-    if calibration_id is not None and session.get(CalibrationRow, calibration_id) is not None:
-        raise _exists(calibration_id)
-
-
-def _exists(calibration_id: str) -> CalibrationExists:
-    return CalibrationExists(
-        f'calibration "{calibration_id}" exists already and is never overwritten; choose '
-        "another id, or leave it out",
-        calibration=calibration_id,
-    )
-
-
 def add_calibration(
     session: Session, device_id: str, outcome: Outcome, note: str, calibration_id: str | None = None
 ) -> CalibrationRow:
     """Store a calibration; it is available, not active. Raises CalibrationExists."""
-    check_unused(session, calibration_id)
     row = CalibrationRow(
         id=calibration_id or f"cal-{secrets.token_hex(8)}",
         device_id=device_id,
@@ -92,11 +79,10 @@ def add_calibration(
         created_at=datetime.now(UTC),
         retired_at=None,
     )
-    insert(session, row, taken=_exists(row.id))
-    return row
+    return CALIBRATIONS.insert(session, row)
 
 
-def activate(session: Session, calibration_id: str, actor: str | None = None) -> CalibrationRow:
+def activate(session: Session, calibration_id: str) -> CalibrationRow:
     """Point the device to this calibration, without a table, and write the move down.
 
     Activating what is active already changes nothing and writes nothing, and keeps its table.
@@ -106,7 +92,7 @@ def activate(session: Session, calibration_id: str, actor: str | None = None) ->
     """
     row = usable(session, calibration_id)
     if active_id(session, row.device_id) != row.id:
-        move_pointer(session, row.device_id, Target(row.id), actor)
+        move_pointer(session, row.device_id, Target(row.id))
     return row
 
 
@@ -116,10 +102,15 @@ def usable(session: Session, calibration_id: str) -> CalibrationRow:
     Raises:
         UnknownCalibration, CalibrationRetired.
     """
+    row = _locked(session, calibration_id)
+    check_not_retired(row)
+    return row
+
+
+def _locked(session: Session, calibration_id: str) -> CalibrationRow:
     row = get_calibration(session, calibration_id)
     lock_device(session, row.device_id)
     session.refresh(row)
-    check_not_retired(row)
     return row
 
 
@@ -129,9 +120,7 @@ def retire(session: Session, calibration_id: str) -> CalibrationRow:
     Raises:
         UnknownCalibration, CalibrationActive.
     """
-    row = get_calibration(session, calibration_id)
-    lock_device(session, row.device_id)
-    session.refresh(row)
+    row = _locked(session, calibration_id)
     if active_id(session, row.device_id) == row.id:
         raise CalibrationActive(
             f'calibration "{row.id}" is the active one of device "{row.device_id}"; activate '
@@ -154,7 +143,7 @@ def state_of(session: Session, row: CalibrationRow) -> State:
 
 def summary(session: Session, row: CalibrationRow) -> CalibrationSummary:
     """Return the calibration without its numbers."""
-    return CalibrationSummary.model_validate(_members(session, row))
+    return from_attributes(CalibrationSummary, row, state=state_of(session, row))
 
 
 def document(session: Session, row: CalibrationRow) -> dict[str, Any]:
@@ -167,21 +156,6 @@ def document(session: Session, row: CalibrationRow) -> dict[str, Any]:
     return shown | {"parent": None} | row.content | {"errors": row.errors}
 
 
-def _members(session: Session, row: CalibrationRow) -> dict[str, object]:
-    return {
-        "id": row.id,
-        "device": row.device_id,
-        "state": state_of(session, row),
-        "provenance": row.provenance,
-        "method": row.method,
-        "note": row.note,
-        "point_count": row.point_count,
-        "content_hash": row.content_hash,
-        "created_at": row.created_at,
-        "retired_at": row.retired_at,
-    }
-
-
 def with_control_points(row: CalibrationRow, sensors: list[Sensor]) -> CalibrationWithControlPoints:
     """Return a calibration of these sensors with the points that it is judged on."""
     points = [ControlPoint.model_validate(point) for point in row.content["points"]]
@@ -191,10 +165,5 @@ def with_control_points(row: CalibrationRow, sensors: list[Sensor]) -> Calibrati
         result_of(row.content),
         np.array([point.position_mm for point in points], dtype=np.float64).reshape(-1, 3),
         held.readings_px,
-        None
-        if left_out is None
-        else np.array(
-            [(np.nan,) * 3 if row is None else row for row in left_out["differences_mm"]],
-            dtype=np.float64,
-        ).reshape(-1, 3),
+        None if left_out is None else optional_rows(left_out["differences_mm"]),
     )

@@ -40,6 +40,8 @@ _MAX_SENSORS: Final = 64
 _MAX_VALUES: Final = 2**24
 """Largest number of values in one array, 128 MiB."""
 _MAX_TEXT: Final = 2**18
+_DAMAGED_FILE: Final = (OSError, RuntimeError, KeyError, EOFError, OverflowError)
+"""What h5py raises of files cut short or damaged; OverflowError: of addresses that no file has."""
 _DEFLATE, _SHUFFLE = h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE
 
 
@@ -87,17 +89,8 @@ def read_table(data: bytes) -> TableContent:
     try:
         with h5py.File(io.BytesIO(data), "r") as file:
             return _read(file)
-    except (
-        OSError,
-        RuntimeError,
-        KeyError,
-        EOFError,
-        OverflowError,
-        ValueError,
-        TypeError,
-    ) as error:
-        # ValueError and TypeError: what h5py says of datatypes that make none of its own;
-        # OverflowError: of addresses that no file has.
+    except (*_DAMAGED_FILE, ValueError, TypeError) as error:
+        # ValueError and TypeError: what h5py says of datatypes that make none of its own.
         raise InvalidTableFile(
             f"the file is HDF5 but is cut short or damaged: {_first_line(error)}"
         ) from error
@@ -257,11 +250,8 @@ def _check_stored(dataset: h5py.Dataset, name: str) -> None:
     chunk_bytes = int(np.prod(dataset.chunks, dtype=object)) * dataset.dtype.itemsize
     if chunk_bytes > _MAX_VALUES * 8:
         raise InvalidTableFile(f"{name} has chunks of {chunk_bytes} bytes, more than a whole table")
-    expected = int(
-        np.prod(
-            [-(-size // step) for size, step in zip(dataset.shape, dataset.chunks, strict=True)]
-        )
-    )
+    sizes = zip(dataset.shape, dataset.chunks, strict=True)
+    expected = math.prod(-(-size // step) for size, step in sizes)
     if dataset.id.get_num_chunks() != expected:
         raise InvalidTableFile(
             f"{name} has {dataset.id.get_num_chunks()} of its {expected} chunks; it was not "

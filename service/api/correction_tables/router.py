@@ -2,61 +2,42 @@
 
 from typing import Annotated, Final
 
-from fastapi import APIRouter, Path, Query, Request
+from fastapi import Query, Request
 from fastapi.concurrency import run_in_threadpool
 from starlette.responses import JSONResponse, Response
-from starlette.status import HTTP_201_CREATED, HTTP_204_NO_CONTENT
 
-from compute.errors import InvalidParameter, NonFiniteValue
 from service.api.base_models import SLUG_PATTERN, Page
 from service.api.correction_tables import store
-from service.api.correction_tables.schema import CorrectionTableDocument
+from service.api.correction_tables.store import CorrectionTableDocument
 from service.api.correction_tables.table_content import MEDIA_TYPE
 from service.api.correction_tables.upload_process import read_in_process
 from service.api.devices.device_service import DeviceServiceDep
-from service.api.inputs import DatabaseDep, DeviceFilter, ExpectedActive, PagingDep, page_of
-from service.api.openapi import problems
-from service.database.engine import Database
-from service.problems.errors import (
-    ActivationConflict,
-    Busy,
-    CorrectionTableExists,
-    CorrectionTableInUse,
-    InvalidTableFile,
-    NoActiveCalibration,
-    SensorsChanged,
-    TableHasHoles,
-    TableOfAnotherCalibration,
-    UnknownCorrectionTable,
-    UnsupportedMediaType,
+from service.api.inputs import (
+    DatabaseDep,
+    DeviceFilter,
+    ExpectedActive,
+    PagingDep,
+    id_in_path,
+    page_of,
 )
+from service.api.openapi import ResourceRouter, raises
+from service.database.engine import Database
+from service.problems.errors import UnsupportedMediaType
 
 TABLES_PATH: Final = "/api/v1/correction-tables"
 
-router = APIRouter(prefix=TABLES_PATH, tags=["correction-tables"])
+router = ResourceRouter(TABLES_PATH, "correction-tables")
 
 _BINARY: Final = {"schema": {"type": "string", "format": "binary"}}
 _TYPES: Final = (MEDIA_TYPE, "application/octet-stream")
 
-TablePath = Annotated[
-    str,
-    Path(
-        pattern=SLUG_PATTERN,
-        description="The table's id.",
-        openapi_examples={"map": {"summary": "one that was mapped", "value": "sim-map"}},
-    ),
-]
+TablePath = Annotated[str, id_in_path("The table's id.", "sim-map", "map", "one that was mapped")]
 SparePath = Annotated[
-    str,
-    Path(
-        pattern=SLUG_PATTERN,
-        description="The table's id.",
-        openapi_examples={"spare": {"summary": "one never used", "value": "sim-map-spare"}},
-    ),
+    str, id_in_path("The table's id.", "sim-map-spare", "spare", "one never used")
 ]
 
 
-@router.get("", operation_id="list-correction-tables", summary="List correction tables")
+@router.operation("GET", "list-correction-tables", "List correction tables")
 def list_tables(
     database: DatabaseDep,
     paging: PagingDep,
@@ -69,29 +50,22 @@ def list_tables(
     with database.read() as session:
         return page_of(
             session,
-            store.tables(device, calibration),
+            store.TABLES.newest_first(device_id=device, calibration_id=calibration),
             paging,
             lambda row: store.document(session, row),
         )
 
 
-@router.post(
-    "",
-    operation_id="upload-correction-table",
-    summary="Upload a correction table",
-    status_code=HTTP_201_CREATED,
+@router.operation(
+    "POST",
+    "upload-correction-table",
+    "Upload a correction table",
+    status_code=201,
     response_model=CorrectionTableDocument,
-    responses=problems(
-        InvalidTableFile,
-        InvalidParameter,
-        NonFiniteValue,
-        TableHasHoles,
-        TableOfAnotherCalibration,
-        CorrectionTableExists,
-        Busy,
-    ),
     openapi_extra={"requestBody": {"required": True, "content": {MEDIA_TYPE: _BINARY}}},
 )
+@raises("invalid-table-file", "invalid-parameter", "non-finite-value", "table-has-holes")
+@raises("foreign-correction-table", "correction-table-exists", "busy")
 async def upload_table(
     request: Request,
     database: DatabaseDep,
@@ -113,18 +87,14 @@ async def upload_table(
         given = f'"{media_type}"' if media_type else "not given"
         raise UnsupportedMediaType(f"the body's media type is {given}; send {MEDIA_TYPE}")
     made = await run_in_threadpool(_stored, database, await request.body(), table_id, note)
-    return JSONResponse(
-        made.model_dump(mode="json"),
-        HTTP_201_CREATED,
-        {"Location": f"/api/v1/correction-tables/{made.id}"},
-    )
+    return JSONResponse(made.model_dump(mode="json"), 201, {"Location": f"{TABLES_PATH}/{made.id}"})
 
 
 def _stored(
     database: Database, data: bytes, table_id: str | None, note: str
 ) -> CorrectionTableDocument:
     with database.read() as session:
-        store.check_unused(session, table_id)
+        store.TABLES.check_unused(session, table_id)
     content = read_in_process(data)
     with database.write() as session:
         parent = store.find_parent(session, content)
@@ -132,59 +102,44 @@ def _stored(
         return store.document(session, row)
 
 
-@router.get(
-    "/{table_id}",
-    operation_id="get-correction-table",
-    summary="Read a correction table",
-    responses=problems(UnknownCorrectionTable),
-)
+@router.operation("GET /{table_id}", "get-correction-table", "Read a correction table")
+@raises("unknown-correction-table")
 def get_table(table_id: TablePath, database: DatabaseDep) -> CorrectionTableDocument:
     """One table: its grid, provenance and figures."""
     with database.read() as session:
-        return store.document(session, store.get_table(session, table_id))
+        return store.document(session, store.TABLES.get(session, table_id))
 
 
-@router.delete(
-    "/{table_id}",
-    operation_id="delete-correction-table",
-    summary="Delete a correction table",
-    status_code=HTTP_204_NO_CONTENT,
-    responses=problems(UnknownCorrectionTable, CorrectionTableInUse),
-)
+@router.operation("DELETE /{table_id}", "delete-correction-table", "Delete a correction table")
+@raises("unknown-correction-table", "correction-table-in-use")
 def delete_table(table_id: SparePath, database: DatabaseDep) -> None:
     """Delete a table that was never active and that no reconstruction names."""
     with database.write() as session:
         store.delete_table(session, table_id)
 
 
-@router.get(
-    "/{table_id}/file",
-    operation_id="download-correction-table",
-    summary="Download a correction table",
+@router.operation(
+    "GET /{table_id}/file",
+    "download-correction-table",
+    "Download a correction table",
     response_class=Response,
-    responses=problems(UnknownCorrectionTable) | {200: {"content": {MEDIA_TYPE: _BINARY}}},
+    responses={200: {"content": {MEDIA_TYPE: _BINARY}}},
 )
+@raises("unknown-correction-table")
 def download_table(table_id: TablePath, database: DatabaseDep) -> Response:
     """The whole table as HDF5, with its provenance; it can be uploaded elsewhere."""
     with database.read() as session:
-        row = store.get_table(session, table_id)
+        row = store.TABLES.get(session, table_id)
         data, name = row.data, row.id
     disposition = {"Content-Disposition": f'attachment; filename="{name}.h5"'}
     return Response(data, headers=disposition, media_type=MEDIA_TYPE)
 
 
-@router.post(
-    "/{table_id}/activate",
-    operation_id="activate-correction-table",
-    summary="Activate a correction table",
-    responses=problems(
-        UnknownCorrectionTable,
-        NoActiveCalibration,
-        TableOfAnotherCalibration,
-        SensorsChanged,
-        ActivationConflict,
-    ),
+@router.operation(
+    "POST /{table_id}/activate", "activate-correction-table", "Activate a correction table"
 )
+@raises("unknown-correction-table", "no-active-calibration", "foreign-correction-table")
+@raises("sensors-changed", "activation-conflict")
 def activate_table(
     table_id: TablePath,
     database: DatabaseDep,
@@ -197,24 +152,22 @@ def activate_table(
     move is written into the device's history of activations.
     """
     with database.read() as session:
-        device = store.get_table(session, table_id).device_id
+        device = store.TABLES.get(session, table_id).device_id
     with device_service.pointer_move(
         device, lambda now: now.table_id == table_id, expected
     ) as session:
         return store.document(session, store.activate_table(session, table_id))
 
 
-@router.post(
-    "/{table_id}/deactivate",
-    operation_id="deactivate-correction-table",
-    summary="Stop using a correction table",
-    responses=problems(UnknownCorrectionTable, SensorsChanged, ActivationConflict),
+@router.operation(
+    "POST /{table_id}/deactivate", "deactivate-correction-table", "Stop using a correction table"
 )
+@raises("unknown-correction-table", "sensors-changed", "activation-conflict")
 def deactivate_table(
     table_id: TablePath, database: DatabaseDep, device_service: DeviceServiceDep
 ) -> CorrectionTableDocument:
     """Let the device go on without the table; one that is not in use stays as it is."""
     with database.read() as session:
-        device = store.get_table(session, table_id).device_id
+        device = store.TABLES.get(session, table_id).device_id
     with device_service.pointer_move(device, lambda now: now.table_id != table_id) as session:
         return store.document(session, store.deactivate_table(session, table_id))

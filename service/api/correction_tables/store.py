@@ -2,18 +2,20 @@
 
 import secrets
 from datetime import UTC, datetime
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
-from sqlalchemy import Select, func, select
+from pydantic import Field
+from sqlalchemy import select
 from sqlalchemy.orm import Session
 
+from compute.camera.model import Vector3
+from service.api.base_models import Moment, ResponseModel, from_attributes
 from service.api.calibrations.calibration_content import result_of
-from service.api.calibrations.store import get_calibration
-from service.api.correction_tables.schema import CorrectionTableDocument
+from service.api.calibrations.store import CALIBRATIONS
 from service.api.correction_tables.table_content import TableContent, check_table
-from service.api.devices.activation import Target, active, lock_device, move_pointer
-from service.database.engine import insert
+from service.api.devices.store import Target, active, count_uses, lock_device, move_pointer
+from service.database.engine import Resource
 from service.database.models import (
     ActivationRow,
     ActiveCalibrationRow,
@@ -32,42 +34,47 @@ from service.problems.errors import (
 
 Origin = Literal["run", "upload"]
 
+TABLES = Resource(
+    CorrectionTableRow,
+    "table",
+    UnknownCorrectionTable,
+    CorrectionTableExists,
+    "correction table",
+    "exists already and is never overwritten; choose another id, or leave it out",
+    "/api/v1/correction-tables",
+)
 
-def get_table(session: Session, table_id: str) -> CorrectionTableRow:
-    """Return a table; raises UnknownCorrectionTable."""
-    row = session.get(CorrectionTableRow, table_id)
-    if row is None:
-        raise UnknownCorrectionTable(
-            f'there is no correction table "{table_id}"; GET /api/v1/correction-tables lists them',
-            table=table_id,
-        )
-    return row
+
+class Grid(ResponseModel):
+    """The box of voxels."""
+
+    origin_mm: Vector3
+    pitch_mm: Vector3
+    cells: tuple[int, int, int]
 
 
-def tables(device_id: str | None, calibration_id: str | None) -> Select[CorrectionTableRow]:
-    """Return those that the filter matches, newest first."""
-    found = select(CorrectionTableRow).order_by(
-        CorrectionTableRow.created_at.desc(), CorrectionTableRow.id
+class CorrectionTableDocument(ResponseModel):
+    """A correction table, without its numbers."""
+
+    id: str
+    device: str
+    calibration: str = Field(description="The calibration it belongs to, its parent.")
+    calibration_hash: str = Field(description="The parent's content hash.")
+    content_hash: str = Field(description="Of the table with its provenance; see the guide.")
+    active: bool = Field(description="Whether the device uses it now.")
+    origin: Origin
+    note: str
+    sensors: list[str]
+    grid: Grid
+    degree: Literal[1, 3] = Field(description="Of the splines; 1: trilinear.")
+    valid_share: list[float] = Field(
+        description="Share of cells that measurements support, by sensor."
     )
-    if device_id is not None:
-        found = found.where(CorrectionTableRow.device_id == device_id)
-    if calibration_id is not None:
-        found = found.where(CorrectionTableRow.calibration_id == calibration_id)
-    return found
-
-
-def check_unused(session: Session, table_id: str | None) -> None:
-    """Raise CorrectionTableExists when the id that a client chose is taken."""
-    if table_id is not None and session.get(CorrectionTableRow, table_id) is not None:
-        raise _exists(table_id)
-
-
-def _exists(table_id: str) -> CorrectionTableExists:
-    return CorrectionTableExists(
-        f'correction table "{table_id}" exists already and is never overwritten; choose another '
-        "id, or leave it out",
-        table=table_id,
-    )
+    max_correction_px: list[float] = Field(description="Largest coefficient there, by sensor.")
+    settings: dict[str, Any] = Field(description="How it was asked to be made.")
+    validation: dict[str, Any] = Field(description="Figures on points that it never saw.")
+    made_at: Moment = Field(description="When it was computed.")
+    created_at: Moment = Field(description="When it was stored here.")
 
 
 def find_parent(session: Session, content: TableContent) -> CalibrationRow:
@@ -76,7 +83,7 @@ def find_parent(session: Session, content: TableContent) -> CalibrationRow:
     Of several with the same content the active one, else the newest.
 
     Raises:
-        ForeignTable: there is none, or the table is of another device or of other sensors.
+        TableOfAnotherCalibration: there is none, or the device or sensors are others.
     """
     wanted = content.table.calibration_hash
     rows = session.scalars(
@@ -103,7 +110,7 @@ def find_parent(session: Session, content: TableContent) -> CalibrationRow:
 
 
 def check_sensor_names(calibration: CalibrationRow, content: TableContent) -> None:
-    """Raise ForeignTable when a table's sensors are not the calibration's, in its order."""
+    """Check that a table's sensors are the calibration's, in its order."""
     names = [fit["model"]["name"] for fit in calibration.content["result"]["sensors"]]
     if list(content.table.sensors) != names:
         raise TableOfAnotherCalibration(
@@ -125,14 +132,12 @@ def add_table(
 
     Raises:
         CorrectionTableExists: the id is taken.
-        ForeignTable: it is of another calibration.
+        TableOfAnotherCalibration: it is of another calibration.
         InvalidParameter, TableHasHoles: see ``check_table``.
     """
-    from service.api.correction_tables.hdf5_file import (
-        write_table,  # the library takes a while to load
-    )
+    from service.api.correction_tables.hdf5_file import write_table  # takes a while to load
 
-    check_unused(session, table_id)
+    TABLES.check_unused(session, table_id)
     check_sensor_names(parent, content)
     check_table(content.table)
     row = CorrectionTableRow(
@@ -147,8 +152,7 @@ def add_table(
         data=write_table(content),
         created_at=datetime.now(UTC),
     )
-    insert(session, row, _exists(row.id))
-    return row
+    return TABLES.insert(session, row)
 
 
 def _figures(content: TableContent) -> dict[str, list[float]]:
@@ -166,12 +170,10 @@ def _figures(content: TableContent) -> dict[str, list[float]]:
 
 def _valid_nodes(valid: np.ndarray, degree: int) -> np.ndarray:
     """Return which coefficients a valid cell depends on."""
-    touched = np.zeros(tuple(count + degree for count in valid.shape), dtype=np.bool_)
-    nx, ny, nz = valid.shape
-    for i in range(degree + 1):
-        for j in range(degree + 1):
-            for k in range(degree + 1):
-                touched[i : i + nx, j : j + ny, k : k + nz] |= valid
+    touched = np.pad(valid, (0, degree))
+    for axis in range(3):
+        shifted = [np.roll(touched, step, axis) for step in range(degree + 1)]
+        touched = np.logical_or.reduce(shifted)
     return touched
 
 
@@ -182,15 +184,15 @@ def content_of(row: CorrectionTableRow) -> TableContent:
     return read_table(row.data)
 
 
-def activate_table(session: Session, table_id: str, actor: str | None = None) -> CorrectionTableRow:
+def activate_table(session: Session, table_id: str) -> CorrectionTableRow:
     """Let the table's device use it with the active calibration, which must be its parent.
 
     Raises:
         UnknownCorrectionTable.
         NoActiveCalibration: the device has none.
-        ForeignTable: the active calibration is another one.
+        TableOfAnotherCalibration: the active calibration is another one.
     """
-    row = get_table(session, table_id)
+    row = TABLES.get(session, table_id)
     lock_device(session, row.device_id)
     pointer = active(session, row.device_id)
     if pointer is None:
@@ -199,7 +201,7 @@ def activate_table(session: Session, table_id: str, actor: str | None = None) ->
             f'"{row.calibration_id}"',
             device=row.device_id,
         )
-    calibration = get_calibration(session, pointer.calibration_id)
+    calibration = CALIBRATIONS.get(session, pointer.calibration_id)
     if calibration.content_hash != row.calibration_hash:
         raise TableOfAnotherCalibration(
             f'table "{row.id}" belongs to the calibration "{row.calibration_id}" (content hash '
@@ -210,23 +212,21 @@ def activate_table(session: Session, table_id: str, actor: str | None = None) ->
             calibration=row.calibration_id,
             active_calibration=calibration.id,
         )
-    move_pointer(session, row.device_id, Target(calibration.id, row.id), actor)
+    move_pointer(session, row.device_id, Target(calibration.id, row.id))
     return row
 
 
-def deactivate_table(
-    session: Session, table_id: str, actor: str | None = None
-) -> CorrectionTableRow:
+def deactivate_table(session: Session, table_id: str) -> CorrectionTableRow:
     """Let the table's device go on without it; one that is not active stays so.
 
     Raises:
         UnknownCorrectionTable.
     """
-    row = get_table(session, table_id)
+    row = TABLES.get(session, table_id)
     lock_device(session, row.device_id)
     pointer = active(session, row.device_id)
     if pointer is not None and pointer.table_id == row.id:
-        move_pointer(session, row.device_id, Target(pointer.calibration_id), actor)
+        move_pointer(session, row.device_id, Target(pointer.calibration_id))
     return row
 
 
@@ -237,15 +237,10 @@ def delete_table(session: Session, table_id: str) -> None:
         UnknownCorrectionTable.
         CorrectionTableInUse: it was active once, or is, or reconstructions name it.
     """
-    row = get_table(session, table_id)
+    row = TABLES.get(session, table_id)
     lock_device(session, row.device_id)
-    uses = {
-        name: session.scalar(
-            select(func.count()).select_from(table).where(table.table_id == row.id)
-        )
-        or 0
-        for name, table in (("activations", ActivationRow), ("reconstructions", ReconstructionRow))
-    }
+    tables = {"activations": ActivationRow, "reconstructions": ReconstructionRow}
+    uses = count_uses(session, "table_id", row.id, tables)
     if any(uses.values()):
         listed = " and ".join(f"{count} {name}" for name, count in uses.items())
         raise CorrectionTableInUse(
@@ -263,8 +258,8 @@ def active_calibration(session: Session, device_id: str) -> ActiveCalibration:
     pointer = active(session, device_id)
     if pointer is None:
         return ActiveCalibration()
-    calibration = get_calibration(session, pointer.calibration_id)
-    table = None if pointer.table_id is None else get_table(session, pointer.table_id)
+    calibration = CALIBRATIONS.get(session, pointer.calibration_id)
+    table = None if pointer.table_id is None else TABLES.get(session, pointer.table_id)
     return ActiveCalibration(
         calibration.id,
         result_of(calibration.content),
@@ -279,17 +274,5 @@ def active_calibration(session: Session, device_id: str) -> ActiveCalibration:
 def document(session: Session, row: CorrectionTableRow) -> CorrectionTableDocument:
     """Return the table as clients see it, without its numbers."""
     pointer = active(session, row.device_id)
-    return CorrectionTableDocument.model_validate(
-        row.content
-        | {
-            "id": row.id,
-            "device": row.device_id,
-            "calibration": row.calibration_id,
-            "calibration_hash": row.calibration_hash,
-            "content_hash": row.content_hash,
-            "active": pointer is not None and pointer.table_id == row.id,
-            "origin": row.origin,
-            "note": row.note,
-            "created_at": row.created_at,
-        }
-    )
+    in_use = pointer is not None and pointer.table_id == row.id
+    return from_attributes(CorrectionTableDocument, row, active=in_use, **row.content)

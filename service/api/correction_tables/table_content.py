@@ -1,7 +1,6 @@
 """TableContent: a validated correction table with its provenance and content hash."""
 
 import hashlib
-import json
 from dataclasses import dataclass
 from datetime import datetime
 from typing import Any, Final
@@ -10,6 +9,7 @@ import numpy as np
 
 from compute.errors import InvalidParameter
 from compute.mapping.table import CorrectionTable
+from service.api.calibrations.calibration_content import canonical_json
 from service.problems.errors import InvalidTableFile, TableHasHoles
 
 MEDIA_TYPE: Final = "application/x-hdf5"
@@ -62,15 +62,14 @@ class TableContent:
         The arrays follow as coefficients and variances in little-endian float64 and validity as
         bytes 0 and 1, each in C order.
         """
-        text = json.dumps(
-            self.header(), sort_keys=True, separators=(",", ":"), ensure_ascii=False,
-            allow_nan=False,
-        )  # fmt: skip
-        digest = hashlib.sha256(text.encode())
+        digest = hashlib.sha256(canonical_json(self.header()))
         digest.update(b"\0")
-        digest.update(np.ascontiguousarray(self.table.coefficients_px, dtype="<f8").tobytes())
-        digest.update(np.ascontiguousarray(self.table.variance_px2, dtype="<f8").tobytes())
-        digest.update(np.ascontiguousarray(self.table.valid, dtype=np.uint8).tobytes())
+        for values, kind in (
+            (self.table.coefficients_px, "<f8"),
+            (self.table.variance_px2, "<f8"),
+            (self.table.valid, "u1"),
+        ):
+            digest.update(np.ascontiguousarray(values, dtype=kind).tobytes())
         return digest.hexdigest()
 
 

@@ -7,32 +7,33 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Annotated, Final
 
-from fastapi import Depends, Request
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from compute.errors import LumilineError
 from hardware.driver import DeviceDescription
 from service.api.devices import store
-from service.api.devices.activation import (
-    IsReached,
-    activation_precondition,
-    check_activation_precondition,
+from service.api.devices.driver_factory import make_driver, sensors_of
+from service.api.devices.schema import Device, DeviceChange, NewDevice, Sensor
+from service.api.devices.store import (
+    Target,
+    active,
     check_not_retired,
+    check_sensors,
+    listed,
     lock_device,
     move_pointer,
     previous_activation,
+    sensors_match,
 )
-from service.api.devices.driver_factory import make_driver, sensors_of
-from service.api.devices.schema import Device, DeviceChange, NewDevice
-from service.api.devices.sensor import Sensor, check_sensors, listed, sensors_match
+from service.api.inputs import of_application
 from service.database.engine import Database
 from service.database.models import CalibrationRow, DeviceRow, HoldRow
 from service.pipeline.active_calibration import ActiveCalibration
 from service.pipeline.device_status import DeviceStatus
 from service.pipeline.pipeline_manager import Accept, PipelineManager
 from service.pipeline.tracking_config import TrackingConfig
-from service.problems.errors import SensorsChanged
+from service.problems.errors import ActivationConflict, SensorsChanged
 from service.settings import DataFolders
 
 _log = logging.getLogger(__name__)
@@ -154,7 +155,7 @@ class DeviceService:
 
     @contextmanager
     def pointer_move(
-        self, device_id: str, reached: IsReached, expected: str | None = None
+        self, device_id: str, reached: Callable[[Target], bool], expected: str | None = None
     ) -> Iterator[Session]:
         """Yield a transaction that moves the active pointer; after its commit the pipeline follows.
 
@@ -172,11 +173,11 @@ class DeviceService:
                 first.
         """
         with self._database.read() as session:
-            precondition = activation_precondition(session, device_id, expected)
+            last_move = _last_move(session, device_id)
         with self._exclusive(device_id):
             with self._database.write() as session:
                 lock_device(session, device_id)
-                check_activation_precondition(session, precondition, reached)
+                _check_precondition(session, device_id, last_move, expected, reached)
                 yield session
                 found = self._stored.active_calibration(session, device_id)
                 if found.calibration is not None:
@@ -263,9 +264,54 @@ def _only_with(device_id: str, stored: Sequence[Sensor]) -> Accept:
     return accept
 
 
-def _device_service(request: Request) -> DeviceService:
-    service: DeviceService = request.app.state.device_service
-    return service
+def _check_precondition(
+    session: Session,
+    device_id: str,
+    last_move: int | None,
+    expected: str | None,
+    reached: Callable[[Target], bool],
+) -> None:
+    """Check the precondition of an activation (optimistic concurrency); the device is locked.
+
+    Of requests at the same moment one wins, and the others decide anew. Where the device is already
+    as the request wants it, nothing is in conflict: it may be sent again.
+
+    Args:
+        session: the session.
+        device_id: the device.
+        last_move: the newest move of its history when the request came.
+        expected: the calibration that the client believes to be active; None: it did not say.
+        reached: whether the device is as the request wants it.
+
+    Raises:
+        ActivationConflict: another move came first.
+    """
+    now = active(session, device_id)
+    if now is not None and reached(now):
+        return
+    shown = "none" if now is None else f'"{now.calibration_id}"'
+    if now is not None and now.table_id is not None:
+        shown += f' with table "{now.table_id}"'
+    if expected is not None and (now is None or now.calibration_id != expected):
+        raise ActivationConflict(
+            f'device "{device_id}" uses the calibration {shown}, not "{expected}" as '
+            "the request expects; look at its activations, and ask again",
+            device=device_id,
+            expected=expected,
+            active=None if now is None else now.calibration_id,
+        )
+    if _last_move(session, device_id) != last_move:
+        raise ActivationConflict(
+            f'another request was first, and device "{device_id}" uses the calibration '
+            f"{shown} now; look at its activations, and ask again",
+            device=device_id,
+            active=None if now is None else now.calibration_id,
+        )
 
 
-DeviceServiceDep = Annotated[DeviceService, Depends(_device_service)]
+def _last_move(session: Session, device_id: str) -> int | None:
+    newest = store.latest_activation(session, device_id)
+    return None if newest is None else newest.id
+
+
+DeviceServiceDep = Annotated[DeviceService, of_application("device_service")]

@@ -13,11 +13,11 @@ from service.api.devices.schema import (
     GenicamSource,
     ProfileSource,
     ReplaySource,
+    Sensor,
     SerialSource,
     Source,
     Tcd1304Source,
 )
-from service.api.devices.sensor import Sensor
 from service.problems.errors import DeviceWithoutDriver, UnknownRecording
 from service.settings import DataFolders
 
@@ -95,7 +95,12 @@ def sensors_of(device_id: str, source: Source, folders: DataFolders) -> list[Sen
     if isinstance(source, ExternalSource):
         sensors = source.sensors
     else:
-        sensors = _sensors_of_driver(device_id, source, folders)
+        driver = make_driver(device_id, source, folders)
+        try:
+            driver.open()
+            sensors = validated_sensors(driver.description.sensors)
+        finally:
+            driver.close()
     names = [sensor.name for sensor in sensors]
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:
@@ -104,16 +109,6 @@ def sensors_of(device_id: str, source: Source, folders: DataFolders) -> list[Sen
             sensor=twice,
         )
     return sensors
-
-
-def _sensors_of_driver(device_id: str, source: Source, folders: DataFolders) -> list[Sensor]:
-    driver = make_driver(device_id, source, folders)
-    try:
-        driver.open()
-        described = driver.description.sensors
-    finally:
-        driver.close()
-    return validated_sensors(described)
 
 
 def validated_sensors(described: Iterable[SensorDescription]) -> list[Sensor]:

@@ -1,70 +1,90 @@
 """REST resource /api/v1/devices: routes only; device_service does what they ask for."""
 
-from typing import Annotated
+from typing import Annotated, Any, Final
 
-from fastapi import APIRouter, Body, Path, Query, Response
-from starlette.status import HTTP_201_CREATED, HTTP_204_NO_CONTENT
+from fastapi import Body, Query, Response
 
-from compute.errors import InvalidParameter, InvalidRecording
-from hardware.errors import DeviceNotConnected
-from service.api.base_models import SLUG_PATTERN, Page
+from service.api.base_models import Page, from_attributes
 from service.api.devices import store
-from service.api.devices.activation import activations
 from service.api.devices.device_service import DeviceServiceDep
-from service.api.devices.examples import CHANGES, NEW_DEVICES
 from service.api.devices.schema import Activation, Device, DeviceChange, NewDevice, Status
 from service.api.inputs import (
     DatabaseDep,
     DevicePath,
     ExpectedActive,
-    JsonRoute,
     JsonTypes,
     PagingDep,
+    id_in_path,
     page_of,
 )
-from service.api.openapi import problems
-from service.database.models import ActivationRow
-from service.problems.errors import (
-    ActivationConflict,
-    CalibrationRetired,
-    DeviceExists,
-    DeviceInUse,
-    DeviceRunning,
-    DeviceWithoutDriver,
-    NothingToRollBack,
-    SensorsChanged,
-    UnknownDevice,
-    UnknownDeviceProfile,
-    UnknownRecording,
-)
+from service.api.openapi import ResourceRouter, raises
 
-router = APIRouter(prefix="/api/v1/devices", tags=["devices"], route_class=JsonRoute)
+router = ResourceRouter("/api/v1/devices", "devices")
+
+NEW_DEVICES: Final[dict[str, Any]] = {
+    "simulated": {
+        "summary": "A simulated bar of sensors that sees a calibration frame at rest",
+        "value": {
+            "id": "bench",
+            "title": "Simulated bench",
+            "source": {
+                "kind": "simulated",
+                "settings": {"scene": {"kind": "calibration-frame"}, "frame_rate_hz": 200},
+            },
+        },
+    },
+    "profile": {
+        "summary": "The thesis's four cameras, simulated: their optics, light and detector",
+        "value": {
+            "id": "thesis-cameras",
+            "title": "The thesis's cameras at 1 m",
+            "source": {
+                "kind": "profile",
+                "profile": "thesis-5.9",
+                "settings": {
+                    "scene": {"kind": "still-points", "points_mm": [[0, -97, 1133]]},
+                    "optics": "exact",
+                    "frame_rate_hz": 10,
+                },
+            },
+        },
+    },
+    "external": {
+        "summary": "Four sensors that a program of yours reads",
+        "value": {
+            "id": "lab-bar",
+            "title": "Sensor bar in the laboratory",
+            "source": {
+                "kind": "external",
+                "sensors": [
+                    {"name": name, "pixels": 2048, "pitch_um": 14}
+                    for name in ("left", "middle", "right", "vertical")
+                ],
+            },
+        },
+    },
+}
+
+CHANGES: Final[dict[str, Any]] = {
+    "rename": {"summary": "Another title", "value": {"title": "Simulator in the entrance hall"}},
+    "autostart": {"summary": "Start it with the server", "value": {"autostart": True}},
+}
+"""Each example works on a fresh server as it stands."""
 
 NewDeviceBody = Annotated[NewDevice, JsonTypes(), Body(openapi_examples=NEW_DEVICES)]
 ChangeBody = Annotated[DeviceChange, JsonTypes(), Body(openapi_examples=CHANGES)]
 
 
-@router.get("", operation_id="list-devices", summary="List devices")
+@router.operation("GET", "list-devices", "List devices")
 def list_devices(database: DatabaseDep, paging: PagingDep) -> Page[Device]:
     """Devices by id."""
     with database.read() as session:
         return page_of(session, store.devices(), paging, lambda row: store.document(session, row))
 
 
-@router.post(
-    "",
-    operation_id="create-device",
-    summary="Create a device",
-    status_code=HTTP_201_CREATED,
-    responses=problems(
-        DeviceExists,
-        DeviceNotConnected,
-        UnknownRecording,
-        UnknownDeviceProfile,
-        InvalidParameter,
-        InvalidRecording,
-    ),
-)
+@router.operation("POST", "create-device", "Create a device", status_code=201)
+@raises("device-exists", "device-not-connected", "unknown-recording", "unknown-device-profile")
+@raises("invalid-parameter", "invalid-recording")
 def create_device(
     request: NewDeviceBody, device_service: DeviceServiceDep, response: Response
 ) -> Device:
@@ -77,33 +97,17 @@ def create_device(
     return device
 
 
-@router.get(
-    "/{device_id}",
-    operation_id="get-device",
-    summary="Read a device",
-    responses=problems(UnknownDevice),
-)
+@router.operation("GET /{device_id}", "get-device", "Read a device")
+@raises("unknown-device")
 def get_device(device_id: DevicePath, database: DatabaseDep) -> Device:
     """One device."""
     with database.read() as session:
         return store.document(session, store.get_device(session, device_id))
 
 
-@router.patch(
-    "/{device_id}",
-    operation_id="change-device",
-    summary="Change a device",
-    responses=problems(
-        UnknownDevice,
-        UnknownRecording,
-        UnknownDeviceProfile,
-        DeviceInUse,
-        DeviceRunning,
-        DeviceNotConnected,
-        InvalidParameter,
-        InvalidRecording,
-    ),
-)
+@router.operation("PATCH /{device_id}", "change-device", "Change a device")
+@raises("unknown-device", "unknown-recording", "unknown-device-profile", "device-in-use")
+@raises("device-running", "device-not-connected", "invalid-parameter", "invalid-recording")
 def change_device(
     device_id: DevicePath, request: ChangeBody, device_service: DeviceServiceDep
 ) -> Device:
@@ -113,25 +117,15 @@ def change_device(
     return device_service.change(device_id, request)
 
 
-DeletedDevicePath = Annotated[
-    str,
-    Path(
-        pattern=SLUG_PATTERN,
-        description="The device's id.",
-        openapi_examples={"lab-bar": {"summary": "the external device", "value": "lab-bar"}},
-    ),
+DeletedPath = Annotated[
+    str, id_in_path("The device's id.", "lab-bar", "lab-bar", "the external device")
 ]
 
 
-@router.delete(
-    "/{device_id}",
-    operation_id="delete-device",
-    summary="Delete a device",
-    status_code=HTTP_204_NO_CONTENT,
-    responses=problems(UnknownDevice, DeviceInUse),
-)
+@router.operation("DELETE /{device_id}", "delete-device", "Delete a device")
+@raises("unknown-device", "device-in-use")
 def delete_device(
-    device_id: DeletedDevicePath,
+    device_id: DeletedPath,
     device_service: DeviceServiceDep,
     cascade: Annotated[
         bool, Query(description="Delete its calibrations and reconstructions, too.")
@@ -141,20 +135,9 @@ def delete_device(
     device_service.delete(device_id, cascade=cascade)
 
 
-@router.post(
-    "/{device_id}/start",
-    operation_id="start-device",
-    summary="Start a device",
-    responses=problems(
-        UnknownDevice,
-        UnknownRecording,
-        UnknownDeviceProfile,
-        DeviceWithoutDriver,
-        SensorsChanged,
-        InvalidParameter,
-        InvalidRecording,
-    ),
-)
+@router.operation("POST /{device_id}/start", "start-device", "Start a device")
+@raises("unknown-device", "unknown-recording", "unknown-device-profile", "device-without-driver")
+@raises("sensors-changed", "invalid-parameter", "invalid-recording")
 def start_device(device_id: DevicePath, device_service: DeviceServiceDep) -> Status:
     """Start the device with its active calibration; one that is running starts anew.
 
@@ -163,36 +146,25 @@ def start_device(device_id: DevicePath, device_service: DeviceServiceDep) -> Sta
     return Status(device=device_id, status=device_service.start(device_id))
 
 
-@router.post(
-    "/{device_id}/stop",
-    operation_id="stop-device",
-    summary="Stop a device",
-    responses=problems(UnknownDevice),
-)
+@router.operation("POST /{device_id}/stop", "stop-device", "Stop a device")
+@raises("unknown-device")
 def stop_device(device_id: DevicePath, device_service: DeviceServiceDep) -> Status:
     """Stop the device; nothing happens when it is not running."""
     return Status(device=device_id, status=device_service.stop(device_id))
 
 
-@router.get(
-    "/{device_id}/status",
-    operation_id="get-device-status",
-    summary="What a device is doing",
-    responses=problems(UnknownDevice),
-)
+@router.operation("GET /{device_id}/status", "get-device-status", "What a device is doing")
+@raises("unknown-device")
 def get_device_status(device_id: DevicePath, device_service: DeviceServiceDep) -> Status:
     """State, frame counters and losses since the device was started."""
     return Status(device=device_id, status=device_service.status(device_id))
 
 
-@router.post(
-    "/{device_id}/roll-back",
-    operation_id="roll-back-device",
-    summary="Go back to what was active before",
-    responses=problems(
-        UnknownDevice, NothingToRollBack, CalibrationRetired, SensorsChanged, ActivationConflict
-    ),
+@router.operation(
+    "POST /{device_id}/roll-back", "roll-back-device", "Go back to what was active before"
 )
+@raises("unknown-device", "nothing-to-roll-back", "calibration-retired", "sensors-changed")
+@raises("activation-conflict")
 def roll_back_device(
     device_id: DevicePath, device_service: DeviceServiceDep, expected: ExpectedActive = None
 ) -> Device:
@@ -203,30 +175,19 @@ def roll_back_device(
     return device_service.roll_back(device_id, expected)
 
 
-@router.get(
-    "/{device_id}/activations",
-    operation_id="list-activations",
-    summary="History of active calibrations",
-    responses=problems(UnknownDevice),
+@router.operation(
+    "GET /{device_id}/activations", "list-activations", "History of active calibrations"
 )
+@raises("unknown-device")
 def list_activations(
     device_id: DevicePath, database: DatabaseDep, paging: PagingDep
 ) -> Page[Activation]:
     """Which calibration and table were in use since when, newest first; nothing is removed."""
     with database.read() as session:
         store.get_device(session, device_id)
-        return page_of(session, activations(device_id), paging, _activation)
-
-
-def _activation(row: ActivationRow) -> Activation:
-    return Activation(
-        id=row.id,
-        device=row.device_id,
-        calibration_id=row.calibration_id,
-        previous_calibration_id=row.previous_calibration_id,
-        table_id=row.table_id,
-        previous_table_id=row.previous_table_id,
-        restores_id=row.restores_id,
-        activated_at=row.activated_at,
-        actor=row.actor,
-    )
+        return page_of(
+            session,
+            store.activations(device_id),
+            paging,
+            lambda row: from_attributes(Activation, row),
+        )

@@ -2,20 +2,30 @@
 
 from typing import Annotated, Literal
 
-from pydantic import Field, StringConstraints
+from pydantic import ConfigDict, Field, StringConstraints
+from pydantic.dataclasses import dataclass as checked_dataclass
 
+from hardware.driver import SensorDescription
 from hardware.genicam.settings import GenicamSettings
 from hardware.serial.settings import SerialSettings
 from hardware.simulated.profile_settings import ProfileSettings
 from hardware.simulated.settings import SimulationSettings
 from hardware.tcd1304.settings import Tcd1304Settings
-from service.api.base_models import Moment, RequestModel, ResponseModel, Slug, Text200, absent
-from service.api.devices.sensor import Sensor
+from service.api.base_models import Moment, Name, RequestModel, ResponseModel, Slug, Text200, absent
 from service.api.devices.tracking_settings import Tracking
 from service.pipeline.device_status import DeviceStatus
 
 RECORDING_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_-]*(\.[A-Za-z0-9_-]+)*(/[A-Za-z0-9][A-Za-z0-9_.-]*)*$"
 PROFILE_PATTERN = r"^[a-z0-9]([a-z0-9.-]{0,61}[a-z0-9])?$"
+
+
+@checked_dataclass(frozen=True, config=ConfigDict(extra="forbid", allow_inf_nan=False))
+class Sensor(SensorDescription):
+    """One line sensor: name, number of pixels, pixel pitch [um]."""
+
+    name: Name
+    pixels: Annotated[int, Field(ge=8, le=65536)]
+    pitch_um: Annotated[float, Field(gt=0, le=1000, description="Pixel pitch [um].")]
 
 
 class SimulatedSource(RequestModel):
@@ -116,7 +126,7 @@ class Device(ResponseModel):
     id: str
     title: str
     source: Source
-    sensors: list[Sensor] = Field(description="In the order of the lines of a frame.")
+    sensors: list[Sensor] = Field(description="In the order of the scans of a frame.")
     autostart: bool
     tracking: Tracking
     active_calibration_id: str | None

@@ -1,5 +1,7 @@
-"""Devices in the database."""
+"""Devices in the database, their sensors, and the pointer to the active calibration and table."""
 
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
 
@@ -7,11 +9,12 @@ from pydantic import TypeAdapter
 from sqlalchemy import Select, delete, func, select
 from sqlalchemy.orm import Session
 
-from service.api.devices.activation import active
-from service.api.devices.schema import Device, DeviceChange, NewDevice, Source
-from service.api.devices.sensor import Sensor, sensors_match
+from compute.camera.model import SensorModel
+from hardware.driver import SensorDescription
+from service.api.base_models import from_attributes
+from service.api.devices.schema import Device, DeviceChange, NewDevice, Sensor, Source
 from service.api.devices.tracking_settings import Tracking
-from service.database.engine import insert
+from service.database.engine import Resource
 from service.database.models import (
     ActivationRow,
     ActiveCalibrationRow,
@@ -30,20 +33,30 @@ from service.database.models import (
     WatchRow,
     WatchSampleRow,
 )
-from service.problems.errors import DeviceExists, DeviceInUse, DeviceRunning, UnknownDevice
+from service.problems.errors import (
+    CalibrationRetired,
+    DeviceExists,
+    DeviceInUse,
+    DeviceRunning,
+    NothingToRollBack,
+    SensorsChanged,
+    UnknownDevice,
+)
 
 _SOURCE: TypeAdapter[Source] = TypeAdapter(Source)
 _SENSORS = TypeAdapter(list[Sensor])
 
 
-def get_device(session: Session, device_id: str, *, lock: bool = False) -> DeviceRow:
-    """Return a device, locked until the transaction's end on request; raises UnknownDevice."""
-    row = session.get(DeviceRow, device_id, with_for_update=lock or None)
-    if row is None:
-        raise UnknownDevice(
-            f'there is no device "{device_id}"; GET /api/v1/devices lists them', device=device_id
-        )
-    return row
+DEVICES = Resource(
+    DeviceRow,
+    "device",
+    UnknownDevice,
+    DeviceExists,
+    taken="exists already; choose another id, or PATCH it",
+)
+get_device = DEVICES.get
+
+AnySensor = SensorDescription | SensorModel
 
 
 def devices() -> Select[DeviceRow]:
@@ -53,12 +66,6 @@ def devices() -> Select[DeviceRow]:
 
 def add_device(session: Session, request: NewDevice, sensors: list[Sensor]) -> DeviceRow:
     """Store a device; raises DeviceExists."""
-    taken = DeviceExists(
-        f'device "{request.id}" exists already; choose another id, or PATCH it',
-        device=request.id,
-    )
-    if session.get(DeviceRow, request.id) is not None:
-        raise taken
     now = datetime.now(UTC)
     row = DeviceRow(
         id=request.id,
@@ -70,8 +77,7 @@ def add_device(session: Session, request: NewDevice, sensors: list[Sensor]) -> D
         created_at=now,
         updated_at=now,
     )
-    insert(session, row, taken)
-    return row
+    return DEVICES.insert(session, row)
 
 
 def change_device(
@@ -172,13 +178,7 @@ def _refuse_if_used(
 ) -> None:
     """Raise DeviceInUse when calibrations, reconstructions or ``others`` belong to a device."""
     kinds = {"calibrations": CalibrationRow, "reconstructions": ReconstructionRow, **others}
-    counts = {
-        name: session.scalar(
-            select(func.count()).select_from(table).where(table.device_id == device_id)
-        )
-        or 0
-        for name, table in kinds.items()
-    }
+    counts = count_uses(session, "device_id", device_id, kinds)
     if any(counts.values()):
         listed = [
             f"{count} {name if count != 1 else name.removesuffix('s')}"
@@ -188,6 +188,19 @@ def _refuse_if_used(
         raise DeviceInUse(
             f'device "{device_id}" has {", ".join(listed)}; {why}', device=device_id, **counts
         )
+
+
+def count_uses(
+    session: Session, column: str, identity: str, tables: Mapping[str, type[Any]]
+) -> dict[str, int]:
+    """Count the rows of tables, by name, that have an id in a column."""
+    return {
+        name: session.scalar(
+            select(func.count()).select_from(table).where(getattr(table, column) == identity)
+        )
+        or 0
+        for name, table in tables.items()
+    }
 
 
 def source_of(row: DeviceRow) -> Source:
@@ -233,15 +246,155 @@ def sensors_of_row(row: DeviceRow) -> list[Sensor]:
 def document(session: Session, row: DeviceRow) -> Device:
     """Return the device as clients see it."""
     pointer = active(session, row.id)
-    return Device(
-        id=row.id,
-        title=row.title,
+    return from_attributes(
+        Device,
+        row,
         source=source_of(row),
         sensors=sensors_of_row(row),
-        autostart=row.autostart,
         tracking=tracking_of(row),
         active_calibration_id=pointer.calibration_id if pointer else None,
         active_table_id=pointer.table_id if pointer else None,
-        created_at=row.created_at,
-        updated_at=row.updated_at,
+    )
+
+
+def sensors_match(one: Sequence[AnySensor], other: Sequence[AnySensor]) -> bool:
+    """Whether two lists are of the same sensors: readings and models go by position."""
+    return _layout(one) == _layout(other)
+
+
+def check_sensors(
+    device_id: str, now: Sequence[SensorDescription], made: Sequence[AnySensor]
+) -> None:
+    """Check that a calibration is of the device's sensors.
+
+    Args:
+        device_id: the device.
+        now: its sensors.
+        made: the sensors, or their models, that the calibration was made for.
+
+    Raises:
+        SensorsChanged: a name, a number of pixels or the order differs.
+    """
+    if not sensors_match(now, made):
+        raise SensorsChanged(
+            f'device "{device_id}" has the sensors {listed(now)}; the calibration was made for '
+            f"{listed(made)}; calibrate the sensors that the device has now",
+            device=device_id,
+        )
+
+
+def _layout(sensors: Sequence[AnySensor]) -> list[tuple[str, int]]:
+    return [(sensor.name, sensor.pixels) for sensor in sensors]
+
+
+def listed(sensors: Sequence[AnySensor]) -> str:
+    """Return the sensors' names and pixel counts as text for messages."""
+    return ", ".join(f'"{name}" ({pixels} px)' for name, pixels in _layout(sensors))
+
+
+@dataclass(frozen=True)
+class Target:
+    """What a pointer points to.
+
+    Args:
+        calibration_id: the calibration.
+        table_id: its correction table; None: without one.
+        restores_id: the move of the history that is gone back to; None: a new one.
+    """
+
+    calibration_id: str
+    table_id: str | None = None
+    restores_id: int | None = None
+
+
+def active(session: Session, device_id: str) -> Target | None:
+    """Return what the device uses now, None without a calibration."""
+    pointer = session.get(ActiveCalibrationRow, device_id, populate_existing=True)
+    return None if pointer is None else Target(pointer.calibration_id, pointer.table_id)
+
+
+def active_at(session: Session, device_id: str, moment: datetime) -> Target | None:
+    """Return what the device used at a moment, None without a calibration."""
+    found = session.scalars(
+        activations(device_id).where(ActivationRow.activated_at <= moment).limit(1)
+    ).first()
+    return None if found is None else Target(found.calibration_id, found.table_id)
+
+
+def lock_device(session: Session, device_id: str) -> None:
+    """Let other moves of the pointer wait (SQLite: they do from the transaction's begin)."""
+    session.execute(select(DeviceRow.id).where(DeviceRow.id == device_id).with_for_update())
+
+
+def check_not_retired(row: CalibrationRow) -> None:
+    """Raise CalibrationRetired when a calibration may not be activated any more."""
+    if row.retired_at is not None:
+        raise CalibrationRetired(
+            f'calibration "{row.id}" was retired on {row.retired_at:%Y-%m-%d}; activate one that '
+            "is available",
+            calibration=row.id,
+        )
+
+
+def move_pointer(session: Session, device_id: str, target: Target) -> None:
+    """Point the device to a calibration and table and write the move down; both or neither.
+
+    Where it points there already nothing is changed or written. The device is locked.
+    """
+    pointer = session.get(ActiveCalibrationRow, device_id, populate_existing=True)
+    before = None if pointer is None else (pointer.calibration_id, pointer.table_id)
+    if before == (target.calibration_id, target.table_id):
+        return
+    if pointer is None:
+        pointer = ActiveCalibrationRow(device_id=device_id)
+        session.add(pointer)
+    pointer.calibration_id, pointer.table_id = target.calibration_id, target.table_id
+    session.add(
+        ActivationRow(
+            device_id=device_id,
+            calibration_id=target.calibration_id,
+            previous_calibration_id=before[0] if before else None,
+            table_id=target.table_id,
+            previous_table_id=before[1] if before else None,
+            restores_id=target.restores_id,
+            activated_at=datetime.now(UTC),
+            actor=None,
+        )
+    )
+    session.flush()
+
+
+def previous_activation(session: Session, device_id: str) -> Target:
+    """Return what the device used before its last move; raises NothingToRollBack.
+
+    A move that was a roll-back stands where it went back to: rolling back again goes further.
+    """
+    newest = latest_activation(session, device_id)
+    reached = newest and (newest.restores_id or newest.id)
+    earlier = latest_activation(session, device_id, reached) if reached else None
+    if earlier is None:
+        raise NothingToRollBack(
+            f'device "{device_id}" has no activation before the present one; activate a '
+            "calibration by its id",
+            device=device_id,
+        )
+    return Target(earlier.calibration_id, earlier.table_id, earlier.restores_id or earlier.id)
+
+
+def latest_activation(
+    session: Session, device_id: str, before: int | None = None
+) -> ActivationRow | None:
+    """Return the newest activation of a device, or the newest before one by its id."""
+    query = activations(device_id)
+    if before is not None:
+        query = query.where(ActivationRow.id < before)
+    return session.scalars(query.limit(1)).first()
+
+
+def activations(device_id: str) -> Select[ActivationRow]:
+    """Return a device's activations, newest first."""
+    return (
+        select(ActivationRow)
+        .where(ActivationRow.device_id == device_id)
+        .order_by(ActivationRow.id.desc())
     )

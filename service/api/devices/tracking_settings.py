@@ -43,7 +43,7 @@ class Blinking(RequestModel):
     )
     miss_probability: Annotated[float, Field(ge=1e-4, le=0.5)] = Field(
         default=BlinkModel().miss_probability,
-        description="Chance that a sensor misses a marker's peak.",
+        description="Probability that a sensor misses a marker's peak.",
     )
 
     @model_validator(mode="after")

@@ -11,7 +11,7 @@ from service.api.calibrations.calibration_content import observations
 from service.api.calibrations.schema import ControlPoint, Reading
 from service.api.calibrations.store import with_control_points
 from service.api.captures.store import captured_points
-from service.api.devices.sensor import Sensor
+from service.api.devices.schema import Sensor
 from service.api.drift_checks.schema import (
     StationaryMarker,
     StationaryMarkersRequest,

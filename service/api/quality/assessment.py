@@ -11,7 +11,7 @@ import numpy as np
 from sqlalchemy.orm import Session
 
 from compute.quality.control_chart import ControlChart, ControlChartAlarm, control_chart
-from service.api.devices.activation import active
+from service.api.devices.store import active
 from service.api.quality import store
 from service.api.quality.schema import Chart, ChartPoint, Quality
 from service.database.models import QualityCheckRow, WatchSampleRow

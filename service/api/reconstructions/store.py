@@ -8,8 +8,8 @@ from sqlalchemy import Select, select
 from sqlalchemy.orm import Session, defer
 
 from service.api.calibrations.store import active_id, get_calibration
-from service.api.correction_tables.store import get_table
-from service.api.devices.activation import active
+from service.api.correction_tables.store import TABLES
+from service.api.devices.store import active
 from service.api.reconstructions.schema import (
     NamedEstimate,
     NewReconstruction,
@@ -66,7 +66,7 @@ def table_for(session: Session, request: NewReconstruction) -> CorrectionTableRo
     pointer = active(session, request.device)
     if request.calibration is not None or pointer is None or pointer.table_id is None:
         return None
-    return get_table(session, pointer.table_id)
+    return TABLES.get(session, pointer.table_id)
 
 
 def add_reconstruction(
@@ -134,12 +134,7 @@ def summary(row: ReconstructionRow) -> ReconstructionSummary:
 def document(row: ReconstructionRow) -> Reconstruction:
     """Return the reconstruction as clients see it."""
     return Reconstruction(
-        id=row.id,
-        device=row.device_id,
-        calibration_id=row.calibration_id,
-        table=row.table_id,
-        point_count=row.point_count,
-        created_at=row.created_at,
+        **vars(summary(row)),
         points=_POINTS.validate_python(row.points),
         estimates=_ESTIMATES.validate_python(row.estimates),
     )

@@ -8,7 +8,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.calibration.assessment.cross_validation import control_errors
+from compute.calibration.assessment.assess import control_errors
+from compute.calibration.assessment.diagnosis import box_points
 from compute.calibration.result import (
     Calibration,
     CrossValidation,
@@ -18,7 +19,7 @@ from compute.calibration.result import (
     repaired_readings,
 )
 from compute.camera.stack import CameraStack
-from service.api.calibrations.comparison import Comparison, box_grid, predicted_readings
+from service.api.calibrations.comparison import Comparison, predicted_readings
 
 Array = NDArray[np.float64]
 
@@ -148,7 +149,7 @@ class ReportContent:
         """Deviations on a grid over the control points' box, shape (M, 3) [mm]; empty without."""
         if self.volume_mm is None:
             return np.empty((0, 3))
-        return self.uncertainty_mm(box_grid(*self.volume_mm, 7))
+        return self.uncertainty_mm(box_points(*self.volume_mm, 7))
 
     @cached_property
     def suspicious(self) -> list[tuple[str, str, float, float]]:

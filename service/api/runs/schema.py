@@ -5,7 +5,7 @@ from typing import Annotated
 from pydantic import Field
 
 from compute.calibration.settings import LabelPolicy
-from compute.mapping.settings import MappingMethod, MappingSettings
+from compute.mapping.result import MappingMethod, MappingSettings
 from service.api.base_models import Moment, Note, RequestModel, ResponseModel, Slug, from_attributes
 from service.api.calibrations.schema import (
     MAX_POINTS,

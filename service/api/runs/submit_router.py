@@ -8,7 +8,7 @@ from sqlalchemy.orm import Session
 
 from service.api.base_models import from_attributes
 from service.api.calibrations.schema import ControlPoint
-from service.api.calibrations.store import check_unused
+from service.api.calibrations.store import CALIBRATIONS
 from service.api.correction_tables import store as tables
 from service.api.devices.store import get_device, sensors_of_row
 from service.api.exports.examples import NEW_EXPORT_RUNS
@@ -113,7 +113,7 @@ def create_calibration_run(request: NewCalibrationRunBody, submission: Submissio
     """
 
     def stored(session: Session, device: DeviceRow) -> dict[str, Any]:
-        check_unused(session, request.result_id)
+        CALIBRATIONS.check_unused(session, request.result_id)
         points, sensors = _points(session, request), sensors_of_row(device)
         settings = request.settings()
         return calibration.request_of(
@@ -153,7 +153,7 @@ def create_mapping_run(request: NewMappingRunBody, submission: SubmissionDep) ->
     """
 
     def stored(session: Session, device: DeviceRow) -> dict[str, Any]:
-        tables.check_unused(session, request.result_id)
+        tables.TABLES.check_unused(session, request.result_id)
         parent = resolve_calibration(session, request.device, request.calibration)
         return mapping.request_of(
             from_attributes(
@@ -190,7 +190,7 @@ def create_self_calibration_run(
     """
 
     def stored(session: Session, device: DeviceRow) -> dict[str, Any]:
-        check_unused(session, request.result_id)
+        CALIBRATIONS.check_unused(session, request.result_id)
         start = resolve_calibration(session, request.device, request.start)
         return self_calibration.request_of(
             from_attributes(
@@ -221,7 +221,7 @@ def create_update_run(request: NewUpdateRunBody, submission: SubmissionDep) -> R
     """
 
     def stored(session: Session, device: DeviceRow) -> dict[str, Any]:
-        check_unused(session, request.result_id)
+        CALIBRATIONS.check_unused(session, request.result_id)
         sensors = sensors_of_row(device)
         parent, markers, sigma = resolve_markers(session, request, sensors)
         return update.request_of(

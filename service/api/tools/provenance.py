@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from sqlalchemy.orm import Session
 
-from service.api.devices.activation import active, active_at
+from service.api.devices.store import active, active_at
 from service.database.models import RegistrationRow
 
 

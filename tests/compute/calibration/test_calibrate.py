@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.stats import f as f_distribution
 
-from compute.calibration.assessment.cross_validation import cross_validate, fitted_errors
+from compute.calibration.assessment.assess import cross_validate, fitted_errors
 from compute.calibration.calibrate import calibrate
 from compute.camera.model import SensorModel
 from compute.camera.rotation import rotation_matrix

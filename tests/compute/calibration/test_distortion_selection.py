@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from compute.calibration.assessment.cross_validation import cross_validate
+from compute.calibration.assessment.assess import cross_validate
 from compute.calibration.calibrate import calibrate
 from compute.calibration.distortion_selection import first_within_standard_error
-from compute.calibration.settings import CalibrationSettings
-from compute.calibration.single_sensor.distortion_terms import PRESETS
+from compute.calibration.settings import PRESETS, CalibrationSettings
 from compute.camera.field_distortion import all_terms, symmetric_terms
 from compute.camera.model import SensorModel
 from compute.camera.stack import CameraStack

@@ -5,8 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from compute.calibration.assessment.cross_validation import control_errors, fitted_errors
-from compute.calibration.calibrate import calibrate, calibrate_and_assess
+from compute.calibration.assessment.assess import (
+    calibrate_and_assess,
+    control_errors,
+    fitted_errors,
+)
+from compute.calibration.calibrate import calibrate
 from compute.calibration.result import count_readings, effective_readings
 from compute.calibration.settings import CalibrationSettings, LabelPolicy
 from compute.camera.stack import CameraStack

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from compute.calibration.assessment.cross_validation import cross_validate
+from compute.calibration.assessment.assess import cross_validate
 from compute.calibration.calibrate import calibrate
 from compute.calibration.settings import CalibrationSettings, LabelPolicy
 from compute.errors import DegeneratePoints

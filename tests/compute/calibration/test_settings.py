@@ -8,10 +8,10 @@ from pydantic import TypeAdapter
 
 from compute.calibration.calibrate import calibrate
 from compute.calibration.result import Calibration
-from compute.calibration.settings import CalibrationSettings
-from compute.calibration.single_sensor.distortion_terms import (
+from compute.calibration.settings import (
     AUTO_CANDIDATES,
     PRESETS,
+    CalibrationSettings,
     Preset,
     check_order,
     free_parameters,

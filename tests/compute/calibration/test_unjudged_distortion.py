@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from compute.calibration.calibrate import calibrate_and_assess
+from compute.calibration.assessment.assess import calibrate_and_assess
 from compute.calibration.distortion_selection import refusals
-from compute.calibration.settings import CalibrationSettings
-from compute.calibration.single_sensor.distortion_terms import AUTO_CANDIDATES
+from compute.calibration.settings import AUTO_CANDIDATES, CalibrationSettings
 from compute.camera.model import SensorGeometry
 from tests.compute.rig import geometry, project, rig
 from validation.thesis_data import load_test

@@ -4,8 +4,7 @@ import pytest
 from compute.camera.stack import CameraStack
 from compute.mapping.build import build_table
 from compute.mapping.measurements import MappingMeasurements
-from compute.mapping.result import MappingResult
-from compute.mapping.settings import MappingSettings
+from compute.mapping.result import MappingResult, MappingSettings
 from compute.reconstruction.triangulation import reconstruct
 from tests.compute.mapping.scenes import (
     SIGMA,
@@ -74,7 +73,7 @@ def test_variances_are_honest_where_noise_hides_the_misfit(monkeypatch):
         control = measured(places(60, seed), seed, sigma=2.0)
         models, new = calibrated(control).models, places(200, seed + 20, share=0.9)
         for squares, min_share in ((averaged, 1e-3), (likeliest, 1.0)):
-            monkeypatch.setattr("compute.mapping.model_averaging.MIN_SHARE", min_share)
+            monkeypatch.setattr("compute.mapping.penalty_selection.MIN_SHARE", min_share)
             result = build_table(models, "", control)
             error, variance, inside = correction_errors(result, models, new)
             squares += [np.mean((error**2 / variance)[inside[:, s], s]) for s in range(3)]

@@ -13,7 +13,7 @@ from compute.mapping.build import build_table
 from compute.mapping.cell_support import check_no_holes
 from compute.mapping.grid import VoxelGrid
 from compute.mapping.measurements import MappingMeasurements
-from compute.mapping.settings import MappingSettings
+from compute.mapping.result import MappingSettings
 from tests.compute.mapping.scenes import SIGMA, calibrated, exact, lattice, measured, places, truth
 
 FIXED = MappingSettings(penalty_weight=1.0)

@@ -10,10 +10,9 @@ from compute.mapping.b_splines import interpolate_corners, interpolate_function
 from compute.mapping.cell_support import cell_corners, find_supported_cells, within_hull
 from compute.mapping.diagonalised_basis import DiagonalisedBasis
 from compute.mapping.grid import VoxelGrid
-from compute.mapping.model_averaging import average
 from compute.mapping.p_splines import PenalisedProblem
 from compute.mapping.penalty_grid import step_widths
-from compute.mapping.penalty_selection import cross_validate_penalties, gcv_score
+from compute.mapping.penalty_selection import average, cross_validate_penalties, gcv_score
 from compute.mapping.table import CorrectionTable
 
 cells = st.tuples(*(st.integers(1, 5),) * 3)

@@ -13,8 +13,7 @@ from compute.camera.model import SensorModel
 from compute.camera.stack import CameraStack
 from compute.mapping.grid import VoxelGrid
 from compute.mapping.table import CorrectionTable
-from compute.measurement.cubic_inverse import invert_cubic
-from compute.measurement.measurement_model import MeasurementModel
+from compute.measurement.measurement_model import MeasurementModel, invert_cubic
 from tests.compute.distorted_rig import distorted_rig
 from tests.compute.rig import control_points, rig
 

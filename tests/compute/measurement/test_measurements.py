@@ -21,7 +21,7 @@ def one(flags: int, sigma: float = 0.1, policy: FlagPolicy = STANDARD_POLICY) ->
 
 @pytest.mark.parametrize("flag", list(PeakFlag))
 def test_one_flag_follows_its_rule(flag: PeakFlag) -> None:
-    rule, found = STANDARD_POLICY.rule(flag), one(int(flag))
+    rule, found = next(rule for rule in STANDARD_POLICY.rules if rule.flag is flag), one(int(flag))
     used = rule.use != "refused"
     assert found.usable[0, 0] == used
     assert found.suspect[0, 0] == (rule.use == "suspect")
@@ -59,7 +59,7 @@ def test_sorted_peaks_do_not_depend_on_their_order(position, there, flags, order
     again = Measurements.of(position[:, order], sigma[:, order], flags[:, order]).sort()
     np.testing.assert_array_equal(first.position_px, again.position_px)
     np.testing.assert_array_equal(first.variance_px2, again.variance_px2)
-    assert first.max_count == max(int(plain.count.max()), 1)
+    assert first.position_px.shape[1] == max(int(plain.count.max()), 1)
     assert (first.count == plain.count).all()
     index = first.original_index
     assert index is not None

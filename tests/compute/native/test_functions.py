@@ -13,14 +13,13 @@ from compute.optics.tracing.intersection import intersect, normal
 from compute.optics.tracing.shapes import Conic, Plane, Toroid
 from compute.optics.tracing.surface_records import Form, pack
 from compute.optics.tracing.surfaces import Surface, SurfaceStack
-from compute.reconstruction.native.camera_arguments import fill_cameras
-from compute.reconstruction.native.kernel_arguments import CAMERAS
+from compute.reconstruction.native.definitions import CAMERAS, fill_cameras
 from compute.signal.fit.fit_settings import FitSettings
 from compute.signal.fit.kernel_parameters import pack_plan
 from compute.signal.fit.line_spread_function import LineSpreadFunction
 from compute.signal.fit.window_model import central_pixel_fraction
 from compute.tracking.joint_events import ClusterTrack, event_marginals, merge_probability
-from compute.tracking.native.kernel_arguments import ASSOCIATION
+from compute.tracking.native.definitions import ASSOCIATION
 from compute.tracking.settings import TrackerSettings
 from tests.compute.native.host import FUNCTIONS, compiler, run, write_generated
 from tests.compute.reconstruction.distorted_rig import distorted_rig, field_points, table

@@ -18,7 +18,7 @@ from compute.planning.ghost_points import (
     ghost_probabilities,
     intersecting_points,
 )
-from compute.reconstruction.correspondence import FALSE_REJECTION
+from compute.reconstruction.correspondence.candidates import FALSE_REJECTION
 from compute.reconstruction.triangulation import chi2_limit, reconstruct
 from tests.compute.reconstruction.matching import match_peaks
 from tests.compute.rig import PIXELS, rig

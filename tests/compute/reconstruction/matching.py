@@ -1,7 +1,5 @@
 """Grouping of peaks by the NumPy reconstruction, for tests."""
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -9,12 +7,9 @@ from compute.camera.stack import CameraStack
 from compute.mapping.table import CorrectionTable
 from compute.measurement.measurement_model import MeasurementModel
 from compute.measurement.measurements import Measurements
-from compute.reconstruction.correspondence import (
-    Correspondence,
-    MatchSettings,
-    PredictedPoints,
-    group_peaks,
-)
+from compute.reconstruction.correspondence.candidates import MatchSettings
+from compute.reconstruction.correspondence.grouping import Correspondence, group_peaks
+from compute.reconstruction.correspondence.predicted_candidates import PredictedPoints
 from compute.reconstruction.point_batch import PointBatch
 from compute.reconstruction.triangulation import reconstruct
 from compute.signal.peaks import PeakFlag
@@ -36,7 +31,6 @@ def match_peaks(
     *,
     merged: NDArray[np.bool_] | None = None,
     predicted: PredictedPoints | None = None,
-    bodies_mm: Sequence[Array] = (),
     settings: MatchSettings | None = None,
 ) -> Correspondence:
     """Group the peaks (S, K) of S sensors to markers; see ``group_peaks``."""
@@ -49,6 +43,5 @@ def match_peaks(
         Measurements.of(position_px, sigma_px, merged_flags(merged)),
         model=MeasurementModel(cameras, parameter_covariance, corrections),
         predicted=predicted,
-        bodies_mm=bodies_mm,
         settings=settings or MatchSettings(),
     )

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.camera.stack import CameraStack
-from compute.reconstruction.correspondence import Correspondence
+from compute.reconstruction.correspondence.grouping import Correspondence
 
 Array = NDArray[np.float64]
 

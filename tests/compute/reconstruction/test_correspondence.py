@@ -7,18 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter
 from compute.measurement.measurements import Measurements
-from compute.reconstruction.correspondence import (
-    Correspondence,
-    MatchSettings,
-    PredictedPoints,
-    group_peaks,
-)
+from compute.reconstruction.correspondence.candidates import MatchSettings
+from compute.reconstruction.correspondence.grouping import Correspondence, group_peaks
 from compute.reconstruction.correspondence.intersections import covering_triples
+from compute.reconstruction.correspondence.predicted_candidates import PredictedPoints
 from compute.reconstruction.point_batch import PointBatch
 from compute.reconstruction.triangulation import reconstruct
 from tests.compute.reconstruction.matching import match_peaks
@@ -295,42 +291,6 @@ def test_a_prediction_that_is_not_there_takes_nothing() -> None:
     assert len(match_peaks(cameras, scene.position_px, scene.sigma_px, predicted=beside)) == 0
 
 
-TOOL = np.array([[0.0, 0.0, 0.0], [70.0, 0.0, 10.0], [0.0, 50.0, -20.0], [40.0, 60.0, 35.0]])
-
-
-@pytest.mark.parametrize("sensors", [3, 4])
-def test_a_rigid_body_is_found_among_ghosts(sensors: int) -> None:
-    cameras = CameraStack.of(rig(sensors))
-    found_bodies = 0
-    for seed in range(8):
-        rng = np.random.default_rng(seed)
-        turn = Rotation.random(random_state=seed).as_matrix()
-        places = TOOL @ turn.T + np.array([0.0, 0.0, 1500.0]) + rng.uniform(-80.0, 80.0, 3)
-        readings = project(rig(sensors), places)
-        position, sigma = peaks(readings, seed)
-        found = match_peaks(cameras, position, sigma, bodies_mm=[TOOL])
-        if not (found.body == 0).any():
-            continue
-        assert sorted(found.body_marker[found.body == 0]) == [0, 1, 2, 3]
-        for row, marker, doubt in zip(
-            found.readings_px, found.body_marker, found.ambiguous, strict=True
-        ):
-            assert doubt or np.abs(readings[marker] - row).max() < 0.2
-        found_bodies += not found.ambiguous[found.body == 0].any()
-    assert found_bodies >= 6
-
-
-def test_the_mirror_image_of_a_body_is_not_it() -> None:
-    """Any three of its markers are, turned over: all four are not."""
-    cameras = CameraStack.of(rig(3))
-    places = TOOL * np.array([1.0, 1.0, -1.0]) + np.array([0.0, 0.0, 1500.0])
-    position, sigma = peaks(project(rig(3), places))
-    found = match_peaks(cameras, position, sigma, bodies_mm=[TOOL])
-    assert (found.body == 0).sum() < 4
-    whole = match_peaks(cameras, position, sigma, bodies_mm=[TOOL * np.array([1.0, 1.0, -1.0])])
-    assert (whole.body == 0).sum() == 4
-
-
 def test_what_is_refused() -> None:
     position, sigma = peaks(project(rig(3), control_points(2)))
 
@@ -340,8 +300,6 @@ def test_what_is_refused() -> None:
     one = PredictedPoints(np.zeros((1, 3)), np.eye(3)[None])
     with pytest.raises(InvalidParameter, match="need a model"):
         group_peaks(solve, Measurements.of(position, sigma), predicted=one)
-    with pytest.raises(InvalidParameter, match="three or more"):
-        group_peaks(solve, Measurements.of(position, sigma), bodies_mm=[np.zeros((3, 3))])
     with pytest.raises(InvalidParameter, match="finite"):
         PredictedPoints(np.full((1, 3), np.nan), np.eye(3)[None])
     with pytest.raises(InvalidParameter, match="shapes"):

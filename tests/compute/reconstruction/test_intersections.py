@@ -9,12 +9,9 @@ from numpy.typing import NDArray
 from compute.camera.stack import CameraStack
 from compute.measurement.measurement_model import MeasurementModel
 from compute.measurement.measurements import Measurements
-from compute.reconstruction.correspondence import (
-    MatchSettings,
-    SearchPart,
-    intersection_points,
-    intersections,
-)
+from compute.reconstruction.correspondence import intersections
+from compute.reconstruction.correspondence.candidates import MatchSettings
+from compute.reconstruction.correspondence.intersections import SearchPart, intersection_points
 from compute.reconstruction.point_batch import PointBatch
 from compute.reconstruction.triangulation import reconstruct
 from tests.compute.tracking.moving_markers import PIXELS, Sensing, bar, peaks_of, swinging

@@ -12,9 +12,9 @@ from compute.camera.field_distortion import FieldDistortion
 from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter
 from compute.mapping.table import Degree
-from compute.reconstruction.native.kernel import point_kernel
+from compute.native.native_kernel import native_kernel
 from compute.reconstruction.point_batch import PointFlag
-from compute.reconstruction.solver import MIN_CAPACITY, PointSolver, load_kernels
+from compute.reconstruction.solver import MIN_CAPACITY, PointSolver, load_kernels, point_kernel
 from compute.reconstruction.triangulation import reconstruct
 from tests.compute.reconstruction.distorted_rig import distorted_rig, field_points, table
 from tests.compute.reconstruction.solver_scenes import Scene, assert_same, scene
@@ -165,13 +165,13 @@ def test_high_powers_and_many_terms() -> None:
 def test_calibrations_share_a_kernel() -> None:
     """No switch of the same device compiles: terms, table and covariance are data."""
     load_kernels(4, "cpu")
-    before = point_kernel.cache_info().misses
+    before = native_kernel.cache_info().misses
     for seed, (distorted, degree) in enumerate([(False, None), (True, 1), (True, 3)]):
         made = scene(4, distorted=distorted, degree=degree, calibrated=True, seed=seed)
         solver_of(made)
     fewer = FieldDistortion(((3, 0),), (0.1,))
     PointSolver([replace(model, distortion=fewer) for model in rig()], device="cpu")
-    assert point_kernel.cache_info().misses == before
+    assert native_kernel.cache_info().misses == before
 
 
 def test_kernels_are_loaded_in_the_build_that_is_launched(monkeypatch: pytest.MonkeyPatch) -> None:

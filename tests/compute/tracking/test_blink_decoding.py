@@ -9,13 +9,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from compute.errors import InvalidParameter
-from compute.tracking.blink_decoding import (
-    BlinkCodes,
-    BlinkModel,
-    blink_codes,
-    identify_blinking_markers,
-    nearest_word,
-)
+from compute.tracking.blink_codes import BlinkCodes, blink_codes
+from compute.tracking.blink_decoding import BlinkModel, identify_blinking_markers
 
 Array = NDArray[np.float64]
 
@@ -91,33 +86,6 @@ def test_what_has_not_its_distance_is_refused() -> None:
     for wrong in ({"length": 21}, {"markers": 0}, {"distance": 14}):
         with pytest.raises(InvalidParameter):
             blink_codes(**({"markers": 2, "length": 13, "distance": 3} | wrong))
-
-
-@given(
-    st.integers(0, len(CODES) - 1),
-    st.integers(0, CODES.length - 1),
-    st.sets(st.integers(0, CODES.length - 1), max_size=CODES.distance - 1),
-    st.integers(0, CODES.distance),
-)
-@settings(max_examples=150, deadline=None)
-def test_errors_are_corrected_and_detected_up_to_the_stated_numbers(
-    marker: int, phase: int, hit: set[int], unknown: int
-) -> None:
-    """Some of the scans hit are unknown, the others wrong."""
-    word = turned(CODES.words[marker], phase)
-    bits: list[bool | None] = [bit == "1" for bit in word]
-    hidden = sorted(hit)[:unknown]
-    for scan in hit:
-        bits[scan] = None if scan in hidden else not bits[scan]
-    wrong = len(hit) - len(hidden)
-    found = nearest_word(CODES, bits)
-    if 2 * wrong + len(hidden) < CODES.distance:
-        assert found == (marker, phase, wrong)
-    else:
-        # Too many to be corrected: nothing, or what is right.
-        assert found is None or 2 * found[2] + len(hidden) < CODES.distance
-        if not hidden and wrong < CODES.distance:
-            assert found is None or found[2] > 0 or wrong == 0
 
 
 @given(st.integers(0, 2**32 - 1), st.floats(0.0, 0.1), st.floats(0.0, 0.1))
@@ -251,8 +219,6 @@ def test_requests_that_mean_nothing() -> None:
         identify_blinking_markers(CODES, np.zeros((1, 18)))
     with pytest.raises(InvalidParameter, match="shape"):
         identify_blinking_markers(CODES, np.ones(18))
-    with pytest.raises(InvalidParameter, match="a word has 18"):
-        nearest_word(CODES, [True])
     with pytest.raises(InvalidParameter, match="miss_probability is 1"):
         BlinkModel(miss_probability=1.0)
     with pytest.raises(InvalidParameter, match="log_amplitude_sigma"):

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter
 from compute.measurement.measurements import Measurements
-from compute.tracking.blink_decoding import BlinkCodes, BlinkModel, blink_codes
+from compute.tracking.blink_codes import BlinkCodes, blink_codes
+from compute.tracking.blink_decoding import BlinkModel
 from compute.tracking.blink_identification import BlinkIdentifier
 from compute.tracking.settings import TrackerSettings
 from compute.tracking.track_batch import TrackBatch, TrackFlag, TrackState

@@ -80,7 +80,7 @@ def test_the_search_pauses_where_nothing_comes_of_it() -> None:
         cameras, TrackerSettings(clutter_density_per_px=9.0 / PIXELS), pixels=(PIXELS,) * 4
     )
     looked: list[int] = []
-    crowd: MultiScanInitiator = one._newcomers._crowd
+    crowd: MultiScanInitiator = one._initiator._dense_scene
     sequences = crowd._sequences
     find = sequences.find
 

@@ -9,11 +9,12 @@ from numpy.typing import NDArray
 from compute.camera.stack import CameraStack
 from compute.measurement.measurement_model import MeasurementModel
 from compute.measurement.measurements import Measurements
-from compute.tracking.association import AssociationResult, associate
+from compute.tracking.association import associate
 from compute.tracking.motion_model import MotionModels, mix_and_predict
 from compute.tracking.native.associator import Associator
 from compute.tracking.settings import TrackerSettings
 from compute.tracking.state_initialisation import states_from_points
+from compute.tracking.tracks import AssociationResult
 from tests.compute.distorted_rig import distorted_rig
 from tests.compute.measurement.test_measurement_model import table
 from tests.compute.tracking.moving_markers import MIDDLE_MM, PIXELS, Sensing, peaks_of, ring

@@ -11,16 +11,14 @@ from compute.tracking.settings import TrackerSettings
 from compute.tracking.state_initialisation import states_from_points
 from compute.tracking.track_management import (
     PROBATION_EXPOSURES,
-    UNSUPPORTED_EXPOSURES,
     expired,
     find_replaced_track,
     indistinguishable_tracks,
     match_lost_track,
     possibly_swapped,
     select_confirmed,
-    update_support,
 )
-from compute.tracking.tracks import Tracks
+from compute.tracking.tracks import UNSUPPORTED_EXPOSURES, Tracks
 from tests.compute.tracking.moving_markers import MIDDLE_MM, ring
 
 Array = NDArray[np.float64]
@@ -36,7 +34,7 @@ def tracks_at(places_mm: list[list[float]], velocity_mm_s: list[list[float]]) ->
     mean = np.zeros((count, 1, 9))
     mean[:, 0, :3], mean[:, 0, 3:6] = places_mm, velocity_mm_s
     covariance = np.diag([1.0] * 3 + [100.0] * 3 + [1e4] * 3)
-    return Tracks.create(
+    tracks = Tracks.create(
         ImmStates(
             mean,
             np.broadcast_to(covariance, (count, 1, 9, 9)).copy(),
@@ -48,9 +46,10 @@ def tracks_at(places_mm: list[list[float]], velocity_mm_s: list[list[float]]) ->
         first=1,
         marker=None,
         time_ns=0,
-        confirmed=True,
         ambiguous_identity=np.zeros(count, np.bool_),
     )
+    tracks.confirmed[:] = True
+    return tracks
 
 
 @pytest.mark.parametrize(
@@ -97,15 +96,15 @@ def test_a_track_at_a_ghost_gives_way() -> None:
     tracks = tracks_at([still, still, still], [still, still, still])
     rows = np.array([0, 1])
     for _ in range(UNSUPPORTED_EXPOSURES):
-        update_support(
-            tracks, rows, np.array([3.0, 4.0]), np.array([3.0, 4.0]), np.array([4.0, 4.0])
+        tracks.update_support(
+            rows, np.array([3.0, 4.0]), np.array([3.0, 4.0]), np.array([4.0, 4.0])
         )
     peaks = np.array([[0, 1, -1, 2], [3, 3, 3, 3], [0, 1, 5, 6]], dtype=np.int32)
     assert find_replaced_track(peaks, 2, rows) == 0
     assert find_replaced_track(peaks, 2, np.array([1])) is None
     for _ in range(UNSUPPORTED_EXPOSURES):
-        update_support(
-            tracks, rows, np.array([3.0, 4.0]), np.array([3.0, 4.0]), np.array([3.0, 4.0])
+        tracks.update_support(
+            rows, np.array([3.0, 4.0]), np.array([3.0, 4.0]), np.array([3.0, 4.0])
         )
     assert tracks.unsupported[0] == UNSUPPORTED_EXPOSURES
 
@@ -141,11 +140,11 @@ def test_what_four_sensors_see_proves_itself_and_what_is_hidden_is_not_doubted()
     tracks = tracks_at([still] * 3, [still] * 3)
     tracks.probation_left[:] = 1
     rows, four = np.arange(3), np.array([4, 4, 4])
-    update_support(tracks, rows, np.array([4, 3, 0]), np.array([4, 3, 0]), four)
+    tracks.update_support(rows, np.array([4, 3, 0]), np.array([4, 3, 0]), four)
     assert tracks.probation_left.tolist() == [0, 1, 1]
     assert tracks.unsupported.tolist() == [0, 1, 0]
     # A peak that may be shared says nothing.
-    update_support(tracks, rows, np.array([3, 3, 3]), four, four)
+    tracks.update_support(rows, np.array([3, 3, 3]), four, four)
     assert tracks.unsupported.tolist() == [0, 1, 0]
 
 

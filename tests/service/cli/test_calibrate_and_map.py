@@ -186,7 +186,7 @@ def test_map_refuses_with_a_reason(mapping_csv: Path, frame_csv: Path, tmp_path:
 
 
 def test_findings_are_told_in_words() -> None:
-    from compute.calibration.mislabels.finding import LabelFinding
+    from compute.calibration.mislabels.repair import LabelFinding
 
     exchanged = LabelFinding("exchanged", "cam4", (14, 16), 0.999, (12.0, -11.0), (9.0, -8.0))
     assert label_message(exchanged) == (

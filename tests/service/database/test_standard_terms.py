@@ -8,7 +8,7 @@ from alembic import command
 from sqlalchemy import text
 from sqlalchemy.orm import Session
 
-from compute.calibration.calibrate import calibrate_and_assess
+from compute.calibration.assessment.assess import calibrate_and_assess
 from compute.calibration.settings import CalibrationSettings
 from compute.camera.model import SensorGeometry
 from compute.camera.stack import CameraStack

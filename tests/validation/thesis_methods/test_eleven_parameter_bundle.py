@@ -6,10 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from compute.calibration.calibrate import calibrate
-from compute.camera.dlt import collinearity_parameters_of, model_from_collinearity
 from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter, NoConvergence
 from tests.compute.rig import control_points, geometry, project, rig
+from validation.thesis_methods.dlt import collinearity_parameters_of, model_from_collinearity
 from validation.thesis_methods.eleven_parameter_bundle import (
     PARAMETER_ORDER,
     StepGrid,

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from compute.camera.dlt import model_from_matrix
 from compute.camera.stack import CameraStack
 from compute.errors import NoConvergence
 from compute.reconstruction.triangulation import triangulate_linear
 from tests.compute.rig import control_points, geometry, project, rig
+from validation.thesis_methods.dlt import model_from_matrix
 from validation.thesis_methods.iterative_dlt import iterative_dlt
 
 Array = NDArray[np.float64]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from compute.camera.stack import CameraStack
-from compute.reconstruction.correspondence import Correspondence
+from compute.reconstruction.correspondence.grouping import Correspondence
 from compute.reconstruction.point_batch import PointBatch
 from tests.compute.tracking.moving_markers import MIDDLE_MM, PIXELS, ring
 from validation.thesis_tracking.point_reconstruction import SolvedPoints, SpacePoints
@@ -61,7 +61,7 @@ def test_an_ambiguous_group_of_three_sensors_is_no_marker() -> None:
     none = np.full(5, -1)
     groups = Correspondence(
         peaks.astype(float), np.ones((5, 4)), np.array([True, False, True, True, False]),
-        PointBatch.empty(4), peaks, none, none, none, 0,
+        PointBatch.empty(4), peaks, none, 0,
     )  # fmt: skip
     place = np.zeros((5, 3))
     place[4] = np.nan

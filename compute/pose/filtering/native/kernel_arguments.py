@@ -13,7 +13,7 @@ from compute.pose.filtering.imm_model import IMM_STATES, ImmModel
 from compute.pose.filtering.imm_state import ImmState
 from compute.pose.filtering.pose_filter import STATES, PoseState, ReportedPose
 from compute.pose.rigid_body import CentredMarkers
-from compute.reconstruction.native.kernel_arguments import CAMERAS
+from compute.reconstruction.native.definitions import CAMERAS
 
 _OF_FRAMES: Final = {
     # States before, predicted and after, results and reported pose; then the frame's peaks,

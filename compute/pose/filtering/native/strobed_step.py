@@ -25,8 +25,7 @@ from compute.pose.filtering.native.kernel_arguments import (
 )
 from compute.pose.filtering.pose_filter import STATES, PoseState
 from compute.pose.rigid_body import CentredMarkers
-from compute.reconstruction.native.camera_arguments import fill_cameras
-from compute.reconstruction.native.kernel_arguments import MAX_POWER, row_length
+from compute.reconstruction.native.definitions import MAX_POWER, fill_cameras, row_length
 from compute.reconstruction.solver import MAX_SENSORS, MIN_CAPACITY, address, term_capacity
 from compute.reconstruction.triangulation import chi2_limit
 

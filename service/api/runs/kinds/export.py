@@ -138,7 +138,7 @@ def _kept(row: "ToolRow") -> StoredTool:
 
 def _check_given(session: "Session", request: Request) -> None:
     from service.api.calibrations.store import get_calibration
-    from service.api.correction_tables.store import get_table
+    from service.api.correction_tables.store import TABLES
 
     if request.calibration is not None:
         get_calibration(session, request.calibration)
@@ -148,7 +148,7 @@ def _check_given(session: "Session", request: Request) -> None:
         raise InvalidParameter(
             f'table "{request.table}" needs its calibration: give that, too', table=request.table
         )
-    parent = get_table(session, request.table).calibration_id
+    parent = TABLES.get(session, request.table).calibration_id
     if parent != request.calibration:
         raise InvalidParameter(
             f'table "{request.table}" is of calibration "{parent}", not of "{request.calibration}"',
@@ -158,14 +158,14 @@ def _check_given(session: "Session", request: Request) -> None:
 
 def _given(session: "Session", request: Request) -> ActiveCalibration | None:
     from service.api.calibrations.store import get_calibration
-    from service.api.correction_tables.store import content_of, get_table
+    from service.api.correction_tables.store import TABLES, content_of
 
     if request.calibration is None:
         return None
     calibration = get_calibration(session, request.calibration)
     table = None
     if request.table is not None:
-        table = content_of(get_table(session, request.table)).table
+        table = content_of(TABLES.get(session, request.table)).table
     return ActiveCalibration(calibration.id, result_of(calibration.content), request.table, table)
 
 

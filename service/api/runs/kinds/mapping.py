@@ -10,13 +10,14 @@ from pydantic import TypeAdapter
 
 from compute.calibration.result import Calibration
 from compute.mapping.measurements import MappingMeasurements
-from compute.mapping.settings import MappingSettings
+from compute.mapping.result import MappingSettings
 from compute.progress import Progress
 from service.api.base_models import ResponseModel
 from service.api.calibrations.calibration_content import control_arrays, result_of
 from service.api.calibrations.schema import ControlPoint
 from service.api.correction_tables.table_content import TableContent
-from service.api.devices.sensor import Sensor, check_sensors
+from service.api.devices.schema import Sensor
+from service.api.devices.store import check_sensors
 
 if TYPE_CHECKING:
     from sqlalchemy.orm import Session
@@ -45,8 +46,7 @@ def request_of(request: Request, calibration: "CalibrationRow") -> dict[str, Any
     Raises:
         LumilineError: what is wrong with the points or the settings.
     """
-    from compute.mapping.grid_extent import grid_for_points, point_spacing
-    from compute.mapping.measurements import check_measurements
+    from compute.mapping.measurements import check_measurements, grid_for_points, point_spacing
 
     result = result_of(calibration.content)
     check_sensors(calibration.device_id, request.sensors, result.models)

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from compute.calibration.assessment.cross_validation import fitted_errors
+from compute.calibration.assessment.assess import fitted_errors
 from compute.calibration.drift.calibration_update import check_update
 from compute.calibration.drift.stability_check import prediction_residuals
 from compute.calibration.result import Calibration, count_readings
@@ -18,7 +18,8 @@ from service.api.calibrations.calibration_content import (
     result_of,
 )
 from service.api.calibrations.schema import ControlPoint, ControlPointErrors
-from service.api.devices.sensor import Sensor, check_sensors
+from service.api.devices.schema import Sensor
+from service.api.devices.store import check_sensors
 from service.api.drift_checks.schema import StationaryMarker
 from service.api.drift_checks.stationary_markers import still_set
 from service.api.runs.kinds.calibration import add_outcome

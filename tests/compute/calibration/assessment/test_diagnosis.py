@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 
-from compute.calibration.assessment.cross_validation import (
+from compute.calibration.assessment.assess import (
     block_count,
+    calibrate_and_assess,
     cross_validate,
     spatial_block_index,
 )
 from compute.calibration.assessment.diagnosis import diagnose
-from compute.calibration.calibrate import calibrate, calibrate_and_assess
+from compute.calibration.calibrate import calibrate
 from compute.calibration.settings import CalibrationSettings
 from compute.errors import InvalidParameter
 from tests.compute.rig import control_points, geometry, project, rig

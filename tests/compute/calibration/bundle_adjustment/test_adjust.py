@@ -16,7 +16,6 @@ from compute.calibration.bundle_adjustment.gauge import (
     transform_world,
 )
 from compute.calibration.bundle_adjustment.pose_set import PoseSet
-from compute.calibration.bundle_adjustment.resection import resect
 from compute.calibration.bundle_adjustment.sensor_prior import SensorPrior, step_between
 from compute.calibration.bundle_adjustment.solver import adjust, approximate_solution
 from compute.calibration.bundle_adjustment.target_shape import (
@@ -25,6 +24,7 @@ from compute.calibration.bundle_adjustment.target_shape import (
     line_shape,
     point_shape,
 )
+from compute.calibration.self_calibration.pose_screening import resect
 from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter, NoConvergence, UndeterminedParameters
 from tests.compute.calibration.bundle_adjustment.scenes import (

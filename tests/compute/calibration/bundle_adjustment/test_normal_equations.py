@@ -8,9 +8,9 @@ import pytest
 from compute.calibration.bundle_adjustment.normal_equations import (
     AdjustmentState,
     build_normal_equations,
+    total_loss,
 )
 from compute.calibration.bundle_adjustment.pose_set import PoseSet
-from compute.calibration.bundle_adjustment.robust_loss import total_loss
 from compute.calibration.bundle_adjustment.sensor_prior import SensorPrior, step_between
 from compute.calibration.bundle_adjustment.target_shape import (
     KnownDistance,

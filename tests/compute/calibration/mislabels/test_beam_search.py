@@ -5,15 +5,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from compute.calibration.mislabels import linearised_camera
-from compute.calibration.mislabels.beam_search import _extend, _reduce
-from compute.calibration.mislabels.hypothesis import Hypothesis
-from compute.calibration.mislabels.linearised_camera import (
+from compute.calibration.mislabels import beam_search as search_module
+from compute.calibration.mislabels.beam_search import (
     LinearisedCamera,
+    _extend,
+    _reduce,
     evaluate_hypotheses,
     log_posteriors,
 )
-from compute.calibration.mislabels.marginal_likelihood import KNOWN_SIGMA, Evidence, ScalePrior
+from compute.calibration.mislabels.hypothesis import KNOWN_SIGMA, Evidence, Hypothesis, ScalePrior
 
 WIDTH = 7
 EXPLAINED = (
@@ -61,7 +61,7 @@ def test_many_readings_are_worked_out_in_parts_with_the_same_outcome(
     here = camera(5, 160, KNOWN_SIGMA)
     assert here.batch_size < len(hypotheses)
     found = _extend(here, evaluate_hypotheses(here, hypotheses), 12)
-    monkeypatch.setattr(linearised_camera, "MAX_PAIRS_PER_BATCH", 10**9)
+    monkeypatch.setattr(search_module, "MAX_PAIRS_PER_BATCH", 10**9)
     at_once = camera(5, 160, KNOWN_SIGMA)
     assert at_once.batch_size > len(hypotheses)
     every = {

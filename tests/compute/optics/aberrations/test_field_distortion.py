@@ -12,16 +12,14 @@ from compute.camera.field_distortion import (
     DEGENERATE,
     all_terms,
     check_terms,
-    distortion,
     power_terms,
     symmetric_terms,
     term_derivatives,
     term_values,
-    undistort,
 )
 from compute.camera.model import SensorModel
 from compute.camera.stack import CameraStack
-from compute.errors import DegeneratePoints, InvalidParameter, NoConvergence, TooFewPoints
+from compute.errors import DegeneratePoints, InvalidParameter, TooFewPoints
 from compute.optics.aberrations.field_distortion_fit import FieldModel, fit_field_model
 
 RNG = np.random.default_rng(5)
@@ -81,19 +79,6 @@ def test_they_are_degenerate(term: tuple[int, int]) -> None:
     assert left(term) < 1e-9
     assert left((1, 2)) > 1e-2
     assert left((3, 0)) > 1e-2
-
-
-@given(u=st.floats(-0.4, 0.4), v=st.floats(-0.4, 0.4))
-def test_undistorted_undoes_distortion(u: float, v: float) -> None:
-    a = np.array(MODEL.coefficients)
-    there = np.array([u]) + distortion(np.array([u]), np.array([v]), TERMS, a)
-    assert undistort(there, np.array([v]), TERMS, a)[0] == pytest.approx(u, abs=1e-12)
-
-
-def test_beyond_the_field_there_is_no_angle() -> None:
-    # u - u^3 is never more than 0.385.
-    with pytest.raises(NoConvergence, match="fitted to a smaller field"):
-        undistort(np.array([0.5]), np.zeros(1), [(3, 0)], np.array([-1.0]))
 
 
 @given(u=st.floats(-0.4, 0.4), v=st.floats(-0.4, 0.4))

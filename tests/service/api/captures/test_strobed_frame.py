@@ -6,7 +6,7 @@ import httpx
 import pytest
 
 from service.api.captures.examples import NEW_CAPTURES
-from service.api.devices.examples import NEW_DEVICES
+from service.api.devices.router import NEW_DEVICES
 from tests.running_server import serving
 from tests.service.api.runs.test_runs import QUICK, wait
 

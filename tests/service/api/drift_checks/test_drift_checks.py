@@ -17,7 +17,7 @@ from hardware.simulated.calibration_target import calibration_target_points_mm
 from hardware.simulated.simulated_rig import WORKING_CENTRE_MM, simulated_sensor_models
 from service.api.captures.schema import CapturedSensor, CapturedTarget
 from service.api.captures.store import keep
-from service.api.devices.sensor import Sensor
+from service.api.devices.schema import Sensor
 from service.api.drift_checks.examples import NEW_DRIFT_CHECKS
 from service.api.drift_checks.schema import StationaryMarker
 from service.api.drift_checks.stationary_markers import still_set

@@ -12,7 +12,7 @@ from typing import Any, get_args
 import numpy as np
 import pytest
 
-from compute.calibration.calibrate import calibrate_and_assess
+from compute.calibration.assessment.assess import calibrate_and_assess
 from compute.calibration.result import measurement_sigma
 from compute.calibration.settings import CalibrationSettings
 from compute.camera.model import SensorGeometry

@@ -40,12 +40,6 @@ class CollinearityParameters:
         return replace(self, c=self.c / pitch_mm, p0=self.p0 / pitch_mm - 0.5)
 
 
-def matrix_of(model: SensorModel) -> Array:
-    """Return the 2x4 matrix of ``p = m1.X~ / m2.X~`` in the gauge |m2| = 1, m2 the view."""
-    matrix: Array = CameraStack.of([model]).matrices[0]
-    return matrix
-
-
 def model_from_matrix(
     matrix: Array, sensor: SensorGeometry, seen_mm: Array | None = None, cubic_per_px2: float = 0.0
 ) -> SensorModel:
@@ -105,7 +99,7 @@ def dlt_parameters_of(model: SensorModel) -> Array:
         InvalidParameter: the world's origin lies in the plane through the lens parallel to the
             sensor, where the denominator's constant, which [5.1] sets to 1, is zero.
     """
-    matrix = matrix_of(model)
+    matrix = CameraStack.of([model]).matrices[0]
     scale = float(matrix[1, 3])
     if abs(scale) < 1e-12 * max(1.0, float(np.abs(matrix).max())):
         raise InvalidParameter(
@@ -114,27 +108,6 @@ def dlt_parameters_of(model: SensorModel) -> Array:
             sensor=model.name,
         )
     return np.concatenate([matrix[0] / scale, matrix[1, :3] / scale])
-
-
-def model_from_dlt(
-    parameters: Array,
-    sensor: SensorGeometry,
-    seen_mm: Array | None = None,
-    cubic_per_px2: float = 0.0,
-) -> SensorModel:
-    """Return the metric camera of L1..L7 of thesis [5.1]; see ``model_from_matrix``.
-
-    Args:
-        parameters: L1..L7, shape (7,).
-        sensor: the sensor.
-        seen_mm: a point in front of the lens, shape (3,) [mm].
-        cubic_per_px2: D of [5.2] [1/px^2].
-    """
-    values = np.asarray(parameters, dtype=np.float64)
-    if values.shape != (7,):
-        raise InvalidParameter(f"the DLT form has 7 parameters, not shape {values.shape}")
-    matrix = np.array([values[:4], [*values[4:], 1.0]])
-    return model_from_matrix(matrix, sensor, seen_mm, cubic_per_px2)
 
 
 def collinearity_parameters_of(model: SensorModel) -> CollinearityParameters:

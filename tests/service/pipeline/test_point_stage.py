@@ -16,9 +16,8 @@ from compute.errors import InvalidParameter
 from compute.mapping.grid import VoxelGrid
 from compute.mapping.table import CorrectionTable
 from compute.measurement.flag_policy import STANDARD_POLICY
-from compute.reconstruction.native.kernel import point_kernel
 from compute.reconstruction.point_batch import PointBatch, PointFlag
-from compute.reconstruction.solver import PointSolver
+from compute.reconstruction.solver import PointSolver, point_kernel
 from compute.reconstruction.triangulation import reconstruct
 from compute.signal.peaks import PeakBatch, PeakFlag
 from hardware.driver import DeviceDescription

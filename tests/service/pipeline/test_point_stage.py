@@ -18,6 +18,7 @@ from compute.mapping.table import CorrectionTable
 from compute.measurement.flag_policy import STANDARD_POLICY
 from compute.native.native_kernel import native_kernel
 from compute.reconstruction.point_batch import PointBatch, PointFlag
+from compute.reconstruction.solver import PointSolver
 from compute.reconstruction.triangulation import reconstruct
 from compute.signal.peaks import PeakBatch, PeakFlag
 from hardware.driver import DeviceDescription

@@ -25,8 +25,7 @@ def modules() -> Iterator[tuple[Any, int]]:
     from compute.optics.tracing.ray_tracer import THREADS_PER_BLOCK as RAYS
     from compute.pose.filtering.native.kernel import step_kernel
     from compute.reconstruction.native.cuda_launch import THREADS_PER_BLOCK as POINTS
-    from compute.reconstruction.native.kernel import point_kernel
-    from compute.reconstruction.solver import MIN_CAPACITY
+    from compute.reconstruction.solver import MIN_CAPACITY, point_kernel
     from compute.signal.fit import fit_kernel
     from compute.signal.native.centroid_kernel import centroid_kernel
     from compute.signal.native.centroid_source import Length

@@ -16,7 +16,7 @@ from compute.errors import InvalidParameter
 from compute.mapping.grid import VoxelGrid
 from compute.mapping.table import CorrectionTable
 from compute.measurement.flag_policy import STANDARD_POLICY
-from compute.reconstruction.native.kernel import point_kernel
+from compute.native.native_kernel import native_kernel
 from compute.reconstruction.point_batch import PointBatch, PointFlag
 from compute.reconstruction.solver import PointSolver
 from compute.reconstruction.triangulation import reconstruct
@@ -189,7 +189,7 @@ def nominal(description: DeviceDescription, shift_mm: float = 0.0) -> Calibratio
 def test_switches_name_what_is_in_force_and_compile_nothing() -> None:
     made, frames, description = processor()
     names = tuple(sensor.name for sensor in description.sensors)
-    before = point_kernel.cache_info().misses
+    before = native_kernel.cache_info().misses
     made.set_calibration("c1", nominal(description))
     assert (made.process(frames[:1]).calibration_id, made.table_id) == ("c1", None)
     made.set_calibration("c1", nominal(description), "t1", flat_table(1.0, names))
@@ -198,7 +198,7 @@ def test_switches_name_what_is_in_force_and_compile_nothing() -> None:
     made.set_calibration("c2", nominal(description, 3.0))
     batch = made.process(frames[:1])
     assert (batch.calibration_id, batch.table_id) == ("c2", None)
-    assert point_kernel.cache_info().misses == before
+    assert native_kernel.cache_info().misses == before
     made.set_calibration(None, None)
     assert len(made.process(frames[:1]).points) == 0
 

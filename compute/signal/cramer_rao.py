@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from compute.errors import InvalidParameter
 from compute.signal.fit.fit_settings import FitSettings
 from compute.signal.fit.line_spread_function import LineSpreadFunction
-from compute.signal.fit.window_model import Array, Layout, Windows, evaluate
+from compute.signal.fit.window_model import Array, WindowModel, Windows
 from compute.signal.sensor_noise import SensorNoise
 
 
@@ -126,11 +126,13 @@ def joint_position_bounds(
             position_px=place.shape,
         )
     gain, offset = noise.electrons_per_count[0], noise.offset_counts[0]
-    layout = Layout(place.shape[1], settings.background == "slope")
-    parameters = np.zeros((len(place), layout.size))
+    model = WindowModel(
+        place.shape[1], settings, LineSpreadFunction.gaussian() if shape is None else shape
+    )
+    parameters = np.zeros((len(place), model.size))
     parameters[:, 0] = offset + ambient_electrons / gain
-    parameters[:, layout.light] = np.asarray(light_electrons) / gain
-    parameters[:, layout.position] = place
+    parameters[:, model.light] = np.asarray(light_electrons) / gain
+    parameters[:, model.position] = place
     parameters[:, -1] = np.log(settings.width_px)
     windows = Windows.cut(
         np.zeros((1, pixels), np.uint16),
@@ -139,21 +141,15 @@ def joint_position_bounds(
         np.full(len(place), pixels - 1),
         noise,
     )
-    model = evaluate(
-        windows,
-        parameters,
-        layout,
-        settings,
-        LineSpreadFunction.gaussian() if shape is None else shape,
-    )
-    information = fisher_information(tuple(model.jacobian.transpose(1, 0, 2)), model.variance)
-    unknown = np.arange(layout.size)
+    expected = model.evaluate(windows, parameters)
+    information = fisher_information(tuple(expected.jacobian.transpose(1, 0, 2)), expected.variance)
+    unknown = np.arange(model.size)
     if 0.0 < settings.width_log_sigma < np.inf:
         information[:, -1, -1] += settings.width_log_sigma**-2
     if settings.width_log_sigma == 0.0:
         unknown = unknown[:-1]
     if only_positions:
-        unknown = unknown[layout.position]
+        unknown = unknown[model.position]
     covariance = np.linalg.inv(information[:, unknown[:, None], unknown])
-    positions = np.isin(unknown, np.arange(layout.size)[layout.position])
+    positions = np.isin(unknown, np.arange(model.size)[model.position])
     return np.asarray(covariance[:, positions][:, :, positions], dtype=np.float64)

@@ -118,7 +118,7 @@ LUMILINE_FN void evaluate(const FitScan& scan, const Model& m, const Window& in,
             pixel.mean += m.slope * pixel.by[1];
         }
         const double above = pixel.mean - scan.offset;
-        pixel.variance = scan.dark_variance + (above > 0.0 ? scan.photon_variance * above : 0.0)
+        pixel.variance = scan.dark + (above > 0.0 ? scan.photon * above : 0.0)
                          + scan.plan.shape_error2 * lit * lit;
         const int value = scan.v[i];
         if (value < scan.full_scale) each(i, (double)value, pixel);

@@ -45,8 +45,8 @@ LUMILINE_FN int fit_single_by(const FitScan& scan, const PeakRecord& c, int firs
     const int light_at = size - 3, width_at = size - 2, position_at = size - 1;
     const int max_passes = 8;
     // Beyond a thousand deviations float32 would tell.
-    const double by_light = scan.photon_variance * (double)c.amplitude;
-    if ((double)c.amplitude * (double)c.amplitude > 1e6 * (scan.dark_variance + by_light)) return 0;
+    const double by_light = scan.photon * (double)c.amplitude;
+    if ((double)c.amplitude * (double)c.amplitude > 1e6 * (scan.dark + by_light)) return 0;
     // Without its brightest pixels a fit hangs on little.
     const int used = last - first + 1;
     for (int i = first; i <= last; ++i)
@@ -56,8 +56,8 @@ LUMILINE_FN int fit_single_by(const FitScan& scan, const PeakRecord& c, int firs
     const float chi2_limit = (float)scan.chi2_limits[dof];
     const bool may_split = scan.plan.further_peaks && scan.plan.max_joint_peaks > 1;
 
-    const int origin = pixel_of(c), base = (int)floor(scan.background);
-    const float dark_f = (float)scan.dark_variance, photon_f = (float)scan.photon_variance;
+    const int origin = pixel_of(c), base = (int)floor(scan.background_counts);
+    const float dark_f = (float)scan.dark, photon_f = (float)scan.photon;
     const float above_offset = (float)((double)base - scan.offset);
     const float shape_error2 = (float)scan.plan.shape_error2;
     const float prior = (float)scan.plan.prior, prior_log = (float)scan.plan.log_width;
@@ -114,7 +114,7 @@ LUMILINE_FN int fit_single_by(const FitScan& scan, const PeakRecord& c, int firs
     float x = (float)(c.position_px - (double)origin);
     rows_at(x);
     float light = c.amplitude / central_fraction(w);
-    float level = (float)(scan.background - (double)base), slope = 0.0f;
+    float level = (float)(scan.background_counts - (double)base), slope = 0.0f;
     bool ended = false;
     float sigma2 = 0.0f, chi2 = 0.0f, last_rise = 0.0f;
     for (int pass = 0; pass < max_passes && !ended; ++pass) {

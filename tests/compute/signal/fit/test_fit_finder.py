@@ -333,7 +333,7 @@ def test_wrong_lines_are_refused_with_the_reason(lines, words):
 
 @pytest.mark.parametrize(
     ("lines", "pixels", "device", "words"),
-    [(0, 256, "cpu", "lines is 0"), (4, 63, "cpu", "63 pixels"), (4, 256, "abacus", "'abacus'")],
+    [(0, 256, "cpu", "scans is 0"), (4, 63, "cpu", "63 pixels"), (4, 256, "abacus", "'abacus'")],
 )
 def test_a_finder_that_cannot_be_is_refused_with_the_reason(lines, pixels, device, words):
     with pytest.raises(InvalidParameter, match=words):

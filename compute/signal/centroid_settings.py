@@ -1,11 +1,10 @@
 """Settings of the centroid peak finder, and the definition of a peak."""
 
 from dataclasses import dataclass
-from math import isfinite
 from numbers import Integral
 from typing import Final, Literal, get_args
 
-from compute.errors import InvalidParameter
+from compute.parameter_checks import require
 
 Weighting = Literal["edge-corrected", "above-threshold", "above-background"]
 """What the centre of gravity weighs; CentroidSettings says what each is."""
@@ -77,22 +76,10 @@ class CentroidSettings:
     max_peaks: int = 16
 
     def __post_init__(self) -> None:
-        if not 0.05 <= self.threshold_fraction <= 0.95:
-            raise InvalidParameter(
-                f"threshold_fraction is {self.threshold_fraction}; it must lie in 0.05 .. 0.95",
-                threshold_fraction=self.threshold_fraction,
-            )
-        if not (isfinite(self.detection_sigma) and 3.0 <= self.detection_sigma <= 1000.0):
-            raise InvalidParameter(
-                f"detection_sigma is {self.detection_sigma}; it must lie in 3 .. 1000",
-                detection_sigma=self.detection_sigma,
-            )
+        require_between("threshold_fraction", self.threshold_fraction, 0.05, 0.95)
+        require_between("detection_sigma", self.detection_sigma, 3.0, 1000.0)
         require_whole("min_width_px", self.min_width_px, 1, MAX_PIXELS)
-        if self.weighting not in get_args(Weighting):
-            raise InvalidParameter(
-                f"weighting is {self.weighting!r}; it must be one of {get_args(Weighting)}",
-                weighting=self.weighting,
-            )
+        require_choice("weighting", self.weighting, get_args(Weighting))
         require_whole("max_peaks", self.max_peaks, 1, 1024)
 
     @property
@@ -102,23 +89,20 @@ class CentroidSettings:
 
 
 def require_whole(name: str, value: int, minimum: int, maximum: int) -> None:
-    """Refuse a number that is no integer or lies outside its range: arrays are sized by it.
-
-    Args:
-        name: name of the value, for the message.
-        value: the number.
-        minimum: least value that is allowed.
-        maximum: greatest value that is allowed.
-
-    Raises:
-        InvalidParameter: with the value and the range.
-    """
+    """Raise InvalidParameter unless a number is whole and in its range; arrays are sized by it."""
     whole = isinstance(value, Integral) and not isinstance(value, bool)
-    if not (whole and minimum <= value <= maximum):
-        raise InvalidParameter(
-            f"{name} is {value}; it must be a whole number in {minimum} .. {maximum}",
-            **{name: value},
-        )
+    valid = whole and minimum <= value <= maximum
+    require(valid, f"be a whole number in {minimum} .. {maximum}", **{name: value})
+
+
+def require_between(name: str, value: float, minimum: float, maximum: float) -> None:
+    """Raise InvalidParameter unless a number is in its range; the ends belong to it."""
+    require(minimum <= value <= maximum, f"lie in {minimum:g} .. {maximum:g}", **{name: value})
+
+
+def require_choice(name: str, value: str, choices: tuple[str, ...]) -> None:
+    """Raise InvalidParameter unless a value is one of the choices."""
+    require(value in choices, f"be one of {choices}", **{name: value})
 
 
 def sample_starts(pixels: int) -> tuple[int, ...]:

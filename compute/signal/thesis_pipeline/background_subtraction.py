@@ -13,13 +13,8 @@ from scipy.ndimage import maximum_filter1d
 from scipy.sparse import csr_array
 
 from compute.robust_statistics import MAD_TO_SIGMA
-from compute.signal.thesis_pipeline.steps import (
-    Array,
-    ScanFilter,
-    as_scans,
-    check_between,
-    check_whole,
-)
+from compute.signal.centroid_settings import require_between, require_whole
+from compute.signal.thesis_pipeline.steps import Array, ScanFilter, as_scans
 
 Mask = NDArray[np.bool_]
 
@@ -52,10 +47,10 @@ class PeakMask:
     rounds: int = 50
 
     def __post_init__(self) -> None:
-        check_whole("degree", self.degree, 0, MAX_DEGREE)
-        check_between("above_sigma", self.above_sigma, 1.0, 100.0)
-        check_whole("margin_px", self.margin_px, 0, 1000)
-        check_whole("rounds", self.rounds, 1, 1000)
+        require_whole("degree", self.degree, 0, MAX_DEGREE)
+        require_between("above_sigma", self.above_sigma, 1.0, 100.0)
+        require_whole("margin_px", self.margin_px, 0, 1000)
+        require_whole("rounds", self.rounds, 1, 1000)
 
     def background_mask(self, scan: Array) -> Mask:
         """Return which pixels of one scan (P,) are no peak, shape (P,).
@@ -87,33 +82,18 @@ class PeakMask:
 
 
 @dataclass(frozen=True)
-class PolynomialBackground:
+class PolynomialBackground(PeakMask):
     """A polynomial through the pixels between the peaks, by least squares: thesis 4.4.
 
-    In Chebyshev polynomials over the scan, which keeps high degrees well conditioned.
-
-    Args:
-        degree: 0 to 30; 0 is a level.
-        above_sigma, margin_px, rounds: what counts as a peak: PeakMask, of the same degree.
-
-    Raises:
-        InvalidParameter: a value outside its range.
+    In Chebyshev polynomials over the scan, which keeps high degrees well conditioned. What counts
+    as a peak is PeakMask's, of the same degree.
     """
-
-    degree: int = 5
-    above_sigma: float = 3.0
-    margin_px: int = 3
-    rounds: int = 50
-
-    def __post_init__(self) -> None:
-        self._mask()
 
     def estimate(self, scans: ArrayLike) -> tuple[Array, Mask]:
         """Return the background of scans (..., P), and the pixels that it was fitted to."""
-        mask = self._mask()
 
         def one(scan: Array) -> tuple[Array, Mask]:
-            free = mask.background_mask(scan)
+            free = self.background_mask(scan)
             return _fit_polynomial(scan, free, self.degree), free
 
         return _each(as_scans(scans), one)
@@ -132,12 +112,9 @@ class PolynomialBackground:
         rows = weights.reshape(-1, weights.shape[-1])
         back = rows.copy()
         scores = np.einsum("kp,pj->jk", rows, basis)
-        fits = _solve(np.einsum("pi,pj->ij", fitted, fitted), scores)
+        fits = np.linalg.lstsq(np.einsum("pi,pj->ij", fitted, fitted), scores, rcond=None)[0]
         back[:, background_mask] -= np.einsum("pj,jk->kp", fitted, fits)
         return back.reshape(weights.shape)
-
-    def _mask(self) -> PeakMask:
-        return PeakMask(self.degree, self.above_sigma, self.margin_px, self.rounds)
 
 
 @dataclass(frozen=True)
@@ -249,7 +226,3 @@ def _fit_polynomial(scan: Array, free: Mask, degree: int) -> Array:
         fitted = fitted + _step(information, _product(basis, np.where(free, residual, 0.0)))
         residual = scan - _product(across, fitted)
     return _product(across, fitted)
-
-
-def _solve(matrix: Array, values: Array) -> Array:
-    return np.asarray(np.linalg.lstsq(matrix, values, rcond=None)[0])

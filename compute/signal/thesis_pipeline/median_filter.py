@@ -3,22 +3,21 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.ndimage import rank_filter
 
+from compute.signal.centroid_settings import require_choice, require_whole
 from compute.signal.thesis_pipeline.steps import (
     MAX_TAPS,
+    Array,
     Compensation,
+    ScanFilter,
     as_scans,
-    check_compensation,
-    check_whole,
 )
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class MedianFilter:
+class MedianFilter(ScanFilter):
     """The median of as many neighbouring pixels as the aperture has, thesis 4.2.1.
 
     An even aperture has no middle pixel: pixel k becomes the mean of the two middle values of
@@ -41,22 +40,17 @@ class MedianFilter:
     compensation: Compensation = "delay"
 
     def __post_init__(self) -> None:
-        check_whole("aperture", self.aperture, 1, MAX_TAPS)
-        check_compensation(self.compensation, ("none", "delay"))
+        require_whole("aperture", self.aperture, 1, MAX_TAPS)
+        require_choice("compensation", self.compensation, ("none", "delay"))
 
     @property
-    def shift_px(self) -> float:
-        """By how much the filtered scan lies to the right [px]: 1/2 for an even aperture."""
+    def delay_px(self) -> float:
+        """Half a pixel for an even aperture."""
         return 0.0 if self.aperture % 2 else 0.5
 
     @property
-    def correction_px(self) -> float:
-        """What is subtracted from positions [px]."""
-        return self.shift_px if self.compensation == "delay" else 0.0
-
-    @property
     def reach_px(self) -> float:
-        """How near to an end what lies beyond it weighs in [px]: half the aperture."""
+        """Half the aperture."""
         return float(self.aperture // 2)
 
     def apply(self, scans: ArrayLike) -> Array:

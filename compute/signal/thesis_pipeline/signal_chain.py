@@ -1,31 +1,37 @@
 """The signal chain of chapter 4 of the thesis: from raw scans to positions."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from compute.errors import InvalidParameter
-from compute.signal.centroid_settings import Weighting
+from compute.signal.centroid_settings import (
+    Weighting,
+    require_between,
+    require_choice,
+    require_whole,
+)
 from compute.signal.peaks import PeakFlag
 from compute.signal.sensor_noise import SensorNoise
 from compute.signal.thesis_pipeline.area_detection import WeightedAreas, areas_above
 from compute.signal.thesis_pipeline.background_subtraction import InterpolatedBackground, PeakMask
 from compute.signal.thesis_pipeline.centroid import Centroid, centre_of_gravity
 from compute.signal.thesis_pipeline.filters import ButterworthFilter
-from compute.signal.thesis_pipeline.output import PeakOutput
-from compute.signal.thesis_pipeline.peak_separation import PeakSegment, Separation, SlopeExtension
-from compute.signal.thesis_pipeline.result import ChainResult, PipelinePeak, to_peak_batch
-from compute.signal.thesis_pipeline.state import PipelineState, average_scans, filter_adjoint
-from compute.signal.thesis_pipeline.steps import (
-    Array,
-    Background,
-    ScanFilter,
-    as_scans,
-    check_between,
-    check_whole,
+from compute.signal.thesis_pipeline.peak_separation import (
+    PeakSegment,
+    SlopeExtension,
+    ValleyCut,
 )
+from compute.signal.thesis_pipeline.result import (
+    ChainResult,
+    PeakOutput,
+    PipelinePeak,
+    to_peak_batch,
+)
+from compute.signal.thesis_pipeline.state import PipelineState, average_scans, filter_adjoint
+from compute.signal.thesis_pipeline.steps import Array, Background, ScanFilter, as_scans
 
 MAX_REPEATS: Final = 20
 MAX_PEAKS: Final = 65536
@@ -77,7 +83,7 @@ class SignalChain:
     filter_after: ScanFilter | None = None
     repeats: int = 1
     areas: WeightedAreas | None = None
-    separation: Separation | None = None
+    separation: ValleyCut | None = None
     level_fraction: float = 0.2
     threshold_fraction: float = 1.0 / 3.0
     weighting: Weighting = "edge-corrected"
@@ -86,17 +92,13 @@ class SignalChain:
 
     def __post_init__(self) -> None:
         if self.average is not None:
-            check_whole("average", self.average, 1, _BLOCK)
-        check_whole("repeats", self.repeats, 1, MAX_REPEATS)
-        check_whole("min_width_px", self.min_width_px, 1, _BLOCK)
-        check_whole("max_peaks", self.max_peaks, 1, MAX_PEAKS)
-        check_between("level_fraction", self.level_fraction, 0.0, 0.95)
-        check_between("threshold_fraction", self.threshold_fraction, 0.0, 0.95)
-        if self.weighting not in get_args(Weighting):
-            raise InvalidParameter(
-                f"weighting is {self.weighting!r}; it must be one of {get_args(Weighting)}",
-                weighting=self.weighting,
-            )
+            require_whole("average", self.average, 1, _BLOCK)
+        require_whole("repeats", self.repeats, 1, MAX_REPEATS)
+        require_whole("min_width_px", self.min_width_px, 1, _BLOCK)
+        require_whole("max_peaks", self.max_peaks, 1, MAX_PEAKS)
+        require_between("level_fraction", self.level_fraction, 0.0, 0.95)
+        require_between("threshold_fraction", self.threshold_fraction, 0.0, 0.95)
+        require_choice("weighting", self.weighting, get_args(Weighting))
 
     @classmethod
     def active(cls, line_filter: ScanFilter | None = None) -> "SignalChain":
@@ -255,14 +257,13 @@ class SignalChain:
     def _to_peaks(
         self, output: PeakOutput, centres: list[_Centre], derivatives: Array | None
     ) -> list[PipelinePeak]:
+        truncated = PeakFlag.TRUNCATED if len(centres) > self.max_peaks else PeakFlag.NONE
         found = []
         for number, (centre, height, cut) in enumerate(centres[: self.max_peaks]):
             by_pixel = None if derivatives is None else derivatives[number]
             peak = output.peak(centre, height, by_pixel, cut)
             if peak is not None:
-                found.append(peak)
-        if len(centres) > self.max_peaks:
-            found = [replace(peak, flags=peak.flags | PeakFlag.TRUNCATED) for peak in found]
+                found.append(peak._replace(flags=peak.flags | truncated))
         return found
 
     def _to_pixels(self, peaks: list[_Centre], state: PipelineState, number: int) -> Array:

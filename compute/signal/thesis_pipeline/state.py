@@ -7,8 +7,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from compute.errors import InvalidParameter
+from compute.signal.centroid_settings import require_whole
 from compute.signal.thesis_pipeline.result import Stage
-from compute.signal.thesis_pipeline.steps import Array, ScanFilter, as_scans, check_whole
+from compute.signal.thesis_pipeline.steps import Array, ScanFilter, as_scans
 
 
 @dataclass
@@ -86,7 +87,7 @@ def average_scans(scans: ArrayLike, count: int) -> Array:
         InvalidParameter: L is no multiple of count, or there is but one scan without an axis.
     """
     values = as_scans(scans)
-    check_whole("count", count, 1, 1_000_000)
+    require_whole("count", count, 1, 1_000_000)
     number = values.shape[-2] if values.ndim > 1 else 1
     if number % count:
         raise InvalidParameter(

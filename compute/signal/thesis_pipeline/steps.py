@@ -1,7 +1,7 @@
-"""Interfaces of the steps of a chain (filter, background), and checks of their settings."""
+"""Interfaces of the steps of a chain: filter and background."""
 
-from math import isfinite
-from typing import Final, Literal, Protocol, get_args
+from abc import ABC, abstractmethod
+from typing import Final, Literal, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,31 +20,38 @@ MAX_TAPS: Final = 1024
 _MIN_PIXELS: Final = 8
 
 
-class ScanFilter(Protocol):
+class ScanFilter(ABC):
     """A filter along scans."""
+
+    compensation: Compensation
+
+    @property
+    @abstractmethod
+    def delay_px(self) -> float:
+        """Delay at zero frequency, if the phase is not removed [px]."""
 
     @property
     def shift_px(self) -> float:
         """Shift of the filtered scan to the right of the light [px]."""
-        ...
+        return 0.0 if self.compensation == "phase" else self.delay_px
 
     @property
     def correction_px(self) -> float:
         """What the chain subtracts from positions [px]: the shift, or zero if it is to stay."""
-        ...
+        return self.delay_px if self.compensation == "delay" else 0.0
 
     @property
     def reach_px(self) -> float:
         """Distance from an end within which pixels beyond it matter [px]."""
-        ...
+        return self.delay_px
 
+    @abstractmethod
     def apply(self, scans: ArrayLike) -> Array:
         """Filter scans (..., P)."""
-        ...
 
+    @abstractmethod
     def adjoint(self, weights: Array) -> Array:
         """Carry derivatives by filtered pixels (..., P) back to derivatives by pixels."""
-        ...
 
 
 class Background(Protocol):
@@ -82,73 +89,3 @@ def as_scans(scans: ArrayLike) -> Array:
         bad = float(values[~np.isfinite(values)][0])
         raise NonFiniteValue(f"lines have the value {bad}; all must be finite", value=bad)
     return values
-
-
-def check_whole(name: str, value: int, minimum: int, maximum: int) -> None:
-    """Refuse a number that is not whole or lies outside its range.
-
-    Args:
-        name: name of the value, for the message.
-        value: the number.
-        minimum: least value that is allowed.
-        maximum: greatest value that is allowed.
-
-    Raises:
-        InvalidParameter: with the value and the range.
-    """
-    if isinstance(value, bool) or int(value) != value or not minimum <= value <= maximum:
-        raise InvalidParameter(
-            f"{name} is {value}; it must be a whole number in {minimum} .. {maximum}",
-            **{name: value},
-        )
-
-
-def check_between(name: str, value: float, minimum: float, maximum: float) -> None:
-    """Refuse a number outside its range; the ends belong to it.
-
-    Args:
-        name: name of the value, for the message.
-        value: the number.
-        minimum: least value that is allowed.
-        maximum: greatest value that is allowed.
-
-    Raises:
-        InvalidParameter: with the value and the range.
-    """
-    if not (isfinite(value) and minimum <= value <= maximum):
-        raise InvalidParameter(
-            f"{name} is {value}; it must lie in {minimum:g} .. {maximum:g}", **{name: value}
-        )
-
-
-def check_cutoff(cutoff: float) -> None:
-    """Refuse a cut-off that is not a fraction of half the sampling rate.
-
-    Raises:
-        InvalidParameter: with the value.
-    """
-    if not 0.0 < cutoff < 1.0:
-        raise InvalidParameter(
-            f"cutoff is {cutoff}; it must lie between 0 and 1, as a fraction of half the "
-            "sampling rate",
-            cutoff=cutoff,
-        )
-
-
-def check_compensation(
-    value: Compensation, allowed: tuple[Compensation, ...] | None = None
-) -> None:
-    """Refuse an unknown compensation.
-
-    Args:
-        value: the compensation.
-        allowed: the known ones; None: all.
-
-    Raises:
-        InvalidParameter: with the value and those that there are.
-    """
-    known = get_args(Compensation) if allowed is None else allowed
-    if value not in known:
-        raise InvalidParameter(
-            f"compensation is {value!r}; it must be one of {known}", compensation=value
-        )

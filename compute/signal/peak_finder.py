@@ -134,13 +134,13 @@ class PeakFinder:
         batch.record_bytes = record.itemsize
         for name in ("dark_variance", "photon_variance", "offset_counts", "full_scale_counts"):
             setattr(batch, name, wp.array(getattr(noise, name), device=self._device))
-        batch.detection_sigma = settings.detection_sigma
+        batch.detection_sigma = wp.float64(settings.detection_sigma)
         batch.fraction_units = settings.fraction_units
         batch.weigh_above_threshold = int(settings.weighting != "above-background")
         batch.correct_edges = int(settings.weighting == "edge-corrected")
         batch.min_width_px, batch.max_peaks = settings.min_width_px, settings.max_peaks
         if plan is not None:
-            self._plan = wp.array(plan, dtype=wp.uint64, device=self._device)
+            self._plan: Any = wp.array(plan, dtype=wp.uint64, device=self._device)
             batch.plan_address = self._plan.ptr
             batch.candidates_offset = record.fields["candidates"][1] if record.fields else 0
         self._uploaded = 0
@@ -242,7 +242,7 @@ class PeakFinder:
         """Return the peaks of the newest records, which stand only until the next call."""
         records = self._host_records[:count]
         peaks = records["peaks"].copy()
-        columns = {name: peaks[name] for name in peaks.dtype.names}
+        columns = {name: peaks[name] for name in peaks.dtype.names or ()}
         absent = {name: values[:count] for name, values in self._absent.items()}
         return PeakBatch(count=records["count"].copy(), **(absent | columns))
 

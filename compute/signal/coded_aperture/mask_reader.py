@@ -6,8 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.errors import InvalidParameter
-from compute.signal.coded_aperture.shadow_fit import ShadowFitter
-from compute.signal.coded_aperture.shadow_settings import ShadowSettings
+from compute.signal.coded_aperture.shadow_fit import ShadowFitter, ShadowSettings
 from compute.signal.coded_aperture.shadow_template import ShadowTemplate
 from compute.signal.peaks import PeakBatch
 from compute.signal.sensor_noise import SensorNoise
@@ -48,7 +47,7 @@ class MaskReader:
             ShadowFitter(
                 templates[sensor % len(templates)],
                 pixels,
-                _noise_of_sensor(noise, sensor % len(noise)),
+                noise[np.array([sensor % len(noise)])],
                 settings,
             )
             for sensor in range(sensors)
@@ -76,13 +75,3 @@ class MaskReader:
             batch.flags[own, 0] = fit.flags
             batch.reduced_chi2[own, 0] = fit.reduced_chi2
         return batch
-
-
-def _noise_of_sensor(noise: SensorNoise, sensor: int) -> SensorNoise:
-    row = slice(sensor, sensor + 1)
-    return SensorNoise(
-        noise.electrons_per_count[row],
-        noise.read_noise_electrons[row],
-        noise.offset_counts[row],
-        noise.full_scale_counts[row],
-    )

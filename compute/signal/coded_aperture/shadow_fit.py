@@ -9,9 +9,10 @@ from scipy.special import chdtrc
 from scipy.stats import norm
 
 from compute.errors import InvalidParameter
+from compute.parameter_checks import require
+from compute.signal.array_rows import ArrayRows
 from compute.signal.coded_aperture.fisher_scoring import ShadowModel, ShadowSolution, solve
 from compute.signal.coded_aperture.shadow_search import ShadowSearch
-from compute.signal.coded_aperture.shadow_settings import ShadowSettings
 from compute.signal.coded_aperture.shadow_template import ShadowTemplate
 from compute.signal.peaks import PeakFlag
 from compute.signal.sensor_noise import SensorNoise
@@ -24,8 +25,35 @@ CLIPPED_CONTRAST_THRESHOLD: Final = 0.9
 _PIXELS_AT_ONCE: Final = 1 << 15
 
 
+@dataclass(frozen=True)
+class ShadowSettings:
+    """How shadows are found and fitted.
+
+    Args:
+        fit_scale: fit the shadow's magnification too. A shadow is 1 + gap / Z as wide as the
+            code, so one template fits one distance; with its scale free it fits others, and the
+            position costs more noise where the pattern lies to one side of the reading.
+        false_alarms_per_line: most false readings to be expected of a scan without a shadow.
+        ambiguity_probability: a shadow is ambiguous where another place is this much as likely.
+        misfit_probability: a fit is poor where chance alone makes its chi-square as rarely as this.
+
+    Raises:
+        InvalidParameter: a value outside its range.
+    """
+
+    fit_scale: bool = False
+    false_alarms_per_line: float = 1e-3
+    ambiguity_probability: float = 1e-4
+    misfit_probability: float = 1e-6
+
+    def __post_init__(self) -> None:
+        for name in ("false_alarms_per_line", "ambiguity_probability", "misfit_probability"):
+            value = float(getattr(self, name))
+            require(0.0 < value < 1.0, "lie between 0 and 1", **{name: value})
+
+
 @dataclass(frozen=True, eq=False)
-class ShadowFit:
+class ShadowFit(ArrayRows):
     """Shadows of L scans, one each; NaN where none is found.
 
     Args:
@@ -123,32 +151,23 @@ class ShadowFitter:
                 type=str(scans.dtype),
                 shape=scans.shape,
             )
-        count = len(scans)
-        values = {name: np.full(count, np.nan) for name in _VALUES}
-        found, flags = np.zeros(count, dtype=np.bool_), np.zeros(count, dtype=np.int32)
+        sensor = np.arange(len(scans)) % len(self._noise)
         chunk = max(1, _PIXELS_AT_ONCE // self.pixels)
-        for start in range(0, count, chunk):
-            sensor = np.arange(start, min(start + chunk, count)) % len(self._noise)
-            self._fit_some(scans[start : start + chunk], sensor, start, values, found, flags)
-        return ShadowFit(found=found, flags=flags, **values)
+        parts = [slice(start, start + chunk) for start in range(0, max(len(scans), 1), chunk)]
+        return ShadowFit.concatenate([self._fit_some(scans[part], sensor[part]) for part in parts])
 
-    def _fit_some(
-        self,
-        scans: NDArray[np.uint16],
-        sensor: NDArray[np.int64],
-        start: int,
-        values: dict[str, Array],
-        found: NDArray[np.bool_],
-        flags: NDArray[np.int32],
-    ) -> None:
-        """Fit a few scans and write what comes out from the place ``start`` on."""
+    def _fit_some(self, scans: NDArray[np.uint16], sensor: NDArray[np.int64]) -> ShadowFit:
+        count = len(scans)
+        fit = ShadowFit(
+            np.zeros(count, np.bool_), *np.full((6, count), np.nan), np.zeros(count, np.int32)
+        )
         counts = scans.astype(np.float64)
         noise = self._noise.of_scans(sensor)
         first = self.search.find(counts)
         mean_variance = noise.variance(counts.mean(axis=1, keepdims=True))[:, 0]
         kept = np.flatnonzero(first.height > self.threshold_sigma * np.sqrt(mean_variance))
         if not len(kept):
-            return
+            return fit
         full = counts[kept] >= self._noise.full_scale_counts[sensor[kept]][:, None]
         solution = solve(self._model, counts[kept], ~full, noise[kept], first.shift_px[kept])
         lead = (first.height[kept] ** 2 - first.second_height[kept] ** 2) / (
@@ -157,19 +176,16 @@ class ShadowFitter:
         # A fit that leaves the main lobe has not refined what was found. NaN is not near either.
         near = np.abs(solution.shift_px - first.shift_px[kept]) <= max(self.search.lobe_px, 1)
         good = np.flatnonzero(near & (solution.amplitude > 0.0))
-        solution, place = solution.rows(good), start + kept[good]
-        found[place] = True
-        flags[place] = self._flags(solution, full[good], lead[good])
+        solution, place = solution[good], kept[good]
+        fit.found[place] = True
+        fit.shift_px[place], fit.sigma_px[place] = solution.shift_px, solution.sigma_px
+        fit.amplitude[place] = solution.amplitude * self.template.height
         dark = float(self.template.cells.min())
-        for name, value in (
-            ("shift_px", solution.shift_px),
-            ("sigma_px", solution.sigma_px),
-            ("amplitude", solution.amplitude * self.template.height),
-            ("ambient", solution.amplitude * dark + solution.ambient),
-            ("scale", solution.scale),
-            ("reduced_chi2", solution.chi2 / solution.dof),
-        ):
-            values[name][place] = value
+        fit.ambient[place] = solution.amplitude * dark + solution.ambient
+        fit.scale[place] = solution.scale
+        fit.reduced_chi2[place] = solution.chi2 / solution.dof
+        fit.flags[place] = self._flags(solution, full[good], lead[good])
+        return fit
 
     def _flags(
         self, solution: ShadowSolution, saturated: NDArray[np.bool_], lead: Array
@@ -182,6 +198,3 @@ class ShadowFitter:
         chance = chdtrc(solution.dof, solution.chi2)
         flags[chance < self.settings.misfit_probability] |= int(PeakFlag.POOR_FIT)
         return flags
-
-
-_VALUES: Final = ("shift_px", "sigma_px", "amplitude", "ambient", "scale", "reduced_chi2")

@@ -7,10 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.errors import InvalidParameter
+from compute.parameter_checks import check_positive
 from compute.signal.centroid_settings import (
     LEVEL_UNIT,
     MAX_PIXELS,
     MIN_PIXELS,
+    require_choice,
     require_whole,
     sample_starts,
 )
@@ -81,16 +83,8 @@ class DetectionSettings:
     max_peaks: int = 16
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.false_alarms_per_line < np.inf:
-            raise InvalidParameter(
-                f"false_alarms_per_line is {self.false_alarms_per_line}; it must be positive",
-                false_alarms_per_line=self.false_alarms_per_line,
-            )
-        if self.noise not in get_args(NoiseSource):
-            raise InvalidParameter(
-                f"noise is {self.noise!r}; it must be one of {get_args(NoiseSource)}",
-                noise=self.noise,
-            )
+        check_positive(self, "false_alarms_per_line")
+        require_choice("noise", self.noise, get_args(NoiseSource))
         require_whole("max_peaks", self.max_peaks, 1, 1024)
 
 
@@ -178,10 +172,8 @@ class PeakDetector:
         own = spread.variance()
         if self.settings.noise == "line":
             return own
-        noise = self._noise
-        sensor = np.arange(len(scans)) % len(noise)
-        light = np.maximum(spread.background / LEVEL_UNIT - noise.offset_counts[sensor], 0.0)
-        model = noise.dark_variance[sensor] + noise.photon_variance[sensor] * light
+        noise = self._noise.of_scans(np.arange(len(scans)) % len(self._noise))
+        model = noise.variance(spread.background[:, None] / LEVEL_UNIT)[:, 0]
         return model if self.settings.noise == "model" else np.maximum(own, model)
 
     def _batch(

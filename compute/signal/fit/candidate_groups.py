@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.signal.array_rows import ArrayRows
-from compute.signal.centroid_settings import GROUP_PIXELS, LEVEL_UNIT, sample_starts
 from compute.signal.fit.fit_settings import MAX_WINDOW_PX, WIDTH_LIMITS_PX, FitSettings
 from compute.signal.fit.window_model import Array, WindowModel
 from compute.signal.peaks import PeakBatch
@@ -172,11 +171,3 @@ def initial_parameters(
     start[:, model.position] = position
     start[:, -1] = log_width
     return start
-
-
-def background_levels(scans: NDArray[np.uint16]) -> Array:
-    """Return the backgrounds of scans (L, P) by ``CentroidSettings``, (L,) [counts]."""
-    pixel = np.array(sample_starts(scans.shape[1]))[:, None] + np.arange(GROUP_PIXELS)
-    sums = np.sort(scans[:, pixel].astype(np.int64).sum(axis=2), axis=1)
-    quartile = sums[:, (sums.shape[1] - 1) // 4]
-    return quartile * (LEVEL_UNIT // GROUP_PIXELS) / LEVEL_UNIT

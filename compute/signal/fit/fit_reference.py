@@ -7,10 +7,10 @@ from numpy.typing import NDArray
 
 from compute.errors import InvalidParameter
 from compute.signal.centroid_reference import find_peaks_reference
-from compute.signal.centroid_settings import MAX_PIXELS, MIN_PIXELS
+from compute.signal.centroid_settings import LEVEL_UNIT, MAX_PIXELS, MIN_PIXELS
+from compute.signal.detection.background_estimate import estimate_background
 from compute.signal.fit.candidate_groups import (
     Groups,
-    background_levels,
     form_groups,
     initial_parameters,
 )
@@ -89,7 +89,7 @@ def fit_groups(
         noise: noise of the sensors.
         shape: the line-spread function.
     """
-    background = background_levels(scans)
+    background = estimate_background(scans).background / LEVEL_UNIT
     found: list[SelectedFits] = []
     for count in np.unique(groups.count).tolist():
         model = WindowModel(count, settings, shape)

@@ -8,8 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from compute.errors import InvalidParameter
-from compute.signal.centroid_settings import CentroidSettings, require_whole
+from compute.parameter_checks import require
+from compute.signal.centroid_settings import (
+    CentroidSettings,
+    require_between,
+    require_choice,
+    require_whole,
+)
 from compute.signal.peaks import MAX_JOINT_PEAKS
 
 BackgroundModel = Literal["level", "slope"]
@@ -160,19 +165,14 @@ class FitSettings:
     further_peaks: bool = True
 
     def __post_init__(self) -> None:
-        low, high = WIDTH_LIMITS_PX
-        self._require("width_px", low <= self.width_px <= high, f"in {low} .. {high}")
-        spread = self.width_log_sigma
-        self._require("width_log_sigma", spread == 0.0 or spread >= 1e-6, "zero, or 1e-6 or more")
-        self._require("reach", 2.0 <= self.reach <= 8.0, "in 2 .. 8")
-        self._require("shape_error", 0.0 <= self.shape_error <= 0.5, "in 0 .. 0.5")
+        require_between("width_px", self.width_px, *WIDTH_LIMITS_PX)
+        sigma = self.width_log_sigma
+        require(sigma == 0.0 or sigma >= 1e-6, "be zero, or 1e-6 or more", width_log_sigma=sigma)
+        require_between("reach", self.reach, 2.0, 8.0)
+        require_between("shape_error", self.shape_error, 0.0, 0.5)
         require_whole("max_joint_peaks", self.max_joint_peaks, 1, MAX_JOINT_PEAKS)
-        self._require("false_split_rate", 1e-12 <= self.false_split_rate <= 0.1, "in 1e-12 .. 0.1")
-        if self.background not in get_args(BackgroundModel):
-            raise InvalidParameter(
-                f"background is {self.background!r}; it must be one of {get_args(BackgroundModel)}",
-                background=self.background,
-            )
+        require_between("false_split_rate", self.false_split_rate, 1e-12, 0.1)
+        require_choice("background", self.background, get_args(BackgroundModel))
 
     @property
     def narrow_width_px(self) -> float:
@@ -194,8 +194,3 @@ class FitSettings:
         limits = np.full(MAX_WINDOW_PX + 1, np.inf)
         limits[1:] = chi2.isf(self.false_split_rate, np.arange(1, MAX_WINDOW_PX + 1))
         return limits
-
-    def _require(self, name: str, good: bool, meaning: str) -> None:
-        if not good:
-            value = getattr(self, name)
-            raise InvalidParameter(f"{name} is {value}; it must be {meaning}", **{name: value})

@@ -41,12 +41,6 @@ class FlatPeaks(ArrayRows):
     reduced_chi2: Array
     covariance_px2: Array
 
-    @classmethod
-    def concatenate(cls, parts: list["FlatPeaks"]) -> "FlatPeaks":
-        """Put peaks together."""
-        columns = zip(*(vars(part).values() for part in parts), strict=True)
-        return cls(*(np.concatenate(column) for column in columns))
-
 
 def collect_fitted_peaks(selected: SelectedFits, candidates: PeakBatch, pixels: int) -> FlatPeaks:
     """Return the peaks of the groups whose fits were good.

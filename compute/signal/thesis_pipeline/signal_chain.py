@@ -222,8 +222,7 @@ class SignalChain:
         if noise is None:
             return None, None
         sensor = np.arange(len(raw)) % len(noise)
-        light = np.maximum(raw - noise.offset_counts[sensor, None], 0.0)
-        variance = noise.dark_variance[sensor, None] + noise.photon_variance[sensor, None] * light
+        variance = noise.of_scans(sensor).variance(raw)
         full = raw >= noise.full_scale_counts[sensor, None]
         if self.average is None:
             return variance, full

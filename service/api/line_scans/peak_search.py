@@ -240,8 +240,8 @@ def _levels(lines: Scans, noise: PixelNoise) -> dict[str, Any]:
 
 def _peaks(batch: PeakBatch, line: int) -> list[LinePeak]:
     found = []
-    for peak in batch.peaks(line, ""):
-        values = {name: _plain(value) for name, value in asdict(peak).items() if name != "sensor"}
+    for peak in batch.peaks(line):
+        values = {name: _plain(value) for name, value in asdict(peak).items()}
         found.append(LinePeak(**values, response_sigma=None))
     return found
 

@@ -7,8 +7,9 @@ import pytest
 from scipy.special import ndtr
 
 from compute.signal.centroid_reference import find_peaks_reference
-from compute.signal.centroid_settings import CentroidSettings
-from compute.signal.fit.candidate_groups import background_levels, form_groups, initial_parameters
+from compute.signal.centroid_settings import LEVEL_UNIT, CentroidSettings
+from compute.signal.detection.background_estimate import estimate_background
+from compute.signal.fit.candidate_groups import form_groups, initial_parameters
 from compute.signal.fit.fisher_scoring import solve
 from compute.signal.fit.fit_finder import FitFinder
 from compute.signal.fit.fit_reference import fit_scans
@@ -51,7 +52,13 @@ def solved(lines, options, noise):
     groups = form_groups(candidates, PIXELS, options)
     groups = groups[groups.count == 1]
     windows = Windows.cut(lines, groups.scan, groups.first_px, groups.last_px, noise)
-    start = initial_parameters(model, groups, candidates, background_levels(lines), windows.sensor)
+    start = initial_parameters(
+        model,
+        groups,
+        candidates,
+        estimate_background(lines).background / LEVEL_UNIT,
+        windows.sensor,
+    )
     return windows, model, solve(model, windows, start)
 
 
@@ -164,5 +171,5 @@ def test_widths_below_a_third_of_a_pixel_are_improbable():
     rng = np.random.default_rng(8)
     place = MIDDLE + rng.uniform(0.3, 0.7, 50)
     lines = measured(gaussian_counts(PIXELS, place, 0.3, 1e4), rng)
-    _, _, fits, _ = solved(lines, FREE, NOISE)
+    _, _, fits = solved(lines, FREE, NOISE)
     assert np.median(np.exp(fits.parameters[:, -1])) == pytest.approx(0.3, abs=0.02)

@@ -130,3 +130,8 @@ class PeakBatch:
 def no_peaks(scans: int) -> PeakBatch:
     """Return a batch of scans without peaks and without room for one."""
     return PeakBatch.empty(scans, 0)
+
+
+def number_within_scan(scan: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return each peak's number within its scan, by the peaks' ascending scans, shape (M,)."""
+    return np.asarray(np.arange(len(scan)) - np.searchsorted(scan, scan))

@@ -6,11 +6,11 @@ from typing import Final
 
 import numpy as np
 
-from compute.signal.cramer_rao import joint_position_bounds
 from compute.signal.fit.fit_finder import FitFinder
 from compute.signal.fit.fit_settings import FitSettings
 from compute.signal.fit.window_model import Windows
 from compute.signal.peaks import PeakBatch
+from validation.joint_position_bounds import joint_position_bounds
 from validation.peak_efficiency.monte_carlo import (
     KNOWN_WIDTH,
     Errors,

@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.signal.centroid_settings import CentroidSettings, Weighting
-from compute.signal.cramer_rao import joint_position_bounds
 from compute.signal.fit.fit_reference import fit_scans
 from compute.signal.fit.fit_settings import FitSettings
 from compute.signal.fit.line_spread_function import LineSpreadFunction
 from compute.signal.fit.window_model import WindowModel, Windows
 from compute.signal.peaks import PeakBatch, PeakFlag
+from validation.joint_position_bounds import joint_position_bounds
 from validation.synthetic_scans import (
     AMBIENT,
     GAIN,

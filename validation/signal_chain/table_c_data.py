@@ -9,8 +9,7 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.signal.thesis_pipeline.filters import ButterworthFilter, FirFilter
-from compute.signal.thesis_pipeline.median_filter import MedianFilter
+from compute.signal.thesis_pipeline.filters import ButterworthFilter, FirFilter, MedianFilter
 from compute.signal.thesis_pipeline.steps import Compensation, ScanFilter
 
 Array = NDArray[np.float64]

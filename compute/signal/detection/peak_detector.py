@@ -19,7 +19,7 @@ from compute.signal.centroid_settings import (
 from compute.signal.detection.background_estimate import estimate_background, variance_dof
 from compute.signal.detection.false_alarms import FalseAlarms
 from compute.signal.detection.matched_filter import MatchedFilter
-from compute.signal.peaks import PeakFlag
+from compute.signal.peaks import PeakFlag, number_within_scan
 from compute.signal.sensor_noise import SensorNoise
 
 
@@ -188,19 +188,15 @@ class PeakDetector:
         flags = self._flags(scans, scan, place)
         room = self.settings.max_peaks
         found = np.bincount(scan, minlength=len(scans))
-        if (found > room).any():
-            # By scan, then by answer; of equal answers the first place comes first.
-            order = np.lexsort((place, -answer, scan))
-            rank = np.empty_like(order)
-            rank[order] = np.arange(len(order)) - (np.cumsum(found) - found)[scan[order]]
-            flags[found[scan] > room] |= int(PeakFlag.TRUNCATED)
-            kept = rank < room
-            scan, place, answer, flags = scan[kept], place[kept], answer[kept], flags[kept]
-            found = np.minimum(found, room)
-        column = np.arange(len(scan)) - (np.cumsum(found) - found)[scan]
+        flags[found[scan] > room] |= int(PeakFlag.TRUNCATED)
+        # By scan, then by answer; of equal answers the first place comes first.
+        order = np.lexsort((place, -answer, scan))
+        kept = np.sort(order[number_within_scan(scan) < room])
+        scan, place, answer, flags = (each[kept] for each in (scan, place, answer, flags))
+        column = number_within_scan(scan)
         shape = (len(scans), room)
         batch = DetectionBatch(
-            found.astype(np.int32),
+            np.minimum(found, room).astype(np.int32),
             np.full(shape, -1, dtype=np.int32),
             np.full(shape, np.nan, dtype=np.float32),
             np.full(shape, np.nan, dtype=np.float32),

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from compute.signal.array_rows import ArrayRows
 from compute.signal.fit.model_order import SelectedFits
 from compute.signal.fit.window_model import Array
-from compute.signal.peaks import MAX_JOINT_PEAKS, PeakBatch, PeakFlag
+from compute.signal.peaks import MAX_JOINT_PEAKS, PeakBatch, PeakFlag, number_within_scan
 
 _CLIPPED_WIDTHS = 2.0
 
@@ -141,13 +141,13 @@ def to_peak_batch(
     """
     batch = PeakBatch.empty(scans, room)
     by_light = np.lexsort((peaks.position_px, -peaks.amplitude, peaks.scan))
-    rank = _numbered(peaks.scan[by_light])
+    rank = number_within_scan(peaks.scan[by_light])
     truncated = truncated.copy()
     truncated[peaks.scan[by_light[rank >= room]]] = True
     peaks = peaks[by_light[rank < room]]
     # A group's peaks lie within its window, and windows do not overlap.
     peaks = peaks[np.lexsort((peaks.within, peaks.position_px, peaks.scan))]
-    slot = _numbered(peaks.scan)
+    slot = number_within_scan(peaks.scan)
     at = (peaks.scan, slot)
     batch.count[:] = np.bincount(peaks.scan, minlength=scans)
     for name in ("position_px", "sigma_px", "amplitude", "width_px", "reduced_chi2"):
@@ -160,9 +160,3 @@ def to_peak_batch(
         covariance = peaks.covariance_px2[here, peaks.within[here + ahead]]
         batch.covariance_px2[peaks.scan[here], slot[here], ahead - 1] = covariance
     return batch
-
-
-def _numbered(scan: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return each peak's number within its scan; scans ascend."""
-    starts = np.searchsorted(scan, scan)
-    return np.arange(len(scan)) - starts

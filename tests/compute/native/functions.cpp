@@ -142,7 +142,7 @@ void host_edge(const unsigned long long* plan, double position_px, double t, dou
     const signal::Search search = {};
     signal::FitScan scan(search, (unsigned long long)plan);
     scan.pieces = scan.all_pieces;
-    const signal::Rows rows = signal::rows_at(scan, position_px);
+    const signal::Rows<double> rows = signal::rows_at(scan.plan, scan.pieces, position_px);
     const signal::CumulativeEdge found = signal::edge_at(scan, rows, t);
     edge[0] = found.fraction;
     edge[1] = found.density;

@@ -9,26 +9,49 @@
 namespace lumiline::signal {
 
 // Cubics of the line spread function, by sensor, node and position; in float64, then in float32.
-struct Piece {
-    double c0, c1, c2, c3;
+template <class Real>
+struct alignas(16) Cubic {
+    Real c0, c1, c2, c3;
 };
 
-struct alignas(16) PieceF {
-    float c0, c1, c2, c3;
+using Piece = Cubic<double>;
+using PieceF = Cubic<float>;
+
+// The pieces of the nodes about a position along the sensor.
+template <class Real>
+struct Rows {
+    const Cubic<Real>* near;
+    const Cubic<Real>* far;
+    Real far_part;
+    bool between_nodes;
+
+    LUMILINE_FN Cubic<Real> piece(int k) const {
+        Cubic<Real> piece = near[k];
+        if (between_nodes) {
+            const Cubic<Real> next = far[k];
+            piece.c0 += far_part * (next.c0 - piece.c0);
+            piece.c1 += far_part * (next.c1 - piece.c1);
+            piece.c2 += far_part * (next.c2 - piece.c2);
+            piece.c3 += far_part * (next.c3 - piece.c3);
+        }
+        return piece;
+    }
 };
+
+// Of the pieces of one sensor.
+template <class Real>
+LUMILINE_FN Rows<Real> rows_at(const Plan& plan, const Cubic<Real>* pieces, double position_px) {
+    if (plan.nodes == 1) return Rows<Real>{pieces, pieces, 0, false};
+    const double node = (position_px - plan.first_node) / plan.node_step;
+    const int below = node > 0.0 ? (node < plan.nodes - 2 ? (int)node : plan.nodes - 2) : 0;
+    const double part = node - below;
+    const Cubic<Real>* near = pieces + below * plan.pieces;
+    const double inside = part > 0.0 ? (part < 1.0 ? part : 1.0) : 0.0;
+    return Rows<Real>{near, near + plan.pieces, (Real)inside, true};
+}
 
 // Flags of a candidate beside those of a peak.
 constexpr int flag_starts_group = 1 << 16, flag_after_cut = 1 << 17, begin_bits = 18;
-
-union Word {
-    unsigned bits;
-    float value;
-};
-
-LUMILINE_FN float quiet_nan() {
-    const Word word = {0x7fc00000u};
-    return word.value;
-}
 
 // The scan that a thread fits. The plan is followed by the limits of chi-square and the pieces.
 struct FitScan : Scan {

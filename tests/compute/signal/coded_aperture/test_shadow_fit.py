@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 from scipy.stats import poisson
 
 from compute.errors import InvalidParameter
-from compute.signal.coded_aperture.mask_reader import MaskReader
-from compute.signal.coded_aperture.shadow_fit import ShadowFitter, ShadowSettings
+from compute.signal.coded_aperture.shadow_fit import MaskReader, ShadowFitter, ShadowSettings
 from compute.signal.coded_aperture.shadow_search import ShadowSearch
 from compute.signal.coded_aperture.shadow_template import ShadowTemplate
 from compute.signal.peaks import PeakFlag

@@ -11,7 +11,6 @@ from hypothesis.extra.numpy import arrays
 from compute.errors import InvalidParameter
 from compute.signal.centroid_reference import find_peaks_reference
 from compute.signal.centroid_settings import CentroidSettings
-from compute.signal.cramer_rao import joint_position_bounds
 from compute.signal.fit.fit_finder import FitFinder
 from compute.signal.fit.fit_reference import fit_scans
 from compute.signal.fit.fit_settings import FitSettings
@@ -35,6 +34,7 @@ from tests.compute.signal.synthetic_scans import (
     measured,
     varied_lines,
 )
+from validation.joint_position_bounds import joint_position_bounds
 
 
 def fitted(lines, options, noise=NOISE, shape=None, threads=None):

@@ -7,12 +7,13 @@ from hypothesis import strategies as st
 
 from compute.errors import InvalidParameter
 from compute.planning.cramer_rao import PixelNoise
-from compute.signal.cramer_rao import joint_position_bounds, position_bound
+from compute.signal.cramer_rao import position_bound
 from compute.signal.fit.fit_settings import FitSettings
 from compute.signal.fit.line_spread_function import LineSpreadFunction
 from compute.signal.fit.window_model import WindowModel, Windows
 from compute.signal.sensor_noise import SensorNoise
 from tests.compute.signal.synthetic_scans import GAIN, NOISE, OFFSET, READ, gaussian_counts
+from validation.joint_position_bounds import joint_position_bounds
 
 PIXELS = 64
 GAUSSIAN = LineSpreadFunction.gaussian()

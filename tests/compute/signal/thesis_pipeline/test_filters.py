@@ -8,8 +8,7 @@ from scipy.signal import group_delay
 
 from compute.errors import InvalidParameter, NonFiniteValue
 from compute.signal.centroid_settings import Weighting
-from compute.signal.thesis_pipeline.filters import ButterworthFilter, FirFilter
-from compute.signal.thesis_pipeline.median_filter import MedianFilter
+from compute.signal.thesis_pipeline.filters import ButterworthFilter, FirFilter, MedianFilter
 from compute.signal.thesis_pipeline.signal_chain import SignalChain
 from compute.signal.thesis_pipeline.steps import Compensation, ScanFilter
 from tests.compute.signal.thesis_pipeline.pipeline_scans import gaussian_lines, whole_centre

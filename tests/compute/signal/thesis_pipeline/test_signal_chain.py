@@ -19,8 +19,7 @@ from compute.signal.thesis_pipeline.background_subtraction import (
     PolynomialBackground,
 )
 from compute.signal.thesis_pipeline.centroid import centre_of_gravity
-from compute.signal.thesis_pipeline.filters import ButterworthFilter, FirFilter
-from compute.signal.thesis_pipeline.median_filter import MedianFilter
+from compute.signal.thesis_pipeline.filters import ButterworthFilter, FirFilter, MedianFilter
 from compute.signal.thesis_pipeline.peak_separation import SlopeExtension, ValleyCut
 from compute.signal.thesis_pipeline.signal_chain import SignalChain
 from tests.compute.signal.thesis_pipeline.pipeline_scans import compact_peak, gaussian_lines

@@ -89,19 +89,39 @@ class CentroidSettings:
 
 
 def require_whole(name: str, value: int, minimum: int, maximum: int) -> None:
-    """Raise InvalidParameter unless a number is whole and in its range; arrays are sized by it."""
+    """Raise InvalidParameter unless a number is whole and in its range; arrays are sized by it.
+
+    Args:
+        name: name of the parameter.
+        value: the number.
+        minimum: smallest valid value.
+        maximum: largest valid value.
+    """
     whole = isinstance(value, Integral) and not isinstance(value, bool)
     valid = whole and minimum <= value <= maximum
     require(valid, f"be a whole number in {minimum} .. {maximum}", **{name: value})
 
 
 def require_between(name: str, value: float, minimum: float, maximum: float) -> None:
-    """Raise InvalidParameter unless a number is in its range; the ends belong to it."""
+    """Raise InvalidParameter unless a number is in its range.
+
+    Args:
+        name: name of the parameter.
+        value: the number.
+        minimum: smallest valid value.
+        maximum: largest valid value.
+    """
     require(minimum <= value <= maximum, f"lie in {minimum:g} .. {maximum:g}", **{name: value})
 
 
 def require_choice(name: str, value: str, choices: tuple[str, ...]) -> None:
-    """Raise InvalidParameter unless a value is one of the choices."""
+    """Raise InvalidParameter unless a value is one of the choices.
+
+    Args:
+        name: name of the parameter.
+        value: the value.
+        choices: the valid values.
+    """
     require(value in choices, f"be one of {choices}", **{name: value})
 
 

@@ -120,8 +120,8 @@ class PeakBatch:
         names = ("position_px", "sigma_px", "amplitude", "width_px", "reduced_chi2")
         return tuple(
             Peak(
-                *(float(getattr(self, name)[scan, k]) for name in names),
-                flag_names(PeakFlag(int(self.flags[scan, k]))),
+                **{name: float(getattr(self, name)[scan, k]) for name in names},
+                flags=flag_names(PeakFlag(int(self.flags[scan, k]))),
             )
             for k in range(int(self.count[scan]))
         )

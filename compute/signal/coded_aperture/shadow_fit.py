@@ -59,6 +59,10 @@ class ShadowFit(ArrayRows):
 
     Args:
         found: the shadow stands out of the noise, and the fit converged, bool, shape (L,).
+        flags: PeakFlag values, int32, shape (L,). SATURATED: pixels at full scale were left out.
+            CLIPPED: a tenth or more of the contrast that a scan can hold is off the scan.
+            AMBIGUOUS: another shift is not excluded. POOR_FIT: the template does not explain the
+            scan, and the standard deviation is too small.
         shift_px: shift against the template [px], shape (L,).
         sigma_px: its standard deviation, by the noise model at the fit, brightness and ambient
             level (and scale) being unknown too [px], shape (L,).
@@ -66,20 +70,16 @@ class ShadowFit(ArrayRows):
         ambient: level of a dark pixel of the template, the offset included [counts], shape (L,).
         scale: magnification against the template's, shape (L,); 1 where it is not fitted.
         reduced_chi2: misfit per degree of freedom, shape (L,).
-        flags: PeakFlag values, int32, shape (L,). SATURATED: pixels at full scale were left out.
-            CLIPPED: a tenth or more of the contrast that a scan can hold is off the scan.
-            AMBIGUOUS: another shift is not excluded. POOR_FIT: the template does not explain the
-            scan, and the standard deviation is too small.
     """
 
     found: NDArray[np.bool_]
+    flags: NDArray[np.int32]
     shift_px: Array
     sigma_px: Array
     amplitude: Array
     ambient: Array
     scale: Array
     reduced_chi2: Array
-    flags: NDArray[np.int32]
 
     def __len__(self) -> int:
         """Return the number of scans."""
@@ -160,7 +160,7 @@ class ShadowFitter:
     def _fit_some(self, scans: NDArray[np.uint16], sensor: NDArray[np.int64]) -> ShadowFit:
         count = len(scans)
         fit = ShadowFit(
-            np.zeros(count, np.bool_), *np.full((6, count), np.nan), np.zeros(count, np.int32)
+            np.zeros(count, np.bool_), np.zeros(count, np.int32), *np.full((6, count), np.nan)
         )
         counts = scans.astype(np.float64)
         noise = self._noise.of_scans(sensor)

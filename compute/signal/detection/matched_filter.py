@@ -138,7 +138,7 @@ class MatchedFilter:
     def _require_room(self, pixels: int) -> None:
         if pixels < len(self.taps):
             raise InvalidParameter(
-                f"a line has {pixels} pixels; the filter needs {len(self.taps)} or more",
+                f"a scan has {pixels} pixels; the filter needs {len(self.taps)} or more",
                 pixels=pixels,
             )
 

@@ -130,7 +130,7 @@ class PeakDetector:
     ) -> None:
         if not MIN_PIXELS <= pixels <= MAX_PIXELS:
             raise InvalidParameter(
-                f"a line has {pixels} pixels; it must have {MIN_PIXELS} to {MAX_PIXELS}",
+                f"a scan has {pixels} pixels; it must have {MIN_PIXELS} to {MAX_PIXELS}",
                 pixels=pixels,
             )
         self.matched = matched
@@ -192,7 +192,7 @@ class PeakDetector:
         # By scan, then by answer; of equal answers the first place comes first.
         order = np.lexsort((place, -answer, scan))
         kept = np.sort(order[number_within_scan(scan) < room])
-        scan, place, answer, flags = (each[kept] for each in (scan, place, answer, flags))
+        scan, place, answer = (each[kept] for each in (scan, place, answer))
         column = number_within_scan(scan)
         shape = (len(scans), room)
         batch = DetectionBatch(
@@ -206,7 +206,7 @@ class PeakDetector:
         batch.position_px[scan, column] = place
         batch.response_sigma[scan, column] = answer / (self.matched.norm * deviation[scan])
         batch.amplitude[scan, column] = answer / self._gains[place]
-        batch.flags[scan, column] = flags
+        batch.flags[scan, column] = flags[kept]
         return batch
 
     def _flags(

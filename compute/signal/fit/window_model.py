@@ -180,7 +180,12 @@ class WindowModel:
         return replace(self, peaks=self.peaks + 1)
 
     def evaluate(self, windows: Windows, parameters: Array) -> ModelPrediction:
-        """Return what the model expects of N windows by parameters of shape (N, Q)."""
+        """Return the expected counts and their derivatives.
+
+        Args:
+            windows: N windows.
+            parameters: shape (N, Q).
+        """
         pixels = windows.values.shape[1]
         position, light = parameters[:, self.position], parameters[:, self.light]
         width = np.exp(parameters[:, -1:])
@@ -203,7 +208,12 @@ class WindowModel:
         return ModelPrediction(mean, variance, jacobian)
 
     def score_information(self, windows: Windows, parameters: Array) -> ScoreInformation:
-        """Return the sums over the pixels that count, of N windows, by parameters (N, Q)."""
+        """Return the sums over the pixels that count, with the prior of the width.
+
+        Args:
+            windows: N windows.
+            parameters: shape (N, Q).
+        """
         with np.errstate(over="ignore", invalid="ignore"):
             model = self.evaluate(windows, parameters)
             weight = windows.used / model.variance

@@ -16,32 +16,12 @@ namespace lumiline::signal {
 template <int batch_scans, Length length>
 struct WarpSearch : WarpMemory<batch_scans, length> {
     using Memory = WarpMemory<batch_scans, length>;
-    using Memory::await_scans;
-    using Memory::await_stage;
-    using Memory::before;
-    using Memory::chunks;
-    using Memory::end_of_stage;
-    using Memory::first_scan;
-    using Memory::first_v;
-    using Memory::found;
-    using Memory::in_shared;
-    using Memory::lane;
-    using Memory::limits;
-    using Memory::load_chunk;
-    using Memory::lost;
-    using Memory::pixels_of;
-    using Memory::run_queue;
-    using Memory::scan_at;
-    using Memory::scan_blocks;
-    using Memory::search;
-    using Memory::slots;
-    using Memory::stage;
-    using Memory::stage_batch;
-    using Memory::staged;
-    using Memory::step_scans;
-    using Memory::stride;
-    using Memory::top_queue;
-    using Memory::words;
+    using Memory::await_scans, Memory::await_stage, Memory::before, Memory::chunks,
+        Memory::end_of_stage, Memory::first_scan, Memory::first_v, Memory::found, Memory::in_shared,
+        Memory::lane, Memory::limits, Memory::load_chunk, Memory::lost, Memory::pixels_of,
+        Memory::run_queue, Memory::scan_at, Memory::scan_blocks, Memory::search, Memory::slots,
+        Memory::stage, Memory::stage_batch, Memory::staged, Memory::step_scans, Memory::stride,
+        Memory::top_queue, Memory::words;
 
     const int groups, group_step, rank_of_quartile, rank_of_sixteenth, group_chunk;
     int runs_waiting = 0, tops_waiting = 0;

@@ -1,20 +1,19 @@
 """Ambient light between the peaks: polynomial and interpolated background, thesis 4.4."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final
 
 import numpy as np
 from numpy.polynomial import chebyshev
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.linalg import cho_solve
 from scipy.ndimage import maximum_filter1d
 from scipy.sparse import csr_array
 
 from compute.robust_statistics import MAD_TO_SIGMA
 from compute.signal.centroid_settings import require_between, require_whole
-from compute.signal.thesis_pipeline.steps import Array, ScanFilter, as_scans
+from compute.signal.thesis_pipeline.steps import Array, Background, ScanFilter
 
 Mask = NDArray[np.bool_]
 
@@ -82,30 +81,24 @@ class PeakMask:
 
 
 @dataclass(frozen=True)
-class PolynomialBackground(PeakMask):
+class PolynomialBackground(PeakMask, Background):
     """A polynomial through the pixels between the peaks, by least squares: thesis 4.4.
 
     In Chebyshev polynomials over the scan, which keeps high degrees well conditioned. What counts
     as a peak is PeakMask's, of the same degree.
     """
 
-    def estimate(self, scans: ArrayLike) -> tuple[Array, Mask]:
-        """Return the background of scans (..., P), and the pixels that it was fitted to."""
-
-        def one(scan: Array) -> tuple[Array, Mask]:
-            free = self.background_mask(scan)
-            return _fit_polynomial(scan, free, self.degree), free
-
-        return _each(as_scans(scans), one)
+    def estimate_scan(self, scan: Array) -> tuple[Array, Mask]:
+        """Return the polynomial of one scan (P,), and the pixels that it was fitted to."""
+        free = self.background_mask(scan)
+        return _fit_polynomial(scan, free, self.degree), free
 
     def adjoint(self, weights: Array, background_mask: Mask) -> Array:
         """Carry derivatives by a scan less its background back to its pixels, shape (..., P).
 
-        Which pixels were fitted to is taken as given.
-
         Args:
             weights: derivatives by the scan less its background, shape (..., P).
-            background_mask: pixels that the background was fitted to, same shape.
+            background_mask: pixels that the polynomial was fitted to, shape (P,).
         """
         basis = _basis(weights.shape[-1], self.degree)
         fitted = basis[background_mask]
@@ -118,7 +111,7 @@ class PolynomialBackground(PeakMask):
 
 
 @dataclass(frozen=True)
-class InterpolatedBackground:
+class InterpolatedBackground(Background):
     """Background by cutting out peaks and bridging the gaps, filtered; thesis 4.4 (1)-(2).
 
     "Isolating the peaks and linearizing the rest of the signal; the profile was superimposed
@@ -138,25 +131,19 @@ class InterpolatedBackground:
     mask: PeakMask
     smoothing: ScanFilter | None = None
 
-    def estimate(self, scans: ArrayLike) -> tuple[Array, Mask]:
-        """Return the background of scans (..., P), and the pixels that it was taken from."""
-
-        def one(scan: Array) -> tuple[Array, Mask]:
-            free = self.mask.background_mask(scan)
-            pixels = np.arange(len(scan))
-            interpolated = np.interp(pixels, pixels[free], scan[free])
-            return (
-                interpolated if self.smoothing is None else self.smoothing.apply(interpolated)
-            ), free
-
-        return _each(as_scans(scans), one)
+    def estimate_scan(self, scan: Array) -> tuple[Array, Mask]:
+        """Return the background of one scan (P,), and the pixels that it was taken from."""
+        free = self.mask.background_mask(scan)
+        pixels = np.arange(len(scan))
+        bridged = np.interp(pixels, pixels[free], scan[free])
+        return (bridged if self.smoothing is None else self.smoothing.apply(bridged)), free
 
     def adjoint(self, weights: Array, background_mask: Mask) -> Array:
         """Carry derivatives by a scan less its background back to its pixels, shape (..., P).
 
         Args:
             weights: derivatives by the scan less its background, shape (..., P).
-            background_mask: pixels that the background was taken from, same shape.
+            background_mask: pixels that the background was taken from, shape (P,).
         """
         spread = weights if self.smoothing is None else self.smoothing.adjoint(weights)
         count = weights.shape[-1]
@@ -169,14 +156,6 @@ class InterpolatedBackground:
         bridges = csr_array((np.concatenate([1.0 - share, share]), ends), shape=(count, count))
         interpolated = (bridges @ spread.reshape(-1, count).T).T
         return np.asarray(weights - interpolated.reshape(weights.shape))
-
-
-def _each(scans: Array, one: Callable[[Array], tuple[Array, Mask]]) -> tuple[Array, Mask]:
-    rows = scans.reshape(-1, scans.shape[-1])
-    background, free = np.empty_like(rows), np.empty(rows.shape, dtype=np.bool_)
-    for number, row in enumerate(rows):
-        background[number], free[number] = one(row)
-    return background.reshape(scans.shape), free.reshape(scans.shape)
 
 
 def _basis(pixels: int, degree: int) -> Array:

@@ -173,8 +173,8 @@ class SignalChain:
         pixels = raw.shape[-1]
         if self.correction_px >= pixels:
             raise InvalidParameter(
-                f"the filters delay lines by {self.correction_px:.6g} px; that must be less than "
-                f"the {pixels} pixels of a line",
+                f"the filters delay scans by {self.correction_px:.6g} px; that must be less than "
+                f"the {pixels} pixels of a scan",
                 delay_px=self.correction_px,
             )
         state = PipelineState(raw)
@@ -228,7 +228,7 @@ class SignalChain:
             return variance, full
         return (
             average_scans(variance, self.average) / self.average,
-            average_scans(full, self.average) > 0.0,
+            average_scans(full.astype(np.float64), self.average) > 0.0,
         )
 
     def _peaks_of(self, scan: Array) -> tuple[tuple[PeakSegment, ...], list[_Centre]]:

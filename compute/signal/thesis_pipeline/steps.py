@@ -1,7 +1,7 @@
 """Interfaces of the steps of a chain: filter and background."""
 
 from abc import ABC, abstractmethod
-from typing import Final, Literal, Protocol
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -54,21 +54,31 @@ class ScanFilter(ABC):
         """Carry derivatives by filtered pixels (..., P) back to derivatives by pixels."""
 
 
-class Background(Protocol):
+class Background(ABC):
     """An estimate of the light that does not come from markers."""
 
     def estimate(self, scans: ArrayLike) -> tuple[Array, NDArray[np.bool_]]:
         """Return the background of scans (..., P), and which pixels it was taken from."""
-        ...
+        values = as_scans(scans)
+        background, free = np.empty_like(values), np.empty(values.shape, dtype=np.bool_)
+        for row in np.ndindex(values.shape[:-1]):
+            background[row], free[row] = self.estimate_scan(values[row])
+        return background, free
 
+    @abstractmethod
+    def estimate_scan(self, scan: Array) -> tuple[Array, NDArray[np.bool_]]:
+        """Return the background of one scan (P,), and which pixels it was taken from."""
+
+    @abstractmethod
     def adjoint(self, weights: Array, background_mask: NDArray[np.bool_]) -> Array:
         """Carry derivatives by a scan less its background back to its pixels, shape (..., P).
 
+        Which pixels the background was taken from is taken as given.
+
         Args:
             weights: derivatives by the scan less its background, shape (..., P).
-            background_mask: pixels that the background was taken from, same shape.
+            background_mask: pixels that the background was taken from, shape (P,).
         """
-        ...
 
 
 def as_scans(scans: ArrayLike) -> Array:
@@ -82,10 +92,10 @@ def as_scans(scans: ArrayLike) -> Array:
     pixels = values.shape[-1] if values.ndim else 0
     if not _MIN_PIXELS <= pixels <= MAX_PIXELS:
         raise InvalidParameter(
-            f"lines have {pixels} pixels; they must have {_MIN_PIXELS} to {MAX_PIXELS}",
+            f"scans have {pixels} pixels; they must have {_MIN_PIXELS} to {MAX_PIXELS}",
             pixels=pixels,
         )
     if not np.isfinite(values).all():
         bad = float(values[~np.isfinite(values)][0])
-        raise NonFiniteValue(f"lines have the value {bad}; all must be finite", value=bad)
+        raise NonFiniteValue(f"scans have the value {bad}; all must be finite", value=bad)
     return values

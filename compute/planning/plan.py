@@ -29,7 +29,7 @@ MAX_MARKERS: Final = 64
 
 _LISTED_COUNTS: Final = (2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 24, 28, 32, 40, 50, 64)
 _MIN_COMMON_COVERAGE: Final = 0.1
-"""Least share of the volume that all sensors see, for ghosts to be counted."""
+"""Smallest share of the volume that all sensors see, for ghosts to be counted."""
 
 
 def plan(
@@ -48,7 +48,7 @@ def plan(
         profile: the device.
         grid: points along the axes of the volume, at least 3 each and 100,000 in all; odd numbers
             hold the middle.
-        markers: most markers to list; None: as many as the device drives, up to 64.
+        markers: largest number of markers to list; None: as many as the device drives, up to 64.
         volume: where; None: the profile's working volume.
         ghost_trials: of the Monte Carlo, for each way to mix markers.
         seed: of its random numbers.

@@ -32,7 +32,7 @@ class CentroidSettings:
 
     The definition, which the kernel and the reference both implement:
 
-    - *Background.* The line is sampled in up to 32 groups of 8 pixels, evenly spread; the
+    - *Background.* The scan is sampled in up to 32 groups of 8 pixels, evenly spread; the
       background b is the first quartile of the groups' means. It stands as long as peaks cover
       less than three quarters of the line, and is read in one pass over a few pixels. It lies
       0.25 standard deviations of a pixel below the mean of an empty line.
@@ -60,8 +60,8 @@ class CentroidSettings:
 
     Args:
         threshold_fraction: a peak's threshold as a fraction of its maximum above background.
-        detection_sigma: least maximum above background in standard deviations of the noise.
-        min_width_px: fewest pixels above a peak's own threshold; 2 leaves out hot pixels.
+        detection_sigma: minimum height above background in standard deviations of the noise.
+        min_width_px: minimum number of pixels above a peak's own threshold; 2 omits hot pixels.
         weighting: what the centre of gravity weighs.
         max_peaks: room for peaks of one line; the brightest are kept.
 

@@ -118,7 +118,7 @@ class PeakFinder:
         else:
             self._staged_records = self._records
         self._host_records = host_memory(self._staged_records).view(record)
-        # Of all batches of centres of gravity, which have neither.
+        # Read-only columns of all batches of centres of gravity, whose records lack them.
         shape = (max_scans, settings.max_peaks)
         self._absent = {
             "reduced_chi2": np.full(shape, np.nan, np.float32),

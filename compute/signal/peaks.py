@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from compute.flags import flag_names
 
 MAX_JOINT_PEAKS: Final = 4
-"""Most peaks that are fitted together."""
+"""Largest number of peaks that are fitted together."""
 
 
 class PeakFlag(IntFlag):

@@ -22,7 +22,7 @@ _LONGEST_PX: Final = 0.5
 _LARGEST_SCALE_STEP: Final = 0.01
 _MIN_STEP_PX: Final = 1e-12
 _MIN_DETERMINANT: Final = 1e-9
-"""Of an information scaled to a unit diagonal; below, a parameter is not told from others."""
+"""Smallest determinant of an information matrix, scaled to a unit diagonal, that is inverted."""
 
 
 @dataclass(frozen=True, eq=False)

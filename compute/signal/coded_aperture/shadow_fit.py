@@ -34,9 +34,9 @@ class ShadowSettings:
         fit_scale: fit the shadow's magnification too. A shadow is 1 + gap / Z as wide as the
             code, so one template fits one distance; with its scale free it fits others, and the
             position costs more noise where the pattern lies to one side of the reading.
-        false_alarms_per_line: most false readings to be expected of a scan without a shadow.
+        false_alarms_per_line: largest expected number of false readings of a scan without a shadow.
         ambiguity_probability: a shadow is ambiguous where another place is this much as likely.
-        misfit_probability: a fit is poor where chance alone makes its chi-square as rarely as this.
+        misfit_probability: a fit is poor if a larger chi-square is less probable than this.
 
     Raises:
         InvalidParameter: a value outside its range.
@@ -137,7 +137,7 @@ class ShadowFitter:
         self._model = ShadowModel(template, pixels, self.settings.fit_scale)
         rate = self.settings.false_alarms_per_line
         self.threshold_sigma = float(norm.isf(rate / self.search.count))
-        """Least correlation of a shadow, in standard deviations of that of noise."""
+        """Minimum correlation of a shadow, in standard deviations of that of noise."""
 
     def fit(self, scans: NDArray[np.uint16]) -> ShadowFit:
         """Fit scans of counts, uint16, shape (L, P).
@@ -196,8 +196,8 @@ class ShadowFitter:
         share = self.search.share(solution.shift_px)
         flags[share < CLIPPED_CONTRAST_THRESHOLD] |= int(PeakFlag.CLIPPED)
         flags[lead < -np.log(self.settings.ambiguity_probability)] |= int(PeakFlag.AMBIGUOUS)
-        chance = chdtrc(solution.dof, solution.chi2)
-        flags[chance < self.settings.misfit_probability] |= int(PeakFlag.POOR_FIT)
+        probability = chdtrc(solution.dof, solution.chi2)
+        flags[probability < self.settings.misfit_probability] |= int(PeakFlag.POOR_FIT)
         return flags
 
 

@@ -168,13 +168,13 @@ class PeakDetector:
 
     def _variance(self, scans: NDArray[np.uint16]) -> NDArray[np.float64]:
         """Return the variance of a pixel of each scan [counts^2], shape (L,)."""
-        spread = estimate_background(scans)
-        own = spread.variance()
+        estimate = estimate_background(scans)
+        measured = estimate.variance()
         if self.settings.noise == "line":
-            return own
+            return measured
         noise = self._noise.of_scans(np.arange(len(scans)) % len(self._noise))
-        model = noise.variance(spread.background[:, None] / LEVEL_UNIT)[:, 0]
-        return model if self.settings.noise == "model" else np.maximum(own, model)
+        model = noise.variance(estimate.background[:, None] / LEVEL_UNIT)[:, 0]
+        return model if self.settings.noise == "model" else np.maximum(measured, model)
 
     def _batch(
         self,

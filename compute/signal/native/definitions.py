@@ -18,7 +18,7 @@ SHORT_PIXELS: Final = SCANS_PER_BATCH * BLOCK_PIXELS
 LAUNCH_BOUNDS: Final = (BLOCK_THREADS, 6)
 """Blocks that fit in shared memory, by their number of scans."""
 LONG_SCANS_PER_WARP: Final = 2
-"""Of longer scans: the second one's blocks come while the first one's peaks are measured."""
+"""Longer scans of a warp: the second one's blocks come while the first one's peaks are measured."""
 CANDIDATE_SCANS_PER_BATCH: Final = 2
 """SCANS_PER_BATCH where a fit follows: what shared memory leaves is cache, and that holds the fit's
 arrays."""

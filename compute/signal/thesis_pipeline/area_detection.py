@@ -39,7 +39,7 @@ class WeightedAreas:
 
     Args:
         level_fraction: the low threshold, as a fraction of the scan's greatest value, 0 to 0.95.
-        keep_fraction: least weight, as a fraction of the scan's largest weight, 0 to 1.
+        keep_fraction: minimum weight, as a fraction of the scan's largest weight, 0 to 1.
 
     Raises:
         InvalidParameter: a value outside its range.

@@ -145,7 +145,7 @@ class InterpolatedBackground(Background):
             weights: derivatives by the scan less its background, shape (..., P).
             background_mask: pixels that the background was taken from, shape (P,).
         """
-        spread = weights if self.smoothing is None else self.smoothing.adjoint(weights)
+        smoothed = weights if self.smoothing is None else self.smoothing.adjoint(weights)
         count = weights.shape[-1]
         pixels = np.arange(count)
         known = pixels[background_mask]
@@ -154,7 +154,7 @@ class InterpolatedBackground(Background):
         share = ((pixels - low) / (high - low)).clip(0.0, 1.0)
         ends = (np.concatenate([low, high]), np.concatenate([pixels, pixels]))
         bridges = csr_array((np.concatenate([1.0 - share, share]), ends), shape=(count, count))
-        interpolated = (bridges @ spread.reshape(-1, count).T).T
+        interpolated = (bridges @ smoothed.reshape(-1, count).T).T
         return np.asarray(weights - interpolated.reshape(weights.shape))
 
 

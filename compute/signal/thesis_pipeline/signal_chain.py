@@ -65,12 +65,12 @@ class SignalChain:
         repeats: 1 to 20.
         areas: the weighted area filter of section 6.2.1.
         separation: of close peaks; it has a level of its own.
-        level_fraction: least maximum of a peak as a fraction of the scan's greatest value, 0 to
+        level_fraction: minimum height of a peak as a fraction of the scan's greatest value, 0 to
             0.95; thesis 4.5: 1/5.
         threshold_fraction: a peak's own threshold as a fraction of its maximum, 0 to 0.95; 1/3
             for active targets. With separation the maximum is above the zero line.
         weighting: what the centre of gravity weighs: ``centre_of_gravity``.
-        min_width_px: fewest pixels above a peak's threshold.
+        min_width_px: minimum number of pixels above a peak's threshold.
         max_peaks: of one scan, 1 to 65536; of more the highest are kept, TRUNCATED.
 
     Raises:

@@ -110,9 +110,9 @@ def pack_plan(settings: FitSettings, shape: LineSpreadFunction) -> NDArray[np.ui
     Returns:
         64-bit words, to keep them aligned.
     """
-    spread = settings.width_log_sigma
+    sigma = settings.width_log_sigma
     low, high = WIDTH_LIMITS_PX
-    factor = exp(min(2.0 * spread, 700.0))
+    factor = exp(min(2.0 * sigma, 700.0))
     limits = settings.chi2_limits()
     sensors, nodes, places = shape.cumulative.shape
     # The pieces in float32 are read 16 bytes at a time.
@@ -120,7 +120,7 @@ def pack_plan(settings: FitSettings, shape: LineSpreadFunction) -> NDArray[np.ui
     plan = np.zeros((), PLAN.dtype)
     plan["width_px"] = settings.width_px
     plan["log_width"] = log(settings.width_px)
-    plan["prior"] = spread**-2 if 0.0 < spread < np.inf else 0.0
+    plan["prior"] = sigma**-2 if 0.0 < sigma < np.inf else 0.0
     plan["narrow4"] = settings.narrow_width_px**NARROW_POWER
     plan["reach"] = settings.reach
     plan["shape_error2"] = settings.shape_error**2
@@ -133,8 +133,8 @@ def pack_plan(settings: FitSettings, shape: LineSpreadFunction) -> NDArray[np.ui
     plan["first_node"], plan["node_step"] = shape.first_node_px, shape.node_step_px
     plan["max_joint_peaks"] = settings.max_joint_peaks
     plan["sloped"] = settings.background == "slope"
-    plan["width_is_fitted"] = spread > 0.0
-    plan["has_prior"] = 0.0 < spread < np.inf
+    plan["width_is_fitted"] = sigma > 0.0
+    plan["has_prior"] = 0.0 < sigma < np.inf
     plan["sensors"], plan["nodes"], plan["pieces"] = sensors, nodes, places + 1
     plan["limits"] = len(limits)
     plan["further_peaks"] = settings.further_peaks

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft
 
-from compute.parameter_checks import require
+from compute.errors import InvalidParameter
 from compute.signal.coded_aperture.shadow_template import ShadowTemplate
 
 Array = NDArray[np.float64]
@@ -49,7 +49,10 @@ class ShadowSearch:
     """
 
     def __init__(self, template: ShadowTemplate, pixels: int) -> None:
-        require(pixels >= 8, "be 8 or more", pixels=pixels)
+        if pixels < 8:
+            raise InvalidParameter(
+                f"a scan has {pixels} pixels; it must have 8 or more", pixels=pixels
+            )
         model = template.pixel_values
         if not template.dark_beyond:
             # Nothing is known of the rest: let it be as bright as the mean.

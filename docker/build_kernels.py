@@ -4,7 +4,6 @@ Usage: build_kernels.py [GPU_ARCHITECTURE...]. Without one, for the CPU that thi
 """
 
 import sys
-import types
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
@@ -19,22 +18,16 @@ def modules() -> Iterator[tuple[Any, int]]:
 
     Tools are followed by the CPU, whatever there is beside it.
     """
-    import warp as wp
-
     from compute.optics.tracing import ray_kernel as tracing
     from compute.optics.tracing.ray_tracer import THREADS_PER_BLOCK as RAYS
     from compute.pose.filtering.native.kernel import step_kernel
     from compute.reconstruction.native.cuda_launch import THREADS_PER_BLOCK as POINTS
     from compute.reconstruction.solver import MIN_CAPACITY, point_kernel
-    from compute.signal.fit import fit_kernel
-    from compute.signal.native.centroid_kernel import centroid_kernel
-    from compute.signal.native.centroid_source import Length
-    from compute.signal.native.cuda_launch_sizes import BLOCK_THREADS
+    from compute.signal.native.definitions import BLOCK_THREADS
+    from compute.signal.native.scan_kernel import Search, scan_kernel
 
-    assert isinstance(fit_kernel, types.ModuleType)
-    yield wp.get_module(fit_kernel.__name__), BLOCK_THREADS
-    for length in get_args(Length)[:3]:
-        yield centroid_kernel(length).module, BLOCK_THREADS
+    for search in get_args(Search):
+        yield scan_kernel(search).module, BLOCK_THREADS
     yield tracing.trace_rays.module, RAYS
     yield tracing.trace_rays_without_toroids.module, RAYS
     for sensors in SENSORS:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.camera.model import Vector3
-from compute.errors import InvalidParameter
+from compute.parameter_checks import check_finite, require
 
 Array = NDArray[np.float64]
 
@@ -30,15 +30,9 @@ class Box:
     size_mm: Vector3
 
     def __post_init__(self) -> None:
-        if not all(0.0 < length < np.inf for length in self.size_mm):
-            raise InvalidParameter(
-                f"size_mm is {self.size_mm}; all three lengths must be positive",
-                size_mm=self.size_mm,
-            )
-        if not np.isfinite(self.centre_mm).all():
-            raise InvalidParameter(
-                f"centre_mm is {self.centre_mm}; it must be finite", centre_mm=self.centre_mm
-            )
+        valid = all(0.0 < length < np.inf for length in self.size_mm)
+        require(valid, "hold three positive lengths", size_mm=self.size_mm)
+        check_finite(self, "centre_mm")
 
     def contains(self, points_mm: Array) -> NDArray[np.bool_]:
         """Return which points (..., 3) lie inside; NaN does not."""
@@ -64,15 +58,11 @@ class Grid:
     """A regular grid of points over a box, its faces included.
 
     Args:
-        box: the box.
-        shape: points along X, Y and Z.
         points_mm: shape (N, 3) [mm], X changing slowest.
         weights: the share of the volume that each point stands for (trapezoidal rule), shape
             (N,), adding up to 1.
     """
 
-    box: Box
-    shape: tuple[int, int, int]
     points_mm: Array
     weights: Array
 
@@ -87,12 +77,11 @@ def volume_grid(box: Box, points: tuple[int, int, int]) -> Grid:
     Raises:
         InvalidParameter: fewer than 2 along an axis, or more than 100,000 in all.
     """
-    if min(points) < 2 or int(np.prod(points, dtype=np.int64)) > MAX_GRID_POINTS:
-        raise InvalidParameter(
-            f"grid is {points}; it must have at least 2 points along each axis and at most "
-            f"{MAX_GRID_POINTS} in all",
-            grid=points,
-        )
+    require(
+        min(points) >= 2 and int(np.prod(points, dtype=np.int64)) <= MAX_GRID_POINTS,
+        f"have at least 2 points along each axis and at most {MAX_GRID_POINTS} in all",
+        grid=points,
+    )
     axes, shares = [], []
     for centre, size, count in zip(box.centre_mm, box.size_mm, points, strict=True):
         axes.append(centre + size * np.linspace(-0.5, 0.5, count))
@@ -101,7 +90,7 @@ def volume_grid(box: Box, points: tuple[int, int, int]) -> Grid:
         shares.append(share)
     points_mm = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     weights = np.einsum("i,j,k->ijk", *shares).ravel()
-    return Grid(box, points, points_mm, weights)
+    return Grid(points_mm, weights)
 
 
 @dataclass(frozen=True)

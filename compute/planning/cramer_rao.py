@@ -11,6 +11,7 @@ from compute.errors import InvalidParameter
 from compute.optics.detector import Detector
 from compute.optics.pixel_solid_angles import PixelSolidAngles, SolidAngleOptics
 from compute.optics.stripe_optics.stripe_profile import CELLS, StripeProfiles
+from compute.parameter_checks import check_not_negative, check_positive
 from compute.signal.centroid_reference import find_peaks_reference
 from compute.signal.centroid_settings import GROUP_PIXELS, SAMPLE_GROUPS, CentroidSettings
 from compute.signal.sensor_noise import SensorNoise
@@ -53,11 +54,7 @@ class PixelNoise:
         )
 
     def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if not 0.0 <= value < np.inf:
-                raise InvalidParameter(
-                    f"{name} is {value}; it must be zero or positive", **{name: value}
-                )
+        check_not_negative(self, *vars(self))
         if self.variance_electrons2 == 0.0:
             raise InvalidParameter(
                 "read_noise_electrons, electrons_per_count and background_electrons are all 0; "
@@ -227,11 +224,7 @@ def centre_of_gravity_sigma(
     Raises:
         InvalidParameter: ``noise`` has no gain.
     """
-    if noise.electrons_per_count <= 0.0:
-        raise InvalidParameter(
-            f"electrons_per_count is {noise.electrons_per_count}; it must be positive to count",
-            electrons_per_count=noise.electrons_per_count,
-        )
+    check_positive(noise, "electrons_per_count")
     width = mean_electrons.shape[-1]
     # Enough dark groups beside the line for the finder's background.
     length = max(4 * width, SAMPLE_GROUPS * GROUP_PIXELS)

@@ -1,11 +1,11 @@
 """Measurement and data rates of a device, [3.1]-[3.3]."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
-from compute.errors import InvalidParameter
+from compute.parameter_checks import require
 
 Illumination = Literal["strobed", "simultaneous"]
 
@@ -67,19 +67,11 @@ def rates(
         InvalidParameter: a value is out of range.
     """
     for name, value in (("markers", markers), ("sensors", sensors), ("pixels", pixels)):
-        if value < 1:
-            raise InvalidParameter(f"{name} is {value}; it must be at least 1", **{name: value})
-    if not 0.0 < line_rate_hz < np.inf:
-        raise InvalidParameter(
-            f"line_rate_hz is {line_rate_hz}; it must be positive", line_rate_hz=line_rate_hz
-        )
-    if not 1 <= bits <= 32:
-        raise InvalidParameter(f"bits is {bits}; it must be 1 to 32", bits=bits)
-    if illumination not in ("strobed", "simultaneous"):
-        raise InvalidParameter(
-            f'illumination is "{illumination}"; it must be strobed or simultaneous',
-            illumination=illumination,
-        )
+        require(value >= 1, "be at least 1", **{name: value})
+    require(0.0 < line_rate_hz < np.inf, "be positive", line_rate_hz=line_rate_hz)
+    require(1 <= bits <= 32, "be 1 to 32", bits=bits)
+    kinds = get_args(Illumination)
+    require(illumination in kinds, "be strobed or simultaneous", illumination=illumination)
     together = illumination == "simultaneous"
     points = line_rate_hz * (markers if together else 1)
     raw_pixels = line_rate_hz * sensors * pixels

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.errors import InvalidParameter
 from compute.optics.detector import Detector
+from compute.parameter_checks import check_not_negative
 from compute.planning.cramer_rao import PixelNoise
 
 Array = NDArray[np.float64]
@@ -44,11 +44,7 @@ class PixelNonuniformity:
         )
 
     def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if not 0.0 <= value < np.inf:
-                raise InvalidParameter(
-                    f"{name} is {value}; it must be zero or positive", **{name: value}
-                )
+        check_not_negative(self, *vars(self))
 
 
 def fixed_pattern_sigma(

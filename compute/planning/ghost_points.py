@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter
+from compute.parameter_checks import require
 from compute.planning.coverage import Box
 from compute.reconstruction.correspondence.candidates import FALSE_REJECTION
 from compute.reconstruction.triangulation import chi2_limit, reconstruct
@@ -150,13 +151,10 @@ def ghost_probabilities(
             f"there are {sensors} sensors; ghosts are counted for 3 to {MAX_SENSORS}",
             sensors=sensors,
         )
-    if trials < 1:
-        raise InvalidParameter(f"trials is {trials}; it must be at least 1", trials=trials)
+    require(trials >= 1, "be at least 1", trials=trials)
     sigma = np.broadcast_to(np.asarray(sigma_px, dtype=np.float64), (sensors,))
-    if not ((sigma > 0.0) & np.isfinite(sigma)).all():
-        raise InvalidParameter(
-            f"sigma_px is {sigma.tolist()}; it must be positive", sigma_px=sigma.tolist()
-        )
+    positive = ((sigma > 0.0) & np.isfinite(sigma)).all()
+    require(positive, "be positive", sigma_px=sigma.tolist())
     limit = chi2_limit(sensors - 3, FALSE_REJECTION) if limit_sigma is None else limit_sigma**2
     rng = np.random.default_rng(seed)
     probability, variance, shares = [], [], []
@@ -242,26 +240,16 @@ def _misfit(cameras: CameraStack, readings_px: Array, sigma_px: Array) -> Array:
 
 def _partitions(count: int) -> Iterator[tuple[tuple[int, ...], ...]]:
     """Yield the partitions of ``0 .. count - 1`` into groups."""
-
-    def grown(member: int, groups: list[list[int]]) -> Iterator[tuple[tuple[int, ...], ...]]:
-        if member == count:
-            yield tuple(tuple(group) for group in groups)
-            return
-        for group in groups:
-            group.append(member)
-            yield from grown(member + 1, groups)
-            group.pop()
-        groups.append([member])
-        yield from grown(member + 1, groups)
-        groups.pop()
-
-    yield from grown(0, [])
+    if count == 0:
+        yield ()
+        return
+    last = (count - 1,)
+    for groups in _partitions(count - 1):
+        for number, group in enumerate(groups):
+            yield (*groups[:number], group + last, *groups[number + 1 :])
+        yield (*groups, last)
 
 
 def _check(markers: int, sensors: int, *, least: int) -> None:
-    if markers < 1:
-        raise InvalidParameter(f"markers is {markers}; it must be at least 1", markers=markers)
-    if sensors < least:
-        raise InvalidParameter(
-            f"sensors is {sensors}; it must be at least {least}", sensors=sensors
-        )
+    require(markers >= 1, "be at least 1", markers=markers)
+    require(sensors >= least, f"be at least {least}", sensors=sensors)

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.camera.model import Vector3, vector3
-from compute.errors import InvalidParameter
 from compute.optics.profiles.device_profile import DeviceProfile
+from compute.parameter_checks import require
 from compute.planning.coverage import Box, Coverage, coverage, volume_grid
 from compute.planning.data_rates import Rates, rates
 from compute.planning.ghost_points import (
@@ -29,7 +29,7 @@ MAX_MARKERS: Final = 64
 
 _LISTED_COUNTS: Final = (2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 24, 28, 32, 40, 50, 64)
 _MIN_COMMON_COVERAGE: Final = 0.1
-"""Least share of the volume that all sensors see, for ghosts to be counted."""
+"""Smallest share of the volume that all sensors see, for ghosts to be counted."""
 
 
 def plan(
@@ -48,7 +48,7 @@ def plan(
         profile: the device.
         grid: points along the axes of the volume, at least 3 each and 100,000 in all; odd numbers
             hold the middle.
-        markers: most markers to list; None: as many as the device drives, up to 64.
+        markers: largest number of markers to list; None: as many as the device drives, up to 64.
         volume: where; None: the profile's working volume.
         ghost_trials: of the Monte Carlo, for each way to mix markers.
         seed: of its random numbers.
@@ -58,18 +58,11 @@ def plan(
         InvalidParameter: a value out of its range; a volume that is not seen well enough.
     """
     most = min(profile.markers.max_markers, MAX_MARKERS) if markers is None else markers
-    if not 1 <= most <= MAX_MARKERS:
-        raise InvalidParameter(f"markers is {most}; it must be 1 to {MAX_MARKERS}", markers=most)
+    require(1 <= most <= MAX_MARKERS, f"be 1 to {MAX_MARKERS}", markers=most)
     box = volume or Box(profile.volume.centre_mm, profile.volume.size_mm)
     shape = (grid, grid, grid) if isinstance(grid, int) else grid
-    if min(shape) < 3:
-        raise InvalidParameter(
-            f"grid is {grid}; it must have at least 3 points along each axis", grid=grid
-        )
-    if ghost_trials < 1:
-        raise InvalidParameter(
-            f"ghost_trials is {ghost_trials}; it must be at least 1", ghost_trials=ghost_trials
-        )
+    require(min(shape) >= 3, "have at least 3 points along each axis", grid=grid)
+    require(ghost_trials >= 1, "be at least 1", ghost_trials=ghost_trials)
     volume_points = volume_grid(box, shape)
     device = planning_device(profile)
     report = progress or (lambda _: None)
@@ -89,7 +82,7 @@ def plan(
         profile.name,
         profile.title,
         box,
-        volume_points.shape,
+        shape,
         _sensors(device, lines),
         _summary(noise.sd_mm, centre),
         _summary(centroid.sd_mm, centre),
@@ -146,7 +139,7 @@ def _ghosts(
         lines.cameras,
         device.pixels,
         box,
-        _median(sigma),
+        column_medians(sigma),
         drawn_from=box,
         trials=trials,
         seed=seed,
@@ -177,39 +170,28 @@ def _rates(profile: DeviceProfile, most: int) -> tuple[Rates, ...]:
 
 
 def _sensors(device: PlanningDevice, lines: SimulatedReadings) -> tuple[PlannedSensor, ...]:
-    columns = [
-        _median(values).tolist()
-        for values in (
-            lines.scan_electrons, lines.peak_electrons, lines.bound_px, lines.centroid_px,
-            lines.pattern_px,
-        )
-    ]  # fmt: skip
+    medians = {
+        "scan_electrons": column_medians(lines.scan_electrons),
+        "peak_electrons": column_medians(lines.peak_electrons),
+        "bound_px": column_medians(lines.bound_px),
+        "centroid_px": column_medians(lines.centroid_px),
+        "fixed_pattern_px": column_medians(lines.pattern_px),
+    }
     share = lines.saturated.sum(axis=0) / np.maximum(lines.visible.sum(axis=0), 1)
     return tuple(
         PlannedSensor(
-            name,
-            vector3(position),
-            _number(line),
-            _number(peak),
-            float(saturated),
-            _number(bound),
-            _number(centroid),
-            _number(pattern),
-            float(misfit),
-            float(distance),
+            name=name,
+            position_mm=vector3(device.positions_mm[sensor]),
+            saturated=float(share[sensor]),
+            misfit_px=float(lines.misfit_px[sensor]),
+            principal_distance_px=float(lines.cameras.principal_distance_px[sensor]),
+            **{
+                key: float(values[sensor]) if np.isfinite(values[sensor]) else None
+                for key, values in medians.items()
+            },
         )
-        for (
-            name, position, saturated, line, peak, bound, centroid, pattern, misfit, distance
-        ) in zip(
-            device.names,
-            device.positions_mm,
-            share,
-            *columns,
-            lines.misfit_px,
-            lines.cameras.principal_distance_px,
-            strict=True,
-        )
-    )  # fmt: skip
+        for sensor, name in enumerate(device.names)
+    )
 
 
 def _saturation_notes(lines: SimulatedReadings) -> tuple[str, ...]:
@@ -224,12 +206,10 @@ def _saturation_notes(lines: SimulatedReadings) -> tuple[str, ...]:
     return (note,)
 
 
-def _median(values: Array) -> Array:
-    """Return the medians of the columns; NaN for one without values."""
-    return np.array(
-        [np.median(known) if len(known := column[np.isfinite(column)]) else np.nan
-         for column in values.T]
-    )  # fmt: skip
+def column_medians(values: Array) -> Array:
+    """Return the medians of the columns, shape (N, S) -> (S,); NaN for one without values."""
+    known = [column[np.isfinite(column)] for column in values.T]
+    return np.array([np.median(column) if len(column) else np.nan for column in known])
 
 
 def _summary(values_mm: Array, centre: int) -> AxisSummary:
@@ -246,10 +226,6 @@ def _summary(values_mm: Array, centre: int) -> AxisSummary:
 
 def _vector(row: Array) -> Vector3 | None:
     return vector3(row) if np.isfinite(row).all() else None
-
-
-def _number(value: float) -> float | None:
-    return value if np.isfinite(value) else None
 
 
 _ASSUMPTIONS: Final = (

@@ -54,9 +54,9 @@ def _line_peaks(
     photon = float(noise.photon_variance[sensor])
     offset = float(noise.offset_counts[sensor])
     full = int(noise.full_scale_counts[sensor])
-    background, spread = _background(values)
+    background, noise_level = _background(values)
     light = max(background / LEVEL_UNIT - offset, 0.0)
-    pixel_sigma = max((dark + photon * light) ** 0.5, spread / LEVEL_UNIT)
+    pixel_sigma = max((dark + photon * light) ** 0.5, noise_level / LEVEL_UNIT)
     limit = background / LEVEL_UNIT + settings.detection_sigma * pixel_sigma
 
     variances = dark + photon * np.maximum(values - offset, 0.0)
@@ -87,7 +87,7 @@ def _line_peaks(
 
 
 def _background(values: NDArray[np.int64]) -> tuple[int, int]:
-    """Return the background and the spread of the scan's dark part, in 1/LEVEL_UNIT counts."""
+    """Return the background and the noise level of the scan's dark part, in 1/LEVEL_UNIT counts."""
     sums = sorted(
         int(values[start : start + GROUP_PIXELS].sum()) for start in sample_starts(len(values))
     )

@@ -1,11 +1,10 @@
 """Settings of the centroid peak finder, and the definition of a peak."""
 
 from dataclasses import dataclass
-from math import isfinite
 from numbers import Integral
 from typing import Final, Literal, get_args
 
-from compute.errors import InvalidParameter
+from compute.parameter_checks import require
 
 Weighting = Literal["edge-corrected", "above-threshold", "above-background"]
 """What the centre of gravity weighs; CentroidSettings says what each is."""
@@ -33,7 +32,7 @@ class CentroidSettings:
 
     The definition, which the kernel and the reference both implement:
 
-    - *Background.* The line is sampled in up to 32 groups of 8 pixels, evenly spread; the
+    - *Background.* The scan is sampled in up to 32 groups of 8 pixels, evenly spread; the
       background b is the first quartile of the groups' means. It stands as long as peaks cover
       less than three quarters of the line, and is read in one pass over a few pixels. It lies
       0.25 standard deviations of a pixel below the mean of an empty line.
@@ -61,8 +60,8 @@ class CentroidSettings:
 
     Args:
         threshold_fraction: a peak's threshold as a fraction of its maximum above background.
-        detection_sigma: least maximum above background in standard deviations of the noise.
-        min_width_px: fewest pixels above a peak's own threshold; 2 leaves out hot pixels.
+        detection_sigma: minimum height above background in standard deviations of the noise.
+        min_width_px: minimum number of pixels above a peak's own threshold; 2 omits hot pixels.
         weighting: what the centre of gravity weighs.
         max_peaks: room for peaks of one line; the brightest are kept.
 
@@ -77,22 +76,10 @@ class CentroidSettings:
     max_peaks: int = 16
 
     def __post_init__(self) -> None:
-        if not 0.05 <= self.threshold_fraction <= 0.95:
-            raise InvalidParameter(
-                f"threshold_fraction is {self.threshold_fraction}; it must lie in 0.05 .. 0.95",
-                threshold_fraction=self.threshold_fraction,
-            )
-        if not (isfinite(self.detection_sigma) and 3.0 <= self.detection_sigma <= 1000.0):
-            raise InvalidParameter(
-                f"detection_sigma is {self.detection_sigma}; it must lie in 3 .. 1000",
-                detection_sigma=self.detection_sigma,
-            )
+        require_between("threshold_fraction", self.threshold_fraction, 0.05, 0.95)
+        require_between("detection_sigma", self.detection_sigma, 3.0, 1000.0)
         require_whole("min_width_px", self.min_width_px, 1, MAX_PIXELS)
-        if self.weighting not in get_args(Weighting):
-            raise InvalidParameter(
-                f"weighting is {self.weighting!r}; it must be one of {get_args(Weighting)}",
-                weighting=self.weighting,
-            )
+        require_choice("weighting", self.weighting, get_args(Weighting))
         require_whole("max_peaks", self.max_peaks, 1, 1024)
 
     @property
@@ -102,23 +89,40 @@ class CentroidSettings:
 
 
 def require_whole(name: str, value: int, minimum: int, maximum: int) -> None:
-    """Refuse a number that is no integer or lies outside its range: arrays are sized by it.
+    """Raise InvalidParameter unless a number is whole and in its range; arrays are sized by it.
 
     Args:
-        name: name of the value, for the message.
+        name: name of the parameter.
         value: the number.
-        minimum: least value that is allowed.
-        maximum: greatest value that is allowed.
-
-    Raises:
-        InvalidParameter: with the value and the range.
+        minimum: smallest valid value.
+        maximum: largest valid value.
     """
     whole = isinstance(value, Integral) and not isinstance(value, bool)
-    if not (whole and minimum <= value <= maximum):
-        raise InvalidParameter(
-            f"{name} is {value}; it must be a whole number in {minimum} .. {maximum}",
-            **{name: value},
-        )
+    valid = whole and minimum <= value <= maximum
+    require(valid, f"be a whole number in {minimum} .. {maximum}", **{name: value})
+
+
+def require_between(name: str, value: float, minimum: float, maximum: float) -> None:
+    """Raise InvalidParameter unless a number is in its range.
+
+    Args:
+        name: name of the parameter.
+        value: the number.
+        minimum: smallest valid value.
+        maximum: largest valid value.
+    """
+    require(minimum <= value <= maximum, f"lie in {minimum:g} .. {maximum:g}", **{name: value})
+
+
+def require_choice(name: str, value: str, choices: tuple[str, ...]) -> None:
+    """Raise InvalidParameter unless a value is one of the choices.
+
+    Args:
+        name: name of the parameter.
+        value: the value.
+        choices: the valid values.
+    """
+    require(value in choices, f"be one of {choices}", **{name: value})
 
 
 def sample_starts(pixels: int) -> tuple[int, ...]:

@@ -3,13 +3,11 @@
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import NDArray
 
-from compute.errors import InvalidParameter
-from compute.signal.fit.fit_settings import FitSettings
-from compute.signal.fit.line_spread_function import LineSpreadFunction
-from compute.signal.fit.window_model import Array, Layout, Windows, evaluate
-from compute.signal.sensor_noise import SensorNoise
+from compute.parameter_checks import require
+
+Array = NDArray[np.float64]
 
 
 def fisher_information(derivatives: Sequence[Array], variance: Array) -> Array:
@@ -71,12 +69,11 @@ def position_bound(
     Raises:
         InvalidParameter: a noise variance that is negative or not finite.
     """
-    if not 0.0 <= noise_variance_electrons2 < np.inf:
-        raise InvalidParameter(
-            f"noise_variance_electrons2 is {noise_variance_electrons2}; it must be zero or "
-            "positive",
-            noise_variance_electrons2=noise_variance_electrons2,
-        )
+    require(
+        0.0 <= noise_variance_electrons2 < np.inf,
+        "be zero or positive",
+        noise_variance_electrons2=noise_variance_electrons2,
+    )
     variance = np.maximum(mean_electrons, 0.0) + noise_variance_electrons2
     joint = fisher_information((derivative_electrons_per_px, mean_electrons), variance)
     position, mixed, brightness = joint[..., 0, 0], joint[..., 0, 1], joint[..., 1, 1]
@@ -85,75 +82,3 @@ def position_bound(
         information = position if known_brightness else position - lost
         bound: Array = np.where(information > 0.0, information, 0.0) ** -0.5
     return bound
-
-
-def joint_position_bounds(
-    position_px: ArrayLike,
-    light_electrons: Sequence[float],
-    ambient_electrons: float,
-    pixels: int,
-    settings: FitSettings,
-    noise: SensorNoise,
-    shape: LineSpreadFunction | None = None,
-    *,
-    only_positions: bool = False,
-) -> Array:
-    """Return the Cramer-Rao bounds of the positions of K peaks on sensor 0, as covariances.
-
-    The unknowns, and the prior of the width, are those of ``FitSettings``; ``position_bound`` is
-    the bound of one peak of any shape whose brightness alone is unknown beside its position.
-
-    Args:
-        position_px: true positions, shape (N, K) [px].
-        light_electrons: light of each of the K peaks.
-        ambient_electrons: ambient light of a pixel.
-        pixels: number of pixels of the scan.
-        settings: what is known: the width is ``width_px``.
-        noise: of the sensors; the first counts.
-        shape: the line-spread function; None: a Gaussian.
-        only_positions: nothing but the positions is unknown.
-
-    Returns:
-        Covariances, shape (N, K, K) [px^2].
-
-    Raises:
-        InvalidParameter: positions of another shape than (N, K).
-    """
-    place = np.asarray(position_px, dtype=np.float64)
-    if place.ndim != 2 or place.shape[1] != len(light_electrons):
-        raise InvalidParameter(
-            f"position_px has the shape {place.shape}; it must be (N, {len(light_electrons)})",
-            position_px=place.shape,
-        )
-    gain, offset = noise.electrons_per_count[0], noise.offset_counts[0]
-    layout = Layout(place.shape[1], settings.background == "slope")
-    parameters = np.zeros((len(place), layout.size))
-    parameters[:, 0] = offset + ambient_electrons / gain
-    parameters[:, layout.light] = np.asarray(light_electrons) / gain
-    parameters[:, layout.position] = place
-    parameters[:, -1] = np.log(settings.width_px)
-    windows = Windows.cut(
-        np.zeros((1, pixels), np.uint16),
-        np.zeros(len(place), np.int64),
-        np.zeros(len(place), np.int64),
-        np.full(len(place), pixels - 1),
-        noise,
-    )
-    model = evaluate(
-        windows,
-        parameters,
-        layout,
-        settings,
-        LineSpreadFunction.gaussian() if shape is None else shape,
-    )
-    information = fisher_information(tuple(model.jacobian.transpose(1, 0, 2)), model.variance)
-    unknown = np.arange(layout.size)
-    if 0.0 < settings.width_log_sigma < np.inf:
-        information[:, -1, -1] += settings.width_log_sigma**-2
-    if settings.width_log_sigma == 0.0:
-        unknown = unknown[:-1]
-    if only_positions:
-        unknown = unknown[layout.position]
-    covariance = np.linalg.inv(information[:, unknown[:, None], unknown])
-    positions = np.isin(unknown, np.arange(layout.size)[layout.position])
-    return np.asarray(covariance[:, positions][:, :, positions], dtype=np.float64)

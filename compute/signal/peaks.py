@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from compute.flags import flag_names
 
 MAX_JOINT_PEAKS: Final = 4
-"""Most peaks that are fitted together."""
+"""Largest number of peaks that are fitted together."""
 
 
 class PeakFlag(IntFlag):
@@ -37,20 +37,11 @@ class PeakFlag(IntFlag):
 
 @dataclass(frozen=True)
 class Peak:
-    """One peak of one scan.
+    """One peak of one scan: the fields of PeakBatch, and the names of its flags.
 
-    Args:
-        sensor: name of the sensor whose scan it is in.
-        position_px: the estimate [px]: a centre of gravity, a fitted position or a shadow's
-            reading; the centre of the first pixel is 0.
-        sigma_px: standard deviation of the position by the noise model [px].
-        amplitude: maximum above the scan's background [counts].
-        width_px: full width at the peak's own threshold [px].
-        reduced_chi2: misfit of the fitted shape per degree of freedom; NaN for a centre of gravity.
-        flags: names of the flags that hold, in lower case with hyphens.
+    Flags are in lower case with hyphens; ``reduced_chi2`` is NaN for a centre of gravity.
     """
 
-    sensor: str
     position_px: float
     sigma_px: float
     amplitude: float
@@ -124,22 +115,13 @@ class PeakBatch:
             whole[row, row + ahead] = whole[row + ahead, row] = with_next
         return whole
 
-    def peaks(self, scan: int, sensor: str) -> tuple[Peak, ...]:
-        """Return one scan's peaks as values.
-
-        Args:
-            scan: number of the scan.
-            sensor: name of its sensor.
-        """
+    def peaks(self, scan: int) -> tuple[Peak, ...]:
+        """Return the peaks of the scan of this number as values."""
+        names = ("position_px", "sigma_px", "amplitude", "width_px", "reduced_chi2")
         return tuple(
             Peak(
-                sensor,
-                float(self.position_px[scan, k]),
-                float(self.sigma_px[scan, k]),
-                float(self.amplitude[scan, k]),
-                float(self.width_px[scan, k]),
-                float(self.reduced_chi2[scan, k]),
-                flag_names(PeakFlag(int(self.flags[scan, k]))),
+                **{name: float(getattr(self, name)[scan, k]) for name in names},
+                flags=flag_names(PeakFlag(int(self.flags[scan, k]))),
             )
             for k in range(int(self.count[scan]))
         )
@@ -148,3 +130,8 @@ class PeakBatch:
 def no_peaks(scans: int) -> PeakBatch:
     """Return a batch of scans without peaks and without room for one."""
     return PeakBatch.empty(scans, 0)
+
+
+def number_within_scan(scan: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return each peak's number within its scan, by the peaks' ascending scans, shape (M,)."""
+    return np.asarray(np.arange(len(scan)) - np.searchsorted(scan, scan))

@@ -6,13 +6,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from compute.errors import InvalidParameter
+from compute.signal.array_rows import ArrayRows
 
 QUANTISATION_VARIANCE = 1.0 / 12.0
 """Variance of rounding to whole counts [counts^2]."""
 
 
 @dataclass(frozen=True, eq=False)
-class SensorNoise:
+class SensorNoise(ArrayRows):
     """Noise of S sensors; scan l belongs to sensor ``l % S``.
 
     A pixel of v counts has the variance ``read^2/gain^2 + (v - offset)/gain + 1/12`` [counts^2]:
@@ -98,7 +99,7 @@ class SensorNoise:
 
 
 @dataclass(frozen=True, eq=False)
-class ScanNoise:
+class ScanNoise(ArrayRows):
     """Noise of N scans, or of windows cut out of them.
 
     Args:
@@ -110,10 +111,6 @@ class ScanNoise:
     dark: NDArray[np.float64]
     photon: NDArray[np.float64]
     offset: NDArray[np.float64]
-
-    def __getitem__(self, rows: NDArray[np.int64] | NDArray[np.bool_]) -> "ScanNoise":
-        """Return the noise of some of the scans."""
-        return ScanNoise(self.dark[rows], self.photon[rows], self.offset[rows])
 
     def variance(self, counts: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the variance of pixels of mean counts, shape (N, P) [counts^2]."""

@@ -12,8 +12,7 @@ from compute.measurement.flag_policy import STANDARD_POLICY, FlagPolicy
 from compute.planning.volume_scans import VolumeScans
 from compute.signal.centroid_finder import CentroidFinder
 from compute.signal.centroid_settings import CentroidSettings
-from compute.signal.coded_aperture.mask_reader import MaskReader
-from compute.signal.coded_aperture.shadow_settings import ShadowSettings
+from compute.signal.coded_aperture.shadow_fit import MaskReader, ShadowSettings
 from compute.signal.fit.fit_finder import FitFinder
 from compute.signal.fit.fit_settings import WIDTH_LIMITS_PX, FitSettings
 from compute.signal.peaks import PeakBatch, PeakFlag, no_peaks

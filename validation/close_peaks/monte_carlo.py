@@ -7,12 +7,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.signal.cramer_rao import joint_position_bounds
 from compute.signal.fit.fit_reference import fit_scans
 from compute.signal.fit.fit_settings import FitSettings
 from compute.signal.peaks import PeakBatch, PeakFlag
-from compute.signal.thesis_pipeline.peak_separation import Separation, SlopeExtension, ValleyCut
+from compute.signal.thesis_pipeline.peak_separation import SlopeExtension, ValleyCut
 from compute.signal.thesis_pipeline.signal_chain import SignalChain
+from validation.joint_position_bounds import joint_position_bounds
 from validation.synthetic_scans import (
     AMBIENT,
     GAIN,
@@ -131,7 +131,7 @@ def pair_figures(pair: Pair, count: int, chain_count: int, seed: int = 3) -> Pai
         found = fit_scans(lines, one, noise, candidates=find(lines, one.search, READ_NOISE))
         errors.append(_fit_errors(found, place, bounds[-1]))
     some = rng.permutation(count)[:chain_count]
-    cuts: tuple[Separation, ...] = (
+    cuts: tuple[ValleyCut, ...] = (
         ValleyCut(LEVELS[pair.ratio], MIN_DEPTH),
         SlopeExtension(LEVELS[pair.ratio], MIN_DEPTH),
     )
@@ -158,7 +158,7 @@ def _fit_errors(found: PeakBatch, place: Array, bound: Array) -> PairErrors:
     return _errors(float(two.mean()), error, bound, float(nees.mean()), float(stated.mean()))
 
 
-def _cut_errors(lines: NDArray[np.uint16], place: Array, method: Separation) -> PairErrors:
+def _cut_errors(lines: NDArray[np.uint16], place: Array, method: ValleyCut) -> PairErrors:
     """Return the errors of the two highest peaks, where both are of the pair."""
     chain = SignalChain(
         separation=method, threshold_fraction=0.0, weighting="above-background", min_width_px=1

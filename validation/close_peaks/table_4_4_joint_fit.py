@@ -4,10 +4,10 @@ from typing import Final
 
 import numpy as np
 
-from compute.signal.cramer_rao import joint_position_bounds
 from compute.signal.fit.fit_reference import fit_scans
 from compute.signal.fit.fit_settings import FitSettings
 from compute.signal.sensor_noise import SensorNoise
+from validation.joint_position_bounds import joint_position_bounds
 from validation.result_tables import Cell, ResultTable
 from validation.signal_chain.table_4_4 import (
     DIP,

@@ -6,13 +6,11 @@ from typing import Final
 
 import numpy as np
 
-from compute.signal.cramer_rao import joint_position_bounds
 from compute.signal.fit.fit_finder import FitFinder
 from compute.signal.fit.fit_settings import FitSettings
-from compute.signal.fit.line_spread_function import LineSpreadFunction
-from compute.signal.fit.score_information import width_prior
-from compute.signal.fit.window_model import Windows, evaluate
+from compute.signal.fit.window_model import Windows
 from compute.signal.peaks import PeakBatch
+from validation.joint_position_bounds import joint_position_bounds
 from validation.peak_efficiency.monte_carlo import (
     KNOWN_WIDTH,
     Errors,
@@ -153,7 +151,7 @@ def second_order_bias(setting: Setting, settings: FitSettings, place: Array) -> 
     covariance, summed (M. J. Box, 10.1111/j.2517-6161.1971.tb00871.x; that variances follow the
     model adds nothing to it). In the window that a fit begins with.
     """
-    layout, parameters = true_parameters(setting, place)
+    model, parameters = true_parameters(setting, settings, place)
     half = int(np.ceil(settings.reach * setting.width_px)) + 1
     middle = np.floor(place + 0.5).astype(np.int64)
     windows = Windows.cut(
@@ -163,27 +161,27 @@ def second_order_bias(setting: Setting, settings: FitSettings, place: Array) -> 
         middle + half,
         line_noise(setting.read_noise),
     )
-    free = layout.size - (settings.width_log_sigma == 0.0)
+    free = model.size - (settings.width_log_sigma == 0.0)
 
     def jacobian(at: Array) -> tuple[Array, Array]:
-        model = evaluate(windows, at, layout, settings, LineSpreadFunction.gaussian())
-        return model.jacobian[:, :free], model.variance
+        expected = model.evaluate(windows, at)
+        return expected.jacobian[:, :free], expected.variance
 
     first, variance = jacobian(parameters)
     weighted = first / variance[:, None]
     information = weighted @ first.transpose(0, 2, 1)
-    prior = width_prior(parameters[:, -1], settings)
+    prior = model.width_prior(parameters[:, -1])
     expected, slope = information.copy(), np.zeros(first.shape[:2])
-    if free == layout.size:
+    if free == model.size:
         expected[:, -1, -1] += prior.information
         slope[:, -1] = prior.score
     inverse = np.linalg.inv(expected)
     covariance = inverse @ information @ inverse
     bent = np.zeros_like(variance)
     for number in range(free):
-        step = np.zeros(layout.size)
+        step = np.zeros(model.size)
         step[number] = _STEP
         second = (jacobian(parameters + step)[0] - jacobian(parameters - step)[0]) / (2 * _STEP)
         bent += (covariance[:, number, :, None] * second).sum(axis=1)
     slope -= 0.5 * (weighted @ bent[..., None])[..., 0]
-    return np.asarray((inverse @ slope[..., None])[:, layout.position.start, 0])
+    return np.asarray((inverse @ slope[..., None])[:, model.position.start, 0])

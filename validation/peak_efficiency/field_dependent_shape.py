@@ -8,12 +8,12 @@ import numpy as np
 
 from compute.optics.stripe_optics.stripe_profile import CELLS, Blur, StripeProfiles
 from compute.optics.stripe_optics.traced_stripes import RaySampling, TracedStripes
-from compute.signal.cramer_rao import joint_position_bounds
 from compute.signal.fit.fit_reference import fit_scans
 from compute.signal.fit.fit_settings import FitSettings
 from compute.signal.fit.line_spread_function import LineSpreadFunction
 from compute.signal.peaks import PeakFlag
 from validation.aberrations.thesis_lens import FOCUSED_MM, stopped_lens
+from validation.joint_position_bounds import joint_position_bounds
 from validation.peak_efficiency.monte_carlo import match_true_peaks
 from validation.skew_effect.traced_readings import FIELD_U, LONG_ROW
 from validation.synthetic_scans import (

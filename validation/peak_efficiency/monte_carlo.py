@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.signal.centroid_settings import CentroidSettings, Weighting
-from compute.signal.cramer_rao import joint_position_bounds
 from compute.signal.fit.fit_reference import fit_scans
 from compute.signal.fit.fit_settings import FitSettings
 from compute.signal.fit.line_spread_function import LineSpreadFunction
-from compute.signal.fit.window_model import Layout, Windows, evaluate
+from compute.signal.fit.window_model import WindowModel, Windows
 from compute.signal.peaks import PeakBatch, PeakFlag
+from validation.joint_position_bounds import joint_position_bounds
 from validation.synthetic_scans import (
     AMBIENT,
     GAIN,
@@ -161,7 +161,8 @@ def first_order_errors(
     Subtracted from an estimator's errors it takes most of the chance out of their mean, and
     leaves the bias: a control variate.
     """
-    layout, parameters = true_parameters(setting, place)
+    known = fit_settings(KNOWN_WIDTH, setting.width_px)
+    model, parameters = true_parameters(setting, known, place)
     half = int(np.ceil(_REACH_WIDTHS * setting.width_px)) + 2
     each = np.ones(len(place), dtype=np.int64)
     windows = Windows.cut(
@@ -171,24 +172,25 @@ def first_order_errors(
         (MIDDLE_PX + half) * each,
         line_noise(setting.read_noise),
     )
-    known = fit_settings(KNOWN_WIDTH, setting.width_px)
-    model = evaluate(windows, parameters, layout, known, LineSpreadFunction.gaussian())
-    jacobian = model.jacobian[:, :-1] if width_known else model.jacobian
-    weighted = jacobian / model.variance[:, None]
-    score = (weighted @ (windows.values - model.mean)[..., None])[..., 0]
+    expected = model.evaluate(windows, parameters)
+    jacobian = expected.jacobian[:, :-1] if width_known else expected.jacobian
+    weighted = jacobian / expected.variance[:, None]
+    score = (weighted @ (windows.values - expected.mean)[..., None])[..., 0]
     step = np.linalg.solve(weighted @ jacobian.transpose(0, 2, 1), score[..., None])
-    return np.asarray(step[:, layout.position.start, 0])
+    return np.asarray(step[:, model.position.start, 0])
 
 
-def true_parameters(setting: Setting, place: Array) -> tuple[Layout, Array]:
-    """Return the parameters of lines at these places, shape (N, Q), and their order."""
-    layout = Layout(1, slope=False)
-    parameters = np.zeros((len(place), layout.size))
+def true_parameters(
+    setting: Setting, settings: FitSettings, place: Array
+) -> tuple[WindowModel, Array]:
+    """Return the model of single lines, and its parameters at these places, shape (N, Q)."""
+    model = WindowModel(1, settings, LineSpreadFunction.gaussian())
+    parameters = np.zeros((len(place), model.size))
     parameters[:, 0] = OFFSET + AMBIENT / GAIN
-    parameters[:, layout.light] = setting.light / GAIN
-    parameters[:, layout.position] = place[:, None]
+    parameters[:, model.light] = setting.light / GAIN
+    parameters[:, model.position] = place[:, None]
     parameters[:, -1] = np.log(setting.width_px)
-    return layout, parameters
+    return model, parameters
 
 
 def match_true_peaks(found: PeakBatch, place: Array) -> NDArray[np.int64]:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from compute.optics.detector import Detector
 from compute.optics.stripe_images import stripe_images
 from compute.signal.sensor_noise import SensorNoise
-from compute.signal.thesis_pipeline.peak_separation import Separation, SlopeExtension, ValleyCut
+from compute.signal.thesis_pipeline.peak_separation import SlopeExtension, ValleyCut
 from compute.signal.thesis_pipeline.signal_chain import SignalChain
 from validation.result_tables import Cell, ResultTable, TablesCase
 
@@ -30,7 +30,7 @@ GAIN: Final = 235.0
 OFFSET_COUNTS: Final = 20.0
 DRAWS: Final = 300
 SEED: Final = 44
-METHODS: Final[dict[str, Separation]] = {"valley": ValleyCut(), "slopes": SlopeExtension()}
+METHODS: Final[dict[str, ValleyCut]] = {"valley": ValleyCut(), "slopes": SlopeExtension()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +82,7 @@ def close_markers(
     return CloseMarkers(np.asarray(counts - OFFSET_COUNTS), truth, sigma_px, noise)
 
 
-def separated(scene: CloseMarkers, separation: Separation) -> Array:
+def separated(scene: CloseMarkers, separation: ValleyCut) -> Array:
     """Return the centroids of each line's peaks, NaN for lines that have not six, shape (N, 6)."""
     chain = SignalChain(
         separation=separation,

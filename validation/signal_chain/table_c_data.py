@@ -9,8 +9,7 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.signal.thesis_pipeline.filters import ButterworthFilter, FirFilter
-from compute.signal.thesis_pipeline.median_filter import MedianFilter
+from compute.signal.thesis_pipeline.filters import ButterworthFilter, FirFilter, MedianFilter
 from compute.signal.thesis_pipeline.steps import Compensation, ScanFilter
 
 Array = NDArray[np.float64]
@@ -66,13 +65,28 @@ def filter_named(name: str, compensation: Compensation) -> ScanFilter | None:
     kind, cutoff = name.split("_")
     if kind.startswith("butter"):
         return ButterworthFilter(int(kind.removeprefix("butter")), float(cutoff), compensation)
-    return FirFilter.of_order(int(kind.removeprefix("fir")), float(cutoff), compensation)
+    return FirFilter(int(kind.removeprefix("fir")) + 1, float(cutoff), compensation)
 
 
 def delays_px(name: str) -> tuple[float, float | None]:
     """Return a filter's shift, and its delay by the phase's line, None for a median [px]."""
     found = filter_named(name, "none")
     linearised = None
-    if isinstance(found, ButterworthFilter | FirFilter):
-        linearised = found.linearised_delay_px
+    if isinstance(found, ButterworthFilter):
+        linearised = linearised_delay_px(found)
+    elif isinstance(found, FirFilter):
+        linearised = found.delay_px
     return (0.0 if found is None else found.shift_px), linearised
+
+
+def linearised_delay_px(found: ButterworthFilter) -> float:
+    """Return the delay by the slope of the phase over the pass band, as the thesis takes it [px].
+
+    [B.13], section 4.2.2 and Figure 4.10: a straight line is fitted to the phase by least squares
+    from zero to the cut-off, its intercept free. It is no scan's shift: the light is at low
+    frequencies.
+    """
+    omega = np.linspace(0.0, np.pi * found.cutoff, 4001)
+    phase = np.unwrap(np.angle(found.response(omega)))
+    centred = omega - omega.mean()
+    return float(-(centred @ phase) / (centred @ centred))

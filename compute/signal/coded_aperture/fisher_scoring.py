@@ -1,11 +1,12 @@
 """Fisher scoring for shift, brightness, ambient level and scale of a shadow, scan by scan."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.signal.array_rows import ArrayRows
 from compute.signal.coded_aperture.shadow_template import ShadowTemplate, ShiftedTemplate
 from compute.signal.sensor_noise import ScanNoise
 
@@ -21,11 +22,11 @@ _LONGEST_PX: Final = 0.5
 _LARGEST_SCALE_STEP: Final = 0.01
 _MIN_STEP_PX: Final = 1e-12
 _MIN_DETERMINANT: Final = 1e-9
-"""Of an information scaled to a unit diagonal; below, a parameter is not told from others."""
+"""Smallest determinant of an information matrix, scaled to a unit diagonal, that is inverted."""
 
 
 @dataclass(frozen=True, eq=False)
-class ShadowSolution:
+class ShadowSolution(ArrayRows):
     """Fits of L scans; arrays of shape (L,), NaN where the iterations did not converge."""
 
     shift_px: Array
@@ -35,10 +36,6 @@ class ShadowSolution:
     scale: Array
     chi2: Array
     dof: Array
-
-    def rows(self, kept: NDArray[np.int64]) -> "ShadowSolution":
-        """Return the fits of some of the scans."""
-        return ShadowSolution(*(getattr(self, field.name)[kept] for field in fields(self)))
 
 
 class ShadowModel:
@@ -123,7 +120,7 @@ def solve(
     """
     zero = np.zeros(len(counts))
     state = _State(start_px.astype(np.float64), zero, zero, np.ones(len(counts)), zero.copy())
-    done = ShadowSolution(*(np.full(len(counts), np.nan) for _ in fields(ShadowSolution)))
+    done = ShadowSolution(*np.full((7, len(counts)), np.nan))
     moving = np.arange(len(counts))
     for turn in range(_ITERATIONS):
         value, by_shift, by_scale, known = model.at(state.shift[moving], state.scale[moving])

@@ -1,5 +1,6 @@
-"""Maximum-likelihood fit of a known shadow: shift, brightness and ambient level."""
+"""Maximum-likelihood fit of known shadows, and readings of several sensors by it."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -9,11 +10,12 @@ from scipy.special import chdtrc
 from scipy.stats import norm
 
 from compute.errors import InvalidParameter
+from compute.parameter_checks import require
+from compute.signal.array_rows import ArrayRows
 from compute.signal.coded_aperture.fisher_scoring import ShadowModel, ShadowSolution, solve
 from compute.signal.coded_aperture.shadow_search import ShadowSearch
-from compute.signal.coded_aperture.shadow_settings import ShadowSettings
 from compute.signal.coded_aperture.shadow_template import ShadowTemplate
-from compute.signal.peaks import PeakFlag
+from compute.signal.peaks import PeakBatch, PeakFlag
 from compute.signal.sensor_noise import SensorNoise
 
 Array = NDArray[np.float64]
@@ -24,12 +26,43 @@ CLIPPED_CONTRAST_THRESHOLD: Final = 0.9
 _PIXELS_AT_ONCE: Final = 1 << 15
 
 
+@dataclass(frozen=True)
+class ShadowSettings:
+    """How shadows are found and fitted.
+
+    Args:
+        fit_scale: fit the shadow's magnification too. A shadow is 1 + gap / Z as wide as the
+            code, so one template fits one distance; with its scale free it fits others, and the
+            position costs more noise where the pattern lies to one side of the reading.
+        false_alarms_per_line: largest expected number of false readings of a scan without a shadow.
+        ambiguity_probability: a shadow is ambiguous where another place is this much as likely.
+        misfit_probability: a fit is poor if a larger chi-square is less probable than this.
+
+    Raises:
+        InvalidParameter: a value outside its range.
+    """
+
+    fit_scale: bool = False
+    false_alarms_per_line: float = 1e-3
+    ambiguity_probability: float = 1e-4
+    misfit_probability: float = 1e-6
+
+    def __post_init__(self) -> None:
+        for name in ("false_alarms_per_line", "ambiguity_probability", "misfit_probability"):
+            value = float(getattr(self, name))
+            require(0.0 < value < 1.0, "lie between 0 and 1", **{name: value})
+
+
 @dataclass(frozen=True, eq=False)
-class ShadowFit:
+class ShadowFit(ArrayRows):
     """Shadows of L scans, one each; NaN where none is found.
 
     Args:
         found: the shadow stands out of the noise, and the fit converged, bool, shape (L,).
+        flags: PeakFlag values, int32, shape (L,). SATURATED: pixels at full scale were left out.
+            CLIPPED: a tenth or more of the contrast that a scan can hold is off the scan.
+            AMBIGUOUS: another shift is not excluded. POOR_FIT: the template does not explain the
+            scan, and the standard deviation is too small.
         shift_px: shift against the template [px], shape (L,).
         sigma_px: its standard deviation, by the noise model at the fit, brightness and ambient
             level (and scale) being unknown too [px], shape (L,).
@@ -37,20 +70,16 @@ class ShadowFit:
         ambient: level of a dark pixel of the template, the offset included [counts], shape (L,).
         scale: magnification against the template's, shape (L,); 1 where it is not fitted.
         reduced_chi2: misfit per degree of freedom, shape (L,).
-        flags: PeakFlag values, int32, shape (L,). SATURATED: pixels at full scale were left out.
-            CLIPPED: a tenth or more of the contrast that a scan can hold is off the scan.
-            AMBIGUOUS: another shift is not excluded. POOR_FIT: the template does not explain the
-            scan, and the standard deviation is too small.
     """
 
     found: NDArray[np.bool_]
+    flags: NDArray[np.int32]
     shift_px: Array
     sigma_px: Array
     amplitude: Array
     ambient: Array
     scale: Array
     reduced_chi2: Array
-    flags: NDArray[np.int32]
 
     def __len__(self) -> int:
         """Return the number of scans."""
@@ -108,7 +137,7 @@ class ShadowFitter:
         self._model = ShadowModel(template, pixels, self.settings.fit_scale)
         rate = self.settings.false_alarms_per_line
         self.threshold_sigma = float(norm.isf(rate / self.search.count))
-        """Least correlation of a shadow, in standard deviations of that of noise."""
+        """Minimum correlation of a shadow, in standard deviations of that of noise."""
 
     def fit(self, scans: NDArray[np.uint16]) -> ShadowFit:
         """Fit scans of counts, uint16, shape (L, P).
@@ -123,32 +152,23 @@ class ShadowFitter:
                 type=str(scans.dtype),
                 shape=scans.shape,
             )
-        count = len(scans)
-        values = {name: np.full(count, np.nan) for name in _VALUES}
-        found, flags = np.zeros(count, dtype=np.bool_), np.zeros(count, dtype=np.int32)
+        sensor = np.arange(len(scans)) % len(self._noise)
         chunk = max(1, _PIXELS_AT_ONCE // self.pixels)
-        for start in range(0, count, chunk):
-            sensor = np.arange(start, min(start + chunk, count)) % len(self._noise)
-            self._fit_some(scans[start : start + chunk], sensor, start, values, found, flags)
-        return ShadowFit(found=found, flags=flags, **values)
+        parts = [slice(start, start + chunk) for start in range(0, max(len(scans), 1), chunk)]
+        return ShadowFit.concatenate([self._fit_some(scans[part], sensor[part]) for part in parts])
 
-    def _fit_some(
-        self,
-        scans: NDArray[np.uint16],
-        sensor: NDArray[np.int64],
-        start: int,
-        values: dict[str, Array],
-        found: NDArray[np.bool_],
-        flags: NDArray[np.int32],
-    ) -> None:
-        """Fit a few scans and write what comes out from the place ``start`` on."""
+    def _fit_some(self, scans: NDArray[np.uint16], sensor: NDArray[np.int64]) -> ShadowFit:
+        count = len(scans)
+        fit = ShadowFit(
+            np.zeros(count, np.bool_), np.zeros(count, np.int32), *np.full((6, count), np.nan)
+        )
         counts = scans.astype(np.float64)
         noise = self._noise.of_scans(sensor)
         first = self.search.find(counts)
         mean_variance = noise.variance(counts.mean(axis=1, keepdims=True))[:, 0]
         kept = np.flatnonzero(first.height > self.threshold_sigma * np.sqrt(mean_variance))
         if not len(kept):
-            return
+            return fit
         full = counts[kept] >= self._noise.full_scale_counts[sensor[kept]][:, None]
         solution = solve(self._model, counts[kept], ~full, noise[kept], first.shift_px[kept])
         lead = (first.height[kept] ** 2 - first.second_height[kept] ** 2) / (
@@ -157,19 +177,16 @@ class ShadowFitter:
         # A fit that leaves the main lobe has not refined what was found. NaN is not near either.
         near = np.abs(solution.shift_px - first.shift_px[kept]) <= max(self.search.lobe_px, 1)
         good = np.flatnonzero(near & (solution.amplitude > 0.0))
-        solution, place = solution.rows(good), start + kept[good]
-        found[place] = True
-        flags[place] = self._flags(solution, full[good], lead[good])
+        solution, place = solution[good], kept[good]
+        fit.found[place] = True
+        fit.shift_px[place], fit.sigma_px[place] = solution.shift_px, solution.sigma_px
+        fit.amplitude[place] = solution.amplitude * self.template.height
         dark = float(self.template.cells.min())
-        for name, value in (
-            ("shift_px", solution.shift_px),
-            ("sigma_px", solution.sigma_px),
-            ("amplitude", solution.amplitude * self.template.height),
-            ("ambient", solution.amplitude * dark + solution.ambient),
-            ("scale", solution.scale),
-            ("reduced_chi2", solution.chi2 / solution.dof),
-        ):
-            values[name][place] = value
+        fit.ambient[place] = solution.amplitude * dark + solution.ambient
+        fit.scale[place] = solution.scale
+        fit.reduced_chi2[place] = solution.chi2 / solution.dof
+        fit.flags[place] = self._flags(solution, full[good], lead[good])
+        return fit
 
     def _flags(
         self, solution: ShadowSolution, saturated: NDArray[np.bool_], lead: Array
@@ -179,9 +196,71 @@ class ShadowFitter:
         share = self.search.share(solution.shift_px)
         flags[share < CLIPPED_CONTRAST_THRESHOLD] |= int(PeakFlag.CLIPPED)
         flags[lead < -np.log(self.settings.ambiguity_probability)] |= int(PeakFlag.AMBIGUOUS)
-        chance = chdtrc(solution.dof, solution.chi2)
-        flags[chance < self.settings.misfit_probability] |= int(PeakFlag.POOR_FIT)
+        probability = chdtrc(solution.dof, solution.chi2)
+        flags[probability < self.settings.misfit_probability] |= int(PeakFlag.POOR_FIT)
         return flags
 
 
-_VALUES: Final = ("shift_px", "sigma_px", "amplitude", "ambient", "scale", "reduced_chi2")
+class MaskReader:
+    """Reads the shadows of single markers on S sensors behind coded windows.
+
+    Args:
+        templates: one for each of the S sensors, or one for all.
+        pixels: pixels of a scan.
+        noise: noise of the S sensors, or of one for all; scan l of a batch is of sensor
+            ``l % S``, S the larger of both numbers.
+        settings: what counts as found, and what is fitted.
+
+    Raises:
+        InvalidParameter: numbers of templates and of sensors that do not agree, or a scan that
+            is too short.
+    """
+
+    def __init__(
+        self,
+        templates: Sequence[ShadowTemplate],
+        pixels: int,
+        noise: SensorNoise,
+        settings: ShadowSettings | None = None,
+    ) -> None:
+        sensors = max(len(templates), len(noise))
+        if not (len(templates) in (1, sensors) and len(noise) in (1, sensors)):
+            raise InvalidParameter(
+                f"there are {len(templates)} templates and the noise of {len(noise)} sensors; "
+                "give one, or one per sensor",
+                templates=len(templates),
+                sensors=len(noise),
+            )
+        self.pixels = pixels
+        self._fitters = tuple(
+            ShadowFitter(
+                templates[sensor % len(templates)],
+                pixels,
+                noise[np.array([sensor % len(noise)])],
+                settings,
+            )
+            for sensor in range(sensors)
+        )
+
+    def read(self, scans: NDArray[np.uint16]) -> PeakBatch:
+        """Read scans of counts, uint16, shape (L, P), as a batch of one peak a scan (K = 1).
+
+        Positions are readings, ``template.reading_px + shift``, which may lie beyond the scan's
+        ends; widths are those of the lit patterns, as magnified.
+
+        Raises:
+            InvalidParameter: another type or shape.
+        """
+        batch = PeakBatch.empty(len(scans), 1)
+        for sensor, fitter in enumerate(self._fitters):
+            own = slice(sensor, None, len(self._fitters))
+            fit = fitter.fit(scans[own])
+            template = fitter.template
+            batch.count[own] = fit.found
+            batch.position_px[own, 0] = template.reading_px + fit.shift_px
+            batch.sigma_px[own, 0] = fit.sigma_px
+            batch.amplitude[own, 0] = fit.amplitude
+            batch.width_px[own, 0] = template.lit_width_px * fit.scale
+            batch.flags[own, 0] = fit.flags
+            batch.reduced_chi2[own, 0] = fit.reduced_chi2
+        return batch

@@ -51,7 +51,7 @@ class ShadowSearch:
     def __init__(self, template: ShadowTemplate, pixels: int) -> None:
         if pixels < 8:
             raise InvalidParameter(
-                f"a line has {pixels} pixels; it must have 8 or more", pixels=pixels
+                f"a scan has {pixels} pixels; it must have 8 or more", pixels=pixels
             )
         model = template.pixel_values
         if not template.dark_beyond:
@@ -127,14 +127,11 @@ class ShadowSearch:
     def _contrast(self, model: Array) -> Array:
         """Return the squares about the mean of what the scan shows, at each shift."""
         once, twice = (np.concatenate([[0.0], np.cumsum(v)]) for v in (model, model**2))
-        first = self._index_of_first(len(model))
+        # Which of the template's pixels lies on the scan's first.
+        first = len(model) - 1 - np.arange(len(self._shifts))
         start, stop = np.maximum(first, 0), np.minimum(first + self.pixels, len(model))
         sums, squares = once[stop] - once[start], twice[stop] - twice[start]
         return np.asarray(np.maximum(squares - sums**2 / self.pixels, 0.0))
-
-    def _index_of_first(self, length: int) -> NDArray[np.int64]:
-        """Return which of the template's pixels lies on the scan's first, at each shift."""
-        return length - 1 - np.arange(len(self._shifts))
 
     def _lobe(self, model: Array) -> int:
         own = irfft(np.abs(rfft(model, self._size)) ** 2, self._size)[: self._size // 2]

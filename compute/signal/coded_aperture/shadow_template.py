@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline
 
 from compute.errors import InvalidParameter
+from compute.parameter_checks import require
 
 Array = NDArray[np.float64]
 
@@ -44,10 +45,7 @@ class ShadowTemplate:
     dark_beyond: bool
 
     def __post_init__(self) -> None:
-        if self.per_px < 1:
-            raise InvalidParameter(
-                f"per_px is {self.per_px}; it must be 1 or more", per_px=self.per_px
-            )
+        require(self.per_px >= 1, "be 1 or more", per_px=self.per_px)
         if self.cells.ndim != 1 or self.cells.size < 8 * self.per_px:
             raise InvalidParameter(
                 f"cells have the shape {self.cells.shape}; they must be one row of 8 pixels or "
@@ -150,11 +148,8 @@ def interleave_scans(
         )
     cell = np.rint(-shift * per_px)
     beside = np.abs(-shift * per_px - cell)
-    if not beside.max() <= _ON_GRID:
-        worst = float(shift[beside.argmax()])
-        raise InvalidParameter(
-            f"shifts_px has {worst}; it must be a multiple of 1/{per_px} px", shift_px=worst
-        )
+    worst = float(shift[beside.argmax()])
+    require(beside.max() <= _ON_GRID, f"be a multiple of 1/{per_px} px", shift_px=worst)
     start = cell.astype(np.int64)
     # From a whole pixel on.
     first = int(start.min()) // per_px

@@ -21,7 +21,7 @@ GROUP_DOF: Final = GROUP_PIXELS - 2
 """Degrees of freedom of a group's squares about its straight line."""
 
 MIN_VARIANCE: Final = 1.0 / 3.0
-"""Least variance of a pixel [counts^2]: noise of half a count, and the rounding to counts.
+"""Smallest variance of a pixel [counts^2]: noise of half a count, and the rounding to counts.
 
 Fainter noise is sampled too coarsely to be measured: by where the level lies between two
 counts, a scan's own figure is half or twice the truth."""

@@ -97,7 +97,7 @@ class FalseAlarms:
         low, high = (self.expected(t, dof) for t in (_HIGHEST, 0.0))
         if not low < per_line < high:
             raise InvalidParameter(
-                f"false_alarms_per_line is {per_line}; on lines of {self.pixels} pixels it must "
+                f"false_alarms_per_line is {per_line}; on scans of {self.pixels} pixels it must "
                 f"lie between {low:.3g} and {high:.3g}",
                 false_alarms_per_line=per_line,
             )

@@ -10,13 +10,13 @@ from scipy.ndimage import correlate1d
 from scipy.special import ndtr
 
 from compute.errors import InvalidParameter
-from compute.signal.detection.integer_taps import (
-    MAX_ABSOLUTE_SUM,
-    remove_background,
-    round_taps,
-)
+from compute.parameter_checks import require
+from compute.signal.centroid_settings import require_between
 
 Array = NDArray[np.float64]
+
+MAX_ABSOLUTE_SUM: Final = 32768
+"""Largest sum of |taps|: times 65535, the largest pixel, it stays below 2^31."""
 
 LENGTH_IN_WIDTHS: Final = 16.0
 """Length of a filter in standard deviations of the peak that it looks for.
@@ -138,7 +138,7 @@ class MatchedFilter:
     def _require_room(self, pixels: int) -> None:
         if pixels < len(self.taps):
             raise InvalidParameter(
-                f"a line has {pixels} pixels; the filter needs {len(self.taps)} or more",
+                f"a scan has {pixels} pixels; the filter needs {len(self.taps)} or more",
                 pixels=pixels,
             )
 
@@ -165,19 +165,15 @@ def gaussian_filter(width_px: float, length_px: int | None = None) -> MatchedFil
     Raises:
         InvalidParameter: a width out of range, a length that is even, or too short for the peak.
     """
-    low, high = _WIDTHS_PX
-    if not low <= width_px <= high:
-        raise InvalidParameter(
-            f"width_px is {width_px}; it must lie in {low} .. {high}", width_px=width_px
-        )
+    require_between("width_px", width_px, *_WIDTHS_PX)
     half = int(np.ceil(LENGTH_IN_WIDTHS * width_px / 2.0))
     if length_px is not None:
-        if length_px % 2 == 0 or length_px < 2.0 * np.ceil(2.0 * width_px) + 1.0:
-            raise InvalidParameter(
-                f"length_px is {length_px}; it must be odd and at least four widths and one, "
-                f"{2 * int(np.ceil(2.0 * width_px)) + 1}",
-                length_px=length_px,
-            )
+        shortest = 2 * int(np.ceil(2.0 * width_px)) + 1
+        require(
+            length_px % 2 == 1 and length_px >= shortest,
+            f"be odd and at least four widths and one, {shortest}",
+            length_px=length_px,
+        )
         half = length_px // 2
     shape = gaussian_shape(width_px, half)
     # The normal distribution's two tails differ in their last digits.
@@ -211,7 +207,7 @@ def shape_filter(shape: ArrayLike, *, slope: bool = False) -> MatchedFilter:
             f"shape holds {least}; it must be finite and nowhere negative", shape=least
         )
     half = peak.size // 2
-    whole = remove_background(peak, slope=slope)
+    whole = _remove_background(peak, slope=slope)
     ends = [_cut(peak, slope), _cut(peak[::-1], slope)]
     norms = [float(np.sqrt((row**2).sum())) for row in (whole, *ends[0], *ends[1])]
     if min(norms) <= 1e-6 * float(peak.max()):
@@ -227,16 +223,82 @@ def shape_filter(shape: ArrayLike, *, slope: bool = False) -> MatchedFilter:
     if floor * scale >= 1.0:
         # The taps beside the shape become whole numbers as they are.
         scale = np.floor(floor * scale) / floor
-    inner = round_taps(scale * whole / norms[0], slope=slope)
+    inner = _round_taps(scale * whole / norms[0], slope=slope)
     left, right = (np.zeros((half, peak.size), dtype=np.int64) for _ in range(2))
     for rows, bank in zip(ends, (left, right), strict=True):
         for d, row in enumerate(rows):
             real = scale * row / float(np.sqrt((row**2).sum()))
-            bank[d, : len(row)] = round_taps(real, slope=slope)
+            bank[d, : len(row)] = _round_taps(real, slope=slope)
     return MatchedFilter(inner, left, right[:, ::-1].copy(), peak / peak.max())
 
 
 def _cut(peak: Array, slope: bool) -> list[Array]:
     """Return the filters of a peak on the places 0, 1, ... from a scan's first pixel."""
     half = peak.size // 2
-    return [remove_background(peak[half - d :], slope=slope) for d in range(half)]
+    return [_remove_background(peak[half - d :], slope=slope) for d in range(half)]
+
+
+def _remove_background(shape: Array, *, slope: bool) -> Array:
+    """Return a shape less its mean (and slope), the part that looks like background.
+
+    The result is the matched filter of the shape in white noise over a background that is
+    unknown but constant (or straight) under the filter: the projection of the shape on what is
+    orthogonal to it.
+
+    Args:
+        shape: shape (T,).
+        slope: take off the straight line, not the constant alone.
+    """
+    rest: Array = shape - shape.mean()
+    if slope and len(shape) > 2:
+        ramp = np.arange(len(shape)) - (len(shape) - 1) / 2.0
+        rest = rest - ramp * (ramp @ rest) / (ramp @ ramp)
+    return rest
+
+
+def _round_taps(real: Array, *, slope: bool) -> NDArray[np.int64]:
+    """Round taps to integers whose sum (and first moment) is exactly zero, shape (T,).
+
+    The sum that rounding leaves is taken off where it comes nearest to the taps as they were.
+    Symmetric taps stay symmetric, which makes their first moment zero too.
+
+    Args:
+        real: taps of sum zero (and first moment zero), shape (T,).
+        slope: make the first moment zero as well.
+    """
+    length = len(real)
+    if length % 2 == 1 and np.allclose(real, real[::-1], rtol=0.0, atol=1e-9):
+        half = length // 2
+        taps = np.rint(real).astype(np.int64)
+        taps[half + 1 :] = taps[:half][::-1]
+        pairs = int(taps.sum()) // 2
+        _subtract_excess(taps[:half], real[:half], pairs)
+        taps[half + 1 :] = taps[:half][::-1]
+        taps[half] -= taps.sum()
+        return taps
+    taps = np.rint(real).astype(np.int64)
+    _subtract_excess(taps, real, int(taps.sum()))
+    if slope:
+        _zero_first_moment(taps)
+    return taps
+
+
+def _subtract_excess(taps: NDArray[np.int64], real: Array, excess: int) -> None:
+    """Lower (or raise) taps by one, in all ``excess``, where rounding went the other way most."""
+    step = 1 if excess > 0 else -1
+    for _ in range(abs(excess)):
+        taps[np.argmax(step * (taps - real))] -= step
+
+
+def _zero_first_moment(taps: NDArray[np.int64]) -> None:
+    """Move ones between taps until the first moment is zero; the sum stays."""
+    length = len(taps)
+    moment = int((np.arange(length) * taps).sum())
+    place = length // 3
+    while moment != 0:
+        lag = min(abs(moment), length - 1)
+        step = 1 if moment > 0 else -1
+        place = (place + 1) % (length - lag)
+        taps[place] += step
+        taps[place + lag] -= step
+        moment -= step * lag

@@ -7,17 +7,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.errors import InvalidParameter
+from compute.parameter_checks import check_positive
 from compute.signal.centroid_settings import (
     LEVEL_UNIT,
     MAX_PIXELS,
     MIN_PIXELS,
+    require_choice,
     require_whole,
     sample_starts,
 )
 from compute.signal.detection.background_estimate import estimate_background, variance_dof
 from compute.signal.detection.false_alarms import FalseAlarms
 from compute.signal.detection.matched_filter import MatchedFilter
-from compute.signal.peaks import PeakFlag
+from compute.signal.peaks import PeakFlag, number_within_scan
 from compute.signal.sensor_noise import SensorNoise
 
 
@@ -81,16 +83,8 @@ class DetectionSettings:
     max_peaks: int = 16
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.false_alarms_per_line < np.inf:
-            raise InvalidParameter(
-                f"false_alarms_per_line is {self.false_alarms_per_line}; it must be positive",
-                false_alarms_per_line=self.false_alarms_per_line,
-            )
-        if self.noise not in get_args(NoiseSource):
-            raise InvalidParameter(
-                f"noise is {self.noise!r}; it must be one of {get_args(NoiseSource)}",
-                noise=self.noise,
-            )
+        check_positive(self, "false_alarms_per_line")
+        require_choice("noise", self.noise, get_args(NoiseSource))
         require_whole("max_peaks", self.max_peaks, 1, 1024)
 
 
@@ -136,7 +130,7 @@ class PeakDetector:
     ) -> None:
         if not MIN_PIXELS <= pixels <= MAX_PIXELS:
             raise InvalidParameter(
-                f"a line has {pixels} pixels; it must have {MIN_PIXELS} to {MAX_PIXELS}",
+                f"a scan has {pixels} pixels; it must have {MIN_PIXELS} to {MAX_PIXELS}",
                 pixels=pixels,
             )
         self.matched = matched
@@ -174,15 +168,13 @@ class PeakDetector:
 
     def _variance(self, scans: NDArray[np.uint16]) -> NDArray[np.float64]:
         """Return the variance of a pixel of each scan [counts^2], shape (L,)."""
-        spread = estimate_background(scans)
-        own = spread.variance()
+        estimate = estimate_background(scans)
+        measured = estimate.variance()
         if self.settings.noise == "line":
-            return own
-        noise = self._noise
-        sensor = np.arange(len(scans)) % len(noise)
-        light = np.maximum(spread.background / LEVEL_UNIT - noise.offset_counts[sensor], 0.0)
-        model = noise.dark_variance[sensor] + noise.photon_variance[sensor] * light
-        return model if self.settings.noise == "model" else np.maximum(own, model)
+            return measured
+        noise = self._noise.of_scans(np.arange(len(scans)) % len(self._noise))
+        model = noise.variance(estimate.background[:, None] / LEVEL_UNIT)[:, 0]
+        return model if self.settings.noise == "model" else np.maximum(measured, model)
 
     def _batch(
         self,
@@ -196,19 +188,15 @@ class PeakDetector:
         flags = self._flags(scans, scan, place)
         room = self.settings.max_peaks
         found = np.bincount(scan, minlength=len(scans))
-        if (found > room).any():
-            # By scan, then by answer; of equal answers the first place comes first.
-            order = np.lexsort((place, -answer, scan))
-            rank = np.empty_like(order)
-            rank[order] = np.arange(len(order)) - (np.cumsum(found) - found)[scan[order]]
-            flags[found[scan] > room] |= int(PeakFlag.TRUNCATED)
-            kept = rank < room
-            scan, place, answer, flags = scan[kept], place[kept], answer[kept], flags[kept]
-            found = np.minimum(found, room)
-        column = np.arange(len(scan)) - (np.cumsum(found) - found)[scan]
+        flags[found[scan] > room] |= int(PeakFlag.TRUNCATED)
+        # By scan, then by answer; of equal answers the first place comes first.
+        order = np.lexsort((place, -answer, scan))
+        kept = np.sort(order[number_within_scan(scan) < room])
+        scan, place, answer = (each[kept] for each in (scan, place, answer))
+        column = number_within_scan(scan)
         shape = (len(scans), room)
         batch = DetectionBatch(
-            found.astype(np.int32),
+            np.minimum(found, room).astype(np.int32),
             np.full(shape, -1, dtype=np.int32),
             np.full(shape, np.nan, dtype=np.float32),
             np.full(shape, np.nan, dtype=np.float32),
@@ -218,7 +206,7 @@ class PeakDetector:
         batch.position_px[scan, column] = place
         batch.response_sigma[scan, column] = answer / (self.matched.norm * deviation[scan])
         batch.amplitude[scan, column] = answer / self._gains[place]
-        batch.flags[scan, column] = flags
+        batch.flags[scan, column] = flags[kept]
         return batch
 
     def _flags(

@@ -6,10 +6,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.signal.centroid_settings import GROUP_PIXELS, LEVEL_UNIT, sample_starts
+from compute.signal.array_rows import ArrayRows
 from compute.signal.fit.fit_settings import MAX_WINDOW_PX, WIDTH_LIMITS_PX, FitSettings
-from compute.signal.fit.line_spread_function import LineSpreadFunction
-from compute.signal.fit.window_model import Array, Layout, central_pixel_fraction
+from compute.signal.fit.window_model import Array, WindowModel
 from compute.signal.peaks import PeakBatch
 
 _MAX_HALF_PX = (MAX_WINDOW_PX - 1) // 2
@@ -18,10 +17,11 @@ IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
-class Groups:
+class Groups(ArrayRows):
     """G groups of candidates, ordered by scan and position.
 
     Args:
+        number: by which they are told apart, shape (G,).
         scan: the scans that they are in, shape (G,).
         first_candidate: the scans' candidates with which they begin, shape (G,).
         count: numbers of candidates, shape (G,).
@@ -33,6 +33,7 @@ class Groups:
         split_after: the chain was cut after it, shape (G,).
     """
 
+    number: IntArray
     scan: IntArray
     first_candidate: IntArray
     count: IntArray
@@ -46,10 +47,6 @@ class Groups:
     def __len__(self) -> int:
         """Return G."""
         return len(self.scan)
-
-    def __getitem__(self, rows: IntArray | NDArray[np.bool_]) -> "Groups":
-        """Return some of the groups."""
-        return Groups(*(values[rows] for values in vars(self).values()))
 
     def candidate_indices(self) -> IntArray:
         """Return the candidates of groups of equal size, shape (G, K)."""
@@ -111,7 +108,7 @@ def form_groups(candidates: PeakBatch, pixels: int, settings: FitSettings) -> Gr
             )
         ]
     table = np.array(rows, dtype=np.int64).reshape(-1, 9).T
-    return Groups(*table[:7], *table[7:].astype(bool))
+    return Groups(np.arange(len(rows)), *table[:7], *table[7:].astype(bool))
 
 
 def _extend(
@@ -149,40 +146,28 @@ def _cut(
 
 
 def initial_parameters(
+    model: WindowModel,
     groups: Groups,
     candidates: PeakBatch,
     background: Array,
     sensor: IntArray,
-    settings: FitSettings,
-    shape: LineSpreadFunction,
-) -> tuple[Layout, Array]:
-    """Return the initial parameters of groups of equal size.
+) -> Array:
+    """Return the initial parameters of groups of ``model.peaks`` candidates, shape (G, Q).
 
     Args:
-        groups: G groups of K candidates each.
+        model: the model.
+        groups: G groups.
         candidates: of all scans.
         background: of all scans, shape (L,) [counts].
         sensor: sensors of the groups' scans, shape (G,).
-        settings: of the fit.
-        shape: the line-spread function.
     """
-    first_candidate = groups.candidate_indices()
-    layout = Layout(first_candidate.shape[1], settings.background == "slope")
-    scan = groups.scan[:, None]
-    log_width = np.log(initial_widths(candidates, settings)[scan, first_candidate]).mean(axis=1)
-    place = candidates.position_px[scan, first_candidate]
-    share = central_pixel_fraction(shape, np.exp(log_width)[:, None], sensor[:, None], place)
-    start = np.zeros((len(groups), layout.size))
+    member = (groups.scan[:, None], groups.candidate_indices())
+    log_width = np.log(initial_widths(candidates, model.settings)[member]).mean(axis=1)
+    position = candidates.position_px[member]
+    share = model.central_pixel_fraction(np.exp(log_width)[:, None], sensor[:, None], position)
+    start = np.zeros((len(groups), model.size))
     start[:, 0] = background[groups.scan]
-    start[:, layout.light] = candidates.amplitude[scan, first_candidate] / share
-    start[:, layout.position] = place
+    start[:, model.light] = candidates.amplitude[member] / share
+    start[:, model.position] = position
     start[:, -1] = log_width
-    return layout, start
-
-
-def background_levels(scans: NDArray[np.uint16]) -> Array:
-    """Return the backgrounds of scans (L, P) by ``CentroidSettings``, (L,) [counts]."""
-    pixel = np.array(sample_starts(scans.shape[1]))[:, None] + np.arange(GROUP_PIXELS)
-    sums = np.sort(scans[:, pixel].astype(np.int64).sum(axis=2), axis=1)
-    quartile = sums[:, (sums.shape[1] - 1) // 4]
-    return quartile * (LEVEL_UNIT // GROUP_PIXELS) / LEVEL_UNIT
+    return start

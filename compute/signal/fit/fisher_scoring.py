@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.signal.array_rows import ArrayRows
 from compute.signal.fit.fit_settings import (
     CONVERGENCE_THRESHOLD_SIGMA,
     MAX_ITERATIONS,
@@ -12,23 +13,20 @@ from compute.signal.fit.fit_settings import (
     STEP_LOG_WIDTH,
     STEP_WIDTHS,
     WIDTH_LIMITS_PX,
-    FitSettings,
 )
-from compute.signal.fit.line_spread_function import LineSpreadFunction
-from compute.signal.fit.score_information import ScoreInformation
-from compute.signal.fit.window_model import Array, Layout, Windows
+from compute.signal.fit.window_model import Array, WindowModel, Windows
 
 _BLOCK = 4096  # windows that are worked on at once
 _WIDTH_LIMITS = np.log(WIDTH_LIMITS_PX)
 
 
 @dataclass(frozen=True, eq=False)
-class Solution:
+class Solution(ArrayRows):
     """Fits of N windows by Q parameters each; results are NaN where one failed.
 
     Args:
         good: the fit converged to something possible, shape (N,).
-        parameters: in the order of ``Layout``, shape (N, Q).
+        parameters: in the order of ``WindowModel``, shape (N, Q).
         covariance: theirs, shape (N, Q, Q); zero for a width that is known.
         chi2: misfit, the width's prior among it, shape (N,).
         dof: its degrees of freedom, shape (N,).
@@ -45,59 +43,36 @@ class Solution:
     deviance: Array
     evaluations: NDArray[np.int64]
 
-    def __getitem__(self, rows: NDArray[np.bool_] | NDArray[np.int64]) -> "Solution":
-        """Return some of the fits."""
-        return Solution(*(values[rows] for values in vars(self).values()))
 
-    @classmethod
-    def none(cls, start: Array, dof: NDArray[np.int64]) -> "Solution":
-        """Return N failed fits, to be filled in.
-
-        Args:
-            start: initial parameters, shape (N, Q).
-            dof: degrees of freedom, shape (N,).
-        """
-        count, size = start.shape
-        return cls(
-            np.zeros(count, bool),
-            start.copy(),
-            np.full((count, size, size), np.nan),
-            np.full(count, np.nan),
-            dof,
-            np.full(count, np.inf),
-            np.zeros(count, np.int64),
-        )
-
-
-def solve(
-    windows: Windows, start: Array, layout: Layout, settings: FitSettings, shape: LineSpreadFunction
-) -> Solution:
-    """Fit ``layout.peaks`` peaks to each window, as ``FitSettings`` defines it.
+def solve(model: WindowModel, windows: Windows, start: Array) -> Solution:
+    """Fit ``model.peaks`` peaks to each window, as ``FitSettings`` defines it.
 
     Args:
+        model: the model.
         windows: N windows.
         start: parameters to start with, shape (N, Q).
-        layout: their order.
-        settings: of the fit.
-        shape: the line-spread function.
     """
-    free = layout.size - (settings.width_log_sigma == 0.0)
+    sigma = model.settings.width_log_sigma
+    free = model.size - (sigma == 0.0)
     counted = windows.count
-    dof = counted - free + (0.0 < settings.width_log_sigma < np.inf)
-    solution = Solution.none(start, dof)
+    count, size = start.shape
+    solution = Solution(
+        np.zeros(count, bool),
+        start.copy(),
+        np.full((count, size, size), np.nan),
+        np.full(count, np.nan),
+        counted - free + (0.0 < sigma < np.inf),
+        np.full(count, np.inf),
+        np.zeros(count, np.int64),
+    )
     possible = np.flatnonzero(counted > free)
     for begin in range(0, len(possible), _BLOCK):
-        _iterate(windows, possible[begin : begin + _BLOCK], solution, layout, settings, shape)
+        _iterate(model, windows, possible[begin : begin + _BLOCK], solution)
     return solution
 
 
 def _iterate(
-    windows: Windows,
-    active: NDArray[np.int64],
-    solution: Solution,
-    layout: Layout,
-    settings: FitSettings,
-    shape: LineSpreadFunction,
+    model: WindowModel, windows: Windows, active: NDArray[np.int64], solution: Solution
 ) -> None:
     """Fit some of the windows, into ``solution``."""
     last = np.zeros(len(solution.good))
@@ -106,28 +81,25 @@ def _iterate(
             break
         part = windows[active]
         parameters = solution.parameters[active]
-        step = _scoring_step(part, parameters, layout, settings, shape)
+        step = _scoring_step(model, part, parameters)
         solution.evaluations[active] = number
         # Where the shape misfits, steps shrink slowly: noise alone would ask for too many.
         misfit = np.maximum(step.chi2 / solution.dof[active], 1.0)
         ended = step.regular & (step.length2 < CONVERGENCE_THRESHOLD_SIGMA**2 * misfit)
-        part_taken = _step_fraction(step, parameters, layout, last[active])
-        taken = np.where(ended[:, None], 1.0, part_taken) * step.step
-        moved = parameters + taken
-        moved[:, -1] = np.clip(moved[:, -1], *_WIDTH_LIMITS)
-        last[active] = moved[:, -1] - parameters[:, -1]
-        place = moved[:, layout.position]
-        inside = (place >= part.first_px[:, None] - 0.5) & (place <= part.last_px[:, None] + 0.5)
-        possible = step.regular & inside.all(axis=1)
-        solution.parameters[active] = moved
-        done = possible & ended
-        variance = np.einsum("nqq->nq", step.covariance)[:, layout.light]
-        lit = (moved[:, layout.light] > np.sqrt(np.maximum(variance, 0.0))).all(axis=1)
-        rows = active[done & lit]
+        fraction = _step_fraction(model, step, parameters, last[active])
+        updated = parameters + np.where(ended[:, None], 1.0, fraction) * step.step
+        updated[:, -1] = np.clip(updated[:, -1], *_WIDTH_LIMITS)
+        last[active] = updated[:, -1] - parameters[:, -1]
+        possible = step.regular & part.contain(updated[:, model.position])
+        solution.parameters[active] = updated
+        variance = np.einsum("nqq->nq", step.covariance)[:, model.light]
+        lit = (updated[:, model.light] > np.sqrt(np.maximum(variance, 0.0))).all(axis=1)
+        done = possible & ended & lit
+        rows = active[done]
         solution.good[rows] = True
         solution.deviance[active] = np.minimum(solution.deviance[active], step.deviance)
         for name in ("covariance", "chi2", "deviance"):
-            getattr(solution, name)[rows] = getattr(step, name)[done & lit]
+            getattr(solution, name)[rows] = getattr(step, name)[done]
         active = active[possible & ~ended]
 
 
@@ -143,16 +115,11 @@ class _Step:
     deviance: Array
 
 
-def _scoring_step(
-    windows: Windows,
-    parameters: Array,
-    layout: Layout,
-    settings: FitSettings,
-    shape: LineSpreadFunction,
-) -> _Step:
-    sums = ScoreInformation.of(windows, parameters, layout, settings, shape)
+def _scoring_step(model: WindowModel, windows: Windows, parameters: Array) -> _Step:
+    sums = model.score_information(windows, parameters)
     score, information = sums.score, sums.information
-    held = _at_limit(parameters[:, -1], score[:, -1], known=settings.width_log_sigma == 0.0)
+    known = model.settings.width_log_sigma == 0.0
+    held = _at_limit(parameters[:, -1], score[:, -1], known=known)
     score[held, -1] = 0.0
     information[held, -1, :] = information[held, :, -1] = 0.0
     information[held, -1, -1] = 1.0
@@ -170,21 +137,21 @@ def _at_limit(log_width: Array, score: Array, *, known: bool) -> NDArray[np.bool
     return np.ones_like(outward) if known else outward
 
 
-def _step_fraction(step: _Step, parameters: Array, layout: Layout, last: Array) -> Array:
+def _step_fraction(model: WindowModel, step: _Step, parameters: Array, last: Array) -> Array:
     """Return the part of each step that is taken, shape (N, 1).
 
     Args:
+        model: the model.
         step: the steps.
         parameters: from which they start.
-        layout: their order.
         last: changes of the widths' logarithms by the steps before, shape (N,).
     """
     width = np.exp(parameters[:, -1])
-    farthest = np.abs(step.step[:, layout.position]).max(axis=1) / (STEP_WIDTHS * width)
+    farthest = np.abs(step.step[:, model.position]).max(axis=1) / (STEP_WIDTHS * width)
     broadest = np.abs(step.step[:, -1]) / STEP_LOG_WIDTH
     part = 1.0 / np.maximum(np.maximum(farthest, broadest), 1.0)
     # Where one line's width turns back, the secant's step: else it may go to and fro for ever.
-    turned = (step.step[:, -1] * last < 0.0) & (layout.peaks == 1)
+    turned = (step.step[:, -1] * last < 0.0) & (model.peaks == 1)
     change = np.abs(step.step[turned, -1]) * part[turned]
     before = np.abs(last[turned])
     part[turned] *= before / (before + change)

@@ -7,10 +7,10 @@ from numpy.typing import NDArray
 
 from compute.errors import InvalidParameter
 from compute.signal.centroid_reference import find_peaks_reference
-from compute.signal.centroid_settings import MAX_PIXELS, MIN_PIXELS
+from compute.signal.centroid_settings import LEVEL_UNIT, MAX_PIXELS, MIN_PIXELS
+from compute.signal.detection.background_estimate import estimate_background
 from compute.signal.fit.candidate_groups import (
     Groups,
-    background_levels,
     form_groups,
     initial_parameters,
 )
@@ -24,7 +24,7 @@ from compute.signal.fit.peak_batches import (
     to_peak_batch,
 )
 from compute.signal.fit.width_marginalisation import marginalise_width
-from compute.signal.fit.window_model import Windows
+from compute.signal.fit.window_model import WindowModel
 from compute.signal.peaks import PeakBatch, PeakFlag
 from compute.signal.sensor_noise import SensorNoise
 
@@ -59,18 +59,12 @@ def fit_scans(
             f"candidates are of {len(candidates)} scans; they must be of these {len(scans)}",
             candidates=len(candidates),
         )
-    groups = form_groups(candidates, scans.shape[1], settings)
+    pixels, room = scans.shape[1], settings.search.max_peaks
+    groups = form_groups(candidates, pixels, settings)
     parts: list[FlatPeaks] = []
-    for number, fits in fit_groups(scans, groups, candidates, settings, noise, shape):
-        part = groups[number]
-        for selected in fits:
-            parts.append(
-                collect_fitted_peaks(
-                    selected, number, part, candidates, scans.shape[1], settings, shape
-                )
-            )
-            parts.append(collect_unfitted_peaks(selected, number, part, candidates))
-    room = settings.search.max_peaks
+    for selected in fit_groups(scans, groups, candidates, settings, noise, shape):
+        parts.append(collect_fitted_peaks(selected, candidates, pixels))
+        parts.append(collect_unfitted_peaks(selected, candidates))
     if not parts:
         return PeakBatch.empty(len(scans), room)
     truncated = ((candidates.flags & PeakFlag.TRUNCATED) != 0).any(axis=1)
@@ -84,7 +78,7 @@ def fit_groups(
     settings: FitSettings,
     noise: SensorNoise,
     shape: LineSpreadFunction,
-) -> list[tuple[NDArray[np.int64], list[SelectedFits]]]:
+) -> list[SelectedFits]:
     """Fit groups, those of equal size together.
 
     Args:
@@ -94,38 +88,18 @@ def fit_groups(
         settings: of the fit.
         noise: noise of the sensors.
         shape: the line-spread function.
-
-    Returns:
-        The numbers of such groups, and their fits, whose rows count these.
     """
-    background = background_levels(scans)
-    found = []
+    background = estimate_background(scans).background / LEVEL_UNIT
+    found: list[SelectedFits] = []
     for count in np.unique(groups.count).tolist():
-        number = np.flatnonzero(groups.count == count)
-        part = groups[number]
-
-        def extended(rows: NDArray[np.int64], part: Groups = part) -> Windows:
-            some = part[rows]
-            return Windows.cut(
-                scans, some.scan, some.extended_first_px, some.extended_last_px, noise
-            )
-
-        windows = Windows.cut(scans, part.scan, part.first_px, part.last_px, noise)
-        layout, start = initial_parameters(
-            part, candidates, background, windows.sensor, settings, shape
-        )
-        fits = fit_windows(windows, extended, start, layout, settings, shape)
-        found.append((number, [_marginalise(selected, settings, shape) for selected in fits]))
+        model = WindowModel(count, settings, shape)
+        part = groups[groups.count == count]
+        sensor = part.scan % len(noise)
+        start = initial_parameters(model, part, candidates, background, sensor)
+        for fits in fit_windows(model, part, start, scans, noise):
+            solution = marginalise_width(fits.model, fits.windows, fits.solution)
+            found.append(replace(fits, solution=solution))
     return found
-
-
-def _marginalise(
-    selected: SelectedFits, settings: FitSettings, shape: LineSpreadFunction
-) -> SelectedFits:
-    solution = marginalise_width(
-        selected.windows, selected.solution, selected.layout, settings, shape
-    )
-    return replace(selected, solution=solution)
 
 
 def check_scans(scans: NDArray[np.uint16]) -> None:

@@ -8,8 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from compute.errors import InvalidParameter
-from compute.signal.centroid_settings import CentroidSettings, require_whole
+from compute.parameter_checks import require
+from compute.signal.centroid_settings import (
+    CentroidSettings,
+    require_between,
+    require_choice,
+    require_whole,
+)
 from compute.signal.peaks import MAX_JOINT_PEAKS
 
 BackgroundModel = Literal["level", "slope"]
@@ -26,14 +31,14 @@ STEP_LOG_WIDTH: Final = 0.25
 """A step moves no position by more than the one [widths], no logarithm of a width by the other."""
 
 MIN_PIVOT: Final = 1e-9
-"""Least pivot of an information matrix scaled to a diagonal of ones."""
+"""Smallest pivot of an information matrix scaled to a diagonal of ones."""
 
 SPLIT_WIDTHS: Final = 0.7
 SPLIT_LOG_WIDTH: Final = 0.25
 """A peak is split into two so far to either side [widths], which are narrower by the other."""
 
 MAX_WINDOW_PX: Final = 128
-"""Most pixels that are fitted together."""
+"""Largest number of pixels that are fitted together."""
 
 WIDTH_LIMITS_PX: Final = (0.25, 16.0)
 """A fitted width [px] stays within these."""
@@ -52,7 +57,7 @@ MIN_LOG_WEIGHT: Final = -7.0
 """Widths of less weight than this one's exponential, beside the best one's, end a side."""
 
 MAX_WIDTH_NODES: Final = 6
-"""Most widths to either side of the best one."""
+"""Largest number of widths to either side of the best one."""
 
 
 @dataclass(frozen=True)
@@ -93,7 +98,7 @@ class FitSettings:
       secant's step). The end is ``g.d < CONVERGENCE_THRESHOLD_SIGMA^2 max(chi2/freedom, 1)``, by
       the pass's own chi-square with the prior's term, and that step is taken. The covariance is
       H^-1, and with the chi-square of the pass that gave the last step.
-    - *Number of peaks.* Where the misfit is more than chance (its own rate:
+    - *Number of peaks.* Where the misfit is significant (at the rate
       ``false_split_rate``) or the fit failed, the window grows by as much as the widest
       candidate's window reaches, up to midway to the neighbours' windows and MAX_WINDOW_PX, and
       the fit is repeated there. Then one peak more is tried, from each peak split in two
@@ -101,9 +106,9 @@ class FitSettings:
       stands if ``sum ((v - mu)^2/V + ln V)`` and the prior's term fall by more than ``dp ln n +
       2 ln(1/false_split_rate)``, dp = 2 the parameters that it adds and n the pixels: Schwarz's
       criterion (10.1214/aos/1176344136) with a margin for the places where it was looked for.
-      So on, while the misfit is more than chance, up to ``max_joint_peaks``. Where none stands, the
-      first window's fit does, or else the grown one's. Without ``further_peaks`` none is tried,
-      and only a failed fit is repeated in the grown window.
+      This is repeated while the misfit is significant, up to ``max_joint_peaks``. Where none
+      stands, the first window's fit does, or else the grown one's. Without
+      ``further_peaks`` none is tried, and only a failed fit is repeated in the grown window.
     - *Unknown width.* Where the deviation of the width's logarithm is more than
       LOG_WIDTH_SIGMA_THRESHOLD, or it is held at a limit, the covariance is averaged over widths:
       from the best one to either side, by that deviation or STEP_LOG_WIDTH, whichever is less, as
@@ -119,7 +124,7 @@ class FitSettings:
       in a pixel about the line's middle; ``width_px`` the full width at ``search``'s
       threshold of a Gaussian with the fitted width; the reduced chi-square of the group, of
       which a finite prior is one more observation. Flags:
-      JOINT, POOR_FIT (a chi-square of less chance than ``false_split_rate``), SATURATED (a pixel
+      JOINT, POOR_FIT (a chi-square less probable than ``false_split_rate``), SATURATED (a pixel
       of the window was left out), CLIPPED (a line less than two widths from an end of the
       sensor), MERGED (at a cut, or a candidate with a valley that got no further peak), and
       UNFITTED with all of the candidate's own figures where no more pixels than parameters are
@@ -139,8 +144,8 @@ class FitSettings:
             pixel: uneven pixels. A line of another shape than E is no such thing: a bright one
             is taken for several peaks, whatever is allowed here. Measure its shape
             (``LineSpreadFunction.from_cells``), or set ``further_peaks`` to False.
-        max_joint_peaks: most peaks that are fitted together, 1 to MAX_JOINT_PEAKS.
-        false_split_rate: chance of fitting two peaks where there is one.
+        max_joint_peaks: largest number of peaks that are fitted together, 1 to MAX_JOINT_PEAKS.
+        false_split_rate: probability of fitting two peaks where there is one.
         further_peaks: more peaks than candidates are tried. If not, candidates that overlap are
             still fitted together, but a misfit is only flagged: right where the lines' shape is
             not known well enough for a misfit to tell of a second line.
@@ -160,19 +165,14 @@ class FitSettings:
     further_peaks: bool = True
 
     def __post_init__(self) -> None:
-        low, high = WIDTH_LIMITS_PX
-        self._require("width_px", low <= self.width_px <= high, f"in {low} .. {high}")
-        spread = self.width_log_sigma
-        self._require("width_log_sigma", spread == 0.0 or spread >= 1e-6, "zero, or 1e-6 or more")
-        self._require("reach", 2.0 <= self.reach <= 8.0, "in 2 .. 8")
-        self._require("shape_error", 0.0 <= self.shape_error <= 0.5, "in 0 .. 0.5")
+        require_between("width_px", self.width_px, *WIDTH_LIMITS_PX)
+        sigma = self.width_log_sigma
+        require(sigma == 0.0 or sigma >= 1e-6, "be zero, or 1e-6 or more", width_log_sigma=sigma)
+        require_between("reach", self.reach, 2.0, 8.0)
+        require_between("shape_error", self.shape_error, 0.0, 0.5)
         require_whole("max_joint_peaks", self.max_joint_peaks, 1, MAX_JOINT_PEAKS)
-        self._require("false_split_rate", 1e-12 <= self.false_split_rate <= 0.1, "in 1e-12 .. 0.1")
-        if self.background not in get_args(BackgroundModel):
-            raise InvalidParameter(
-                f"background is {self.background!r}; it must be one of {get_args(BackgroundModel)}",
-                background=self.background,
-            )
+        require_between("false_split_rate", self.false_split_rate, 1e-12, 0.1)
+        require_choice("background", self.background, get_args(BackgroundModel))
 
     @property
     def narrow_width_px(self) -> float:
@@ -187,15 +187,10 @@ class FitSettings:
         return 2.0 * log(1.0 / self.false_split_rate)
 
     def chi2_limits(self) -> NDArray[np.float64]:
-        """Return the chi-square that chance exceeds at ``false_split_rate``, by degrees of freedom.
+        """Return the critical chi-square at ``false_split_rate``, by degrees of freedom.
 
         Shape (MAX_WINDOW_PX + 1,), from none; none has no limit.
         """
         limits = np.full(MAX_WINDOW_PX + 1, np.inf)
         limits[1:] = chi2.isf(self.false_split_rate, np.arange(1, MAX_WINDOW_PX + 1))
         return limits
-
-    def _require(self, name: str, good: bool, meaning: str) -> None:
-        if not good:
-            value = getattr(self, name)
-            raise InvalidParameter(f"{name} is {value}; it must be {meaning}", **{name: value})

@@ -12,7 +12,7 @@ from compute.signal.fit.fit_settings import FitSettings
 from compute.signal.fit.line_spread_function import LineSpreadFunction
 from compute.signal.fit.model_order import SelectedFits
 from compute.signal.fit.peak_batches import FlatPeaks, collect_fitted_peaks, collect_unfitted_peaks
-from compute.signal.fit.window_model import Array, Layout, Windows, evaluate
+from compute.signal.fit.window_model import Array
 from compute.signal.peaks import PeakFlag
 from compute.signal.sensor_noise import SensorNoise
 
@@ -101,107 +101,68 @@ def fit_scan(
     scans = np.concatenate([np.zeros((own, len(values)), np.uint16), scans])
     candidates = find_peaks_reference(scans, settings.search, noise)
     groups = form_groups(candidates, len(values), settings)
+    gain = float(noise.electrons_per_count[own])
     found: list[GroupFit] = []
-    for number, fits in fit_groups(scans, groups, candidates, settings, noise, shape):
-        part = groups[number]
-        for selected in fits:
-            peaks = collect_fitted_peaks(
-                selected, number, part, candidates, len(values), settings, shape
-            )
-            good = selected[selected.solution.good]
-            gain = noise.electrons_per_count[own]
-            found += [
-                _fitted(good, row, peaks, float(gain), settings, shape)
-                for row in range(len(good.rows))
-            ]
-            bad = selected[~selected.solution.good]
-            peaks = collect_unfitted_peaks(selected, number, part, candidates)
-            found += [_unfitted(bad, row, peaks) for row in range(len(bad.rows))]
+    for fits in fit_groups(scans, groups, candidates, settings, noise, shape):
+        good = fits.solution.good
+        for some, peaks in (
+            (fits[good], collect_fitted_peaks(fits, candidates, len(values))),
+            (fits[~good], collect_unfitted_peaks(fits, candidates)),
+        ):
+            found += [_group_fit(some, row, peaks, gain) for row in range(len(some.groups))]
     return tuple(sorted(found, key=lambda group: float(group.position_px[0])))
 
 
-def _fitted(
-    selected: SelectedFits,
-    row: int,
-    peaks: FlatPeaks,
-    gain: float,
-    settings: FitSettings,
-    shape: LineSpreadFunction,
-) -> GroupFit:
-    layout, solution = selected.layout, selected.solution
-    count = layout.peaks
-    own = peaks[np.arange(row * count, (row + 1) * count)]
+def _group_fit(selected: SelectedFits, row: int, peaks: FlatPeaks, gain: float) -> GroupFit:
+    """Return the details of a group; ``peaks`` are those of all groups that are selected."""
+    model, solution = selected.model, selected.solution[np.array([row])]
     windows = selected.windows[np.array([row])]
-    order = np.argsort(solution.parameters[row, layout.position], kind="stable")
-    index = np.arange(layout.size)
-    index[layout.light] = index[layout.light][order]
-    index[layout.position] = index[layout.position][order]
-    parameters = solution.parameters[row, index]
-    model = evaluate(windows, parameters[None], layout, settings, shape)
+    own = peaks[np.arange(row * model.peaks, (row + 1) * model.peaks)]
+    # Peaks in the order of their positions.
+    order = np.argsort(solution.parameters[0, model.position], kind="stable")
+    index = np.arange(model.size)
+    index[model.light] = index[model.light][order]
+    index[model.position] = index[model.position][order]
+    parameters, covariance = (
+        solution.parameters[0, index],
+        solution.covariance[0][np.ix_(index, index)],
+    )
+    mean = residual = np.full(windows.values.shape, np.nan)
+    good = bool(solution.good[0])
+    if good:
+        expected = model.evaluate(windows, parameters[None])
+        mean = expected.mean
+        residual = (windows.values - mean) / np.sqrt(expected.variance)
+    else:
+        parameters = np.full(model.size, np.nan)
     inside = slice(0, int(windows.last_px[0] - windows.first_px[0]) + 1)
-    residual = (windows.values - model.mean) / np.sqrt(model.variance)
     width = float(np.exp(parameters[-1]))
-    covariance = solution.covariance[row][np.ix_(index, index)]
+    sloped = model.settings.background == "slope"
+    counts = range(1, model.peaks + 1)
     return GroupFit(
-        int(windows.first_px[0]),
-        windows.values[0, inside],
-        windows.used[0, inside],
-        model.mean[0, inside],
-        residual[0, inside],
-        own.flags,
-        own.position_px,
-        own.sigma_px,
-        own.amplitude,
-        parameters[layout.light],
-        parameters[layout.light] * gain,
-        width,
-        width * float(np.sqrt(covariance[-1, -1])),
-        float(parameters[0]),
-        float(parameters[1]) if layout.slope else 0.0,
-        _names(layout),
-        covariance,
-        float(solution.chi2[row]),
-        int(solution.dof[row]),
-    )
-
-
-def _unfitted(selected: SelectedFits, row: int, peaks: FlatPeaks) -> GroupFit:
-    layout = selected.layout
-    count = layout.peaks
-    own = peaks[np.arange(row * count, (row + 1) * count)]
-    windows: Windows = selected.windows[np.array([row])]
-    inside = slice(0, int(windows.last_px[0] - windows.first_px[0]) + 1)
-    values = windows.values[0, inside]
-    nothing, each = np.full(len(values), np.nan), np.full(count, np.nan)
-    return GroupFit(
-        int(windows.first_px[0]),
-        values,
-        windows.used[0, inside],
-        nothing,
-        nothing,
-        own.flags,
-        own.position_px,
-        own.sigma_px,
-        own.amplitude,
-        each,
-        each,
-        np.nan,
-        np.nan,
-        np.nan,
-        np.nan,
-        _names(layout),
-        np.full((layout.size, layout.size), np.nan),
-        np.nan,
-        0,
-    )
-
-
-def _names(layout: Layout) -> tuple[str, ...]:
-    peaks = range(1, layout.peaks + 1)
-    return (
-        "background",
-        *(("slope",) if layout.slope else ()),
-        *(f"light {k}" for k in peaks),
-        *(f"position {k}" for k in peaks),
-        "ln width",
+        first_px=int(windows.first_px[0]),
+        values=windows.values[0, inside],
+        used=windows.used[0, inside],
+        model=mean[0, inside],
+        residual_sigma=residual[0, inside],
+        flags=own.flags,
+        position_px=own.position_px,
+        sigma_px=own.sigma_px,
+        amplitude=own.amplitude,
+        light_counts=parameters[model.light],
+        light_electrons=parameters[model.light] * gain,
+        width_px=width,
+        width_sigma_px=width * float(np.sqrt(covariance[-1, -1])),
+        background_counts=float(parameters[0]),
+        slope_counts_per_px=float(parameters[1]) if sloped or not good else 0.0,
+        parameters=(
+            "background",
+            *(["slope"] if sloped else []),
+            *(f"light {k}" for k in counts),
+            *(f"position {k}" for k in counts),
+            "ln width",
+        ),
+        covariance=covariance,
+        chi2=float(solution.chi2[0]),
+        dof=int(solution.dof[0]) if good else 0,
     )

@@ -9,6 +9,7 @@ from scipy.interpolate import PchipInterpolator
 from scipy.special import ndtr
 
 from compute.errors import InvalidParameter
+from compute.parameter_checks import check_positive, require
 
 Array = NDArray[np.float64]
 
@@ -51,18 +52,14 @@ class LineSpreadFunction:
         shape = self.cumulative.shape
         if len(shape) != 3 or shape[2] < 2 or 0 in shape or self.density.shape != shape:
             raise InvalidParameter(
-                f"edge has the shape {shape} and slope {self.density.shape}; both must be "
-                "(S, N, T) "
-                "with two places or more",
+                f"cumulative has the shape {shape} and density {self.density.shape}; both must "
+                "be (S, N, T) with two places or more",
                 cumulative=shape,
                 density=self.density.shape,
             )
         if not (np.isfinite(self.cumulative).all() and np.isfinite(self.density).all()):
-            raise InvalidParameter("edge or slope hold a value that is not finite")
-        for name in ("step", "node_step_px"):
-            value = getattr(self, name)
-            if not 0.0 < value < np.inf:
-                raise InvalidParameter(f"{name} is {value}; it must be positive", **{name: value})
+            raise InvalidParameter("cumulative or density hold a value that is not finite")
+        check_positive(self, "step", "node_step_px")
 
     @classmethod
     def gaussian(cls) -> "LineSpreadFunction":
@@ -113,9 +110,8 @@ class LineSpreadFunction:
                 f"light has {float(np.min(cells))} at least and {float(np.min(total))} in the "
                 "darkest line; it must be zero or more, with some light in each"
             )
-        for name, value in (("step", step), ("unit_px", unit_px)):
-            if not 0.0 < value < np.inf:
-                raise InvalidParameter(f"{name} is {value}; it must be positive", **{name: value})
+        require(0.0 < step < np.inf, "be positive", step=step)
+        require(0.0 < unit_px < np.inf, "be positive", unit_px=unit_px)
         first, step = first / unit_px, step / unit_px
         share = cells / total
         cumulative = np.concatenate([np.zeros_like(total), np.cumsum(share, axis=2)], axis=2)

@@ -5,18 +5,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.signal.fit.candidate_groups import Groups
-from compute.signal.fit.fit_settings import FitSettings
-from compute.signal.fit.line_spread_function import LineSpreadFunction
+from compute.signal.array_rows import ArrayRows
 from compute.signal.fit.model_order import SelectedFits
-from compute.signal.fit.window_model import Array, central_pixel_fraction
-from compute.signal.peaks import MAX_JOINT_PEAKS, PeakBatch, PeakFlag
+from compute.signal.fit.window_model import Array
+from compute.signal.peaks import MAX_JOINT_PEAKS, PeakBatch, PeakFlag, number_within_scan
 
 _CLIPPED_WIDTHS = 2.0
 
 
 @dataclass(frozen=True, eq=False)
-class FlatPeaks:
+class FlatPeaks(ArrayRows):
     """Peaks of many scans in no order.
 
     Args:
@@ -43,52 +41,30 @@ class FlatPeaks:
     reduced_chi2: Array
     covariance_px2: Array
 
-    def __getitem__(self, rows: NDArray[np.int64]) -> "FlatPeaks":
-        """Return some of the peaks."""
-        return FlatPeaks(*(values[rows] for values in vars(self).values()))
 
-    @classmethod
-    def concatenate(cls, parts: list["FlatPeaks"]) -> "FlatPeaks":
-        """Put peaks together."""
-        names = cls.__dataclass_fields__
-        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
-
-
-def collect_fitted_peaks(
-    selected: SelectedFits,
-    number: NDArray[np.int64],
-    groups: Groups,
-    candidates: PeakBatch,
-    pixels: int,
-    settings: FitSettings,
-    shape: LineSpreadFunction,
-) -> FlatPeaks:
+def collect_fitted_peaks(selected: SelectedFits, candidates: PeakBatch, pixels: int) -> FlatPeaks:
     """Return the peaks of the groups whose fits were good.
 
     Args:
         selected: fits of groups of equal size; the good ones count.
-        number: numbers of the groups, by which they are told apart, shape (G,).
-        groups: the groups that ``chosen.rows`` counts.
         candidates: of all scans.
         pixels: pixels of a scan.
-        settings: of the fit.
-        shape: the line-spread function.
     """
     selected = selected[selected.solution.good]
-    solution, windows, layout = selected.solution, selected.windows, selected.layout
-    groups, number = groups[selected.rows], number[selected.rows]
-    place = solution.parameters[:, layout.position]
+    model, groups, windows = selected.model, selected.groups, selected.windows
+    solution, settings = selected.solution, model.settings
+    place = solution.parameters[:, model.position]
     order = np.argsort(place, axis=1, kind="stable")
     position = np.take_along_axis(place, order, axis=1)
-    light = np.take_along_axis(solution.parameters[:, layout.light], order, axis=1)
-    covariance = solution.covariance[:, layout.position, layout.position]
+    light = np.take_along_axis(solution.parameters[:, model.light], order, axis=1)
+    covariance = solution.covariance[:, model.position, model.position]
     covariance = np.take_along_axis(covariance, order[:, :, None], axis=1)
     covariance = np.take_along_axis(covariance, order[:, None, :], axis=2)
     width = np.exp(solution.parameters[:, -1:])
-    share = central_pixel_fraction(shape, width, windows.sensor[:, None], position)
+    share = model.central_pixel_fraction(width, windows.sensor[:, None], position)
 
     flags = np.zeros(position.shape, np.int64)
-    if layout.peaks > 1:
+    if model.peaks > 1:
         flags |= PeakFlag.JOINT
     limit = settings.chi2_limits()[solution.dof]
     in_window = windows.last_px - windows.first_px + 1
@@ -99,7 +75,7 @@ def collect_fitted_peaks(
     flags |= PeakFlag.CLIPPED * clipped
     flags[:, 0] |= PeakFlag.MERGED * groups.split_before
     flags[:, -1] |= PeakFlag.MERGED * groups.split_after
-    if len(groups) and int(groups.count[0]) == layout.peaks:
+    if len(groups) and int(groups.count[0]) == model.peaks:
         flags |= (
             candidates.flags[groups.scan[:, None], groups.candidate_indices()] & PeakFlag.MERGED
         )
@@ -112,7 +88,7 @@ def collect_fitted_peaks(
     reduced = (solution.chi2 / solution.dof)[:, None]
     return FlatPeaks(
         np.repeat(groups.scan, count),
-        np.repeat(number, count),
+        np.repeat(groups.number, count),
         np.tile(np.arange(count), len(groups)),
         position.ravel(),
         np.sqrt(np.einsum("nkk->nk", covariance)).ravel(),
@@ -124,19 +100,14 @@ def collect_fitted_peaks(
     )
 
 
-def collect_unfitted_peaks(
-    selected: SelectedFits, number: NDArray[np.int64], groups: Groups, candidates: PeakBatch
-) -> FlatPeaks:
+def collect_unfitted_peaks(selected: SelectedFits, candidates: PeakBatch) -> FlatPeaks:
     """Return the candidates of the groups whose fits failed.
 
     Args:
         selected: fits of groups of equal size; the failed ones count.
-        number: numbers of the groups, shape (M,).
-        groups: these groups.
         candidates: of all scans.
     """
-    rows = selected.rows[~selected.solution.good]
-    groups, number = groups[rows], number[rows]
+    groups = selected.groups[~selected.solution.good]
     member = groups.candidate_indices()
     count = member.shape[1]
     at = (np.repeat(groups.scan, count), member.ravel())
@@ -145,8 +116,8 @@ def collect_unfitted_peaks(
     flags[:, -1:] |= PeakFlag.MERGED * groups.split_after[:, None]
     return FlatPeaks(
         at[0],
-        np.repeat(number, count),
-        np.tile(np.arange(count), len(rows)),
+        np.repeat(groups.number, count),
+        np.tile(np.arange(count), len(groups)),
         candidates.position_px[at],
         candidates.sigma_px[at].astype(np.float64),
         candidates.amplitude[at].astype(np.float64),
@@ -170,13 +141,13 @@ def to_peak_batch(
     """
     batch = PeakBatch.empty(scans, room)
     by_light = np.lexsort((peaks.position_px, -peaks.amplitude, peaks.scan))
-    rank = _numbered(peaks.scan[by_light])
+    rank = number_within_scan(peaks.scan[by_light])
     truncated = truncated.copy()
     truncated[peaks.scan[by_light[rank >= room]]] = True
     peaks = peaks[by_light[rank < room]]
     # A group's peaks lie within its window, and windows do not overlap.
     peaks = peaks[np.lexsort((peaks.within, peaks.position_px, peaks.scan))]
-    slot = _numbered(peaks.scan)
+    slot = number_within_scan(peaks.scan)
     at = (peaks.scan, slot)
     batch.count[:] = np.bincount(peaks.scan, minlength=scans)
     for name in ("position_px", "sigma_px", "amplitude", "width_px", "reduced_chi2"):
@@ -189,9 +160,3 @@ def to_peak_batch(
         covariance = peaks.covariance_px2[here, peaks.within[here + ahead]]
         batch.covariance_px2[peaks.scan[here], slot[here], ahead - 1] = covariance
     return batch
-
-
-def _numbered(scan: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return each peak's number within its scan; scans ascend."""
-    starts = np.searchsorted(scan, scan)
-    return np.arange(len(scan)) - starts

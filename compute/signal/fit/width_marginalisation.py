@@ -14,23 +14,14 @@ from compute.signal.fit.fit_settings import (
     MIN_PIVOT,
     STEP_LOG_WIDTH,
     WIDTH_LIMITS_PX,
-    FitSettings,
 )
-from compute.signal.fit.line_spread_function import LineSpreadFunction
-from compute.signal.fit.score_information import ScoreInformation
-from compute.signal.fit.window_model import Array, Layout, Windows
+from compute.signal.fit.window_model import Array, WindowModel, Windows
 
 _LOW, _HIGH = np.log(WIDTH_LIMITS_PX)
 _SIDES: Final = (-1.0, 1.0)
 
 
-def marginalise_width(
-    windows: Windows,
-    solution: Solution,
-    layout: Layout,
-    settings: FitSettings,
-    shape: LineSpreadFunction,
-) -> Solution:
+def marginalise_width(model: WindowModel, windows: Windows, solution: Solution) -> Solution:
     """Return fits whose covariances are averaged over the width where it is not determined.
 
     At a given width the other parameters' errors are all but normal, yet their deviations change
@@ -40,23 +31,19 @@ def marginalise_width(
     *Unknown width*.
 
     Args:
+        model: the model.
         windows: N windows.
         solution: their fits; those that are not good stay as they are.
-        layout: the order of the parameters.
-        settings: of the fit.
-        shape: the line-spread function.
     """
     variance = solution.covariance[:, -1, -1]
     # Zero where the width is held at a limit.
     is_open = (variance > LOG_WIDTH_SIGMA_THRESHOLD**2) | (variance == 0.0)
-    rows = np.flatnonzero(solution.good & is_open & (settings.width_log_sigma > 0.0))
+    rows = np.flatnonzero(solution.good & is_open & (model.settings.width_log_sigma > 0.0))
     if len(rows) == 0:
         return solution
-    spread, regular = _average_covariance(
-        windows[rows], solution.parameters[rows], layout, settings, shape
-    )
+    average, regular = _average_covariance(model, windows[rows], solution.parameters[rows])
     covariance = solution.covariance.copy()
-    covariance[rows[regular]] = spread[regular]
+    covariance[rows[regular]] = average[regular]
     return replace(solution, covariance=covariance)
 
 
@@ -90,15 +77,9 @@ class _Nodes:
         return parameters
 
 
-def _nodes(
-    windows: Windows,
-    parameters: Array,
-    layout: Layout,
-    settings: FitSettings,
-    shape: LineSpreadFunction,
-) -> _Nodes:
+def _nodes(model: WindowModel, windows: Windows, parameters: Array) -> _Nodes:
     """Take one scoring step, at the widths of ``parameters``, to the best of the others."""
-    sums = ScoreInformation.of(windows, parameters, layout, settings, shape)
+    sums = model.score_information(windows, parameters)
     score, information = sums.score, sums.information
     root, regular = _roots(information)
     diagonal = np.einsum("nii->ni", root)
@@ -107,16 +88,14 @@ def _nodes(
     step = (covariance @ score[:, :-1, None])[..., 0]
     best = parameters.copy()
     best[:, :-1] += step
-    place = best[:, layout.position]
-    inside = (place >= windows.first_px[:, None] - 0.5) & (place <= windows.last_px[:, None] + 0.5)
     return _Nodes(
         best,
         covariance,
         -(covariance @ information[:, :-1, -1:])[..., 0],
         score[:, -1] - (information[:, -1, :-1] * step).sum(axis=1),
         diagonal[:, -1] ** 2,
-        -np.log(diagonal[:, layout.position]).mean(axis=1),
-        regular & inside.all(axis=1),
+        -np.log(diagonal[:, model.position]).mean(axis=1),
+        regular & windows.contain(best[:, model.position]),
     )
 
 
@@ -140,18 +119,16 @@ def _roots(matrices: Array) -> tuple[Array, NDArray[np.bool_]]:
 
 
 def _average_covariance(
-    windows: Windows, best: Array, layout: Layout, settings: FitSettings, shape: LineSpreadFunction
+    model: WindowModel, windows: Windows, best: Array
 ) -> tuple[Array, NDArray[np.bool_]]:
     """Return the covariances of averages over the width, and where there are such.
 
     Args:
+        model: the model.
         windows: N windows.
         best: parameters to start from, shape (N, Q).
-        layout: their order.
-        settings: of the fit.
-        shape: the line-spread function.
     """
-    middle = _nodes(windows, best, layout, settings, shape)
+    middle = _nodes(model, windows, best)
     step = np.minimum(middle.information**-0.5, STEP_LOG_WIDTH)
     total = np.ones(len(best))
     # Moments of the distances from the middle.
@@ -161,7 +138,7 @@ def _average_covariance(
     for side in _SIDES:
         before, rise, going = middle, np.zeros(len(best)), middle.regular
         for _ in range(MAX_WIDTH_NODES):
-            node = _nodes(windows, before.shift_log_width(side * step), layout, settings, shape)
+            node = _nodes(model, windows, before.shift_log_width(side * step))
             rise = rise + 0.5 * (before.score + node.score) * side * step
             weight = rise + node.log_sigma - middle.log_sigma
             log_width = node.parameters[:, -1]

@@ -1,54 +1,21 @@
-"""Model of a window: expected counts by background, peaks and width; its Jacobian."""
+"""Model of a window: expected counts by background, peaks and width; its score and information."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.signal.fit.fit_settings import FitSettings
+from compute.signal.array_rows import ArrayRows
+from compute.signal.fit.fit_settings import NARROW_POWER, FitSettings
 from compute.signal.fit.line_spread_function import LineSpreadFunction
 from compute.signal.sensor_noise import ScanNoise, SensorNoise
 
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class Layout:
-    """Order of the parameters of K peaks: level, [slope], lights, positions, ln width.
-
-    The width always has its place, known or not.
-
-    Args:
-        peaks: K.
-        slope: the background has a slope.
-    """
-
-    peaks: int
-    slope: bool
-
-    @property
-    def background(self) -> int:
-        """Number of the background's parameters."""
-        return 2 if self.slope else 1
-
-    @property
-    def light(self) -> slice:
-        """The lights A_k [counts]."""
-        return slice(self.background, self.background + self.peaks)
-
-    @property
-    def position(self) -> slice:
-        """The positions x_k [px]."""
-        return slice(self.background + self.peaks, self.background + 2 * self.peaks)
-
-    @property
-    def size(self) -> int:
-        """Number of parameters, the logarithm of the width, the last, among them."""
-        return self.background + 2 * self.peaks + 1
-
-
 @dataclass(frozen=True, eq=False)
-class Windows:
+class Windows(ArrayRows):
     """N windows of at most W pixels; shorter ones are padded with pixels that do not count.
 
     Args:
@@ -103,10 +70,6 @@ class Windows:
         """Return N."""
         return len(self.values)
 
-    def __getitem__(self, rows: NDArray[np.int64] | NDArray[np.bool_]) -> "Windows":
-        """Return some of the windows."""
-        return Windows(*(values[rows] for values in vars(self).values()))
-
     @property
     def count(self) -> NDArray[np.int64]:
         """Number of pixels that count, shape (N,)."""
@@ -115,9 +78,16 @@ class Windows:
 
     @property
     def offset_from_centre(self) -> Array:
-        """Places of the pixels from their window's middle, shape (N, W) [px]."""
-        middle = 0.5 * (self.first_px + self.last_px)
-        return (self.first_px - middle)[:, None] + np.arange(self.values.shape[1])
+        """Positions of the pixels relative to their window's centre, shape (N, W) [px]."""
+        centre = 0.5 * (self.first_px + self.last_px)
+        return (self.first_px - centre)[:, None] + np.arange(self.values.shape[1])
+
+    def contain(self, position_px: Array) -> NDArray[np.bool_]:
+        """Return which windows contain all of their positions, shape (N, K) -> (N,)."""
+        inside = (position_px >= self.first_px[:, None] - 0.5) & (
+            position_px <= self.last_px[:, None] + 0.5
+        )
+        return np.asarray(inside.all(axis=1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,55 +105,157 @@ class ModelPrediction:
     jacobian: Array
 
 
-def evaluate(
-    windows: Windows,
-    parameters: Array,
-    layout: Layout,
-    settings: FitSettings,
-    shape: LineSpreadFunction,
-) -> ModelPrediction:
-    """Evaluate the model of ``FitSettings``.
+class WidthPrior(NamedTuple):
+    """The prior's contributions to N fits, arrays of shape (N,).
 
     Args:
-        windows: N windows.
-        parameters: shape (N, Q).
-        layout: their order.
+        score: derivative of the prior's logarithm.
+        information: its curvature, negative.
+        chi2: to the misfit: the square of the distance from ``width_px`` in ``width_log_sigma``.
+        deviance: twice the prior's logarithm, negative.
+    """
+
+    score: Array
+    information: Array
+    chi2: Array
+    deviance: Array
+
+
+@dataclass(frozen=True, eq=False)
+class ScoreInformation:
+    """Score, information and deviance of N models, with the width's prior.
+
+    Args:
+        score: derivative of the likelihood's logarithm by each parameter, shape (N, Q).
+        information: expected of it, shape (N, Q, Q).
+        chi2: ``sum (v - mu)^2/V`` and the prior's part, shape (N,).
+        deviance: ``sum ((v - mu)^2/V + ln V)`` and the prior's term, shape (N,).
+    """
+
+    score: Array
+    information: Array
+    chi2: Array
+    deviance: Array
+
+
+@dataclass(frozen=True)
+class WindowModel:
+    """Model of K peaks in a window, as ``FitSettings`` defines it.
+
+    Its Q parameters are level, [slope], lights, positions, ln width. The width always has its
+    place, known or not.
+
+    Args:
+        peaks: K.
         settings: of the fit.
         shape: the line-spread function.
     """
-    pixels = windows.values.shape[1]
-    position, light = parameters[:, layout.position], parameters[:, layout.light]
-    width = np.exp(parameters[:, -1:])
-    edge_px = windows.first_px[:, None] - 0.5 + np.arange(pixels + 1)
-    t = (edge_px[:, None, :] - position[..., None]) / width[..., None]
-    below, density = shape.at(t, windows.sensor[:, None, None], position[..., None])
-    share = np.diff(below, axis=2)
-    jacobian = np.ones((len(windows), layout.size, pixels))
-    if layout.slope:
-        jacobian[:, 1] = windows.offset_from_centre
-    jacobian[:, layout.light] = share
-    bright = light[..., None]
-    jacobian[:, layout.position] = np.diff(density, axis=2) * (-bright / width[..., None])
-    jacobian[:, -1] = -(np.diff(t * density, axis=2) * bright).sum(axis=1)
-    lit = (bright * share).sum(axis=1)
-    mean = lit + parameters[:, :1]
-    if layout.slope:
-        mean += parameters[:, 1:2] * jacobian[:, 1]
-    variance = windows.noise.variance(mean)
-    variance += (settings.shape_error * lit) ** 2
-    return ModelPrediction(mean, variance, jacobian)
 
+    peaks: int
+    settings: FitSettings
+    shape: LineSpreadFunction
 
-def central_pixel_fraction(
-    shape: LineSpreadFunction, width_px: Array, sensor: NDArray[np.int64], position_px: Array
-) -> Array:
-    """Return the share of a peak's light in a pixel centred on it; all arguments broadcast.
+    @property
+    def background_size(self) -> int:
+        """Number of the background's parameters."""
+        return 2 if self.settings.background == "slope" else 1
 
-    Args:
-        shape: the line-spread function.
-        width_px: widths of the peaks [px].
-        sensor: numbers of the sensors.
-        position_px: positions of the peaks [px].
-    """
-    upper, lower = (shape.at(half / width_px, sensor, position_px)[0] for half in (0.5, -0.5))
-    return np.asarray(upper - lower)
+    @property
+    def light(self) -> slice:
+        """The lights A_k [counts]."""
+        return slice(self.background_size, self.background_size + self.peaks)
+
+    @property
+    def position(self) -> slice:
+        """The positions x_k [px]."""
+        return slice(self.light.stop, self.light.stop + self.peaks)
+
+    @property
+    def size(self) -> int:
+        """Q, with the logarithm of the width."""
+        return self.background_size + 2 * self.peaks + 1
+
+    def with_peak_more(self) -> "WindowModel":
+        """Return the model of K + 1 peaks."""
+        return replace(self, peaks=self.peaks + 1)
+
+    def evaluate(self, windows: Windows, parameters: Array) -> ModelPrediction:
+        """Return the expected counts and their derivatives.
+
+        Args:
+            windows: N windows.
+            parameters: shape (N, Q).
+        """
+        pixels = windows.values.shape[1]
+        position, light = parameters[:, self.position], parameters[:, self.light]
+        width = np.exp(parameters[:, -1:])
+        edge_px = windows.first_px[:, None] - 0.5 + np.arange(pixels + 1)
+        t = (edge_px[:, None, :] - position[..., None]) / width[..., None]
+        below, density = self.shape.at(t, windows.sensor[:, None, None], position[..., None])
+        share = np.diff(below, axis=2)
+        jacobian = np.ones((len(windows), self.size, pixels))
+        jacobian[:, self.light] = share
+        bright = light[..., None]
+        jacobian[:, self.position] = np.diff(density, axis=2) * (-bright / width[..., None])
+        jacobian[:, -1] = -(np.diff(t * density, axis=2) * bright).sum(axis=1)
+        lit = (bright * share).sum(axis=1)
+        mean = lit + parameters[:, :1]
+        if self.settings.background == "slope":
+            jacobian[:, 1] = windows.offset_from_centre
+            mean += parameters[:, 1:2] * jacobian[:, 1]
+        variance = windows.noise.variance(mean)
+        variance += (self.settings.shape_error * lit) ** 2
+        return ModelPrediction(mean, variance, jacobian)
+
+    def score_information(self, windows: Windows, parameters: Array) -> ScoreInformation:
+        """Return the sums over the pixels that count, with the prior of the width.
+
+        Args:
+            windows: N windows.
+            parameters: shape (N, Q).
+        """
+        with np.errstate(over="ignore", invalid="ignore"):
+            model = self.evaluate(windows, parameters)
+            weight = windows.used / model.variance
+            residual = np.where(windows.used, windows.values - model.mean, 0.0)
+            weighted = model.jacobian * weight[:, None, :]
+            score = (weighted @ residual[..., None])[..., 0]
+            information = weighted @ model.jacobian.transpose(0, 2, 1)
+            chi2 = (residual**2 * weight).sum(axis=1)
+            log_variance = np.where(windows.used, np.log(model.variance), 0.0).sum(axis=1)
+        prior = self.width_prior(parameters[:, -1])
+        score[:, -1] += prior.score
+        information[:, -1, -1] += prior.information
+        deviance = chi2 + prior.deviance + log_variance
+        return ScoreInformation(score, information, chi2 + prior.chi2, deviance)
+
+    def width_prior(self, log_width: Array) -> WidthPrior:
+        """Return the contributions of the prior of widths with these logarithms, shape (N,)."""
+        settings = self.settings
+        if settings.width_log_sigma == 0.0:
+            return WidthPrior(*np.zeros((4, len(log_width))))
+        inverse = settings.width_log_sigma**-2
+        away = np.log(settings.width_px) - log_width
+        narrow = np.exp(NARROW_POWER * (np.log(settings.narrow_width_px) - log_width))
+        chi2 = inverse * away**2
+        return WidthPrior(
+            inverse * away + NARROW_POWER * narrow,
+            inverse + NARROW_POWER**2 * narrow,
+            chi2,
+            chi2 + 2.0 * narrow,
+        )
+
+    def central_pixel_fraction(
+        self, width_px: Array, sensor: NDArray[np.int64], position_px: Array
+    ) -> Array:
+        """Return the share of a peak's light in a pixel centred on it; all arguments broadcast.
+
+        Args:
+            width_px: widths of the peaks [px].
+            sensor: numbers of the sensors.
+            position_px: positions of the peaks [px].
+        """
+        upper, lower = (
+            self.shape.at(half / width_px, sensor, position_px)[0] for half in (0.5, -0.5)
+        )
+        return np.asarray(upper - lower)

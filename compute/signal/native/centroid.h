@@ -255,13 +255,17 @@ LUMILINE_FN int make_room(const Search& search, PeakRecord* records, float ampli
     return search.max_peaks - 1;
 }
 
-LUMILINE_FN PeakRecord empty_record() {
+LUMILINE_FN float quiet_nan() {
     union {
         unsigned bits;
         float value;
     } nan = {0x7fc00000u};
 
-    return PeakRecord{double(nan.value), nan.value, nan.value, nan.value, 0};
+    return nan.value;
+}
+
+LUMILINE_FN PeakRecord empty_record() {
+    return PeakRecord{(double)quiet_nan(), quiet_nan(), quiet_nan(), quiet_nan(), 0};
 }
 
 }  // namespace lumiline::signal

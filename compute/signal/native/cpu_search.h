@@ -12,7 +12,7 @@ namespace lumiline::signal {
 
 // Finds the peaks of scan `number`.
 LUMILINE_FN void find_peaks_on_cpu(const Search& search, int number) {
-    if (number >= search.lines) return;
+    if (number >= search.scans) return;
     Scan scan = search.scan_of(number, number % search.sensors);
     const unsigned short* v = scan.v;
     const int groups = search.groups(), group_step = search.group_step();

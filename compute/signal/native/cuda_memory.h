@@ -18,17 +18,17 @@ namespace lumiline::signal {
 constexpr int warps = block_threads / 32, block_chunks = block_pixels / 8;
 constexpr unsigned every = 0xffffffffu;
 
-template <int batch_lines>
+template <int batch_scans>
 struct SharedMemory {
-    uint4 staged[warps][batch_lines * (block_chunks + 1) + 1];
-    uint4 words[warps][batch_lines * 2];
+    uint4 staged[warps][batch_scans * (block_chunks + 1) + 1];
+    uint4 words[warps][batch_scans * 2];
     unsigned runs[warps][32], tops[warps][32];
-    Scan scans[warps][batch_lines];
-    int limits[warps][batch_lines], found[warps][batch_lines], lost[warps][batch_lines];
+    Scan scans[warps][batch_scans];
+    int limits[warps][batch_scans], found[warps][batch_scans], lost[warps][batch_scans];
     unsigned long long arrivals[warps];
 };
 
-template <int batch_lines, Length length>
+template <int batch_scans, Length length>
 struct WarpMemory {
     static constexpr bool all_blocks = length == Length::block;
     static constexpr bool all_short = all_blocks || length == Length::at_most_short;
@@ -41,19 +41,19 @@ struct WarpMemory {
     unsigned *const run_queue, *const top_queue;
     Scan* const scan_at;
     int *const limits, *const found, *const lost;
-    const int end_line;
-    int first_line, slots = 0;
+    const int end_scan;
+    int first_scan, slots = 0;
     const unsigned short* first_v;
-    const int chunks, stride, line_blocks;
+    const int chunks, stride, scan_blocks;
     const bool in_shared;
     // Without a division; of scans of three blocks or four there is one.
-    const int step_lines;
+    const int step_scans;
     // 16-byte copies, where every scan begins on a boundary.
     const bool whole;
     const unsigned arrival;
     unsigned phase = 0;
 
-    LUMILINE_FN WarpMemory(const Search& from, int number, SharedMemory<batch_lines>& shared)
+    LUMILINE_FN WarpMemory(const Search& from, int number, SharedMemory<batch_scans>& shared)
         : search(from),
           lane(threadIdx.x % 32),
           before((1u << lane) - 1u),
@@ -65,17 +65,17 @@ struct WarpMemory {
           limits(shared.limits[threadIdx.x / 32]),
           found(shared.found[threadIdx.x / 32]),
           lost(shared.lost[threadIdx.x / 32]),
-          end_line(smaller(from.lines, (number + 1) * from.lines_per_warp)),
-          first_line(number * from.lines_per_warp),
-          first_v((const unsigned short*)from.lines_address + (long long)first_line * from.pixels),
+          end_scan(smaller(from.scans, (number + 1) * from.scans_per_warp)),
+          first_scan(number * from.scans_per_warp),
+          first_v((const unsigned short*)from.scans_address + (long long)first_scan * from.pixels),
           chunks((from.pixels + 7) / 8),
           stride(chunks + 1),
-          line_blocks(all_blocks ? 1 : (chunks + block_chunks - 1) / block_chunks),
-          in_shared(all_short || (!all_long && line_blocks <= batch_lines)),
-          step_lines(!in_shared || line_blocks == 1 ? batch_lines
-                     : line_blocks == 2             ? batch_lines / 2
+          scan_blocks(all_blocks ? 1 : (chunks + block_chunks - 1) / block_chunks),
+          in_shared(all_short || (!all_long && scan_blocks <= batch_scans)),
+          step_scans(!in_shared || scan_blocks == 1 ? batch_scans
+                     : scan_blocks == 2             ? batch_scans / 2
                                                     : 1),
-          whole(((from.lines_address | (unsigned long long)(from.pixels * 2)) & 15ull) == 0),
+          whole(((from.scans_address | (unsigned long long)(from.pixels * 2)) & 15ull) == 0),
           arrival((unsigned)__cvta_generic_to_shared(shared.arrivals + threadIdx.x / 32)) {
 #if __CUDA_ARCH__ >= 900
         if (lane == 0) {
@@ -116,14 +116,14 @@ struct WarpMemory {
     LUMILINE_FN void await_stage(bool for_one) {
 #if __CUDA_ARCH__ >= 800
         if (for_one)
-            asm volatile("cp.async.wait_group %0;" ::"n"(batch_lines - 1) : "memory");
+            asm volatile("cp.async.wait_group %0;" ::"n"(batch_scans - 1) : "memory");
         else
             asm volatile("cp.async.wait_group 0;" ::: "memory");
 #endif
         __syncwarp();
     }
 
-    LUMILINE_FN void stage_lines() {
+    LUMILINE_FN void stage_scans() {
         // Again for every batch: the long lines' blocks lie here too.
         if (lane <= slots) staged[lane * stride - 1] = make_uint4(0u, 0u, 0u, 0u);
 #if __CUDA_ARCH__ >= 900
@@ -150,7 +150,7 @@ struct WarpMemory {
         end_of_stage();
     }
 
-    LUMILINE_FN void await_lines() {
+    LUMILINE_FN void await_scans() {
 #if __CUDA_ARCH__ >= 900
         if (whole) {
             unsigned there;
@@ -172,8 +172,8 @@ struct WarpMemory {
 
     // As early as can be: the rest is worked out meanwhile.
     LUMILINE_FN void stage_batch() {
-        slots = smaller(step_lines, end_line - first_line);
-        if (in_shared && slots > 0) stage_lines();
+        slots = smaller(step_scans, end_scan - first_scan);
+        if (in_shared && slots > 0) stage_scans();
     }
 
     // Lines lie there, or are looked at where they are after the search for bright chunks.

@@ -13,40 +13,20 @@
 
 namespace lumiline::signal {
 
-template <int batch_lines, Length length>
-struct WarpSearch : WarpMemory<batch_lines, length> {
-    using Memory = WarpMemory<batch_lines, length>;
-    using Memory::await_lines;
-    using Memory::await_stage;
-    using Memory::before;
-    using Memory::chunks;
-    using Memory::end_of_stage;
-    using Memory::first_line;
-    using Memory::first_v;
-    using Memory::found;
-    using Memory::in_shared;
-    using Memory::lane;
-    using Memory::limits;
-    using Memory::line_blocks;
-    using Memory::load_chunk;
-    using Memory::lost;
-    using Memory::pixels_of;
-    using Memory::run_queue;
-    using Memory::scan_at;
-    using Memory::search;
-    using Memory::slots;
-    using Memory::stage;
-    using Memory::stage_batch;
-    using Memory::staged;
-    using Memory::step_lines;
-    using Memory::stride;
-    using Memory::top_queue;
-    using Memory::words;
+template <int batch_scans, Length length>
+struct WarpSearch : WarpMemory<batch_scans, length> {
+    using Memory = WarpMemory<batch_scans, length>;
+    using Memory::await_scans, Memory::await_stage, Memory::before, Memory::chunks,
+        Memory::end_of_stage, Memory::first_scan, Memory::first_v, Memory::found, Memory::in_shared,
+        Memory::lane, Memory::limits, Memory::load_chunk, Memory::lost, Memory::pixels_of,
+        Memory::run_queue, Memory::scan_at, Memory::scan_blocks, Memory::search, Memory::slots,
+        Memory::stage, Memory::stage_batch, Memory::staged, Memory::step_scans, Memory::stride,
+        Memory::top_queue, Memory::words;
 
     const int groups, group_step, rank_of_quartile, rank_of_sixteenth, group_chunk;
     int runs_waiting = 0, tops_waiting = 0;
 
-    LUMILINE_FN WarpSearch(const Search& from, int number, SharedMemory<batch_lines>& shared)
+    LUMILINE_FN WarpSearch(const Search& from, int number, SharedMemory<batch_scans>& shared)
         : Memory(from, number, shared),
           groups(from.groups()),
           group_step(from.group_step()),
@@ -84,7 +64,7 @@ struct WarpSearch : WarpMemory<batch_lines, length> {
     }
 
     LUMILINE_FN Scan lane_scan() {
-        const int line = smaller(first_line + lane, search.lines - 1);
+        const int line = smaller(first_scan + lane, search.scans - 1);
         return search.scan_of(line, search.sensors == 1 ? 0 : line % search.sensors);
     }
 
@@ -92,9 +72,9 @@ struct WarpSearch : WarpMemory<batch_lines, length> {
     // lane a scan works out what follows from it, and returns its background.
     template <class Where>
     LUMILINE_FN int estimate_backgrounds(Where where, Scan scan) {
-        int keys[batch_lines];
+        int keys[batch_scans];
 #pragma unroll
-        for (int slot = 0; slot < batch_lines; ++slot) {
+        for (int slot = 0; slot < batch_scans; ++slot) {
             keys[slot] = no_key;
             if (slot < slots && lane < groups)
                 keys[slot] =
@@ -105,7 +85,7 @@ struct WarpSearch : WarpMemory<batch_lines, length> {
         int quartile = 0, sixteenth = 0;
         auto take_least = [&](bool at_quartile, bool at_sixteenth) {
 #pragma unroll
-            for (int slot = 0; slot < batch_lines; ++slot) {
+            for (int slot = 0; slot < batch_scans; ++slot) {
                 const int key = min_of(keys[slot]);
                 if (at_quartile && lane == slot) quartile = key;
                 if (at_sixteenth && lane == slot) sixteenth = key;
@@ -212,7 +192,7 @@ struct WarpSearch : WarpMemory<batch_lines, length> {
         // Lanes of the same line; those without a peak are of none.
         const unsigned same = __match_any_sync(every, good ? slot : -1);
         const int at = found[slot], rank = __popc(same & before);
-        PeakRecord* records = (PeakRecord*)(search.record_of(first_line + slot) + 8);
+        PeakRecord* records = (PeakRecord*)(search.record_of(first_scan + slot) + 8);
         const bool room = !good || at + __popc(same) <= search.max_peaks;
         __syncwarp();
         if (__all_sync(every, room)) {
@@ -310,13 +290,13 @@ struct WarpSearch : WarpMemory<batch_lines, length> {
         const int count = lane < slots ? found[lane] : search.max_peaks;
         const int lacks = lane < slots ? lost[lane] : 0;
         if (lane < slots)
-            *(int2*)search.record_of(first_line + lane) = make_int2(count, background);
+            *(int2*)search.record_of(first_scan + lane) = make_int2(count, background);
         if (!__all_sync(every, count == search.max_peaks && lacks == 0)) {
             // Eight lanes a line.
             const int slot = lane / 8;
             const int filled = slot < slots ? found[slot] : search.max_peaks;
             const int flags = slot < slots ? lost[slot] : 0;
-            PeakRecord* records = (PeakRecord*)(search.record_of(first_line + slot) + 8);
+            PeakRecord* records = (PeakRecord*)(search.record_of(first_scan + slot) + 8);
 #pragma unroll 1
             for (int k = filled + lane % 8; k < search.max_peaks; k += 8)
                 records[k] = empty_record();
@@ -326,30 +306,30 @@ struct WarpSearch : WarpMemory<batch_lines, length> {
         __syncwarp();
     }
 
-    LUMILINE_FN int take_short_lines() {
+    LUMILINE_FN int take_short_scans() {
         const Padded where;
         const Scan scan = lane_scan();
-        await_lines();
+        await_scans();
         const int background = estimate_backgrounds(where, scan);
 #pragma unroll 1
         for (int slot = 0, block = 0, at = 0; slot < slots; at += 2) {
             const int first = block * block_chunks;
             find_bright_chunks(staged + slot * stride + first, chunks - first, limits[slot], at);
-            if (++block == line_blocks) {
+            if (++block == scan_blocks) {
                 block = 0;
                 ++slot;
             }
         }
         __syncwarp();
         const int own_block = lane / 8;
-        const int slot = line_blocks == 1 ? own_block : line_blocks == 2 ? own_block / 2 : 0;
-        const int first = (lane - slot * line_blocks * 8) * 32;
+        const int slot = scan_blocks == 1 ? own_block : scan_blocks == 2 ? own_block / 2 : 0;
+        const int first = (lane - slot * scan_blocks * 8) * 32;
         const bool there = slot < slots && first < chunks;
         take_chunks(where, there ? ((const unsigned*)words)[lane] : 0u, slot, first, true);
         return background;
     }
 
-    LUMILINE_FN int take_long_lines() {
+    LUMILINE_FN int take_long_scans() {
         const Bare where;
         // All blocks but one that there is room for are on their way while one is looked at.
         int coming_slot = 0, coming_chunk = 0, coming = 0, at = 0;
@@ -359,14 +339,14 @@ struct WarpSearch : WarpMemory<batch_lines, length> {
                       first_v + (long long)coming_slot * search.pixels, coming_chunk * 8,
                       smaller(block_chunks, chunks - coming_chunk));
             end_of_stage();
-            coming = coming == batch_lines - 1 ? 0 : coming + 1;
+            coming = coming == batch_scans - 1 ? 0 : coming + 1;
             coming_chunk += block_chunks;
             if (coming_chunk >= chunks) {
                 coming_chunk = 0;
                 ++coming_slot;
             }
         };
-        for (int k = 1; k < batch_lines; ++k) stage_next();
+        for (int k = 1; k < batch_scans; ++k) stage_next();
         const int background = estimate_backgrounds(where, lane_scan());
         for (int slot = 0; slot < slots; ++slot)
             for (int first = 0; first < chunks; first += block_chunks) {
@@ -374,7 +354,7 @@ struct WarpSearch : WarpMemory<batch_lines, length> {
                 await_stage(true);
                 find_bright_chunks(staged + at * block_chunks, chunks - first, limits[slot], 0);
                 __syncwarp();
-                at = at == batch_lines - 1 ? 0 : at + 1;
+                at = at == batch_scans - 1 ? 0 : at + 1;
                 const bool last = slot + 1 == slots && first + block_chunks >= chunks;
                 const unsigned word = lane < 8 ? ((const unsigned*)words)[lane] : 0u;
                 if (last || __any_sync(every, word != 0u))
@@ -385,9 +365,9 @@ struct WarpSearch : WarpMemory<batch_lines, length> {
 
     LUMILINE_FN void solve() {
         while (slots > 0) {
-            finish(in_shared ? take_short_lines() : take_long_lines());
-            first_line += step_lines;
-            first_v += (long long)step_lines * search.pixels;
+            finish(in_shared ? take_short_scans() : take_long_scans());
+            first_scan += step_scans;
+            first_v += (long long)step_scans * search.pixels;
             stage_batch();
         }
     }

@@ -1,12 +1,48 @@
-"""Constants and the peak record of the search, for C++."""
+"""What the search in C++ shares with Python: constants, sizes of launches, records of peaks."""
 
 from typing import Final
 
-from compute.native.records import constants, header
+import numpy as np
+
+from compute.native.records import Record, constants, header
 from compute.signal.centroid_settings import FRACTION_UNIT, GROUP_PIXELS, LEVEL_UNIT, SAMPLE_GROUPS
-from compute.signal.native.cuda_launch_sizes import BLOCK_PIXELS, BLOCK_THREADS
-from compute.signal.native.peak_record import PEAK
 from compute.signal.peaks import PeakFlag
+
+BLOCK_THREADS: Final = 64
+BLOCK_PIXELS: Final = 2048
+SCANS_PER_BATCH: Final = 4
+"""Scans of a block that a warp takes together, at most 4. With eight peaks each, every lane has
+one. Of longer scans it takes fewer, down to one of as many blocks."""
+SHORT_PIXELS: Final = SCANS_PER_BATCH * BLOCK_PIXELS
+"""Scans up to this length are brought to shared memory whole."""
+LAUNCH_BOUNDS: Final = (BLOCK_THREADS, 6)
+"""Blocks that fit in shared memory, by their number of scans."""
+LONG_SCANS_PER_WARP: Final = 2
+"""Longer scans of a warp: the second one's blocks come while the first one's peaks are measured."""
+CANDIDATE_SCANS_PER_BATCH: Final = 2
+"""SCANS_PER_BATCH where a fit follows: what shared memory leaves is cache, and that holds the fit's
+arrays."""
+FIT_SCANS_PER_WARP: Final = 32
+"""Scans that a warp searches, batch after batch, before it fits: so that most lanes have a group,
+even of scans with one peak."""
+FIT_LAUNCH_BOUNDS: Final = (BLOCK_THREADS, 512 // BLOCK_THREADS)
+"""128 registers a thread: the fit of one peak keeps its sums in them."""
+
+PEAK_FIELDS: Final = {
+    "position_px": "double",
+    "sigma_px": "float",
+    "amplitude": "float",
+    "width_px": "float",
+    "flags": "int",
+}
+PEAK: Final = Record("PeakRecord", PEAK_FIELDS)
+
+
+def scan_record(max_peaks: int) -> np.dtype[np.void]:
+    """Return the type of one scan's record: count, background [1/64 count], room for peaks."""
+    head = [("count", "<i4"), ("background", "<i4")]
+    return np.dtype([*head, ("peaks", PEAK.dtype, (max_peaks,))])
+
 
 HEADER: Final = header(
     "lumiline::signal",
@@ -20,6 +56,8 @@ HEADER: Final = header(
             "no_key": 0x7FFFFFFF,
             "block_threads": BLOCK_THREADS,
             "block_pixels": BLOCK_PIXELS,
+            "scans_per_batch": SCANS_PER_BATCH,
+            "candidate_scans_per_batch": CANDIDATE_SCANS_PER_BATCH,
             "flag_saturated": PeakFlag.SATURATED,
             "flag_clipped": PeakFlag.CLIPPED,
             "flag_merged": PeakFlag.MERGED,

@@ -9,11 +9,11 @@
 namespace lumiline::signal {
 
 // Finds the peaks of scan `number` on the CPU; on CUDA warp `number` finds those of its scans.
-template <int batch_lines, Length length>
+template <int batch_scans, Length length>
 LUMILINE_FN void find_peaks(const Search& search, int number) {
 #if defined(__CUDA_ARCH__)
-    __shared__ SharedMemory<batch_lines> shared;
-    WarpSearch<batch_lines, length> warp(search, number, shared);
+    __shared__ SharedMemory<batch_scans> shared;
+    WarpSearch<batch_scans, length> warp(search, number, shared);
     warp.solve();
 #else
     find_peaks_on_cpu(search, number);

@@ -32,28 +32,25 @@ struct Bare {
 // to choose from the code is shorter, which leaves the compiler more registers.
 enum class Length { block, at_most_short, longer, any };
 
-// What a search is given: a batch of scans of `pixels` pixels, of sensor `line % sensors`.
+// What a search is given: a batch of scans of `pixels` pixels, of sensor `scan % sensors`.
 struct Search {
-    unsigned long long lines_address;
-    int lines, pixels, lines_per_warp;
-    unsigned long long dark_variance_address, photon_variance_address, offset_address,
-        full_scale_address;
-    int sensors;
+    unsigned long long scans_address, records_address;
+    int scans, scans_per_warp, pixels, sensors, record_bytes;
+    const double *dark_variance, *photon_variance, *offset;
+    const int* full_scale;
     double detection_sigma;
     int fraction_units, weigh_above_threshold, correct_edges, min_width_px, max_peaks;
-    unsigned long long records_address;
-    int record_bytes;
 
-    LUMILINE_FN char* record_of(int line) const {
-        return (char*)records_address + (long long)line * record_bytes;
+    LUMILINE_FN char* record_of(int scan) const {
+        return (char*)records_address + (long long)scan * record_bytes;
     }
 
-    LUMILINE_FN Scan scan_of(int line, int sensor) const {
-        return Scan{(const unsigned short*)lines_address + (long long)line * pixels,
-                    ((const double*)dark_variance_address)[sensor],
-                    ((const double*)photon_variance_address)[sensor],
-                    ((const double*)offset_address)[sensor],
-                    ((const int*)full_scale_address)[sensor],
+    LUMILINE_FN Scan scan_of(int scan, int sensor) const {
+        return Scan{(const unsigned short*)scans_address + (long long)scan * pixels,
+                    dark_variance[sensor],
+                    photon_variance[sensor],
+                    offset[sensor],
+                    full_scale[sensor],
                     0};
     }
 
@@ -103,5 +100,28 @@ struct Search {
         return Level{background, level > 65536.0 ? 65536 : (int)level};
     }
 };
+
+// The search of a launch; Batch is ScanBatch of scan_kernel.py.
+template <class Batch>
+LUMILINE_FN Search search_of(const Batch& batch, unsigned long long scans_address, int scans,
+                             int scans_per_warp, unsigned long long records_address) {
+    return Search{scans_address,
+                  records_address,
+                  scans,
+                  scans_per_warp,
+                  batch.pixels,
+                  batch.sensors,
+                  batch.record_bytes,
+                  batch.dark_variance.data,
+                  batch.photon_variance.data,
+                  batch.offset_counts.data,
+                  batch.full_scale_counts.data,
+                  batch.detection_sigma,
+                  batch.fraction_units,
+                  batch.weigh_above_threshold,
+                  batch.correct_edges,
+                  batch.min_width_px,
+                  batch.max_peaks};
+}
 
 }  // namespace lumiline::signal

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from compute.signal.thesis_pipeline.steps import Array, as_scans, check_between
+from compute.signal.centroid_settings import require_between
+from compute.signal.thesis_pipeline.steps import Array, as_scans
 
 
 @dataclass(frozen=True)
@@ -38,7 +39,7 @@ class WeightedAreas:
 
     Args:
         level_fraction: the low threshold, as a fraction of the scan's greatest value, 0 to 0.95.
-        keep_fraction: least weight, as a fraction of the scan's largest weight, 0 to 1.
+        keep_fraction: minimum weight, as a fraction of the scan's largest weight, 0 to 1.
 
     Raises:
         InvalidParameter: a value outside its range.
@@ -48,8 +49,8 @@ class WeightedAreas:
     keep_fraction: float = 0.05
 
     def __post_init__(self) -> None:
-        check_between("level_fraction", self.level_fraction, 0.0, 0.95)
-        check_between("keep_fraction", self.keep_fraction, 0.0, 1.0)
+        require_between("level_fraction", self.level_fraction, 0.0, 0.95)
+        require_between("keep_fraction", self.keep_fraction, 0.0, 1.0)
 
     def find_areas(self, scan: ArrayLike) -> tuple[Area, ...]:
         """Return all areas of one scan (P,) that has no background, from left to right [6.3]."""

@@ -1,25 +1,19 @@
 """Ambient light between the peaks: polynomial and interpolated background, thesis 4.4."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final
 
 import numpy as np
 from numpy.polynomial import chebyshev
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.linalg import cho_solve
 from scipy.ndimage import maximum_filter1d
 from scipy.sparse import csr_array
 
 from compute.robust_statistics import MAD_TO_SIGMA
-from compute.signal.thesis_pipeline.steps import (
-    Array,
-    ScanFilter,
-    as_scans,
-    check_between,
-    check_whole,
-)
+from compute.signal.centroid_settings import require_between, require_whole
+from compute.signal.thesis_pipeline.steps import Array, Background, ScanFilter
 
 Mask = NDArray[np.bool_]
 
@@ -52,10 +46,10 @@ class PeakMask:
     rounds: int = 50
 
     def __post_init__(self) -> None:
-        check_whole("degree", self.degree, 0, MAX_DEGREE)
-        check_between("above_sigma", self.above_sigma, 1.0, 100.0)
-        check_whole("margin_px", self.margin_px, 0, 1000)
-        check_whole("rounds", self.rounds, 1, 1000)
+        require_whole("degree", self.degree, 0, MAX_DEGREE)
+        require_between("above_sigma", self.above_sigma, 1.0, 100.0)
+        require_whole("margin_px", self.margin_px, 0, 1000)
+        require_whole("rounds", self.rounds, 1, 1000)
 
     def background_mask(self, scan: Array) -> Mask:
         """Return which pixels of one scan (P,) are no peak, shape (P,).
@@ -87,61 +81,37 @@ class PeakMask:
 
 
 @dataclass(frozen=True)
-class PolynomialBackground:
+class PolynomialBackground(PeakMask, Background):
     """A polynomial through the pixels between the peaks, by least squares: thesis 4.4.
 
-    In Chebyshev polynomials over the scan, which keeps high degrees well conditioned.
-
-    Args:
-        degree: 0 to 30; 0 is a level.
-        above_sigma, margin_px, rounds: what counts as a peak: PeakMask, of the same degree.
-
-    Raises:
-        InvalidParameter: a value outside its range.
+    In Chebyshev polynomials over the scan, which keeps high degrees well conditioned. What counts
+    as a peak is PeakMask's, of the same degree.
     """
 
-    degree: int = 5
-    above_sigma: float = 3.0
-    margin_px: int = 3
-    rounds: int = 50
-
-    def __post_init__(self) -> None:
-        self._mask()
-
-    def estimate(self, scans: ArrayLike) -> tuple[Array, Mask]:
-        """Return the background of scans (..., P), and the pixels that it was fitted to."""
-        mask = self._mask()
-
-        def one(scan: Array) -> tuple[Array, Mask]:
-            free = mask.background_mask(scan)
-            return _fit_polynomial(scan, free, self.degree), free
-
-        return _each(as_scans(scans), one)
+    def estimate_scan(self, scan: Array) -> tuple[Array, Mask]:
+        """Return the polynomial of one scan (P,), and the pixels that it was fitted to."""
+        free = self.background_mask(scan)
+        return _fit_polynomial(scan, free, self.degree), free
 
     def adjoint(self, weights: Array, background_mask: Mask) -> Array:
         """Carry derivatives by a scan less its background back to its pixels, shape (..., P).
 
-        Which pixels were fitted to is taken as given.
-
         Args:
             weights: derivatives by the scan less its background, shape (..., P).
-            background_mask: pixels that the background was fitted to, same shape.
+            background_mask: pixels that the polynomial was fitted to, shape (P,).
         """
         basis = _basis(weights.shape[-1], self.degree)
         fitted = basis[background_mask]
         rows = weights.reshape(-1, weights.shape[-1])
         back = rows.copy()
         scores = np.einsum("kp,pj->jk", rows, basis)
-        fits = _solve(np.einsum("pi,pj->ij", fitted, fitted), scores)
+        fits = np.linalg.lstsq(np.einsum("pi,pj->ij", fitted, fitted), scores, rcond=None)[0]
         back[:, background_mask] -= np.einsum("pj,jk->kp", fitted, fits)
         return back.reshape(weights.shape)
 
-    def _mask(self) -> PeakMask:
-        return PeakMask(self.degree, self.above_sigma, self.margin_px, self.rounds)
-
 
 @dataclass(frozen=True)
-class InterpolatedBackground:
+class InterpolatedBackground(Background):
     """Background by cutting out peaks and bridging the gaps, filtered; thesis 4.4 (1)-(2).
 
     "Isolating the peaks and linearizing the rest of the signal; the profile was superimposed
@@ -161,27 +131,21 @@ class InterpolatedBackground:
     mask: PeakMask
     smoothing: ScanFilter | None = None
 
-    def estimate(self, scans: ArrayLike) -> tuple[Array, Mask]:
-        """Return the background of scans (..., P), and the pixels that it was taken from."""
-
-        def one(scan: Array) -> tuple[Array, Mask]:
-            free = self.mask.background_mask(scan)
-            pixels = np.arange(len(scan))
-            interpolated = np.interp(pixels, pixels[free], scan[free])
-            return (
-                interpolated if self.smoothing is None else self.smoothing.apply(interpolated)
-            ), free
-
-        return _each(as_scans(scans), one)
+    def estimate_scan(self, scan: Array) -> tuple[Array, Mask]:
+        """Return the background of one scan (P,), and the pixels that it was taken from."""
+        free = self.mask.background_mask(scan)
+        pixels = np.arange(len(scan))
+        bridged = np.interp(pixels, pixels[free], scan[free])
+        return (bridged if self.smoothing is None else self.smoothing.apply(bridged)), free
 
     def adjoint(self, weights: Array, background_mask: Mask) -> Array:
         """Carry derivatives by a scan less its background back to its pixels, shape (..., P).
 
         Args:
             weights: derivatives by the scan less its background, shape (..., P).
-            background_mask: pixels that the background was taken from, same shape.
+            background_mask: pixels that the background was taken from, shape (P,).
         """
-        spread = weights if self.smoothing is None else self.smoothing.adjoint(weights)
+        smoothed = weights if self.smoothing is None else self.smoothing.adjoint(weights)
         count = weights.shape[-1]
         pixels = np.arange(count)
         known = pixels[background_mask]
@@ -190,16 +154,8 @@ class InterpolatedBackground:
         share = ((pixels - low) / (high - low)).clip(0.0, 1.0)
         ends = (np.concatenate([low, high]), np.concatenate([pixels, pixels]))
         bridges = csr_array((np.concatenate([1.0 - share, share]), ends), shape=(count, count))
-        interpolated = (bridges @ spread.reshape(-1, count).T).T
+        interpolated = (bridges @ smoothed.reshape(-1, count).T).T
         return np.asarray(weights - interpolated.reshape(weights.shape))
-
-
-def _each(scans: Array, one: Callable[[Array], tuple[Array, Mask]]) -> tuple[Array, Mask]:
-    rows = scans.reshape(-1, scans.shape[-1])
-    background, free = np.empty_like(rows), np.empty(rows.shape, dtype=np.bool_)
-    for number, row in enumerate(rows):
-        background[number], free[number] = one(row)
-    return background.reshape(scans.shape), free.reshape(scans.shape)
 
 
 def _basis(pixels: int, degree: int) -> Array:
@@ -249,7 +205,3 @@ def _fit_polynomial(scan: Array, free: Mask, degree: int) -> Array:
         fitted = fitted + _step(information, _product(basis, np.where(free, residual, 0.0)))
         residual = scan - _product(across, fitted)
     return _product(across, fitted)
-
-
-def _solve(matrix: Array, values: Array) -> Array:
-    return np.asarray(np.linalg.lstsq(matrix, values, rcond=None)[0])

@@ -1,12 +1,14 @@
-"""Butterworth and FIR low-pass filters with delay compensation, thesis 4.2.1 and Appendix B."""
+"""Butterworth, FIR and median filters with delay compensation, thesis 4.2.1 and Appendix B."""
 
-from collections.abc import Callable
+from abc import abstractmethod
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final
+from typing import Final, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.fft import dct, idct
+from scipy.ndimage import rank_filter
 from scipy.signal import (
     butter,
     firwin,
@@ -18,23 +20,76 @@ from scipy.signal import (
     sosfilt_zi,
 )
 
-from compute.signal.thesis_pipeline.phase_response import apply_magnitude, linear_phase_slope
+from compute.parameter_checks import require
+from compute.signal.centroid_settings import require_choice, require_whole
 from compute.signal.thesis_pipeline.steps import (
     MAX_TAPS,
+    Array,
     Compensation,
+    ScanFilter,
     as_scans,
-    check_compensation,
-    check_cutoff,
-    check_whole,
 )
-
-Array = NDArray[np.float64]
 
 MAX_ORDER: Final = 64
 
 
+class _LowPass(ScanFilter):
+    """A linear filter of unit gain at zero frequency."""
+
+    cutoff: float
+
+    @abstractmethod
+    def magnitude(self, omega: Array) -> Array:
+        """Return the response without its phase at ``pi k / P``, shape (P,) [rad/px]."""
+
+    @abstractmethod
+    def _causal(self, scans: Array, *, steady: bool) -> Array:
+        """Run scans through the filter; ``steady``: as if each had had its first value before."""
+
+    def apply(self, scans: ArrayLike) -> Array:
+        """Filter scans (..., P)."""
+        values = as_scans(scans)
+        if self.compensation == "phase":
+            return self._without_phase(values)
+        return self._causal(values, steady=True)
+
+    def adjoint(self, weights: Array) -> Array:
+        """Carry derivatives by filtered pixels (..., P) back to derivatives by pixels.
+
+        Run backwards from the last pixel; what the filter would answer before the first pixel
+        belongs to that, and is what is left of the whole, as the gain at zero frequency is one.
+        """
+        if self.compensation == "phase":
+            return self._without_phase(weights)
+        back = self._causal(weights[..., ::-1], steady=False)
+        result = back[..., ::-1].copy()
+        result[..., 0] += weights.sum(axis=-1) - back.sum(axis=-1)
+        return result
+
+    def _without_phase(self, scans: Array) -> Array:
+        """Multiply the spectrum of scans (..., P) by the magnitude.
+
+        The scan is continued at both ends by its mirror image, which makes a period of 2 P pixels
+        without a step where it closes; its discrete Fourier transform is the scan's cosine
+        transform of the second kind, at the angular frequencies ``pi k / P``. As a matrix the
+        filter is symmetric: it is its own adjoint.
+        """
+        pixels = scans.shape[-1]
+        response = self.magnitude(np.pi * np.arange(pixels) / pixels)
+        spectrum = dct(scans, type=2, norm="ortho", axis=-1) * response
+        return np.asarray(idct(spectrum, type=2, norm="ortho", axis=-1))
+
+    def _check(self) -> None:
+        require(
+            0.0 < self.cutoff < 1.0,
+            "lie between 0 and 1, as a fraction of half the sampling rate",
+            cutoff=self.cutoff,
+        )
+        require_choice("compensation", self.compensation, get_args(Compensation))
+
+
 @dataclass(frozen=True)
-class ButterworthFilter:
+class ButterworthFilter(_LowPass):
     """A Butterworth low pass in second-order sections, thesis 4.2.1 and [B.9]-[B.13].
 
     With "none" and "delay" the scan runs through the filter from the left, as if it had always
@@ -57,9 +112,8 @@ class ButterworthFilter:
     compensation: Compensation = "phase"
 
     def __post_init__(self) -> None:
-        check_whole("order", self.order, 1, MAX_ORDER)
-        check_cutoff(self.cutoff)
-        check_compensation(self.compensation)
+        require_whole("order", self.order, 1, MAX_ORDER)
+        self._check()
 
     @property
     def delay_px(self) -> float:
@@ -70,30 +124,6 @@ class ButterworthFilter:
         transform that maps the analogue filter to samples.
         """
         return float(0.5 / (np.sin(np.pi / (2 * self.order)) * np.tan(np.pi * self.cutoff / 2.0)))
-
-    @property
-    def linearised_delay_px(self) -> float:
-        """Delay by the slope of the phase over the pass band, as the thesis takes it [px].
-
-        [B.13], section 4.2.2 and Figure 4.10; the scan is fitted by least squares from zero to
-        the cut-off. It is no scan's shift: the light is at low frequencies.
-        """
-        return linear_phase_slope(self.response, np.pi * self.cutoff)
-
-    @property
-    def shift_px(self) -> float:
-        """By how much the filtered scan lies to the right [px]."""
-        return 0.0 if self.compensation == "phase" else self.delay_px
-
-    @property
-    def correction_px(self) -> float:
-        """What is subtracted from positions [px]."""
-        return self.delay_px if self.compensation == "delay" else 0.0
-
-    @property
-    def reach_px(self) -> float:
-        """How near to an end what lies beyond it weighs in [px]: the delay that it has or had."""
-        return self.delay_px
 
     def response(self, omega: ArrayLike) -> NDArray[np.complex128]:
         """Return the complex response [B.9] at angular frequencies, same shape [rad/px]."""
@@ -107,22 +137,13 @@ class ButterworthFilter:
         with np.errstate(over="ignore"):
             return np.asarray(1.0 / np.hypot(1.0, ratio**self.order))
 
-    def apply(self, scans: ArrayLike) -> Array:
-        """Filter scans (..., P)."""
-        values = as_scans(scans)
-        if self.compensation == "phase":
-            return apply_magnitude(values, self.magnitude)
+    def _causal(self, scans: Array, *, steady: bool) -> Array:
+        if not steady:
+            return np.asarray(sosfilt(self._sections, scans))
         start = sosfilt_zi(self._sections)
         # One state per section and scan, with the sections first.
-        state = start.reshape(len(start), *(1,) * (values.ndim - 1), 2) * values[None, ..., :1]
-        filtered, _ = sosfilt(self._sections, values, axis=-1, zi=state)
-        return np.asarray(filtered)
-
-    def adjoint(self, weights: Array) -> Array:
-        """Carry derivatives by filtered pixels (..., P) back to derivatives by pixels."""
-        if self.compensation == "phase":
-            return apply_magnitude(weights, self.magnitude)
-        return _anticausal(weights, lambda back: np.asarray(sosfilt(self._sections, back)))
+        state = start.reshape(len(start), *(1,) * (scans.ndim - 1), 2) * scans[None, ..., :1]
+        return np.asarray(sosfilt(self._sections, scans, axis=-1, zi=state)[0])
 
     @cached_property
     def _sections(self) -> Array:
@@ -130,7 +151,7 @@ class ButterworthFilter:
 
 
 @dataclass(frozen=True)
-class FirFilter:
+class FirFilter(_LowPass):
     """A low pass of finite impulse response with linear phase, thesis 4.2.1 and [B.1]-[B.8].
 
     Designed with a Hamming window, and of unit gain at zero frequency. Its delay (N - 1)/2
@@ -143,7 +164,7 @@ class FirFilter:
     Args:
         taps: N, 2 to 1024. The thesis's "order n" was n + 1 points: its columns are moved by
             n/2, 2 and 5.5 px for n of 4 and 11 (Tables C.1 to C.3), not by the 1.5 and 5 that
-            [B.8] has for N = n. ``of_order`` makes these.
+            [B.8] has for N = n.
         cutoff: frequency at which the amplitude is halved, as a fraction of half the sampling
             rate.
         compensation: "none", "delay": positions are moved back by ``delay_px``, or "phase".
@@ -157,78 +178,27 @@ class FirFilter:
     compensation: Compensation = "phase"
 
     def __post_init__(self) -> None:
-        check_whole("taps", self.taps, 2, MAX_TAPS)
-        check_cutoff(self.cutoff)
-        check_compensation(self.compensation)
-
-    @classmethod
-    def of_order(
-        cls, order: int, cutoff: float, compensation: Compensation = "phase"
-    ) -> "FirFilter":
-        """Make the filter of a polynomial of this order in 1/z, which has one tap more.
-
-        Args:
-            order: order of the polynomial.
-            cutoff: as of the class.
-            compensation: as of the class.
-        """
-        return cls(order + 1, cutoff, compensation)
+        require_whole("taps", self.taps, 2, MAX_TAPS)
+        self._check()
 
     @property
     def delay_px(self) -> float:
         """The group delay [B.8] at all frequencies [px]."""
         return (self.taps - 1) / 2.0
 
-    @property
-    def linearised_delay_px(self) -> float:
-        """Delay by the slope of the phase over the pass band [px]: the group delay."""
-        return self.delay_px
-
-    @property
-    def shift_px(self) -> float:
-        """By how much the filtered scan lies to the right [px]."""
-        return 0.0 if self.compensation == "phase" else self.delay_px
-
-    @property
-    def correction_px(self) -> float:
-        """What is subtracted from positions [px]."""
-        return self.delay_px if self.compensation == "delay" else 0.0
-
-    @property
-    def reach_px(self) -> float:
-        """How near to an end what lies beyond it weighs in [px]: the delay that it has or had."""
-        return self.delay_px
-
-    def response(self, omega: ArrayLike) -> NDArray[np.complex128]:
-        """Return the complex response [B.1] at angular frequencies, same shape [rad/px]."""
-        frequency = np.asarray(omega, dtype=np.float64)
-        return np.asarray(self.amplitude(frequency) * np.exp(-1j * frequency * self.delay_px))
-
     def amplitude(self, omega: Array) -> Array:
         """Return the response without its linear phase, same shape: real, [B.4]-[B.6]."""
         arms = np.arange(self.taps) - self.delay_px
         return np.asarray(np.cos(np.multiply.outer(omega, arms)) @ self._kernel)
 
-    def apply(self, scans: ArrayLike) -> Array:
-        """Filter scans (..., P)."""
-        values = as_scans(scans)
-        if self.compensation == "phase":
-            return apply_magnitude(values, self._response_of_mirrored)
-        state = lfilter_zi(self._kernel, [1.0]) * values[..., :1]
-        filtered, _ = lfilter(self._kernel, [1.0], values, axis=-1, zi=state)
-        return np.asarray(filtered)
+    def _causal(self, scans: Array, *, steady: bool) -> Array:
+        if steady:
+            state = lfilter_zi(self._kernel, [1.0]) * scans[..., :1]
+            return np.asarray(lfilter(self._kernel, [1.0], scans, axis=-1, zi=state)[0])
+        kernel = self._kernel.reshape((1,) * (scans.ndim - 1) + (-1,))
+        return np.asarray(oaconvolve(scans, kernel, axes=-1)[..., : scans.shape[-1]])
 
-    def adjoint(self, weights: Array) -> Array:
-        """Carry derivatives by filtered pixels (..., P) back to derivatives by pixels."""
-        if self.compensation == "phase":
-            return apply_magnitude(weights, self._response_of_mirrored)
-        kernel = self._kernel.reshape((1,) * (weights.ndim - 1) + (-1,))
-        pixels = weights.shape[-1]
-        return _anticausal(
-            weights, lambda back: np.asarray(oaconvolve(back, kernel, axes=-1)[..., :pixels])
-        )
-
-    def _response_of_mirrored(self, omega: Array) -> Array:
+    def magnitude(self, omega: Array) -> Array:
         """Return the amplitude at the angular frequencies of a mirrored scan, shape (P,)."""
         period = 2 * len(omega)
         if self.taps > period:
@@ -241,13 +211,68 @@ class FirFilter:
         return np.asarray(firwin(self.taps, self.cutoff), dtype=np.float64)
 
 
-def _anticausal(weights: Array, causal: Callable[[Array], Array]) -> Array:
-    """Apply the transpose of a causal filter that started from the first pixel's value.
+@dataclass(frozen=True)
+class MedianFilter(ScanFilter):
+    """The median of as many neighbouring pixels as the aperture has, thesis 4.2.1.
 
-    Run backwards from the last pixel; what it would answer before the first pixel belongs to
-    that, and is what is left of the whole, as the filter's gain at zero frequency is one.
+    An even aperture has no middle pixel: pixel k becomes the mean of the two middle values of
+    the pixels ``k - n/2 .. k + n/2 - 1``, whose centre is at ``k - 1/2``. The scan moves by half
+    a pixel to the right, as the columns for apertures 4 and 8 of Tables C.2 to C.4 did. Beyond
+    its ends a scan goes on with its end's value.
+
+    A median has no phase response: the compensation is "none" or "delay". A flank that only
+    rises or falls stays as it is under an odd aperture; tops are flattened.
+
+    Args:
+        aperture: number of pixels, 2 to 1024; 1 changes nothing.
+        compensation: "delay" moves positions back by the half pixel of even apertures.
+
+    Raises:
+        InvalidParameter: a value outside its range, or "phase".
     """
-    back = causal(weights[..., ::-1])
-    result = back[..., ::-1].copy()
-    result[..., 0] += weights.sum(axis=-1) - back.sum(axis=-1)
-    return result
+
+    aperture: int
+    compensation: Compensation = "delay"
+
+    def __post_init__(self) -> None:
+        require_whole("aperture", self.aperture, 1, MAX_TAPS)
+        require_choice("compensation", self.compensation, ("none", "delay"))
+
+    @property
+    def delay_px(self) -> float:
+        """Half a pixel for an even aperture."""
+        return 0.0 if self.aperture % 2 else 0.5
+
+    @property
+    def reach_px(self) -> float:
+        """Half the aperture."""
+        return float(self.aperture // 2)
+
+    def apply(self, scans: ArrayLike) -> Array:
+        """Filter scans (..., P)."""
+        values = as_scans(scans)
+        # In scans one by one SciPy keeps the window sorted as it moves on.
+        rows = [self._filter_scan(scan) for scan in values.reshape(-1, values.shape[-1])]
+        return np.array(rows, dtype=np.float64).reshape(values.shape)
+
+    def _filter_scan(self, scan: Array) -> Array:
+        size, half = self.aperture, self.aperture // 2
+        upper = np.asarray(rank_filter(scan, half, size=size, mode="nearest"))
+        if size % 2:
+            return upper
+        return 0.5 * (upper + np.asarray(rank_filter(scan, half - 1, size=size, mode="nearest")))
+
+    def adjoint(self, weights: Array) -> Array:
+        """Return the weights as they are, for an even aperture with the half pixel.
+
+        Assumed, as a median is not linear: it passes noise as if it left the scan alone. That
+        is so on flanks steeper than the noise; on level stretches the slow part of the noise, to
+        which a centre of gravity answers, grows by up to pi/2 in variance.
+        """
+        if self.aperture % 2:
+            return weights
+        back = np.zeros_like(weights)
+        back[..., :-1] = 0.5 * (weights[..., :-1] + weights[..., 1:])
+        back[..., -1] = 0.5 * weights[..., -1]
+        back[..., 0] += 0.5 * weights[..., 0]
+        return back

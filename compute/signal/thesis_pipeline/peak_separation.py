@@ -8,7 +8,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from compute.signal.thesis_pipeline.steps import Array, as_scans, check_between
+from compute.signal.centroid_settings import require_between
+from compute.signal.thesis_pipeline.steps import Array, as_scans
 
 _GONE: Final = -1
 
@@ -63,8 +64,8 @@ class ValleyCut:
     min_depth: float = 0.0
 
     def __post_init__(self) -> None:
-        check_between("level_fraction", self.level_fraction, 0.0, 0.95)
-        check_between("min_depth", self.min_depth, 0.0, 1.0)
+        require_between("level_fraction", self.level_fraction, 0.0, 0.95)
+        require_between("min_depth", self.min_depth, 0.0, 1.0)
 
     def separate(self, scan: ArrayLike) -> tuple[PeakSegment, ...]:
         """Separate the peaks of one scan (P,) without background, from left to right."""
@@ -74,7 +75,7 @@ class ValleyCut:
 
 
 @dataclass(frozen=True)
-class SlopeExtension:
+class SlopeExtension(ValleyCut):
     """Peaks are cut at the valleys, and the cut slopes are continued to zero: c2 of Table 4.4.
 
     Steps (I) to (IV) are ValleyCut's; then (V) each side that ends at a valley above zero is
@@ -103,27 +104,21 @@ class SlopeExtension:
       reach under their neighbours and are not added up.
 
     Args:
-        level_fraction, min_depth: as ValleyCut's.
         stop_fraction: where an extension ends, as a fraction of P_max, 0.0001 to 0.5.
 
     Raises:
         InvalidParameter: a value outside its range.
     """
 
-    level_fraction: float = 0.2
-    min_depth: float = 0.0
     stop_fraction: float = 0.01
 
     def __post_init__(self) -> None:
-        check_between("stop_fraction", self.stop_fraction, 1e-4, 0.5)
-        self._cut()
+        super().__post_init__()
+        require_between("stop_fraction", self.stop_fraction, 1e-4, 0.5)
 
     def separate(self, scan: ArrayLike) -> tuple[PeakSegment, ...]:
         """Separate the peaks of one scan (P,) without background, from left to right."""
-        return tuple(self._extend_sides(piece) for piece in self._cut().separate(scan))
-
-    def _cut(self) -> ValleyCut:
-        return ValleyCut(self.level_fraction, self.min_depth)
+        return tuple(self._extend_sides(piece) for piece in super().separate(scan))
 
     def _extend_sides(self, piece: PeakSegment) -> PeakSegment:
         values = piece.values.copy()
@@ -138,9 +133,6 @@ class SlopeExtension:
             added = _extension(right, left, stop, len(values) - 1 - piece.last_px)
             values[piece.last_px + 1 : piece.last_px + 1 + len(added)] = added
         return replace(piece, values=values)
-
-
-Separation = ValleyCut | SlopeExtension
 
 
 def _extension(side: Array, opposite: Array, stop: float, room: int) -> list[float]:

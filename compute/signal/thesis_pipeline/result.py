@@ -1,12 +1,13 @@
 """Result of the signal chain: peaks, and the scans after each step."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.errors import InvalidParameter
 from compute.signal.peaks import PeakBatch, PeakFlag
+from compute.signal.thesis_pipeline.centroid import Centroid
 from compute.signal.thesis_pipeline.peak_separation import PeakSegment
 from compute.signal.thesis_pipeline.steps import Array
 
@@ -44,40 +45,76 @@ class ChainResult:
     segments: tuple[tuple[PeakSegment, ...], ...]
     peaks: PeakBatch
 
-    def stage(self, name: str) -> Stage:
-        """Return the last stage of this name.
 
-        Raises:
-            InvalidParameter: the chain has no such step.
-        """
-        for stage in reversed(self.stages):
-            if stage.name == name:
-                return stage
-        names = tuple(stage.name for stage in self.stages)
-        raise InvalidParameter(f"there is no stage {name!r}; there are {names}", name=name)
-
-
-@dataclass(frozen=True)
-class PipelinePeak:
+class PipelinePeak(NamedTuple):
     """One peak of a chain: the fields of PeakBatch."""
 
     position_px: float
     sigma_px: float
     amplitude: float
     width_px: float
-    flags: PeakFlag
+    flags: int
+
+
+@dataclass(frozen=True, eq=False)
+class PeakOutput:
+    """Conversion of the centroids of one scan to peaks.
+
+    Args:
+        pixels: of the raw scan.
+        correction_px: subtracted from positions.
+        shift_px: by how much the last scan lies to the right of the light.
+        reach_px: how near to an end what lies beyond it weighs in.
+        variance: of the raw scan's pixels, shape (P,); None: not known.
+        full: which of them are saturated, shape (P,); None: not known.
+    """
+
+    pixels: int
+    correction_px: float
+    shift_px: float
+    reach_px: float
+    variance: Array | None
+    full: NDArray[np.bool_] | None
+
+    def peak(
+        self, centre: Centroid, height: float, derivative: Array | None, cut: bool
+    ) -> PipelinePeak | None:
+        """Return a peak; None: it is none.
+
+        None are centres that the filters' delay puts off the scan, and those that are less sure
+        than they are wide: noise has such where there is no light.
+
+        Args:
+            centre: on the last scan.
+            height: above its background.
+            derivative: of the position by each raw pixel, shape (P,); None: not known.
+            cut: whether it is cut at a valley.
+        """
+        position = centre.position_px - self.correction_px
+        if not -0.5 <= position <= self.pixels - 0.5:
+            return None
+        sigma = float("nan")
+        if self.variance is not None and derivative is not None:
+            sigma = float(derivative**2 @ self.variance) ** 0.5
+            if sigma > centre.width_px:
+                return None
+        first, last = centre.first_px - self.shift_px, centre.last_px - self.shift_px
+        flags = PeakFlag.MERGED if cut else PeakFlag.NONE
+        if first - self.reach_px <= 0.0 or last + self.reach_px >= self.pixels - 1:
+            flags |= PeakFlag.CLIPPED
+        if self.full is not None:
+            run = slice(max(int(np.floor(first)), 0), max(int(np.ceil(last)), 0) + 1)
+            if self.full[run].any():
+                flags |= PeakFlag.SATURATED
+        return PipelinePeak(position, sigma, height, centre.width_px, flags)
 
 
 def to_peak_batch(found: list[list[PipelinePeak]]) -> PeakBatch:
     """Return the peaks of L scans as arrays, ordered by position, room for the most of a scan."""
-    room = max((len(peaks) for peaks in found), default=0)
-    batch = PeakBatch.empty(len(found), room)
+    batch = PeakBatch.empty(len(found), max((len(peaks) for peaks in found), default=0))
     for scan, peaks in enumerate(found):
         batch.count[scan] = len(peaks)
-        for k, peak in enumerate(sorted(peaks, key=lambda one: one.position_px)):
-            batch.position_px[scan, k] = peak.position_px
-            batch.sigma_px[scan, k] = peak.sigma_px
-            batch.amplitude[scan, k] = peak.amplitude
-            batch.width_px[scan, k] = peak.width_px
-            batch.flags[scan, k] = peak.flags
+        ordered = sorted(peaks, key=lambda peak: peak.position_px)
+        for name, values in zip(PipelinePeak._fields, zip(*ordered, strict=True), strict=False):
+            getattr(batch, name)[scan, : len(peaks)] = values
     return batch

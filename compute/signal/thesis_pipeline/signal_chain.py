@@ -1,31 +1,37 @@
 """The signal chain of chapter 4 of the thesis: from raw scans to positions."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from compute.errors import InvalidParameter
-from compute.signal.centroid_settings import Weighting
+from compute.signal.centroid_settings import (
+    Weighting,
+    require_between,
+    require_choice,
+    require_whole,
+)
 from compute.signal.peaks import PeakFlag
 from compute.signal.sensor_noise import SensorNoise
 from compute.signal.thesis_pipeline.area_detection import WeightedAreas, areas_above
 from compute.signal.thesis_pipeline.background_subtraction import InterpolatedBackground, PeakMask
 from compute.signal.thesis_pipeline.centroid import Centroid, centre_of_gravity
 from compute.signal.thesis_pipeline.filters import ButterworthFilter
-from compute.signal.thesis_pipeline.output import PeakOutput
-from compute.signal.thesis_pipeline.peak_separation import PeakSegment, Separation, SlopeExtension
-from compute.signal.thesis_pipeline.result import ChainResult, PipelinePeak, to_peak_batch
-from compute.signal.thesis_pipeline.state import PipelineState, average_scans, filter_adjoint
-from compute.signal.thesis_pipeline.steps import (
-    Array,
-    Background,
-    ScanFilter,
-    as_scans,
-    check_between,
-    check_whole,
+from compute.signal.thesis_pipeline.peak_separation import (
+    PeakSegment,
+    SlopeExtension,
+    ValleyCut,
 )
+from compute.signal.thesis_pipeline.result import (
+    ChainResult,
+    PeakOutput,
+    PipelinePeak,
+    to_peak_batch,
+)
+from compute.signal.thesis_pipeline.state import PipelineState, average_scans, filter_adjoint
+from compute.signal.thesis_pipeline.steps import Array, Background, ScanFilter, as_scans
 
 MAX_REPEATS: Final = 20
 MAX_PEAKS: Final = 65536
@@ -59,12 +65,12 @@ class SignalChain:
         repeats: 1 to 20.
         areas: the weighted area filter of section 6.2.1.
         separation: of close peaks; it has a level of its own.
-        level_fraction: least maximum of a peak as a fraction of the scan's greatest value, 0 to
+        level_fraction: minimum height of a peak as a fraction of the scan's greatest value, 0 to
             0.95; thesis 4.5: 1/5.
         threshold_fraction: a peak's own threshold as a fraction of its maximum, 0 to 0.95; 1/3
             for active targets. With separation the maximum is above the zero line.
         weighting: what the centre of gravity weighs: ``centre_of_gravity``.
-        min_width_px: fewest pixels above a peak's threshold.
+        min_width_px: minimum number of pixels above a peak's threshold.
         max_peaks: of one scan, 1 to 65536; of more the highest are kept, TRUNCATED.
 
     Raises:
@@ -77,7 +83,7 @@ class SignalChain:
     filter_after: ScanFilter | None = None
     repeats: int = 1
     areas: WeightedAreas | None = None
-    separation: Separation | None = None
+    separation: ValleyCut | None = None
     level_fraction: float = 0.2
     threshold_fraction: float = 1.0 / 3.0
     weighting: Weighting = "edge-corrected"
@@ -86,17 +92,13 @@ class SignalChain:
 
     def __post_init__(self) -> None:
         if self.average is not None:
-            check_whole("average", self.average, 1, _BLOCK)
-        check_whole("repeats", self.repeats, 1, MAX_REPEATS)
-        check_whole("min_width_px", self.min_width_px, 1, _BLOCK)
-        check_whole("max_peaks", self.max_peaks, 1, MAX_PEAKS)
-        check_between("level_fraction", self.level_fraction, 0.0, 0.95)
-        check_between("threshold_fraction", self.threshold_fraction, 0.0, 0.95)
-        if self.weighting not in get_args(Weighting):
-            raise InvalidParameter(
-                f"weighting is {self.weighting!r}; it must be one of {get_args(Weighting)}",
-                weighting=self.weighting,
-            )
+            require_whole("average", self.average, 1, _BLOCK)
+        require_whole("repeats", self.repeats, 1, MAX_REPEATS)
+        require_whole("min_width_px", self.min_width_px, 1, _BLOCK)
+        require_whole("max_peaks", self.max_peaks, 1, MAX_PEAKS)
+        require_between("level_fraction", self.level_fraction, 0.0, 0.95)
+        require_between("threshold_fraction", self.threshold_fraction, 0.0, 0.95)
+        require_choice("weighting", self.weighting, get_args(Weighting))
 
     @classmethod
     def active(cls, line_filter: ScanFilter | None = None) -> "SignalChain":
@@ -171,8 +173,8 @@ class SignalChain:
         pixels = raw.shape[-1]
         if self.correction_px >= pixels:
             raise InvalidParameter(
-                f"the filters delay lines by {self.correction_px:.6g} px; that must be less than "
-                f"the {pixels} pixels of a line",
+                f"the filters delay scans by {self.correction_px:.6g} px; that must be less than "
+                f"the {pixels} pixels of a scan",
                 delay_px=self.correction_px,
             )
         state = PipelineState(raw)
@@ -220,14 +222,13 @@ class SignalChain:
         if noise is None:
             return None, None
         sensor = np.arange(len(raw)) % len(noise)
-        light = np.maximum(raw - noise.offset_counts[sensor, None], 0.0)
-        variance = noise.dark_variance[sensor, None] + noise.photon_variance[sensor, None] * light
+        variance = noise.of_scans(sensor).variance(raw)
         full = raw >= noise.full_scale_counts[sensor, None]
         if self.average is None:
             return variance, full
         return (
             average_scans(variance, self.average) / self.average,
-            average_scans(full, self.average) > 0.0,
+            average_scans(full.astype(np.float64), self.average) > 0.0,
         )
 
     def _peaks_of(self, scan: Array) -> tuple[tuple[PeakSegment, ...], list[_Centre]]:
@@ -255,14 +256,13 @@ class SignalChain:
     def _to_peaks(
         self, output: PeakOutput, centres: list[_Centre], derivatives: Array | None
     ) -> list[PipelinePeak]:
+        truncated = PeakFlag.TRUNCATED if len(centres) > self.max_peaks else PeakFlag.NONE
         found = []
         for number, (centre, height, cut) in enumerate(centres[: self.max_peaks]):
             by_pixel = None if derivatives is None else derivatives[number]
             peak = output.peak(centre, height, by_pixel, cut)
             if peak is not None:
-                found.append(peak)
-        if len(centres) > self.max_peaks:
-            found = [replace(peak, flags=peak.flags | PeakFlag.TRUNCATED) for peak in found]
+                found.append(peak._replace(flags=peak.flags | truncated))
         return found
 
     def _to_pixels(self, peaks: list[_Centre], state: PipelineState, number: int) -> Array:

@@ -4,11 +4,11 @@ from dataclasses import dataclass, field
 from math import ceil
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from compute.errors import InvalidParameter
 from compute.signal.thesis_pipeline.result import Stage
-from compute.signal.thesis_pipeline.steps import Array, ScanFilter, as_scans, check_whole
+from compute.signal.thesis_pipeline.steps import Array, ScanFilter
 
 
 @dataclass
@@ -72,30 +72,24 @@ def _padding_px(through: ScanFilter) -> int:
     return ceil(through.correction_px)
 
 
-def average_scans(scans: ArrayLike, count: int) -> Array:
+def average_scans(scans: Array, count: int) -> Array:
     """Average every ``count`` consecutive scans.
 
     Args:
-        scans: shape (..., L, P).
-        count: 1 to 1,000,000; it must divide L.
+        scans: shape (L, P).
+        count: at least 1; it must divide L.
 
     Returns:
-        The means, shape (..., L / count, P).
+        The means, shape (L / count, P).
 
     Raises:
-        InvalidParameter: L is no multiple of count, or there is but one scan without an axis.
+        InvalidParameter: L is no multiple of count.
     """
-    values = as_scans(scans)
-    check_whole("count", count, 1, 1_000_000)
-    number = values.shape[-2] if values.ndim > 1 else 1
-    if number % count:
+    if len(scans) % count:
         raise InvalidParameter(
-            f"{number} lines cannot be averaged {count} at a time; their number must be a "
+            f"{len(scans)} scans cannot be averaged {count} at a time; their number must be a "
             f"multiple of {count}",
-            lines=number,
+            scans=len(scans),
             count=count,
         )
-    if values.ndim == 1:
-        return values
-    shape = (*values.shape[:-2], number // count, count, values.shape[-1])
-    return np.asarray(values.reshape(shape).mean(axis=-2))
+    return np.asarray(scans.reshape(-1, count, scans.shape[-1]).mean(axis=1))

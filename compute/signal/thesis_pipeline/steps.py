@@ -1,7 +1,7 @@
-"""Interfaces of the steps of a chain (filter, background), and checks of their settings."""
+"""Interfaces of the steps of a chain: filter and background."""
 
-from math import isfinite
-from typing import Final, Literal, Protocol, get_args
+from abc import ABC, abstractmethod
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,48 +20,65 @@ MAX_TAPS: Final = 1024
 _MIN_PIXELS: Final = 8
 
 
-class ScanFilter(Protocol):
+class ScanFilter(ABC):
     """A filter along scans."""
+
+    compensation: Compensation
+
+    @property
+    @abstractmethod
+    def delay_px(self) -> float:
+        """Delay at zero frequency, if the phase is not removed [px]."""
 
     @property
     def shift_px(self) -> float:
         """Shift of the filtered scan to the right of the light [px]."""
-        ...
+        return 0.0 if self.compensation == "phase" else self.delay_px
 
     @property
     def correction_px(self) -> float:
         """What the chain subtracts from positions [px]: the shift, or zero if it is to stay."""
-        ...
+        return self.delay_px if self.compensation == "delay" else 0.0
 
     @property
     def reach_px(self) -> float:
         """Distance from an end within which pixels beyond it matter [px]."""
-        ...
+        return self.delay_px
 
+    @abstractmethod
     def apply(self, scans: ArrayLike) -> Array:
         """Filter scans (..., P)."""
-        ...
 
+    @abstractmethod
     def adjoint(self, weights: Array) -> Array:
         """Carry derivatives by filtered pixels (..., P) back to derivatives by pixels."""
-        ...
 
 
-class Background(Protocol):
+class Background(ABC):
     """An estimate of the light that does not come from markers."""
 
     def estimate(self, scans: ArrayLike) -> tuple[Array, NDArray[np.bool_]]:
         """Return the background of scans (..., P), and which pixels it was taken from."""
-        ...
+        values = as_scans(scans)
+        background, free = np.empty_like(values), np.empty(values.shape, dtype=np.bool_)
+        for row in np.ndindex(values.shape[:-1]):
+            background[row], free[row] = self.estimate_scan(values[row])
+        return background, free
 
+    @abstractmethod
+    def estimate_scan(self, scan: Array) -> tuple[Array, NDArray[np.bool_]]:
+        """Return the background of one scan (P,), and which pixels it was taken from."""
+
+    @abstractmethod
     def adjoint(self, weights: Array, background_mask: NDArray[np.bool_]) -> Array:
         """Carry derivatives by a scan less its background back to its pixels, shape (..., P).
 
+        Which pixels the background was taken from is taken as given.
+
         Args:
             weights: derivatives by the scan less its background, shape (..., P).
-            background_mask: pixels that the background was taken from, same shape.
+            background_mask: pixels that the background was taken from, shape (P,).
         """
-        ...
 
 
 def as_scans(scans: ArrayLike) -> Array:
@@ -75,80 +92,10 @@ def as_scans(scans: ArrayLike) -> Array:
     pixels = values.shape[-1] if values.ndim else 0
     if not _MIN_PIXELS <= pixels <= MAX_PIXELS:
         raise InvalidParameter(
-            f"lines have {pixels} pixels; they must have {_MIN_PIXELS} to {MAX_PIXELS}",
+            f"scans have {pixels} pixels; they must have {_MIN_PIXELS} to {MAX_PIXELS}",
             pixels=pixels,
         )
     if not np.isfinite(values).all():
         bad = float(values[~np.isfinite(values)][0])
-        raise NonFiniteValue(f"lines have the value {bad}; all must be finite", value=bad)
+        raise NonFiniteValue(f"scans have the value {bad}; all must be finite", value=bad)
     return values
-
-
-def check_whole(name: str, value: int, minimum: int, maximum: int) -> None:
-    """Refuse a number that is not whole or lies outside its range.
-
-    Args:
-        name: name of the value, for the message.
-        value: the number.
-        minimum: least value that is allowed.
-        maximum: greatest value that is allowed.
-
-    Raises:
-        InvalidParameter: with the value and the range.
-    """
-    if isinstance(value, bool) or int(value) != value or not minimum <= value <= maximum:
-        raise InvalidParameter(
-            f"{name} is {value}; it must be a whole number in {minimum} .. {maximum}",
-            **{name: value},
-        )
-
-
-def check_between(name: str, value: float, minimum: float, maximum: float) -> None:
-    """Refuse a number outside its range; the ends belong to it.
-
-    Args:
-        name: name of the value, for the message.
-        value: the number.
-        minimum: least value that is allowed.
-        maximum: greatest value that is allowed.
-
-    Raises:
-        InvalidParameter: with the value and the range.
-    """
-    if not (isfinite(value) and minimum <= value <= maximum):
-        raise InvalidParameter(
-            f"{name} is {value}; it must lie in {minimum:g} .. {maximum:g}", **{name: value}
-        )
-
-
-def check_cutoff(cutoff: float) -> None:
-    """Refuse a cut-off that is not a fraction of half the sampling rate.
-
-    Raises:
-        InvalidParameter: with the value.
-    """
-    if not 0.0 < cutoff < 1.0:
-        raise InvalidParameter(
-            f"cutoff is {cutoff}; it must lie between 0 and 1, as a fraction of half the "
-            "sampling rate",
-            cutoff=cutoff,
-        )
-
-
-def check_compensation(
-    value: Compensation, allowed: tuple[Compensation, ...] | None = None
-) -> None:
-    """Refuse an unknown compensation.
-
-    Args:
-        value: the compensation.
-        allowed: the known ones; None: all.
-
-    Raises:
-        InvalidParameter: with the value and those that there are.
-    """
-    known = get_args(Compensation) if allowed is None else allowed
-    if value not in known:
-        raise InvalidParameter(
-            f"compensation is {value!r}; it must be one of {known}", compensation=value
-        )

@@ -14,8 +14,7 @@ from compute.signal.thesis_pipeline.background_subtraction import (
     PeakMask,
     PolynomialBackground,
 )
-from compute.signal.thesis_pipeline.filters import ButterworthFilter, FirFilter
-from compute.signal.thesis_pipeline.median_filter import MedianFilter
+from compute.signal.thesis_pipeline.filters import ButterworthFilter, FirFilter, MedianFilter
 from compute.signal.thesis_pipeline.peak_separation import SlopeExtension, ValleyCut
 from compute.signal.thesis_pipeline.signal_chain import SignalChain
 from compute.signal.thesis_pipeline.steps import MAX_TAPS, Compensation

@@ -11,7 +11,7 @@ from compute.errors import InvalidParameter
 from compute.optics.profiles.device_profile import DeviceProfile
 from compute.optics.profiles.profile_optics import window_shadows
 from compute.signal.centroid_settings import MAX_PIXELS
-from compute.signal.coded_aperture.shadow_settings import ShadowSettings
+from compute.signal.coded_aperture.shadow_fit import ShadowSettings
 from compute.signal.coded_aperture.shadow_template import ShadowTemplate
 from service.api.devices.schema import PROFILE_PATTERN
 from service.api.line_scans.chain_steps import STRICT

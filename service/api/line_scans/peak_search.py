@@ -234,8 +234,7 @@ def _scan(
 
 
 def _peaks(batch: PeakBatch, line: int, response_sigma: float | None = None) -> list[LinePeak]:
-    peaks = (_plain(asdict(peak)) for peak in batch.peaks(line, ""))
-    known = [{name: one[name] for name in one if name != "sensor"} for one in peaks]
+    known = [_plain(asdict(peak)) for peak in batch.peaks(line)]
     return [LinePeak(**one, response_sigma=response_sigma) for one in known]
 
 

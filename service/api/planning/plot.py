@@ -12,6 +12,7 @@ from matplotlib.ticker import MaxNLocator, NullFormatter
 from numpy.typing import NDArray
 from PIL import Image
 
+from compute.planning.plan import column_medians
 from compute.planning.plan_result import Plan
 
 Array = NDArray[np.float64]
@@ -141,15 +142,7 @@ def _against_distance(panel: Axes, plan: Plan) -> None:
 def _medians(values: Array) -> list[Array]:
     """Return the medians over X and Y of each axis against Z, NaN where nothing is known."""
     planes = values.reshape(-1, *values.shape[2:])
-    return [
-        np.array(
-            [
-                np.median(known) if len(known := column[np.isfinite(column)]) else np.nan
-                for column in planes[..., axis].T
-            ]
-        )
-        for axis in range(3)
-    ]
+    return [column_medians(planes[..., axis]) for axis in range(3)]
 
 
 def _readings(panel: Axes, plan: Plan) -> None:

@@ -1,6 +1,6 @@
 """Device profiles and plans as clients receive them."""
 
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 from fastapi import Path, Query
 from pydantic import Field
@@ -19,6 +19,8 @@ from service.api.base_models import ResponseModel
 from service.api.devices.schema import PROFILE_PATTERN
 
 MAX_GRID = 5
+
+Model = TypeVar("Model", bound=ResponseModel)
 
 ProfilePath = Annotated[
     str,
@@ -72,33 +74,26 @@ class DeviceProfileDocument(DeviceProfileSummary):
 
 def summary_of(profile: DeviceProfile) -> DeviceProfileSummary:
     """Return the summary of a profile."""
-    return DeviceProfileSummary(**_summary_members(profile))
+    return _document(DeviceProfileSummary, profile)
 
 
 def document_of(profile: DeviceProfile, toml: str) -> DeviceProfileDocument:
     """Return the whole of a profile; ``toml`` is the text of its file."""
-    return DeviceProfileDocument(
-        **_summary_members(profile),
-        sources=profile.sources,
-        sensors=profile.sensors,
-        pixels=profile.pixels,
-        detector=profile.detector,
-        markers=profile.markers,
-        rates=profile.rates,
-        volume=profile.volume,
-        published=profile.published,
+    return _document(
+        DeviceProfileDocument,
+        profile,
         notes=profile.notes + profile.limitations,
         assumed=dict(profile.assumed),
         toml=toml,
     )
 
 
-def _summary_members(profile: DeviceProfile) -> dict[str, Any]:
-    return {
-        "name": profile.name,
-        "title": profile.title,
-        "year": profile.year,
+def _document(model: type[Model], profile: DeviceProfile, **members: Any) -> Model:
+    """Return a model of the profile's fields of the same names, and of these members."""
+    counts = {
         "sensor_count": len(profile.sensors),
         "pixel_count": profile.pixels.count,
         "max_markers": profile.markers.max_markers,
     }
+    fields = {name: getattr(profile, name, None) for name in model.model_fields}
+    return model(**(fields | counts | members))

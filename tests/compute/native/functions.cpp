@@ -139,20 +139,18 @@ double host_log(double value) { return signal::log_of(value); }
 double host_exp(double value) { return signal::exp_of(value); }
 
 void host_edge(const unsigned long long* plan, double position_px, double t, double* edge) {
-    signal::FitJob job = {};
-    job.plan_address = (unsigned long long)plan;
-    signal::FitScan scan(job);
+    const signal::Search search = {};
+    signal::FitScan scan(search, (unsigned long long)plan);
     scan.pieces = scan.all_pieces;
-    const signal::Rows rows = signal::rows_at(scan, position_px);
+    const signal::Rows<double> rows = signal::rows_at(scan.plan, scan.pieces, position_px);
     const signal::CumulativeEdge found = signal::edge_at(scan, rows, t);
     edge[0] = found.fraction;
     edge[1] = found.density;
 }
 
 double host_central_fraction(const unsigned long long* plan, double position_px, double width) {
-    signal::FitJob job = {};
-    job.plan_address = (unsigned long long)plan;
-    signal::FitScan scan(job);
+    const signal::Search search = {};
+    signal::FitScan scan(search, (unsigned long long)plan);
     scan.pieces = scan.all_pieces;
     return signal::central_fraction(scan, width, position_px);
 }

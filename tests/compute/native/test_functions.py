@@ -15,9 +15,9 @@ from compute.optics.tracing.surface_records import Form, pack
 from compute.optics.tracing.surfaces import Surface, SurfaceStack
 from compute.reconstruction.native.definitions import CAMERAS, fill_cameras
 from compute.signal.fit.fit_settings import FitSettings
-from compute.signal.fit.kernel_parameters import pack_plan
 from compute.signal.fit.line_spread_function import LineSpreadFunction
-from compute.signal.fit.window_model import central_pixel_fraction
+from compute.signal.fit.native.definitions import pack_plan
+from compute.signal.fit.window_model import WindowModel
 from compute.tracking.joint_events import ClusterTrack, event_marginals, merge_probability
 from compute.tracking.native.definitions import ASSOCIATION
 from compute.tracking.settings import TrackerSettings
@@ -245,7 +245,8 @@ def test_line_spread_function_is_the_shape(host: CDLL) -> None:
         assert found == pytest.approx([float(share), float(density)], abs=1e-14)
     for width in (0.4, 1.0, 2.5):
         found_share = host.host_central_fraction(at(plan), c_double(100.0), c_double(width))
-        wanted = central_pixel_fraction(shape, np.array([width]), np.array([0]), np.array([100.0]))
+        model = WindowModel(1, FitSettings(), shape)
+        wanted = model.central_pixel_fraction(np.array([width]), np.array([0]), np.array([100.0]))
         assert found_share == pytest.approx(float(wanted[0]), rel=1e-13)
 
 

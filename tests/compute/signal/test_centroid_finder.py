@@ -7,12 +7,11 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from compute.errors import InvalidParameter
-from compute.signal import centroid_finder
+from compute.signal import centroid_finder, peak_finder
 from compute.signal.centroid_finder import CentroidFinder
 from compute.signal.centroid_reference import find_peaks_reference
 from compute.signal.centroid_settings import CentroidSettings
-from compute.signal.native import kernel_runner
-from compute.signal.native.batch_limits import check_room
+from compute.signal.peak_finder import check_capacity
 from compute.signal.sensor_noise import SensorNoise
 from tests.compute.signal.synthetic_scans import (
     FULL,
@@ -142,7 +141,7 @@ def test_wrong_lines_are_refused_with_the_reason(lines, words):
 @pytest.mark.parametrize("count", [0, 3])
 def test_no_more_lines_are_read_than_were_given(count):
     centroid_finder = CentroidFinder(4, 256, CentroidSettings(), NOISE, "cpu")
-    with pytest.raises(InvalidParameter, match=r"count is 1.*the lines uploaded"):
+    with pytest.raises(InvalidParameter, match=r"count is 1.*the scans uploaded"):
         centroid_finder.launch(1)
     centroid_finder.upload(np.zeros((2, 256), np.uint16))
     with pytest.raises(InvalidParameter, match=rf"count is {count}; it must be 1 \.\. 2"):
@@ -152,7 +151,7 @@ def test_no_more_lines_are_read_than_were_given(count):
 @pytest.mark.parametrize(
     ("lines", "pixels", "device", "words"),
     [
-        (0, 256, "cpu", "lines is 0"),
+        (0, 256, "cpu", "scans is 0"),
         (4, 63, "cpu", "63 pixels"),
         (4, 65537, "cpu", "65537 pixels"),
         (4, 256, "cuda:99", "'cuda:99'"),
@@ -166,22 +165,22 @@ def test_a_finder_that_cannot_be_is_refused_with_the_reason(lines, pixels, devic
 
 def test_more_than_an_array_holds_is_refused_with_what_it_would_hold():
     """In Warp's words it would be a ValueError that says nothing of lines."""
-    with pytest.raises(InvalidParameter, match="lines is 2147483647, of 128 pixels each"):
+    with pytest.raises(InvalidParameter, match="scans is 2147483647, of 128 pixels each"):
         CentroidFinder(2**31 - 1, 128, CentroidSettings(), NOISE, "cpu")
     for pixels, words, copied, most in (
         (2048, 40, True, 2**20 - 1),
         (2048, 40, False, 53_687_091),
         (64, 130, True, 16_519_104),
     ):
-        check_room(most, pixels, words, copied=copied)
-        with pytest.raises(InvalidParameter, match=f"takes {most} such lines"):
-            check_room(most + 1, pixels, words, copied=copied)
+        check_capacity(most, pixels, words, copied=copied)
+        with pytest.raises(InvalidParameter, match=f"takes {most} such scans"):
+            check_capacity(most + 1, pixels, words, copied=copied)
 
 
 @pytest.mark.parametrize("sensors", [1, 3, 4])
 @pytest.mark.parametrize("threads", [2, 3, 7])
 def test_threads_share_a_batch_and_change_nothing(threads, sensors, monkeypatch):
-    monkeypatch.setattr(kernel_runner, "HEAD_START_PIXELS", 50_000)
+    monkeypatch.setattr(peak_finder, "HEAD_START_PIXELS", 50_000)
     monkeypatch.setattr(centroid_finder, "PIXELS_PER_THREAD", 100_000)
     # Noise by sensor: a part that began with another sensor than 0 would find other peaks.
     noise = SensorNoise.of(GAIN, np.linspace(5.0, 200.0, sensors), OFFSET, FULL)

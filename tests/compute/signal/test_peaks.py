@@ -84,10 +84,9 @@ def test_a_line_as_values():
     batch = find_peaks_reference(
         measured(counts, np.random.default_rng(0), full=400), CentroidSettings(), NOISE
     )
-    peaks = batch.peaks(0, "left")
+    peaks = batch.peaks(0)
     assert len(batch) == 1
     assert [type(peak) for peak in peaks] == [Peak, Peak]
-    assert [peak.sensor for peak in peaks] == ["left", "left"]
     assert peaks[1].position_px == batch.position_px[0, 1]
     assert peaks[1].flags == ()
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from compute.signal.thesis_pipeline.filters import ButterworthFilter
 from validation.all_cases import ALL_CASES
 from validation.result_tables import TablesCase, TablesResult
 from validation.signal_chain.linear_resolution import (
@@ -35,6 +36,7 @@ from validation.signal_chain.table_c_data import (
     PUBLISHED_DELAYS_PX,
     columns,
     delays_px,
+    linearised_delay_px,
 )
 from validation.signal_chain.tables_4_1_to_4_3 import (
     JUMPING,
@@ -64,6 +66,13 @@ def test_the_csv_holds_the_published_columns() -> None:
     assert tables["C.4"]["raw"].centroid_px[[0, 6, -1]].tolist() == [379.88, 378.16, 380.54]
     assert tables["C.4"]["butter4_0.6"].centroid_px[[0, -1]].tolist() == [380.46, 381.82]
     assert tables["C.4"]["fir11_0.6"].centroid_px[[6, 7]].tolist() == [386.23, 385.90]
+
+
+def test_linearised_delays_beside_the_published_ones() -> None:
+    """Thesis 4.2.2 says 1.9, 2.3, 5.1 and 6.3."""
+    four = [ButterworthFilter(order, cutoff) for order in (4, 11) for cutoff in (0.6, 0.4)]
+    found = [linearised_delay_px(one) for one in four]
+    assert found == pytest.approx([1.501, 2.396, 3.969, 6.343], abs=1e-3)
 
 
 def test_counts_of_order() -> None:

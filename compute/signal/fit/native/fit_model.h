@@ -33,41 +33,15 @@ struct CumulativeEdge {
     double fraction, density, moment;
 };
 
-// The pieces of the nodes about a place along the sensor.
-struct Rows {
-    const Piece* near;
-    const Piece* far;
-    double far_part;
-};
-
-// The pieces about a position along the sensor.
-LUMILINE_FN Rows rows_at(const FitScan& scan, double position_px) {
-    if (scan.plan.nodes == 1) return Rows{scan.pieces, scan.pieces, 0.0};
-    const double node = (position_px - scan.plan.first_node) / scan.plan.node_step;
-    const int below =
-        node > 0.0 ? (node < scan.plan.nodes - 2 ? (int)node : scan.plan.nodes - 2) : 0;
-    const double part = node - below;
-    const Piece* near = scan.pieces + below * scan.plan.pieces;
-    return Rows{near, near + scan.plan.pieces, part > 0.0 ? (part < 1.0 ? part : 1.0) : 0.0};
-}
-
 // The fraction of light below t widths, its density, and t times that.
-LUMILINE_FN CumulativeEdge edge_at(const FitScan& scan, const Rows& rows, double t) {
+LUMILINE_FN CumulativeEdge edge_at(const FitScan& scan, const Rows<double>& rows, double t) {
     // Half a piece beyond the last that counts is well within the constant one.
     double table_position = (t - scan.plan.first) * scan.plan.inverse_step;
     const double last = scan.plan.pieces - 0.5;
     table_position = table_position > 0.0 ? (table_position < last ? table_position : last) : 0.0;
     const int k = (int)table_position;
     const double s = table_position - k;
-    Piece piece = rows.near[k];
-    if (scan.plan.nodes > 1) {
-        const Piece far = rows.far[k];
-        const double part = rows.far_part;
-        piece.c0 += part * (far.c0 - piece.c0);
-        piece.c1 += part * (far.c1 - piece.c1);
-        piece.c2 += part * (far.c2 - piece.c2);
-        piece.c3 += part * (far.c3 - piece.c3);
-    }
+    const Piece piece = rows.piece(k);
     const double fraction = piece.c0 + s * (piece.c1 + s * (piece.c2 + s * piece.c3));
     const double density =
         (piece.c1 + s * (2.0 * piece.c2 + s * 3.0 * piece.c3)) * scan.plan.inverse_step;
@@ -76,7 +50,7 @@ LUMILINE_FN CumulativeEdge edge_at(const FitScan& scan, const Rows& rows, double
 
 // The fraction of a stripe's light in a pixel about its centre.
 LUMILINE_FN double central_fraction(const FitScan& scan, double w, double position_px) {
-    const Rows rows = rows_at(scan, position_px);
+    const Rows<double> rows = rows_at(scan.plan, scan.pieces, position_px);
     return edge_at(scan, rows, 0.5 / w).fraction - edge_at(scan, rows, -0.5 / w).fraction;
 }
 
@@ -91,10 +65,10 @@ LUMILINE_FN void evaluate(const FitScan& scan, const Model& m, const Window& in,
     const int lights = 1 + scan.plan.sloped, positions = lights + m.peaks,
               width = positions + m.peaks;
     const double w = exp_of(m.log_w), by_width = 1.0 / w, middle = 0.5 * (in.first + in.last);
-    Rows rows[joint_peaks];
+    Rows<double> rows[joint_peaks];
     CumulativeEdge before[joint_peaks];
     for (int k = 0; k < m.peaks; ++k) {
-        rows[k] = rows_at(scan, m.x[k]);
+        rows[k] = rows_at(scan.plan, scan.pieces, m.x[k]);
         before[k] = edge_at(scan, rows[k], (in.first - 0.5 - m.x[k]) * by_width);
     }
     Pixel pixel;
@@ -118,7 +92,7 @@ LUMILINE_FN void evaluate(const FitScan& scan, const Model& m, const Window& in,
             pixel.mean += m.slope * pixel.by[1];
         }
         const double above = pixel.mean - scan.offset;
-        pixel.variance = scan.dark_variance + (above > 0.0 ? scan.photon_variance * above : 0.0)
+        pixel.variance = scan.dark + (above > 0.0 ? scan.photon * above : 0.0)
                          + scan.plan.shape_error2 * lit * lit;
         const int value = scan.v[i];
         if (value < scan.full_scale) each(i, (double)value, pixel);

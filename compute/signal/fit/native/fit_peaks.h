@@ -17,7 +17,6 @@
 namespace lumiline::signal {
 
 // Fits the group that starts with candidate `begin` into `out`; returns the number of peaks.
-
 LUMILINE_FN int fit_group(const FitScan& scan, int begin, FittedPeak* out) {
     const int end = end_of_group(scan, begin);
     int first = 0, last = 0;
@@ -35,7 +34,7 @@ LUMILINE_FN int fit_group(const FitScan& scan, int begin, FittedPeak* out) {
     }
     // Behind a cut there is light of neighbours that was not fitted with this.
     if (scan.candidates[begin].flags & flag_after_cut) out[0].flags |= flag_merged;
-    if (end < scan.found && (scan.candidates[end].flags & flag_after_cut))
+    if (end < scan.candidate_count && (scan.candidates[end].flags & flag_after_cut))
         out[written - 1].flags |= flag_merged;
     if (scan.candidates[begin].flags & flag_truncated)
         for (int k = 0; k < written; ++k) out[k].flags |= flag_truncated;
@@ -82,9 +81,8 @@ LUMILINE_FN void finish_scan(FitScan& scan, int from, int step) {
 
 #if !defined(__CUDA_ARCH__)
 // Fits the peaks of scan `number`.
-LUMILINE_FN void fit_peaks(const FitJob& job, int number) {
-    FitScan scan(job);
-    if (number >= job.lines) return;
+LUMILINE_FN void fit_candidates(FitScan& scan, int number) {
+    if (number >= scan.search.scans) return;
     scan.take_scan(number);
     scan.count[0] = scan.count[1] = 0;
     const int groups = mark_groups(scan);
@@ -98,24 +96,23 @@ LUMILINE_FN void fit_peaks(const FitJob& job, int number) {
 #else
 // Warp `number` fits the peaks of its scans: each lane marks the groups of one; then each takes one
 // group, in their order.
-LUMILINE_FN void fit_peaks(const FitJob& job, int number) {
-    FitScan scan(job);
+LUMILINE_FN void fit_candidates(FitScan& scan, int number) {
+    const int scans = scan.search.scans, scans_per_warp = scan.search.scans_per_warp;
     const int lane = threadIdx.x % 32;
     const unsigned every = 0xffffffffu, before = (1u << lane) - 1u;
-    const int first_line = number * job.lines_per_warp;
-    if (first_line >= job.lines) return;
-    const int slots =
-        job.lines - first_line < job.lines_per_warp ? job.lines - first_line : job.lines_per_warp;
+    const int first_scan = number * scans_per_warp;
+    if (first_scan >= scans) return;
+    const int slots = smaller(scans - first_scan, scans_per_warp);
     // The candidates were written by other lanes.
     __syncwarp();
     int groups = 0;
     if (lane < slots) {
-        scan.take_scan(first_line + lane);
+        scan.take_scan(first_scan + lane);
         scan.count[0] = scan.count[1] = 0;
         groups = mark_groups(scan);
     }
     __syncwarp();
-    // Groups of this line and those before it.
+    // Groups of this scan and those before it.
     int up_to = groups;
     for (int step = 1; step < 32; step *= 2) {
         const int other = __shfl_up_sync(every, up_to, step);
@@ -136,11 +133,11 @@ LUMILINE_FN void fit_peaks(const FitJob& job, int number) {
         FittedPeak fitted[joint_peaks];
         int size = 0;
         if (active) {
-            scan.take_scan(first_line + slot);
+            scan.take_scan(first_scan + slot);
             size = fit_group(scan, begin_of_group(scan, group - earlier), fitted);
         }
         __syncwarp();
-        // Lanes of the same line; idle ones are of none.
+        // Lanes of the same scan; idle ones are of none.
         const unsigned same = __match_any_sync(every, active ? slot : -1);
         int at = active ? scan.count[0] : 0, total = at;
 #pragma unroll
@@ -162,10 +159,21 @@ LUMILINE_FN void fit_peaks(const FitJob& job, int number) {
         __syncwarp();
     }
     for (int slot = 0; slot < slots; ++slot) {
-        scan.take_scan(first_line + slot);
+        scan.take_scan(first_scan + slot);
         finish_scan(scan, lane, 32);
     }
 }
 #endif
+
+// Finds the candidates of scan `number` (on CUDA, of the scans of warp `number`) and fits them;
+// `candidates_offset` is where in a scan's record they begin.
+LUMILINE_FN void fit_peaks(const Search& search, unsigned long long plan_address,
+                           int candidates_offset, int number) {
+    Search candidates = search;
+    candidates.records_address += candidates_offset;
+    find_peaks<candidate_scans_per_batch, Length::any>(candidates, number);
+    FitScan scan(search, plan_address);
+    fit_candidates(scan, number);
+}
 
 }  // namespace lumiline::signal

@@ -4,44 +4,58 @@
 #include "compute/native/platform.h"
 #include "compute/signal/fit/native/definitions.gen.h"
 #include "compute/signal/native/definitions.gen.h"
+#include "compute/signal/native/search.h"
 
 namespace lumiline::signal {
 
 // Cubics of the line spread function, by sensor, node and position; in float64, then in float32.
-struct Piece {
-    double c0, c1, c2, c3;
+template <class Real>
+struct alignas(16) Cubic {
+    Real c0, c1, c2, c3;
 };
 
-struct alignas(16) PieceF {
-    float c0, c1, c2, c3;
+using Piece = Cubic<double>;
+using PieceF = Cubic<float>;
+
+// The pieces of the nodes about a position along the sensor.
+template <class Real>
+struct Rows {
+    const Cubic<Real>* near;
+    const Cubic<Real>* far;
+    Real far_part;
+    bool between_nodes;
+
+    LUMILINE_FN Cubic<Real> piece(int k) const {
+        Cubic<Real> piece = near[k];
+        if (between_nodes) {
+            const Cubic<Real> next = far[k];
+            piece.c0 += far_part * (next.c0 - piece.c0);
+            piece.c1 += far_part * (next.c1 - piece.c1);
+            piece.c2 += far_part * (next.c2 - piece.c2);
+            piece.c3 += far_part * (next.c3 - piece.c3);
+        }
+        return piece;
+    }
 };
+
+// Of the pieces of one sensor.
+template <class Real>
+LUMILINE_FN Rows<Real> rows_at(const Plan& plan, const Cubic<Real>* pieces, double position_px) {
+    if (plan.nodes == 1) return Rows<Real>{pieces, pieces, 0, false};
+    const double node = (position_px - plan.first_node) / plan.node_step;
+    const int below = node > 0.0 ? (node < plan.nodes - 2 ? (int)node : plan.nodes - 2) : 0;
+    const double part = node - below;
+    const Cubic<Real>* near = pieces + below * plan.pieces;
+    const double inside = part > 0.0 ? (part < 1.0 ? part : 1.0) : 0.0;
+    return Rows<Real>{near, near + plan.pieces, (Real)inside, true};
+}
 
 // Flags of a candidate beside those of a peak.
 constexpr int flag_starts_group = 1 << 16, flag_after_cut = 1 << 17, begin_bits = 18;
 
-union Word {
-    unsigned bits;
-    float value;
-};
-
-LUMILINE_FN float quiet_nan() {
-    const Word word = {0x7fc00000u};
-    return word.value;
-}
-
-// What a batch of fits is given; the plan is followed by the limits of chi-square and the pieces.
-struct FitJob {
-    unsigned long long lines_address;
-    int lines, pixels, lines_per_warp;
-    unsigned long long dark_variance_address, photon_variance_address, offset_address,
-        full_scale_address;
-    int sensors, max_peaks;
-    unsigned long long plan_address, records_address;
-    int record_bytes;
-};
-
-struct FitScan {
-    const FitJob& job;
+// The scan that a thread fits. The plan is followed by the limits of chi-square and the pieces.
+struct FitScan : Scan {
+    const Search& search;
     const Plan& plan;
     // By degrees of freedom: the chi-square that is exceeded with the probability of a false split.
     const double* const chi2_limits;
@@ -51,40 +65,36 @@ struct FitScan {
     const int pixels, max_peaks;
     // Of the scan that was taken. Its record: how many peaks, then these, then how many candidates,
     // the background, and the candidates.
-    const unsigned short* v = nullptr;
-    double dark_variance = 0.0, photon_variance = 0.0, offset = 0.0, background = 0.0;
-    int full_scale = 0, found = 0;
+    double background_counts = 0.0;
+    int candidate_count = 0;
     const Piece* pieces = nullptr;
     const PieceF* pieces_f = nullptr;
     int* count = nullptr;
     FittedPeak* records = nullptr;
     PeakRecord* candidates = nullptr;
 
-    LUMILINE_FN explicit FitScan(const FitJob& from)
-        : job(from),
-          plan(*(const Plan*)from.plan_address),
-          chi2_limits((const double*)(from.plan_address + sizeof(Plan))),
+    LUMILINE_FN FitScan(const Search& from, unsigned long long plan_address)
+        : Scan{},
+          search(from),
+          plan(*(const Plan*)plan_address),
+          chi2_limits((const double*)(plan_address + sizeof(Plan))),
           sensor_pieces(plan.nodes * plan.pieces),
           all_pieces((const Piece*)(chi2_limits + plan.limits)),
           all_pieces_f((const PieceF*)(all_pieces + plan.sensors * sensor_pieces)),
           pixels(from.pixels),
           max_peaks(from.max_peaks) {}
 
-    LUMILINE_FN void take_scan(int line) {
-        const int sensor = line % job.sensors;
-        v = (const unsigned short*)job.lines_address + (long long)line * pixels;
-        dark_variance = ((const double*)job.dark_variance_address)[sensor];
-        photon_variance = ((const double*)job.photon_variance_address)[sensor];
-        offset = ((const double*)job.offset_address)[sensor];
-        full_scale = ((const int*)job.full_scale_address)[sensor];
+    LUMILINE_FN void take_scan(int number) {
+        const int sensor = number % search.sensors;
+        static_cast<Scan&>(*this) = search.scan_of(number, sensor);
         pieces = all_pieces + (sensor % plan.sensors) * sensor_pieces;
         pieces_f = all_pieces_f + (sensor % plan.sensors) * sensor_pieces;
-        count = (int*)((char*)job.records_address + (long long)line * job.record_bytes);
+        count = (int*)search.record_of(number);
         records = (FittedPeak*)(count + 2);
         const int* header = (const int*)(records + max_peaks);
         candidates = (PeakRecord*)(header + 2);
-        found = header[0];
-        background = (double)header[1] / level_unit;
+        candidate_count = header[0];
+        background_counts = (double)header[1] / level_unit;
     }
 };
 

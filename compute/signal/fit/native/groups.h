@@ -25,7 +25,7 @@ LUMILINE_FN int pixel_of(const PeakRecord& c) { return (int)floor(c.position_px 
 
 LUMILINE_FN int end_of_group(const FitScan& scan, int begin) {
     int end = begin + 1;
-    while (end < scan.found && !(scan.candidates[end].flags & flag_starts_group)) ++end;
+    while (end < scan.candidate_count && !(scan.candidates[end].flags & flag_starts_group)) ++end;
     return end;
 }
 
@@ -41,7 +41,7 @@ LUMILINE_FN void span_of(const FitScan& scan, int begin, int end, int* first, in
 // Mark where groups start: first where windows do not touch, then cut what is too much.
 // Candidate g then also has the number of the candidate that group g begins with.
 LUMILINE_FN int mark_groups(const FitScan& scan) {
-    for (int k = 0; k < scan.found; ++k) {
+    for (int k = 0; k < scan.candidate_count; ++k) {
         PeakRecord& c = scan.candidates[k];
         c.flags &= flag_starts_group - 1;
         if (k == 0) {
@@ -52,7 +52,7 @@ LUMILINE_FN int mark_groups(const FitScan& scan) {
         if (pixel_of(before) + half_window(scan, before) < pixel_of(c) - half_window(scan, c))
             c.flags |= flag_starts_group;
     }
-    for (int begin = 0; begin < scan.found;) {
+    for (int begin = 0; begin < scan.candidate_count;) {
         const int end = end_of_group(scan, begin);
         int first = 0, last = 0;
         span_of(scan, begin, end, &first, &last);
@@ -68,7 +68,7 @@ LUMILINE_FN int mark_groups(const FitScan& scan) {
         scan.candidates[widest].flags |= flag_starts_group | flag_after_cut;
     }
     int groups = 0;
-    for (int k = 0; k < scan.found; ++k)
+    for (int k = 0; k < scan.candidate_count; ++k)
         if (scan.candidates[k].flags & flag_starts_group)
             scan.candidates[groups++].flags |= k << begin_bits;
     return groups;
@@ -87,7 +87,7 @@ LUMILINE_FN void window_of(const FitScan& scan, int begin, int end, int* first, 
         const int from = (int)floor(0.5 * sum) + 1;
         if (*first < from) *first = from;
     }
-    if (end < scan.found) {
+    if (end < scan.candidate_count) {
         const double sum = scan.candidates[end - 1].position_px + scan.candidates[end].position_px;
         const int to = (int)floor(0.5 * sum);
         if (*last > to) *last = to;
@@ -114,7 +114,7 @@ LUMILINE_FN void grown_window_of(const FitScan& scan, int begin, int end, int fi
         const int from = (other_last + first) / 2 + 1;
         if (*wide_first < from) *wide_first = from;
     }
-    if (end < scan.found) {
+    if (end < scan.candidate_count) {
         window_of(scan, end, end_of_group(scan, end), &other_first, &other_last);
         const int to = (last + other_first) / 2;
         if (*wide_last > to) *wide_last = to;

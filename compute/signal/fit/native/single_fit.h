@@ -18,35 +18,17 @@ namespace lumiline::signal {
 constexpr float step_widths_f = (float)step_widths, step_log_width_f = (float)step_log_width;
 constexpr float narrow_power_f = (float)narrow_power, open_width2_f = (float)open_width2;
 
-// Parameters: level, [slope,] light, logarithm of the width, position: with the position
-// last, its variance is that of the last pivot.
-struct LevelBackground {
-    enum { parameters = 4 };
-};
-
-struct SlopedBackground {
-    enum { parameters = 5 };
-};
-
-// A known width's row is nothing, and the compiler leaves it out.
-struct OpenWidth {
-    enum { is_fitted = 1 };
-};
-
-struct KnownWidth {
-    enum { is_fitted = 0 };
-};
-
-template <class Background, class Width>
+// Parameters, `size` of them: level, [slope,] light, logarithm of the width, position: with the
+// position last, its variance is that of the last pivot. A known width's row is nothing, and the
+// compiler leaves it out.
+template <int size, bool width_is_fitted>
 LUMILINE_FN int fit_single_by(const FitScan& scan, const PeakRecord& c, int first, int last,
                               FittedPeak* out) {
-    const int size = Background::parameters;
-    const bool width_is_fitted = Width::is_fitted;
     const int light_at = size - 3, width_at = size - 2, position_at = size - 1;
     const int max_passes = 8;
     // Beyond a thousand deviations float32 would tell.
-    const double by_light = scan.photon_variance * (double)c.amplitude;
-    if ((double)c.amplitude * (double)c.amplitude > 1e6 * (scan.dark_variance + by_light)) return 0;
+    const double by_light = scan.photon * (double)c.amplitude;
+    if ((double)c.amplitude * (double)c.amplitude > 1e6 * (scan.dark + by_light)) return 0;
     // Without its brightest pixels a fit hangs on little.
     const int used = last - first + 1;
     for (int i = first; i <= last; ++i)
@@ -56,8 +38,8 @@ LUMILINE_FN int fit_single_by(const FitScan& scan, const PeakRecord& c, int firs
     const float chi2_limit = (float)scan.chi2_limits[dof];
     const bool may_split = scan.plan.further_peaks && scan.plan.max_joint_peaks > 1;
 
-    const int origin = pixel_of(c), base = (int)floor(scan.background);
-    const float dark_f = (float)scan.dark_variance, photon_f = (float)scan.photon_variance;
+    const int origin = pixel_of(c), base = (int)floor(scan.background_counts);
+    const float dark_f = (float)scan.dark, photon_f = (float)scan.photon;
     const float above_offset = (float)((double)base - scan.offset);
     const float shape_error2 = (float)scan.plan.shape_error2;
     const float prior = (float)scan.plan.prior, prior_log = (float)scan.plan.log_width;
@@ -70,19 +52,9 @@ LUMILINE_FN int fit_single_by(const FitScan& scan, const PeakRecord& c, int firs
     const float low_end = (float)(first - origin) - 0.5f;
     const float high_end = (float)(last - origin) + 0.5f;
 
-    // The pieces of the nodes about a place along the sensor.
-    const PieceF* near_row = scan.pieces_f;
-    const PieceF* far_row = scan.pieces_f;
-    float far_part = 0.0f;
-    auto rows_at = [&](float x) {
-        if (scan.plan.nodes == 1) return;
-        const double node =
-            ((double)origin + (double)x - scan.plan.first_node) / scan.plan.node_step;
-        int below = node > 0.0 ? (node < scan.plan.nodes - 2 ? (int)node : scan.plan.nodes - 2) : 0;
-        const double part = node - below;
-        near_row = scan.pieces_f + below * scan.plan.pieces;
-        far_row = near_row + scan.plan.pieces;
-        far_part = (float)(part > 0.0 ? (part < 1.0 ? part : 1.0) : 0.0);
+    Rows<float> rows;
+    auto take_rows_at = [&](float x) {
+        rows = rows_at(scan.plan, scan.pieces_f, (double)origin + (double)x);
     };
     // The share of light below t widths, and its density by pieces.
     auto edge_at = [&](float t, float* fraction, float* density) {
@@ -92,14 +64,7 @@ LUMILINE_FN int fit_single_by(const FitScan& scan, const PeakRecord& c, int firs
                              : 0.0f;
         const int k = (int)table_position;
         const float s = table_position - (float)k;
-        PieceF piece = near_row[k];
-        if (scan.plan.nodes > 1) {
-            const PieceF far = far_row[k];
-            piece.c0 += far_part * (far.c0 - piece.c0);
-            piece.c1 += far_part * (far.c1 - piece.c1);
-            piece.c2 += far_part * (far.c2 - piece.c2);
-            piece.c3 += far_part * (far.c3 - piece.c3);
-        }
+        const PieceF piece = rows.piece(k);
         *fraction = piece.c0 + s * (piece.c1 + s * (piece.c2 + s * piece.c3));
         *density = piece.c1 + s * (2.0f * piece.c2 + s * (3.0f * piece.c3));
     };
@@ -112,13 +77,13 @@ LUMILINE_FN int fit_single_by(const FitScan& scan, const PeakRecord& c, int firs
 
     float w = (float)start_width(scan, c), log_w = (float)log_of(start_width(scan, c));
     float x = (float)(c.position_px - (double)origin);
-    rows_at(x);
+    take_rows_at(x);
     float light = c.amplitude / central_fraction(w);
-    float level = (float)(scan.background - (double)base), slope = 0.0f;
+    float level = (float)(scan.background_counts - (double)base), slope = 0.0f;
     bool ended = false;
     float sigma2 = 0.0f, chi2 = 0.0f, last_rise = 0.0f;
     for (int pass = 0; pass < max_passes && !ended; ++pass) {
-        rows_at(x);
+        take_rows_at(x);
         float information[size * (size + 1) / 2], score[size];
         LUMILINE_UNROLL
         for (int k = 0; k < size * (size + 1) / 2; ++k) information[k] = 0.0f;
@@ -275,7 +240,7 @@ LUMILINE_FN int fit_single_by(const FitScan& scan, const PeakRecord& c, int firs
     const bool poor = chi2 > 1.001f * chi2_limit && small && !may_split;
     if (!ended || !(good || poor)) return 0;
 
-    rows_at(x);
+    take_rows_at(x);
     const double position = (double)origin + (double)x, reach = 2.0 * (double)w;
     if (position - reach < -0.5 || position + reach > scan.pixels - 0.5) return 0;
     *out = FittedPeak{position,
@@ -291,11 +256,10 @@ LUMILINE_FN int fit_single_by(const FitScan& scan, const PeakRecord& c, int firs
 LUMILINE_FN int fit_single(const FitScan& scan, const PeakRecord& c, int first, int last,
                            FittedPeak* out) {
     if (scan.plan.width_is_fitted)
-        return scan.plan.sloped
-                   ? fit_single_by<SlopedBackground, OpenWidth>(scan, c, first, last, out)
-                   : fit_single_by<LevelBackground, OpenWidth>(scan, c, first, last, out);
-    return scan.plan.sloped ? fit_single_by<SlopedBackground, KnownWidth>(scan, c, first, last, out)
-                            : fit_single_by<LevelBackground, KnownWidth>(scan, c, first, last, out);
+        return scan.plan.sloped ? fit_single_by<5, true>(scan, c, first, last, out)
+                                : fit_single_by<4, true>(scan, c, first, last, out);
+    return scan.plan.sloped ? fit_single_by<5, false>(scan, c, first, last, out)
+                            : fit_single_by<4, false>(scan, c, first, last, out);
 }
 
 }  // namespace lumiline::signal

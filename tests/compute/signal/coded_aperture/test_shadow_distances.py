@@ -6,8 +6,7 @@ import pytest
 from compute.optics.coded_aperture.correlation_decoding import decode_mask
 from compute.optics.profiles.profile_loader import load_profile
 from compute.optics.profiles.profile_optics import light_source, mask_optics
-from compute.signal.coded_aperture.shadow_fit import ShadowFitter
-from compute.signal.coded_aperture.shadow_settings import ShadowSettings
+from compute.signal.coded_aperture.shadow_fit import ShadowFitter, ShadowSettings
 from compute.signal.peaks import PeakFlag
 from compute.signal.sensor_noise import SensorNoise
 from tests.compute.signal.coded_aperture.coded_aperture_scenes import woven

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from compute.optics.coded_aperture.correlation_decoding import decode_mask
-from compute.signal.coded_aperture.shadow_fit import ShadowFitter
-from compute.signal.coded_aperture.shadow_settings import ShadowSettings
+from compute.signal.coded_aperture.shadow_fit import ShadowFitter, ShadowSettings
 from compute.signal.sensor_noise import SensorNoise
 from tests.compute.signal.coded_aperture.coded_aperture_scenes import (
     PIXELS,

@@ -9,10 +9,8 @@ from numpy.typing import NDArray
 from scipy.stats import poisson
 
 from compute.errors import InvalidParameter
-from compute.signal.coded_aperture.mask_reader import MaskReader
-from compute.signal.coded_aperture.shadow_fit import ShadowFitter
+from compute.signal.coded_aperture.shadow_fit import MaskReader, ShadowFitter, ShadowSettings
 from compute.signal.coded_aperture.shadow_search import ShadowSearch
-from compute.signal.coded_aperture.shadow_settings import ShadowSettings
 from compute.signal.coded_aperture.shadow_template import ShadowTemplate
 from compute.signal.peaks import PeakFlag
 from compute.signal.sensor_noise import SensorNoise
@@ -219,8 +217,8 @@ def test_readings_of_several_sensors_in_turn() -> None:
     assert not batch.flags.any()
     assert batch.width_px[0, 0] == pytest.approx(8 * 15, abs=1.0)
     assert (batch.sigma_px[batch.count == 1] > 0.0).all()
-    assert batch.peaks(2, "right") == ()
-    assert batch.peaks(0, "left")[0].flags == ()
+    assert batch.peaks(2) == ()
+    assert batch.peaks(0)[0].flags == ()
 
 
 @settings(max_examples=60, deadline=None)

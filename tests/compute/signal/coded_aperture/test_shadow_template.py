@@ -6,8 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from compute.errors import InvalidParameter
-from compute.signal.coded_aperture.shadow_fit import ShadowFitter
-from compute.signal.coded_aperture.shadow_settings import ShadowSettings
+from compute.signal.coded_aperture.shadow_fit import ShadowFitter, ShadowSettings
 from compute.signal.coded_aperture.shadow_template import (
     ShadowTemplate,
     ShiftedTemplate,

@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from compute.errors import InvalidParameter
-from compute.signal.detection.integer_taps import MAX_ABSOLUTE_SUM
 from compute.signal.detection.matched_filter import (
+    MAX_ABSOLUTE_SUM,
     MatchedFilter,
     gaussian_filter,
     gaussian_shape,

@@ -6,7 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from compute.errors import InvalidParameter
-from compute.signal.fit.candidate_groups import background_levels, form_groups, initial_widths
+from compute.signal.centroid_settings import LEVEL_UNIT
+from compute.signal.detection.background_estimate import estimate_background
+from compute.signal.fit.candidate_groups import form_groups, initial_widths
 from compute.signal.fit.fit_settings import MAX_WINDOW_PX, WIDTH_LIMITS_PX, FitSettings
 from compute.signal.peaks import PeakBatch
 from tests.compute.signal.synthetic_scans import NOISE, varied_lines
@@ -83,7 +85,7 @@ def test_backgrounds_are_the_searchs():
 
     lines = varied_lines(32, 200, np.random.default_rng(5))
     expected = [_background(line.astype(np.int64))[0] / 64 for line in lines]
-    np.testing.assert_array_equal(background_levels(lines), expected)
+    np.testing.assert_array_equal(estimate_background(lines).background / LEVEL_UNIT, expected)
     assert len(NOISE) == 1
 
 

@@ -11,7 +11,6 @@ from hypothesis.extra.numpy import arrays
 from compute.errors import InvalidParameter
 from compute.signal.centroid_reference import find_peaks_reference
 from compute.signal.centroid_settings import CentroidSettings
-from compute.signal.cramer_rao import joint_position_bounds
 from compute.signal.fit.fit_finder import FitFinder
 from compute.signal.fit.fit_reference import fit_scans
 from compute.signal.fit.fit_settings import FitSettings
@@ -35,6 +34,7 @@ from tests.compute.signal.synthetic_scans import (
     measured,
     varied_lines,
 )
+from validation.joint_position_bounds import joint_position_bounds
 
 
 def fitted(lines, options, noise=NOISE, shape=None, threads=None):
@@ -333,7 +333,7 @@ def test_wrong_lines_are_refused_with_the_reason(lines, words):
 
 @pytest.mark.parametrize(
     ("lines", "pixels", "device", "words"),
-    [(0, 256, "cpu", "lines is 0"), (4, 63, "cpu", "63 pixels"), (4, 256, "abacus", "'abacus'")],
+    [(0, 256, "cpu", "scans is 0"), (4, 63, "cpu", "63 pixels"), (4, 256, "abacus", "'abacus'")],
 )
 def test_a_finder_that_cannot_be_is_refused_with_the_reason(lines, pixels, device, words):
     with pytest.raises(InvalidParameter, match=words):

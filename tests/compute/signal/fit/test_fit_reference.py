@@ -11,7 +11,6 @@ from scipy.special import ndtr
 from compute.errors import InvalidParameter
 from compute.signal.centroid_reference import find_peaks_reference
 from compute.signal.centroid_settings import CentroidSettings
-from compute.signal.cramer_rao import joint_position_bounds
 from compute.signal.fit.fit_reference import fit_scans
 from compute.signal.fit.fit_settings import FitSettings
 from compute.signal.fit.group_fit import fit_scan
@@ -28,6 +27,7 @@ from tests.compute.signal.synthetic_scans import (
     measured,
     varied_lines,
 )
+from validation.joint_position_bounds import joint_position_bounds
 
 PIXELS = 96
 AMBIENT = 20.0

@@ -1,19 +1,22 @@
 """Deviations averaged over unknown widths: honest where light is scarce, and nothing elsewhere."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.special import ndtr
 
 from compute.signal.centroid_reference import find_peaks_reference
-from compute.signal.centroid_settings import CentroidSettings
-from compute.signal.fit.candidate_groups import background_levels, form_groups, initial_parameters
+from compute.signal.centroid_settings import LEVEL_UNIT, CentroidSettings
+from compute.signal.detection.background_estimate import estimate_background
+from compute.signal.fit.candidate_groups import form_groups, initial_parameters
 from compute.signal.fit.fisher_scoring import solve
 from compute.signal.fit.fit_finder import FitFinder
 from compute.signal.fit.fit_reference import fit_scans
 from compute.signal.fit.fit_settings import NARROW_PX, WIDTH_LIMITS_PX, FitSettings
 from compute.signal.fit.line_spread_function import LineSpreadFunction
 from compute.signal.fit.width_marginalisation import marginalise_width
-from compute.signal.fit.window_model import Windows
+from compute.signal.fit.window_model import WindowModel, Windows
 from compute.signal.peaks import PeakFlag
 from compute.signal.sensor_noise import SensorNoise
 from tests.compute.signal.fit.kernel_agreement import lines_that_differ
@@ -44,15 +47,19 @@ def faint_lines(width, read, count, seed):
 
 def solved(lines, options, noise):
     """The first windows of lines' first candidates, and their fits before they are averaged."""
-    shape = LineSpreadFunction.gaussian()
+    model = WindowModel(1, options, LineSpreadFunction.gaussian())
     candidates = find_peaks_reference(lines, options.search, noise)
     groups = form_groups(candidates, PIXELS, options)
     groups = groups[groups.count == 1]
     windows = Windows.cut(lines, groups.scan, groups.first_px, groups.last_px, noise)
-    layout, start = initial_parameters(
-        groups, candidates, background_levels(lines), windows.sensor, options, shape
+    start = initial_parameters(
+        model,
+        groups,
+        candidates,
+        estimate_background(lines).background / LEVEL_UNIT,
+        windows.sensor,
     )
-    return windows, layout, solve(windows, start, layout, options, shape), shape
+    return windows, model, solve(model, windows, start)
 
 
 @pytest.mark.parametrize(("width", "read", "spread"), [(0.6, 50.0, np.inf), (1.0, 50.0, 2.0)])
@@ -83,15 +90,15 @@ def test_the_average_is_the_posterior(width, read):
     """By fits with known widths, close together, each with its likelihood."""
     noise = noise_of(read)
     _, lines = faint_lines(width, read, 12, 9)
-    windows, layout, fits, shape = solved(lines, FREE, noise)
+    windows, model, fits = solved(lines, FREE, noise)
     assert fits.good.all()
-    at, count = layout.position.start, len(windows)
+    at, count = model.position.start, len(windows)
     log_widths = np.arange(*np.log(WIDTH_LIMITS_PX), 0.05)
     weight, place, variance = (np.full((len(log_widths), count), x) for x in (-np.inf, 0.0, 0.0))
     for number, log_width in enumerate(log_widths):
         known = FitSettings(search=SEARCH, width_px=np.exp(log_width), width_log_sigma=0.0)
         start = np.column_stack([fits.parameters[:, :-1], np.full(count, log_width)])
-        given = solve(windows, start, layout, known, shape)
+        given = solve(replace(model, settings=known), windows, start)
         good = given.good
         variance[number, good] = given.covariance[good, at, at]
         place[number, good] = given.parameters[good, at]
@@ -103,7 +110,7 @@ def test_the_average_is_the_posterior(width, read):
     part /= part.sum(axis=0)
     mean = (part * place).sum(axis=0)
     expected = np.sqrt((part * (variance + (place - mean) ** 2)).sum(axis=0))
-    averaged = marginalise_width(windows, fits, layout, FREE, shape)
+    averaged = marginalise_width(model, windows, fits)
     sigma = np.sqrt(averaged.covariance[:, at, at])
     assert sigma == pytest.approx(expected, rel=0.1)
     assert np.abs(sigma / expected - 1.0).mean() < 0.02
@@ -118,16 +125,16 @@ def test_bright_lines_are_not_averaged():
     rng = np.random.default_rng(4)
     place = MIDDLE + rng.uniform(-0.5, 0.5, 50)
     lines = measured(gaussian_counts(PIXELS, place, 1.2, 2000.0), rng)
-    windows, layout, fits, shape = solved(lines, FREE, NOISE)
+    windows, model, fits = solved(lines, FREE, NOISE)
     assert fits.good.all()
-    assert marginalise_width(windows, fits, layout, FREE, shape) is fits
+    assert marginalise_width(model, windows, fits) is fits
 
 
 def test_a_known_width_is_not_averaged():
     known = FitSettings(search=SEARCH, width_px=1.0, width_log_sigma=0.0)
     _, lines = faint_lines(1.0, 50.0, 50, 5)
-    windows, layout, fits, shape = solved(lines, known, noise_of(50.0))
-    assert marginalise_width(windows, fits, layout, known, shape) is fits
+    windows, model, fits = solved(lines, known, noise_of(50.0))
+    assert marginalise_width(model, windows, fits) is fits
 
 
 def test_faint_lines_alone_and_in_pairs_agree_with_the_kernel():
@@ -156,13 +163,13 @@ def test_widths_below_a_third_of_a_pixel_are_improbable():
     # Who believes in narrow lines is not contradicted.
     assert FitSettings(width_px=0.4, width_log_sigma=0.1).narrow_width_px == 0.2
     _, lines = faint_lines(0.6, 50.0, 2000, 7)
-    _, layout, fits, _ = solved(lines, FREE, noise_of(50.0))
+    _, model, fits = solved(lines, FREE, noise_of(50.0))
     width = np.exp(fits.parameters[fits.good, -1])
-    assert layout.peaks == 1
+    assert model.peaks == 1
     assert (width < 0.3).mean() < 0.002
     # And bright ones tell.
     rng = np.random.default_rng(8)
     place = MIDDLE + rng.uniform(0.3, 0.7, 50)
     lines = measured(gaussian_counts(PIXELS, place, 0.3, 1e4), rng)
-    _, _, fits, _ = solved(lines, FREE, NOISE)
+    _, _, fits = solved(lines, FREE, NOISE)
     assert np.median(np.exp(fits.parameters[:, -1])) == pytest.approx(0.3, abs=0.02)

@@ -7,12 +7,13 @@ from hypothesis import strategies as st
 
 from compute.errors import InvalidParameter
 from compute.planning.cramer_rao import PixelNoise
-from compute.signal.cramer_rao import joint_position_bounds, position_bound
+from compute.signal.cramer_rao import position_bound
 from compute.signal.fit.fit_settings import FitSettings
 from compute.signal.fit.line_spread_function import LineSpreadFunction
-from compute.signal.fit.window_model import Layout, Windows, central_pixel_fraction, evaluate
+from compute.signal.fit.window_model import WindowModel, Windows
 from compute.signal.sensor_noise import SensorNoise
 from tests.compute.signal.synthetic_scans import GAIN, NOISE, OFFSET, READ, gaussian_counts
+from validation.joint_position_bounds import joint_position_bounds
 
 PIXELS = 64
 GAUSSIAN = LineSpreadFunction.gaussian()
@@ -29,10 +30,9 @@ def window(first=10, last=40, lines=1):
 
 
 def test_the_model_is_pixel_integrated_lines_over_a_background():
-    layout = Layout(2, slope=True)
     parameters = np.array([[120.0, 0.5, 300.0, 900.0, 20.3, 28.8, np.log(1.7)]])
     settings = FitSettings(background="slope", shape_error=0.1)
-    model = evaluate(window(), parameters, layout, settings, GAUSSIAN)
+    model = WindowModel(2, settings, GAUSSIAN).evaluate(window(), parameters)
     pixel = np.arange(10, 41)
     height = np.array([300.0, 900.0]) / (1.7 * np.sqrt(2 * np.pi))
     lit = gaussian_counts(PIXELS, [20.3, 28.8], 1.7, height).sum(axis=0)[10:41]
@@ -51,28 +51,27 @@ def test_the_model_is_pixel_integrated_lines_over_a_background():
 )
 def test_the_jacobian_is_the_derivative(peaks, slope, seed, log_width, measured):
     rng = np.random.default_rng(seed)
-    layout = Layout(peaks, slope)
-    parameters = np.zeros((1, layout.size))
-    parameters[:, : layout.background] = rng.uniform(-2.0, 200.0, layout.background)
-    parameters[:, layout.light] = rng.uniform(-100.0, 1000.0, peaks)
-    parameters[:, layout.position] = rng.uniform(5.0, 45.0, peaks)
+    settings = FitSettings(background="slope" if slope else "level")
+    model = WindowModel(peaks, settings, GAUSSIAN)
+    parameters = np.zeros((1, model.size))
+    parameters[:, : model.background_size] = rng.uniform(-2.0, 200.0, model.background_size)
+    parameters[:, model.light] = rng.uniform(-100.0, 1000.0, peaks)
+    parameters[:, model.position] = rng.uniform(5.0, 45.0, peaks)
     parameters[:, -1] = log_width
-    shape = GAUSSIAN
     if measured:
         shape = LineSpreadFunction.from_cells(rng.uniform(0.0, 1.0, 64), -2.0, 1.0 / 16.0)
-    settings = FitSettings(background="slope" if slope else "level")
-    model = evaluate(window(), parameters, layout, settings, shape)
-    for k in range(layout.size):
-        step = np.zeros((1, layout.size))
+        model = WindowModel(peaks, settings, shape)
+    expected = model.evaluate(window(), parameters)
+    for k in range(model.size):
+        step = np.zeros((1, model.size))
         step[0, k] = 1e-6
         ahead, behind = (
-            evaluate(window(), parameters + sign * step, layout, settings, shape).mean
-            for sign in (1.0, -1.0)
+            model.evaluate(window(), parameters + sign * step).mean for sign in (1.0, -1.0)
         )
         numeric = (ahead - behind) / 2e-6
         # The table's second derivative jumps from place to place, by at most the step's error.
-        scale = 1.0 + np.abs(parameters[:, layout.light]).sum() * np.exp(-log_width)
-        np.testing.assert_allclose(model.jacobian[:, k], numeric, atol=3e-4 * scale)
+        scale = 1.0 + np.abs(parameters[:, model.light]).sum() * np.exp(-log_width)
+        np.testing.assert_allclose(expected.jacobian[:, k], numeric, atol=3e-4 * scale)
 
 
 def test_bounds_are_those_of_the_formulas():
@@ -125,9 +124,8 @@ def test_bounds_of_two_lines_meet_those_of_one_when_far_and_grow_when_near():
 
 
 def test_the_share_of_the_middle_pixel():
-    share = central_pixel_fraction(
-        GAUSSIAN, np.array([0.5, 2.0]), np.zeros(2, np.int64), np.zeros(2)
-    )
+    model = WindowModel(1, FitSettings(), GAUSSIAN)
+    share = model.central_pixel_fraction(np.array([0.5, 2.0]), np.zeros(2, np.int64), np.zeros(2))
     np.testing.assert_allclose(share, [0.682689, 0.197413], atol=1e-6)
 
 

@@ -117,8 +117,7 @@ def test_bad_settings_are_refused() -> None:
         lambda: PeakMask(above_sigma=0.0),
         lambda: PeakMask(rounds=0),
         lambda: average_scans(np.zeros((5, 16)), 2),
-        lambda: average_scans(np.zeros(16), 2),
-        lambda: average_scans(np.zeros((4, 16)), 0),
+        lambda: average_scans(np.zeros((1, 16)), 2),
     ):
         with pytest.raises(InvalidParameter):
             make()

@@ -7,11 +7,11 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from compute.errors import InvalidParameter
-from compute.signal.thesis_pipeline.peak_separation import Separation, SlopeExtension, ValleyCut
+from compute.signal.thesis_pipeline.peak_separation import SlopeExtension, ValleyCut
 from compute.signal.thesis_pipeline.signal_chain import SignalChain
 from tests.compute.signal.thesis_pipeline.pipeline_scans import compact_peak
 
-METHODS: list[Separation] = [ValleyCut(0.0), SlopeExtension(0.0)]
+METHODS: list[ValleyCut] = [ValleyCut(0.0), SlopeExtension(0.0)]
 random_lines = arrays(np.float64, 60, elements=st.floats(-50.0, 100.0, width=32))
 
 
@@ -41,7 +41,7 @@ def test_whatever_the_line_pieces_are_finite_and_in_order(
 @settings(max_examples=40, deadline=None)
 @given(centre=st.floats(20.0, 40.0), gap=st.floats(17.0, 60.0), height=st.floats(0.3, 3.0))
 def test_peaks_that_do_not_overlap_are_unchanged(
-    method: Separation, centre: float, gap: float, height: float
+    method: ValleyCut, centre: float, gap: float, height: float
 ) -> None:
     one = 100.0 * compact_peak(centre, 8.0, 128)
     other = 100.0 * height * compact_peak(centre + gap, 8.0, 128)

@@ -9,8 +9,7 @@ from compute.errors import InvalidParameter
 from compute.signal.peaks import PeakFlag
 from compute.signal.sensor_noise import SensorNoise
 from compute.signal.thesis_pipeline.background_subtraction import PolynomialBackground
-from compute.signal.thesis_pipeline.filters import ButterworthFilter, FirFilter
-from compute.signal.thesis_pipeline.median_filter import MedianFilter
+from compute.signal.thesis_pipeline.filters import ButterworthFilter, FirFilter, MedianFilter
 from compute.signal.thesis_pipeline.signal_chain import SignalChain
 from compute.signal.thesis_pipeline.steps import ScanFilter
 from tests.compute.signal.thesis_pipeline.pipeline_scans import compact_peak, gaussian_lines

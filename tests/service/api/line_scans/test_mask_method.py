@@ -13,8 +13,7 @@ from PIL import Image
 from compute.optics.coded_aperture.correlation_decoding import decode_mask
 from compute.optics.profiles.profile_loader import load_profile
 from compute.optics.profiles.profile_optics import light_source, mask_optics, window_shadows
-from compute.signal.coded_aperture.mask_reader import MaskReader
-from compute.signal.coded_aperture.shadow_settings import ShadowSettings
+from compute.signal.coded_aperture.shadow_fit import MaskReader, ShadowSettings
 from service.api.line_scans.examples import NEW_LINE_SCANS
 from service.api.line_scans.mask_method import MaskMethod, Template
 from service.api.line_scans.noise import line_noise

@@ -20,7 +20,7 @@ if "numpy" not in sys.modules:
 import numpy as np  # noqa: E402
 from numpy.typing import NDArray  # noqa: E402
 
-from compute.optics.background import BumpBackground, background_scans  # noqa: E402
+from validation.signal_chain.background import BumpBackground, background_scans  # noqa: E402
 from compute.optics.detector import Detector  # noqa: E402
 from compute.optics.detector_array import DetectorArray  # noqa: E402
 from compute.optics.ideal_optics import IdealOptics  # noqa: E402

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from compute.errors import InvalidParameter
 from compute.optics.dark_counts import CountDistribution, count_distribution
-from compute.optics.parameter_checks import check_not_negative, check_positive
+from compute.parameter_checks import check_not_negative, check_positive
 
 MAX_ELECTRONS: Final = 1e15
 """The largest mean of a pixel that is simulated; a float counts single electrons up to 9e15."""

@@ -3,8 +3,8 @@
 from dataclasses import astuple, fields
 from typing import Final
 
-from compute.optics.aberrations.paraxial import paraxial_system
-from compute.optics.aberrations.seidel import (
+from validation.aberrations.paraxial import paraxial_system
+from validation.aberrations.seidel import (
     AberrationFit,
     Conjugates,
     MeridionalCoefficients,

@@ -2,7 +2,7 @@
 
 from typing import Final, Literal
 
-from compute.optics.aberrations.paraxial import paraxial_system
+from validation.aberrations.paraxial import paraxial_system
 from compute.optics.pixel_row import PixelRow
 from compute.optics.tracing.assembly import Assembly
 from compute.optics.tracing.elements import Element, Lens, Stop

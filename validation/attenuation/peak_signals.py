@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.optics.aberrations.paraxial import paraxial_system
+from validation.aberrations.paraxial import paraxial_system
 from compute.optics.pixel_row import PixelRow
 from compute.optics.stripe_optics.stripe_profile import Blur, StripeProfiles
 from compute.optics.stripe_optics.traced_stripes import RaySampling, TracedStripes

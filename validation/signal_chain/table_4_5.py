@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.optics.background import background_scans
+from validation.signal_chain.background import background_scans
 from compute.optics.detector_array import DetectorArray
 from compute.optics.ideal_optics import IdealOptics
 from compute.optics.stripe_images import stripe_images

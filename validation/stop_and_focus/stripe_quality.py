@@ -11,8 +11,8 @@ from scipy.optimize import brentq
 
 from compute.camera.field_distortion import Term
 from compute.errors import NoConvergence
-from compute.optics.aberrations.paraxial import paraxial_system
-from compute.optics.aberrations.seidel import Conjugates, seidel_sums
+from validation.aberrations.paraxial import paraxial_system
+from validation.aberrations.seidel import Conjugates, seidel_sums
 from compute.optics.stripe_optics.stripe_profile import CELLS, Blur, StripeProfiles
 from compute.optics.stripe_optics.traced_stripes import RaySampling, TracedStripes
 from compute.optics.tracing.assembly import Assembly

@@ -10,7 +10,7 @@ from compute.optics.coded_aperture.coded_window import CodedWindow
 from compute.optics.coded_aperture.gray_plate import GrayPlate, TrackOptics
 from compute.optics.coded_aperture.mask_optics import MaskOptics
 from compute.optics.coded_aperture.template_from_optics import template_from_optics
-from compute.optics.light.emission import CosinePower, TabulatedEmission
+from compute.optics.light.emission import CosinePower, EvenEmission
 from compute.optics.light.led import Led
 from compute.optics.light.light_source import LightSource
 from compute.optics.light.retroreflector import Illuminator, RetroDisc, RetroSheet
@@ -139,13 +139,11 @@ def light_source(profile: DeviceProfile) -> LightSource:
         )
     towards = np.subtract(profile.volume.centre_mm, markers.illuminator_position_mm)
     x, y, z = (float(value) for value in towards)
-    # The profile's intensity is that towards the markers: an even beam.
-    beam = TabulatedEmission((0.0, np.pi / 2.0), (1.0, 1.0))
     lamp = Illuminator(
         markers.illuminator_position_mm,
         (x, y, z),
         markers.illuminator_intensity_w_per_sr,
-        beam,
+        EvenEmission(),  # the profile's intensity is that towards the markers
         markers.wavelength_nm,
         markers.spectral_width_nm,
     )

@@ -8,7 +8,7 @@ import numpy as np
 from compute.camera.model import Vector3
 from compute.errors import InvalidParameter
 from compute.optics.detector import Detector
-from compute.optics.parameter_checks import check_not_negative, check_positive
+from compute.parameter_checks import check_not_negative, check_positive
 
 Illumination = Literal["strobed", "simultaneous"]
 Quantity = Literal["resolution", "accuracy", "max error"]

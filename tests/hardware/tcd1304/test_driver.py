@@ -20,7 +20,7 @@ from hardware.tcd1304.dark_correction import OFFSET_COUNTS
 from hardware.tcd1304.driver import Tcd1304Driver, combined_exposure_time
 from hardware.tcd1304.protocol import Request
 from hardware.tcd1304.settings import Tcd1304Board, Tcd1304Settings
-from hardware.tcd1304.simulated_board import Respond, SimulatedBoard, response_counts
+from tests.hardware.tcd1304.simulated_board import Respond, SimulatedBoard, response_counts
 
 if TYPE_CHECKING:
     from hardware.driver import Driver

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.errors import InvalidParameter, NoConvergence
-from compute.optics.aberrations.paraxial import ParaxialSystem, paraxial_system
+from validation.aberrations.paraxial import ParaxialSystem, paraxial_system
 from compute.optics.tracing.reference_tracer import trace_rays
 from compute.optics.tracing.shapes import Conic, Cylinder, Plane
 from compute.optics.tracing.surfaces import SurfaceStack

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from compute.errors import InvalidParameter, NoConvergence
-from compute.optics.aberrations.paraxial import paraxial_system
-from compute.optics.aberrations.seidel import (
+from validation.aberrations.paraxial import paraxial_system
+from validation.aberrations.seidel import (
     Conjugates,
     MeridionalCoefficients,
     fit_meridional,
@@ -14,7 +14,7 @@ from compute.optics.aberrations.seidel import (
     seidel_sums,
 )
 from compute.optics.tracing.shapes import Cylinder, Plane
-from tests.compute.optics.aberrations.lenses import SPHERES, cylindrical, lens_stack, relative
+from tests.validation.aberrations.lenses import SPHERES, cylindrical, lens_stack, relative
 
 STOPS = {"before": -9.0, "the front face": None, "behind": 9.0}
 

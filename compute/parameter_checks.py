@@ -1,0 +1,44 @@
+"""Range checks of parameters: a value out of range raises InvalidParameter."""
+
+from math import inf
+
+import numpy as np
+
+from compute.errors import InvalidParameter
+
+
+def require(holds: bool | np.bool_, right: str, **parameter: object) -> None:
+    """Raise "NAME is VALUE; it must RIGHT" unless a condition holds.
+
+    Args:
+        holds: the condition.
+        right: the valid range, as "be positive".
+        parameter: one parameter, by its name.
+
+    Raises:
+        InvalidParameter: the condition does not hold.
+    """
+    if not holds:
+        ((name, value),) = parameter.items()
+        raise InvalidParameter(f"{name} is {value}; it must {right}", **parameter)
+
+
+def check_positive(holder: object, *names: str) -> None:
+    """Raise InvalidParameter for the first field that is not positive and finite."""
+    for name in names:
+        value = getattr(holder, name)
+        require(0.0 < value < inf, "be positive", **{name: value})
+
+
+def check_not_negative(holder: object, *names: str) -> None:
+    """Raise InvalidParameter for the first field that is negative or not finite."""
+    for name in names:
+        value = getattr(holder, name)
+        require(0.0 <= value < inf, "be zero or positive", **{name: value})
+
+
+def check_finite(holder: object, *names: str) -> None:
+    """Raise InvalidParameter for the first field with a value that is not finite."""
+    for name in names:
+        value = getattr(holder, name)
+        require(np.isfinite(value).all(), "be finite", **{name: value})

@@ -20,7 +20,8 @@ def require(holds: bool | np.bool_, right: str, **parameter: object) -> None:
     """
     if not holds:
         ((name, value),) = parameter.items()
-        raise InvalidParameter(f"{name} is {value}; it must {right}", **parameter)
+        shown = repr(value) if isinstance(value, str) else value
+        raise InvalidParameter(f"{name} is {shown}; it must {right}", **parameter)
 
 
 def check_positive(holder: object, *names: str) -> None:

@@ -1,18 +1,62 @@
 """Detectors of a device: fixed pattern, background light, blooming, noise."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solveh_banded
 
 from compute.errors import InvalidParameter
-from compute.optics.blooming import bloom
-from compute.optics.dark_counts import count_distribution
 from compute.optics.detector import Detector, check_signal
 from compute.optics.pixel_noise import SMOOTH_READ_NOISE_ELECTRONS, PixelNoise
+from compute.parameter_checks import require
 
 Array = NDArray[np.float64]
+
+
+def bloom(
+    charge: Array, linked: NDArray[np.bool_], full_well: float, share: float
+) -> tuple[Array, Array]:
+    """Distribute charge above the full well to the neighbours until none is above it.
+
+    Of the charge that leaves a pixel, half the share goes to each of its neighbours and the
+    rest is drained; what goes to a neighbour that is not there is lost. With q the charge and
+    f >= 0 what leaves a pixel in all, the pixels keep ``q_i - f_i + share/2 (f_i-1 + f_i+1)``,
+    at most the full well, and f is the smallest flow that does it: zero where the well is not
+    full. The pixels above are linear equations, banded; those that they fill join them.
+
+    Args:
+        charge: electrons of the pixels, shape (P,).
+        linked: whether pixel i + 1 is the right neighbour of pixel i, shape (P - 1,).
+        full_well: what a pixel holds at most [electrons].
+        share: share of the excess that flows on, 0 to 1.
+
+    Returns:
+        What the pixels keep, and what left each of them in all, both of shape (P,).
+    """
+    flow = np.zeros_like(charge)
+    kept = charge
+    full = charge > full_well
+    added = full
+    half = 0.5 * share
+    while added.any():
+        # The set only grows: more pixels that pass charge on fill no well less.
+        full = full | added
+        at = np.flatnonzero(full)
+        # One unknown more, which is zero: the solver refuses a single one.
+        band = np.zeros((2, len(at) + 1))
+        band[0] = 1.0
+        band[1, : len(at) - 1] = np.where((np.diff(at) == 1) & linked[at[:-1]], -half, 0.0)
+        excess = np.append(charge[at] - full_well, 0.0)
+        flow[at] = solveh_banded(band, excess, lower=True)[:-1]
+        kept = charge - flow
+        kept[1:] += half * np.where(linked, flow[:-1], 0.0)
+        kept[:-1] += half * np.where(linked, flow[1:], 0.0)
+        added = (kept > full_well) & ~full
+    return np.minimum(kept, full_well), flow
+
 
 _RESPONSE, _DARK, _OFFSET = range(3)
 
@@ -92,15 +136,9 @@ class DetectorArray:
         pattern_seed: int = 0,
         background_electrons: Array | None = None,
     ) -> None:
-        for name, value, least in (
-            ("sensors", sensors, 1),
-            ("pixels", pixels, 1),
-            ("pattern_seed", pattern_seed, 0),
-        ):
-            if value < least:
-                raise InvalidParameter(
-                    f"{name} is {value}; it must be at least {least}", **{name: value}
-                )
+        require(sensors >= 1, "be at least 1", sensors=sensors)
+        require(pixels >= 1, "be at least 1", pixels=pixels)
+        require(pattern_seed >= 0, "be at least 0", pattern_seed=pattern_seed)
         self.detector = detector
         self.pattern: FixedPattern = fixed_pattern(detector, sensors, pixels, pattern_seed)
         shape = (sensors, pixels)
@@ -151,7 +189,7 @@ class DetectorArray:
         if self._dark is None:
             counts = np.empty(len(signal), dtype=np.uint16)
         else:
-            counts = self._dark.draw(exposures, rng).reshape(-1)
+            counts = self._dark(exposures, rng).reshape(-1)
         stepped = signal != 0.0
         if len(self._stepped):
             stepped.reshape(exposures, size)[:, self._stepped] = True
@@ -210,42 +248,26 @@ class DetectorArray:
             reach *= 2
 
 
-class _DarkCounts(Protocol):
-    def draw(self, exposures: int, rng: np.random.Generator) -> NDArray[np.uint16]: ...
-
-
-class _IdenticalPixelCounts:
-    """Counts of P pixels without signal, one like the other: exact."""
-
-    def __init__(self, detector: Detector, mean_electrons: float, pixels: int) -> None:
-        self._pixels = pixels
-        self._distribution = count_distribution(
-            detector.convert,
-            detector.upper_edges,
-            mean_electrons=mean_electrons,
-            full_well_electrons=detector.full_well_electrons,
-            read_noise_electrons=detector.read_noise_electrons,
-        )
-
-    def draw(self, exposures: int, rng: np.random.Generator) -> NDArray[np.uint16]:
-        return self._distribution.draw(exposures * self._pixels, rng)
-
-
 def _dark_counts(
     detector: Detector, mean_electrons: Array, offset_counts: Array
-) -> tuple[_DarkCounts | None, NDArray[np.bool_]]:
-    """Return the source of the counts without signal, and which pixels go step by step."""
+) -> tuple[Callable[[int, np.random.Generator], NDArray[np.uint16]] | None, NDArray[np.bool_]]:
+    """Return what draws the counts of exposures without signal, and which pixels it cannot.
+
+    None: it cannot draw any; these pixels are simulated step by step.
+    """
     reach = mean_electrons + _REACH_SIGMA * np.sqrt(mean_electrons) + 40.0
     near_full = reach > detector.full_well_electrons
     alike = np.ptp(mean_electrons) == 0.0 and np.ptp(offset_counts) == 0.0
     if alike and not (near_full.any() and detector.blooming > 0.0):
-        never = np.zeros_like(near_full)
-        return _IdenticalPixelCounts(detector, float(mean_electrons[0]), len(mean_electrons)), never
+        identical, pixels = detector.unlit_counts(float(mean_electrons[0])), len(mean_electrons)
+        return lambda exposures, rng: identical.draw(exposures * pixels, rng), np.zeros_like(
+            near_full
+        )
     if detector.read_noise_electrons < SMOOTH_READ_NOISE_ELECTRONS or near_full.all():
         return None, np.ones_like(near_full)
     # Pixels near their full well have no table; any mean that has one will do for them.
     tabled = np.where(near_full, mean_electrons[~near_full].max(), mean_electrons)
-    return PixelNoise(detector, tabled, offset_counts), near_full
+    return PixelNoise(detector, tabled, offset_counts).draw, near_full
 
 
 def _check_background(background_electrons: Array, shape: tuple[int, int]) -> None:

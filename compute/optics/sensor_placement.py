@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from compute.camera.model import SensorModel, Vector3
+from compute.camera.model import SensorModel, Vector3, vector3
 from compute.errors import InvalidParameter
 
 __all__ = ["PlacedSensor", "SensorModel", "Vector3", "place_sensor"]
@@ -58,13 +58,12 @@ def place_sensor(
     rotation = sensor_rotation(name, lens_position_mm, aim_mm, measured_direction)
     position = np.asarray(lens_position_mm, dtype=np.float64)
     offset = -rotation @ position
-    x, y, z = (float(value) for value in Rotation.from_matrix(rotation).as_rotvec())
     model = SensorModel(
         name=name,
         pixels=pixels,
         principal_distance_px=principal_distance_mm / (pitch_um * 1e-3),
         principal_point_px=(pixels - 1) / 2,
-        rotation_vector_rad=(x, y, z),
+        rotation_vector_rad=vector3(Rotation.from_matrix(rotation).as_rotvec()),
         offset_x_mm=float(offset[0]),
         offset_z_mm=float(offset[2]),
     )

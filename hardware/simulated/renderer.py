@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from compute.optics.detector import Detector
 from compute.optics.ideal_optics import IdealOptics
-from compute.optics.stripe_images import stripe_images
+from compute.optics.pixel_solid_angles import stripe_images
 from hardware.simulated.frame_batch import Batch, batch_rng, batch_sequence, frame_batch
 from hardware.simulated.settings import SimulationSettings
 from hardware.simulated.simulated_rig import PIXELS, WORKING_CENTRE_MM, simulated_rig

@@ -7,6 +7,7 @@ from scipy.fft import fft, ifft, irfft, next_fast_len, rfft
 from compute.errors import InvalidParameter
 from compute.optics.coded_aperture.coded_window import CodedWindow
 from compute.optics.coded_aperture.geometric_shadow import second_difference
+from compute.parameter_checks import require
 
 Array = NDArray[np.float64]
 
@@ -59,15 +60,13 @@ class DiffractedShadow:
         spectral_width_nm: float,
         finest_mm: float,
     ) -> None:
-        for name, value in (("wavelength_nm", wavelength_nm), ("finest_mm", finest_mm)):
-            if not 0.0 < value < np.inf:
-                raise InvalidParameter(f"{name} is {value}; it must be positive", **{name: value})
-        if not 0.0 <= spectral_width_nm <= wavelength_nm / 2.0:
-            raise InvalidParameter(
-                f"spectral_width_nm is {spectral_width_nm}; it must be from zero to half of the "
-                f"wavelength, {wavelength_nm / 2.0}",
-                spectral_width_nm=spectral_width_nm,
-            )
+        require(0.0 < wavelength_nm < np.inf, "be positive", wavelength_nm=wavelength_nm)
+        require(0.0 < finest_mm < np.inf, "be positive", finest_mm=finest_mm)
+        require(
+            0.0 <= spectral_width_nm <= wavelength_nm / 2.0,
+            f"be from zero to half of the wavelength, {wavelength_nm / 2.0}",
+            spectral_width_nm=spectral_width_nm,
+        )
         self._wavelength_mm = wavelength_nm * 1e-6
         self._square = self._wavelength_mm * window.gap_mm
         deviation = spectral_width_nm / wavelength_nm / _FWHM_PER_SD
@@ -109,22 +108,18 @@ class DiffractedShadow:
     def mean_transmission(
         self, centre_mm: Array, width_mm: Array, blur_mm: Array, curvature_per_mm: Array
     ) -> Array:
-        """Return the light on stretches relative to that without a mask; see ``Shadow``.
+        """Return the light on stretches relative to that without a mask.
 
         Args:
-            centre_mm: as of ``Shadow``.
-            width_mm: as of ``Shadow``.
-            blur_mm: as of ``Shadow``.
-            curvature_per_mm: as of ``Shadow``.
+            centre_mm, width_mm, blur_mm, curvature_per_mm: as of ``Shadow``.
         """
         # Beyond the grid is frame, and the fringes there are too faint to count.
         half = self._count * self._step_mm / 2.0
         inside = abs(centre_mm - self._start_mm - half) < half - width_mm - blur_mm
         light = np.zeros(centre_mm.shape)
         if inside.any():
-            light[inside] = self._within(
-                *(values[inside] for values in (centre_mm, width_mm, blur_mm, curvature_per_mm))
-            )
+            stretches = (centre_mm, width_mm, blur_mm, curvature_per_mm)
+            light[inside] = self._within(*(values[inside] for values in stretches))
         return light
 
     def _within(self, centre_mm: Array, width_mm: Array, blur_mm: Array, bend: Array) -> Array:
@@ -157,13 +152,11 @@ class DiffractedShadow:
         first, table = self._table
         if len(table) and low >= first and high < first + len(table):
             return first, table
-        parts = []
-        if len(table):
-            low, high = min(low, first), max(high, first + len(table) - 1)
-            parts = [self._make(low, first), table, self._make(first + len(table), high + 1)]
-        else:
-            parts = [self._make(low, high + 1)]
-        self._table = (low, np.concatenate(parts))
+        if not len(table):
+            first = low
+        low, high = min(low, first), max(high, first + len(table) - 1)
+        before, behind = self._make(low, first), self._make(first + len(table), high + 1)
+        self._table = (low, np.concatenate([before, table, behind]))
         return self._table
 
     def _make(self, low: int, end: int) -> Array:

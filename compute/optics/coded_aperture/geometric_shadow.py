@@ -50,13 +50,10 @@ class GeometricShadow:
     def mean_transmission(
         self, centre_mm: Array, width_mm: Array, blur_mm: Array, curvature_per_mm: Array
     ) -> Array:
-        """Return the light on stretches relative to that without a mask; see ``Shadow``.
+        """Return the light on stretches relative to that without a mask.
 
         Args:
-            centre_mm: as of ``Shadow``.
-            width_mm: as of ``Shadow``.
-            blur_mm: as of ``Shadow``.
-            curvature_per_mm: as of ``Shadow``.
+            centre_mm, width_mm, blur_mm, curvature_per_mm: as of ``Shadow``.
         """
         del curvature_per_mm
         centre = self._bar(centre_mm)

@@ -161,7 +161,6 @@ class RetroDisc:
         intensity = self.sheet.coefficient_per_sr * irradiance[:, None] * observation_factor
         return photons(intensity * exposure_s, self.wavelength_nm)
 
-
     def photons_per_sr(
         self, points_mm: Array, facing: Array | None, lens_positions_mm: Array, exposure_s: float
     ) -> Array:

@@ -12,9 +12,8 @@ from compute.optics.coded_aperture.coded_window import CodedWindow, maximal_leng
 from compute.optics.profiles.device_profile import DeviceProfile, PlateOptics
 from compute.optics.profiles.profile_sections import LedMarkers, RetroMarkers
 from compute.optics.profiles.units import InvalidQuantity, Unit, magnitude, split_unit
-from compute.optics.tracing.assembly import Assembly
-from compute.optics.tracing.elements import Lens, Stop
-from compute.optics.tracing.shapes import Conic, Cylinder, Plane, Toroid
+from compute.optics.tracing.assembly import Assembly, Lens, Stop
+from compute.optics.tracing.surfaces import Conic, Cylinder, Plane, Toroid
 
 KINDS: Final[dict[type, str]] = {
     Assembly: "assembly",

@@ -19,9 +19,9 @@ from compute.optics.pixel_solid_angles import SolidAngleOptics
 from compute.optics.profiles.device_profile import DeviceProfile, PlateOptics
 from compute.optics.profiles.profile_sections import LedMarkers
 from compute.optics.sensor_placement import place_sensor
-from compute.optics.stripe_optics.field_of_view import FieldOfView
 from compute.optics.stripe_optics.optical_sensor import OpticalSensor, place_optics
 from compute.optics.stripe_optics.stripe_profile import Blur
+from compute.optics.stripe_optics.stripe_table import FieldOfView
 from compute.optics.stripe_optics.tabulated_optics import TabulatedOptics
 from compute.optics.stripe_optics.traced_stripes import ExactOptics
 from compute.optics.tracing.assembly import Assembly

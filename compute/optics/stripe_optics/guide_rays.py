@@ -8,10 +8,9 @@ from numpy.polynomial.chebyshev import chebval, chebvander
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from compute.optics.tracing.assembly import Assembly
-from compute.optics.tracing.elements import Lens
-from compute.optics.tracing.shapes import sag
-from compute.optics.tracing.traced_rays import TracedRays
+from compute.optics.tracing.assembly import Assembly, Lens
+from compute.optics.tracing.reference_tracer import TracedRays
+from compute.optics.tracing.surfaces import sag
 
 Array = NDArray[np.float64]
 

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from compute.camera.model import Vector3
+from compute.camera.model import Vector3, vector3
 from compute.optics.pixel_row import PixelRow
 from compute.optics.sensor_placement import sensor_rotation
 from compute.optics.tracing.assembly import Assembly
@@ -81,5 +81,5 @@ def place_optics(
         InvalidParameter: the aim lies on the position, or the measured direction on the axis.
     """
     rotation = sensor_rotation(name, position_mm, aim_mm, measured_direction)
-    x, y, z = (float(value) for value in Rotation.from_matrix(rotation).as_rotvec())
-    return OpticalSensor(name, position_mm, (x, y, z), assembly, row)
+    rotation_vector_rad = vector3(Rotation.from_matrix(rotation).as_rotvec())
+    return OpticalSensor(name, position_mm, rotation_vector_rad, assembly, row)

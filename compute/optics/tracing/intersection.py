@@ -9,8 +9,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.optics.tracing.shapes import Array
 from compute.optics.tracing.surface_records import BACKWARD_SLACK_MM, Form
+from compute.optics.tracing.surfaces import Array
 
 Vectors = tuple[Array, Array, Array]
 """Components of N vectors, each of shape (N,)."""

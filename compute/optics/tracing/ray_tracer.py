@@ -4,11 +4,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from compute.optics.tracing.reference_tracer import validate_rays
-from compute.optics.tracing.shapes import Array
+from compute.optics.tracing.reference_tracer import RayStatus, TracedRays, validate_rays
 from compute.optics.tracing.surface_records import Form, pack
-from compute.optics.tracing.surfaces import SurfaceStack
-from compute.optics.tracing.traced_rays import RayStatus, TracedRays
+from compute.optics.tracing.surfaces import Array, SurfaceStack
 from compute.warp_host import host_memory, warp_device
 
 INPUTS: Final = 6

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.native.records import Record
-from compute.optics.tracing.shapes import Plane, Toroid
-from compute.optics.tracing.surfaces import Surface, SurfaceStack
+from compute.optics.tracing.surfaces import Plane, Surface, SurfaceStack, Toroid
 
 
 class Form(IntEnum):

@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from compute.errors import InvalidParameter, NoConvergence
+from compute.optics.tracing.surfaces import Cylinder, Plane
+from tests.validation.aberrations.lenses import SPHERES, cylindrical, lens_stack, relative
 from validation.aberrations.paraxial import paraxial_system
 from validation.aberrations.seidel import (
     Conjugates,
@@ -13,8 +15,6 @@ from validation.aberrations.seidel import (
     meridional,
     seidel_sums,
 )
-from compute.optics.tracing.shapes import Cylinder, Plane
-from tests.validation.aberrations.lenses import SPHERES, cylindrical, lens_stack, relative
 
 STOPS = {"before": -9.0, "the front face": None, "behind": 9.0}
 

@@ -6,18 +6,18 @@ Markers that are lit one at a time identify themselves, and no two of them meet 
 """
 
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, Final, Self
+from typing import Annotated, Final, Self
 
-from pydantic import ConfigDict, Field
+from pydantic import Field
 
-from compute.errors import InvalidParameter
+from hardware.field_bounds import CheckedSettings
 
 MAX_SLOTS: Final = 254
 MAX_MARKERS: Final = 254
 
 
 @dataclass(frozen=True)
-class StrobeSchedule:
+class StrobeSchedule(CheckedSettings):
     """A cyclic sequence of slots, one exposure each; each slot lights one marker, or all.
 
     Args:
@@ -35,20 +35,6 @@ class StrobeSchedule:
             description="The marker that is lit in each exposure, from 0; null: all are.",
         ),
     ]
-
-    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
-
-    def __post_init__(self) -> None:
-        if not 1 <= len(self.slots) <= MAX_SLOTS:
-            raise InvalidParameter(
-                f"the schedule has {len(self.slots)} slots; it must have 1 to {MAX_SLOTS}"
-            )
-        for slot in self.slots:
-            if slot is not None and not 0 <= slot < MAX_MARKERS:
-                raise InvalidParameter(
-                    f"a slot lights marker {slot}; markers are 0 to {MAX_MARKERS - 1}",
-                    marker=slot,
-                )
 
     @classmethod
     def cyclic(cls, markers: int) -> Self:

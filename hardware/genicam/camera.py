@@ -1,4 +1,4 @@
-"""One GenICam camera: configuration, buffer stream and presence check."""
+"""GenICam cameras: discovery, configuration, buffer stream and presence check of one."""
 
 import time
 from contextlib import suppress
@@ -286,3 +286,37 @@ class Camera:
             "other program has it open",
             camera=self._camera_settings.camera,
         )
+
+
+@dataclass(frozen=True)
+class DiscoveredCamera:
+    """A discovered camera: identifier, address, vendor, model, serial number, protocol."""
+
+    camera: str
+    address: str
+    vendor: str
+    model: str
+    serial_number: str
+    protocol: str
+
+
+def cameras() -> list[DiscoveredCamera]:
+    """Return the cameras that answer within a second.
+
+    Raises:
+        MissingLibrary: Aravis is not installed.
+    """
+    aravis = library()
+    aravis.update_device_list()
+    asked = (
+        aravis.get_device_id,
+        aravis.get_device_address,
+        aravis.get_device_vendor,
+        aravis.get_device_model,
+        aravis.get_device_serial_nbr,
+        aravis.get_device_protocol,
+    )
+    return [
+        DiscoveredCamera(*((ask(index) or b"").decode(errors="replace") for ask in asked))
+        for index in range(aravis.get_n_devices())
+    ]

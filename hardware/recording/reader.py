@@ -3,7 +3,6 @@
 import json
 from collections.abc import Iterator
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
@@ -13,7 +12,7 @@ from compute.errors import InvalidParameter
 from hardware.driver import DeviceDescription
 from hardware.line_frame import FrameFlag, LineFrame
 from hardware.recording.frame_block import FrameBlock, scan_shape
-from hardware.recording.hdf5_file import RecordingFile, check_columns, read_column
+from hardware.recording.hdf5_file import RecordingFile, check_columns, read_column, read_description
 from hardware.recording.layout import (
     CALIBRATION_EXTENT,
     CHUNK_FRAMES,
@@ -33,7 +32,6 @@ from hardware.recording.layout import (
     result_checksums,
     unpack_state,
 )
-from hardware.recording.stored_description import read_description
 
 
 class RecordingReader:
@@ -172,12 +170,7 @@ class RecordingReader:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _check_header(self) -> RecordingInfo:

@@ -9,11 +9,10 @@ from typing import Final
 
 import numpy as np
 
+from hardware.serial.codec import encode, parse, split_lines
 from hardware.serial.decoder import Decoder
-from hardware.serial.encoding import encode, split_lines
+from hardware.serial.frame_builder import ExposureAssembler
 from hardware.serial.messages import NO_MARKER, Lines, LinesFlag, Message
-from hardware.serial.parsing import parse
-from hardware.serial.reassembly import ExposureAssembler
 
 SENSORS: Final = 4
 PIXELS: Final = 2048

@@ -11,8 +11,8 @@ from typing import Final
 import numpy as np
 
 from compute.errors import InvalidParameter
+from hardware.serial.codec import encode, split_lines
 from hardware.serial.decoder import Decoder
-from hardware.serial.encoding import encode, split_lines
 from hardware.serial.messages import (
     NO_MARKER,
     Ability,

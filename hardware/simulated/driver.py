@@ -6,13 +6,13 @@ from collections.abc import Iterator
 from threading import Event
 from typing import Final
 
+from hardware.clock_sync import host_time_ns, wait_until
 from hardware.driver import DeviceDescription, SensorDescription
 from hardware.line_frame import FrameFlag, LineFrame
 from hardware.simulated.frame_batch import BATCH, Renderer, Timing
 from hardware.simulated.renderer import FrameRenderer
 from hardware.simulated.settings import SimulationSettings
 from hardware.simulated.simulated_rig import simulated_rig
-from hardware.timing import host_time_ns, wait_until
 
 FIFO_S: Final = 1.0
 """Length of the device's FIFO; older exposures that were not fetched are lost."""

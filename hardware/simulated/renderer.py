@@ -6,13 +6,13 @@ from numpy.typing import NDArray
 from compute.optics.detector import Detector
 from compute.optics.ideal_optics import IdealOptics
 from compute.optics.pixel_solid_angles import stripe_images
-from hardware.simulated.frame_batch import Batch, batch_rng, batch_sequence, frame_batch
+from hardware.simulated.frame_batch import Renderer
 from hardware.simulated.settings import SimulationSettings
 from hardware.simulated.simulated_rig import PIXELS, WORKING_CENTRE_MM, simulated_rig
 
 
-class FrameRenderer:
-    """Renders exposures of a simulation by number, reproducibly and in any order.
+class FrameRenderer(Renderer):
+    """Renders exposures of a simulation with ideal optics.
 
     Args:
         settings: the simulation.
@@ -26,7 +26,7 @@ class FrameRenderer:
             signal_electrons=settings.signal_electrons,
             reference_distance_mm=WORKING_CENTRE_MM[2] if settings.distance_falloff else None,
         )
-        self._detector = Detector(
+        detector = Detector(
             bits=settings.bits,
             electrons_per_count=settings.electrons_per_count,
             offset_counts=settings.offset_counts,
@@ -34,6 +34,7 @@ class FrameRenderer:
             full_well_electrons=settings.full_well_electrons,
             ambient_electrons=settings.ambient_electrons,
         )
+        super().__init__(detector, detector.full_scale, settings.seed)
 
     def signal_electrons(self, sequence: NDArray[np.int64]) -> NDArray[np.float64]:
         """Return the mean electrons of the markers in N exposures, shape (N, sensors, pixels)."""
@@ -54,9 +55,3 @@ class FrameRenderer:
             by_line(spots.position_px), by_line(spots.sigma_px), by_line(electrons), PIXELS
         )
         return signal.reshape(frames, sensors, PIXELS)
-
-    def batch(self, number: int) -> Batch:
-        """Render exposures ``BATCH * number`` to ``BATCH * (number + 1) - 1``."""
-        signal = self.signal_electrons(batch_sequence(number))
-        lines = self._detector.expose(signal, batch_rng(self._settings.seed, number))
-        return frame_batch(lines, self._detector.full_scale)

@@ -1,14 +1,14 @@
 """Scenes: marker positions as functions of time."""
 
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, Final, Literal
+from typing import Annotated, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ConfigDict, Field
+from pydantic import Field
 
 from compute.errors import InvalidParameter
-from hardware.field_bounds import check_field_bounds
+from hardware.field_bounds import CheckedSettings
 from hardware.simulated.calibration_target import calibration_target_points_mm
 
 Array = NDArray[np.float64]
@@ -25,7 +25,7 @@ _ROTATION_PHASES: Final = (0.0, 0.25, 0.125)
 
 
 @dataclass(frozen=True)
-class CalibrationTarget:
+class CalibrationTarget(CheckedSettings):
     """The thesis's pyramidal calibration frame with 19 markers, at rest (Figure 5.8).
 
     Args:
@@ -36,11 +36,6 @@ class CalibrationTarget:
     kind: Literal["calibration-frame"] = "calibration-frame"
     centre_mm: Point = (0.0, 0.0, 1500.0)
     scale: Annotated[float, Field(gt=0.0, le=100.0)] = 1.0
-
-    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
-
-    def __post_init__(self) -> None:
-        check_field_bounds(self)
 
     @property
     def markers(self) -> int:
@@ -55,7 +50,7 @@ class CalibrationTarget:
 
 
 @dataclass(frozen=True)
-class StillPoints:
+class StillPoints(CheckedSettings):
     """Markers at rest at given points.
 
     Args:
@@ -64,11 +59,6 @@ class StillPoints:
 
     points_mm: Annotated[tuple[Point, ...], Field(min_length=1, max_length=256)]
     kind: Literal["still-points"] = "still-points"
-
-    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
-
-    def __post_init__(self) -> None:
-        check_field_bounds(self)
 
     @property
     def markers(self) -> int:
@@ -81,7 +71,7 @@ class StillPoints:
 
 
 @dataclass(frozen=True)
-class ShiftedPoints:
+class ShiftedPoints(CheckedSettings):
     """Markers on somebody who rests, and moves aside for the last part of every period.
 
     Args:
@@ -99,10 +89,8 @@ class ShiftedPoints:
     moving_s: Annotated[float, Field(ge=1e-7, le=1e6)] = 0.1
     kind: Literal["shifted-points"] = "shifted-points"
 
-    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
-
     def __post_init__(self) -> None:
-        check_field_bounds(self)
+        super().__post_init__()
         if 2.0 * self.moving_s > self.away * self.period_s:
             raise InvalidParameter(
                 f"moving_s is {self.moving_s}; there and back it must be within the "
@@ -129,7 +117,7 @@ class ShiftedPoints:
 
 
 @dataclass(frozen=True)
-class RotatingBar:
+class RotatingBar(CheckedSettings):
     """A bar that turns at constant speed about its middle, a marker at each end (section 6.1.2).
 
     The turn is right-handed about the normal. At time zero the bar lies along the world's X
@@ -148,10 +136,8 @@ class RotatingBar:
     centre_mm: Point = (0.0, 0.0, 1500.0)
     plane_normal: Point = (0.0, 1.0, 0.0)
 
-    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
-
     def __post_init__(self) -> None:
-        check_field_bounds(self)
+        super().__post_init__()
         if np.linalg.norm(self.plane_normal) < 1e-6:
             raise InvalidParameter(
                 f"plane_normal is {self.plane_normal}; its length must be at least 1e-6",
@@ -179,7 +165,7 @@ class RotatingBar:
 
 
 @dataclass(frozen=True)
-class MovingTool:
+class MovingTool(CheckedSettings):
     """A rigid tool that is moved smoothly in all six degrees of freedom.
 
     Its point ``held_mm`` goes along a Lissajous curve about ``centre_mm``, and the components of
@@ -206,11 +192,6 @@ class MovingTool:
     period_s: Annotated[float, Field(ge=1e-3, le=1e6)] = 6.0
     phase: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
 
-    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
-
-    def __post_init__(self) -> None:
-        check_field_bounds(self)
-
     def pose(self, time_s: float | Array) -> tuple[Array, Array]:
         """Return R_world_tool, shape (..., 3, 3), and the origin, shape (..., 3) [mm], then."""
         # Within the period, so that hours later it is as exact as at the start.
@@ -222,7 +203,7 @@ class MovingTool:
 
 
 @dataclass(frozen=True)
-class MovingTools:
+class MovingTools(CheckedSettings):
     """Rigid tools in motion; their markers are numbered tool by tool, in order.
 
     Args:
@@ -233,11 +214,6 @@ class MovingTools:
     tools: Annotated[tuple[MovingTool, ...], Field(min_length=1, max_length=16)]
     moving: bool = True
     kind: Literal["moving-tools"] = "moving-tools"
-
-    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
-
-    def __post_init__(self) -> None:
-        check_field_bounds(self)
 
     @property
     def markers(self) -> int:

@@ -4,7 +4,7 @@ import typer
 from rich.table import Table
 
 from compute.errors import LumilineError
-from hardware.genicam.discovery import DiscoveredCamera, cameras
+from hardware.genicam.camera import DiscoveredCamera, cameras
 from service.cli.output import console, fail, print_json
 
 

@@ -21,7 +21,7 @@ def modules() -> Iterator[tuple[Any, int]]:
     """
     import warp as wp
 
-    from compute.optics.tracing import ray_kernel as tracing
+    from compute.optics.tracing.ray_kernel import ray_kernel
     from compute.optics.tracing.ray_tracer import THREADS_PER_BLOCK as RAYS
     from compute.pose.filtering.native.kernel import step_kernel
     from compute.reconstruction.native.cuda_launch import THREADS_PER_BLOCK as POINTS
@@ -36,8 +36,8 @@ def modules() -> Iterator[tuple[Any, int]]:
     yield wp.get_module(fit_kernel.__name__), BLOCK_THREADS
     for length in get_args(Length)[:3]:
         yield centroid_kernel(length).module, BLOCK_THREADS
-    yield tracing.trace_rays.module, RAYS
-    yield tracing.trace_rays_without_toroids.module, RAYS
+    for has_toroids in (False, True):
+        yield ray_kernel(has_toroids).module, RAYS
     for sensors in SENSORS:
         for room in (0, MIN_CAPACITY):
             yield point_kernel(sensors, room).module, POINTS

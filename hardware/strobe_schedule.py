@@ -6,7 +6,7 @@ Markers that are lit one at a time identify themselves, and no two of them meet 
 """
 
 from dataclasses import dataclass
-from typing import Annotated, Final, Self
+from typing import Annotated, Final
 
 from pydantic import Field
 
@@ -36,20 +36,7 @@ class StrobeSchedule(CheckedSettings):
         ),
     ]
 
-    @classmethod
-    def cyclic(cls, markers: int) -> Self:
-        """Return the schedule that lights each of ``markers`` markers once, in their order."""
-        return cls(tuple(range(markers)))
-
     @property
     def markers(self) -> int:
         """Number of strobed markers the schedule needs; 0: all are always lit together."""
         return 1 + max((slot for slot in self.slots if slot is not None), default=-1)
-
-    def marker(self, sequence: int) -> int | None:
-        """Return the marker lit in exposure ``sequence``; None: all are lit."""
-        return self.slots[sequence % len(self.slots)]
-
-    def rate_hz(self, marker: int, frame_rate_hz: float) -> float:
-        """Return the rate at which a marker is lit [Hz] (thesis, equation 3.3)."""
-        return frame_rate_hz * self.slots.count(marker) / len(self.slots)

@@ -23,6 +23,9 @@ class GenicamCamera(CheckedSettings):
         Field(description="As `lumiline cameras` lists it: its identifier, or its address."),
     ]
 
+    def __str__(self) -> str:
+        return f'sensor "{self.name}", camera {self.camera}'
+
 
 @dataclass(frozen=True)
 class Feature(CheckedSettings):

@@ -242,9 +242,7 @@ class RecordingWriter:
             points=waiting.points,
             in_force=len(self._file["in_force/rows"]),
             missing=missing if waiting.frames else 0,
-            dropped_compute=losses.dropped_compute,
-            dropped_writer=losses.dropped_writer,
-            refused=losses.refused,
+            **vars(losses),
         )
         self._file.flush()
         self._commit(state)

@@ -19,7 +19,7 @@ from compute.optics.profiles.profile_optics import (
     pixel_row,
     profile_optics,
 )
-from compute.optics.stripe_optics.optical_sensor import to_optics_frame
+from compute.optics.sensor_placement import to_optics_frame
 from hardware.driver import DeviceDescription, Readout, SensorDescription
 from hardware.simulated.driver import RenderedDriver
 from hardware.simulated.frame_batch import Renderer, Timing

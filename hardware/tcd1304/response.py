@@ -1,7 +1,6 @@
 """Responses of a board, unframed and delimited by silence, and their dark correction."""
 
 from dataclasses import dataclass
-from enum import Enum
 from typing import Final
 
 import numpy as np
@@ -30,19 +29,10 @@ class Response:
     first_byte_ns: int
 
 
-class Fault(Enum):
-    """Reason why bytes between two silences are not a response."""
-
-    SHORT = "short"
-    LONG = "long"
-    RANGE = "range"
-
-
 @dataclass(frozen=True)
 class InvalidResponse:
     """Bytes that are not a response, and the reason."""
 
-    fault: Fault
     bytes: int
     detail: str
 
@@ -84,18 +74,13 @@ class ResponseCollector:
         if not count:
             return None
         if count != RESPONSE_BYTES:
-            short = count < RESPONSE_BYTES
-            return InvalidResponse(
-                Fault.SHORT if short else Fault.LONG,
-                count,
-                f"{count} bytes came where an answer has {RESPONSE_BYTES}",
-            )
+            detail = f"{count} bytes came where an answer has {RESPONSE_BYTES}"
+            return InvalidResponse(count, detail)
         counts = np.frombuffer(kept, _FORMAT).astype(np.uint16)
         largest = int(counts.max())
         if largest > FULL_SCALE:
             where = int(counts.argmax())
             return InvalidResponse(
-                Fault.RANGE,
                 count,
                 f"element {where} of {ELEMENTS} is {largest}, where counts go to {FULL_SCALE}: "
                 "bytes were lost or changed",

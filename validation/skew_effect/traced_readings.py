@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from compute.camera.field_distortion import Term
 from compute.optics.pixel_row import PixelRow
-from compute.optics.stripe_optics.optical_sensor import OpticalSensor, place_optics
+from compute.optics.sensor_placement import OpticalSensor, place_optics
 from compute.optics.stripe_optics.stripe_profile import Blur
 from compute.optics.stripe_optics.traced_stripes import TracedStripes
 from compute.optics.tracing.assembly import Assembly

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from compute.optics.pixel_row import PixelRow
 from compute.optics.pixel_solid_angles import PixelSolidAngles
-from compute.optics.stripe_optics.optical_sensor import OpticalSensor
+from compute.optics.sensor_placement import OpticalSensor
 from compute.optics.stripe_optics.stripe_profile import Blur
 from compute.optics.stripe_optics.stripe_quantiles import pixel_windows
 from compute.optics.stripe_optics.stripe_table import FieldOfView, StripeTable, TableNodes

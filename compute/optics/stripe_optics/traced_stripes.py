@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from compute.optics.pixel_row import PixelRow
 from compute.optics.pixel_solid_angles import PixelSolidAngles
-from compute.optics.stripe_optics.optical_sensor import OpticalSensor, to_optics_frame
+from compute.optics.sensor_placement import OpticalSensor, to_optics_frame
 from compute.optics.stripe_optics.ray_aiming import RayAimer
 from compute.optics.stripe_optics.stripe_profile import (
     Blur,

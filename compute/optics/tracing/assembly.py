@@ -86,8 +86,8 @@ class Lens:
     def holds(self, points_mm: Array) -> NDArray[np.bool_]:
         """Return which points (N, 3) of the system's frame [mm] lie in its glass, shape (N,)."""
         x, y = self.alignment.decentre_mm
-        turn = Rotation.from_rotvec(self.alignment.tilt_rad)
-        own = turn.apply(points_mm - np.array([x, y, self.z_mm]), inverse=True)
+        tilt = Rotation.from_rotvec(self.alignment.tilt_rad)
+        own = tilt.apply(points_mm - np.array([x, y, self.z_mm]), inverse=True)
         wide, high = 2.0 * own[:, 0] / self.aperture.width_mm, 2.0 * own[:, 1]
         high = high / self.aperture.height_mm
         if self.aperture.outline == "rectangular":
@@ -248,36 +248,25 @@ class Assembly:
         surfaces: list[Surface] = []
         for element in self.elements:
             if isinstance(element, Lens):
-                surfaces += _faces(element)
+                faces = zip(element.shapes, (*element.indices, AIR), strict=True)
+                depths = np.cumsum([0.0, *element.thicknesses_mm])
             else:
-                surfaces.append(
-                    Surface(
-                        Plane(),
-                        *_pose(element.alignment, element.z_mm, 0.0),
-                        index_behind=AIR,
-                        aperture=element.aperture,
-                    )
+                faces, depths = zip([Plane()], [AIR], strict=True), np.zeros(1)
+            surfaces += [
+                Surface(
+                    shape,
+                    *_pose(element.alignment, element.z_mm, float(depth)),
+                    index_behind=index,
+                    aperture=element.aperture,
                 )
+                for (shape, index), depth in zip(faces, depths, strict=True)
+            ]
         image = Surface(Plane(), *_pose(self.sensor_alignment, self.sensor_z_mm, 0.0))
         return SurfaceStack(tuple(surfaces), image)
 
 
 def _length(element: Element) -> float:
     return sum(element.thicknesses_mm) if isinstance(element, Lens) else 0.0
-
-
-def _faces(lens: Lens) -> list[Surface]:
-    depths = np.concatenate([[0.0], np.cumsum(lens.thicknesses_mm)])
-    behind = (*lens.indices, AIR)
-    return [
-        Surface(
-            shape,
-            *_pose(lens.alignment, lens.z_mm, float(depth)),
-            index_behind=index,
-            aperture=lens.aperture,
-        )
-        for shape, depth, index in zip(lens.shapes, depths, behind, strict=True)
-    ]
 
 
 def _pose(alignment: Alignment, z_mm: float, depth_mm: float) -> tuple[Vector3, Vector3]:

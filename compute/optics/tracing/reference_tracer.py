@@ -120,9 +120,9 @@ def validate_rays(origins_mm: Array, directions: Array) -> tuple[Array, Array]:
             directions=vectors.shape,
         )
     x, y, z = vectors.T
-    nothing = (x == 0.0) & (y == 0.0) & (z == 0.0)
-    if nothing.any():
-        row = int(nothing.argmax())
+    zero = (x == 0.0) & (y == 0.0) & (z == 0.0)
+    if zero.any():
+        row = int(zero.argmax())
         raise InvalidParameter(
             f"directions of ray {row} is zero; it must have a length",
             directions=vectors[row].tolist(),
@@ -274,7 +274,8 @@ def _refract(
     ratio = record["ratio"]
     if record["form"] == Form.PLANE:
         cosine = local[2]
-        n = _column(record, 2)
+        axis = record["rotation"][:, 2]
+        n = axis[0], axis[1], axis[2]
     else:
         own = normal(record, position)
         cosine = dot(local, own)
@@ -297,8 +298,3 @@ def _refract(
 def _project(field: Vectors, d: Vectors, out: Vectors, stretch: Array) -> Vectors:
     along = dot(field, out) * stretch
     return field[0] - d[0] * along, field[1] - d[1] * along, field[2] - d[2] * along
-
-
-def _column(record: np.void, axis: int) -> Vectors:
-    column = record["rotation"][:, axis]
-    return column[0], column[1], column[2]

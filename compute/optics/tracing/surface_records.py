@@ -20,6 +20,8 @@ class Form(IntEnum):
     TOROID = 2
 
 
+_FORMS: Final[dict[type, Form]] = {Plane: Form.PLANE, Toroid: Form.TOROID}
+
 SURFACE: Final = Record(
     "Surface",
     {
@@ -48,7 +50,7 @@ SURFACE_RECORD: Final = SURFACE.dtype
 Records = NDArray[np.void]
 
 BACKWARD_SLACK_MM: Final = 1e-9
-"""A crossing so little behind a ray's start is at its start: surfaces may touch, numbers round."""
+"""A crossing this little behind a ray's start counts: surfaces may touch, and numbers round."""
 
 OPEN_REACH: Final = 1e3
 """Radii within which crossings of a saddle with an open profile are searched; it has no end."""
@@ -83,13 +85,7 @@ def pack(stack: SurfaceStack) -> Records:
 def _fill(record: np.void, surface: Surface) -> None:
     shape = surface.shape
     cx, cy = shape.curvatures_per_mm
-    record["form"] = (
-        Form.PLANE
-        if isinstance(shape, Plane)
-        else Form.TOROID
-        if isinstance(shape, Toroid)
-        else Form.QUADRIC
-    )
+    record["form"] = _FORMS.get(type(shape), Form.QUADRIC)
     record["is_rotated"] = any(surface.rotation_vector_rad)
     record["vertex_mm"], record["rotation"] = surface.vertex_mm, surface.rotation
     record["cx"], record["cy"], record["e"] = cx, cy, (1.0 + shape.conic) * cx

@@ -110,8 +110,7 @@ class SharedBlockRing:
         if skipped:
             self._put_header(start, (skipped, _SKIP, 0, 0, 0, 0, 0))
             start = 0
-        lost = (losses.dropped_compute, losses.dropped_writer, losses.refused)
-        self._put_header(start, (size, *counts, *lost))
+        self._put_header(start, (size, *counts, *vars(losses).values()))
         block = self._block(start, *counts)
         block.rows[...] = rows
         if block.lines is not None:

@@ -59,14 +59,14 @@ def _violations(value: Any, hint: Any) -> Iterator[tuple[str, str]]:
     if origin is Annotated:
         base, *metadata = arguments
         rules = [
-            (words.format(bound), holds(value, bound))
+            (text.format(bound), holds(value, bound))
             for entry in metadata
             for constraint in (entry, *getattr(entry, "metadata", ()))
-            for kind, words, holds in _CONSTRAINTS
+            for kind, text, holds in _CONSTRAINTS
             if (bound := getattr(constraint, kind, None)) is not None
         ]
         if not all(holds for _, holds in rules):
-            yield _format(value), " and ".join(words for words, _ in rules)
+            yield _format(value), " and ".join(text for text, _ in rules)
         yield from _violations(value, base)
     elif origin is Literal:
         if value not in arguments:

@@ -193,19 +193,19 @@ class DetectorArray:
         stepped = signal != 0.0
         if len(self._stepped):
             stepped.reshape(exposures, size)[:, self._stepped] = True
-        place = np.flatnonzero(stepped)
-        lit = signal[place]
+        index = np.flatnonzero(stepped)
+        lit = signal[index]
         check_signal(lit)
-        pixel = place % size
+        pixel = index % size
         mean = lit * self._response[pixel] + self._unlit[pixel]
         charge = rng.poisson(mean).astype(np.float64)
         if self.detector.blooming > 0.0 and charge.max(initial=0.0) > self._full_well:
-            place, charge = self._bloom(place, charge, rng)
-            pixel = place % size
+            index, charge = self._bloom(index, charge, rng)
+            pixel = index % size
         else:
             np.minimum(charge, self._full_well, out=charge)
         charge += self.detector.read_noise_electrons * rng.standard_normal(len(charge))
-        counts[place] = self.detector.convert(charge, self._offset[pixel])
+        counts[index] = self.detector.convert(charge, self._offset[pixel])
         return counts.reshape(signal_electrons.shape)
 
     @property
@@ -213,38 +213,38 @@ class DetectorArray:
         return self.detector.full_well_electrons
 
     def _bloom(
-        self, place: NDArray[np.int64], charge: Array, rng: np.random.Generator
+        self, index: NDArray[np.int64], charge: Array, rng: np.random.Generator
     ) -> tuple[NDArray[np.int64], Array]:
         """Bloom, with the charge of pixels without signal where it flows to them.
 
         Args:
-            place: ascending places among all pixels, shape (M,).
+            index: ascending indices among all pixels, shape (M,).
             charge: electrons collected there, shape (M,).
 
         Returns:
-            The places that have their charge now, and what they keep, both of shape (N,).
+            The indices of all pixels with charge, and what they keep, both of shape (N,).
         """
         pixels = self._shape[1]
         reach = _FIRST_REACH
         while True:
-            column = place % pixels
-            linked = (np.diff(place) == 1) & (column[:-1] != pixels - 1)
+            column = index % pixels
+            linked = (np.diff(index) == 1) & (column[:-1] != pixels - 1)
             kept, flow = bloom(charge, linked, self._full_well, self.detector.blooming)
             over = flow > 0.0
             left = over & (column != 0) & ~np.concatenate([[False], linked])
             right = over & (column != pixels - 1) & ~np.concatenate([linked, [False]])
             if not (left.any() or right.any()):
-                return place, kept
+                return index, kept
             # Charge flows to pixels that were not asked yet: draw what they collected.
             step = np.arange(1, reach + 1)
             to_left = np.minimum(step, column[left, None])
             to_right = np.minimum(step, (pixels - 1 - column)[right, None])
-            asked = [(place[left, None] - to_left).ravel(), (place[right, None] + to_right).ravel()]
-            new = np.setdiff1d(np.concatenate(asked), place)
+            asked = [(index[left, None] - to_left).ravel(), (index[right, None] + to_right).ravel()]
+            new = np.setdiff1d(np.concatenate(asked), index)
             drawn = rng.poisson(self._unlit[new % len(self._unlit)]).astype(np.float64)
-            place = np.concatenate([place, new])
-            order = np.argsort(place)
-            place, charge = place[order], np.concatenate([charge, drawn])[order]
+            index = np.concatenate([index, new])
+            order = np.argsort(index)
+            index, charge = index[order], np.concatenate([charge, drawn])[order]
             reach *= 2
 
 

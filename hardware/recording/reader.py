@@ -151,15 +151,15 @@ class RecordingReader:
             raise self._file.invalid(
                 f"has no row {row} of in_force; it has {self.info.state.in_force}"
             )
-        place = self._file.read("in_force/rows", slice(row, row + 1))[0]
+        extent = self._file.read("in_force/rows", slice(row, row + 1))[0]
         document, table = (
             self._file.read("in_force/bytes", slice(start, start + size)).tobytes()
             for start, size in (
-                (int(place["document_start"]), int(place["document_bytes"])),
-                (int(place["table_start"]), int(place["table_bytes"])),
+                (int(extent["document_start"]), int(extent["document_bytes"])),
+                (int(extent["table_start"]), int(extent["table_bytes"])),
             )
         )
-        if (len(document), len(table)) != (place["document_bytes"], place["table_bytes"]):
+        if (len(document), len(table)) != (extent["document_bytes"], extent["table_bytes"]):
             raise self._file.invalid(f"is cut short in row {row} of in_force")
         return document, table
 

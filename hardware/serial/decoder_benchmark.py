@@ -103,26 +103,26 @@ def _lines(noise: random.Random, sequence: int) -> Lines:
 
 def _mutate(noise: random.Random, line: bytes, previous: bytes) -> bytes:
     data = bytearray(line)
-    place = noise.randrange(len(data))
-    end = min(len(data), place + noise.randrange(1, 40))
+    start = noise.randrange(len(data))
+    end = min(len(data), start + noise.randrange(1, 40))
     kind = noise.randrange(9)
     if kind == 0:
         for _ in range(noise.randrange(1, 9)):
             data[noise.randrange(len(data))] ^= 1 << noise.randrange(8)
     elif kind == 1:
-        del data[place:end]
+        del data[start:end]
     elif kind == 2:
-        data[place:place] = data[place:end]
+        data[start:start] = data[start:end]
     elif kind == 3:
-        data[place:place] = b"\0"
+        data[start:start] = b"\0"
     elif kind == 4:
-        data[place:place] = noise.randbytes(noise.randrange(1, 200))
+        data[start:start] = noise.randbytes(noise.randrange(1, 200))
     elif kind == 5:
-        data[place:end] = noise.randbytes(end - place)
+        data[start:end] = noise.randbytes(end - start)
     elif kind == 6:
-        del data[place:]
+        del data[start:]
     elif kind == 7:  # two cut together
-        data[place:] = previous[min(place, len(previous)) :]
+        data[start:] = previous[min(start, len(previous)) :]
     else:  # the whole, twice
         data = data + data
     return bytes(data)

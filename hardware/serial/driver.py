@@ -327,10 +327,10 @@ def check_identity(before: Description, now: Description) -> None:
             f"before there were {', '.join(before.sensors)} of {before.pixels} px; start the "
             "device anew",
         )
-    for name, words, unit in _IDENTITY_VALUES:
+    for name, noun, unit in _IDENTITY_VALUES:
         old, new = getattr(before, name), getattr(now, name)
         if old != new:
             raise DeviceChanged(
-                f"{now.name} came back with the {words} {new:g} {unit}; before it was {old:g} "
+                f"{now.name} came back with the {noun} {new:g} {unit}; before it was {old:g} "
                 f"{unit}; start the device anew, and see whether its calibration still holds",
             )

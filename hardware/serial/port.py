@@ -209,10 +209,10 @@ def _connected(url: str, closing: CloseSignal) -> socket.socket:
         connection.setblocking(False)
         connection.connect_ex(address)
         with selectors.DefaultSelector() as selector:
-            wanted = selector.register(connection, selectors.EVENT_WRITE)
+            connected = selector.register(connection, selectors.EVENT_WRITE)
             selector.register(closing, selectors.EVENT_READ)
             ready = [key for key, _ in selector.select(CONNECT_S)]
-        if wanted not in ready:
+        if connected not in ready:
             raise TimeoutError(f"no answer in {CONNECT_S:g} s")
         error = connection.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
         if error:

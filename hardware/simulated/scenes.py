@@ -120,12 +120,12 @@ class ShiftedPoints(CheckedSettings):
 class RotatingBar(CheckedSettings):
     """A bar that turns at constant speed about its middle, a marker at each end (section 6.1.2).
 
-    The turn is right-handed about the normal. At time zero the bar lies along the world's X
+    The rotation is right-handed about the normal. At time zero the bar lies along the world's X
     axis, as far as its plane allows (along Y where the normal is X).
 
     Args:
         length_mm: distance between the two markers [mm].
-        period_s: duration of one turn [s].
+        period_s: duration of one revolution [s].
         centre_mm: middle of the bar [mm].
         plane_normal: normal of the plane of rotation, any length; vertical for a horizontal bar.
     """
@@ -156,7 +156,7 @@ class RotatingBar(CheckedSettings):
         start = np.array([1.0, 0.0, 0.0]) if abs(normal[0]) < 0.99 else np.array([0.0, 1.0, 0.0])
         start -= (start @ normal) * normal
         start /= np.linalg.norm(start)
-        # The angle is taken within the turn, so that hours later it is as exact as at the start.
+        # Within the revolution, so that hours later it is as exact as at the start.
         angle = 2.0 * np.pi * (np.asarray(time_s) / self.period_s % 1.0)[..., None]
         half = np.cos(angle) * start + np.sin(angle) * np.cross(normal, start)
         half *= self.length_mm / 2.0
@@ -169,14 +169,14 @@ class MovingTool(CheckedSettings):
     """A rigid tool that is moved smoothly in all six degrees of freedom.
 
     Its point ``held_mm`` goes along a Lissajous curve about ``centre_mm``, and the components of
-    its turn swing likewise, at other rates: nothing repeats before the period.
+    its rotation swing likewise, at other rates: nothing repeats before the period.
 
     Args:
         markers_mm: its markers in its own coordinates [mm].
         centre_mm: middle of the curve, in the world [mm].
         swing_mm: how far the curve goes to either side, along X, Y, Z [mm]; zeros: the point
             stays, as the tip of a pointer that is pivoted.
-        turn_rad: how far the turn goes to either side, components of a rotation vector [rad].
+        turn_rad: amplitude of the rotation, components of a rotation vector [rad].
         rest_rad: the orientation that it swings about, a rotation vector [rad].
         held_mm: the point that goes along the curve, in the tool's coordinates [mm].
         period_s: duration of the whole motion [s].
@@ -196,10 +196,10 @@ class MovingTool(CheckedSettings):
         """Return R_world_tool, shape (..., 3, 3), and the origin, shape (..., 3) [mm], then."""
         # Within the period, so that hours later it is as exact as at the start.
         at = (np.asarray(time_s, dtype=np.float64) / self.period_s + self.phase) % 1.0
-        turn = np.asarray(self.turn_rad) * _swings(at, _ROTATION_RATES, _ROTATION_PHASES)
-        rotation = _rotation(turn) @ _rotation(np.asarray(self.rest_rad))
-        place = np.asarray(self.swing_mm) * _swings(at, _PATH_RATES, _PATH_PHASES)
-        return rotation, np.asarray(self.centre_mm) + place - rotation @ np.asarray(self.held_mm)
+        swing = np.asarray(self.turn_rad) * _swings(at, _ROTATION_RATES, _ROTATION_PHASES)
+        rotation = _rotation(swing) @ _rotation(np.asarray(self.rest_rad))
+        path = np.asarray(self.swing_mm) * _swings(at, _PATH_RATES, _PATH_PHASES)
+        return rotation, np.asarray(self.centre_mm) + path - rotation @ np.asarray(self.held_mm)
 
 
 @dataclass(frozen=True)

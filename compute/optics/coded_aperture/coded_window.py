@@ -73,12 +73,12 @@ class CodedWindow:
 
     @cached_property
     def edges_mm(self) -> Array:
-        """Positions at which the code turns transparent, opaque, transparent, ..., (2 K,) [mm].
+        """Positions at which the code becomes transparent, opaque, transparent, ..., (2 K,) [mm].
 
         Along the readings (-x), from the middle of the code.
         """
-        turns = np.flatnonzero(np.diff(np.array((0, *self.code, 0))))
-        return np.asarray(turns * self.bar_mm - self.length_mm / 2.0, dtype=np.float64)
+        changes = np.flatnonzero(np.diff(np.array((0, *self.code, 0))))
+        return np.asarray(changes * self.bar_mm - self.length_mm / 2.0, dtype=np.float64)
 
 
 def maximal_length_code(order: int) -> tuple[int, ...]:

@@ -26,7 +26,7 @@ class DiffractedShadow:
     """Shadow with Fresnel diffraction, averaged over spectrum, penumbra and pixel.
 
     The field adds ``+-(C(v) + i S(v)) / (1 + i)``, ``v = (x - edge) sqrt(2) / fresnel_mm``, for
-    each edge (Born and Wolf, Principles of Optics, section 8.7). It depends on the place s on the
+    each edge (Born and Wolf, Principles of Optics, section 8.7). It depends on the position s on the
     mask and on the squared Fresnel width ``q = wavelength / W`` alone, and its intensity is
     tabulated over both, as its second integral along s, so that any pixel and any penumbra is one
     second difference. The table's rows lie on a fixed lattice in ln q and are made when first
@@ -46,7 +46,7 @@ class DiffractedShadow:
         wavelength_nm: central wavelength [nm].
         spectral_width_nm: full width at half maximum of the source's spectrum [nm], taken as
             Gaussian in the logarithm of the wavelength; 0: monochromatic.
-        finest_mm: width of a pixel [mm]; finer fringes need no place in the table.
+        finest_mm: width of a pixel [mm]; finer fringes are not tabulated.
 
     Raises:
         InvalidParameter: wavelength or widths out of range, or a code too long for its fringes.
@@ -131,17 +131,17 @@ class DiffractedShadow:
         weights = _lagrange(row - before)
         base = (before - 1 - first) * self._count
 
-        def integral(place_mm: Array) -> Array:
-            along = (place_mm - self._start_mm) / self._step_mm
+        def integral(position_mm: Array) -> Array:
+            along = (position_mm - self._start_mm) / self._step_mm
             sample = np.floor(along)
             spline = _cubic_spline(along - sample)
             left = sample.astype(np.int64) - 1
-            total = np.zeros(place_mm.shape)
+            total = np.zeros(position_mm.shape)
             for column in range(4):
-                place = base + (left + column) % self._count
-                over_rows = weights[0] * table.take(place)
+                index = base + (left + column) % self._count
+                over_rows = weights[0] * table.take(index)
                 for step in range(1, 4):
-                    over_rows += weights[step] * table.take(place + step * self._count)
+                    over_rows += weights[step] * table.take(index + step * self._count)
                 total += spline[column] * over_rows
             return total
 

@@ -113,12 +113,12 @@ def _displaced(
             point_mm=point.tolist(),
             direction=direction.tolist(),
         )
-    unit, wanted, way = direction / length, start + shifts_px, np.zeros(len(shifts_px))
+    unit, target, distance_mm = direction / length, start + shifts_px, np.zeros(len(shifts_px))
     for _ in range(_STEPS):
-        reached = optics.readings(point + way[:, None] * unit)[:, sensor]
-        way += (wanted - reached) / per_mm
-    points = point + way[:, None] * unit
-    left = np.abs(optics.readings(points)[:, sensor] - wanted)
+        reached = optics.readings(point + distance_mm[:, None] * unit)[:, sensor]
+        distance_mm += (target - reached) / per_mm
+    points = point + distance_mm[:, None] * unit
+    left = np.abs(optics.readings(points)[:, sensor] - target)
     if not (left <= _REACHED_PX).all():
         raise InvalidParameter(
             f"far_px reaches to {float(np.abs(shifts_px).max())} px, where no point in front of "

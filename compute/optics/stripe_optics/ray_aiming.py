@@ -1,7 +1,7 @@
 """Ray aiming: rays from points through the optics to heights on a row of pixels.
 
 A cylindrical lens draws a point out into a line, and the row of pixels meets that line at one
-place only. Of all rays of a point, those that end on the row form a fan, one ray for each place
+point only. Of all rays of a point, those that end on the row form a fan, one ray for each position
 in the pupil along x; its partner in y is found by aiming. Integrating over this fan instead of
 over the whole pupil wastes no ray on what passes beside the row.
 """

@@ -44,7 +44,7 @@ class Lens:
         thicknesses_mm: its N thicknesses on the axis [mm].
         indices: refractive indices of its N glasses.
         aperture: its outline; light outside of it meets the lens's frame and is lost.
-        z_mm: place of the front vertex on the optical axis [mm].
+        z_mm: position of the front vertex on the optical axis [mm].
         alignment: its misalignment.
 
     Raises:
@@ -138,7 +138,7 @@ class Stop:
 
     Args:
         aperture: the opening.
-        z_mm: its place on the optical axis [mm].
+        z_mm: its position on the optical axis [mm].
         alignment: its misalignment.
     """
 
@@ -163,7 +163,7 @@ def plate(thickness_mm: float, index: float, aperture: Aperture, z_mm: float = 0
 
 
 def _outline(aperture: Aperture) -> tuple[np.ndarray, np.ndarray]:
-    """Return points along the edge of an opening, x and y, and its middle."""
+    """Return points along the edge of an opening, x and y, and its centre."""
     angle = np.linspace(0.0, 2.0 * np.pi, 181)
     x, y = np.cos(angle), np.sin(angle)
     if aperture.outline == "rectangular":
@@ -191,7 +191,7 @@ class Assembly:
 
     Args:
         elements: at least one; none may begin before the one before it ends.
-        sensor_z_mm: place of the sensor on the optical axis [mm], behind the last element.
+        sensor_z_mm: position of the sensor on the optical axis [mm], behind the last element.
         sensor_alignment: shift and tilt of the sensor [mm, rad].
 
     Raises:
@@ -235,12 +235,12 @@ class Assembly:
         """
         for number, element in enumerate(self.elements):
             if isinstance(element, Lens) and (inside := element.holds(points_mm)).any():
-                place = tuple(round(float(value), 6) for value in points_mm[inside][0])
+                source = tuple(round(float(value), 6) for value in points_mm[inside][0])
                 raise InvalidParameter(
-                    f"points_mm has a source at {place} mm of the optics' frame, inside the glass "
+                    f"points_mm has a source at {source} mm of the optics' frame, inside the glass "
                     f"of element {number + 1}; it must be in front of the optics, which begin at "
                     f"z = {self.front_z_mm} mm",
-                    points_mm=place,
+                    points_mm=source,
                 )
 
     def stack(self) -> SurfaceStack:

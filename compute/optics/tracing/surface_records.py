@@ -97,7 +97,7 @@ def _fill(record: np.void, surface: Surface) -> None:
 def _reaches(shape: Toroid) -> tuple[float, float]:
     """Return where the profile ends in x, and a bound on the distance from the vertex [mm].
 
-    The profile is ``c x^2 = 2 g - e g^2``; turned about the axis, no point is farther from it
+    The profile is ``c x^2 = 2 g - e g^2``; rotated about the axis, no point is farther from it
     than the profile is, and only the sheet from the vertex to the axis counts.
     """
     cx, cy = shape.curvatures_per_mm
@@ -105,7 +105,7 @@ def _reaches(shape: Toroid) -> tuple[float, float]:
     profile = 1.0 / np.sqrt(e * cx) if e * cx > 0.0 else np.inf
     radius = abs(shape.radius_y_mm)
     if cx * cy > 0.0:
-        # From the tangent plane (g = 0) to the axis (g = Ry), which the turn carries around it.
+        # From the tangent plane (g = 0) to the axis (g = Ry), which the rotation carries around it.
         x = min(profile, np.sqrt((2.0 * radius + abs(e) * radius**2) / abs(cx)))
         return profile, 1.001 * float(np.hypot(x, np.sqrt(2.0) * radius))
     if e * cx > 0.0:

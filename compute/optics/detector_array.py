@@ -11,7 +11,7 @@ from scipy.linalg import solveh_banded
 from compute.errors import InvalidParameter
 from compute.optics.detector import Detector, check_signal
 from compute.optics.pixel_noise import SMOOTH_READ_NOISE_ELECTRONS, PixelNoise
-from compute.parameter_checks import require
+from compute.parameter_checks import require, require_shape
 
 Array = NDArray[np.float64]
 
@@ -177,12 +177,9 @@ class DetectorArray:
         Raises:
             InvalidParameter: a signal of another shape, or not zero or positive.
         """
-        if signal_electrons.shape[-2:] != self._shape:
-            raise InvalidParameter(
-                f"signal_electrons has the shape {signal_electrons.shape}; it must end with "
-                f"(sensors, pixels) {self._shape}",
-                signal_electrons=signal_electrons.shape,
-            )
+        right = f"end with (sensors, pixels) {self._shape}"
+        valid = signal_electrons.shape[-2:] == self._shape
+        require_shape(valid, right, signal_electrons=signal_electrons)
         size = len(self._unlit)
         signal = signal_electrons.reshape(-1)
         exposures = len(signal) // size
@@ -271,12 +268,9 @@ def _dark_counts(
 
 
 def _check_background(background_electrons: Array, shape: tuple[int, int]) -> None:
-    if background_electrons.shape != shape:
-        raise InvalidParameter(
-            f"background_electrons has the shape {background_electrons.shape}; it must be "
-            f"(sensors, pixels) {shape}",
-            background_electrons=background_electrons.shape,
-        )
+    right = f"be (sensors, pixels) {shape}"
+    valid = background_electrons.shape == shape
+    require_shape(valid, right, background_electrons=background_electrons)
     wrong = ~((background_electrons >= 0.0) & (background_electrons < np.inf))
     if wrong.any():
         value = float(background_electrons[wrong][0])

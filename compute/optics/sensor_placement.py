@@ -95,19 +95,20 @@ def sensor_rotation(
     position = np.asarray(position_mm, dtype=np.float64)
     axis = np.asarray(aim_mm, dtype=np.float64) - position
     distance = float(np.linalg.norm(axis))
-    if distance == 0.0:
+    if not distance > 0.0:
         raise InvalidParameter(
-            f"sensor {name} is aimed at its own lens {position_mm}; aim it at another point",
+            f"aim_mm of sensor {name} is {aim_mm}, the sensor's own position; aim it at a point in "
+            "front of it",
             aim_mm=aim_mm,
         )
     axis /= distance
     along = np.asarray(measured_direction, dtype=np.float64)
     length = float(np.linalg.norm(along))
     across = along - (along @ axis) * axis
-    if np.linalg.norm(across) <= 1e-6 * length:
+    if not np.linalg.norm(across) > 1e-6 * length:
         raise InvalidParameter(
-            f"sensor {name} measures along {measured_direction}, which is its viewing direction "
-            f"{tuple(axis.tolist())}; give a direction across it",
+            f"measured_direction of sensor {name} is {measured_direction}; it must not be zero, "
+            f"nor the sensor's viewing direction {tuple(axis.tolist())}",
             measured_direction=measured_direction,
         )
     across /= np.linalg.norm(across)

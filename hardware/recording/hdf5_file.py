@@ -2,6 +2,8 @@
 
 import math
 from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -47,13 +49,11 @@ class RecordingFile:
 
     def attributes(self) -> dict[str, object]:
         """Return the root's attributes as plain Python values."""
-        try:
+        with self._refusing_damage("attributes"):
             return {
                 name: value.tolist() if isinstance(value, np.ndarray | np.generic) else value
                 for name, value in self._file.attrs.items()
             }
-        except (OSError, RuntimeError, KeyError, TypeError, ValueError) as error:
-            raise self.invalid(f"has damaged attributes ({error})") from error
 
     def rows(self, name: str, dtype: np.dtype[Any], row: tuple[int, ...] = ()) -> int:
         """Check a dataset's type and shape; return its current number of rows.
@@ -63,10 +63,8 @@ class RecordingFile:
             dtype: the type that it must have.
             row: the shape that a row must have.
         """
-        try:
+        with self._refusing_damage(f"data in {name}"):
             dataset = self._file.get(name)
-        except (OSError, RuntimeError, KeyError) as error:
-            raise self.invalid(f"has damaged data in {name} ({error})") from error
         if not isinstance(dataset, h5py.Dataset):
             raise self.invalid(f"lacks the dataset {name}")
         if self._written:
@@ -80,11 +78,16 @@ class RecordingFile:
 
     def read(self, name: str, rows: slice) -> NDArray[Any]:
         """Return rows of a dataset."""
-        try:
+        with self._refusing_damage(f"data in {name}"):
             values: NDArray[Any] = self._file[name][rows]
-        except (OSError, RuntimeError, KeyError, ValueError) as error:
-            raise self.invalid(f"has damaged data in {name} ({error})") from error
         return values
+
+    @contextmanager
+    def _refusing_damage(self, what: str) -> Iterator[None]:
+        try:
+            yield
+        except (OSError, RuntimeError, KeyError, TypeError, ValueError) as error:
+            raise self.invalid(f"has damaged {what} ({error})") from error
 
     def invalid(self, reason: str) -> InvalidRecording:
         """Return an InvalidRecording for this file."""

@@ -293,13 +293,3 @@ class RecordingReader:
                 f"has damaged data in frames/{what} (the checksum of row "
                 f"{first + int(wrong.argmax())} is another)"
             )
-
-
-def read_recording(path: Path) -> RecordingInfo:
-    """Validate a recording and return its contents.
-
-    Raises:
-        InvalidRecording: see ``RecordingReader``.
-    """
-    with RecordingReader(path) as recording:
-        return recording.info

@@ -26,8 +26,8 @@ class DiffractedShadow:
     """Shadow with Fresnel diffraction, averaged over spectrum, penumbra and pixel.
 
     The field adds ``+-(C(v) + i S(v)) / (1 + i)``, ``v = (x - edge) sqrt(2) / fresnel_mm``, for
-    each edge (Born and Wolf, Principles of Optics, section 8.7). It depends on the position s on the
-    mask and on the squared Fresnel width ``q = wavelength / W`` alone, and its intensity is
+    each edge (Born and Wolf, Principles of Optics, section 8.7). It depends on the position s on
+    the mask and on the squared Fresnel width ``q = wavelength / W`` alone, and its intensity is
     tabulated over both, as its second integral along s, so that any pixel and any penumbra is one
     second difference. The table's rows lie on a fixed lattice in ln q and are made when first
     needed, by the angular spectrum (on a lattice of bars the code's spectrum is exact); a spectral

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from compute.errors import InvalidParameter
 from compute.optics.coded_aperture.mask_optics import MaskOptics
-from compute.parameter_checks import require
+from compute.parameter_checks import require, require_shape
 from compute.signal.coded_aperture.shadow_template import ShadowTemplate, interleave_scans
 
 Array = NDArray[np.float64]
@@ -85,10 +85,7 @@ def template_from_optics(
 def _vector(**values: ArrayLike) -> Array:
     ((name, value),) = values.items()
     vector = np.asarray(value, dtype=np.float64)
-    if vector.shape != (3,):
-        raise InvalidParameter(
-            f"{name} has the shape {vector.shape}; it must be (3,)", **{name: vector.shape}
-        )
+    require_shape(vector.shape == (3,), "be (3,)", **{name: vector})
     return vector
 
 

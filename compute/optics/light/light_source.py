@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.constants import c, h
 
 from compute.errors import InvalidParameter
-from compute.parameter_checks import require
+from compute.parameter_checks import require, require_shape
 
 Array = NDArray[np.float64]
 
@@ -86,11 +86,7 @@ def towards_lenses(points_mm: Array, lens_positions_mm: Array) -> Array:
         InvalidParameter: an array of another shape.
     """
     for name, value in (("points_mm", points_mm), ("lens_positions_mm", lens_positions_mm)):
-        if value.ndim != 2 or value.shape[1] != 3:
-            raise InvalidParameter(
-                f"{name} has the shape {value.shape}; it must be (number, 3)",
-                **{name: value.shape},
-            )
+        require_shape(value.ndim == 2 and value.shape[1] == 3, "be (number, 3)", **{name: value})
     return directions(points_mm[:, None, :], lens_positions_mm)[0]
 
 
@@ -104,11 +100,8 @@ def unit_facing(facing: Array, points_mm: Array) -> Array:
     Raises:
         InvalidParameter: of another shape than the points, or a direction without length.
     """
-    if facing.shape != points_mm.shape:
-        raise InvalidParameter(
-            f"facing has the shape {facing.shape}; it must be that of points_mm, {points_mm.shape}",
-            facing=facing.shape,
-        )
+    right = f"be that of points_mm, {points_mm.shape}"
+    require_shape(facing.shape == points_mm.shape, right, facing=facing)
     length = np.linalg.norm(facing, axis=1)
     wrong = ~((length > 0.0) & (length < np.inf))
     if wrong.any():

@@ -11,6 +11,7 @@ from compute.errors import InvalidParameter
 from compute.optics.tracing.intersection import Bools, Vectors, dot, intersect, normal
 from compute.optics.tracing.surface_records import Form, Records, pack
 from compute.optics.tracing.surfaces import Array, SurfaceStack
+from compute.parameter_checks import require_shape
 
 
 class RayStatus(IntEnum):
@@ -101,10 +102,7 @@ def validate_rays(origins_mm: Array, directions: Array) -> tuple[Array, Array]:
     arrays = []
     for name, values in (("origins_mm", origins_mm), ("directions", directions)):
         array = np.asarray(values, dtype=np.float64)
-        if array.ndim != 2 or array.shape[1] != 3:
-            raise InvalidParameter(
-                f"{name} has the shape {array.shape}; it must be (N, 3)", **{name: array.shape}
-            )
+        require_shape(array.ndim == 2 and array.shape[1] == 3, "be (N, 3)", **{name: array})
         if not np.isfinite(array).all():
             row = int((~np.isfinite(array)).any(axis=1).argmax())
             raise InvalidParameter(

@@ -85,4 +85,4 @@ def _violations(value: Any, hint: Any) -> Iterator[tuple[str, str]]:
 
 
 def _format(value: Any) -> str:
-    return f"{value!r:.100}" if isinstance(value, str) else str(value)
+    return f"{value!r:.100}" if isinstance(value, str) else f"{value!s:.100}"

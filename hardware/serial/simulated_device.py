@@ -30,8 +30,8 @@ from hardware.serial.messages import (
     Stop,
     Strobe,
 )
+from hardware.simulated.driver import FrameRenderer
 from hardware.simulated.frame_batch import BATCH, Batch
-from hardware.simulated.renderer import FrameRenderer
 from hardware.simulated.settings import SimulationSettings
 from hardware.simulated.simulated_rig import PIXELS, simulated_rig
 from hardware.strobe_schedule import StrobeSchedule

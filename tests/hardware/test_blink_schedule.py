@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from compute.errors import InvalidParameter
 from hardware.blink_schedule import BlinkSchedule
-from hardware.simulated.renderer import FrameRenderer
+from hardware.simulated.driver import FrameRenderer
 from hardware.simulated.scenes import StillPoints
 from hardware.simulated.settings import SimulationSettings
 

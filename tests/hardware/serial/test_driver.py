@@ -23,7 +23,7 @@ from hardware.serial.emulator import serve_terminal
 from hardware.serial.messages import Description, Result
 from hardware.serial.settings import SerialSettings
 from hardware.serial.simulated_device import SimulatedSerialDevice
-from hardware.simulated.renderer import FrameRenderer
+from hardware.simulated.driver import FrameRenderer
 from hardware.simulated.settings import SimulationSettings
 from hardware.strobe_schedule import StrobeSchedule
 from service.pipeline.detection_stage import peak_method

@@ -212,7 +212,7 @@ def profile_optics(profile: DeviceProfile, mode: OpticsMode) -> SolidAngleOptics
         return window
     sensors = lens_sensors(profile, pixel_row(profile))
     blur = Blur(source.wavelength_nm, source.width_mm)
-    stripes = (
+    stripes: SolidAngleOptics = (
         ExactOptics(sensors, blur)
         if mode == "exact"
         else TabulatedOptics(sensors, blur, profile_field(profile, sensors))

@@ -247,11 +247,12 @@ class Assembly:
         """Return the surfaces in the frame of the assembly."""
         surfaces: list[Surface] = []
         for element in self.elements:
+            shapes: tuple[Shape, ...] = (Plane(),)
+            indices_behind: tuple[float, ...] = (AIR,)
+            depths = np.zeros(1)
             if isinstance(element, Lens):
-                faces = zip(element.shapes, (*element.indices, AIR), strict=True)
+                shapes, indices_behind = element.shapes, (*element.indices, AIR)
                 depths = np.cumsum([0.0, *element.thicknesses_mm])
-            else:
-                faces, depths = zip([Plane()], [AIR], strict=True), np.zeros(1)
             surfaces += [
                 Surface(
                     shape,
@@ -259,7 +260,7 @@ class Assembly:
                     index_behind=index,
                     aperture=element.aperture,
                 )
-                for (shape, index), depth in zip(faces, depths, strict=True)
+                for shape, depth, index in zip(shapes, depths, indices_behind, strict=True)
             ]
         image = Surface(Plane(), *_pose(self.sensor_alignment, self.sensor_z_mm, 0.0))
         return SurfaceStack(tuple(surfaces), image)

@@ -246,5 +246,5 @@ class RayAimer:
         """Return the solid angle per mm of pupil and mm of height, without losses, shape (R,)."""
         x, y, depth = self._towards(aim, y_mm).T
         with np.errstate(invalid="ignore", divide="ignore"):
-            density = np.abs(depth) / (x**2 + y**2 + depth**2) ** 1.5 / np.abs(slope)
-        return np.nan_to_num(density)
+            density: Array = np.abs(depth) / (x**2 + y**2 + depth**2) ** 1.5 / np.abs(slope)
+        return np.asarray(np.nan_to_num(density))

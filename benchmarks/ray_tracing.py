@@ -22,13 +22,11 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.optics.tracing.assembly import Assembly
-from compute.optics.tracing.elements import Lens
+from compute.optics.tracing.assembly import Assembly, Lens
 from compute.optics.tracing.ray_tracer import INPUTS, OUTPUTS, RayTracer
 from compute.optics.tracing.reference_tracer import empty_results, trace_chunk, trace_rays
-from compute.optics.tracing.shapes import Cylinder, Plane
 from compute.optics.tracing.surface_records import pack
-from compute.optics.tracing.surfaces import Aperture, SurfaceStack
+from compute.optics.tracing.surfaces import Aperture, Cylinder, Plane, SurfaceStack
 
 Row = dict[str, str | int | float]
 Array = NDArray[np.float64]

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from compute.optics.tracing import shapes, surfaces
+from compute.optics.tracing import surfaces
 
 # Its annotations are not complete: to the type checker it is anything.
 coordinates: Any = import_module("optiland.coordinate_system")
@@ -65,15 +65,15 @@ def optiland_tracer(stack: surfaces.SurfaceStack, tolerance_mm: float = TOLERANC
 def _geometry(surface: surfaces.Surface, tolerance_mm: float) -> Any:
     shape = surface.shape
     turn = Rotation.from_rotvec(surface.rotation_vector_rad)
-    if isinstance(shape, shapes.Toroid):
+    if isinstance(shape, surfaces.Toroid):
         # Theirs has its profile in the y-z plane.
         turn = turn * Rotation.from_euler("z", -90.0, degrees=True)
     place = coordinates.CoordinateSystem(*surface.vertex_mm, *turn.as_euler("xyz"))
-    if isinstance(shape, shapes.Plane):
+    if isinstance(shape, surfaces.Plane):
         return geometries.Plane(place)
-    if isinstance(shape, shapes.Conic):
+    if isinstance(shape, surfaces.Conic):
         return geometries.StandardGeometry(place, shape.radius_mm, shape.conic)
-    if isinstance(shape, shapes.Cylinder):
+    if isinstance(shape, surfaces.Cylinder):
         curved = geometries.BiconicGeometry(
             place, shape.radius_mm, np.inf, shape.conic, 0.0, tol=tolerance_mm
         )

@@ -20,16 +20,19 @@ if "numpy" not in sys.modules:
 import numpy as np  # noqa: E402
 from numpy.typing import NDArray  # noqa: E402
 
-from compute.optics.background import BumpBackground, background_scans  # noqa: E402
 from compute.optics.detector import Detector  # noqa: E402
 from compute.optics.detector_array import DetectorArray  # noqa: E402
 from compute.optics.ideal_optics import IdealOptics  # noqa: E402
-from compute.optics.pixel_solid_angles import SolidAngleOptics, scan_electrons  # noqa: E402
+from compute.optics.pixel_solid_angles import (  # noqa: E402
+    SolidAngleOptics,
+    scan_electrons,
+    stripe_images,
+)
 from compute.optics.profiles.device_profile import DeviceProfile  # noqa: E402
 from compute.optics.profiles.profile_loader import load_profile  # noqa: E402
 from compute.optics.profiles.profile_optics import light_source, profile_optics  # noqa: E402
 from compute.optics.sensor_placement import place_sensor  # noqa: E402
-from compute.optics.stripe_images import stripe_images  # noqa: E402
+from validation.signal_chain.background import BumpBackground, background_scans  # noqa: E402
 
 Array = NDArray[np.float64]
 Row = dict[str, str | int | float]

@@ -1,8 +1,10 @@
 """Range checks of parameters: a value out of range raises InvalidParameter."""
 
 from math import inf
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from compute.errors import InvalidParameter
 
@@ -22,6 +24,24 @@ def require(holds: bool | np.bool_, right: str, **parameter: object) -> None:
         ((name, value),) = parameter.items()
         shown = repr(value) if isinstance(value, str) else value
         raise InvalidParameter(f"{name} is {shown}; it must {right}", **parameter)
+
+
+def require_shape(holds: bool, right: str, **array: NDArray[Any]) -> None:
+    """Raise "NAME has the shape SHAPE; it must RIGHT" unless a condition holds.
+
+    Args:
+        holds: the condition.
+        right: the valid shape, as "be (N, 3)".
+        array: one array, by its name.
+
+    Raises:
+        InvalidParameter: the condition does not hold.
+    """
+    if not holds:
+        ((name, value),) = array.items()
+        raise InvalidParameter(
+            f"{name} has the shape {value.shape}; it must {right}", **{name: value.shape}
+        )
 
 
 def check_positive(holder: object, *names: str) -> None:

@@ -18,7 +18,7 @@ def modules() -> Iterator[tuple[Any, int]]:
 
     Tools are followed by the CPU, whatever there is beside it.
     """
-    from compute.optics.tracing import ray_kernel as tracing
+    from compute.optics.tracing.ray_kernel import ray_kernel
     from compute.optics.tracing.ray_tracer import THREADS_PER_BLOCK as RAYS
     from compute.pose.filtering.native.kernel import step_kernel
     from compute.reconstruction.native.cuda_launch import THREADS_PER_BLOCK as POINTS
@@ -28,8 +28,8 @@ def modules() -> Iterator[tuple[Any, int]]:
 
     for search in get_args(Search):
         yield scan_kernel(search).module, BLOCK_THREADS
-    yield tracing.trace_rays.module, RAYS
-    yield tracing.trace_rays_without_toroids.module, RAYS
+    for has_toroids in (False, True):
+        yield ray_kernel(has_toroids).module, RAYS
     for sensors in SENSORS:
         for room in (0, MIN_CAPACITY):
             yield point_kernel(sensors, room).module, POINTS

@@ -4,13 +4,14 @@ Thesis, section 4.6: a target's pulses "could also be modulated for easier ident
 """
 
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, Final
+from typing import Annotated, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ConfigDict, Field
+from pydantic import Field
 
 from compute.errors import InvalidParameter
+from hardware.field_bounds import CheckedSettings
 
 MAX_CODE_BITS: Final = 20
 """Maximum length of a code word [bits], as in ``compute.tracking.blink_codes``."""
@@ -18,7 +19,7 @@ MAX_CODE_WORDS: Final = 64
 
 
 @dataclass(frozen=True)
-class BlinkSchedule:
+class BlinkSchedule(CheckedSettings):
     """Cyclic code words of the markers, one bit per exposure, each with its own phase.
 
     Args:
@@ -37,22 +38,17 @@ class BlinkSchedule:
     low: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.4
     phases: tuple[Annotated[int, Field(ge=0, lt=MAX_CODE_BITS)], ...] | None = None
 
-    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
-
     def __post_init__(self) -> None:
+        super().__post_init__()
         lengths = {len(word) for word in self.words}
-        if len(lengths) != 1 or not 2 <= min(lengths) <= max(lengths) <= MAX_CODE_BITS:
+        if len(lengths) != 1:
             raise InvalidParameter(
                 f"words have the lengths {sorted(lengths)}; they must all have one, of 2 to "
                 f"{MAX_CODE_BITS} bits"
             )
-        if not len(self.words) <= MAX_CODE_WORDS:
-            raise InvalidParameter(f"there are {len(self.words)} words; at most {MAX_CODE_WORDS}")
-        strange = sorted(set("".join(self.words)) - {"0", "1"})
-        if strange:
-            raise InvalidParameter(f"a word has {strange[0]!r}; words are of 0 and 1")
-        if not 0.0 <= self.low < 1.0:
-            raise InvalidParameter(f"low is {self.low}; it must be from 0 to less than 1")
+        other = sorted(set("".join(self.words)) - {"0", "1"})
+        if other:
+            raise InvalidParameter(f"a word has {other[0]!r}; words are of 0 and 1")
         if self.phases is not None and len(self.phases) != len(self.words):
             raise InvalidParameter(
                 f"phases are {len(self.phases)}, words {len(self.words)}; give one of each word"

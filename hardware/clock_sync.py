@@ -9,9 +9,11 @@ docs/how-to/devices.md compares both.
 """
 
 import math
+import time
 from collections import deque
 from dataclasses import dataclass
 from itertools import pairwise
+from threading import Event
 from typing import Final
 
 from compute.errors import InvalidParameter
@@ -122,18 +124,18 @@ class DeviceClock:
         return other
 
     def _set(self, ticks_per_s: int, bits: int, delay_ns: int) -> None:
-        turn_ns = 2**bits * 1_000_000_000 // ticks_per_s
-        if turn_ns < MIN_WRAP_NS:
+        wrap_ns = 2**bits * 1_000_000_000 // ticks_per_s
+        if wrap_ns < MIN_WRAP_NS:
             raise InvalidParameter(
-                f"a clock of {bits} bits at {ticks_per_s:,} ticks a second begins anew every "
-                f"{turn_ns * 1e-6:.3g} ms; it must be {MIN_WRAP_NS // 1_000_000} ms at least: "
-                "let the device count the turns, or more slowly",
+                f"a clock of {bits} bits at {ticks_per_s:,} ticks a second wraps around every "
+                f"{wrap_ns * 1e-6:.3g} ms; it must be {MIN_WRAP_NS // 1_000_000} ms at least: "
+                "let the device count the wraps, or tick more slowly",
                 bits=bits,
                 ticks_per_s=ticks_per_s,
             )
         self._per_s = ticks_per_s
         self._wrap = 2**bits
-        self._slack_ns = min(MAX_LEAD_NS, turn_ns // 2)
+        self._slack_ns = min(MAX_LEAD_NS, wrap_ns // 2)
         self._delay_ns = delay_ns
 
     def _begin(self, origin_ns: int, rate: float) -> None:
@@ -154,13 +156,13 @@ class DeviceClock:
             return None
         # What the clock shows now: an exposure is not after its arrival, but for the slack.
         gone_ns = arrival_ns - self._origin_ns - self._offset_ns - self._rate * self._latest_ns
-        most = self._first_ticks + int((gone_ns + self._slack_ns) * self._per_s * 1e-9)
+        newest = self._first_ticks + int((gone_ns + self._slack_ns) * self._per_s * 1e-9)
         step = (ticks - self._last_ticks) % self._wrap
-        turns = max(0, (most - self._last_ticks - step) // self._wrap)
-        unwrapped: int = self._last_ticks + step + turns * self._wrap
-        # A clock of short turns may be ahead of itself by one or two, after a stall of the host.
+        wraps = max(0, (newest - self._last_ticks - step) // self._wrap)
+        unwrapped: int = self._last_ticks + step + wraps * self._wrap
+        # A clock of short wraps may be ahead of itself by one or two, after a stall of the host.
         ahead = int((MAX_LEAD_NS - self._slack_ns) * self._per_s * 1e-9)
-        return unwrapped if unwrapped <= most + ahead else None
+        return unwrapped if unwrapped <= newest + ahead else None
 
     def _add_arrival(self, elapsed_ns: int, late_ns: int) -> None:
         """Keep the earliest arrival of each bucket; refit the line with each new bucket."""
@@ -224,3 +226,18 @@ def _median(values: list[float], weights: list[float]) -> float:
         if below >= half:
             return value
     return ordered[-1][0]
+
+
+def wait_until(due_ns: int, closed: Event) -> None:
+    """Wait until a time of the monotonic clock [ns]; return at once when the event is set."""
+    left_ns = due_ns - time.monotonic_ns()
+    if left_ns > 0:
+        closed.wait(left_ns * 1e-9)
+
+
+def host_time_ns(monotonic_ns: int) -> int:
+    """Convert a time of the monotonic clock to the clock of time.time_ns() [ns].
+
+    Read again for each frame, because the host's clock may have been set meanwhile.
+    """
+    return time.time_ns() + monotonic_ns - time.monotonic_ns()

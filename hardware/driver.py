@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Generic, Literal, Protocol, TypeVar
 
 from hardware.line_frame import LineFrame
 
@@ -86,3 +86,31 @@ class Driver(Protocol):
     def close(self) -> None:
         """Release everything and end ``frames``; may be called from any thread, and twice."""
         ...
+
+
+class Session(Protocol):
+    """What a driver holds from ``open`` to ``close``."""
+
+    def close(self) -> None:
+        """End the frames and release the device; callable from any thread, and twice."""
+        ...
+
+
+S = TypeVar("S", bound=Session)
+
+
+class SessionDriver(Generic[S]):
+    """Base of drivers whose state from ``open`` to ``close`` is one object."""
+
+    def __init__(self) -> None:
+        self._session: S | None = None
+
+    def close(self) -> None:
+        """End ``frames`` and release the device; may be called from any thread, and twice."""
+        if self._session is not None:
+            self._session.close()
+
+    def _opened(self) -> S:
+        if self._session is None:
+            raise RuntimeError("the driver is not open; call open() first")
+        return self._session

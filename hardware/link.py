@@ -1,12 +1,21 @@
 """Connection state of a device that may be unplugged: phases, counters, report to a listener."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from threading import Lock
-from typing import Literal, Protocol, runtime_checkable
+from typing import Final, Literal, Protocol, runtime_checkable
+
+from hardware.driver import S, SessionDriver
 
 LinkPhase = Literal["connected", "silent", "garbled", "disconnected"]
 """Frames arrive; connected without data; data without valid frames; device not present."""
+
+_BY_SEVERITY: Final[tuple[LinkPhase, ...]] = ("disconnected", "silent", "garbled")
+
+
+def most_severe(faults: Iterable[tuple[LinkPhase, str]]) -> tuple[LinkPhase, str]:
+    """Return the most severe of several faults, each a phase and its reason."""
+    return min(faults, key=lambda fault: _BY_SEVERITY.index(fault[0]))
 
 
 @dataclass(frozen=True)
@@ -111,3 +120,19 @@ class LinkReport:
         """Reset: connected, with all counters at zero."""
         with self._lock:
             self._state = LinkState("connected", None, LinkCounters())
+
+
+class ReportingDriver(SessionDriver[S]):
+    """Base of linked drivers that count and set their state in a ``LinkReport``."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._report = LinkReport()
+
+    def listen(self, changed: Callable[[LinkState], None]) -> None:
+        """Register the listener of link changes; see ``LinkedDriver``."""
+        self._report.listen(changed)
+
+    def link(self) -> LinkState:
+        """Return the state of the device's links: the worst of them."""
+        return self._report.state

@@ -7,14 +7,14 @@ from dataclasses import replace
 from pathlib import Path
 from threading import Event, Lock
 
-from compute.errors import InvalidParameter
-from hardware.driver import DeviceDescription
+from compute.parameter_checks import require
+from hardware.clock_sync import host_time_ns, wait_until
+from hardware.driver import DeviceDescription, SessionDriver
 from hardware.line_frame import LineFrame
 from hardware.recording.reader import RecordingReader
-from hardware.timing import host_time_ns, wait_until
 
 
-class ReplayDriver:
+class ReplayDriver(SessionDriver["_Playback"]):
     """Replays a recording: scans, sequence numbers, device times, markers and flags as recorded.
 
     Paced, a frame is delivered when it is due, at ``speed`` times the rate of the device's
@@ -34,15 +34,12 @@ class ReplayDriver:
     """
 
     def __init__(self, name: str, path: Path, speed: float | None = 1.0) -> None:
-        if speed is not None and not 0.0 < speed < math.inf:
-            raise InvalidParameter(
-                f"speed is {speed}; it must be positive, or None for as fast as taken",
-                speed=speed,
-            )
+        super().__init__()
+        valid = speed is None or 0.0 < speed < math.inf
+        require(valid, "be positive, or None for as fast as taken", speed=speed)
         self._name = name
         self._path = path
         self._speed = speed
-        self._run: _Run | None = None
 
     @property
     def lossless(self) -> bool:
@@ -65,12 +62,7 @@ class ReplayDriver:
             InvalidRecording: see ``RecordingReader``.
         """
         self.close()
-        self._run = _Run(RecordingReader(self._path))
-
-    def close(self) -> None:
-        """End ``frames`` at once and close the file; may be called from any thread, and twice."""
-        if self._run is not None:
-            self._run.close()
+        self._session = _Playback(RecordingReader(self._path))
 
     def frames(self) -> Iterator[LineFrame]:
         """Yield the frames until the file ends or ``close`` is called.
@@ -81,12 +73,7 @@ class ReplayDriver:
         """
         return self._play(self._opened())
 
-    def _opened(self) -> "_Run":
-        if self._run is None:
-            raise RuntimeError("the driver is not open; call open() first")
-        return self._run
-
-    def _play(self, run: "_Run") -> Iterator[LineFrame]:
+    def _play(self, run: "_Playback") -> Iterator[LineFrame]:
         start_ns = 0
         first_device_ns: int | None = None
         for recorded in run.frames():
@@ -103,7 +90,7 @@ class ReplayDriver:
             yield frame
 
 
-class _Run:
+class _Playback:
     """An open recording; a lock keeps reading and closing apart."""
 
     def __init__(self, recording: RecordingReader) -> None:

@@ -6,18 +6,18 @@ Markers that are lit one at a time identify themselves, and no two of them meet 
 """
 
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, Final, Self
+from typing import Annotated, Final
 
-from pydantic import ConfigDict, Field
+from pydantic import Field
 
-from compute.errors import InvalidParameter
+from hardware.field_bounds import CheckedSettings
 
 MAX_SLOTS: Final = 254
 MAX_MARKERS: Final = 254
 
 
 @dataclass(frozen=True)
-class StrobeSchedule:
+class StrobeSchedule(CheckedSettings):
     """A cyclic sequence of slots, one exposure each; each slot lights one marker, or all.
 
     Args:
@@ -36,34 +36,7 @@ class StrobeSchedule:
         ),
     ]
 
-    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
-
-    def __post_init__(self) -> None:
-        if not 1 <= len(self.slots) <= MAX_SLOTS:
-            raise InvalidParameter(
-                f"the schedule has {len(self.slots)} slots; it must have 1 to {MAX_SLOTS}"
-            )
-        for slot in self.slots:
-            if slot is not None and not 0 <= slot < MAX_MARKERS:
-                raise InvalidParameter(
-                    f"a slot lights marker {slot}; markers are 0 to {MAX_MARKERS - 1}",
-                    marker=slot,
-                )
-
-    @classmethod
-    def cyclic(cls, markers: int) -> Self:
-        """Return the schedule that lights each of ``markers`` markers once, in their order."""
-        return cls(tuple(range(markers)))
-
     @property
     def markers(self) -> int:
         """Number of strobed markers the schedule needs; 0: all are always lit together."""
         return 1 + max((slot for slot in self.slots if slot is not None), default=-1)
-
-    def marker(self, sequence: int) -> int | None:
-        """Return the marker lit in exposure ``sequence``; None: all are lit."""
-        return self.slots[sequence % len(self.slots)]
-
-    def rate_hz(self, marker: int, frame_rate_hz: float) -> float:
-        """Return the rate at which a marker is lit [Hz] (thesis, equation 3.3)."""
-        return frame_rate_hz * self.slots.count(marker) / len(self.slots)

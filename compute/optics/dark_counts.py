@@ -22,7 +22,7 @@ def random_indices(size: int, rng: np.random.Generator) -> NDArray[np.uint16]:
     """
     if isinstance(rng.bit_generator, np.random.MT19937):  # its raw numbers have 32 bits only
         return rng.integers(0, TABLE_SIZE, size, dtype=np.uint16)
-    # Four places from each raw number of 64 bits: five times as fast as Generator.integers.
+    # Four indices from each raw number of 64 bits: five times as fast as Generator.integers.
     raw = rng.bit_generator.random_raw((size + 3) // 4)
     return np.asarray(raw, dtype=np.uint64).view(np.uint16)[:size]
 
@@ -37,13 +37,13 @@ _DRAWN_AT_ONCE = 8192
 class CountDistribution:
     """Distribution of counts, drawn by a table of 65536 equally probable entries.
 
-    A count of probability p fills ``floor(65536 p)`` places. The places left over stand for
+    A count of probability p fills ``floor(65536 p)`` entries. The entries left over stand for
     what the rounding cut off, and are drawn from exactly that remainder by inversion: the
     mixture has the given probabilities, not rounded ones.
 
     Args:
         counts: the possible counts, ascending, uint16, shape (K,).
-        probabilities: theirs, shape (K,), adding up to 1.
+        probabilities: of these counts, shape (K,), adding up to 1.
     """
 
     def __init__(self, counts: NDArray[np.uint16], probabilities: Array) -> None:

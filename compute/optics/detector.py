@@ -9,12 +9,15 @@ from numpy.typing import NDArray
 
 from compute.errors import InvalidParameter
 from compute.optics.dark_counts import CountDistribution, count_distribution
-from compute.optics.parameter_checks import check_not_negative, check_positive
+from compute.parameter_checks import check_not_negative, check_positive, require
 
 MAX_ELECTRONS: Final = 1e15
 """The largest mean of a pixel that is simulated; a float counts single electrons up to 9e15."""
 
 _FULL_SIGMA: Final = 4.0  # of the read noise, below the mean count of a full well
+_PIXEL_DIFFERENCES: Final = (
+    "response_nonuniformity", "dark_nonuniformity", "offset_nonuniformity_counts", "blooming"
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -43,7 +46,7 @@ class Detector:
             pixels, 0 to 1; the rest is drained.
 
     Raises:
-        InvalidParameter: a value is outside of what is said here.
+        InvalidParameter: a value out of range.
     """
 
     bits: int
@@ -59,8 +62,7 @@ class Detector:
     blooming: float = 0.0
 
     def __post_init__(self) -> None:
-        if not 8 <= self.bits <= 16:
-            raise InvalidParameter(f"bits is {self.bits}; it must be 8 to 16", bits=self.bits)
+        require(8 <= self.bits <= 16, "be 8 to 16", bits=self.bits)
         check_positive(self, "electrons_per_count", "full_well_electrons")
         check_not_negative(
             self,
@@ -70,16 +72,13 @@ class Detector:
             "dark_electrons",
             "offset_nonuniformity_counts",
         )
-        for name, most in (
-            ("response_nonuniformity", 0.2),  # five deviations below, a pixel sees nothing
+        for name, highest in (
+            ("response_nonuniformity", 0.2),  # five sigma below, a pixel sees nothing
             ("dark_nonuniformity", 10.0),
             ("blooming", 1.0),
         ):
             value = getattr(self, name)
-            if not 0.0 <= value <= most:
-                raise InvalidParameter(
-                    f"{name} is {value}; it must be from 0 to {most:g}", **{name: value}
-                )
+            require(0.0 <= value <= highest, f"be from 0 to {highest:g}", **{name: value})
 
     @property
     def full_scale(self) -> int:
@@ -136,17 +135,11 @@ class Detector:
             InvalidParameter: the detector has non-uniformities or blooming, which need a
                 device's pixels (``DetectorArray``); a signal that is not zero or positive.
         """
-        for name in (
-            "response_nonuniformity",
-            "dark_nonuniformity",
-            "offset_nonuniformity_counts",
-            "blooming",
-        ):
-            if getattr(self, name) != 0.0:
+        for name in _PIXEL_DIFFERENCES:
+            if (value := getattr(self, name)) != 0.0:
                 raise InvalidParameter(
-                    f"{name} is {getattr(self, name)}; nominal pixels have 0, a DetectorArray "
-                    "has the others",
-                    **{name: getattr(self, name)},
+                    f"{name} is {value}; nominal pixels have 0, a DetectorArray has the others",
+                    **{name: value},
                 )
         counts = self.dark.draw(signal_electrons.size, rng)
         signal = signal_electrons.ravel()
@@ -164,22 +157,22 @@ class Detector:
 
     @cached_property
     def dark(self) -> CountDistribution:
-        """The distribution of a nominal pixel without signal."""
+        """The distribution of the counts of a nominal pixel without signal."""
+        return self.unlit_counts(self._dark_mean)
+
+    def unlit_counts(self, mean_electrons: float) -> CountDistribution:
+        """Return the distribution of the counts of a pixel with nominal offset, without signal."""
         return count_distribution(
             self.convert,
             self.upper_edges,
-            mean_electrons=self._dark_mean,
+            mean_electrons=mean_electrons,
             full_well_electrons=self.full_well_electrons,
             read_noise_electrons=self.read_noise_electrons,
         )
 
 
 def check_signal(signal_electrons: NDArray[np.float64]) -> None:
-    """Refuse mean electrons that are negative, NaN or too large.
-
-    Raises:
-        InvalidParameter: with the first such value.
-    """
+    """Raise InvalidParameter for mean electrons that are negative, NaN or too large."""
     wrong = ~((signal_electrons >= 0.0) & (signal_electrons <= MAX_ELECTRONS))
     if wrong.any():
         value = float(signal_electrons[wrong][0])

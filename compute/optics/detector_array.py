@@ -1,18 +1,62 @@
 """Detectors of a device: fixed pattern, background light, blooming, noise."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solveh_banded
 
 from compute.errors import InvalidParameter
-from compute.optics.blooming import bloom
-from compute.optics.dark_counts import count_distribution
 from compute.optics.detector import Detector, check_signal
 from compute.optics.pixel_noise import SMOOTH_READ_NOISE_ELECTRONS, PixelNoise
+from compute.parameter_checks import require, require_shape
 
 Array = NDArray[np.float64]
+
+
+def bloom(
+    charge: Array, linked: NDArray[np.bool_], full_well: float, share: float
+) -> tuple[Array, Array]:
+    """Distribute charge above the full well to the neighbours until none is above it.
+
+    Of the charge that leaves a pixel, half the share goes to each of its neighbours and the
+    rest is drained; what goes to a neighbour that is not there is lost. With q the charge and
+    f >= 0 what leaves a pixel in all, the pixels keep ``q_i - f_i + share/2 (f_i-1 + f_i+1)``,
+    at most the full well, and f is the smallest flow that does it: zero where the well is not
+    full. The pixels above are linear equations, banded; those that they fill join them.
+
+    Args:
+        charge: electrons of the pixels, shape (P,).
+        linked: whether pixel i + 1 is the right neighbour of pixel i, shape (P - 1,).
+        full_well: what a pixel holds at most [electrons].
+        share: share of the excess that flows on, 0 to 1.
+
+    Returns:
+        What the pixels keep, and what left each of them in all, both of shape (P,).
+    """
+    flow = np.zeros_like(charge)
+    kept = charge
+    full = charge > full_well
+    added = full
+    half = 0.5 * share
+    while added.any():
+        # The set only grows: more pixels that pass charge on fill no well less.
+        full = full | added
+        at = np.flatnonzero(full)
+        # One unknown more, which is zero: the solver refuses a single one.
+        band = np.zeros((2, len(at) + 1))
+        band[0] = 1.0
+        band[1, : len(at) - 1] = np.where((np.diff(at) == 1) & linked[at[:-1]], -half, 0.0)
+        excess = np.append(charge[at] - full_well, 0.0)
+        flow[at] = solveh_banded(band, excess, lower=True)[:-1]
+        kept = charge - flow
+        kept[1:] += half * np.where(linked, flow[:-1], 0.0)
+        kept[:-1] += half * np.where(linked, flow[1:], 0.0)
+        added = (kept > full_well) & ~full
+    return np.minimum(kept, full_well), flow
+
 
 _RESPONSE, _DARK, _OFFSET = range(3)
 
@@ -92,15 +136,9 @@ class DetectorArray:
         pattern_seed: int = 0,
         background_electrons: Array | None = None,
     ) -> None:
-        for name, value, least in (
-            ("sensors", sensors, 1),
-            ("pixels", pixels, 1),
-            ("pattern_seed", pattern_seed, 0),
-        ):
-            if value < least:
-                raise InvalidParameter(
-                    f"{name} is {value}; it must be at least {least}", **{name: value}
-                )
+        require(sensors >= 1, "be at least 1", sensors=sensors)
+        require(pixels >= 1, "be at least 1", pixels=pixels)
+        require(pattern_seed >= 0, "be at least 0", pattern_seed=pattern_seed)
         self.detector = detector
         self.pattern: FixedPattern = fixed_pattern(detector, sensors, pixels, pattern_seed)
         shape = (sensors, pixels)
@@ -139,35 +177,32 @@ class DetectorArray:
         Raises:
             InvalidParameter: a signal of another shape, or not zero or positive.
         """
-        if signal_electrons.shape[-2:] != self._shape:
-            raise InvalidParameter(
-                f"signal_electrons has the shape {signal_electrons.shape}; it must end with "
-                f"(sensors, pixels) {self._shape}",
-                signal_electrons=signal_electrons.shape,
-            )
+        right = f"end with (sensors, pixels) {self._shape}"
+        valid = signal_electrons.shape[-2:] == self._shape
+        require_shape(valid, right, signal_electrons=signal_electrons)
         size = len(self._unlit)
         signal = signal_electrons.reshape(-1)
         exposures = len(signal) // size
         if self._dark is None:
             counts = np.empty(len(signal), dtype=np.uint16)
         else:
-            counts = self._dark.draw(exposures, rng).reshape(-1)
+            counts = self._dark(exposures, rng).reshape(-1)
         stepped = signal != 0.0
         if len(self._stepped):
             stepped.reshape(exposures, size)[:, self._stepped] = True
-        place = np.flatnonzero(stepped)
-        lit = signal[place]
+        index = np.flatnonzero(stepped)
+        lit = signal[index]
         check_signal(lit)
-        pixel = place % size
+        pixel = index % size
         mean = lit * self._response[pixel] + self._unlit[pixel]
         charge = rng.poisson(mean).astype(np.float64)
         if self.detector.blooming > 0.0 and charge.max(initial=0.0) > self._full_well:
-            place, charge = self._bloom(place, charge, rng)
-            pixel = place % size
+            index, charge = self._bloom(index, charge, rng)
+            pixel = index % size
         else:
             np.minimum(charge, self._full_well, out=charge)
         charge += self.detector.read_noise_electrons * rng.standard_normal(len(charge))
-        counts[place] = self.detector.convert(charge, self._offset[pixel])
+        counts[index] = self.detector.convert(charge, self._offset[pixel])
         return counts.reshape(signal_electrons.shape)
 
     @property
@@ -175,86 +210,67 @@ class DetectorArray:
         return self.detector.full_well_electrons
 
     def _bloom(
-        self, place: NDArray[np.int64], charge: Array, rng: np.random.Generator
+        self, index: NDArray[np.int64], charge: Array, rng: np.random.Generator
     ) -> tuple[NDArray[np.int64], Array]:
         """Bloom, with the charge of pixels without signal where it flows to them.
 
         Args:
-            place: ascending places among all pixels, shape (M,).
+            index: ascending indices among all pixels, shape (M,).
             charge: electrons collected there, shape (M,).
 
         Returns:
-            The places that have their charge now, and what they keep, both of shape (N,).
+            The indices of all pixels with charge, and what they keep, both of shape (N,).
         """
         pixels = self._shape[1]
         reach = _FIRST_REACH
         while True:
-            column = place % pixels
-            linked = (np.diff(place) == 1) & (column[:-1] != pixels - 1)
+            column = index % pixels
+            linked = (np.diff(index) == 1) & (column[:-1] != pixels - 1)
             kept, flow = bloom(charge, linked, self._full_well, self.detector.blooming)
             over = flow > 0.0
             left = over & (column != 0) & ~np.concatenate([[False], linked])
             right = over & (column != pixels - 1) & ~np.concatenate([linked, [False]])
             if not (left.any() or right.any()):
-                return place, kept
+                return index, kept
             # Charge flows to pixels that were not asked yet: draw what they collected.
             step = np.arange(1, reach + 1)
             to_left = np.minimum(step, column[left, None])
             to_right = np.minimum(step, (pixels - 1 - column)[right, None])
-            asked = [(place[left, None] - to_left).ravel(), (place[right, None] + to_right).ravel()]
-            new = np.setdiff1d(np.concatenate(asked), place)
+            asked = [(index[left, None] - to_left).ravel(), (index[right, None] + to_right).ravel()]
+            new = np.setdiff1d(np.concatenate(asked), index)
             drawn = rng.poisson(self._unlit[new % len(self._unlit)]).astype(np.float64)
-            place = np.concatenate([place, new])
-            order = np.argsort(place)
-            place, charge = place[order], np.concatenate([charge, drawn])[order]
+            index = np.concatenate([index, new])
+            order = np.argsort(index)
+            index, charge = index[order], np.concatenate([charge, drawn])[order]
             reach *= 2
-
-
-class _DarkCounts(Protocol):
-    def draw(self, exposures: int, rng: np.random.Generator) -> NDArray[np.uint16]: ...
-
-
-class _IdenticalPixelCounts:
-    """Counts of P pixels without signal, one like the other: exact."""
-
-    def __init__(self, detector: Detector, mean_electrons: float, pixels: int) -> None:
-        self._pixels = pixels
-        self._distribution = count_distribution(
-            detector.convert,
-            detector.upper_edges,
-            mean_electrons=mean_electrons,
-            full_well_electrons=detector.full_well_electrons,
-            read_noise_electrons=detector.read_noise_electrons,
-        )
-
-    def draw(self, exposures: int, rng: np.random.Generator) -> NDArray[np.uint16]:
-        return self._distribution.draw(exposures * self._pixels, rng)
 
 
 def _dark_counts(
     detector: Detector, mean_electrons: Array, offset_counts: Array
-) -> tuple[_DarkCounts | None, NDArray[np.bool_]]:
-    """Return the source of the counts without signal, and which pixels go step by step."""
+) -> tuple[Callable[[int, np.random.Generator], NDArray[np.uint16]] | None, NDArray[np.bool_]]:
+    """Return what draws the counts of exposures without signal, and which pixels it cannot.
+
+    None: it cannot draw any; these pixels are simulated step by step.
+    """
     reach = mean_electrons + _REACH_SIGMA * np.sqrt(mean_electrons) + 40.0
     near_full = reach > detector.full_well_electrons
     alike = np.ptp(mean_electrons) == 0.0 and np.ptp(offset_counts) == 0.0
     if alike and not (near_full.any() and detector.blooming > 0.0):
-        never = np.zeros_like(near_full)
-        return _IdenticalPixelCounts(detector, float(mean_electrons[0]), len(mean_electrons)), never
+        identical, pixels = detector.unlit_counts(float(mean_electrons[0])), len(mean_electrons)
+        return lambda exposures, rng: identical.draw(exposures * pixels, rng), np.zeros_like(
+            near_full
+        )
     if detector.read_noise_electrons < SMOOTH_READ_NOISE_ELECTRONS or near_full.all():
         return None, np.ones_like(near_full)
     # Pixels near their full well have no table; any mean that has one will do for them.
     tabled = np.where(near_full, mean_electrons[~near_full].max(), mean_electrons)
-    return PixelNoise(detector, tabled, offset_counts), near_full
+    return PixelNoise(detector, tabled, offset_counts).draw, near_full
 
 
 def _check_background(background_electrons: Array, shape: tuple[int, int]) -> None:
-    if background_electrons.shape != shape:
-        raise InvalidParameter(
-            f"background_electrons has the shape {background_electrons.shape}; it must be "
-            f"(sensors, pixels) {shape}",
-            background_electrons=background_electrons.shape,
-        )
+    right = f"be (sensors, pixels) {shape}"
+    valid = background_electrons.shape == shape
+    require_shape(valid, right, background_electrons=background_electrons)
     wrong = ~((background_electrons >= 0.0) & (background_electrons < np.inf))
     if wrong.any():
         value = float(background_electrons[wrong][0])

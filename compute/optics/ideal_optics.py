@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.camera.stack import CameraStack
-from compute.errors import InvalidParameter
 from compute.optics.sensor_placement import PlacedSensor
+from compute.parameter_checks import require
 
 Array = NDArray[np.float64]
 
@@ -52,21 +52,11 @@ class IdealOptics:
         signal_electrons: float,
         reference_distance_mm: float | None,
     ) -> None:
-        if not 0.0 < spot_sigma_px < np.inf:
-            raise InvalidParameter(
-                f"spot_sigma_px is {spot_sigma_px}; it must be positive",
-                spot_sigma_px=spot_sigma_px,
-            )
-        if not 0.0 <= signal_electrons < np.inf:
-            raise InvalidParameter(
-                f"signal_electrons is {signal_electrons}; it must be zero or positive",
-                signal_electrons=signal_electrons,
-            )
-        if reference_distance_mm is not None and not 0.0 < reference_distance_mm < np.inf:
-            raise InvalidParameter(
-                f"reference_distance_mm is {reference_distance_mm}; it must be positive, or None",
-                reference_distance_mm=reference_distance_mm,
-            )
+        require(0.0 < spot_sigma_px < np.inf, "be positive", spot_sigma_px=spot_sigma_px)
+        valid = 0.0 <= signal_electrons < np.inf
+        require(valid, "be zero or positive", signal_electrons=signal_electrons)
+        valid = reference_distance_mm is None or 0.0 < reference_distance_mm < np.inf
+        require(valid, "be positive, or None", reference_distance_mm=reference_distance_mm)
         self._cameras = CameraStack.of([sensor.model for sensor in sensors])
         self._lenses_mm = np.array([sensor.lens_position_mm for sensor in sensors]).reshape(-1, 3)
         self._sigma_px = spot_sigma_px

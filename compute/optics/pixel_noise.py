@@ -11,13 +11,13 @@ from compute.optics.detector import Detector
 Array = NDArray[np.float64]
 
 SMOOTH_READ_NOISE_ELECTRONS: Final = 0.8
-"""The read noise from which on single electrons cannot be told apart: the ripple that they
+"""The lowest read noise at which single electrons cannot be distinguished: the ripple that they
 leave on the distribution is below exp(-2 pi^2 0.8^2) = 3e-6, so that it may be shifted."""
 
 _STEP: Final = 1.0 / 32.0  # of the variance from one table to the next, relative
 _DITHER: Final = 1.0 / 4.0  # width of the dither, in the smallest deviation
 _DITHERS: Final = 16384
-_TAIL: Final = 32  # places at each end that stand for a tail
+_TAIL: Final = 32  # entries at each end that stand for a tail
 _TAIL_STEP: Final = 1.0 / 8.0  # of the tail's table, in -ln of the probability
 _TAIL_REACH: Final = 22.0  # where it ends: 5e-4 exp(-22) = 1e-13
 _AT_ONCE: Final = 8192
@@ -86,11 +86,11 @@ class PixelNoise:
             self._start[:] = 0
 
         self._full_scale = detector.full_scale
-        self._middle = mean_electrons / gain + offset_counts + 0.5
+        self._centre = mean_electrons / gain + offset_counts + 0.5
         span = int(np.ceil(reach)) + 2
-        # Farther out than the noise reaches, the count is clipped wherever the middle is.
-        whole = np.floor(self._middle.clip(-span - 1.0, self._full_scale + span + 1.0))
-        fraction = (self._middle - whole).clip(0.0, 1.0)
+        # Farther out than the noise reaches, the count is clipped wherever the centre is.
+        whole = np.floor(self._centre.clip(-span - 1.0, self._full_scale + span + 1.0))
+        fraction = (self._centre - whole).clip(0.0, 1.0)
         self._fraction = np.rint(fraction * unit).astype(np.int16)
         self._clips = bool(whole.min() < span or whole.max() > self._full_scale - span)
         self._lowest = (-whole).clip(-32768, 32767).astype(np.int16)
@@ -131,9 +131,9 @@ class PixelNoise:
                     np.minimum(entry, self._highest[block], out=entry)
                 # Modulo 65536, as counts of 16 bits do not fit into int16.
                 counts[exposure, block] += whole
-        place = np.concatenate(tails)
-        found = self._tail_counts(np.concatenate(entries), place % self._pixels, rng)
-        counts.reshape(-1)[place] = found
+        flat = np.concatenate(tails)
+        found = self._tail_counts(np.concatenate(entries), flat % self._pixels, rng)
+        counts.reshape(-1)[flat] = found
         return counts
 
     def _tail_counts(
@@ -146,7 +146,7 @@ class PixelNoise:
         near = self._tails[entry // TABLE_SIZE, side, whole]
         far = self._tails[entry // TABLE_SIZE, side, whole + 1]
         dither = rng.choice(self._dithers[:_DITHERS], len(entry)) / self._unit
-        value = np.floor(near + (far - near) * (depth - whole) + dither + self._middle[pixel])
+        value = np.floor(near + (far - near) * (depth - whole) + dither + self._centre[pixel])
         counts: NDArray[np.uint16] = value.clip(0, self._full_scale).astype(np.uint16)
         return counts
 
@@ -175,8 +175,8 @@ def _quantiles(
     half = 0.5 * unit * t
     dither = np.ones_like(t)
     dither[1:] = np.sin(steps_of_dither * half[1:]) / (steps_of_dither * np.sin(half[1:]))
-    middle = lower + 0.5 * width
-    wave = np.exp(log - 1j * t * middle) / dither * np.sinc(t * width / (2.0 * np.pi))
+    centre = lower + 0.5 * width
+    wave = np.exp(log - 1j * t * centre) / dither * np.sinc(t * width / (2.0 * np.pi))
     cells = np.fft.irfft(wave.conj(), size).clip(1e-19)
     below, above = np.cumsum(cells), np.cumsum(cells[::-1])
     edges = lower + width * np.arange(1, size + 1)
@@ -208,7 +208,7 @@ def _bit_reversed() -> NDArray[np.int64]:
     Any run of them is spread evenly over the whole: so is what a window takes from a table.
     """
     numbers = np.arange(TABLE_SIZE, dtype=np.int64)
-    turned = np.zeros_like(numbers)
+    reversed_bits = np.zeros_like(numbers)
     for bit in range(16):
-        turned |= ((numbers >> bit) & 1) << (15 - bit)
-    return turned
+        reversed_bits |= ((numbers >> bit) & 1) << (15 - bit)
+    return reversed_bits

@@ -3,9 +3,7 @@
 from dataclasses import dataclass
 from typing import Final
 
-import numpy as np
-
-from compute.errors import InvalidParameter
+from compute.parameter_checks import check_positive, require
 
 _MAX_COUNT: Final = 1_000_000
 
@@ -28,14 +26,8 @@ class PixelRow:
     height_um: float
 
     def __post_init__(self) -> None:
-        if self.count > _MAX_COUNT:
-            raise InvalidParameter(
-                f"count is {self.count}; it must be at most {_MAX_COUNT}", count=self.count
-            )
-        for name in ("count", "pitch_um", "height_um"):
-            value = getattr(self, name)
-            if not 0.0 < value < np.inf:
-                raise InvalidParameter(f"{name} is {value}; it must be positive", **{name: value})
+        require(self.count <= _MAX_COUNT, f"be at most {_MAX_COUNT}", count=self.count)
+        check_positive(self, "count", "pitch_um", "height_um")
 
     @property
     def pitch_mm(self) -> float:
@@ -54,5 +46,5 @@ class PixelRow:
 
     @property
     def centre_px(self) -> float:
-        """Reading of the row's middle [px]."""
+        """Reading of the row's centre [px]."""
         return (self.count - 1) / 2.0

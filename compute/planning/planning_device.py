@@ -21,7 +21,7 @@ from compute.optics.profiles.profile_optics import (
     mask_optics,
     pixel_row,
 )
-from compute.optics.stripe_optics.optical_sensor import OpticalSensor
+from compute.optics.sensor_placement import OpticalSensor
 from compute.optics.stripe_optics.stripe_profile import Blur
 from compute.optics.stripe_optics.traced_stripes import RaySampling, TracedStripes
 from compute.planning.cramer_rao import (

@@ -1,4 +1,4 @@
-"""One GenICam camera: configuration, buffer stream and presence check."""
+"""GenICam cameras: discovery, configuration, buffer stream and presence check of one."""
 
 import time
 from contextlib import suppress
@@ -21,7 +21,7 @@ from hardware.genicam.aravis import (
     library,
 )
 from hardware.genicam.pixel_formats import check_width, unpack_counts
-from hardware.genicam.settings import Feature, GenicamCamera, GenicamSettings
+from hardware.genicam.settings import GenicamCamera, GenicamSettings
 from hardware.genicam.timestamps import BufferTimestamps
 
 _CONTINUOUS: Final = 0
@@ -91,11 +91,6 @@ class Camera:
         except BaseException:
             self.close()
             raise
-
-    @property
-    def where(self) -> str:
-        """Description of the camera for messages."""
-        return f'sensor "{self._camera_settings.name}", camera {self._camera_settings.camera}'
 
     def start(self) -> None:
         """Start the acquisition; raises DeviceNotConnected where that fails."""
@@ -210,10 +205,7 @@ class Camera:
                 lambda: call.camera_set_exposure_time(self._camera, exposure_us),
             )
         for feature in settings.features:
-            self._feature(feature)
-
-    def _feature(self, feature: Feature) -> None:
-        self._set("feature", feature.name, feature.value)
+            self._set("feature", feature.name, feature.value)
 
     def _set(self, what: str, name: str, value: bool | int | float | str) -> None:
         call, camera = self._aravis, self._camera
@@ -244,7 +236,8 @@ class Camera:
                 raise self._unavailable(f"it went away while it was set up: {error}") from error
             feature = f" (its feature {name})" if name is not None else ""
             raise InvalidParameter(
-                f"{self.where}: {what}{feature} cannot be {value!r}: {error}", **{what: value}
+                f"{self._camera_settings}: {what}{feature} cannot be {value!r}: {error}",
+                **{what: value},
             ) from error
 
     def _has(self, name: str) -> bool:
@@ -282,7 +275,41 @@ class Camera:
 
     def _unavailable(self, why: str) -> DeviceNotConnected:
         return DeviceNotConnected(
-            f"{self.where} cannot be used: {why}; check its cable, power and address, and that no "
-            "other program has it open",
+            f"{self._camera_settings} cannot be used: {why}; check its cable, power and address, "
+            "and that no other program has it open",
             camera=self._camera_settings.camera,
         )
+
+
+@dataclass(frozen=True)
+class DiscoveredCamera:
+    """A discovered camera: identifier, address, vendor, model, serial number, protocol."""
+
+    camera: str
+    address: str
+    vendor: str
+    model: str
+    serial_number: str
+    protocol: str
+
+
+def cameras() -> list[DiscoveredCamera]:
+    """Return the cameras that answer within a second.
+
+    Raises:
+        MissingLibrary: Aravis is not installed.
+    """
+    aravis = library()
+    aravis.update_device_list()
+    asked = (
+        aravis.get_device_id,
+        aravis.get_device_address,
+        aravis.get_device_vendor,
+        aravis.get_device_model,
+        aravis.get_device_serial_nbr,
+        aravis.get_device_protocol,
+    )
+    return [
+        DiscoveredCamera(*((ask(index) or b"").decode(errors="replace") for ask in asked))
+        for index in range(aravis.get_n_devices())
+    ]

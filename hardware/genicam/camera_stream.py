@@ -46,7 +46,7 @@ class CameraStream:
     @property
     def name(self) -> str:
         """Description of the camera for messages."""
-        return f'sensor "{self._camera_settings.name}", camera {self._camera_settings.camera},'
+        return f"{self._camera_settings},"
 
     @property
     def connected(self) -> bool:

@@ -1,13 +1,14 @@
 """Driver for GenICam line-scan cameras: a frame is one scan of each camera."""
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from threading import Event, Lock
 from typing import Final
 
 import numpy as np
 
 from compute.errors import InvalidParameter
+from hardware.clock_sync import host_time_ns
 from hardware.driver import DeviceDescription, SensorDescription
 from hardware.errors import DeviceNotConnected
 from hardware.genicam.camera_stream import CameraStream
@@ -15,18 +16,16 @@ from hardware.genicam.frame_sync import CameraScan, FrameSynchroniser
 from hardware.genicam.pixel_formats import bits_per_pixel
 from hardware.genicam.settings import GenicamSettings
 from hardware.line_frame import FrameFlag, LineFrame
-from hardware.link import LinkPhase, LinkReport, LinkState
-from hardware.timing import host_time_ns
+from hardware.link import LinkPhase, LinkReport, ReportingDriver, most_severe
 
 SILENCE_S: Final = 1.0
 """Silence after which a camera's presence is checked."""
 
 _WAIT_US: Final = 20_000
 _CLOSE_S: Final = 0.5
-_PHASES_BY_SEVERITY: Final[tuple[LinkPhase, ...]] = ("disconnected", "silent", "garbled")
 
 
-class GenicamDriver:
+class GenicamDriver(ReportingDriver["_Run"]):
     """Driver that combines simultaneous scans of several cameras to frames.
 
     Frames carry the first camera's numbers and its clock. A camera that is lost is opened again
@@ -40,10 +39,9 @@ class GenicamDriver:
     lossless = False
 
     def __init__(self, name: str, settings: GenicamSettings) -> None:
+        super().__init__()
         self._name = name
         self._settings = settings
-        self._report = LinkReport()
-        self._run: _Run | None = None
 
     @property
     def description(self) -> DeviceDescription:
@@ -78,21 +76,8 @@ class GenicamDriver:
         """
         self.close()
         self._report.reset()
-        run = self._run = _Run(self._name, self._settings, self._report)
+        run = self._session = _Run(self._name, self._settings, self._report)
         run.open()
-
-    def close(self) -> None:
-        """End ``frames`` and release the cameras; may be called from any thread, and twice."""
-        if self._run is not None:
-            self._run.close()
-
-    def listen(self, changed: Callable[[LinkState], None]) -> None:
-        """Register the listener of link changes; see ``LinkedDriver``."""
-        self._report.listen(changed)
-
-    def link(self) -> LinkState:
-        """Return the state of the cameras' links: the worst of them."""
-        return self._report.state
 
     def frames(self) -> Iterator[LineFrame]:
         """Yield frames until ``close`` is called.
@@ -108,11 +93,6 @@ class GenicamDriver:
                 if run.closed.is_set():
                     return
                 yield frame
-
-    def _opened(self) -> "_Run":
-        if self._run is None:
-            raise RuntimeError("the driver is not open; call open() first")
-        return self._run
 
 
 class _Run:
@@ -229,8 +209,12 @@ class _Run:
                 index, "garbled", f"{stream.name} sends, but parts of all buffers are lost"
             )
         else:
-            told = f"{stream.name} answers, but no lines came for {SILENCE_S:g} s"
-            self._record_fault(index, "silent", f"{told}: it may wait for a trigger")
+            self._record_fault(
+                index,
+                "silent",
+                f"{stream.name} answers, but no lines came for {SILENCE_S:g} s: it may wait for a "
+                "trigger",
+            )
         self._heard_s[index] = time.monotonic()
 
     def _reconnect(self, index: int, stream: CameraStream) -> None:
@@ -238,7 +222,7 @@ class _Run:
             self._report.count(reconnects=1)
             self._heard_s[index] = time.monotonic()
             self._garbled[index] = False
-            del self._faults[index]  # told when there is a frame
+            del self._faults[index]  # reported when there is a frame
         else:
             self._record_fault(index, "disconnected", _waiting(stream))
             self.closed.wait(_WAIT_US * 1e-6)
@@ -246,9 +230,7 @@ class _Run:
     def _record_fault(self, index: int, phase: LinkPhase, reason: str) -> None:
         """Record a camera's fault and report the most severe of all."""
         self._faults[index] = phase, reason
-        self._report.set_state(
-            *min(self._faults.values(), key=lambda one: _PHASES_BY_SEVERITY.index(one[0]))
-        )
+        self._report.set_state(*most_severe(self._faults.values()))
 
     def _frame(self, matched: tuple[CameraScan, ...]) -> LineFrame:
         first = matched[0]

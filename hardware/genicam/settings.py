@@ -1,45 +1,42 @@
 """Settings of the GenICam driver."""
 
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, get_args
+from typing import Annotated
 
-from pydantic import ConfigDict, Field, StringConstraints
+from pydantic import Field, StringConstraints
 
-from compute.errors import InvalidParameter
 from hardware.driver import PeakMethod
-from hardware.field_bounds import check_field_bounds
+from hardware.field_bounds import CheckedSettings, SensorName, check_distinct
 from hardware.genicam.pixel_formats import PixelFormat
 
-_NAME = r"^[^\s\u0085](.{0,62}[^\s\u0085])?$"
 _FEATURE = r"^[A-Za-z_][A-Za-z0-9_]{0,99}$"
 
 
 @dataclass(frozen=True)
-class GenicamCamera:
+class GenicamCamera(CheckedSettings):
     """One camera: the sensor's name, and its identifier or network address."""
 
-    name: Annotated[str, StringConstraints(pattern=_NAME)]
+    name: SensorName
     camera: Annotated[
         str,
         StringConstraints(pattern=r"^[ -~]{1,200}$"),
         Field(description="As `lumiline cameras` lists it: its identifier, or its address."),
     ]
 
-    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
+    def __str__(self) -> str:
+        return f'sensor "{self.name}", camera {self.camera}'
 
 
 @dataclass(frozen=True)
-class Feature:
+class Feature(CheckedSettings):
     """A feature of the camera by its GenICam name, and its value."""
 
     name: Annotated[str, StringConstraints(pattern=_FEATURE)]
     value: bool | int | float | Annotated[str, StringConstraints(max_length=200)]
 
-    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
-
 
 @dataclass(frozen=True)
-class GenicamSettings:
+class GenicamSettings(CheckedSettings):
     """The cameras, and how they are set.
 
     Args:
@@ -79,23 +76,6 @@ class GenicamSettings:
     offset_counts: Annotated[float, Field(ge=0.0, le=65535.0)] = 0.0
     peaks: PeakMethod = "fit"
 
-    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
-
     def __post_init__(self) -> None:
-        check_field_bounds(self)
-        for what in ("name", "camera"):
-            values = [getattr(camera, what) for camera in self.cameras]
-            twice = next((value for value in values if values.count(value) > 1), None)
-            if twice is not None:
-                raise InvalidParameter(
-                    f'"{twice}" is given as the {what} of two sensors; give each one of its own',
-                    camera=twice,
-                )
-        for what, value, names in (
-            ("pixel_format", self.pixel_format, get_args(PixelFormat)),
-            ("peaks", self.peaks, get_args(PeakMethod)),
-        ):
-            if value not in names:
-                raise InvalidParameter(
-                    f"{what} is {value!r}; it must be one of {', '.join(names)}", **{what: value}
-                )
+        super().__post_init__()
+        check_distinct(self.cameras, "sensors", "name", "camera")

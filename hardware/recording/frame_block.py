@@ -66,11 +66,11 @@ class FrameBlock:
 
     def select(self, kept: NDArray[np.bool_]) -> "FrameBlock":
         """Return the block of the frames where ``kept``, shape (F,), holds."""
-        place = np.cumsum(kept) - 1
+        index = np.cumsum(kept) - 1
 
         def of_kept(results: NDArray[np.void]) -> NDArray[np.void]:
             found: NDArray[np.void] = results[kept[results["frame"]]].copy()
-            found["frame"] = place[found["frame"]]
+            found["frame"] = index[found["frame"]]
             return found
 
         lines = None if self.lines is None else self.lines[kept]

@@ -1,13 +1,20 @@
-"""Validated access to the HDF5 file of a recording."""
+"""Validated access to the HDF5 file of a recording, and to the description stored in it."""
 
+import math
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
 import h5py
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import TypeAdapter, ValidationError
 
-from compute.errors import InvalidRecording
+from compute.errors import InvalidParameter, InvalidRecording
+from hardware.driver import DeviceDescription, PeakMethod
 from hardware.recording.layout import NO_CALIBRATION_ROW, NO_MARKER, RecordingInfo
 
 _SWMR: Final = 4
@@ -42,13 +49,11 @@ class RecordingFile:
 
     def attributes(self) -> dict[str, object]:
         """Return the root's attributes as plain Python values."""
-        try:
+        with self._refusing_damage("attributes"):
             return {
                 name: value.tolist() if isinstance(value, np.ndarray | np.generic) else value
                 for name, value in self._file.attrs.items()
             }
-        except (OSError, RuntimeError, KeyError, TypeError, ValueError) as error:
-            raise self.invalid(f"has damaged attributes ({error})") from error
 
     def rows(self, name: str, dtype: np.dtype[Any], row: tuple[int, ...] = ()) -> int:
         """Check a dataset's type and shape; return its current number of rows.
@@ -58,10 +63,8 @@ class RecordingFile:
             dtype: the type that it must have.
             row: the shape that a row must have.
         """
-        try:
+        with self._refusing_damage(f"data in {name}"):
             dataset = self._file.get(name)
-        except (OSError, RuntimeError, KeyError) as error:
-            raise self.invalid(f"has damaged data in {name} ({error})") from error
         if not isinstance(dataset, h5py.Dataset):
             raise self.invalid(f"lacks the dataset {name}")
         if self._written:
@@ -75,11 +78,16 @@ class RecordingFile:
 
     def read(self, name: str, rows: slice) -> NDArray[Any]:
         """Return rows of a dataset."""
-        try:
+        with self._refusing_damage(f"data in {name}"):
             values: NDArray[Any] = self._file[name][rows]
-        except (OSError, RuntimeError, KeyError, ValueError) as error:
-            raise self.invalid(f"has damaged data in {name} ({error})") from error
         return values
+
+    @contextmanager
+    def _refusing_damage(self, what: str) -> Iterator[None]:
+        try:
+            yield
+        except (OSError, RuntimeError, KeyError, TypeError, ValueError) as error:
+            raise self.invalid(f"has damaged {what} ({error})") from error
 
     def invalid(self, reason: str) -> InvalidRecording:
         """Return an InvalidRecording for this file."""
@@ -136,3 +144,70 @@ def check_columns(file: RecordingFile, info: RecordingInfo) -> None:
         "in_force",
         f"be below the number of calibrations, {state.in_force}",
     )
+
+
+@dataclass(frozen=True)
+class _StoredDescription(DeviceDescription):
+    """A stored description; old recordings name no method of peak detection."""
+
+    peaks: PeakMethod = "centroid"
+
+
+_DESCRIPTION = TypeAdapter(_StoredDescription)
+
+_MAX_HZ: Final = 1e6
+_MAX_UM: Final = 1000.0
+_FULL: Final = 2**16 - 1
+
+
+def read_description(text: str) -> DeviceDescription:
+    """Return the device description in a recording's JSON.
+
+    Raises:
+        InvalidParameter: it is not a description, or an unusable one; the message continues a
+            sentence that begins with the file's name.
+    """
+    try:
+        description = DeviceDescription(**vars(_DESCRIPTION.validate_json(text)))
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"]) or "the whole"
+        raise InvalidParameter(
+            f"has an unusable description of the device: {where}: {first['msg']}"
+        ) from error
+    _check_values(description)
+    return description
+
+
+def _check_values(description: DeviceDescription) -> None:
+    """Check the ranges of the description's values; NaN and infinities are invalid."""
+    rate, gain = description.frame_rate_hz, description.electrons_per_count
+    noise, offset = description.read_noise_electrons, description.offset_counts
+    names = Counter(sensor.name for sensor in description.sensors)
+    checks = [
+        ("frame_rate_hz", rate, 0 <= rate <= _MAX_HZ, f"0 (not known) to {_MAX_HZ:g}"),
+        ("bits", description.bits, 1 <= description.bits <= 16, "1 to 16"),
+        ("electrons_per_count", gain, 0 < gain < math.inf, "positive"),
+        ("read_noise_electrons", noise, 0 <= noise < math.inf, "0 or more"),
+        ("offset_counts", offset, abs(offset) <= _FULL, f"within -{_FULL} to {_FULL}"),
+        ("markers", description.markers, description.markers >= 0, "0 or more"),
+        *(
+            ("a sensor's name", name, 1 <= len(name) <= 64 and "\0" not in name,
+             "1 to 64 characters without NUL")
+            for name in names
+        ),
+        *(
+            ("a sensor's name", name, count == 1, "a name of its own")
+            for name, count in names.items()
+        ),
+        *(
+            ("pitch_um", sensor.pitch_um, 0 < sensor.pitch_um <= _MAX_UM,
+             f"positive, at most {_MAX_UM:g}")
+            for sensor in description.sensors
+        ),
+    ]  # fmt: skip
+    for name, value, good, right in checks:
+        if not good:
+            raise InvalidParameter(
+                f"describes an unusable device: {name} is {value!r:.80}; it must be {right}"
+            )

@@ -21,6 +21,7 @@ Version 1 has no results, no ``state`` (all datasets are of one length), and its
 
 import zlib
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
@@ -108,6 +109,7 @@ STATE: Final = np.dtype(
 )
 
 
+@cache
 def point_dtype(sensors: int) -> np.dtype[Any]:
     """Return the type of a row of ``points``: the frame and the members of PointBatch."""
     return np.dtype(

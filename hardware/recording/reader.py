@@ -3,7 +3,6 @@
 import json
 from collections.abc import Iterator
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
@@ -13,7 +12,7 @@ from compute.errors import InvalidParameter
 from hardware.driver import DeviceDescription
 from hardware.line_frame import FrameFlag, LineFrame
 from hardware.recording.frame_block import FrameBlock, scan_shape
-from hardware.recording.hdf5_file import RecordingFile, check_columns, read_column
+from hardware.recording.hdf5_file import RecordingFile, check_columns, read_column, read_description
 from hardware.recording.layout import (
     CALIBRATION_EXTENT,
     CHUNK_FRAMES,
@@ -33,7 +32,6 @@ from hardware.recording.layout import (
     result_checksums,
     unpack_state,
 )
-from hardware.recording.stored_description import read_description
 
 
 class RecordingReader:
@@ -153,15 +151,15 @@ class RecordingReader:
             raise self._file.invalid(
                 f"has no row {row} of in_force; it has {self.info.state.in_force}"
             )
-        place = self._file.read("in_force/rows", slice(row, row + 1))[0]
+        extent = self._file.read("in_force/rows", slice(row, row + 1))[0]
         document, table = (
             self._file.read("in_force/bytes", slice(start, start + size)).tobytes()
             for start, size in (
-                (int(place["document_start"]), int(place["document_bytes"])),
-                (int(place["table_start"]), int(place["table_bytes"])),
+                (int(extent["document_start"]), int(extent["document_bytes"])),
+                (int(extent["table_start"]), int(extent["table_bytes"])),
             )
         )
-        if (len(document), len(table)) != (place["document_bytes"], place["table_bytes"]):
+        if (len(document), len(table)) != (extent["document_bytes"], extent["table_bytes"]):
             raise self._file.invalid(f"is cut short in row {row} of in_force")
         return document, table
 
@@ -172,12 +170,7 @@ class RecordingReader:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _check_header(self) -> RecordingInfo:
@@ -300,13 +293,3 @@ class RecordingReader:
                 f"has damaged data in frames/{what} (the checksum of row "
                 f"{first + int(wrong.argmax())} is another)"
             )
-
-
-def read_recording(path: Path) -> RecordingInfo:
-    """Validate a recording and return its contents.
-
-    Raises:
-        InvalidRecording: see ``RecordingReader``.
-    """
-    with RecordingReader(path) as recording:
-        return recording.info

@@ -40,21 +40,21 @@ class ScanChunks:
             shuffle=self._compressed,
         )
 
-    def put(self, place: int, lines: NDArray[np.uint16]) -> None:
+    def put(self, appended: int, lines: NDArray[np.uint16]) -> None:
         """Append scans; write each chunk that becomes full.
 
         Args:
-            place: number of frames appended before.
+            appended: number of frames appended before.
             lines: shape (F, S, P).
         """
         chunk, taken = self._chunk, 0
         while taken < len(lines):
-            start = (place + taken) % len(chunk)
+            start = (appended + taken) % len(chunk)
             count = min(len(chunk) - start, len(lines) - taken)
             chunk[start : start + count] = lines[taken : taken + count]
             taken += count
             if start + count == len(chunk):
-                self._write(place + taken - len(chunk), place + taken)
+                self._write(appended + taken - len(chunk), appended + taken)
 
     def write_rest(self, frames: int) -> None:
         """Write the partly filled chunk; ``frames`` is the number appended in all."""

@@ -10,7 +10,6 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import asdict, replace
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Final, Literal, Self
 
 import h5py
@@ -243,9 +242,7 @@ class RecordingWriter:
             points=waiting.points,
             in_force=len(self._file["in_force/rows"]),
             missing=missing if waiting.frames else 0,
-            dropped_compute=losses.dropped_compute,
-            dropped_writer=losses.dropped_writer,
-            refused=losses.refused,
+            **vars(losses),
         )
         self._file.flush()
         self._commit(state)
@@ -262,12 +259,7 @@ class RecordingWriter:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         self.close(complete=kind is None)
 
     def _take(self, block: FrameBlock) -> None:

@@ -5,8 +5,9 @@ from typing import Final
 
 from compute.errors import InvalidParameter
 from hardware.errors import DeviceNotConnected
+from hardware.serial.codec import encode
 from hardware.serial.decoder import Decoder
-from hardware.serial.encoding import encode
+from hardware.serial.frame_builder import ExposureAssembler
 from hardware.serial.messages import (
     NO_MARKER,
     Ability,
@@ -23,7 +24,6 @@ from hardware.serial.messages import (
     Strobe,
 )
 from hardware.serial.port import CloseSignal, PortDisconnected, open_port
-from hardware.serial.reassembly import ExposureAssembler
 from hardware.serial.settings import SerialSettings
 
 DESCRIBE_S: Final = 2.5
@@ -42,7 +42,7 @@ class Connection:
     """An open port whose device has sent its description.
 
     Args:
-        settings: where it is and what it is told.
+        settings: its port, and settings sent to it.
         decoder: decodes what comes; its counters go on from connection to connection.
         closing: ends all waiting.
 
@@ -93,7 +93,7 @@ class Connection:
         """Send rate, exposure and strobe schedule, and start the exposures.
 
         Raises:
-            InvalidParameter: it cannot be told so, or refuses.
+            InvalidParameter: it does not support a setting, or refuses it.
             PortDisconnected: the connection is lost, or the device is busy for too long.
         """
         busy_until_ns = time.monotonic_ns() + BUSY_LIMIT_NS
@@ -108,7 +108,7 @@ class Connection:
         """Send all settings and the start, without waiting for the answers.
 
         Raises:
-            InvalidParameter: it cannot be told so.
+            InvalidParameter: it does not support a setting.
             PortDisconnected: the connection is lost.
         """
         commands = self.commands()
@@ -132,32 +132,31 @@ class Connection:
         """Return the commands that configure and start the device.
 
         Raises:
-            InvalidParameter: it cannot be told so.
+            InvalidParameter: it does not support a setting.
         """
-        wanted, able = self._settings, self.description.abilities
-        commands: list[FromHost] = []
-        if wanted.frame_rate_hz is not None or wanted.exposure_us is not None:
-            self._check(able, Ability.EXPOSURE, "frame_rate_hz and exposure_us")
-            rate, exposure = wanted.frame_rate_hz or 0.0, wanted.exposure_us or 0.0
+        settings, commands = self._settings, list[FromHost]()
+        if settings.frame_rate_hz is not None or settings.exposure_us is not None:
+            self._check_ability(Ability.EXPOSURE, "frame_rate_hz and exposure_us")
+            rate, exposure = settings.frame_rate_hz or 0.0, settings.exposure_us or 0.0
             commands.append(Exposure(self._next(), rate, exposure))
-        if wanted.strobe is not None:
-            self._check(able, Ability.STROBE, "strobe")
-            if wanted.strobe.markers > self.description.markers:
+        if settings.strobe is not None:
+            self._check_ability(Ability.STROBE, "strobe")
+            if settings.strobe.markers > self.description.markers:
                 raise InvalidParameter(
-                    f"the strobe schedule lights {wanted.strobe.markers} markers; "
+                    f"the strobe schedule lights {settings.strobe.markers} markers; "
                     f"{self.description.name} has {self.description.markers}",
-                    markers=wanted.strobe.markers,
+                    markers=settings.strobe.markers,
                 )
-            slots = tuple(NO_MARKER if s is None else s for s in wanted.strobe.slots)
+            slots = tuple(NO_MARKER if s is None else s for s in settings.strobe.slots)
             commands.append(Strobe(self._next(), slots))
-        if able & Ability.START_STOP:
+        if self.description.abilities & Ability.START_STOP:
             commands.append(Start(self._next()))
         return commands
 
-    def _check(self, able: Ability, needed: Ability, what: str) -> None:
-        if not able & needed:
+    def _check_ability(self, needed: Ability, what: str) -> None:
+        if not self.description.abilities & needed:
             raise InvalidParameter(
-                f"{self.description.name} cannot be told its {what}; leave it out"
+                f"{self.description.name} does not support the setting of {what}; leave it out"
             )
 
     def _describe(self) -> Description:
@@ -184,7 +183,8 @@ class Connection:
         """Send a command until it is done: twice, and repeatedly while the device is busy."""
         unanswered = 0
         while not self._closing.is_set():
-            answer = self._answer(command)
+            self._port.write(encode(command))
+            answer = self._await(command.number, ANSWER_S)
             if answer is None:
                 unanswered += 1
                 if unanswered == 2 and not self._closing.is_set():
@@ -197,10 +197,6 @@ class Connection:
                 raise PortDisconnected(f"the device is busy for {BUSY_LIMIT_NS * 1e-9:g} s")
             else:
                 self._await(None, RETRY_INTERVAL_NS * 1e-9)
-
-    def _answer(self, command: FromHost) -> Answer | None:
-        self._port.write(encode(command))
-        return self._await(command.number, ANSWER_S)
 
     def _await(self, number: int | None, seconds: float) -> Answer | None:
         """Read for a time, or until the answer with this number arrives."""
@@ -227,11 +223,11 @@ class Connection:
         if answer.result == Result.DONE:
             return
         command = _COMMANDS.get(answer.command, f"{answer.command:#x}")
-        told = self._settings
-        slots = told.strobe.slots if told.strobe else None
+        settings = self._settings
+        slots = settings.strobe.slots if settings.strobe else None
         raise InvalidParameter(
             f"{self.description.name} refused the command {command} (frame_rate_hz "
-            f"{told.frame_rate_hz}, exposure_us {told.exposure_us}, strobe {slots}): "
+            f"{settings.frame_rate_hz}, exposure_us {settings.exposure_us}, strobe {slots}): "
             f"{_REFUSED.get(answer.result, f'result {answer.result}')}",
             command=command,
             result=answer.result,

@@ -6,9 +6,8 @@ from typing import Final
 
 from cobs import cobs
 
-from hardware.serial.encoding import CRC, HEAD
+from hardware.serial.codec import CRC, HEAD, MalformedMessage, parse
 from hardware.serial.messages import MAX_BYTES, VERSION, Message
-from hardware.serial.parsing import MalformedMessage, parse
 
 _MIN_BYTES: Final = HEAD.size + CRC.size
 

@@ -9,11 +9,10 @@ from typing import Final
 
 import numpy as np
 
+from hardware.serial.codec import encode, parse, split_lines
 from hardware.serial.decoder import Decoder
-from hardware.serial.encoding import encode, split_lines
+from hardware.serial.frame_builder import ExposureAssembler
 from hardware.serial.messages import NO_MARKER, Lines, LinesFlag, Message
-from hardware.serial.parsing import parse
-from hardware.serial.reassembly import ExposureAssembler
 
 SENSORS: Final = 4
 PIXELS: Final = 2048
@@ -104,26 +103,26 @@ def _lines(noise: random.Random, sequence: int) -> Lines:
 
 def _mutate(noise: random.Random, line: bytes, previous: bytes) -> bytes:
     data = bytearray(line)
-    place = noise.randrange(len(data))
-    end = min(len(data), place + noise.randrange(1, 40))
+    start = noise.randrange(len(data))
+    end = min(len(data), start + noise.randrange(1, 40))
     kind = noise.randrange(9)
     if kind == 0:
         for _ in range(noise.randrange(1, 9)):
             data[noise.randrange(len(data))] ^= 1 << noise.randrange(8)
     elif kind == 1:
-        del data[place:end]
+        del data[start:end]
     elif kind == 2:
-        data[place:place] = data[place:end]
+        data[start:start] = data[start:end]
     elif kind == 3:
-        data[place:place] = b"\0"
+        data[start:start] = b"\0"
     elif kind == 4:
-        data[place:place] = noise.randbytes(noise.randrange(1, 200))
+        data[start:start] = noise.randbytes(noise.randrange(1, 200))
     elif kind == 5:
-        data[place:end] = noise.randbytes(end - place)
+        data[start:end] = noise.randbytes(end - start)
     elif kind == 6:
-        del data[place:]
+        del data[start:]
     elif kind == 7:  # two cut together
-        data[place:] = previous[min(place, len(previous)) :]
+        data[start:] = previous[min(start, len(previous)) :]
     else:  # the whole, twice
         data = data + data
     return bytes(data)

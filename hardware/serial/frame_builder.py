@@ -1,12 +1,76 @@
-"""Builds line frames from a device's exposures: continuous numbers, times on both clocks."""
+"""Builds line frames from messages: reassembly, continuous numbers, times on both clocks."""
 
-from hardware.clock_sync import DeviceClock
+import numpy as np
+from numpy.typing import NDArray
+
+from hardware.clock_sync import DeviceClock, host_time_ns
 from hardware.line_frame import FrameFlag, LineFrame
-from hardware.serial.messages import NO_MARKER, Description, LinesFlag
-from hardware.serial.reassembly import AssembledExposure
-from hardware.timing import host_time_ns
+from hardware.serial.messages import NO_MARKER, Description, Lines, LinesFlag
 
 _SEQUENCE_WRAP = 2**32
+
+
+class ExposureAssembler:
+    """Reassembles exposures of (sensors, pixels) from parts in order.
+
+    Attributes:
+        incomplete: exposures with a missing part.
+        orphaned: parts without an exposure: its beginning was lost, or they do not fit.
+    """
+
+    def __init__(self, sensors: int, pixels: int) -> None:
+        self.incomplete = 0
+        self.orphaned = 0
+        self._shape = (sensors, pixels)
+        self._size = sensors * pixels
+        self._begun: Lines | None = None
+        self._filled = 0
+        self._flags = LinesFlag.NONE
+        self._counts = np.empty(0, dtype=np.uint16)
+
+    def reset(self) -> None:
+        """Discard an unfinished exposure without counting it."""
+        self._begun = None
+
+    def add(self, part: Lines) -> Lines | None:
+        """Add a part; return the exposure it completes, counts (sensors, pixels), read-only."""
+        if part.first == 0 and len(part.counts) == self._size:
+            self._drop()
+            return self._whole(part, part.counts, part.flags)
+        begun = self._begun
+        end = part.first + len(part.counts)
+        if part.first == 0 and end < self._size:
+            self._drop()
+            self._begun, self._filled, self._flags = part, end, part.flags
+            self._counts = np.empty(self._size, dtype=np.uint16)
+            self._counts[:end] = part.counts
+            return None
+        if (
+            begun is None
+            or (part.sequence, part.ticks) != (begun.sequence, begun.ticks)
+            or part.first != self._filled
+            or end > self._size
+        ):
+            self._drop()
+            self.orphaned += 1
+            return None
+        self._counts[part.first : end] = part.counts
+        self._filled = end
+        self._flags |= part.flags
+        if end < self._size:
+            return None
+        self._begun = None
+        self._counts.setflags(write=False)
+        return self._whole(part, self._counts, self._flags)
+
+    def _drop(self) -> None:
+        if self._begun is not None:
+            self._begun = None
+            self.incomplete += 1
+
+    def _whole(self, part: Lines, counts: NDArray[np.uint16], flags: LinesFlag) -> Lines:
+        shaped = counts.reshape(self._shape)
+        return Lines(part.sequence, part.ticks, part.marker, flags, part.lost, 0, shaped)
 
 
 def _clock(description: Description) -> tuple[int, int, int]:
@@ -44,7 +108,7 @@ class FrameBuilder:
         """Use the clock and delay of a new description from the next exposure on."""
         self._reconnected_description = description
 
-    def build(self, exposed: AssembledExposure, arrival_ns: int) -> LineFrame | None:
+    def build(self, exposed: Lines, arrival_ns: int) -> LineFrame | None:
         """Return the frame of an exposure that arrived at a monotonic time [ns].
 
         None: its marker is invalid.
@@ -80,6 +144,6 @@ class FrameBuilder:
             stamp.device_ns,
             host_time_ns(stamp.host_ns),
             marker,
-            exposed.lines,
+            exposed.counts,
             flags,
         )

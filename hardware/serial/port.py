@@ -10,9 +10,10 @@ import os
 import selectors
 import socket
 import time
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from threading import Event
-from typing import Final, Protocol
+from typing import Any, Final, Protocol
 from urllib.parse import urlsplit
 
 import serial
@@ -113,59 +114,60 @@ def _opened(url: str, baudrate: int, closing: CloseSignal) -> Port:
     return _PollingPort(port, closing)
 
 
-class _SocketPort:
-    def __init__(self, connection: socket.socket, closing: CloseSignal) -> None:
-        self._socket = connection
-        self._bytes = _Bytes(connection, closing)
-
-    def read(self, timeout_s: float) -> bytes:
-        try:
-            if not self._bytes.there(timeout_s):
-                return b""
-            data = self._socket.recv(READ_BYTES)
-        except OSError as error:
-            raise PortDisconnected(_reason(error)) from error
-        if not data:
-            raise PortDisconnected("the connection was closed by the other side")
-        return data
-
-    def write(self, data: bytes) -> None:
-        try:
-            self._socket.settimeout(WRITE_S)
-            self._socket.sendall(data)
-        except OSError as error:
-            raise PortDisconnected(_reason(error)) from error
-
-    def close(self) -> None:
-        self._bytes.close()
-        self._socket.close()
+@contextmanager
+def _raising_disconnected() -> Iterator[None]:
+    try:
+        yield
+    except (OSError, TypeError) as error:  # pyserial raises TypeError when it is closed meanwhile
+        raise PortDisconnected(_reason(error)) from error
 
 
 class _DescriptorPort:
     """A local port, read through its descriptor."""
 
-    def __init__(self, port: serial.Serial, closing: CloseSignal) -> None:
+    gone = "it was unplugged"
+
+    def __init__(self, port: Any, closing: CloseSignal) -> None:
         self._port = port
-        self._bytes = _Bytes(port.fileno(), closing)
+        self._closing = closing
+        self._selector = selectors.DefaultSelector()
+        self._key = self._selector.register(port.fileno(), selectors.EVENT_READ)
+        self._selector.register(closing, selectors.EVENT_READ)
 
     def read(self, timeout_s: float) -> bytes:
-        try:
-            if not self._bytes.there(timeout_s):
+        with _raising_disconnected():
+            ready = self._selector.select(max(0.0, timeout_s))
+            if self._closing.is_set() or not any(key is self._key for key, _ in ready):
                 return b""
-            data = os.read(self._port.fileno(), READ_BYTES)
-        except OSError as error:
-            raise PortDisconnected(_reason(error)) from error
+            data = self._receive()
         if not data:
-            raise PortDisconnected("it was unplugged")
+            raise PortDisconnected(self.gone)
+        return data
+
+    def _receive(self) -> bytes:
+        return os.read(self._port.fileno(), READ_BYTES)
+
+    def write(self, data: bytes) -> None:
+        with _raising_disconnected():
+            self._port.write(data)
+
+    def close(self) -> None:
+        self._selector.close()
+        with suppress(OSError):
+            self._port.close()
+
+
+class _SocketPort(_DescriptorPort):
+    gone = "the connection was closed by the other side"
+
+    def _receive(self) -> bytes:
+        data: bytes = self._port.recv(READ_BYTES)
         return data
 
     def write(self, data: bytes) -> None:
-        _write(self._port, data)
-
-    def close(self) -> None:
-        self._bytes.close()
-        with suppress(OSError):
-            self._port.close()
+        with _raising_disconnected():
+            self._port.settimeout(WRITE_S)
+            self._port.sendall(data)
 
 
 class _PollingPort:
@@ -177,46 +179,20 @@ class _PollingPort:
 
     def read(self, timeout_s: float) -> bytes:
         end = time.monotonic() + timeout_s
-        try:
+        with _raising_disconnected():
             while not self._closing.is_set():
                 data = bytes(self._port.read(max(1, min(self._port.in_waiting, READ_BYTES))))
                 if data or time.monotonic() >= end:
                     return data
-        except (OSError, TypeError) as error:
-            raise PortDisconnected(_reason(error)) from error
         return b""
 
     def write(self, data: bytes) -> None:
-        _write(self._port, data)
+        with _raising_disconnected():
+            self._port.write(data)
 
     def close(self) -> None:
         with suppress(OSError):
             self._port.close()
-
-
-def _write(port: serial.Serial, data: bytes) -> None:
-    try:
-        port.write(data)
-    except OSError as error:
-        raise PortDisconnected(_reason(error)) from error
-
-
-class _Bytes:
-    """Waits for bytes of a port or for the close request."""
-
-    def __init__(self, port: socket.socket | int, closing: CloseSignal) -> None:
-        self._closing = closing
-        self._selector = selectors.DefaultSelector()
-        self._key = self._selector.register(port, selectors.EVENT_READ)
-        self._selector.register(closing, selectors.EVENT_READ)
-
-    def there(self, timeout_s: float) -> bool:
-        """Wait until bytes are available; False: timeout or closing."""
-        ready = self._selector.select(max(0.0, timeout_s))
-        return any(key is self._key for key, _ in ready) and not self._closing.is_set()
-
-    def close(self) -> None:
-        self._selector.close()
 
 
 def _connected(url: str, closing: CloseSignal) -> socket.socket:
@@ -233,10 +209,10 @@ def _connected(url: str, closing: CloseSignal) -> socket.socket:
         connection.setblocking(False)
         connection.connect_ex(address)
         with selectors.DefaultSelector() as selector:
-            wanted = selector.register(connection, selectors.EVENT_WRITE)
+            connected = selector.register(connection, selectors.EVENT_WRITE)
             selector.register(closing, selectors.EVENT_READ)
             ready = [key for key, _ in selector.select(CONNECT_S)]
-        if wanted not in ready:
+        if connected not in ready:
             raise TimeoutError(f"no answer in {CONNECT_S:g} s")
         error = connection.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
         if error:

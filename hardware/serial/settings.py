@@ -2,13 +2,13 @@
 
 import re
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, Final, get_args
+from typing import Annotated, Final
 
-from pydantic import ConfigDict, Field
+from pydantic import Field
 
 from compute.errors import InvalidParameter
 from hardware.driver import PeakMethod
-from hardware.field_bounds import check_field_bounds
+from hardware.field_bounds import CheckedSettings
 from hardware.strobe_schedule import StrobeSchedule
 
 _HOST: Final = r"[A-Za-z0-9]([A-Za-z0-9.-]*[A-Za-z0-9])?"
@@ -20,27 +20,41 @@ URL_PATTERN: Final = (
 """Serial ports by their usual names, and by network: nothing else of the host is opened."""
 
 
+PortUrl = Annotated[str, Field(pattern=URL_PATTERN, max_length=200)]
+
+
+def check_port_url(**url: str) -> None:
+    """Raise InvalidParameter where a field's value is not the URL of a serial port."""
+    ((name, value),) = url.items()
+    if re.fullmatch(URL_PATTERN, value) is None:
+        raise InvalidParameter(
+            f"{name} is {value!r:.100}; it must be a serial port as /dev/ttyACM0 or COM3, "
+            "socket://HOST:PORT or rfc2217://HOST:PORT",
+            **url,
+        )
+
+
 @dataclass(frozen=True)
-class SerialSettings:
-    """Where a device is, and what it is told.
+class SerialSettings(CheckedSettings):
+    """Port of a device, and settings sent to it.
 
     Args:
         url: its port: ``/dev/ttyACM0``, ``/dev/serial/by-id/...``, ``COM3``,
             ``socket://host:port`` or ``rfc2217://host:port``. A name of one's own, from a rule of
             udev, begins with ``/dev/lumiline``.
         baudrate: bits per second of a line that has them; USB has none, and networks.
-        silent_after_s: the device is silent when nothing came for so long, or for three
-            exposures where that is longer [s].
-        frame_rate_hz: exposures per second that it is told to make; None: its own.
-        exposure_us: their duration [us]; None: its own.
-        strobe: the strobe schedule that it is told; None: its own.
+        silent_after_s: time without frames after which the device counts as silent, at least
+            three exposures [s].
+        frame_rate_hz: exposures per second; None: the device's own.
+        exposure_us: their duration [us]; None: the device's own.
+        strobe: the strobe schedule; None: the device's own.
         peaks: how the lines' peaks are measured.
 
     Raises:
         InvalidParameter: a value is outside of its bounds, or the URL is none.
     """
 
-    url: Annotated[str, Field(pattern=URL_PATTERN, max_length=200)]
+    url: PortUrl
     baudrate: Annotated[int, Field(ge=300, le=20_000_000)] = 921_600
     silent_after_s: Annotated[float, Field(ge=0.05, le=60.0)] = 1.0
     frame_rate_hz: Annotated[float, Field(gt=0.0, le=100_000.0)] | None = None
@@ -48,17 +62,6 @@ class SerialSettings:
     strobe: StrobeSchedule | None = None
     peaks: PeakMethod = "fit"
 
-    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
-
     def __post_init__(self) -> None:
-        check_field_bounds(self)
-        if re.fullmatch(URL_PATTERN, self.url) is None:
-            raise InvalidParameter(
-                f"url is {self.url!r:.100}; it must be a serial port as /dev/ttyACM0 or COM3, "
-                "socket://HOST:PORT or rfc2217://HOST:PORT",
-                url=self.url,
-            )
-        if self.peaks not in get_args(PeakMethod):
-            raise InvalidParameter(
-                f"peaks is {self.peaks!r}; it must be 'fit' or 'centroid'", peaks=self.peaks
-            )
+        check_port_url(url=self.url)
+        super().__post_init__()

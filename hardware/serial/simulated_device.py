@@ -11,8 +11,8 @@ from typing import Final
 import numpy as np
 
 from compute.errors import InvalidParameter
+from hardware.serial.codec import encode, split_lines
 from hardware.serial.decoder import Decoder
-from hardware.serial.encoding import encode, split_lines
 from hardware.serial.messages import (
     NO_MARKER,
     Ability,
@@ -30,8 +30,8 @@ from hardware.serial.messages import (
     Stop,
     Strobe,
 )
+from hardware.simulated.driver import FrameRenderer
 from hardware.simulated.frame_batch import BATCH, Batch
-from hardware.simulated.renderer import FrameRenderer
 from hardware.simulated.settings import SimulationSettings
 from hardware.simulated.simulated_rig import PIXELS, simulated_rig
 from hardware.strobe_schedule import StrobeSchedule
@@ -138,7 +138,7 @@ class SimulatedSerialDevice:
 
     def _lines(self, sequence: int) -> Iterator[bytes]:
         index = sequence if self._rendered is None else sequence % self._repeated(self._rendered)
-        number, place = divmod(index, BATCH)
+        number, offset = divmod(index, BATCH)
         batch = self._batches.get(number)
         if batch is None:
             if self._rendered is None:
@@ -149,20 +149,20 @@ class SimulatedSerialDevice:
             sequence % 2**32,
             self._ticks(self._time_ns(sequence)),
             NO_MARKER if marker is None else marker,
-            LinesFlag.SATURATED if batch.saturated[place] else LinesFlag.NONE,
+            LinesFlag.SATURATED if batch.saturated[offset] else LinesFlag.NONE,
             self._lost % 2**32,
             0,
-            np.ravel(batch.lines[place]),
+            np.ravel(batch.lines[offset]),
         )
         parts = [whole] if self._part_counts is None else split_lines(whole, self._part_counts)
         for part in parts:
             yield encode(part)
 
-    def _repeated(self, least: int) -> int:
+    def _repeated(self, minimum: int) -> int:
         """Return the period of repetition: a whole number of strobe cycles."""
         timing = self._settings.timing
-        turn = len(timing.schedule) or timing.strobed_markers or 1
-        return -(-least // turn) * turn
+        cycle = len(timing.schedule) or timing.strobed_markers or 1
+        return -(-minimum // cycle) * cycle
 
     def _time_ns(self, sequence: int) -> int:
         """Return the centre of an exposure [ns]."""

@@ -1,10 +1,14 @@
-"""Batches of rendered exposures, their timing, and the renderer protocol."""
+"""Batches of rendered exposures, their timing, and the base of their renderers."""
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+
+from compute.optics.detector import Detector
+from compute.optics.detector_array import DetectorArray
 
 BATCH: Final = 8
 """Frames per batch; a frame's noise depends on it."""
@@ -75,35 +79,34 @@ class Timing:
         """
         if not self.strobed_markers:
             return points_mm
-        turns = np.array(self.schedule or range(self.strobed_markers))
-        lit: NDArray[np.float64] = points_mm[np.arange(len(sequence)), turns[sequence % len(turns)]]
+        slots = np.array(self.schedule or range(self.strobed_markers))
+        lit: NDArray[np.float64] = points_mm[np.arange(len(sequence)), slots[sequence % len(slots)]]
         return lit[:, None]
 
 
-class Renderer(Protocol):
-    """Renders exposures by number, reproducibly and in any order."""
+class Renderer(ABC):
+    """Renders exposures by number, reproducibly and in any order.
+
+    Args:
+        detector: its pixels.
+        full_counts: smallest count of a saturated pixel.
+        seed: of the noise; that of a batch depends on its number, too.
+    """
+
+    def __init__(self, detector: Detector | DetectorArray, full_counts: int, seed: int) -> None:
+        self._detector = detector
+        self._full_counts = full_counts
+        self._seed = seed
+
+    @abstractmethod
+    def signal_electrons(self, sequence: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Return the mean electrons of the markers in N exposures, shape (N, sensors, pixels)."""
 
     def batch(self, number: int) -> Batch:
         """Render exposures ``BATCH * number`` to ``BATCH * (number + 1) - 1``."""
-        ...
-
-
-def batch_rng(seed: int, number: int) -> np.random.Generator:
-    """Return the random generator of a batch, determined by seed and batch number."""
-    return np.random.Generator(np.random.SFC64(np.random.SeedSequence(seed, spawn_key=(number,))))
-
-
-def batch_sequence(number: int) -> NDArray[np.int64]:
-    """Return the sequence numbers of a batch's exposures, shape (BATCH,)."""
-    return np.arange(BATCH * number, BATCH * (number + 1), dtype=np.int64)
-
-
-def frame_batch(lines: NDArray[np.uint16], full_counts: int) -> Batch:
-    """Return a batch of these scans, which become read-only.
-
-    Args:
-        lines: counts, shape (BATCH, sensors, pixels).
-        full_counts: smallest count of a saturated pixel.
-    """
-    lines.setflags(write=False)
-    return Batch(lines, lines.max(axis=(1, 2)) >= full_counts)
+        sequence = np.arange(BATCH * number, BATCH * (number + 1), dtype=np.int64)
+        seeds = np.random.SeedSequence(self._seed, spawn_key=(number,))
+        rng = np.random.Generator(np.random.SFC64(seeds))
+        lines = self._detector.expose(self.signal_electrons(sequence), rng)
+        lines.setflags(write=False)
+        return Batch(lines, lines.max(axis=(1, 2)) >= self._full_counts)

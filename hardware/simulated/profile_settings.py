@@ -1,16 +1,16 @@
 """Settings of the driver of a profile's simulated device."""
 
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, Final, Literal, get_args
+from typing import Annotated, Final, Literal
 
-from pydantic import ConfigDict, Field
+from pydantic import Field
 
 from compute.errors import InvalidParameter
 from compute.optics.coded_aperture.coded_window import CodedWindow
 from compute.optics.profiles.device_profile import DeviceProfile
 from compute.optics.profiles.profile_optics import OpticsMode
 from hardware.driver import PeakMethod
-from hardware.field_bounds import check_field_bounds
+from hardware.field_bounds import CheckedSettings
 from hardware.simulated.scenes import RotatingBar, Scene
 
 MAX_RATE_HZ: Final = 1000.0
@@ -19,13 +19,11 @@ MAX_RATE_HZ: Final = 1000.0
 MAX_SHADOW_RATE_HZ: Final = 100.0
 """The same with coded windows, whose shadows take milliseconds to compute."""
 
-_BAR_LENGTH_FRACTION: Final = (
-    0.5  # length of the bar in the default scene, of the volume's least side
-)
+_BAR_LENGTH_FRACTION: Final = 0.5  # of the volume's smallest side, in the default scene
 
 
 @dataclass(frozen=True)
-class ProfileSettings:
+class ProfileSettings(CheckedSettings):
     """What a profile's device shows, and how it is simulated.
 
     Geometry, optics, markers' light, detector and exposure are the profile's.
@@ -58,25 +56,6 @@ class ProfileSettings:
     peaks: PeakMethod = "fit"
     duration_s: Annotated[float, Field(gt=0.0, le=1e7)] | None = None
     realtime: bool = True
-
-    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
-
-    def __post_init__(self) -> None:
-        check_field_bounds(self)
-        if self.optics not in get_args(OpticsMode):
-            raise InvalidParameter(
-                f"optics is {self.optics!r}; it must be 'tabulated' or 'exact'",
-                optics=self.optics,
-            )
-        if self.illumination not in ("strobed", "simultaneous", None):
-            raise InvalidParameter(
-                f"illumination is {self.illumination!r}; it must be 'strobed' or 'simultaneous'",
-                illumination=self.illumination,
-            )
-        if self.peaks not in get_args(PeakMethod):
-            raise InvalidParameter(
-                f"peaks is {self.peaks!r}; it must be 'fit' or 'centroid'", peaks=self.peaks
-            )
 
     def scene_in(self, profile: DeviceProfile) -> Scene:
         """Return the scene; default: a rotating bar in the centre of the profile's volume."""

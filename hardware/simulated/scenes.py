@@ -1,14 +1,14 @@
 """Scenes: marker positions as functions of time."""
 
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, Final, Literal
+from typing import Annotated, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ConfigDict, Field
+from pydantic import Field
 
 from compute.errors import InvalidParameter
-from hardware.field_bounds import check_field_bounds
+from hardware.field_bounds import CheckedSettings
 from hardware.simulated.calibration_target import calibration_target_points_mm
 
 Array = NDArray[np.float64]
@@ -25,7 +25,7 @@ _ROTATION_PHASES: Final = (0.0, 0.25, 0.125)
 
 
 @dataclass(frozen=True)
-class CalibrationTarget:
+class CalibrationTarget(CheckedSettings):
     """The thesis's pyramidal calibration frame with 19 markers, at rest (Figure 5.8).
 
     Args:
@@ -36,11 +36,6 @@ class CalibrationTarget:
     kind: Literal["calibration-frame"] = "calibration-frame"
     centre_mm: Point = (0.0, 0.0, 1500.0)
     scale: Annotated[float, Field(gt=0.0, le=100.0)] = 1.0
-
-    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
-
-    def __post_init__(self) -> None:
-        check_field_bounds(self)
 
     @property
     def markers(self) -> int:
@@ -55,7 +50,7 @@ class CalibrationTarget:
 
 
 @dataclass(frozen=True)
-class StillPoints:
+class StillPoints(CheckedSettings):
     """Markers at rest at given points.
 
     Args:
@@ -64,11 +59,6 @@ class StillPoints:
 
     points_mm: Annotated[tuple[Point, ...], Field(min_length=1, max_length=256)]
     kind: Literal["still-points"] = "still-points"
-
-    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
-
-    def __post_init__(self) -> None:
-        check_field_bounds(self)
 
     @property
     def markers(self) -> int:
@@ -81,7 +71,7 @@ class StillPoints:
 
 
 @dataclass(frozen=True)
-class ShiftedPoints:
+class ShiftedPoints(CheckedSettings):
     """Markers on somebody who rests, and moves aside for the last part of every period.
 
     Args:
@@ -99,10 +89,8 @@ class ShiftedPoints:
     moving_s: Annotated[float, Field(ge=1e-7, le=1e6)] = 0.1
     kind: Literal["shifted-points"] = "shifted-points"
 
-    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
-
     def __post_init__(self) -> None:
-        check_field_bounds(self)
+        super().__post_init__()
         if 2.0 * self.moving_s > self.away * self.period_s:
             raise InvalidParameter(
                 f"moving_s is {self.moving_s}; there and back it must be within the "
@@ -129,15 +117,15 @@ class ShiftedPoints:
 
 
 @dataclass(frozen=True)
-class RotatingBar:
+class RotatingBar(CheckedSettings):
     """A bar that turns at constant speed about its middle, a marker at each end (section 6.1.2).
 
-    The turn is right-handed about the normal. At time zero the bar lies along the world's X
+    The rotation is right-handed about the normal. At time zero the bar lies along the world's X
     axis, as far as its plane allows (along Y where the normal is X).
 
     Args:
         length_mm: distance between the two markers [mm].
-        period_s: duration of one turn [s].
+        period_s: duration of one revolution [s].
         centre_mm: middle of the bar [mm].
         plane_normal: normal of the plane of rotation, any length; vertical for a horizontal bar.
     """
@@ -148,10 +136,8 @@ class RotatingBar:
     centre_mm: Point = (0.0, 0.0, 1500.0)
     plane_normal: Point = (0.0, 1.0, 0.0)
 
-    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
-
     def __post_init__(self) -> None:
-        check_field_bounds(self)
+        super().__post_init__()
         if np.linalg.norm(self.plane_normal) < 1e-6:
             raise InvalidParameter(
                 f"plane_normal is {self.plane_normal}; its length must be at least 1e-6",
@@ -170,7 +156,7 @@ class RotatingBar:
         start = np.array([1.0, 0.0, 0.0]) if abs(normal[0]) < 0.99 else np.array([0.0, 1.0, 0.0])
         start -= (start @ normal) * normal
         start /= np.linalg.norm(start)
-        # The angle is taken within the turn, so that hours later it is as exact as at the start.
+        # Within the revolution, so that hours later it is as exact as at the start.
         angle = 2.0 * np.pi * (np.asarray(time_s) / self.period_s % 1.0)[..., None]
         half = np.cos(angle) * start + np.sin(angle) * np.cross(normal, start)
         half *= self.length_mm / 2.0
@@ -179,18 +165,18 @@ class RotatingBar:
 
 
 @dataclass(frozen=True)
-class MovingTool:
+class MovingTool(CheckedSettings):
     """A rigid tool that is moved smoothly in all six degrees of freedom.
 
     Its point ``held_mm`` goes along a Lissajous curve about ``centre_mm``, and the components of
-    its turn swing likewise, at other rates: nothing repeats before the period.
+    its rotation swing likewise, at other rates: nothing repeats before the period.
 
     Args:
         markers_mm: its markers in its own coordinates [mm].
         centre_mm: middle of the curve, in the world [mm].
         swing_mm: how far the curve goes to either side, along X, Y, Z [mm]; zeros: the point
             stays, as the tip of a pointer that is pivoted.
-        turn_rad: how far the turn goes to either side, components of a rotation vector [rad].
+        turn_rad: amplitude of the rotation, components of a rotation vector [rad].
         rest_rad: the orientation that it swings about, a rotation vector [rad].
         held_mm: the point that goes along the curve, in the tool's coordinates [mm].
         period_s: duration of the whole motion [s].
@@ -206,23 +192,18 @@ class MovingTool:
     period_s: Annotated[float, Field(ge=1e-3, le=1e6)] = 6.0
     phase: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
 
-    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
-
-    def __post_init__(self) -> None:
-        check_field_bounds(self)
-
     def pose(self, time_s: float | Array) -> tuple[Array, Array]:
         """Return R_world_tool, shape (..., 3, 3), and the origin, shape (..., 3) [mm], then."""
         # Within the period, so that hours later it is as exact as at the start.
         at = (np.asarray(time_s, dtype=np.float64) / self.period_s + self.phase) % 1.0
-        turn = np.asarray(self.turn_rad) * _swings(at, _ROTATION_RATES, _ROTATION_PHASES)
-        rotation = _rotation(turn) @ _rotation(np.asarray(self.rest_rad))
-        place = np.asarray(self.swing_mm) * _swings(at, _PATH_RATES, _PATH_PHASES)
-        return rotation, np.asarray(self.centre_mm) + place - rotation @ np.asarray(self.held_mm)
+        swing = np.asarray(self.turn_rad) * _swings(at, _ROTATION_RATES, _ROTATION_PHASES)
+        rotation = _rotation(swing) @ _rotation(np.asarray(self.rest_rad))
+        path = np.asarray(self.swing_mm) * _swings(at, _PATH_RATES, _PATH_PHASES)
+        return rotation, np.asarray(self.centre_mm) + path - rotation @ np.asarray(self.held_mm)
 
 
 @dataclass(frozen=True)
-class MovingTools:
+class MovingTools(CheckedSettings):
     """Rigid tools in motion; their markers are numbered tool by tool, in order.
 
     Args:
@@ -233,11 +214,6 @@ class MovingTools:
     tools: Annotated[tuple[MovingTool, ...], Field(min_length=1, max_length=16)]
     moving: bool = True
     kind: Literal["moving-tools"] = "moving-tools"
-
-    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
-
-    def __post_init__(self) -> None:
-        check_field_bounds(self)
 
     @property
     def markers(self) -> int:

@@ -1,21 +1,21 @@
 """Settings of the simulated device."""
 
 from dataclasses import dataclass, field
-from typing import Annotated, ClassVar, Literal, get_args
+from typing import Annotated, Literal
 
-from pydantic import ConfigDict, Field
+from pydantic import Field
 
 from compute.errors import InvalidParameter
 from hardware.blink_schedule import BlinkSchedule
 from hardware.driver import PeakMethod
-from hardware.field_bounds import check_field_bounds
+from hardware.field_bounds import CheckedSettings
 from hardware.simulated.frame_batch import Timing
 from hardware.simulated.scenes import RotatingBar, Scene
 from hardware.strobe_schedule import StrobeSchedule
 
 
 @dataclass(frozen=True)
-class SimulationSettings:
+class SimulationSettings(CheckedSettings):
     """What the simulated device shows, and how its sensors see it.
 
     Args:
@@ -64,19 +64,8 @@ class SimulationSettings:
     duration_s: Annotated[float, Field(gt=0.0, le=1e7)] | None = None
     realtime: bool = True
 
-    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
-
     def __post_init__(self) -> None:
-        check_field_bounds(self)
-        if self.illumination not in ("strobed", "simultaneous"):
-            raise InvalidParameter(
-                f"illumination is {self.illumination!r}; it must be 'strobed' or 'simultaneous'",
-                illumination=self.illumination,
-            )
-        if self.peaks not in get_args(PeakMethod):
-            raise InvalidParameter(
-                f"peaks is {self.peaks!r}; it must be 'fit' or 'centroid'", peaks=self.peaks
-            )
+        super().__post_init__()
         if self.strobe is not None:
             self._check_strobe(self.strobe)
         if self.blink is not None:

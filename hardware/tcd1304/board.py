@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from hardware.errors import DeviceNotConnected
 from hardware.link import LinkPhase
 from hardware.serial.port import CloseSignal, Port, PortDisconnected, open_port
-from hardware.tcd1304.protocol import RESPONSE_BYTES, Request
-from hardware.tcd1304.response import InvalidResponse, Response, ResponseCollector
+from hardware.tcd1304.protocol import RESPONSE_BYTES
+from hardware.tcd1304.response import InvalidResponse, ResponseCollector
 from hardware.tcd1304.settings import Tcd1304Board, Tcd1304Settings
 
 LATENCY_NS: Final = 20_000_000
-"""What the way of an answer's first byte takes at most: an adapter's latency timer (16 ms), and
+"""Longest delay of an answer's first byte: an adapter's latency timer (16 ms), and
 the host's own delay."""
 
 RESPONSE_TIMEOUT_S: Final = 1.0
@@ -79,9 +79,7 @@ class BoardLink:
             DeviceNotConnected: it cannot be opened.
         """
         with self._lock:
-            if self._port is None:
-                self._port = self._opened()
-                self._quiet = False
+            self._opened()
 
     @property
     def connected(self) -> bool:
@@ -92,10 +90,7 @@ class BoardLink:
         """Request a scan and wait for it; None: the driver was closed meanwhile."""
         with self._lock:
             try:
-                if self._port is None:
-                    self._port = self._opened()
-                    self._quiet = False
-                return self._exchange(self._port)
+                return self._exchange(self._opened())
             except _Closed:
                 return None
             except DeviceNotConnected as error:
@@ -114,10 +109,13 @@ class BoardLink:
         return f'sensor "{self._board.name}" at {self._board.port}'
 
     def _opened(self) -> Port:
+        """Return the port, opened where it is not; raises DeviceNotConnected."""
+        if self._port is not None:
+            return self._port
         if self._closed.is_set():  # nobody would close it
             raise DeviceNotConnected(f"{self._where}: the driver was closed while it was opened")
         try:
-            return open_port(self._board.port, self._settings.baud_rate, self._closed)
+            port = open_port(self._board.port, self._settings.baud_rate, self._closed)
         except DeviceNotConnected as error:
             raise DeviceNotConnected(
                 f'sensor "{self._board.name}": {error.detail}; plug the board in, and close other '
@@ -125,6 +123,8 @@ class BoardLink:
                 sensor=self._board.name,
                 port=self._board.port,
             ) from error
+        self._port, self._quiet = port, False
+        return port
 
     def _release(self) -> None:
         port, self._port = self._port, None
@@ -148,7 +148,10 @@ class BoardLink:
         if isinstance(outcome, InvalidResponse):
             self._quiet = False
             return BoardFault("garbled", f"{self._where}: {outcome.detail}", received)
-        return _reading(outcome, self._request, sent_ns, received)
+        # Between the request and the first byte, less the time from the exposure's centre to it.
+        latest_ns = max(outcome.first_byte_ns - self._request.centre_to_response_ns, sent_ns)
+        earliest_ns = max(latest_ns - LATENCY_NS, sent_ns)
+        return BoardScan(outcome.counts, earliest_ns, latest_ns, received)
 
     def _drain(self, port: Port) -> int:
         """Read until silence, or for the time of two responses; return the number of bytes.
@@ -182,10 +185,3 @@ class BoardLink:
         if self._closed.is_set():
             raise _Closed
         return data
-
-
-def _reading(answer: Response, request: Request, sent_ns: int, received: int) -> BoardScan:
-    """Return the scan with the bounds of its exposure's centre."""
-    latest_ns = max(answer.first_byte_ns - request.centre_to_response_ns, sent_ns)
-    earliest_ns = max(latest_ns - LATENCY_NS, sent_ns)
-    return BoardScan(answer.counts, earliest_ns, latest_ns, received)

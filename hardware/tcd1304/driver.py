@@ -1,48 +1,37 @@
 """Driver for open TCD1304 boards: a frame is one scan of each board."""
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
+from hardware.clock_sync import host_time_ns
 from hardware.driver import DeviceDescription, SensorDescription
 from hardware.line_frame import FrameFlag, LineFrame
-from hardware.link import LinkPhase, LinkReport, LinkState
+from hardware.link import ReportingDriver, most_severe
 from hardware.serial.port import CloseSignal
 from hardware.tcd1304.board import BoardFault, BoardLink, BoardScan
-from hardware.tcd1304.dark_correction import dark_corrected_counts
 from hardware.tcd1304.protocol import BITS, FULL_SCALE, PITCH_UM, PIXELS
+from hardware.tcd1304.response import dark_corrected_counts
 from hardware.tcd1304.settings import Tcd1304Settings
-from hardware.timing import host_time_ns
 
 RETRY_S: Final = (0.1, 0.25, 0.5, 1.0, 2.0)
 """Delays before the attempts to reconnect a lost board; the last one repeats."""
 
-_PHASES_BY_SEVERITY: Final[tuple[LinkPhase, ...]] = ("disconnected", "silent", "garbled")
 
-
-@dataclass(frozen=True)
-class ExposureTime:
-    """Exposure time of a frame: centre, and largest difference of a board's exposure [ns]."""
-
-    centre_ns: int
-    uncertainty_ns: int
-
-
-def combined_exposure_time(scans: Sequence[BoardScan]) -> ExposureTime:
-    """Return the centre between the earliest and the latest possible exposure.
+def combined_exposure_time(scans: Sequence[BoardScan]) -> tuple[int, int]:
+    """Return the centre of the possible exposures, and their largest distance from it [ns].
 
     Boards run freely, each with its own clock, so the lines of a frame are not of one moment.
     """
     earliest = min(scan.earliest_ns for scan in scans)
     latest = max(scan.latest_ns for scan in scans)
-    return ExposureTime((earliest + latest) // 2, (latest - earliest + 1) // 2)
+    return (earliest + latest) // 2, (latest - earliest + 1) // 2
 
 
-class Tcd1304Driver:
+class Tcd1304Driver(ReportingDriver["_Run"]):
     """Requests scans from all boards in parallel, repeatedly.
 
     A frame is yielded when all have answered. Its sequence number counts the requests, so an
@@ -58,9 +47,8 @@ class Tcd1304Driver:
     lossless = False
 
     def __init__(self, name: str, settings: Tcd1304Settings) -> None:
+        super().__init__()
         self._settings = settings
-        self._report = LinkReport()
-        self._run: _Run | None = None
         self._description = DeviceDescription(
             name=name,
             sensors=tuple(
@@ -83,7 +71,7 @@ class Tcd1304Driver:
     @property
     def exposure_uncertainty_ns(self) -> int | None:
         """Bound of the last frame's exposure time error [ns]; None: no frame yet."""
-        return self._run.uncertainty_ns if self._run is not None else None
+        return self._session.uncertainty_ns if self._session is not None else None
 
     def open(self) -> None:
         """Open all ports.
@@ -93,7 +81,7 @@ class Tcd1304Driver:
         """
         self.close()
         self._report.reset()
-        run = self._run = _Run(self._settings)
+        run = self._session = _Run(self._settings)
         try:
             for board in run.boards:
                 board.connect()
@@ -101,28 +89,13 @@ class Tcd1304Driver:
             run.close()
             raise
 
-    def close(self) -> None:
-        """End ``frames`` and close the ports; may be called from any thread, and twice."""
-        if self._run is not None:
-            self._run.close()
-
-    def listen(self, changed: Callable[[LinkState], None]) -> None:
-        """Register the listener of link changes; see ``LinkedDriver``."""
-        self._report.listen(changed)
-
-    def link(self) -> LinkState:
-        """Return the state of the boards' links: the worst of them."""
-        return self._report.state
-
     def frames(self) -> Iterator[LineFrame]:
         """Yield frames until ``close`` is called; lost boards are reconnected.
 
         Raises:
             RuntimeError: the driver was never opened.
         """
-        if self._run is None:
-            raise RuntimeError("the driver is not open; call open() before frames()")
-        return self._frames(self._run)
+        return self._frames(self._opened())
 
     def _frames(self, run: "_Run") -> Iterator[LineFrame]:
         sequence, failures = 0, 0
@@ -146,8 +119,8 @@ class Tcd1304Driver:
                     loss = False
                     continue
                 loss = True
-                worst = min(troubles, key=lambda one: _PHASES_BY_SEVERITY.index(one.phase))
-                self._report.set_state(worst.phase, f"{worst.reason}; it is tried again")
+                phase, reason = most_severe((one.phase, one.reason) for one in troubles)
+                self._report.set_state(phase, f"{reason}; it is tried again")
                 exposed = any(one.bytes_received for one in troubles) or bool(scans)
                 sequence += exposed
                 self._report.count(frames_lost=int(exposed))
@@ -171,8 +144,7 @@ class Tcd1304Driver:
     def _frame(
         self, run: "_Run", sequence: int, scans: Sequence[BoardScan], *, after_loss: bool
     ) -> LineFrame:
-        exposed = combined_exposure_time(scans)
-        run.uncertainty_ns = exposed.uncertainty_ns
+        centre_ns, run.uncertainty_ns = combined_exposure_time(scans)
         lines = np.stack(
             [dark_corrected_counts(scan.counts, self._settings.saturated_at) for scan in scans]
         )
@@ -182,8 +154,8 @@ class Tcd1304Driver:
         return LineFrame(
             device=self._description.name,
             sequence=sequence,
-            exposure_device_ns=exposed.centre_ns - run.opened_ns,
-            exposure_host_ns=host_time_ns(exposed.centre_ns),
+            exposure_device_ns=centre_ns - run.opened_ns,
+            exposure_host_ns=host_time_ns(centre_ns),
             marker=None,
             lines=lines,
             flags=flags,

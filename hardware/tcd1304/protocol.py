@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from compute.errors import InvalidParameter
+from compute.parameter_checks import require
 
 KEY: Final = b"ER"
 ELEMENTS: Final = 3694
@@ -29,8 +30,8 @@ MIN_EXPOSURE_US: Final = 10
 _MAX_CLOCKS: Final = 2**32 - 1
 _FLUSH_CLOCKS: Final = 4 * 15_000  # the firmware empties the CCD at this pace before it reads
 _PULSES_BEFORE: Final = 4  # ICG pulses from the new periods to the reading, at most
-_REQUEST: Final = struct.Struct(">2sIIBB")
-REQUEST_BYTES: Final = _REQUEST.size
+REQUEST_LAYOUT: Final = struct.Struct(">2sIIBB")
+"""Key, SH period, ICG period, continuous, averages."""
 
 
 @dataclass(frozen=True)
@@ -76,15 +77,13 @@ class Request:
                 icg_clocks=self.icg_clocks,
                 sh_clocks=self.sh_clocks,
             )
-        if not 1 <= self.averages <= 255:
-            raise InvalidParameter(
-                f"averages is {self.averages}; it must lie between 1 and 255",
-                averages=self.averages,
-            )
+        require(1 <= self.averages <= 255, "lie between 1 and 255", averages=self.averages)
 
     def encode(self) -> bytes:
         """Return the 12 bytes, which must be sent in one write."""
-        return _REQUEST.pack(KEY, self.sh_clocks, self.icg_clocks, self.continuous, self.averages)
+        return REQUEST_LAYOUT.pack(
+            KEY, self.sh_clocks, self.icg_clocks, self.continuous, self.averages
+        )
 
     @property
     def exposure_ns(self) -> int:
@@ -113,20 +112,6 @@ class Request:
 
     def _ns(self, clocks: int) -> int:
         return clocks * 1_000_000_000 // self.clock_hz
-
-
-def decode_request(data: bytes, clock_hz: int = CLOCK_HZ) -> Request:
-    """Decode a request of 12 bytes, as a board does.
-
-    Raises:
-        InvalidParameter: these bytes are no request, or one that the board would not do.
-    """
-    if len(data) != REQUEST_BYTES or not data.startswith(KEY):
-        raise InvalidParameter(
-            f"a request has {REQUEST_BYTES} bytes and begins with {KEY!r}; these are {data!r}"
-        )
-    _, sh_clocks, icg_clocks, mode, averages = _REQUEST.unpack(data)
-    return Request(sh_clocks, icg_clocks, averages, bool(mode), clock_hz)
 
 
 def request_for(exposure_us: float, averages: int = 1, clock_hz: int = CLOCK_HZ) -> Request:

@@ -1,13 +1,19 @@
-"""Collects a board's response, which is unframed and delimited by silence."""
+"""Responses of a board, unframed and delimited by silence, and their dark correction."""
 
 from dataclasses import dataclass
-from enum import Enum
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.tcd1304.protocol import ELEMENTS, FULL_SCALE, RESPONSE_BYTES
+from hardware.tcd1304.protocol import (
+    ELEMENTS,
+    FIRST_PIXEL,
+    FULL_SCALE,
+    PIXELS,
+    RESPONSE_BYTES,
+    SHIELDED,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,19 +29,10 @@ class Response:
     first_byte_ns: int
 
 
-class Fault(Enum):
-    """Reason why bytes between two silences are not a response."""
-
-    SHORT = "short"
-    LONG = "long"
-    RANGE = "range"
-
-
 @dataclass(frozen=True)
 class InvalidResponse:
     """Bytes that are not a response, and the reason."""
 
-    fault: Fault
     bytes: int
     detail: str
 
@@ -77,18 +74,13 @@ class ResponseCollector:
         if not count:
             return None
         if count != RESPONSE_BYTES:
-            short = count < RESPONSE_BYTES
-            return InvalidResponse(
-                Fault.SHORT if short else Fault.LONG,
-                count,
-                f"{count} bytes came where an answer has {RESPONSE_BYTES}",
-            )
+            detail = f"{count} bytes came where an answer has {RESPONSE_BYTES}"
+            return InvalidResponse(count, detail)
         counts = np.frombuffer(kept, _FORMAT).astype(np.uint16)
         largest = int(counts.max())
         if largest > FULL_SCALE:
             where = int(counts.argmax())
             return InvalidResponse(
-                Fault.RANGE,
                 count,
                 f"element {where} of {ELEMENTS} is {largest}, where counts go to {FULL_SCALE}: "
                 "bytes were lost or changed",
@@ -99,3 +91,36 @@ class ResponseCollector:
         """Discard the bytes."""
         self._kept.clear()
         self._bytes = 0
+
+
+OFFSET_COUNTS: Final = 64
+"""Output count without light: keeps noise below the dark level."""
+
+
+def dark_level(counts: NDArray[np.uint16]) -> float:
+    """Return the dark level: the mean count of the shielded pixels.
+
+    Args:
+        counts: what the converter read, shape (3694,).
+    """
+    return float(counts[SHIELDED].mean())
+
+
+def dark_corrected_counts(counts: NDArray[np.uint16], saturated_at: int) -> NDArray[np.uint16]:
+    """Return the counts of the pixels above the scan's dark level.
+
+    The CCD saturates before the converter ends, at a voltage of its own. Such pixels are set to
+    full scale, by which peak detection knows that they are saturated.
+
+    Args:
+        counts: what the converter read, shape (3694,).
+        saturated_at: the count at which, and below, a pixel is full.
+
+    Returns:
+        Counts, uint16, shape (3648,): OFFSET_COUNTS without light, 4095 where full.
+    """
+    pixels = counts[FIRST_PIXEL : FIRST_PIXEL + PIXELS]
+    dark = round(dark_level(counts)) + OFFSET_COUNTS
+    light = np.clip(dark - pixels.astype(np.int32), 0, FULL_SCALE)
+    light[pixels <= saturated_at] = FULL_SCALE
+    return light.astype(np.uint16)

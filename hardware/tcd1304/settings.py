@@ -1,46 +1,38 @@
 """Settings of the TCD1304 driver."""
 
-import re
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, Final, get_args
+from typing import Annotated, Final
 
-from pydantic import ConfigDict, Field, StringConstraints
+from pydantic import Field
 
-from compute.errors import InvalidParameter
 from hardware.driver import PeakMethod
-from hardware.field_bounds import check_field_bounds
-from hardware.serial.settings import URL_PATTERN
-from hardware.tcd1304.dark_correction import OFFSET_COUNTS
+from hardware.field_bounds import CheckedSettings, SensorName, check_distinct
+from hardware.serial.settings import PortUrl, check_port_url
 from hardware.tcd1304.protocol import (
     CLOCK_HZ,
     RESPONSE_BYTES,
     Request,
     request_for,
 )
+from hardware.tcd1304.response import OFFSET_COUNTS
 
 _BITS_OF_BYTE: Final = 10  # start, 8 data, stop
 
 
 @dataclass(frozen=True)
-class Tcd1304Board:
+class Tcd1304Board(CheckedSettings):
     """One board: the sensor's name, and where its serial port is."""
 
-    name: Annotated[str, StringConstraints(pattern=r"^[^\s\u0085](.{0,62}[^\s\u0085])?$")]
-    port: Annotated[str, StringConstraints(max_length=200, pattern=URL_PATTERN)]
-
-    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
+    name: SensorName
+    port: PortUrl
 
     def __post_init__(self) -> None:
-        if re.fullmatch(URL_PATTERN, self.port) is None:
-            raise InvalidParameter(
-                f"port is {self.port!r}; it must be like /dev/ttyACM0, COM3, socket://HOST:PORT or "
-                "rfc2217://HOST:PORT",
-                port=self.port,
-            )
+        check_port_url(port=self.port)
+        super().__post_init__()
 
 
 @dataclass(frozen=True)
-class Tcd1304Settings:
+class Tcd1304Settings(CheckedSettings):
     """The boards, and how their lines are taken.
 
     Args:
@@ -70,21 +62,9 @@ class Tcd1304Settings:
     read_noise_electrons: Annotated[float, Field(ge=0.0, le=500.0)] = 75.0
     peaks: PeakMethod = "fit"
 
-    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
-
     def __post_init__(self) -> None:
-        check_field_bounds(self)
-        for what in ("name", "port"):
-            values = [getattr(board, what) for board in self.boards]
-            twice = next((value for value in values if values.count(value) > 1), None)
-            if twice is not None:
-                raise InvalidParameter(
-                    f'two boards have the {what} "{twice}"; give each one of its own', board=twice
-                )
-        if self.peaks not in get_args(PeakMethod):
-            raise InvalidParameter(
-                f"peaks is {self.peaks!r}; it must be 'fit' or 'centroid'", peaks=self.peaks
-            )
+        super().__post_init__()
+        check_distinct(self.boards, "boards", "name", "port")
         _ = self.request  # raises where the board would not do it
 
     @property

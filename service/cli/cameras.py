@@ -4,7 +4,7 @@ from dataclasses import astuple
 
 import typer
 
-from hardware.genicam.discovery import cameras
+from hardware.genicam.camera import cameras
 from service.cli.output import AsJson, console, make_table, print_json
 
 

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from compute.errors import InvalidParameter
 from hardware.blink_schedule import BlinkSchedule
-from hardware.simulated.renderer import FrameRenderer
+from hardware.simulated.driver import FrameRenderer
 from hardware.simulated.scenes import StillPoints
 from hardware.simulated.settings import SimulationSettings
 
@@ -37,10 +37,10 @@ def test_light_is_the_words_bit(words: list[str], sequence: int, data: st.DataOb
     [
         (("01", "011"), 0.4, None, r"lengths \[2, 3\]"),
         (("01", "0a"), 0.4, None, "'a'"),
-        (("0",), 0.4, None, "2 to 20"),
+        (("0",), 0.4, None, "of length at least 2 and of length at most 20"),
         (("01",), 1.0, None, "low is 1"),
         (("01", "10"), 0.4, (1,), "phases are 1, words 2"),
-        (tuple("01" for _ in range(65)), 0.4, None, "65 words"),
+        (tuple("01" for _ in range(65)), 0.4, None, "of length at most 64"),
     ],
 )
 def test_bad_schedules(

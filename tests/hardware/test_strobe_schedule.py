@@ -5,8 +5,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from pydantic import TypeAdapter, ValidationError
 
 from compute.errors import InvalidParameter
@@ -14,24 +12,6 @@ from hardware.simulated.driver import SimulatedDriver
 from hardware.simulated.scenes import StillPoints
 from hardware.simulated.settings import SimulationSettings
 from hardware.strobe_schedule import StrobeSchedule
-
-schedules = st.lists(st.integers(0, 9), min_size=1, max_size=12).map(tuple).map(StrobeSchedule)
-
-
-@given(schedules, st.integers(1, 50))
-def test_each_marker_is_seen_as_often_as_its_rate_says(
-    schedule: StrobeSchedule, turns: int
-) -> None:
-    seconds, rate_hz = turns * len(schedule.slots) / 100.0, 100.0
-    lit = [schedule.marker(sequence) for sequence in range(turns * len(schedule.slots))]
-    for marker in range(schedule.markers):
-        assert lit.count(marker) == pytest.approx(schedule.rate_hz(marker, rate_hz) * seconds)
-
-
-def test_in_turn_is_the_line_rate_over_the_number_of_markers() -> None:
-    schedule = StrobeSchedule.cyclic(4)
-    assert schedule.slots == (0, 1, 2, 3)
-    assert schedule.rate_hz(2, 1000.0) == 250.0  # thesis, equation 3.3
 
 
 def test_no_marker_is_needed_where_all_are_lit() -> None:

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from compute.optics.tracing.assembly import Assembly
-from compute.optics.tracing.reference_tracer import trace_rays
-from compute.optics.tracing.traced_rays import RayStatus
+from compute.optics.tracing.reference_tracer import RayStatus, trace_rays
 
 
 def row_solid_angle_sr(

@@ -13,8 +13,7 @@ from scipy.optimize import least_squares
 from compute.optics.pixel_row import PixelRow
 from compute.optics.stripe_optics.stripe_profile import CELLS, Blur, StripeProfiles
 from compute.optics.stripe_optics.traced_stripes import RaySampling, TracedStripes
-from compute.optics.tracing.assembly import Assembly
-from compute.optics.tracing.elements import Alignment
+from compute.optics.tracing.assembly import Alignment, Assembly
 from validation.aberrations.thesis_lens import INDEX, LENS, THICKNESS_MM
 
 Array = NDArray[np.float64]

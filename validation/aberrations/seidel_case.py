@@ -3,8 +3,10 @@
 from dataclasses import astuple, fields
 from typing import Final
 
-from compute.optics.aberrations.paraxial import paraxial_system
-from compute.optics.aberrations.seidel import (
+from compute.optics.tracing.assembly import Assembly, Element, Lens, Stop
+from compute.optics.tracing.surfaces import Aperture, Conic, Cylinder, Plane, SurfaceStack
+from validation.aberrations.paraxial import paraxial_system
+from validation.aberrations.seidel import (
     AberrationFit,
     Conjugates,
     MeridionalCoefficients,
@@ -14,10 +16,6 @@ from compute.optics.aberrations.seidel import (
     meridional,
     seidel_sums,
 )
-from compute.optics.tracing.assembly import Assembly
-from compute.optics.tracing.elements import Element, Lens, Stop
-from compute.optics.tracing.shapes import Conic, Cylinder, Plane
-from compute.optics.tracing.surfaces import Aperture, SurfaceStack
 from validation.aberrations.thesis_lens import FOCUSED_MM, INDEX, RADIUS_MM, THICKNESS_MM, WIDTH_MM
 from validation.result_tables import Cell, ResultTable, TablesCase
 

@@ -2,12 +2,10 @@
 
 from typing import Final, Literal
 
-from compute.optics.aberrations.paraxial import paraxial_system
 from compute.optics.pixel_row import PixelRow
-from compute.optics.tracing.assembly import Assembly
-from compute.optics.tracing.elements import Element, Lens, Stop
-from compute.optics.tracing.shapes import Cylinder, Plane
-from compute.optics.tracing.surfaces import Aperture
+from compute.optics.tracing.assembly import Assembly, Element, Lens, Stop
+from compute.optics.tracing.surfaces import Aperture, Cylinder, Plane
+from validation.aberrations.paraxial import paraxial_system
 
 StopPlace = Literal["8 mm in front", "on the plane face", "on the curved face", "4 mm behind"]
 

@@ -7,16 +7,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.optics.aberrations.paraxial import paraxial_system
 from compute.optics.pixel_row import PixelRow
 from compute.optics.stripe_optics.stripe_profile import Blur, StripeProfiles
 from compute.optics.stripe_optics.traced_stripes import RaySampling, TracedStripes
-from compute.optics.tracing.assembly import Assembly
-from compute.optics.tracing.elements import Lens
-from compute.optics.tracing.reference_tracer import trace_rays
-from compute.optics.tracing.shapes import Conic, Plane
-from compute.optics.tracing.surfaces import Aperture
-from compute.optics.tracing.traced_rays import RayStatus
+from compute.optics.tracing.assembly import Assembly, Lens
+from compute.optics.tracing.reference_tracer import RayStatus, trace_rays
+from compute.optics.tracing.surfaces import Aperture, Conic, Plane
+from validation.aberrations.paraxial import paraxial_system
 from validation.aberrations.thesis_lens import (
     HEIGHT_MM,
     INDEX,

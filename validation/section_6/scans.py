@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from compute.camera.model import SensorModel
 from compute.optics.detector import Detector
-from compute.optics.stripe_images import stripe_images
+from compute.optics.pixel_solid_angles import stripe_images
 from compute.signal.centroid_settings import CentroidSettings
 from compute.signal.fit.fit_reference import fit_scans
 from compute.signal.fit.fit_settings import FitSettings

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.optics.detector import Detector
-from compute.optics.stripe_images import stripe_images
+from compute.optics.pixel_solid_angles import stripe_images
 from compute.signal.centroid_settings import Weighting
 from compute.signal.thesis_pipeline.signal_chain import SignalChain
 from compute.signal.thesis_pipeline.steps import ScanFilter

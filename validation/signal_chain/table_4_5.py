@@ -5,14 +5,14 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.optics.background import background_scans
 from compute.optics.detector_array import DetectorArray
 from compute.optics.ideal_optics import IdealOptics
-from compute.optics.stripe_images import stripe_images
+from compute.optics.pixel_solid_angles import stripe_images
 from compute.signal.sensor_noise import SensorNoise
 from compute.signal.thesis_pipeline.result import ChainResult
 from compute.signal.thesis_pipeline.signal_chain import SignalChain
 from validation.result_tables import Cell, ResultTable, TablesCase
+from validation.signal_chain.background import background_scans
 from validation.signal_chain.target_scenes import (
     PEAK_CENTROIDS_PX,
     PEAK_MAXIMA_PX,

@@ -27,20 +27,21 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.optics.background import (
+from compute.optics.detector import Detector
+from compute.optics.light.emission import CosinePower
+from compute.optics.light.led import Led
+from compute.optics.light.light_source import LightSource
+from compute.optics.light.retroreflector import Illuminator, RetroDisc, RetroSheet
+from compute.optics.sensor_placement import PlacedSensor, place_sensor
+from validation.signal_chain.background import (
     Background,
     BumpBackground,
     ConstantBackground,
     PolynomialBackground,
     SumBackground,
 )
-from compute.optics.detector import Detector
-from compute.optics.light.emission import CosinePower
-from compute.optics.light.led import Led
-from compute.optics.light.light_source import LightSource
-from compute.optics.light.retroreflector import Illuminator, RetroDisc, RetroSheet, RetroSphere
-from compute.optics.light.spectrum import QuantumEfficiency, photoelectrons_per_sr
-from compute.optics.sensor_placement import PlacedSensor, place_sensor
+from validation.signal_chain.retro_sphere import RetroSphere
+from validation.signal_chain.spectrum import QuantumEfficiency, photoelectrons_per_sr
 
 Array = NDArray[np.float64]
 

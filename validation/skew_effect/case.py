@@ -6,8 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.camera.field_distortion import Term, all_terms, power_terms
-from compute.optics.aberrations.field_distortion_fit import FieldModel, fit_field_model
-from compute.optics.aberrations.skew_rays import effective_index, in_plane_stack
 from compute.optics.profiles.profile_loader import load_profile
 from compute.optics.tracing.reference_tracer import trace_rays
 from compute.planning.coverage import Box, volume_grid
@@ -23,6 +21,8 @@ from validation.aberrations.thesis_lens import (
     stopped_lens,
 )
 from validation.result_tables import Cell, ResultTable, TablesCase
+from validation.skew_effect.field_distortion_fit import FieldModel, fit_field_model
+from validation.skew_effect.skew_rays import effective_index, in_plane_stack
 from validation.skew_effect.traced_readings import (
     cube_points,
     device_sensors,

@@ -7,9 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.camera.field_distortion import Term
-from compute.optics.aberrations.field_distortion_fit import FieldFit, FieldModel, fit_field_model
 from compute.optics.pixel_row import PixelRow
-from compute.optics.stripe_optics.optical_sensor import OpticalSensor, place_optics
+from compute.optics.sensor_placement import OpticalSensor, place_optics
 from compute.optics.stripe_optics.stripe_profile import Blur
 from compute.optics.stripe_optics.traced_stripes import TracedStripes
 from compute.optics.tracing.assembly import Assembly
@@ -18,6 +17,7 @@ from validation.aberrations.thesis_lens import (
     ROW,
     row_behind_mm,
 )
+from validation.skew_effect.field_distortion_fit import FieldFit, FieldModel, fit_field_model
 from validation.thesis_data import load_cameras
 
 if TYPE_CHECKING:

@@ -11,16 +11,14 @@ from scipy.optimize import brentq
 
 from compute.camera.field_distortion import Term
 from compute.errors import NoConvergence
-from compute.optics.aberrations.paraxial import paraxial_system
-from compute.optics.aberrations.seidel import Conjugates, seidel_sums
 from compute.optics.stripe_optics.stripe_profile import CELLS, Blur, StripeProfiles
 from compute.optics.stripe_optics.traced_stripes import RaySampling, TracedStripes
-from compute.optics.tracing.assembly import Assembly
-from compute.optics.tracing.elements import Lens, Stop
-from compute.optics.tracing.shapes import Conic, Plane
-from compute.optics.tracing.surfaces import Aperture
+from compute.optics.tracing.assembly import Assembly, Lens, Stop
+from compute.optics.tracing.surfaces import Aperture, Conic, Plane
 from compute.planning.cramer_rao import PixelNoise, shifted_stripes
 from compute.signal.cramer_rao import position_bound
+from validation.aberrations.paraxial import paraxial_system
+from validation.aberrations.seidel import Conjugates, seidel_sums
 from validation.aberrations.thesis_lens import (
     FOCUSED_MM,
     INDEX,

@@ -6,7 +6,8 @@ from typing import Final
 import numpy as np
 
 from compute.camera.model import Vector3
-from compute.optics.coded_aperture.correlation_decoding import mask_template, read_by_correlation
+from compute.optics.coded_aperture.correlation_decoding import read_by_correlation
+from compute.optics.coded_aperture.template_from_optics import mask_template
 from compute.optics.profiles.device_profile import DeviceProfile
 from compute.optics.profiles.profile_optics import light_source, mask_optics
 from compute.planning.plan_result import AxisSummary, Plan

@@ -8,10 +8,9 @@ from numpy.typing import NDArray
 from scipy.signal import max_len_seq
 
 from compute.errors import InvalidParameter
+from compute.parameter_checks import check_not_negative, check_positive, require
 
 Array = NDArray[np.float64]
-
-_ORDERS = (2, 16)
 
 
 @dataclass(frozen=True)
@@ -61,24 +60,11 @@ class CodedWindow:
                 f"code has {len(self.code)} opaque bars and no transparent one; light must pass",
                 code=self.code,
             )
-        for name in ("bar_mm", "gap_mm"):
-            value = getattr(self, name)
-            if not 0.0 < value < np.inf:
-                raise InvalidParameter(f"{name} is {value}; it must be positive", **{name: value})
-        if not self.height_mm > 0.0:
-            raise InvalidParameter(
-                f"height_mm is {self.height_mm}; it must be positive", height_mm=self.height_mm
-            )
-        if not 0.0 <= self.plate_thickness_mm < np.inf:
-            raise InvalidParameter(
-                f"plate_thickness_mm is {self.plate_thickness_mm}; it must be zero or positive",
-                plate_thickness_mm=self.plate_thickness_mm,
-            )
-        if not 1.0 <= self.plate_index < 10.0:
-            raise InvalidParameter(
-                f"plate_index is {self.plate_index}; it must be from 1 to below 10",
-                plate_index=self.plate_index,
-            )
+        check_positive(self, "bar_mm", "gap_mm")
+        require(self.height_mm > 0.0, "be positive", height_mm=self.height_mm)
+        check_not_negative(self, "plate_thickness_mm")
+        valid = 1.0 <= self.plate_index < 10.0
+        require(valid, "be from 1 to below 10", plate_index=self.plate_index)
 
     @property
     def length_mm(self) -> float:
@@ -87,12 +73,12 @@ class CodedWindow:
 
     @cached_property
     def edges_mm(self) -> Array:
-        """Positions at which the code turns transparent, opaque, transparent, ..., (2 K,) [mm].
+        """Positions at which the code becomes transparent, opaque, transparent, ..., (2 K,) [mm].
 
         Along the readings (-x), from the middle of the code.
         """
-        turns = np.flatnonzero(np.diff(np.array((0, *self.code, 0))))
-        return np.asarray(turns * self.bar_mm - self.length_mm / 2.0, dtype=np.float64)
+        changes = np.flatnonzero(np.diff(np.array((0, *self.code, 0))))
+        return np.asarray(changes * self.bar_mm - self.length_mm / 2.0, dtype=np.float64)
 
 
 def maximal_length_code(order: int) -> tuple[int, ...]:
@@ -106,8 +92,6 @@ def maximal_length_code(order: int) -> tuple[int, ...]:
     Raises:
         InvalidParameter: the order is out of range.
     """
-    low, high = _ORDERS
-    if not low <= order <= high:
-        raise InvalidParameter(f"order is {order}; it must be {low} to {high}", order=order)
+    require(2 <= order <= 16, "be 2 to 16", order=order)
     sequence, _ = max_len_seq(order)
     return tuple(int(bit) for bit in sequence)

@@ -7,7 +7,6 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.fft import irfft, next_fast_len, rfft
 
 from compute.errors import InvalidParameter
-from compute.optics.coded_aperture.mask_optics import MaskOptics
 from compute.signal.coded_aperture.shadow_template import ShadowTemplate
 
 Array = NDArray[np.float64]
@@ -27,37 +26,6 @@ class MaskShift:
     shift_px: Array
     peak: Array
     second_ratio: Array
-
-
-def mask_template(optics: MaskOptics, point_mm: ArrayLike, sensor: int) -> ShadowTemplate:
-    """Return the shadow template of a reference point, pixel by pixel.
-
-    Args:
-        optics: the windows.
-        point_mm: the reference point in the world, on the sensor's axis best, shape (3,) [mm].
-        sensor: number of the sensor, from 0.
-
-    Raises:
-        InvalidParameter: no such sensor, or a point without a shadow on its sensor.
-    """
-    point = np.asarray(point_mm, dtype=np.float64)
-    if point.shape != (3,):
-        raise InvalidParameter(
-            f"point_mm has the shape {point.shape}; it must be (3,)", point_mm=point.shape
-        )
-    readings = optics.readings(point[None])[0]
-    if not 0 <= sensor < len(readings):
-        raise InvalidParameter(
-            f"sensor is {sensor}; it must be 0 to {len(readings) - 1}", sensor=sensor
-        )
-    shadow = optics.solid_angles(point[None]).solid_angle_sr[0, sensor]
-    if not np.ptp(shadow) > 0.0:
-        raise InvalidParameter(
-            f"point_mm is {point.tolist()}; it throws no shadow on the line of sensor {sensor}: "
-            "give a point in front of it, near its axis",
-            point_mm=point.tolist(),
-        )
-    return ShadowTemplate(shadow, 1, 0, float(readings[sensor]), dark_beyond=False)
 
 
 def read_by_correlation(scans: ArrayLike, template: ShadowTemplate) -> Array:

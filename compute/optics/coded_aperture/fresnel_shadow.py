@@ -7,6 +7,7 @@ from scipy.fft import fft, ifft, irfft, next_fast_len, rfft
 from compute.errors import InvalidParameter
 from compute.optics.coded_aperture.coded_window import CodedWindow
 from compute.optics.coded_aperture.geometric_shadow import second_difference
+from compute.parameter_checks import require
 
 Array = NDArray[np.float64]
 
@@ -25,8 +26,8 @@ class DiffractedShadow:
     """Shadow with Fresnel diffraction, averaged over spectrum, penumbra and pixel.
 
     The field adds ``+-(C(v) + i S(v)) / (1 + i)``, ``v = (x - edge) sqrt(2) / fresnel_mm``, for
-    each edge (Born and Wolf, Principles of Optics, section 8.7). It depends on the place s on the
-    mask and on the squared Fresnel width ``q = wavelength / W`` alone, and its intensity is
+    each edge (Born and Wolf, Principles of Optics, section 8.7). It depends on the position s on
+    the mask and on the squared Fresnel width ``q = wavelength / W`` alone, and its intensity is
     tabulated over both, as its second integral along s, so that any pixel and any penumbra is one
     second difference. The table's rows lie on a fixed lattice in ln q and are made when first
     needed, by the angular spectrum (on a lattice of bars the code's spectrum is exact); a spectral
@@ -45,7 +46,7 @@ class DiffractedShadow:
         wavelength_nm: central wavelength [nm].
         spectral_width_nm: full width at half maximum of the source's spectrum [nm], taken as
             Gaussian in the logarithm of the wavelength; 0: monochromatic.
-        finest_mm: width of a pixel [mm]; finer fringes need no place in the table.
+        finest_mm: width of a pixel [mm]; finer fringes are not tabulated.
 
     Raises:
         InvalidParameter: wavelength or widths out of range, or a code too long for its fringes.
@@ -59,15 +60,13 @@ class DiffractedShadow:
         spectral_width_nm: float,
         finest_mm: float,
     ) -> None:
-        for name, value in (("wavelength_nm", wavelength_nm), ("finest_mm", finest_mm)):
-            if not 0.0 < value < np.inf:
-                raise InvalidParameter(f"{name} is {value}; it must be positive", **{name: value})
-        if not 0.0 <= spectral_width_nm <= wavelength_nm / 2.0:
-            raise InvalidParameter(
-                f"spectral_width_nm is {spectral_width_nm}; it must be from zero to half of the "
-                f"wavelength, {wavelength_nm / 2.0}",
-                spectral_width_nm=spectral_width_nm,
-            )
+        require(0.0 < wavelength_nm < np.inf, "be positive", wavelength_nm=wavelength_nm)
+        require(0.0 < finest_mm < np.inf, "be positive", finest_mm=finest_mm)
+        require(
+            0.0 <= spectral_width_nm <= wavelength_nm / 2.0,
+            f"be from zero to half of the wavelength, {wavelength_nm / 2.0}",
+            spectral_width_nm=spectral_width_nm,
+        )
         self._wavelength_mm = wavelength_nm * 1e-6
         self._square = self._wavelength_mm * window.gap_mm
         deviation = spectral_width_nm / wavelength_nm / _FWHM_PER_SD
@@ -109,22 +108,18 @@ class DiffractedShadow:
     def mean_transmission(
         self, centre_mm: Array, width_mm: Array, blur_mm: Array, curvature_per_mm: Array
     ) -> Array:
-        """Return the light on stretches relative to that without a mask; see ``Shadow``.
+        """Return the light on stretches relative to that without a mask.
 
         Args:
-            centre_mm: as of ``Shadow``.
-            width_mm: as of ``Shadow``.
-            blur_mm: as of ``Shadow``.
-            curvature_per_mm: as of ``Shadow``.
+            centre_mm, width_mm, blur_mm, curvature_per_mm: as of ``Shadow``.
         """
         # Beyond the grid is frame, and the fringes there are too faint to count.
         half = self._count * self._step_mm / 2.0
         inside = abs(centre_mm - self._start_mm - half) < half - width_mm - blur_mm
         light = np.zeros(centre_mm.shape)
         if inside.any():
-            light[inside] = self._within(
-                *(values[inside] for values in (centre_mm, width_mm, blur_mm, curvature_per_mm))
-            )
+            stretches = (centre_mm, width_mm, blur_mm, curvature_per_mm)
+            light[inside] = self._within(*(values[inside] for values in stretches))
         return light
 
     def _within(self, centre_mm: Array, width_mm: Array, blur_mm: Array, bend: Array) -> Array:
@@ -136,17 +131,17 @@ class DiffractedShadow:
         weights = _lagrange(row - before)
         base = (before - 1 - first) * self._count
 
-        def integral(place_mm: Array) -> Array:
-            along = (place_mm - self._start_mm) / self._step_mm
+        def integral(position_mm: Array) -> Array:
+            along = (position_mm - self._start_mm) / self._step_mm
             sample = np.floor(along)
             spline = _cubic_spline(along - sample)
             left = sample.astype(np.int64) - 1
-            total = np.zeros(place_mm.shape)
+            total = np.zeros(position_mm.shape)
             for column in range(4):
-                place = base + (left + column) % self._count
-                over_rows = weights[0] * table.take(place)
+                index = base + (left + column) % self._count
+                over_rows = weights[0] * table.take(index)
                 for step in range(1, 4):
-                    over_rows += weights[step] * table.take(place + step * self._count)
+                    over_rows += weights[step] * table.take(index + step * self._count)
                 total += spline[column] * over_rows
             return total
 
@@ -157,13 +152,11 @@ class DiffractedShadow:
         first, table = self._table
         if len(table) and low >= first and high < first + len(table):
             return first, table
-        parts = []
-        if len(table):
-            low, high = min(low, first), max(high, first + len(table) - 1)
-            parts = [self._make(low, first), table, self._make(first + len(table), high + 1)]
-        else:
-            parts = [self._make(low, high + 1)]
-        self._table = (low, np.concatenate(parts))
+        if not len(table):
+            first = low
+        low, high = min(low, first), max(high, first + len(table) - 1)
+        before, behind = self._make(low, first), self._make(first + len(table), high + 1)
+        self._table = (low, np.concatenate([before, table, behind]))
         return self._table
 
     def _make(self, low: int, end: int) -> Array:

@@ -50,21 +50,18 @@ class GeometricShadow:
     def mean_transmission(
         self, centre_mm: Array, width_mm: Array, blur_mm: Array, curvature_per_mm: Array
     ) -> Array:
-        """Return the light on stretches relative to that without a mask; see ``Shadow``.
+        """Return the light on stretches relative to that without a mask.
 
         Args:
-            centre_mm: as of ``Shadow``.
-            width_mm: as of ``Shadow``.
-            blur_mm: as of ``Shadow``.
-            curvature_per_mm: as of ``Shadow``.
+            centre_mm, width_mm, blur_mm, curvature_per_mm: as of ``Shadow``.
         """
         del curvature_per_mm
         centre = self._bar(centre_mm)
 
-        def integral(place_mm: Array) -> Array:
+        def integral(position_mm: Array) -> Array:
             """Integrate twice, less what is linear: it cancels, and would cost digits."""
-            bar = self._bar(place_mm)
-            rest = (place_mm - self._start_mm) / self._bar_mm + 1.0 - bar
+            bar = self._bar(position_mm)
+            rest = (position_mm - self._start_mm) / self._bar_mm + 1.0 - bar
             bars = bar - centre
             once, twice = self._once[bar], self._twice[bar]
             constant = twice - self._twice[centre] - self._once[centre] * bars
@@ -75,9 +72,9 @@ class GeometricShadow:
 
         return second_difference(integral, centre_mm, width_mm, blur_mm)
 
-    def _bar(self, place_mm: Array) -> NDArray[np.int64]:
-        """Return the number of the bar at a place, the frame's counting as one on each side."""
-        bar = np.floor((place_mm - self._start_mm) / self._bar_mm) + 1.0
+    def _bar(self, position_mm: Array) -> NDArray[np.int64]:
+        """Return the number of the bar at a position, the frame's counting as one on each side."""
+        bar = np.floor((position_mm - self._start_mm) / self._bar_mm) + 1.0
         return np.clip(bar, 0, len(self._code) - 1).astype(np.int64)
 
 

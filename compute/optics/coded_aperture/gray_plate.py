@@ -6,8 +6,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.errors import InvalidParameter
 from compute.optics.pixel_solid_angles import PixelSolidAngles, SolidAngleOptics
+from compute.parameter_checks import check_positive, require
 
 Array = NDArray[np.float64]
 
@@ -43,14 +43,8 @@ class GrayPlate:
     def __post_init__(self) -> None:
         for name, low in (("gray_bits", 2), ("analogue_bits", 0)):
             value = getattr(self, name)
-            if not low <= value <= 12:
-                raise InvalidParameter(
-                    f"{name} is {value}; it must be {low} to 12", **{name: value}
-                )
-        if not 0.0 < self.length_mm < np.inf:
-            raise InvalidParameter(
-                f"length_mm is {self.length_mm}; it must be positive", length_mm=self.length_mm
-            )
+            require(low <= value <= 12, f"be {low} to 12", **{name: value})
+        check_positive(self, "length_mm")
 
     @property
     def tracks(self) -> int:

@@ -12,6 +12,7 @@ from compute.optics.coded_aperture.geometric_shadow import GeometricShadow, Shad
 from compute.optics.coded_aperture.window_refraction import ray_tangent_in_air, trace_window
 from compute.optics.pixel_solid_angles import PixelSolidAngles
 from compute.optics.sensor_placement import PlacedSensor
+from compute.parameter_checks import require
 
 Array = NDArray[np.float64]
 
@@ -56,16 +57,9 @@ class MaskOptics:
         wavelength_nm: float | None = None,
         spectral_width_nm: float = 0.0,
     ) -> None:
-        if not 0.0 < pixel_height_mm < np.inf:
-            raise InvalidParameter(
-                f"pixel_height_mm is {pixel_height_mm}; it must be positive",
-                pixel_height_mm=pixel_height_mm,
-            )
-        if not 0.0 <= emitter_width_mm < np.inf:
-            raise InvalidParameter(
-                f"emitter_width_mm is {emitter_width_mm}; it must be zero or positive",
-                emitter_width_mm=emitter_width_mm,
-            )
+        require(0.0 < pixel_height_mm < np.inf, "be positive", pixel_height_mm=pixel_height_mm)
+        valid = 0.0 <= emitter_width_mm < np.inf
+        require(valid, "be zero or positive", emitter_width_mm=emitter_width_mm)
         for sensor in sensors:
             distance = sensor.model.principal_distance_px * sensor.pitch_um * 1e-3
             if abs(distance - window.gap_mm) > 1e-6 * window.gap_mm:

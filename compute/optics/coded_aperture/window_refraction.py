@@ -3,12 +3,10 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from compute.errors import InvalidParameter
 from compute.optics.coded_aperture.coded_window import CodedWindow
-from compute.optics.tracing.fresnel import transmittances
-
-Array = NDArray[np.float64]
+from compute.optics.tracing.surfaces import Array, check_index
 
 _ITERATIONS = 60
 _TOLERANCE = 4.0 * np.finfo(np.float64).eps
@@ -104,3 +102,42 @@ def ray_tangent_in_air(
             break
         slope = np.where(moving, slope + step, slope)
     return np.asarray(slope)
+
+
+def transmittances(cos_incidence: Array, index_before: float, index_behind: float) -> Array:
+    """Return the transmitted shares of the power at a bare surface, for s and p, shape (..., 2).
+
+    Power and not intensity: the factor ``n cos`` of both sides is in it. Total reflection gives 0,
+    equal indices 1.
+
+    Args:
+        cos_incidence: cosines of the angles of incidence, 0 to 1, shape (...).
+        index_before: refractive index on the side of the incident light.
+        index_behind: refractive index behind the surface.
+
+    Raises:
+        InvalidParameter: a cosine outside 0 .. 1, an index outside 1 .. 10.
+
+    Source: Born & Wolf, Principles of Optics, 1.5.2 (20a), 1.5.3.
+    """
+    inner = np.asarray(cos_incidence, dtype=np.float64)
+    wrong = ~((inner >= 0.0) & (inner <= 1.0))
+    if wrong.any():
+        raise InvalidParameter(
+            f"cos_incidence has {inner[wrong].ravel()[0]}; a cosine of incidence is from 0 to 1",
+            cos_incidence=float(inner[wrong].ravel()[0]),
+        )
+    check_index(index_before=index_before)
+    check_index(index_behind=index_behind)
+    if index_before == index_behind:
+        inner = outer = np.ones_like(inner)
+    else:
+        square = 1.0 - (index_before / index_behind) ** 2 * (1.0 - inner) * (1.0 + inner)
+        outer = np.sqrt(np.maximum(square, 0.0))  # zero where all is reflected
+    # The admittances of the media on both sides, for s and p.
+    before = np.stack([index_before * inner, index_behind * inner], axis=-1)
+    behind = np.stack([index_behind * outer, index_before * outer], axis=-1)
+    total = before + behind  # zero only where all is reflected
+    amplitude = 2.0 * np.sqrt(before * behind)
+    ratio = np.divide(amplitude, total, out=np.zeros_like(total), where=total > 0.0)
+    return np.asarray(ratio**2)

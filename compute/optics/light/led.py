@@ -6,13 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.optics.light.emission import AngularEmission
-from compute.optics.light.photon_geometry import (
+from compute.optics.light.light_source import (
     check_exposure,
     photons,
     towards_lenses,
     unit_facing,
 )
-from compute.optics.parameter_checks import check_not_negative, check_positive
+from compute.parameter_checks import check_not_negative, check_positive
 
 Array = NDArray[np.float64]
 
@@ -61,15 +61,10 @@ class Led:
     def photons_per_sr(
         self, points_mm: Array, facing: Array | None, lens_positions_mm: Array, exposure_s: float
     ) -> Array:
-        """Return the photons towards each lens, shape (N, S) [1/sr]; see ``LightSource``.
-
-        The light per steradian is the same at every distance.
+        """Return the photons towards each lens, shape (N, S) [1/sr].
 
         Args:
-            points_mm: positions of N markers in the world, shape (N, 3) [mm].
-            facing: directions in which they face, shape (N, 3); None: towards each lens.
-            lens_positions_mm: centres of S lenses, shape (S, 3) [mm].
-            exposure_s: length of the exposure [s].
+            points_mm, facing, lens_positions_mm, exposure_s: as of ``LightSource``.
         """
         check_exposure(exposure_s)
         lit_s = exposure_s if self.pulse_s is None else min(self.pulse_s, exposure_s)

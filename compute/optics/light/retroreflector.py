@@ -1,22 +1,20 @@
-"""Passive markers: retro-reflective discs and spheres, and their illuminator."""
+"""Passive markers: retro-reflective discs and their illuminator."""
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from compute.camera.model import Vector3
-from compute.errors import InvalidParameter
 from compute.optics.light.emission import AngularEmission
-from compute.optics.light.photon_geometry import (
+from compute.optics.light.light_source import (
     check_exposure,
     directions,
     photons,
     towards_lenses,
     unit_facing,
 )
-from compute.optics.parameter_checks import check_not_negative, check_positive
+from compute.parameter_checks import check_not_negative, check_positive, require
 
 Array = NDArray[np.float64]
 
@@ -48,10 +46,8 @@ class Illuminator:
     def __post_init__(self) -> None:
         check_positive(self, "radiant_intensity_w_per_sr", "wavelength_nm")
         check_not_negative(self, "spectral_width_nm")
-        if not 0.0 < np.linalg.norm(self.direction) < np.inf:
-            raise InvalidParameter(
-                f"direction is {self.direction}; it must have a length", direction=self.direction
-            )
+        length = np.linalg.norm(self.direction)
+        require(0.0 < length < np.inf, "have a length", direction=self.direction)
 
     def irradiance_w_per_m2(self, points_mm: Array) -> Array:
         """Return the irradiance normal to the light, shape (N,) [W/m^2].
@@ -107,11 +103,11 @@ class RetroSheet:
 
 
 @dataclass(frozen=True)
-class _Retroreflector:
-    """What a disc and a sphere have in common.
+class RetroDisc:
+    """A flat disc of retro-reflective sheet.
 
     Args:
-        diameter_mm: of the disc or sphere [mm].
+        diameter_mm: of the disc [mm].
         sheet: its material.
         illuminator: what lights it.
 
@@ -142,11 +138,18 @@ class _Retroreflector:
         return self.diameter_mm
 
     @property
-    def _face_m2(self) -> float:
+    def face_m2(self) -> float:
+        """Area of the disc [m^2]."""
         return float(np.pi / 4.0 * (self.diameter_mm * 1e-3) ** 2)
 
-    def _sent_back(self, points_mm: Array, towards: Array, exposure_s: float) -> Array:
-        """Return photons per sr and per effective area, shape (N, S) [1/(sr m^2)]."""
+    def reflected_photons(self, points_mm: Array, towards: Array, exposure_s: float) -> Array:
+        """Return photons per steradian and effective area, shape (N, S) [1/(sr m^2)].
+
+        Args:
+            points_mm: positions of N markers, shape (N, 3) [mm].
+            towards: unit vectors to S lenses, shape (N, S, 3).
+            exposure_s: length of the exposure [s].
+        """
         check_exposure(exposure_s)
         back, _ = directions(points_mm, np.array(self.illuminator.position_mm))
         # By the chord: an arc cosine would lose angles below 1e-8, and round those near them.
@@ -158,76 +161,22 @@ class _Retroreflector:
         intensity = self.sheet.coefficient_per_sr * irradiance[:, None] * observation_factor
         return photons(intensity * exposure_s, self.wavelength_nm)
 
-
-@dataclass(frozen=True)
-class RetroDisc(_Retroreflector):
-    """A flat disc of retro-reflective sheet; the fields are those of ``RetroSphere``."""
-
     def photons_per_sr(
         self, points_mm: Array, facing: Array | None, lens_positions_mm: Array, exposure_s: float
     ) -> Array:
-        """Return the photons towards each lens, shape (N, S) [1/sr]; see ``LightSource``.
+        """Return the photons towards each lens, shape (N, S) [1/sr].
 
-        The way from the illuminator is in it, with the square of the distance.
+        They fall with the square of the distance to the illuminator.
 
         Args:
-            points_mm: positions of N markers in the world, shape (N, 3) [mm].
-            facing: directions in which they face, shape (N, 3); None: towards each lens.
-            lens_positions_mm: centres of S lenses, shape (S, 3) [mm].
-            exposure_s: length of the exposure [s].
+            points_mm, facing, lens_positions_mm, exposure_s: as of ``LightSource``.
         """
         towards = towards_lenses(points_mm, lens_positions_mm)
-        sent = self._sent_back(points_mm, towards, exposure_s)
+        sent = self.reflected_photons(points_mm, towards, exposure_s)
         normal = towards if facing is None else unit_facing(facing, points_mm)[:, None, :]
         back, _ = directions(points_mm, np.array(self.illuminator.position_mm))
         cosine = (normal * back[:, None, :]).sum(axis=-1)
         # Seen from behind, a disc is as dark as lit from behind.
         front = (cosine > 0.0) & ((normal * towards).sum(axis=-1) > 0.0)
         entrance_factor = self.sheet.entrance_factor(np.arccos(cosine.clip(-1.0, 1.0)))
-        return np.where(front, sent * entrance_factor * self._face_m2, 0.0)
-
-
-@dataclass(frozen=True)
-class RetroSphere(_Retroreflector):
-    """A sphere covered with retro-reflective sheet; it faces everywhere.
-
-    Args:
-        diameter_mm: of the sphere (or disc) [mm].
-        sheet: its material.
-        illuminator: what lights it.
-
-    Raises:
-        InvalidParameter: a diameter that is not positive.
-    """
-
-    def photons_per_sr(
-        self, points_mm: Array, facing: Array | None, lens_positions_mm: Array, exposure_s: float
-    ) -> Array:
-        """Return the photons towards each lens, shape (N, S) [1/sr]; see ``LightSource``.
-
-        The way from the illuminator is in it, with the square of the distance.
-
-        Args:
-            points_mm: positions of N markers in the world, shape (N, 3) [mm].
-            facing: directions in which they face, shape (N, 3); None: towards each lens.
-            lens_positions_mm: centres of S lenses, shape (S, 3) [mm].
-            exposure_s: length of the exposure [s].
-        """
-        if facing is not None:
-            unit_facing(facing, points_mm)
-        towards = towards_lenses(points_mm, lens_positions_mm)
-        return self._sent_back(points_mm, towards, exposure_s) * self.effective_area_m2
-
-    @cached_property
-    def effective_area_m2(self) -> float:
-        """Area of the disc facing the light that returns the same light [m^2].
-
-        The sum of ``cos(b) 2^-(b/b_half)^2`` over the lit half of the sphere, at most its
-        projected area: ``2 pi R^2`` times the integral of it times sin(b).
-        """
-        node, weight = np.polynomial.legendre.leggauss(64)
-        entrance = np.pi / 4.0 * (node + 1.0)
-        integral = (
-            np.pi / 4.0 * (weight * np.sin(entrance) * self.sheet.entrance_factor(entrance)).sum()
-        )
-        return float(2.0 * self._face_m2 * integral)
+        return np.where(front, sent * entrance_factor * self.face_m2, 0.0)

@@ -12,9 +12,8 @@ from compute.optics.coded_aperture.coded_window import CodedWindow, maximal_leng
 from compute.optics.profiles.device_profile import DeviceProfile, PlateOptics
 from compute.optics.profiles.profile_sections import LedMarkers, RetroMarkers
 from compute.optics.profiles.units import InvalidQuantity, Unit, magnitude, split_unit
-from compute.optics.tracing.assembly import Assembly
-from compute.optics.tracing.elements import Lens, Stop
-from compute.optics.tracing.shapes import Conic, Cylinder, Plane, Toroid
+from compute.optics.tracing.assembly import Assembly, Lens, Stop
+from compute.optics.tracing.surfaces import Conic, Cylinder, Plane, Toroid
 
 KINDS: Final[dict[type, str]] = {
     Assembly: "assembly",
@@ -75,7 +74,7 @@ class ProfileDeserialiser:
             unit: unit of the field's name; None: no quantity.
 
         Raises:
-            _Wrong: it cannot be one; ``problems`` says why.
+            _InvalidField: it cannot be one; ``problems`` says why.
         """
         origin, arguments = get_origin(expected), get_args(expected)
         if origin in (Union, types.UnionType):
@@ -226,11 +225,11 @@ class _MaximalLength:
 
 def build_profile(document: Mapping[str, object]) -> tuple[DeviceProfile | None, list[Problem]]:
     """Return the profile of a parsed document, or None, and the errors."""
-    structurer = ProfileDeserialiser()
+    deserialiser = ProfileDeserialiser()
     try:
-        return structurer.build(DeviceProfile, document, ""), structurer.problems
+        return deserialiser.build(DeviceProfile, document, ""), deserialiser.problems
     except _InvalidField:
-        return None, structurer.problems
+        return None, deserialiser.problems
 
 
 def join(path: str, key: str) -> str:

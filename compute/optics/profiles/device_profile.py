@@ -3,8 +3,6 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-import numpy as np
-
 from compute.camera.model import Vector3
 from compute.errors import InvalidParameter
 from compute.optics.coded_aperture.coded_window import CodedWindow
@@ -17,6 +15,7 @@ from compute.optics.profiles.profile_sections import (
     Rates,
     Volume,
 )
+from compute.optics.sensor_placement import sensor_rotation
 from compute.optics.tracing.assembly import Assembly
 
 
@@ -63,21 +62,7 @@ class SensorProfile:
     optics: str
 
     def __post_init__(self) -> None:
-        axis = np.subtract(self.aim_mm, self.position_mm)
-        if not np.linalg.norm(axis) > 0.0:
-            raise InvalidParameter(
-                f"aim_mm is {self.aim_mm}, which is the sensor's own position; aim it at a point "
-                "in front of it",
-                aim_mm=self.aim_mm,
-            )
-        direction = np.asarray(self.measured_direction, dtype=np.float64)
-        across = np.linalg.norm(np.cross(axis, direction))
-        if not across > 1e-6 * np.linalg.norm(axis) * np.linalg.norm(direction):
-            raise InvalidParameter(
-                f"measured_direction is {self.measured_direction}; it must not be zero, nor the "
-                f"sensor's viewing direction {tuple(axis.tolist())}",
-                measured_direction=self.measured_direction,
-            )
+        sensor_rotation(self.name, self.position_mm, self.aim_mm, self.measured_direction)
 
 
 @dataclass(frozen=True)

@@ -1,16 +1,18 @@
 """Optics, markers and shadow templates that a profile describes."""
 
 from collections.abc import Sequence
+from itertools import product
 from typing import Final, Literal, get_args
 
 import numpy as np
 
+from compute.camera.model import vector3
 from compute.errors import InvalidParameter
 from compute.optics.coded_aperture.coded_window import CodedWindow
 from compute.optics.coded_aperture.gray_plate import GrayPlate, TrackOptics
 from compute.optics.coded_aperture.mask_optics import MaskOptics
 from compute.optics.coded_aperture.template_from_optics import template_from_optics
-from compute.optics.light.emission import CosinePower, TabulatedEmission
+from compute.optics.light.emission import CosinePower, EvenEmission
 from compute.optics.light.led import Led
 from compute.optics.light.light_source import LightSource
 from compute.optics.light.retroreflector import Illuminator, RetroDisc, RetroSheet
@@ -18,10 +20,9 @@ from compute.optics.pixel_row import PixelRow
 from compute.optics.pixel_solid_angles import SolidAngleOptics
 from compute.optics.profiles.device_profile import DeviceProfile, PlateOptics
 from compute.optics.profiles.profile_sections import LedMarkers
-from compute.optics.sensor_placement import place_sensor
-from compute.optics.stripe_optics.field_of_view import FieldOfView
-from compute.optics.stripe_optics.optical_sensor import OpticalSensor, place_optics
+from compute.optics.sensor_placement import OpticalSensor, place_optics, place_sensor
 from compute.optics.stripe_optics.stripe_profile import Blur
+from compute.optics.stripe_optics.stripe_table import FieldOfView
 from compute.optics.stripe_optics.tabulated_optics import TabulatedOptics
 from compute.optics.stripe_optics.traced_stripes import ExactOptics
 from compute.optics.tracing.assembly import Assembly
@@ -29,7 +30,7 @@ from compute.signal.coded_aperture.shadow_template import ShadowTemplate
 
 OpticsMode = Literal["tabulated", "exact"]
 
-_BESIDE: Final = 0.02  # what the tables reach beyond the volume, relative or in tangents
+_MARGIN: Final = 0.02  # of the tables beyond the volume, relative or in tangents
 
 _NEAREST_MM: Final = 50.0
 
@@ -138,14 +139,11 @@ def light_source(profile: DeviceProfile) -> LightSource:
             markers.emitter_width_mm,
         )
     towards = np.subtract(profile.volume.centre_mm, markers.illuminator_position_mm)
-    x, y, z = (float(value) for value in towards)
-    # The profile's intensity is that towards the markers: an even beam.
-    beam = TabulatedEmission((0.0, np.pi / 2.0), (1.0, 1.0))
     lamp = Illuminator(
         markers.illuminator_position_mm,
-        (x, y, z),
+        vector3(towards),
         markers.illuminator_intensity_w_per_sr,
-        beam,
+        EvenEmission(),  # the profile's intensity is that towards the markers
         markers.wavelength_nm,
         markers.spectral_width_nm,
     )
@@ -177,17 +175,17 @@ def profile_field(profile: DeviceProfile, sensors: Sequence[OpticalSensor]) -> F
         sensors: its sensors, placed.
     """
     centre, half = np.array(profile.volume.centre_mm), np.array(profile.volume.size_mm) / 2.0
-    signs = np.stack(np.meshgrid([-1, 1], [-1, 1], [-1, 1], indexing="ij"), axis=-1)
-    corners = centre + half * signs.reshape(-1, 3)
+    corners = centre + half * np.array(list(product((-1, 1), repeat=3)))
     seen = np.concatenate([sensor.to_sensor_frame(corners) for sensor in sensors])
     front = max(-sensor.assembly.front_z_mm for sensor in sensors)
     # A volume may begin at the device itself; what is nearer than this is traced.
     depth = np.maximum(seen[:, 2], 2.0 * front + _NEAREST_MM)
-    u, v = seen[:, 0] / depth, seen[:, 1] / depth
+    low = (seen[:, :2] / depth[:, None]).min(axis=0) - _MARGIN
+    high = (seen[:, :2] / depth[:, None]).max(axis=0) + _MARGIN
     return FieldOfView(
-        (float(u.min()) - _BESIDE, float(u.max()) + _BESIDE),
-        (float(v.min()) - _BESIDE, float(v.max()) + _BESIDE),
-        (float(depth.min()) * (1.0 - _BESIDE), float(depth.max()) * (1.0 + _BESIDE)),
+        (float(low[0]), float(high[0])),
+        (float(low[1]), float(high[1])),
+        (float(depth.min()) * (1.0 - _MARGIN), float(depth.max()) * (1.0 + _MARGIN)),
     )
 
 
@@ -214,13 +212,13 @@ def profile_optics(profile: DeviceProfile, mode: OpticsMode) -> SolidAngleOptics
         return window
     sensors = lens_sensors(profile, pixel_row(profile))
     blur = Blur(source.wavelength_nm, source.width_mm)
-    lines: SolidAngleOptics
-    if mode == "exact":
-        lines = ExactOptics(sensors, blur)
-    else:
-        lines = TabulatedOptics(sensors, blur, profile_field(profile, sensors))
+    stripes: SolidAngleOptics = (
+        ExactOptics(sensors, blur)
+        if mode == "exact"
+        else TabulatedOptics(sensors, blur, profile_field(profile, sensors))
+    )
     plate = gray_plate(profile)
-    return lines if plate is None else TrackOptics(lines, plate)
+    return stripes if plate is None else TrackOptics(stripes, plate)
 
 
 def window_shadows(profile: DeviceProfile) -> tuple[ShadowTemplate, ...]:

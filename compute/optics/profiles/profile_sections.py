@@ -1,18 +1,21 @@
 """Sections of a profile: detector, markers, rates, volume, published figures."""
 
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, fields
+from typing import Final, Literal
 
 import numpy as np
 
 from compute.camera.model import Vector3
 from compute.errors import InvalidParameter
 from compute.optics.detector import Detector
-from compute.optics.parameter_checks import check_not_negative, check_positive
+from compute.parameter_checks import check_not_negative, check_positive, require
 
 Illumination = Literal["strobed", "simultaneous"]
 Quantity = Literal["resolution", "accuracy", "max error"]
 Axis = Literal["x", "y", "z", "lateral", "depth", "3d"]
+
+
+_DETECTOR_FIELDS: Final = frozenset(field.name for field in fields(Detector))
 
 
 @dataclass(frozen=True)
@@ -54,26 +57,16 @@ class DetectorProfile:
     def __post_init__(self) -> None:
         check_not_negative(self, "dark_current_electrons_per_s", "ambient_electrons_per_s")
         self.detector(exposure_s=0.0)  # which checks the others
-        if not 0.0 < self.quantum_efficiency <= 1.0:
-            raise InvalidParameter(
-                f"quantum_efficiency is {self.quantum_efficiency}; it must be above 0, at most 1",
-                quantum_efficiency=self.quantum_efficiency,
-            )
+        valid = 0.0 < self.quantum_efficiency <= 1.0
+        require(valid, "be above 0, at most 1", quantum_efficiency=self.quantum_efficiency)
 
     def detector(self, exposure_s: float) -> Detector:
         """Return the detector for exposures of this length [s]."""
+        common = {name: value for name, value in vars(self).items() if name in _DETECTOR_FIELDS}
         return Detector(
-            bits=self.bits,
-            electrons_per_count=self.electrons_per_count,
-            offset_counts=self.offset_counts,
-            read_noise_electrons=self.read_noise_electrons,
-            full_well_electrons=self.full_well_electrons,
             ambient_electrons=self.ambient_electrons_per_s * exposure_s,
             dark_electrons=self.dark_current_electrons_per_s * exposure_s,
-            response_nonuniformity=self.response_nonuniformity,
-            dark_nonuniformity=self.dark_nonuniformity,
-            offset_nonuniformity_counts=self.offset_nonuniformity_counts,
-            blooming=self.blooming,
+            **common,
         )
 
 
@@ -147,12 +140,11 @@ class RetroMarkers:
         check_not_negative(self, "spectral_width_nm")
         _check_acute(self, "observation_half_angle_rad")
         _check_acute(self, "half_angle_rad")
-        if not self.half_angle_rad < np.pi / 3.0:
-            raise InvalidParameter(
-                f"half_angle_rad is {self.half_angle_rad}; it must be below pi/3 (60 deg), where "
-                "the cosine of a flat marker's area alone halves what it sends back",
-                half_angle_rad=self.half_angle_rad,
-            )
+        right = (
+            "be below pi/3 (60 deg), where the cosine of a flat marker's area alone halves what it "
+            "sends back"
+        )
+        require(self.half_angle_rad < np.pi / 3.0, right, half_angle_rad=self.half_angle_rad)
 
     @property
     def illumination(self) -> Illumination:
@@ -181,7 +173,7 @@ class Rates:
     def __post_init__(self) -> None:
         check_positive(self, "line_rate_hz", "exposure_s")
         longest = 1.0 / self.line_rate_hz
-        if self.exposure_s > longest * (1.0 + 1e-9):  # "200 us" at "5 kHz" is all of a line
+        if self.exposure_s > longest * (1.0 + 1e-9):  # "200 us" at "5 kHz" is a whole line period
             raise InvalidParameter(
                 f"exposure_s is {self.exposure_s}; at {self.line_rate_hz} lines per second it must "
                 f"be at most {longest:.6g}",
@@ -205,10 +197,7 @@ class Volume:
     size_mm: Vector3
 
     def __post_init__(self) -> None:
-        if not min(self.size_mm) > 0.0:
-            raise InvalidParameter(
-                f"size_mm is {self.size_mm}; all three must be positive", size_mm=self.size_mm
-            )
+        require(min(self.size_mm) > 0.0, "have three positive sides", size_mm=self.size_mm)
 
 
 @dataclass(frozen=True)
@@ -243,7 +232,4 @@ class PublishedFigure:
 
 def _check_acute(part: object, name: str) -> None:
     value = getattr(part, name)
-    if not 0.0 < value < np.pi / 2.0:
-        raise InvalidParameter(
-            f"{name} is {value}; it must be above 0 and below pi/2 (90 deg)", **{name: value}
-        )
+    require(0.0 < value < np.pi / 2.0, "be above 0 and below pi/2 (90 deg)", **{name: value})

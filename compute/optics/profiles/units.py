@@ -135,7 +135,7 @@ def _registry() -> UnitRegistry[Fraction]:
 
 @cache
 def _factor(written: str, expected: str) -> Fraction | None:
-    """Return how many ``wanted`` units one written unit is; None where it is of another kind."""
+    """Return the size of a written unit in expected units; None where it is of another kind."""
     registry = _registry()
     unit, target = registry.parse_units(written), registry.parse_units(expected)
     if unit.dimensionality != target.dimensionality:

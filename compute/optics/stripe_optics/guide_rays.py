@@ -8,10 +8,9 @@ from numpy.polynomial.chebyshev import chebval, chebvander
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from compute.optics.tracing.assembly import Assembly
-from compute.optics.tracing.elements import Lens
-from compute.optics.tracing.shapes import sag
-from compute.optics.tracing.traced_rays import TracedRays
+from compute.optics.tracing.assembly import Assembly, Lens
+from compute.optics.tracing.reference_tracer import TracedRays
+from compute.optics.tracing.surfaces import sag
 
 Array = NDArray[np.float64]
 
@@ -24,7 +23,7 @@ NODES: Final = np.cos(np.pi * (np.arange(GUIDES) + 0.5) / GUIDES)
 
 _HIT_MM: Final = 1e-4  # a ray that passes its height on the row by more was not aimed
 
-_STEEPEST: Final = 1.0  # tangent of the most slanting light along x
+_STEEPEST: Final = 1.0  # largest tangent of slanting light along x
 
 _CORNERS: Final = np.meshgrid([-1.0, 0.0, 1.0], [-1.0, 0.0, 1.0])
 
@@ -37,7 +36,7 @@ def hits_row(rays: TracedRays, aim: "RayTargets") -> NDArray[np.bool_]:
 def pupil_reach_mm(assembly: Assembly) -> float:
     """Return the half width of the light-admitting part of the first plane along x [mm].
 
-    A turned opening reaches farther than half its width, and one that lies before or behind the
+    A rotated opening reaches farther than half its width, and one that lies before or behind the
     plane, being tilted or the edge of a curved face, is passed by slanting light elsewhere in it.
     """
     first = assembly.elements[0]
@@ -85,7 +84,7 @@ class GuideSeries:
     """Chebyshev series of aimed rays: y in the pupil, and its derivative, over x.
 
     Args:
-        centre_mm: middle of the pupil [mm].
+        centre_mm: centre of the pupil [mm].
         reach_mm: half its width [mm].
         y_mm: coefficients, shape (K, N, 1).
         slope: coefficients, shape (K, N, 1).

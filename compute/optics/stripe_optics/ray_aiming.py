@@ -1,12 +1,11 @@
 """Ray aiming: rays from points through the optics to heights on a row of pixels.
 
 A cylindrical lens draws a point out into a line, and the row of pixels meets that line at one
-place only. Of all rays of a point, those that end on the row form a fan, one ray for each place
+point only. Of all rays of a point, those that end on the row form a fan, one ray for each position
 in the pupil along x; its partner in y is found by aiming. Integrating over this fan instead of
 over the whole pupil wastes no ray on what passes beside the row.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -24,19 +23,16 @@ from compute.optics.stripe_optics.guide_rays import (
     pupil_reach_mm,
 )
 from compute.optics.tracing.assembly import Assembly
-from compute.optics.tracing.reference_tracer import trace_rays
+from compute.optics.tracing.reference_tracer import RayStatus, TracedRays, trace_rays
 from compute.optics.tracing.surfaces import SurfaceStack
-from compute.optics.tracing.traced_rays import RayStatus, TracedRays
 
 Array = NDArray[np.float64]
-Tracer = Callable[[SurfaceStack, Array, Array], TracedRays]
 
 _COARSE: Final = 33  # places in the pupil looked at to find the fan's ends, at least
 _MAX_COARSE: Final = 1025
 _AIM_ITERATIONS: Final = 8
 _AIM_TOLERANCE_MM: Final = 1e-9
 _BISECTIONS: Final = 22  # of a 33rd of the pupil: to 1e-8 of its width
-_CHUNK: Final = 400_000  # rays traced at once, to bound the memory
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,13 +57,7 @@ class RayFans:
 
     def of_points(self, which: NDArray[np.bool_]) -> "RayFans":
         """Return the fans of some of the points."""
-        return RayFans(
-            self.pupil_mm[which],
-            self.position_mm[which],
-            self.solid_angle_sr_per_mm2[which],
-            self.sine[which],
-            self.lit[which],
-        )
+        return RayFans(*(values[which] for values in vars(self).values()))
 
 
 class RayAimer:
@@ -75,20 +65,18 @@ class RayAimer:
 
     Args:
         assembly: the optics.
-        tracer: what traces; NumPy's by default.
 
     Raises:
         InvalidParameter: the first element is infinitely wide, so that it has no pupil.
     """
 
-    def __init__(self, assembly: Assembly, tracer: Tracer = trace_rays) -> None:
+    def __init__(self, assembly: Assembly) -> None:
         first = assembly.elements[0]
         if not np.isfinite(first.aperture.width_mm):
             raise InvalidParameter(
                 "width_mm of the first element is infinite; give it the size of its opening",
                 width_mm=first.aperture.width_mm,
             )
-        self._tracer = tracer
         self._stack = assembly.stack()
         # Aiming goes on behind the edges of lenses and stops, where the last trace will not.
         self._open = replace(
@@ -153,7 +141,7 @@ class RayAimer:
         y, _ = self._aim_rays(aim)
         return self._through(aim, y, self._open).position_mm[:, 0]
 
-    def _guide(self, source_mm: Array, height_mm: Array) -> "GuideSeries":
+    def _guide(self, source_mm: Array, height_mm: Array) -> GuideSeries:
         """Aim a few rays of each fan, to start all others from."""
         pupil = np.broadcast_to(self._centre_mm + self._reach_mm * NODES, (len(source_mm), GUIDES))
         aim = RayTargets.of(source_mm, height_mm, pupil)
@@ -170,7 +158,7 @@ class RayAimer:
         )
 
     def _ends(
-        self, source_mm: Array, height_mm: Array, guide: "GuideSeries"
+        self, source_mm: Array, height_mm: Array, guide: GuideSeries
     ) -> tuple[Array, Array, NDArray[np.bool_]]:
         """Find the ends of each fan in the pupil, shape (R,), and whether there is one."""
 
@@ -208,7 +196,7 @@ class RayAimer:
         return inside[:, 0], inside[:, 1], lit
 
     def _aim_rays(
-        self, aim: "RayTargets", y_mm: Array | None = None, slope: Array | None = None
+        self, aim: RayTargets, y_mm: Array | None = None, slope: Array | None = None
     ) -> tuple[Array, Array]:
         """Find where rays must pass the pupil along y to meet the row at their heights.
 
@@ -243,36 +231,20 @@ class RayAimer:
             slope = np.where(np.abs(change) > 1e-4, secant, slope)
         return y, slope
 
-    def _miss(self, aim: "RayTargets", y_mm: Array) -> Array:
+    def _miss(self, aim: RayTargets, y_mm: Array) -> Array:
         return self._through(aim, y_mm, self._open).position_mm[:, 1] - aim.height_mm
 
-    def _through(self, aim: "RayTargets", y_mm: Array, stack: SurfaceStack) -> TracedRays:
-        depth = self._plane_z_mm - aim.source_mm[:, 2]
-        towards = np.stack(
-            [aim.pupil_mm - aim.source_mm[:, 0], y_mm - aim.source_mm[:, 1], depth], axis=1
-        )
-        return self._in_chunks(stack, aim.source_mm, towards)
+    def _towards(self, aim: RayTargets, y_mm: Array) -> Array:
+        """Return the vectors from the sources to the points in the pupil, shape (R, 3) [mm]."""
+        plane_z_mm = np.full_like(y_mm, self._plane_z_mm)
+        return np.stack([aim.pupil_mm, y_mm, plane_z_mm], axis=1) - aim.source_mm
 
-    def _density(self, aim: "RayTargets", y_mm: Array, slope: Array) -> Array:
+    def _through(self, aim: RayTargets, y_mm: Array, stack: SurfaceStack) -> TracedRays:
+        return trace_rays(stack, aim.source_mm, self._towards(aim, y_mm))
+
+    def _density(self, aim: RayTargets, y_mm: Array, slope: Array) -> Array:
         """Return the solid angle per mm of pupil and mm of height, without losses, shape (R,)."""
-        depth = self._plane_z_mm - aim.source_mm[:, 2]
-        x, y = aim.pupil_mm - aim.source_mm[:, 0], y_mm - aim.source_mm[:, 1]
+        x, y, depth = self._towards(aim, y_mm).T
         with np.errstate(invalid="ignore", divide="ignore"):
-            density = np.abs(depth) / (x**2 + y**2 + depth**2) ** 1.5 / np.abs(slope)
-        return np.nan_to_num(density)
-
-    def _in_chunks(self, stack: SurfaceStack, origins: Array, directions: Array) -> TracedRays:
-        if len(origins) <= _CHUNK:
-            return self._tracer(stack, origins, directions)
-        parts = [
-            self._tracer(stack, origins[start : start + _CHUNK], directions[start : start + _CHUNK])
-            for start in range(0, len(origins), _CHUNK)
-        ]
-        return TracedRays(
-            *(
-                np.concatenate([getattr(part, name) for part in parts])
-                for name in (
-                    "position_mm", "direction", "path_mm", "transmittance", "status", "lost_at"
-                )
-            )
-        )  # fmt: skip
+            density: Array = np.abs(depth) / (x**2 + y**2 + depth**2) ** 1.5 / np.abs(slope)
+        return np.asarray(np.nan_to_num(density))

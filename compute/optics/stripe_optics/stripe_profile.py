@@ -23,7 +23,7 @@ _MARGIN_PX: Final = 24  # room for the blur on both sides of a line
 # fade out here; beyond lie 0.2 to 0.8 % of the light, more of it the narrower the stop.
 _TAIL_PX: Final = (12.0, 20.0)
 _BESIDE_PX: Final = 64.0  # a line that lies farther beside the row than this is dark
-_MIN_CELLS: Final = 0.5  # least width of a tube
+_MIN_CELLS: Final = 0.5  # smallest width of a tube
 _BLOCK: Final = 4_000_000  # grid cells worked on at once
 
 
@@ -91,7 +91,7 @@ def stripe_profiles(
 ) -> StripeProfiles:
     """Bin ray fans to stripe profiles on the sub-pixel grid.
 
-    The light between two neighbouring rays lies between their two places on the row. Emitter and
+    The light between two neighbouring rays lies between their two positions on the row. Emitter and
     diffraction then widen the line: the first by the emitter's image, the second by the line
     spread of a slit, sinc^2, whose transfer function falls linearly to zero at
     ``(sine of the last ray - sine of the first) / wavelength`` (J. W. Goodman, Introduction to
@@ -166,12 +166,12 @@ def spline_error_px(rays: RayFans, row: PixelRow) -> Array:
         rays: the ray fans of N points.
         row: the pixels.
     """
-    places = np.linspace(0.0, 1.0, rays.position_mm.shape[2])
+    nodes = np.linspace(0.0, 1.0, rays.position_mm.shape[2])
     position = rays.position_mm / row.pitch_mm
     gaps = ~np.isfinite(position).all(axis=2) | (rays.solid_angle_sr_per_mm2 == 0.0).any(axis=2)
     known = np.where(gaps[..., None], 0.0, position)
-    coarse = CubicSpline(places[::2], known[..., ::2], axis=2)
-    miss = np.abs(coarse(places[1::2]) - known[..., 1::2]).mean(axis=2) / 15.0
+    coarse = CubicSpline(nodes[::2], known[..., ::2], axis=2)
+    miss = np.abs(coarse(nodes[1::2]) - known[..., 1::2]).mean(axis=2) / 15.0
     miss = np.where(gaps, np.inf, miss)
     return np.asarray(np.where(rays.lit, miss, 0.0).max(axis=1))
 
@@ -186,13 +186,13 @@ def _tubes(rays: RayFans, weights: Array, row: PixelRow) -> _Tubes:
     known = np.isfinite(reading)
     light = rays.solid_angle_sr_per_mm2
     left = np.minimum((middle * (samples - 1)).astype(np.int64), samples - 2)
-    place = _interpolate(traced, np.where(known, reading, 0.0), ends, known)
+    ends_px = _interpolate(traced, np.where(known, reading, 0.0), ends, known)
     density = _interpolate(traced, light, middle, light > 0.0)
     density *= (light[..., left] > 0.0) & (light[..., left + 1] > 0.0)
     width = np.diff(rays.pupil_mm[..., [0, -1]], axis=2) / len(middle)
     light = np.maximum(density, 0.0) * width * weights[:, None]
     light *= rays.lit[..., None]
-    one, other = place[..., :-1], place[..., 1:]
+    one, other = ends_px[..., :-1], ends_px[..., 1:]
     return _Tubes(
         np.minimum(one, other).reshape(points, -1),
         np.maximum(one, other).reshape(points, -1),
@@ -216,14 +216,14 @@ def _near_row(tubes: _Tubes, count: int) -> _Tubes:
     return _Tubes(low, high, tubes.light * share * near.any(axis=1, keepdims=True))
 
 
-def _interpolate(places: Array, values: Array, wanted: Array, good: NDArray[np.bool_]) -> Array:
+def _interpolate(nodes: Array, values: Array, at: Array, good: NDArray[np.bool_]) -> Array:
     """Interpolate along the last axis: by a spline, or linearly in a fan that has gaps."""
     whole = good.all(axis=-1)
-    found = np.empty((*values.shape[:-1], len(wanted)))
+    found = np.empty((*values.shape[:-1], len(at)))
     if whole.any():
-        found[whole] = CubicSpline(places, values[whole], axis=-1)(wanted)
+        found[whole] = CubicSpline(nodes, values[whole], axis=-1)(at)
     for index in zip(*np.nonzero(~whole), strict=True):
-        found[index] = np.interp(wanted, places, values[index])
+        found[index] = np.interp(at, nodes, values[index])
     return found
 
 
@@ -235,7 +235,7 @@ def _gather_tubes(tubes: _Tubes, part: slice, first: NDArray[np.int64], cells: i
     """
     low = (tubes.low[part] - first[:, None] + 0.5) * CELLS
     high = (tubes.high[part] - first[:, None] + 0.5) * CELLS
-    # At a focus a tube has no width; half a cell keeps its place.
+    # At a focus a tube has no width; half a cell keeps its position.
     missing = 0.5 * np.maximum(_MIN_CELLS - (high - low), 0.0)
     low, high = low - missing, high + missing
     density = tubes.light[part] / (high - low)

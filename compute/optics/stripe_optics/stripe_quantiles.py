@@ -47,10 +47,10 @@ def _quantiles(light: Array) -> Array:
     level = np.interp(
         (QUANTILE_LEVELS + order).ravel(), (share + order).ravel(), np.tile(edges, len(light))
     ).reshape(len(light), -1)
-    place = (level + 0.5) * CELLS
-    cell = np.minimum(place.astype(np.int64), light.shape[1] - 1)
+    position = (level + 0.5) * CELLS
+    cell = np.minimum(position.astype(np.int64), light.shape[1] - 1)
     before = np.take_along_axis(moment, cell, axis=1)
-    at = before + (place - cell) * (np.take_along_axis(moment, cell + 1, axis=1) - before)
+    at = before + (position - cell) * (np.take_along_axis(moment, cell + 1, axis=1) - before)
     level[:, 0] = 2.0 * (at[:, 1] - at[:, 0]) / QUANTILE_LEVELS[1] - level[:, 1]
     level[:, -1] = 2.0 * (at[:, -1] - at[:, -2]) / (1.0 - QUANTILE_LEVELS[-2]) - level[:, -2]
     return np.asarray(level + (moment[:, -1] - centroid_of_quantiles(level))[:, None])

@@ -2,7 +2,7 @@
 
 A table holds, over both field angles and the inverse distance, each line's total light and its
 quantiles: the readings below which given shares of the light lie. Between two lines of different
-place and width, quantiles go over from one to the other as the lines do, which their heights at
+position and width, quantiles go over from one to the other as the lines do, which their heights at
 given pixels do not.
 """
 
@@ -13,17 +13,82 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import NdBSpline, make_interp_spline
 
-from compute.optics.stripe_optics.field_of_view import DEGREE, FieldOfView, TableNodes
+from compute.errors import InvalidParameter
 from compute.optics.stripe_optics.stripe_quantiles import (
     QUANTILE_LEVELS,
     centroid_of_quantiles,
     quantiles,
 )
 from compute.optics.stripe_optics.traced_stripes import TracedStripes
-from compute.optics.tracing.assembly import Assembly
-from compute.optics.tracing.elements import Alignment
+from compute.optics.tracing.assembly import Alignment, Assembly
+from compute.parameter_checks import require
 
 Array = NDArray[np.float64]
+
+DEGREE: Final = 3
+"""Degree of the splines between the nodes."""
+
+
+@dataclass(frozen=True)
+class FieldOfView:
+    """Tabulated part of a sensor's field of view, in its frame.
+
+    Args:
+        u: smallest and largest x/z, along the row.
+        v: smallest and largest y/z, along the lens's axis.
+        distance_mm: smallest and largest z [mm], positive.
+
+    Raises:
+        InvalidParameter: an interval that is empty or not finite, a distance not positive.
+    """
+
+    u: tuple[float, float]
+    v: tuple[float, float]
+    distance_mm: tuple[float, float]
+
+    def __post_init__(self) -> None:
+        for name in ("u", "v", "distance_mm"):
+            low, high = getattr(self, name)
+            if not (np.isfinite([low, high]).all() and low < high):
+                raise InvalidParameter(
+                    f"{name} is {low} to {high}; it must be a finite interval",
+                    **{name: (low, high)},
+                )
+        if self.distance_mm[0] <= 0.0:
+            raise InvalidParameter(
+                f"distance_mm begins at {self.distance_mm[0]}; it must be positive",
+                distance_mm=self.distance_mm,
+            )
+
+    def contains(self, points_mm: Array) -> NDArray[np.bool_]:
+        """Return which points (N, 3) of the sensor's frame [mm] lie in it, shape (N,)."""
+        z = points_mm[:, 2]
+        inside = (z >= self.distance_mm[0]) & (z <= self.distance_mm[1])
+        for (low, high), along in ((self.u, points_mm[:, 0]), (self.v, points_mm[:, 1])):
+            inside &= (along >= low * z) & (along <= high * z)
+        return inside
+
+
+@dataclass(frozen=True)
+class TableNodes:
+    """Numbers of nodes of a table, at least 7 along u and 4 along the other axes.
+
+    Args:
+        u: along u, from end to end.
+        v: along v from the centre to the end, in steps of v^2 where the optics are symmetric.
+        distance: along the inverse distance.
+    """
+
+    u: int = 49
+    v: int = 85
+    distance: int = 9
+
+    def __post_init__(self) -> None:
+        for name in ("u", "v", "distance"):
+            value = getattr(self, name)
+            lowest = 2 * DEGREE + 1 if name == "u" else DEGREE + 1  # half of u may be tabulated
+            require(value >= lowest, f"be at least {lowest} nodes", **{name: value})
+
 
 _SHAPES: Final = 24  # principal components of the quantiles: what they leave is below 0.004 px RMS
 
@@ -73,8 +138,8 @@ class StripeTable:
         self._whole = _cells(lit.reshape(shape), all_of=True)
         self._dark = ~_cells(lit.reshape(shape), all_of=False)
         knots = []
-        for axis, places in enumerate(axes):
-            spline = make_interp_spline(places, values, k=DEGREE, axis=axis)
+        for axis, ticks in enumerate(axes):
+            spline = make_interp_spline(ticks, values, k=DEGREE, axis=axis)
             values = np.moveaxis(spline.c, 0, axis)
             knots.append(spline.t)
         self._spline = NdBSpline(tuple(knots), np.ascontiguousarray(values), DEGREE)
@@ -90,29 +155,29 @@ class StripeTable:
         """
         in_field = self.field.contains(points_mm)
         z = np.where(in_field, points_mm[:, 2], 1.0)
-        place = np.stack([points_mm[:, 0] / z, points_mm[:, 1] / z, 1.0 / z], axis=1)
-        mirrored = np.zeros(len(place), dtype=np.bool_)
+        coordinates = np.stack([points_mm[:, 0] / z, points_mm[:, 1] / z, 1.0 / z], axis=1)
+        mirrored = np.zeros(len(coordinates), dtype=np.bool_)
         if self._mirrored:
-            mirrored = place[:, 0] < 0.0
-            place[:, 0] = np.abs(place[:, 0])
-            place[:, 1] *= place[:, 1]
-        steps = (np.where(in_field[:, None], place, self._low) - self._low) / self._step
+            mirrored = coordinates[:, 0] < 0.0
+            coordinates[:, 0] = np.abs(coordinates[:, 0])
+            coordinates[:, 1] *= coordinates[:, 1]
+        steps = (np.where(in_field[:, None], coordinates, self._low) - self._low) / self._step
         cell = tuple(np.minimum(steps.astype(np.int64), np.array(self._whole.shape) - 1).T)
         whole = in_field & self._whole[cell]
         if whole.all():
-            return self._interpolate(place, mirrored)
+            return self._interpolate(coordinates, mirrored)
         levels, light = np.zeros((len(points_mm), len(QUANTILE_LEVELS))), np.zeros(len(points_mm))
-        levels[whole], light[whole] = self._interpolate(place[whole], mirrored[whole])
+        levels[whole], light[whole] = self._interpolate(coordinates[whole], mirrored[whole])
         traced = ~whole & ~(in_field & self._dark[cell])
         if traced.any():
             shapes = self._lines.shapes(points_mm[traced])
             levels[traced], light[traced] = quantiles(shapes), shapes.total_sr
         return levels, light
 
-    def _interpolate(self, place: Array, mirrored: NDArray[np.bool_]) -> tuple[Array, Array]:
-        found = self._spline(place)
+    def _interpolate(self, coordinates: Array, mirrored: NDArray[np.bool_]) -> tuple[Array, Array]:
+        found = self._spline(coordinates)
         levels = self._basis.levels(found[:, :-1])
-        light = np.maximum(found[:, -1], 0.0) * place[:, 2] ** 2
+        light = np.maximum(found[:, -1], 0.0) * coordinates[:, 2] ** 2
         if mirrored.any():
             levels[mirrored] = 2.0 * self._lines.row.centre_px - levels[mirrored, ::-1]
         return levels, light
@@ -162,11 +227,11 @@ def _is_symmetric(assembly: Assembly) -> bool:
     return elements and assembly.sensor_alignment == straight
 
 
-def _continue_into_the_dark(places: Array, values: Array, lit: NDArray[np.bool_]) -> None:
+def _continue_into_the_dark(coordinates: Array, values: Array, lit: NDArray[np.bool_]) -> None:
     """Fill nodes without light by a polynomial through the others, so that the spline is smooth."""
     if lit.all() or not lit.any():
         return
-    scaled = 2.0 * (places - places.min(axis=0)) / np.ptp(places, axis=0) - 1.0
+    scaled = 2.0 * (coordinates - coordinates.min(axis=0)) / np.ptp(coordinates, axis=0) - 1.0
     powers = [p for p in np.ndindex(*(DEGREE + 2,) * 3) if sum(p) <= DEGREE + 1]
     terms = np.stack([np.prod(scaled ** np.array(power), axis=1) for power in powers], axis=1)
     fitted, *_ = np.linalg.lstsq(terms[lit], values[lit], rcond=None)

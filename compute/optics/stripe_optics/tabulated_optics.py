@@ -9,20 +9,16 @@ from numpy.typing import NDArray
 
 from compute.optics.pixel_row import PixelRow
 from compute.optics.pixel_solid_angles import PixelSolidAngles
-from compute.optics.stripe_optics.field_of_view import FieldOfView, TableNodes
-from compute.optics.stripe_optics.optical_sensor import OpticalSensor
-from compute.optics.stripe_optics.ray_aiming import Tracer
+from compute.optics.sensor_placement import OpticalSensor
 from compute.optics.stripe_optics.stripe_profile import Blur
 from compute.optics.stripe_optics.stripe_quantiles import pixel_windows
-from compute.optics.stripe_optics.stripe_table import StripeTable
+from compute.optics.stripe_optics.stripe_table import FieldOfView, StripeTable, TableNodes
 from compute.optics.stripe_optics.traced_stripes import RaySampling, TracedStripes
 from compute.optics.tracing.assembly import Assembly
-from compute.optics.tracing.reference_tracer import trace_rays
 
 Array = NDArray[np.float64]
 
-TABLE_SAMPLING: Final = RaySampling(17)
-"""Rays of a fan for a table: within 1e-4 px of 257 for the built-in devices."""
+_SAMPLING: Final = RaySampling(17)  # within 1e-4 px of 257 rays for the built-in devices
 
 _Kind = tuple[Assembly, PixelRow]  # sensors of one kind share a table
 
@@ -37,8 +33,6 @@ class TabulatedOptics:
         blur: emitter and wavelength.
         field: the part of each sensor's field of view to tabulate.
         nodes: how finely to tabulate.
-        sampling: how finely to trace; None: TABLE_SAMPLING.
-        tracer: what traces; NumPy's by default.
     """
 
     def __init__(
@@ -47,8 +41,6 @@ class TabulatedOptics:
         blur: Blur,
         field: FieldOfView,
         nodes: TableNodes | None = None,
-        sampling: RaySampling | None = None,
-        tracer: Tracer = trace_rays,
     ) -> None:
         self._sensors = tuple(sensors)
         self._tables: dict[_Kind, StripeTable] = {}
@@ -57,9 +49,7 @@ class TabulatedOptics:
             kind = (sensor.assembly, sensor.row)
             self._of_kind.setdefault(kind, []).append(number)
             if kind not in self._tables:
-                self._tables[kind] = _table(
-                    *kind, blur, sampling or TABLE_SAMPLING, tracer, field, nodes
-                )
+                self._tables[kind] = _table(*kind, blur, field, nodes)
 
     def solid_angles(self, points_mm: Array) -> PixelSolidAngles:
         """Return the solid angles of points (N, 3) in the world frame [mm]."""
@@ -83,13 +73,7 @@ class TabulatedOptics:
 
 @lru_cache(maxsize=8)
 def _table(
-    assembly: Assembly,
-    row: PixelRow,
-    blur: Blur,
-    sampling: RaySampling,
-    tracer: Tracer,
-    field: FieldOfView,
-    nodes: TableNodes | None,
+    assembly: Assembly, row: PixelRow, blur: Blur, field: FieldOfView, nodes: TableNodes | None
 ) -> StripeTable:
     """Return a table, kept for the next device of the kind: making one takes seconds."""
-    return StripeTable(TracedStripes(assembly, row, blur, sampling, tracer), field, nodes)
+    return StripeTable(TracedStripes(assembly, row, blur, _SAMPLING), field, nodes)

@@ -7,11 +7,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.errors import InvalidParameter
 from compute.optics.pixel_row import PixelRow
 from compute.optics.pixel_solid_angles import PixelSolidAngles
-from compute.optics.stripe_optics.optical_sensor import OpticalSensor, to_optics_frame
-from compute.optics.stripe_optics.ray_aiming import RayAimer, RayFans, Tracer
+from compute.optics.sensor_placement import OpticalSensor, to_optics_frame
+from compute.optics.stripe_optics.ray_aiming import RayAimer
 from compute.optics.stripe_optics.stripe_profile import (
     Blur,
     StripeProfiles,
@@ -20,7 +19,7 @@ from compute.optics.stripe_optics.stripe_profile import (
     stripe_profiles,
 )
 from compute.optics.tracing.assembly import Assembly
-from compute.optics.tracing.reference_tracer import trace_rays
+from compute.parameter_checks import require
 
 Array = NDArray[np.float64]
 
@@ -47,22 +46,12 @@ class RaySampling:
     tolerance_px: float = 1e-3
 
     def __post_init__(self) -> None:
-        if self.rays < 9 or self.rays % 2 == 0:
-            raise InvalidParameter(
-                f"rays is {self.rays}; it must be odd, and at least 9", rays=self.rays
-            )
-        if self.max_rays < self.rays or self.max_rays % 2 == 0:
-            raise InvalidParameter(
-                f"max_rays is {self.max_rays}; it must be odd, and at least {self.rays}, "
-                "the rays to "
-                "begin with",
-                max_rays=self.max_rays,
-            )
-        if not self.tolerance_px > 0.0:
-            raise InvalidParameter(
-                f"tolerance_px is {self.tolerance_px}; it must be positive",
-                tolerance_px=self.tolerance_px,
-            )
+        valid = self.rays >= 9 and self.rays % 2 == 1
+        require(valid, "be odd, and at least 9", rays=self.rays)
+        valid = self.max_rays >= self.rays and self.max_rays % 2 == 1
+        right = f"be odd, and at least {self.rays}, the rays to begin with"
+        require(valid, right, max_rays=self.max_rays)
+        require(self.tolerance_px > 0.0, "be positive", tolerance_px=self.tolerance_px)
 
 
 class TracedStripes:
@@ -73,22 +62,17 @@ class TracedStripes:
         row: the pixels.
         blur: emitter and wavelength.
         sampling: how finely to trace.
-        tracer: what traces; NumPy's by default.
     """
 
     def __init__(
-        self,
-        assembly: Assembly,
-        row: PixelRow,
-        blur: Blur,
-        sampling: RaySampling | None = None,
-        tracer: Tracer = trace_rays,
+        self, assembly: Assembly, row: PixelRow, blur: Blur, sampling: RaySampling | None = None
     ) -> None:
         self.assembly = assembly
         self.row = row
         self.blur = blur
         self._sampling = sampling or RaySampling()
-        self._aim = RayAimer(assembly, tracer)
+        self._front_mm = -assembly.front_z_mm + NEAREST_MM
+        self._aim = RayAimer(assembly)
         # Gauss's nodes over a pixel's height, across which the line leans and bends.
         count = min(5, 2 + int(row.height_um / (_PITCHES_BY_NODE * row.pitch_um)))
         nodes, weights = np.polynomial.legendre.leggauss(count)
@@ -102,10 +86,9 @@ class TracedStripes:
             InvalidParameter: a point inside a lens.
         """
         self.assembly.check_source(to_optics_frame(points_mm))
-        front = -self.assembly.front_z_mm + NEAREST_MM
         # Points behind the optics are moved in front to be traced, then darkened.
-        before = points_mm[:, 2] >= front
-        points = np.where(before[:, None], points_mm, [0.0, 0.0, front + 1000.0])
+        before = points_mm[:, 2] >= self._front_mm
+        points = np.where(before[:, None], points_mm, [0.0, 0.0, self._front_mm + 1000.0])
         parts, left, samples = [], np.arange(len(points)), self._sampling.rays
         while len(left):
             rays = self._aim.fans(to_optics_frame(points[left]), self._heights_mm, samples)
@@ -114,17 +97,15 @@ class TracedStripes:
                 settled[:] = True
             if settled.any():
                 part = left[settled]
-                parts.append((part, self._gather(rays.of_points(settled), points[part])))
+                fans = rays.of_points(settled)
+                middle = fans.pupil_mm[:, len(self._heights_mm) // 2].mean(axis=1)
+                scale = self._scale(points[part], middle)
+                profiles = stripe_profiles(fans, self._weights_mm, self.row, self.blur, scale)
+                parts.append((part, profiles))
             left, samples = left[~settled], min(4 * samples - 3, self._sampling.max_rays)
         lines = merge_profiles(parts, len(points))
         lines.cell_sr[~before] = 0.0
         return lines
-
-    def _gather(self, rays: RayFans, points: Array) -> StripeProfiles:
-        middle = rays.pupil_mm[:, len(self._heights_mm) // 2].mean(axis=1)
-        return stripe_profiles(
-            rays, self._weights_mm, self.row, self.blur, self._scale(points, middle)
-        )
 
     def chief_px(self, points_mm: Array) -> Array:
         """Return the readings of the rays through the middle of each fan, shape (N,) [px].
@@ -133,8 +114,7 @@ class TracedStripes:
         """
         rays = self._aim.fans(to_optics_frame(points_mm), np.zeros(1), 3)
         reading = self.row.centre_px - rays.position_mm[:, 0, 1] / self.row.pitch_mm
-        front = -self.assembly.front_z_mm + NEAREST_MM
-        return np.where(rays.lit[:, 0] & (points_mm[:, 2] >= front), reading, np.nan)
+        return np.where(rays.lit[:, 0] & (points_mm[:, 2] >= self._front_mm), reading, np.nan)
 
     def _scale(self, points: Array, pupil_mm: Array) -> Array:
         """Return by how much a line moves with its point along x, shape (N,) [px/mm]."""
@@ -153,36 +133,21 @@ class ExactOptics:
     Args:
         sensors: the sensors, in the device's order.
         blur: emitter and wavelength.
-        sampling: how finely to trace.
-        tracer: what traces; NumPy's by default.
     """
 
-    def __init__(
-        self,
-        sensors: Sequence[OpticalSensor],
-        blur: Blur,
-        sampling: RaySampling | None = None,
-        tracer: Tracer = trace_rays,
-    ) -> None:
+    def __init__(self, sensors: Sequence[OpticalSensor], blur: Blur) -> None:
         self._sensors = tuple(sensors)
         kinds = {(sensor.assembly, sensor.row) for sensor in self._sensors}
-        self._lines = {kind: TracedStripes(*kind, blur, sampling, tracer) for kind in kinds}
+        self._lines = {kind: TracedStripes(*kind, blur) for kind in kinds}
 
     def solid_angles(self, points_mm: Array) -> PixelSolidAngles:
         """Return the solid angles of points (N, 3) in the world frame [mm]."""
-        return gather_solid_angles(
-            [
-                self._lines[sensor.assembly, sensor.row].shapes(sensor.to_sensor_frame(points_mm))
-                for sensor in self._sensors
-            ]
-        )
-
-
-def gather_solid_angles(lines: Sequence[StripeProfiles]) -> PixelSolidAngles:
-    """Put the stripes of N points on each of S sensors into windows of one width."""
-    by_pixel = [line.pixels_sr for line in lines]
-    width = max(pixels.shape[1] for pixels in by_pixel)
-    window = np.zeros((len(by_pixel[0]), len(lines), width))
-    for sensor, pixels in enumerate(by_pixel):
-        window[:, sensor, : pixels.shape[1]] = pixels
-    return PixelSolidAngles(np.stack([line.first_px for line in lines], axis=1), window)
+        stripes = [
+            self._lines[sensor.assembly, sensor.row].shapes(sensor.to_sensor_frame(points_mm))
+            for sensor in self._sensors
+        ]
+        by_pixel = [stripe.pixels_sr for stripe in stripes]
+        width = max(pixels.shape[1] for pixels in by_pixel)
+        padded = [np.pad(pixels, ((0, 0), (0, width - pixels.shape[1]))) for pixels in by_pixel]
+        first_px = np.stack([stripe.first_px for stripe in stripes], axis=1)
+        return PixelSolidAngles(first_px, np.stack(padded, axis=1))

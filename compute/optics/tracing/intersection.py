@@ -9,8 +9,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.optics.tracing.shapes import Array
 from compute.optics.tracing.surface_records import BACKWARD_SLACK_MM, Form
+from compute.optics.tracing.surfaces import Array
 
 Vectors = tuple[Array, Array, Array]
 """Components of N vectors, each of shape (N,)."""
@@ -27,7 +27,7 @@ MAX_STEPS: Final = 100
 CLOSE: Final = 2.0**-32
 """Last step of Newton's method, of the smaller radius; the next would be of its square."""
 ROUNDING: Final = 2.0**-50
-"""Of a distance: less is not told apart."""
+"""Relative resolution of distances."""
 
 
 def dot(a: Vectors, b: Vectors) -> Array:
@@ -45,11 +45,11 @@ def intersect(record: np.void, origin: Vectors, direction: Vectors) -> tuple[Arr
 
     Args:
         record: the surface, a SURFACE_RECORD.
-        origin: places [mm], in the surface's own frame.
+        origin: start points [mm], in the surface's own frame.
         direction: unit vectors.
 
     Returns:
-        The distance along each ray [mm], NaN where it does not meet the surface, and the place.
+        Distance along each ray [mm], NaN where it does not meet the surface, and intersection.
     """
     x, y, z = origin
     dx, dy, dz = direction
@@ -86,7 +86,7 @@ def normal(record: np.void, position: Vectors) -> Vectors:
     return n[0] * scale, n[1] * scale, n[2] * scale
 
 
-def _quadric(record: np.void, origin: Vectors, direction: Vectors, least: Array) -> Array:
+def _quadric(record: np.void, origin: Vectors, direction: Vectors, t_min: Array) -> Array:
     """Solve a t^2 + 2 b t + g = 0; NaN where no root is forward and on the sheet."""
     x, y, z = origin
     dx, dy, dz = direction
@@ -103,7 +103,7 @@ def _quadric(record: np.void, origin: Vectors, direction: Vectors, least: Array)
     def valid(t: Array) -> Bools:
         # The sheet of the vertex is where 1 - (1 + k) c z >= 0.
         on_sheet: Bools = 1.0 - e * (z + t * dz) >= 0.0
-        return (t >= least) & (t < np.inf) & on_sheet
+        return (t >= t_min) & (t < np.inf) & on_sheet
 
     return np.where(valid(first), first, np.where(valid(second), second, np.nan))
 
@@ -134,10 +134,10 @@ def _height(
     return g - f, g_slope, cx * x * direction[0] / w
 
 
-def _toroid(record: np.void, origin: Vectors, direction: Vectors, least: Array) -> Array:
+def _toroid(record: np.void, origin: Vectors, direction: Vectors, t_min: Array) -> Array:
     """Find the first root by intervals on which the height is shown to be monotonic."""
-    result = np.full(least.shape, np.nan)
-    low, high = _domain(record, origin, direction, least)
+    result = np.full(t_min.shape, np.nan)
+    low, high = _domain(record, origin, direction, t_min)
     rays = np.flatnonzero(low < high)
     low, high = low[rays], high[rays]
     width = high - low
@@ -188,7 +188,7 @@ def _newton(
     Newton's method; a step that would leave the bracket halves it instead.
     """
     result = np.empty(low.shape)
-    places = np.arange(len(low))
+    index = np.arange(len(low))
     low_negative = h_low <= 0.0
     t = 0.5 * (low + high)
     for step in range(MAX_STEPS):
@@ -200,24 +200,24 @@ def _newton(
         new = np.where(inside, newton, 0.5 * (low + high))
         moved = np.where(inside, abs(new - t), high - low)
         done = (moved <= close + ROUNDING * abs(new)) | (step == MAX_STEPS - 1)
-        result[places[done]] = new[done]
+        result[index[done]] = new[done]
         go = ~done
         if not go.any():
             break
-        places, rays, low_negative = places[go], rays[go], low_negative[go]
+        index, rays, low_negative = index[go], rays[go], low_negative[go]
         t, low, high = new[go], low[go], high[go]
     return result
 
 
 def _domain(
-    record: np.void, origin: Vectors, direction: Vectors, least: Array
+    record: np.void, origin: Vectors, direction: Vectors, t_min: Array
 ) -> tuple[Array, Array]:
     """Return where along its ray a toroid can be: forward, within its reach, before its axis."""
     x, _, z = origin
     dx, _, dz = direction
     cy, reach, profile = record["cy"], record["reach_mm"], record["profile_reach_mm"]
-    low = np.where(least > -reach, least, -reach)
-    high = np.full(least.shape, reach)
+    low = np.where(t_min > -reach, t_min, -reach)
+    high = np.full(t_min.shape, reach)
     if profile < np.inf:
         one, two = (-profile - x) / dx, (profile - x) / dx
         low = _larger(low, _smaller(one, two))

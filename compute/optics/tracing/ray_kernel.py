@@ -4,69 +4,47 @@ Only ``compute.optics.tracing.ray_tracer`` imports this module, when a tracer is
 Warp.
 """
 
-from typing import Final
+from functools import cache
+from typing import Any
 
 import warp as wp
 
 from compute.native.headers import module_options
 
-# Without fused multiply-adds, both devices round as NumPy does.
-OPTIONS: Final = module_options("compute/optics/tracing/native/ray_tracing.h", fuse_fp=False)
-_CALL: Final = (
-    "lumiline::tracing::trace_ray<{}>"
-    "(ray, rays, rays_address, surfaces_address, image, results_address);"
-)
 
+@cache
+def ray_kernel(has_toroids: bool) -> Any:
+    """Return the kernel for surfaces with or without toroids; launch with one thread a ray.
 
-@wp.func_native(_CALL.format("true"))  # type: ignore[untyped-decorator]
-def _trace_one_ray(
-    ray: int,
-    rays: int,
-    rays_address: wp.uint64,
-    surfaces_address: wp.uint64,
-    image: int,
-    results_address: wp.uint64,
-) -> None: ...
-
-
-@wp.func_native(_CALL.format("false"))  # type: ignore[untyped-decorator]
-def _trace_one_ray_without_toroids(
-    ray: int,
-    rays: int,
-    rays_address: wp.uint64,
-    surfaces_address: wp.uint64,
-    image: int,
-    results_address: wp.uint64,
-) -> None: ...
-
-
-@wp.kernel(module="unique", module_options=OPTIONS)  # type: ignore[untyped-decorator]
-def trace_rays(
-    rays: int,
-    rays_address: wp.uint64,
-    surfaces_address: wp.uint64,
-    image: int,
-    results_address: wp.uint64,
-) -> None:
-    """Trace N = ``rays`` rays; launch with as many threads.
-
-    ``rays_address`` is that of float64 (6, N) in the device's memory: origin and direction, of
-    any length. ``surfaces_address`` is that of SURFACE_RECORDs, the last of which, number
-    ``image``, is the image plane. ``results_address`` is that of float64 (8, N): x, y, direction,
-    path, both transmittances; then of int32 (N,): 4 times the surface plus the status.
+    It takes the number N of rays; the address in the device's memory of float64 (6, N), origin
+    and direction of any length; the address of SURFACE_RECORDs and the number of the last one,
+    the image plane; and the address of float64 (8, N): x, y, direction, path, both
+    transmittances; then of int32 (N,): 4 times the surface plus the status.
     """
-    _trace_one_ray(wp.tid(), rays, rays_address, surfaces_address, image, results_address)
 
+    def trace_ray(
+        ray: int,
+        rays: int,
+        rays_address: wp.uint64,
+        surfaces_address: wp.uint64,
+        image: int,
+        results_address: wp.uint64,
+    ) -> None: ...
 
-@wp.kernel(module="unique", module_options=OPTIONS)  # type: ignore[untyped-decorator]
-def trace_rays_without_toroids(
-    rays: int,
-    rays_address: wp.uint64,
-    surfaces_address: wp.uint64,
-    image: int,
-    results_address: wp.uint64,
-) -> None:
-    """Trace rays as ``trace_rays`` does, through surfaces none of which is a toroid."""
-    _trace_one_ray_without_toroids(
-        wp.tid(), rays, rays_address, surfaces_address, image, results_address
-    )
+    native = wp.func_native(
+        f"lumiline::tracing::trace_ray<{str(has_toroids).lower()}>"
+        "(ray, rays, rays_address, surfaces_address, image, results_address);"
+    )(trace_ray)
+
+    def trace_rays(
+        rays: int,
+        rays_address: wp.uint64,
+        surfaces_address: wp.uint64,
+        image: int,
+        results_address: wp.uint64,
+    ) -> None:
+        native(wp.tid(), rays, rays_address, surfaces_address, image, results_address)
+
+    # Without fused multiply-adds, both devices round as NumPy does.
+    options = module_options("compute/optics/tracing/native/ray_tracing.h", fuse_fp=False)
+    return wp.kernel(module="unique", module_options=options)(trace_rays)

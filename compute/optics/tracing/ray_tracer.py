@@ -4,11 +4,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from compute.optics.tracing.reference_tracer import validate_rays
-from compute.optics.tracing.shapes import Array
+from compute.optics.tracing.reference_tracer import RayStatus, TracedRays, validate_rays
 from compute.optics.tracing.surface_records import Form, pack
-from compute.optics.tracing.surfaces import SurfaceStack
-from compute.optics.tracing.traced_rays import RayStatus, TracedRays
+from compute.optics.tracing.surfaces import Array, SurfaceStack
 from compute.warp_host import host_memory, warp_device
 
 INPUTS: Final = 6
@@ -38,7 +36,7 @@ class RayTracer:
         # Here and not above: Warp takes a second to load, and the types are used without it.
         import warp as wp
 
-        from compute.optics.tracing.ray_kernel import trace_rays, trace_rays_without_toroids
+        from compute.optics.tracing.ray_kernel import ray_kernel
 
         self._wp = wp
         self.stack = stack
@@ -52,15 +50,9 @@ class RayTracer:
         self._reserve(MIN_RAYS)
         self._uploaded = 0
         self._launch = wp.launch(
-            trace_rays if toroids else trace_rays_without_toroids,
+            ray_kernel(toroids),
             dim=1,
-            inputs=[
-                1,
-                self._rays.ptr,
-                self._surfaces.ptr,
-                len(records) - 1,
-                self._results.ptr,
-            ],
+            inputs=[1, self._rays.ptr, self._surfaces.ptr, len(records) - 1, self._results.ptr],
             device=self._device,
             block_dim=THREADS_PER_BLOCK,
             record_cmd=True,
@@ -84,8 +76,7 @@ class RayTracer:
         """Copy rays to the device; ``trace`` is upload, launch and download.
 
         Args:
-            origins_mm: start points, shape (N, 3) [mm].
-            directions: of any length, shape (N, 3).
+            origins_mm, directions: as of ``trace``.
         """
         origins, vectors = validate_rays(origins_mm, directions)
         count = len(origins)

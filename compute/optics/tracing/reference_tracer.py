@@ -1,5 +1,7 @@
 """Exact ray trace through a stack of surfaces in NumPy: refraction, apertures, losses."""
 
+from dataclasses import dataclass
+from enum import IntEnum
 from typing import Final
 
 import numpy as np
@@ -7,10 +9,50 @@ from numpy.typing import NDArray
 
 from compute.errors import InvalidParameter
 from compute.optics.tracing.intersection import Bools, Vectors, dot, intersect, normal
-from compute.optics.tracing.shapes import Array
 from compute.optics.tracing.surface_records import Form, Records, pack
-from compute.optics.tracing.surfaces import SurfaceStack
-from compute.optics.tracing.traced_rays import RayStatus, TracedRays
+from compute.optics.tracing.surfaces import Array, SurfaceStack
+from compute.parameter_checks import require_shape
+
+
+class RayStatus(IntEnum):
+    """Status of a traced ray."""
+
+    ARRIVED = 0
+    """It reached the plane of the sensor."""
+    MISSED = 1
+    """It does not meet a surface."""
+    STOPPED = 2
+    """It met a surface outside of its opening."""
+    TOTALLY_REFLECTED = 3
+    """It could not leave a denser glass."""
+
+
+@dataclass(frozen=True, eq=False)
+class TracedRays:
+    """N rays at the plane of the sensor, in the sensor's own frame (x along the pixels).
+
+    A ray that did not arrive has NaN everywhere, a transmittance of zero, and tells where it
+    was lost.
+
+    Args:
+        position_mm: shape (N, 3) [mm]; z is zero.
+        direction: unit vectors, shape (N, 3).
+        path_mm: optical path from the ray's origin, shape (N,) [mm].
+        transmittance: share of the power that arrives, shape (N, 2): for light polarised at the
+            start in the plane of the ray and the x axis, and across it; their mean is that of
+            unpolarised light.
+        status: RayStatus, int32, shape (N,).
+        lost_at: number of the surface where it was lost, the image counting as the last; -1 for
+            a ray that arrived; int32, shape (N,).
+    """
+
+    position_mm: Array
+    direction: Array
+    path_mm: Array
+    transmittance: Array
+    status: NDArray[np.int32]
+    lost_at: NDArray[np.int32]
+
 
 CHUNK_RAYS: Final = 4096
 """Rays that are traced together: their numbers stay in the processor's cache."""
@@ -60,10 +102,7 @@ def validate_rays(origins_mm: Array, directions: Array) -> tuple[Array, Array]:
     arrays = []
     for name, values in (("origins_mm", origins_mm), ("directions", directions)):
         array = np.asarray(values, dtype=np.float64)
-        if array.ndim != 2 or array.shape[1] != 3:
-            raise InvalidParameter(
-                f"{name} has the shape {array.shape}; it must be (N, 3)", **{name: array.shape}
-            )
+        require_shape(array.ndim == 2 and array.shape[1] == 3, "be (N, 3)", **{name: array})
         if not np.isfinite(array).all():
             row = int((~np.isfinite(array)).any(axis=1).argmax())
             raise InvalidParameter(
@@ -79,9 +118,9 @@ def validate_rays(origins_mm: Array, directions: Array) -> tuple[Array, Array]:
             directions=vectors.shape,
         )
     x, y, z = vectors.T
-    nothing = (x == 0.0) & (y == 0.0) & (z == 0.0)
-    if nothing.any():
-        row = int(nothing.argmax())
+    zero = (x == 0.0) & (y == 0.0) & (z == 0.0)
+    if zero.any():
+        row = int(zero.argmax())
         raise InvalidParameter(
             f"directions of ray {row} is zero; it must have a length",
             directions=vectors[row].tolist(),
@@ -233,7 +272,8 @@ def _refract(
     ratio = record["ratio"]
     if record["form"] == Form.PLANE:
         cosine = local[2]
-        n = _column(record, 2)
+        axis = record["rotation"][:, 2]
+        n = axis[0], axis[1], axis[2]
     else:
         own = normal(record, position)
         cosine = dot(local, own)
@@ -256,8 +296,3 @@ def _refract(
 def _project(field: Vectors, d: Vectors, out: Vectors, stretch: Array) -> Vectors:
     along = dot(field, out) * stretch
     return field[0] - d[0] * along, field[1] - d[1] * along, field[2] - d[2] * along
-
-
-def _column(record: np.void, axis: int) -> Vectors:
-    column = record["rotation"][:, axis]
-    return column[0], column[1], column[2]

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.native.records import Record
-from compute.optics.tracing.shapes import Plane, Toroid
-from compute.optics.tracing.surfaces import Surface, SurfaceStack
+from compute.optics.tracing.surfaces import Plane, Surface, SurfaceStack, Toroid
 
 
 class Form(IntEnum):
@@ -20,6 +19,8 @@ class Form(IntEnum):
     """Conic or cylinder: cx x^2 + cy y^2 + e z^2 = 2 z."""
     TOROID = 2
 
+
+_FORMS: Final[dict[type, Form]] = {Plane: Form.PLANE, Toroid: Form.TOROID}
 
 SURFACE: Final = Record(
     "Surface",
@@ -49,7 +50,7 @@ SURFACE_RECORD: Final = SURFACE.dtype
 Records = NDArray[np.void]
 
 BACKWARD_SLACK_MM: Final = 1e-9
-"""A crossing so little behind a ray's start is at its start: surfaces may touch, numbers round."""
+"""A crossing this little behind a ray's start counts: surfaces may touch, and numbers round."""
 
 OPEN_REACH: Final = 1e3
 """Radii within which crossings of a saddle with an open profile are searched; it has no end."""
@@ -84,13 +85,7 @@ def pack(stack: SurfaceStack) -> Records:
 def _fill(record: np.void, surface: Surface) -> None:
     shape = surface.shape
     cx, cy = shape.curvatures_per_mm
-    record["form"] = (
-        Form.PLANE
-        if isinstance(shape, Plane)
-        else Form.TOROID
-        if isinstance(shape, Toroid)
-        else Form.QUADRIC
-    )
+    record["form"] = _FORMS.get(type(shape), Form.QUADRIC)
     record["is_rotated"] = any(surface.rotation_vector_rad)
     record["vertex_mm"], record["rotation"] = surface.vertex_mm, surface.rotation
     record["cx"], record["cy"], record["e"] = cx, cy, (1.0 + shape.conic) * cx
@@ -102,7 +97,7 @@ def _fill(record: np.void, surface: Surface) -> None:
 def _reaches(shape: Toroid) -> tuple[float, float]:
     """Return where the profile ends in x, and a bound on the distance from the vertex [mm].
 
-    The profile is ``c x^2 = 2 g - e g^2``; turned about the axis, no point is farther from it
+    The profile is ``c x^2 = 2 g - e g^2``; rotated about the axis, no point is farther from it
     than the profile is, and only the sheet from the vertex to the axis counts.
     """
     cx, cy = shape.curvatures_per_mm
@@ -110,7 +105,7 @@ def _reaches(shape: Toroid) -> tuple[float, float]:
     profile = 1.0 / np.sqrt(e * cx) if e * cx > 0.0 else np.inf
     radius = abs(shape.radius_y_mm)
     if cx * cy > 0.0:
-        # From the tangent plane (g = 0) to the axis (g = Ry), which the turn carries around it.
+        # From the tangent plane (g = 0) to the axis (g = Ry), which the rotation carries around it.
         x = min(profile, np.sqrt((2.0 * radius + abs(e) * radius**2) / abs(cx)))
         return profile, 1.001 * float(np.hypot(x, np.sqrt(2.0) * radius))
     if e * cx > 0.0:

@@ -12,8 +12,9 @@ import sys
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from io import BufferedReader, RawIOBase
+from queue import SimpleQueue
 from threading import Event, Lock, Thread, Timer
-from typing import Final
+from typing import IO, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +29,6 @@ from hardware.recording.writer_process.job import (
     WriterJob,
     WriterStatus,
 )
-from hardware.recording.writer_process.pipe_sender import PipeSender
 from hardware.recording.writer_process.shared_ring import RingShape, SharedBlockRing, make_memory
 
 _log = logging.getLogger(__name__)
@@ -232,7 +232,7 @@ class WriterProcessClient:
                 try:
                     self.status = WRITER_STATUS.validate_json(line)
                 except ValidationError:
-                    _log.warning("recording %s: its process told %r", self.job.path.name, line)
+                    _log.warning("recording %s: its process sent %r", self.job.path.name, line)
                 self._ready.set()
         code = self._process.wait()
         if self.status.ended is None:
@@ -250,3 +250,55 @@ class WriterProcessClient:
             if self._deadline is not None:
                 self._deadline.cancel()
         self._sender.close()
+
+
+_Message = tuple[Callable[[], bytes], Callable[[], None] | None]
+
+
+class PipeSender:
+    """Creates messages and writes them to a pipe in order, in a thread of its own.
+
+    A stalled writer reads nothing, and no other thread may wait for it.
+
+    Args:
+        target: the process's input, without a buffer; it is closed at the end.
+        name: of the thread.
+        failed: called, in the thread, with the error of a message that could not be created;
+            nothing is sent after it.
+    """
+
+    def __init__(self, target: IO[bytes], name: str, failed: Callable[[Exception], None]) -> None:
+        self._target = target
+        self._failed = failed
+        self._waiting: SimpleQueue[_Message | None] = SimpleQueue()
+        Thread(target=self._run, name=name, daemon=True).start()
+
+    def send(self, make: Callable[[], bytes], then: Callable[[], None] | None = None) -> None:
+        """Queue the message that ``make`` returns; call ``then`` once it is sent. Never waits.
+
+        Both are called in the sender's thread; neither is when the process has ended.
+        """
+        self._waiting.put((make, then))
+
+    def close(self) -> None:
+        """End the thread after the queued messages. Does not wait for it."""
+        self._waiting.put(None)
+
+    def _run(self) -> None:
+        try:
+            while (found := self._waiting.get()) is not None:
+                make, then = found
+                try:
+                    data = make()
+                except Exception as error:  # noqa: BLE001 - reported to the client, which ends it
+                    self._failed(error)
+                    return
+                view = memoryview(data)
+                while view:
+                    view = view[self._target.write(view) or 0 :]
+                if then is not None:
+                    then()
+        except BrokenPipeError:
+            pass  # the process has ended, and its end tells why
+        finally:
+            self._target.close()

@@ -36,6 +36,10 @@ def make_memory(size: int) -> int:
     return descriptor
 
 
+_Section = tuple[int, np.dtype[Any], int]
+"""Offset in a block, type and number of values."""
+
+
 @dataclass(frozen=True)
 class RingShape:
     """Size of a ring and shape of its scans.
@@ -52,16 +56,20 @@ class RingShape:
     pixels: int
     lines: bool
 
-    def block_bytes(self, frames: int, peaks: int, points: int) -> int:
-        """Return the size of a block [bytes]."""
-        parts = (
-            _HEADER.size,
-            frames * FRAME.itemsize,
-            frames * self.sensors * self.pixels * 2 if self.lines else 0,
-            peaks * PEAK.itemsize,
-            points * point_dtype(self.sensors).itemsize,
-        )
-        return sum(map(_aligned, parts))
+    def sections(self, frames: int, peaks: int, points: int) -> list[_Section]:
+        """Return where a block's rows, counts, peaks and points lie, and its end."""
+        counts = frames * self.sensors * self.pixels if self.lines else 0
+        found, at = [], _aligned(_HEADER.size)
+        for dtype, length in (
+            (FRAME, frames),
+            (np.dtype(np.uint16), counts),
+            (PEAK, peaks),
+            (point_dtype(self.sensors), points),
+            (np.dtype(np.uint8), 0),
+        ):
+            found.append((at, dtype, length))
+            at += _aligned(length * dtype.itemsize)
+        return found
 
 
 class SharedBlockRing:
@@ -76,7 +84,6 @@ class SharedBlockRing:
         self.head = 0
         self.tail = 0
         self._shape = shape
-        self._point = point_dtype(shape.sensors)
         self._bytes = np.frombuffer(mmap.mmap(descriptor, shape.size), np.uint8)
 
     def put(
@@ -94,7 +101,8 @@ class SharedBlockRing:
             lines: of each frame, shape (S, P); ignored where the ring has none.
             losses: frames lost until now.
         """
-        size = self._shape.block_bytes(len(rows), len(peaks), len(points))
+        counts = len(rows), len(peaks), len(points)
+        size = self._shape.sections(*counts)[-1][0]
         start = self.head % self._shape.size
         skipped = self._shape.size - start if start + size > self._shape.size else 0
         if self.head + skipped + size - self.tail > self._shape.size:
@@ -102,19 +110,14 @@ class SharedBlockRing:
         if skipped:
             self._put_header(start, (skipped, _SKIP, 0, 0, 0, 0, 0))
             start = 0
-        counts = (size, len(rows), len(peaks), len(points))
-        lost = (losses.dropped_compute, losses.dropped_writer, losses.refused)
-        self._put_header(start, counts + lost)
-        at = start + _aligned(_HEADER.size)
-        at = self._put(at, rows)
-        if self._shape.lines:
-            place = self._view(at, np.dtype(np.uint16), len(rows) * self._line_pixels)
-            shaped = place.reshape(len(rows), self._shape.sensors, self._shape.pixels)
-            for own, line in zip(shaped, lines, strict=True):
+        self._put_header(start, (size, *counts, *vars(losses).values()))
+        block = self._block(start, *counts)
+        block.rows[...] = rows
+        if block.lines is not None:
+            for own, line in zip(block.lines, lines, strict=True):
                 own[...] = line
-            at += _aligned(place.nbytes)
-        at = self._put(at, peaks)
-        self._put(at, points)
+        block.peaks[...] = peaks
+        block.points[...] = points
         self.head += skipped + size
         return True
 
@@ -128,35 +131,22 @@ class SharedBlockRing:
             header = _HEADER.unpack(self._bytes[start : start + _HEADER.size].data)
             size, frames, peaks, points, *lost = header
             if frames != _SKIP:
-                at = start + _aligned(_HEADER.size)
-                rows = self._view(at, FRAME, frames)
-                at += _aligned(rows.nbytes)
-                lines = None
-                if self._shape.lines:
-                    flat = self._view(at, np.dtype(np.uint16), frames * self._line_pixels)
-                    lines = flat.reshape(frames, self._shape.sensors, self._shape.pixels)
-                    at += _aligned(flat.nbytes)
-                found_peaks = self._view(at, PEAK, peaks)
-                at += _aligned(found_peaks.nbytes)
-                found_points = self._view(at, self._point, points)
-                yield FrameBlock(rows, lines, found_peaks, found_points), Losses(*lost)
+                yield self._block(start, frames, peaks, points), Losses(*lost)
             self.tail += size
-
-    @property
-    def _line_pixels(self) -> int:
-        return self._shape.sensors * self._shape.pixels
 
     def _put_header(self, start: int, values: tuple[int, ...]) -> None:
         packed = np.frombuffer(_HEADER.pack(*values), np.uint8)
         self._bytes[start : start + len(packed)] = packed
 
-    def _put(self, at: int, values: NDArray[Any]) -> int:
-        """Write values at an offset; return the offset after them."""
-        self._view(at, values.dtype, len(values))[...] = values
-        return at + _aligned(values.nbytes)
-
-    def _view(self, at: int, dtype: np.dtype[Any], count: int) -> NDArray[Any]:
-        return self._bytes[at : at + count * dtype.itemsize].view(dtype)
+    def _block(self, start: int, frames: int, peaks: int, points: int) -> FrameBlock:
+        """Return views of a block's memory."""
+        rows, counts, found_peaks, found_points, _ = (
+            self._bytes[start + at : start + at + length * dtype.itemsize].view(dtype)
+            for at, dtype, length in self._shape.sections(frames, peaks, points)
+        )
+        shape = (frames, self._shape.sensors, self._shape.pixels)
+        lines = counts.reshape(shape) if self._shape.lines else None
+        return FrameBlock(rows, lines, found_peaks, found_points)
 
 
 def _aligned(size: int) -> int:

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 from compute.camera.rotation import exp_so3
 from compute.camera.stack import CameraStack
 from compute.optics.tracing.intersection import intersect, normal
-from compute.optics.tracing.shapes import Conic, Plane, Toroid
 from compute.optics.tracing.surface_records import Form, pack
-from compute.optics.tracing.surfaces import Surface, SurfaceStack
+from compute.optics.tracing.surfaces import Conic, Plane, Surface, SurfaceStack, Toroid
 from compute.reconstruction.native.definitions import CAMERAS, fill_cameras
 from compute.signal.fit.fit_settings import FitSettings
 from compute.signal.fit.line_spread_function import LineSpreadFunction

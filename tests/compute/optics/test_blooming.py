@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from compute.optics.blooming import bloom
+from compute.optics.detector_array import bloom
 
 WELL = 100.0
 charges = st.lists(st.floats(0.0, 900.0), min_size=1, max_size=40)

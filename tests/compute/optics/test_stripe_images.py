@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.integrate import quad
 
-from compute.optics.stripe_images import stripe_images
+from compute.optics.pixel_solid_angles import stripe_images
 
 PIXELS = 256
 

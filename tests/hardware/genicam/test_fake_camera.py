@@ -18,8 +18,7 @@ import hardware.genicam.driver
 from compute.errors import InvalidParameter
 from hardware.errors import DeviceNotConnected, MissingLibrary
 from hardware.genicam.aravis import AravisError, library
-from hardware.genicam.camera import Camera
-from hardware.genicam.discovery import cameras
+from hardware.genicam.camera import Camera, cameras
 from hardware.genicam.driver import GenicamDriver
 from hardware.genicam.settings import Feature, GenicamCamera, GenicamSettings
 from hardware.line_frame import LineFrame

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+import hardware.clock_sync
 import hardware.genicam.camera_stream
 import hardware.genicam.driver
-import hardware.timing
 from compute.errors import InvalidParameter
 from hardware.errors import DeviceChanged, DeviceNotConnected
 from hardware.genicam.camera import Buffer
@@ -125,7 +125,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
     """The host's clock as frames see it: so far ahead of its monotonic one."""
     clock = SimpleNamespace(ahead_ns=0)
     hosts = SimpleNamespace(time_ns=lambda: clock.ahead_ns, monotonic_ns=lambda: 0)
-    monkeypatch.setattr(hardware.timing, "time", hosts)
+    monkeypatch.setattr(hardware.clock_sync, "time", hosts)
     return clock
 
 

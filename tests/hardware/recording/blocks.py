@@ -1,10 +1,13 @@
 """Deterministic frame blocks with results for tests of recordings."""
 
+from pathlib import Path
+
 import numpy as np
 
 from hardware.driver import DeviceDescription, SensorDescription
 from hardware.recording.frame_block import FrameBlock
-from hardware.recording.layout import FRAME, NO_CALIBRATION_ROW, PEAK, point_dtype
+from hardware.recording.layout import FRAME, NO_CALIBRATION_ROW, PEAK, RecordingInfo, point_dtype
+from hardware.recording.reader import RecordingReader
 
 SENSORS, PIXELS = 2, 24
 
@@ -69,3 +72,9 @@ def assert_same_block(found: FrameBlock, expected: FrameBlock) -> None:
     assert (found.lines is None) == (expected.lines is None)
     if found.lines is not None:
         np.testing.assert_array_equal(found.lines, expected.lines)
+
+
+def read_recording(path: Path) -> RecordingInfo:
+    """Return the contents of a recording, after its validation."""
+    with RecordingReader(path) as recording:
+        return recording.info

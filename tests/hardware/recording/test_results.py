@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from compute.errors import InvalidRecording
 from hardware.recording.frame_block import FrameBlock
 from hardware.recording.layout import COLUMNS_1, Losses
-from hardware.recording.reader import RecordingReader, read_recording
+from hardware.recording.reader import RecordingReader
 from hardware.recording.writer import RecordingWriter
 from tests.hardware.recording.blocks import (
     PIXELS,
@@ -24,6 +24,7 @@ from tests.hardware.recording.blocks import (
     block,
     described,
     joined,
+    read_recording,
 )
 
 

@@ -17,8 +17,9 @@ from compute.errors import InvalidParameter, InvalidRecording
 from hardware.driver import DeviceDescription, SensorDescription
 from hardware.line_frame import FrameFlag, LineFrame
 from hardware.recording.layout import CHUNK_FRAMES
-from hardware.recording.reader import RecordingReader, read_recording
+from hardware.recording.reader import RecordingReader
 from hardware.recording.writer import RecordingWriter
+from tests.hardware.recording.blocks import read_recording
 
 
 def described(sensors: int = 2, pixels: int = 16, markers: int = 3) -> DeviceDescription:

@@ -8,11 +8,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from hardware.serial.codec import encode, split_lines
 from hardware.serial.decoder import Decoder
 from hardware.serial.decoder_benchmark import decode_mutated, decoding_rate
-from hardware.serial.encoding import encode, split_lines
+from hardware.serial.frame_builder import ExposureAssembler
 from hardware.serial.messages import MAX_BYTES, DeviceStatus, Lines, LinesFlag, Start
-from hardware.serial.reassembly import ExposureAssembler
 from tests.hardware.serial.test_protocol import framed
 
 
@@ -126,9 +126,9 @@ def test_exposures_come_from_parts_of_any_size(size: int, sequence: int) -> None
     assert all(assembler.add(part) is None for part in early)
     exposed = assembler.add(last)
     assert exposed is not None
-    assert np.array_equal(exposed.lines, whole(sequence).counts.reshape(2, 4))
-    assert exposed.lines.shape == (2, 4)
-    assert not exposed.lines.flags.writeable
+    assert np.array_equal(exposed.counts, whole(sequence).counts.reshape(2, 4))
+    assert exposed.counts.shape == (2, 4)
+    assert not exposed.counts.flags.writeable
     assert (exposed.sequence, exposed.ticks) == (sequence, sequence * 200)
     assert (assembler.incomplete, assembler.orphaned) == (0, 0)
 
@@ -143,7 +143,7 @@ def test_no_exposure_is_put_together_from_parts_of_two(seed: int, size: int) -> 
     for part in [one for one in kept for _ in range(1 + (noise.random() < 0.1))]:
         exposed = assembler.add(part)
         if exposed is not None:
-            assert np.array_equal(exposed.lines.ravel(), whole(exposed.sequence).counts)
+            assert np.array_equal(exposed.counts.ravel(), whole(exposed.sequence).counts)
 
 
 def test_missing_parts_are_counted() -> None:

@@ -17,14 +17,13 @@ from hardware.line_frame import FrameFlag, LineFrame
 from hardware.link import LinkedDriver, LinkState
 from hardware.recording.writer import RecordingWriter
 from hardware.serial import simulated_device
-from hardware.serial.driver import SerialDriver
+from hardware.serial.codec import encode
+from hardware.serial.driver import SerialDriver, check_identity
 from hardware.serial.emulator import serve_terminal
-from hardware.serial.encoding import encode
 from hardware.serial.messages import Description, Result
-from hardware.serial.session import check_identity
 from hardware.serial.settings import SerialSettings
 from hardware.serial.simulated_device import SimulatedSerialDevice
-from hardware.simulated.renderer import FrameRenderer
+from hardware.simulated.driver import FrameRenderer
 from hardware.simulated.settings import SimulationSettings
 from hardware.strobe_schedule import StrobeSchedule
 from service.pipeline.detection_stage import peak_method
@@ -374,7 +373,7 @@ def test_a_device_that_cannot_be_told_any_more_is_told_so(bar: BenchDevice) -> N
     bar.switch_off_and_on()
     watched.wait(lambda: watched.error is not None)
     assert isinstance(watched.error, InvalidParameter)
-    assert "cannot be told its frame_rate_hz" in watched.error.detail
+    assert "does not support the setting of frame_rate_hz" in watched.error.detail
 
 
 def test_what_is_wrong_with_its_messages_is_told(bar: BenchDevice, watched: Watched) -> None:
@@ -437,9 +436,9 @@ def test_a_device_that_takes_no_commands_is_not_given_any() -> None:
     with bench_device() as bar:
         bar.described = lambda said: replace(said, abilities=type(said.abilities)(0))
         bar.switch_off_and_on()
-        with pytest.raises(InvalidParameter, match="cannot be told its frame_rate_hz"):
+        with pytest.raises(InvalidParameter, match="does not support the setting of frame_rate_hz"):
             SerialDriver("bar", bar.status(frame_rate_hz=10.0)).open()
-        with pytest.raises(InvalidParameter, match="cannot be told its strobe"):
+        with pytest.raises(InvalidParameter, match="does not support the setting of strobe"):
             SerialDriver("bar", bar.status(strobe=StrobeSchedule((0,)))).open()
         driver = SerialDriver("bar", bar.status())
         driver.open()

@@ -8,8 +8,7 @@ import pytest
 
 from hardware.line_frame import FrameFlag, LineFrame
 from hardware.serial.frame_builder import FrameBuilder
-from hardware.serial.messages import NO_MARKER, Description, LinesFlag
-from hardware.serial.reassembly import AssembledExposure
+from hardware.serial.messages import NO_MARKER, Description, Lines, LinesFlag
 from tests.hardware.serial.test_decoder import whole
 
 DESCRIPTION = Description("bar", ("a", "b"), 4, 14.0, clock_hz=100_000_000, clock_bits=32)
@@ -18,7 +17,7 @@ STEP = 1_000_000  # ticks of 10 ms
 
 def built(maker: FrameBuilder, number: int, ticks: int, arrival_ns: int) -> LineFrame:
     lines = whole(0).counts.reshape(2, 4)
-    exposed = AssembledExposure(number % 2**32, ticks % 2**32, NO_MARKER, LinesFlag.NONE, 0, lines)
+    exposed = Lines(number % 2**32, ticks % 2**32, NO_MARKER, LinesFlag.NONE, 0, 0, lines)
     frame = maker.build(exposed, arrival_ns)
     assert frame is not None
     return frame
@@ -52,8 +51,8 @@ def test_a_reset_that_only_the_numbers_show() -> None:
 def test_a_marker_that_cannot_be_is_refused() -> None:
     maker = FrameBuilder("bar", DESCRIPTION, 2)
     lines = whole(0).counts.reshape(2, 4)
-    assert maker.build(AssembledExposure(0, 0, 1, LinesFlag.NONE, 0, lines), 0) is not None
-    assert maker.build(AssembledExposure(1, STEP, 2, LinesFlag.NONE, 0, lines), 10_000_000) is None
+    assert maker.build(Lines(0, 0, 1, LinesFlag.NONE, 0, 0, lines), 0) is not None
+    assert maker.build(Lines(1, STEP, 2, LinesFlag.NONE, 0, 0, lines), 10_000_000) is None
     assert maker.refused == 1
 
 

@@ -13,8 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from compute.errors import InvalidParameter
+from hardware.serial.codec import encode, split_lines
 from hardware.serial.decoder import Decoder
-from hardware.serial.encoding import encode, split_lines
 from hardware.serial.messages import (
     MAX_BYTES,
     NO_MARKER,

@@ -10,8 +10,7 @@ import pytest
 
 import hardware.simulated.driver
 from hardware.line_frame import FrameFlag, LineFrame
-from hardware.simulated.driver import FIFO_S, SimulatedDriver
-from hardware.simulated.renderer import FrameRenderer
+from hardware.simulated.driver import FIFO_S, FrameRenderer, SimulatedDriver
 from hardware.simulated.scenes import CalibrationTarget, StillPoints
 from hardware.simulated.settings import SimulationSettings
 

@@ -10,8 +10,7 @@ from compute.optics.profiles.profile_loader import load_profile, parse_profile, 
 from compute.optics.profiles.profile_sections import LedMarkers
 from hardware.line_frame import FrameFlag
 from hardware.simulated.frame_batch import BATCH, Timing
-from hardware.simulated.profile_driver import ProfileDriver, readout_of
-from hardware.simulated.profile_renderer import ProfileRenderer
+from hardware.simulated.profile_driver import ProfileDriver, ProfileRenderer, readout_of
 from hardware.simulated.profile_settings import ProfileSettings
 from hardware.simulated.scenes import StillPoints
 
@@ -232,5 +231,5 @@ def test_how_its_peaks_are_measured():
         assert (description.peaks, description.profile) == (peaks, "bar")
         # Traced lines are of another width at every place.
         assert description.line_sigma_px is None
-    with pytest.raises(InvalidParameter, match="peaks is 'median'; it must be 'fit' or 'centroid'"):
+    with pytest.raises(InvalidParameter, match="peaks is 'median'; it must be one of fit"):
         settings_of(peaks="median")

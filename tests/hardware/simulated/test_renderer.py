@@ -7,8 +7,8 @@ import pytest
 from numpy.typing import NDArray
 
 from compute.camera.stack import CameraStack
+from hardware.simulated.driver import FrameRenderer
 from hardware.simulated.frame_batch import BATCH
-from hardware.simulated.renderer import FrameRenderer
 from hardware.simulated.scenes import CalibrationTarget, RotatingBar, StillPoints
 from hardware.simulated.settings import SimulationSettings
 from hardware.simulated.simulated_rig import PIXELS, simulated_sensor_models

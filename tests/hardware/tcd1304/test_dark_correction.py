@@ -4,8 +4,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hardware.tcd1304.dark_correction import OFFSET_COUNTS, dark_corrected_counts, dark_level
-from hardware.tcd1304.simulated_board import response_counts
+from hardware.tcd1304.response import OFFSET_COUNTS, dark_corrected_counts, dark_level
+from tests.hardware.tcd1304.simulated_board import response_counts
 
 
 @given(st.integers(0, 3647), st.integers(1, 2000), st.integers(2100, 4000))

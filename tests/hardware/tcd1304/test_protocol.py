@@ -8,11 +8,10 @@ from compute.errors import InvalidParameter
 from hardware.tcd1304.protocol import (
     CLOCK_HZ,
     MIN_ICG_CLOCKS,
-    REQUEST_BYTES,
     Request,
-    decode_request,
     request_for,
 )
+from tests.hardware.tcd1304.simulated_board import REQUEST_BYTES, decode_request
 
 
 def test_a_request_byte_by_byte() -> None:

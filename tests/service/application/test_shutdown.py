@@ -18,10 +18,10 @@ import pytest
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
-from hardware.recording.reader import read_recording
 from service.api.runs.examples import NEW_CALIBRATION_RUNS
 from service.api.tools.concurrency_limits import MAX_CONCURRENT
 from service.api.tools.examples import NEW_TOOLS
+from tests.hardware.recording.blocks import read_recording
 
 # As `lumiline serve`; tells on its output that it came to its end.
 PROGRAM = """

@@ -7,7 +7,7 @@ from typer.testing import CliRunner
 
 import service.cli.cameras
 from hardware.errors import MissingLibrary
-from hardware.genicam.discovery import DiscoveredCamera
+from hardware.genicam.camera import DiscoveredCamera
 from service.cli import app
 
 ENTRY = DiscoveredCamera("Maker-Line2k-17", "10.0.0.5", "Maker", "Line2k", "17", "GigEVision")

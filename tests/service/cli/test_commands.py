@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner, Result
 
-from hardware.recording.reader import read_recording
 from service.cli import app
+from tests.hardware.recording.blocks import read_recording
 from validation.all_cases import ALL_CASES
 from validation.thesis_data import DFW_V500, load_test
 

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from compute.optics.tracing.reference_tracer import trace_rays
-from compute.optics.tracing.shapes import Conic, Cylinder, Plane
-from compute.optics.tracing.surfaces import Aperture, Surface, SurfaceStack
+from compute.optics.tracing.surfaces import Aperture, Conic, Cylinder, Plane, Surface, SurfaceStack
 from validation.aberrations.thesis_lens import HEIGHT_MM, INDEX, RADIUS_MM, THICKNESS_MM, WIDTH_MM
 from validation.all_cases import ALL_CASES
 from validation.attenuation.case import (

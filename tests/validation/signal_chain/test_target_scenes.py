@@ -5,10 +5,10 @@ import pytest
 from numpy.typing import NDArray
 from scipy.signal import find_peaks
 
-from compute.optics.background import background_scans
 from compute.optics.detector_array import DetectorArray
 from compute.optics.ideal_optics import IdealOptics
-from compute.optics.stripe_images import stripe_images
+from compute.optics.pixel_solid_angles import stripe_images
+from validation.signal_chain.background import background_scans
 from validation.signal_chain.target_scenes import (
     ACTIVE_PEAK,
     PEAK_CENTROIDS_PX,

@@ -10,9 +10,8 @@ from compute.optics.tracing.intersection import (
     MAX_STEPS,
     ROUNDING,
 )
-from compute.optics.tracing.reference_tracer import MIN_SQUARE
+from compute.optics.tracing.reference_tracer import MIN_SQUARE, RayStatus
 from compute.optics.tracing.surface_records import BACKWARD_SLACK_MM, SURFACE, Form
-from compute.optics.tracing.traced_rays import RayStatus
 
 HEADER: Final = header(
     "lumiline::tracing",

@@ -8,10 +8,10 @@
 
 namespace lumiline::tracing {
 
-// Distance along the ray o + t d of its first crossing with a quadric, not below `least`; nan:
+// Distance along the ray o + t d of its first crossing with a quadric, not below `t_min`; nan:
 // none.
 LUMILINE_FN double intersect_quadric(const Surface& s, const Vector& o, const Vector& d,
-                                     double least) {
+                                     double t_min) {
     const double a = s.cx * d.x * d.x + s.cy * d.y * d.y + s.e * d.z * d.z;
     const double b = s.cx * o.x * d.x + s.cy * o.y * d.y + (s.e * o.z - 1.0) * d.z;
     const double g = s.cx * o.x * o.x + s.cy * o.y * o.y + (s.e * o.z - 2.0) * o.z;
@@ -19,9 +19,9 @@ LUMILINE_FN double intersect_quadric(const Surface& s, const Vector& o, const Ve
     const double q = b < 0.0 ? root - b : -(root + b);
     const double one = g / q, two = q / a;
     const double first = one < two ? one : two, second = one < two ? two : one;
-    if (first >= least && first < infinity() && 1.0 - s.e * (o.z + first * d.z) >= 0.0)
+    if (first >= t_min && first < infinity() && 1.0 - s.e * (o.z + first * d.z) >= 0.0)
         return first;
-    if (second >= least && second < infinity() && 1.0 - s.e * (o.z + second * d.z) >= 0.0)
+    if (second >= t_min && second < infinity() && 1.0 - s.e * (o.z + second * d.z) >= 0.0)
         return second;
     return not_a_number();
 }
@@ -64,8 +64,8 @@ LUMILINE_FN double refine_crossing(const Surface& s, const Vector& o, const Vect
 
 // As intersect_quadric for a toroid: intervals are halved until each has one crossing or none.
 LUMILINE_FN double intersect_toroid(const Surface& s, const Vector& o, const Vector& d,
-                                    double least) {
-    double low = least > -s.reach_mm ? least : -s.reach_mm, high = s.reach_mm;
+                                    double t_min) {
+    double low = t_min > -s.reach_mm ? t_min : -s.reach_mm, high = s.reach_mm;
     if (s.profile_reach_mm < infinity()) {
         const double one = (-s.profile_reach_mm - o.x) / d.x,
                      two = (s.profile_reach_mm - o.x) / d.x;

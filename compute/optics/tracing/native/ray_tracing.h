@@ -34,7 +34,7 @@ LUMILINE_FN void trace_ray(int ray, int rays, unsigned long long rays_address,
     Vector first{h, v * d.x, -(u * d.x)}, second{0.0, u, v};
     double power = 1.0, path = 0.0;
     int lost = 0, number = 0;
-    Vector place, local;
+    Vector point, local;
 
     for (;; ++number) {
         const Surface& s = surfaces[number];
@@ -51,30 +51,30 @@ LUMILINE_FN void trace_ray(int ray, int rays, unsigned long long rays_address,
                 lost = status_missed;
                 break;
             }
-            place = along(from, distance, local);
-            place.z = 0.0;
+            point = along(from, distance, local);
+            point.z = 0.0;
         } else {
             const double shift = -dot(from, local);
             const Vector near = along(from, shift, local);
-            const double least = -backward_slack_mm - shift;
+            const double t_min = -backward_slack_mm - shift;
             const double t = !has_toroids || s.form == form_quadric
-                                 ? intersect_quadric(s, near, local, least)
-                                 : intersect_toroid(s, near, local, least);
+                                 ? intersect_quadric(s, near, local, t_min)
+                                 : intersect_toroid(s, near, local, t_min);
             distance = shift + t;
             if (distance != distance) {
                 lost = status_missed;
                 break;
             }
-            place = along(near, t, local);
+            point = along(near, t, local);
         }
         path = path + s.index_before * distance;
         if (number == image) break;
         bool passes;
         if (s.elliptical) {
-            const double a = place.x / s.half_width_mm, b = place.y / s.half_height_mm;
+            const double a = point.x / s.half_width_mm, b = point.y / s.half_height_mm;
             passes = a * a + b * b <= 1.0;
         } else {
-            passes = fabs(place.x) <= s.half_width_mm && fabs(place.y) <= s.half_height_mm;
+            passes = fabs(point.x) <= s.half_width_mm && fabs(point.y) <= s.half_height_mm;
         }
         if (!passes) {
             lost = status_stopped;
@@ -87,7 +87,7 @@ LUMILINE_FN void trace_ray(int ray, int rays, unsigned long long rays_address,
                 cosine = local.z;
                 n_out = Vector{s.rotation[0][2], s.rotation[1][2], s.rotation[2][2]};
             } else {
-                n_out = surface_normal<has_toroids>(s, place);
+                n_out = surface_normal<has_toroids>(s, point);
                 cosine = dot(local, n_out);
                 if (s.is_rotated) n_out = rotate(s.rotation, n_out);
             }
@@ -110,12 +110,12 @@ LUMILINE_FN void trace_ray(int ray, int rays, unsigned long long rays_address,
             second = along(second, -(dot(second, next) * stretch), d);
             d = next;
         }
-        if (s.is_rotated) place = rotate(s.rotation, place);
-        o = Vector{place.x + s.vertex_mm[0], place.y + s.vertex_mm[1], place.z + s.vertex_mm[2]};
+        if (s.is_rotated) point = rotate(s.rotation, point);
+        o = Vector{point.x + s.vertex_mm[0], point.y + s.vertex_mm[1], point.z + s.vertex_mm[2]};
     }
 
-    out[0] = lost ? not_a_number() : place.x;
-    out[n] = lost ? not_a_number() : place.y;
+    out[0] = lost ? not_a_number() : point.x;
+    out[n] = lost ? not_a_number() : point.y;
     out[2 * n] = lost ? not_a_number() : local.x;
     out[3 * n] = lost ? not_a_number() : local.y;
     out[4 * n] = lost ? not_a_number() : local.z;

@@ -5,12 +5,9 @@ import pytest
 
 from compute.errors import InvalidParameter
 from compute.optics.coded_aperture.coded_window import CodedWindow, maximal_length_code
-from compute.optics.coded_aperture.correlation_decoding import (
-    decode_mask,
-    mask_template,
-    read_by_correlation,
-)
+from compute.optics.coded_aperture.correlation_decoding import decode_mask, read_by_correlation
 from compute.optics.coded_aperture.mask_optics import MaskOptics
+from compute.optics.coded_aperture.template_from_optics import mask_template
 from compute.optics.profiles.profile_loader import load_profile
 from compute.optics.profiles.profile_optics import light_source, mask_optics
 from compute.signal.coded_aperture.shadow_template import ShadowTemplate

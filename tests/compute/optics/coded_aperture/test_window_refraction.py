@@ -8,8 +8,7 @@ from scipy.optimize import brentq, minimize_scalar
 
 from compute.optics.coded_aperture.coded_window import CodedWindow
 from compute.optics.coded_aperture.window_refraction import WindowPaths, trace_window
-from compute.optics.tracing.assembly import Assembly
-from compute.optics.tracing.elements import plate
+from compute.optics.tracing.assembly import Assembly, plate
 from compute.optics.tracing.reference_tracer import trace_rays
 from compute.optics.tracing.surfaces import Aperture
 

@@ -11,7 +11,8 @@ from compute.errors import InvalidParameter
 from compute.optics.light.emission import CosinePower
 from compute.optics.light.led import Led
 from compute.optics.light.light_source import LightSource
-from compute.optics.light.retroreflector import Illuminator, RetroDisc, RetroSheet, RetroSphere
+from compute.optics.light.retroreflector import Illuminator, RetroDisc, RetroSheet
+from validation.signal_chain.retro_sphere import RetroSphere
 
 LENS = np.array([[0.0, 0.0, 0.0]])
 FAR = np.array([[0.0, 0.0, 2000.0]])
@@ -38,7 +39,8 @@ def test_an_led_sends_its_energy_over_that_of_a_photon() -> None:
 
 
 def test_all_directions_together_have_the_radiant_power() -> None:
-    led = Led(0.010 / CosinePower(1.0).solid_angle_sr, 950.0, CosinePower(1.0))
+    solid_angle_sr = 2.0 * np.pi / (CosinePower(1.0).exponent + 1.0)
+    led = Led(0.010 / solid_angle_sr, 950.0, CosinePower(1.0))
     node, weight = np.polynomial.legendre.leggauss(200)
     cosine = 0.5 * (node + 1.0)
     facing = np.stack([np.sqrt(1.0 - cosine**2), 0.0 * cosine, -cosine], axis=1)

@@ -5,10 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.optics.tracing.assembly import Assembly
-from compute.optics.tracing.elements import Stop
-from compute.optics.tracing.reference_tracer import trace_rays
-from compute.optics.tracing.traced_rays import RayStatus
+from compute.optics.tracing.assembly import Assembly, Stop
+from compute.optics.tracing.reference_tracer import RayStatus, trace_rays
 
 Array = NDArray[np.float64]
 

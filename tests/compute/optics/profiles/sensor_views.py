@@ -10,8 +10,7 @@ from compute.optics.profiles.device_profile import DeviceProfile, PlateOptics, S
 from compute.optics.profiles.profile_loader import load_profile
 from compute.optics.sensor_placement import place_sensor
 from compute.optics.tracing.assembly import Assembly
-from compute.optics.tracing.reference_tracer import trace_rays
-from compute.optics.tracing.traced_rays import RayStatus, TracedRays
+from compute.optics.tracing.reference_tracer import RayStatus, TracedRays, trace_rays
 from tests.compute.optics.profiles.ray_fans import field_of_view_rad, stop_of
 
 Array = NDArray[np.float64]

@@ -9,9 +9,8 @@ import pytest
 from compute.optics.coded_aperture.coded_window import CodedWindow
 from compute.optics.profiles.device_profile import DeviceProfile, PlateOptics
 from compute.optics.profiles.profile_loader import load_profile, profile_names
-from compute.optics.tracing.assembly import Assembly
-from compute.optics.tracing.elements import Lens
-from compute.optics.tracing.shapes import Toroid
+from compute.optics.tracing.assembly import Assembly, Lens
+from compute.optics.tracing.surfaces import Toroid
 from tests.compute.optics.profiles.sensor_views import (
     half_field,
     lenses,

@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 from compute.optics.pixel_row import PixelRow
 from compute.optics.stripe_optics.stripe_profile import CELLS
 from compute.optics.tracing.assembly import Assembly
-from compute.optics.tracing.reference_tracer import trace_rays
-from compute.optics.tracing.traced_rays import RayStatus
+from compute.optics.tracing.reference_tracer import RayStatus, trace_rays
 
 Array = NDArray[np.float64]
 

@@ -1,10 +1,8 @@
 """Assemblies that line optics are tried on, each with its row of pixels."""
 
 from compute.optics.pixel_row import PixelRow
-from compute.optics.tracing.assembly import Assembly
-from compute.optics.tracing.elements import Alignment, Lens, Stop, plate
-from compute.optics.tracing.shapes import Cylinder, Plane, Toroid
-from compute.optics.tracing.surfaces import Aperture
+from compute.optics.tracing.assembly import Alignment, Assembly, Lens, Stop, plate
+from compute.optics.tracing.surfaces import Aperture, Cylinder, Plane, Toroid
 
 ROW = PixelRow(2048, 12.0, 200.0)
 SQUARE_ROW = PixelRow(2048, 12.0, 12.0)

@@ -3,14 +3,12 @@
 import numpy as np
 import pytest
 
+from compute.optics.coded_aperture.window_refraction import transmittances
 from compute.optics.pixel_row import PixelRow
 from compute.optics.stripe_optics.stripe_profile import CELLS, Blur
 from compute.optics.stripe_optics.traced_stripes import TracedStripes
-from compute.optics.tracing.assembly import Assembly
-from compute.optics.tracing.elements import Lens, Stop
-from compute.optics.tracing.fresnel import transmittances
-from compute.optics.tracing.shapes import Plane
-from compute.optics.tracing.surfaces import Aperture
+from compute.optics.tracing.assembly import Assembly, Lens, Stop
+from compute.optics.tracing.surfaces import Aperture, Plane
 from tests.compute.optics.stripe_optics.brute_force import REPEATS, scan_line
 from tests.compute.optics.stripe_optics.optical_systems import ROW, SYSTEMS
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from compute.errors import InvalidParameter
 from compute.optics.pixel_solid_angles import scan_electrons
-from compute.optics.stripe_optics.optical_sensor import place_optics
+from compute.optics.sensor_placement import place_optics
 from compute.optics.stripe_optics.stripe_profile import Blur
 from compute.optics.stripe_optics.traced_stripes import ExactOptics, RaySampling, TracedStripes
 from compute.optics.tracing.assembly import Assembly

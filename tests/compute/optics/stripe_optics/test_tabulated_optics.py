@@ -11,9 +11,9 @@ from compute.optics.profiles.profile_optics import (
     pixel_row,
     profile_field,
 )
-from compute.optics.stripe_optics.field_of_view import FieldOfView, TableNodes
-from compute.optics.stripe_optics.optical_sensor import place_optics
+from compute.optics.sensor_placement import place_optics
 from compute.optics.stripe_optics.stripe_profile import Blur
+from compute.optics.stripe_optics.stripe_table import FieldOfView, TableNodes
 from compute.optics.stripe_optics.tabulated_optics import TabulatedOptics
 from compute.optics.stripe_optics.traced_stripes import ExactOptics
 from tests.compute.optics.stripe_optics.optical_systems import ROW, TILTED

@@ -1,10 +1,20 @@
 """Systems of random surfaces and rays at them, and how two tracers' results are compared."""
 
+from typing import get_args
+
 import numpy as np
 
-from compute.optics.tracing.shapes import Conic, Cylinder, Plane, Toroid
-from compute.optics.tracing.surfaces import OUTLINES, Aperture, Surface, SurfaceStack
-from compute.optics.tracing.traced_rays import RayStatus
+from compute.optics.tracing.reference_tracer import RayStatus
+from compute.optics.tracing.surfaces import (
+    Aperture,
+    Conic,
+    Cylinder,
+    Outline,
+    Plane,
+    Surface,
+    SurfaceStack,
+    Toroid,
+)
 
 
 def random_shape(rng):
@@ -30,7 +40,7 @@ def random_stack(rng, most=6):
         aperture = None
         if rng.random() < 0.7:
             width, height = rng.uniform(6.0, 40.0, 2)
-            aperture = Aperture(width, height, OUTLINES[rng.integers(2)])
+            aperture = Aperture(width, height, get_args(Outline)[rng.integers(2)])
         surfaces.append(
             Surface(
                 random_shape(rng),

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from compute.optics.tracing.ray_tracer import RayTracer
-from compute.optics.tracing.reference_tracer import trace_rays
-from compute.optics.tracing.traced_rays import RayStatus
+from compute.optics.tracing.reference_tracer import RayStatus, trace_rays
 from tests.compute.optics.tracing.ray_systems import assert_same_rays, random_rays, random_stack
 
 

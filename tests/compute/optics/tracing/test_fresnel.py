@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from compute.errors import InvalidParameter
-from compute.optics.tracing.fresnel import transmittances
+from compute.optics.coded_aperture.window_refraction import transmittances
 
 INDEX = st.floats(1.0, 4.0)
 

@@ -10,12 +10,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from compute.optics.tracing.assembly import Assembly
-from compute.optics.tracing.elements import Alignment, Lens
-from compute.optics.tracing.reference_tracer import trace_rays
-from compute.optics.tracing.shapes import Conic, Cylinder, Plane, Toroid
-from compute.optics.tracing.surfaces import Aperture
-from compute.optics.tracing.traced_rays import RayStatus
+from compute.optics.tracing.assembly import Alignment, Assembly, Lens
+from compute.optics.tracing.reference_tracer import RayStatus, trace_rays
+from compute.optics.tracing.surfaces import Aperture, Conic, Cylinder, Plane, Toroid
 
 # Numba's own internal check, as it compiles optiland's functions.
 pytestmark = pytest.mark.filterwarnings("ignore::numba.core.errors.NumbaIRAssumptionWarning")

@@ -1,5 +1,7 @@
 """The Warp kernel on the CPU against NumPy, over systems of any surfaces."""
 
+from typing import get_args
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -7,10 +9,17 @@ from hypothesis import strategies as st
 
 from compute.errors import InvalidParameter
 from compute.optics.tracing.ray_tracer import RayTracer
-from compute.optics.tracing.reference_tracer import trace_rays
-from compute.optics.tracing.shapes import Conic, Cylinder, Plane, Toroid
-from compute.optics.tracing.surfaces import OUTLINES, Aperture, Surface, SurfaceStack
-from compute.optics.tracing.traced_rays import RayStatus
+from compute.optics.tracing.reference_tracer import RayStatus, trace_rays
+from compute.optics.tracing.surfaces import (
+    Aperture,
+    Conic,
+    Cylinder,
+    Outline,
+    Plane,
+    Surface,
+    SurfaceStack,
+    Toroid,
+)
 from tests.compute.optics.tracing.ray_systems import (
     assert_consistent,
     assert_same_rays,
@@ -32,7 +41,7 @@ APERTURES = st.none() | st.builds(
     Aperture,
     st.floats(2.0, 60.0),
     st.floats(2.0, 60.0) | st.just(np.inf),
-    st.sampled_from(OUTLINES),
+    st.sampled_from(get_args(Outline)),
 )
 
 

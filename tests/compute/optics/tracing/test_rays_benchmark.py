@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from benchmarks import ray_tracing
-from compute.optics.tracing.reference_tracer import trace_rays
+from compute.optics.tracing.reference_tracer import RayStatus, trace_rays
 from compute.optics.tracing.surface_records import pack
 from compute.optics.tracing.surfaces import Surface, SurfaceStack
-from compute.optics.tracing.traced_rays import RayStatus
 
 
 def test_all_rays_arrive():

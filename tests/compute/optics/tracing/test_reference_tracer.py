@@ -7,13 +7,20 @@ from hypothesis import strategies as st
 from scipy.optimize import brentq
 
 from compute.errors import InvalidParameter
-from compute.optics.tracing.fresnel import transmittances
+from compute.optics.coded_aperture.window_refraction import transmittances
 from compute.optics.tracing.intersection import intersect, normal
-from compute.optics.tracing.reference_tracer import CHUNK_RAYS, trace_rays
-from compute.optics.tracing.shapes import Conic, Cylinder, Plane, Toroid, sag
+from compute.optics.tracing.reference_tracer import CHUNK_RAYS, RayStatus, trace_rays
 from compute.optics.tracing.surface_records import pack
-from compute.optics.tracing.surfaces import Aperture, Surface, SurfaceStack
-from compute.optics.tracing.traced_rays import RayStatus
+from compute.optics.tracing.surfaces import (
+    Aperture,
+    Conic,
+    Cylinder,
+    Plane,
+    Surface,
+    SurfaceStack,
+    Toroid,
+    sag,
+)
 from tests.compute.optics.tracing.ray_systems import (
     assert_consistent,
     assert_same_rays,

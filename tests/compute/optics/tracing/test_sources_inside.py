@@ -6,10 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from compute.errors import InvalidParameter
-from compute.optics.tracing.assembly import Assembly
-from compute.optics.tracing.elements import Alignment, Lens, Stop
-from compute.optics.tracing.shapes import Conic, Cylinder, Plane
-from compute.optics.tracing.surfaces import Aperture
+from compute.optics.tracing.assembly import Alignment, Assembly, Lens, Stop
+from compute.optics.tracing.surfaces import Aperture, Conic, Cylinder, Plane
 
 LENS = Lens((Plane(), Cylinder(-16.54)), (4.0,), (1.52,), Aperture(19.0, 42.25))
 ASSEMBLY = Assembly((Stop(Aperture(4.0), -1.0), LENS), 36.0)

@@ -16,12 +16,18 @@ import numpy as np
 import pytest
 
 from hardware.recording.layout import unfinished_path
-from hardware.recording.reader import RecordingReader, read_recording
+from hardware.recording.reader import RecordingReader
 from hardware.recording.writer import RecordingWriter
 from hardware.recording.writer_process.client import WRITER_DIED, WriterProcessClient
 from hardware.recording.writer_process.job import WriterJob
 from hardware.recording.writer_process.process import ORPHANED
-from tests.hardware.recording.blocks import assert_same_block, block, described, joined
+from tests.hardware.recording.blocks import (
+    assert_same_block,
+    block,
+    described,
+    joined,
+    read_recording,
+)
 
 FLUSH_S = 0.02
 KILLS = int(os.environ.get("LUMILINE_TEST_KILLS", "2"))

@@ -34,7 +34,7 @@ def test_blocks_come_out_as_they_went_in(steps: list[tuple[int, bool]], lines: b
             first += size
         else:
             # Refused only where it may be: nothing is lost that would have fitted an empty ring.
-            needed = shape.block_bytes(size, len(one.peaks), len(one.points))
+            needed = shape.sections(size, len(one.peaks), len(one.points))[-1][0]
             assert put.head - put.tail + 2 * needed > shape.size
         if taken:
             for (found, found_losses), (expected, lost) in zip(
@@ -56,7 +56,7 @@ def test_what_is_not_taken_is_not_written_over() -> None:
     count = 0
     while put.put(one.rows, list(one.lines), one.peaks, one.points, Losses(count)):
         count += 1
-    assert 2 <= count <= SHAPE.size // SHAPE.block_bytes(40, len(one.peaks), len(one.points))
+    assert 2 <= count <= SHAPE.size // SHAPE.sections(40, len(one.peaks), len(one.points))[-1][0]
     other = block(1000, 40)
     assert not put.put(other.rows, list(other.lines), other.peaks, other.points, Losses())
     for number, (found, losses) in enumerate(take.take(put.head)):

@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 import hardware.genicam.aravis
-from hardware.tcd1304.simulated_board import SimulatedBoard
+from tests.hardware.tcd1304.simulated_board import SimulatedBoard
 
 
 def boards(*ports: str, **settings: Any) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from hardware.recording.reader import RecordingReader, read_recording
+from hardware.recording.reader import RecordingReader
 from hardware.recording.writer_process.client import WRITER_LATE
 from hardware.simulated.driver import SimulatedDriver
 from hardware.simulated.settings import SimulationSettings
@@ -23,6 +23,7 @@ from service.pipeline.frame_batch import FrameBatch
 from service.pipeline.pipeline_manager import PipelineManager
 from service.problems.errors import RecordingExists, RecordingInProgress
 from service.protocols.stream.hub import Hub
+from tests.hardware.recording.blocks import read_recording
 from tests.service.pipeline.test_pipeline_manager import nominal, wait_for
 
 HANGS_S = 20.0

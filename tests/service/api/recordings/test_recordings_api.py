@@ -10,11 +10,11 @@ import h5py
 import httpx
 import pytest
 
-from hardware.recording.reader import RecordingReader, read_recording
+from hardware.recording.reader import RecordingReader
 from hardware.recording.writer import RecordingWriter
 from service.application.app import create_app
 from service.settings import Settings
-from tests.hardware.recording.blocks import block, described
+from tests.hardware.recording.blocks import block, described, read_recording
 from tests.running_server import serving
 from tests.service.fake_pipeline import FakePipeline, TestClient
 

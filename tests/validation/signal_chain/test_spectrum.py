@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from compute.errors import InvalidParameter
 from compute.optics.light.emission import CosinePower
 from compute.optics.light.led import Led
-from compute.optics.light.spectrum import (
+from validation.signal_chain.spectrum import (
     BandpassFilter,
     LineSpectrum,
     QuantumEfficiency,

@@ -19,11 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.errors import InvalidParameter, NoConvergence
-from compute.optics.aberrations.paraxial import ParaxialSystem, paraxial_system
-from compute.optics.tracing.reference_tracer import trace_rays
-from compute.optics.tracing.shapes import Conic, Cylinder, Plane
-from compute.optics.tracing.surfaces import SurfaceStack
-from compute.optics.tracing.traced_rays import RayStatus
+from compute.optics.tracing.reference_tracer import RayStatus, trace_rays
+from compute.optics.tracing.surfaces import Conic, Cylinder, Plane, SurfaceStack
+from validation.aberrations.paraxial import ParaxialSystem, paraxial_system
 
 Array = NDArray[np.float64]
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from compute.errors import InvalidParameter
 from compute.optics.light.light_source import LightSource
-from compute.optics.parameter_checks import check_not_negative, check_positive
+from compute.parameter_checks import check_not_negative, check_positive
 
 Array = NDArray[np.float64]
 

@@ -21,8 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.errors import InvalidParameter
-from compute.optics.tracing.shapes import Cylinder, Plane
-from compute.optics.tracing.surfaces import SurfaceStack
+from compute.optics.tracing.surfaces import Cylinder, Plane, SurfaceStack
 
 Array = NDArray[np.float64]
 

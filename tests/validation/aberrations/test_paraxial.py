@@ -6,11 +6,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from compute.errors import InvalidParameter
-from compute.optics.aberrations.paraxial import paraxial_system
 from compute.optics.tracing.reference_tracer import trace_rays
-from compute.optics.tracing.shapes import Conic, Cylinder, Plane
-from compute.optics.tracing.surfaces import Surface, SurfaceStack
-from tests.compute.optics.aberrations.lenses import INDEX, SPHERES, lens_stack
+from compute.optics.tracing.surfaces import Conic, Cylinder, Plane, Surface, SurfaceStack
+from tests.validation.aberrations.lenses import INDEX, SPHERES, lens_stack
+from validation.aberrations.paraxial import paraxial_system
 
 
 @pytest.mark.parametrize("name", SPHERES)

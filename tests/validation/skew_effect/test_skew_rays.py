@@ -6,12 +6,10 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from compute.errors import InvalidParameter
-from compute.optics.aberrations.skew_rays import effective_index, in_plane_stack
-from compute.optics.tracing.reference_tracer import trace_rays
-from compute.optics.tracing.shapes import Conic, Cylinder, Plane
-from compute.optics.tracing.surfaces import Surface, SurfaceStack
-from compute.optics.tracing.traced_rays import RayStatus
-from tests.compute.optics.aberrations.lenses import INDEX, lens_stack
+from compute.optics.tracing.reference_tracer import RayStatus, trace_rays
+from compute.optics.tracing.surfaces import Conic, Cylinder, Plane, Surface, SurfaceStack
+from tests.validation.aberrations.lenses import INDEX, lens_stack
+from validation.skew_effect.skew_rays import effective_index, in_plane_stack
 
 ANGLE = st.floats(-0.6, 0.6)
 

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from compute.errors import InvalidParameter
-from compute.optics.background import (
+from validation.signal_chain.background import (
     Background,
     BumpBackground,
     ConstantBackground,

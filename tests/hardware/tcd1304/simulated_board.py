@@ -13,16 +13,17 @@ from numpy.typing import NDArray
 
 from compute.errors import InvalidParameter
 from hardware.tcd1304.protocol import (
+    CLOCK_HZ,
     ELEMENTS,
     FIRST_PIXEL,
     FULL_SCALE,
     KEY,
     PIXELS,
-    REQUEST_BYTES,
+    REQUEST_LAYOUT,
     Request,
-    decode_request,
 )
 
+REQUEST_BYTES: Final = REQUEST_LAYOUT.size
 DARK_COUNTS: Final = 3100
 """The converter's count where it is dark."""
 
@@ -134,3 +135,17 @@ class SimulatedBoard:
                 if answer is None:
                     return
                 client.sendall(answer)
+
+
+def decode_request(data: bytes, clock_hz: int = CLOCK_HZ) -> Request:
+    """Decode a request of 12 bytes, as a board does.
+
+    Raises:
+        InvalidParameter: these bytes are no request, or one that the board would not do.
+    """
+    if len(data) != REQUEST_BYTES or not data.startswith(KEY):
+        raise InvalidParameter(
+            f"a request has {REQUEST_BYTES} bytes and begins with {KEY!r}; these are {data!r}"
+        )
+    _, sh_clocks, icg_clocks, mode, averages = REQUEST_LAYOUT.unpack(data)
+    return Request(sh_clocks, icg_clocks, averages, bool(mode), clock_hz)

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from compute.optics.tracing.shapes import Conic, Cylinder, Plane, Shape
-from compute.optics.tracing.surfaces import Surface, SurfaceStack
+from compute.optics.tracing.surfaces import Conic, Cylinder, Plane, Shape, Surface, SurfaceStack
 
 INDEX = 1.52
 SPHERES: dict[str, tuple[tuple[Shape, Shape], float]] = {

@@ -20,7 +20,7 @@ from compute.camera.field_distortion import (
 from compute.camera.model import SensorModel
 from compute.camera.stack import CameraStack
 from compute.errors import DegeneratePoints, InvalidParameter, TooFewPoints
-from compute.optics.aberrations.field_distortion_fit import FieldModel, fit_field_model
+from validation.skew_effect.field_distortion_fit import FieldModel, fit_field_model
 
 RNG = np.random.default_rng(5)
 TERMS = symmetric_terms(5)

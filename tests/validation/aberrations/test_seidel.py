@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 
 from compute.errors import InvalidParameter, NoConvergence
-from compute.optics.aberrations.paraxial import paraxial_system
-from compute.optics.aberrations.seidel import (
+from compute.optics.tracing.surfaces import Cylinder, Plane
+from tests.validation.aberrations.lenses import SPHERES, cylindrical, lens_stack, relative
+from validation.aberrations.paraxial import paraxial_system
+from validation.aberrations.seidel import (
     Conjugates,
     MeridionalCoefficients,
     fit_meridional,
@@ -13,8 +15,6 @@ from compute.optics.aberrations.seidel import (
     meridional,
     seidel_sums,
 )
-from compute.optics.tracing.shapes import Cylinder, Plane
-from tests.compute.optics.aberrations.lenses import SPHERES, cylindrical, lens_stack, relative
 
 STOPS = {"before": -9.0, "the front face": None, "behind": 9.0}
 

@@ -1,1 +1,0 @@
-"""Aberrations: paraxial optics, Seidel coefficients, distortion over both field angles."""

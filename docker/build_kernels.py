@@ -23,7 +23,7 @@ def modules() -> Iterator[tuple[Any, int]]:
 
     from compute.optics.tracing import ray_kernel as tracing
     from compute.optics.tracing.ray_tracer import THREADS_PER_BLOCK as RAYS
-    from compute.pose.filtering.native.kernel import step_kernel
+    from compute.pose.filtering.native.strobed_step import step_kernel
     from compute.reconstruction.native.cuda_launch import THREADS_PER_BLOCK as POINTS
     from compute.reconstruction.native.kernel import point_kernel
     from compute.reconstruction.solver import MIN_CAPACITY

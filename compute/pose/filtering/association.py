@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from compute.measurement.measurement_model import MeasurementModel, PredictedMeasurements
 from compute.measurement.measurements import Measurements
-from compute.pose.filtering.imm_state import ImmState
+from compute.pose.filtering.imm import ImmState
 from compute.pose.filtering.pose_filter import (
     FilterUpdate,
     MeasurementPrediction,

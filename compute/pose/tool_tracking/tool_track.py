@@ -13,7 +13,7 @@ from compute.measurement.measurement_model import MeasurementModel
 from compute.measurement.measurements import Measurements
 from compute.pose.acquisition.acquisition_strobed import MarkerExposure
 from compute.pose.filtering.association import MAX_EXCLUDED_NIS, ToolObservation
-from compute.pose.filtering.imm_state import ImmState
+from compute.pose.filtering.imm import ImmState
 from compute.pose.filtering.native.strobed_step import StrobedStepKernel
 from compute.pose.filtering.pose_filter import PoseState, predict
 from compute.pose.rigid_body import CentredMarkers, RigidBody

@@ -23,8 +23,7 @@ from compute.pose.filtering.association import (
     associate,
     without_tools,
 )
-from compute.pose.filtering.imm_model import ImmModel
-from compute.pose.filtering.imm_state import ImmState
+from compute.pose.filtering.imm import ImmModel, ImmState
 from compute.pose.filtering.native.strobed_step import StrobedStepKernel, has_kernel
 from compute.pose.filtering.pose_filter import PoseState
 from compute.pose.rigid_body import CentredMarkers, RigidBody

@@ -8,8 +8,7 @@ import pytest
 from compute.errors import InvalidParameter
 from compute.measurement.measurement_model import MeasurementModel
 from compute.pose.filtering.association import common_jacobian
-from compute.pose.filtering.imm_model import IMM_STATES, ImmModel
-from compute.pose.filtering.imm_state import ImmState
+from compute.pose.filtering.imm import IMM_STATES, ImmModel, ImmState
 from compute.pose.filtering.pose_filter import (
     STATES,
     MeasurementPrediction,

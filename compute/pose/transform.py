@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from compute.camera.rotation import rotation_matrix, rotation_vector
 from compute.errors import InvalidParameter, NonFiniteValue
-from compute.pose.tool_pose import ToolPose
+from compute.pose.rigid_body import ToolPose
 
 Array = NDArray[np.float64]
 

@@ -14,7 +14,7 @@ from typing import Any, Final, Literal
 import numpy as np
 from rich.table import Table
 
-from compute.pose.tool_pose import PoseStatus, ToolPose
+from compute.pose.rigid_body import PoseStatus, ToolPose
 from service.cli.output import console, fail, print_json, progress
 from service.pipeline.latest_poses import LatestPoses, PoseEntry
 from service.protocols.openigtlink.counters import Counters

@@ -18,9 +18,8 @@ from compute.pose.filtering.association import (
     without_tools,
 )
 from compute.pose.filtering.pose_filter import PoseState, initial_state
-from compute.pose.rigid_body import CentredMarkers, RigidBody
+from compute.pose.rigid_body import CentredMarkers, PoseStatus, RigidBody
 from compute.pose.settings import ToolTrackerSettings
-from compute.pose.tool_pose import PoseStatus
 from compute.pose.transform import Transform
 from compute.reconstruction.point_batch import PointBatch
 from compute.reconstruction.triangulation import chi2_limit

@@ -43,6 +43,10 @@ MIN_CONSISTENT_FRACTION: Final = 0.8
 """Least fraction of the readings that must fit: with fewer, the rest may fit by chance."""
 MIN_SENSORS: Final = 3
 """Number of sensors that find a moving tool in any layout; two find it in some layouts only."""
+MAX_DELAY_FRACTION: Final = 0.1
+"""Largest delay by the pauses, as a fraction of the time of unsuccessful searches."""
+MAX_PAUSE_NS: Final = 250_000_000
+"""Longest pause between two searches."""
 SAME_POSE_FRACTION: Final = 0.02
 """States whose markers are closer than this fraction of the radius are the same solution: filter
 passes converge to it only approximately."""
@@ -68,6 +72,63 @@ class MarkerExposure:
     def any_reading(self) -> bool:
         """Whether any sensor saw the marker."""
         return bool(np.isfinite(self.readings_px).any())
+
+
+class AcquisitionBackoff:
+    """Limits how often one lost strobed tool is searched for.
+
+    A search costs as much as tracking twenty exposures or more. A tool that is seen well is found
+    by the first, or soon; one with few and often false readings by the thirtieth; one whose
+    readings never fit, because of a wrong calibration or another tool's markers, is searched for
+    at growing intervals. The pauses grow in proportion to the time of unsuccessful searches, up to
+    MAX_PAUSE_NS, so that waiting delays the acquisition by no more than that fraction. They restart
+    when more readings are available than in any search before.
+    """
+
+    def __init__(self) -> None:
+        """Start without any search."""
+        self.reset()
+
+    def reset(self) -> None:
+        """Restart: the tool was found, or its readings changed."""
+        self._first_ns: int | None = None  # of the searches in vain
+        self._failed_ns = 0
+        self._left = 0
+        self._max_readings = -1
+
+    @property
+    def is_waiting(self) -> bool:
+        """Whether a search failed since the last restart."""
+        return self._first_ns is not None
+
+    def count_exposure(self) -> None:
+        """Count an exposure of the tool's markers."""
+        self._left -= 1
+
+    def due(self, time_ns: int, readings: int) -> bool:
+        """Return whether to search now.
+
+        Args:
+            time_ns: time of the exposure [ns].
+            readings: number of readings; more than in any search before are worth one.
+        """
+        if self._first_ns is None or readings > self._max_readings:
+            return True
+        pause_ns = time_ns - self._failed_ns
+        enough_ns = MAX_DELAY_FRACTION * (self._failed_ns - self._first_ns)
+        return pause_ns >= MAX_PAUSE_NS or (self._left <= 0 and pause_ns >= enough_ns)
+
+    def record_failure(self, time_ns: int, readings: int, exposures: int) -> None:
+        """Record an unsuccessful search.
+
+        Args:
+            time_ns: time of the latest exposure [ns].
+            readings: number of readings that the search had.
+            exposures: smallest number of exposures until the next search.
+        """
+        if self._first_ns is None or readings > self._max_readings:
+            self._first_ns, self._max_readings = time_ns, readings
+        self._failed_ns, self._left = time_ns, exposures
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,9 +17,8 @@ from compute.pose.estimation.pose_initialisation import (
     initial_pose_from_points,
     initial_poses_from_readings,
 )
-from compute.pose.rigid_body import CentredMarkers, RigidBody
+from compute.pose.rigid_body import CentredMarkers, PoseStatus, RigidBody
 from compute.pose.settings import POSE_PARAMETERS, PoseFitSettings
-from compute.pose.tool_pose import PoseStatus
 from compute.pose.transform import Transform
 from compute.reconstruction.triangulation import chi2_limit
 

@@ -11,8 +11,7 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from compute.errors import InvalidParameter
-from compute.pose.beam_hold.beam_hold_limits import BeamHoldLimits
-from compute.pose.beam_hold.beam_hold_state import BeamHoldTiming
+from compute.pose.beam_hold import BeamHoldLimits, BeamHoldTiming
 from compute.pose.transform import Transform
 from service.api.beam_holds.schema import (
     Limits,

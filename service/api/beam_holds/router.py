@@ -7,7 +7,7 @@ from fastapi import APIRouter, Body, Path, Response
 from starlette.status import HTTP_201_CREATED, HTTP_204_NO_CONTENT
 
 from compute.errors import InvalidParameter, NotStationary
-from compute.pose.beam_hold.beam_hold_state import BeamHoldCause
+from compute.pose.beam_hold import BeamHoldCause
 from service.api.base_models import SLUG_PATTERN, Page
 from service.api.beam_holds import store
 from service.api.beam_holds.examples import BEAM_HOLD_IDS, CHANGES, NEW_BEAM_HOLDS, REFERENCES

@@ -4,8 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from compute.pose.beam_hold.beam_hold_limits import BeamHoldLimits
-from compute.pose.beam_hold.beam_hold_state import BeamHoldCause, BeamHoldTiming
+from compute.pose.beam_hold import BeamHoldCause, BeamHoldLimits, BeamHoldTiming
 from service.api.base_models import (
     Moment,
     Note,

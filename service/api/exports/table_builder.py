@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.pose.tool_pose import ToolPose
+from compute.pose.rigid_body import ToolPose
 from service.api.exports.motion_table import NO_MARKER, MotionTable, PointRows, PoseRows, TrackRows
 from service.pipeline.frame_batch import FrameBatch
 

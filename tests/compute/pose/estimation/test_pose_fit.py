@@ -16,7 +16,7 @@ from compute.mapping.table import CorrectionTable
 from compute.measurement.measurement_model import MeasurementModel
 from compute.pose.estimation.pose_fit import fit_pose
 from compute.pose.estimation.pose_initialisation import initial_pose_from_points
-from compute.pose.tool_pose import PoseStatus
+from compute.pose.rigid_body import PoseStatus
 from compute.pose.transform import Transform
 from tests.compute.distorted_rig import distorted_rig
 from tests.compute.pose.scene import (

@@ -17,9 +17,8 @@ from compute.pose.filtering.pose_filter import (
     predict_measurement,
     update,
 )
-from compute.pose.rigid_body import CentredMarkers
+from compute.pose.rigid_body import CentredMarkers, PoseStatus
 from compute.pose.settings import ImmSettings, MotionMode, MotionSettings, ToolTrackerSettings
-from compute.pose.tool_pose import PoseStatus
 from compute.pose.tool_tracking.tool_tracker import ToolTracker
 from tests.compute.pose.scene import (
     CALIBRATION,

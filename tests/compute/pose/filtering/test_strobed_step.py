@@ -22,9 +22,8 @@ from compute.pose.filtering.native.strobed_step import (
 )
 from compute.pose.filtering.pose_filter import STATES, PoseState, predict_measurement
 from compute.pose.filtering.second_order import second_order_prediction
-from compute.pose.rigid_body import CentredMarkers, RigidBody
+from compute.pose.rigid_body import CentredMarkers, RigidBody, ToolPose
 from compute.pose.settings import ImmSettings, MotionMode, MotionSettings
-from compute.pose.tool_pose import ToolPose
 from compute.pose.tool_tracking.tool_tracker import ToolTracker
 from compute.reconstruction.solver import MIN_CAPACITY
 from compute.signal.peaks import PeakFlag

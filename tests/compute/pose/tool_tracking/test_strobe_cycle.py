@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 
 from compute.measurement.measurements import Measurements
+from compute.pose.rigid_body import PoseStatus, ToolPose
 from compute.pose.settings import ToolTrackerSettings
-from compute.pose.tool_pose import PoseStatus, ToolPose
 from compute.pose.tool_tracking.exposure_history import StrobeCycle
 from compute.pose.tool_tracking.tool_tracker import ToolTracker
 from tests.compute.pose.scene import CAMERAS, SIGMA_PX, body, pointer

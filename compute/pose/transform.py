@@ -156,6 +156,29 @@ class Transform:
         return np.concatenate([turn, self.translation_mm - other.translation_mm])
 
 
+def finite_points(points_mm: Array, name: str) -> Array:
+    """Return points as float64 of shape (N, 3).
+
+    Args:
+        points_mm: the points, shape (N, 3) [mm].
+        name: what they are, for messages.
+
+    Raises:
+        InvalidParameter: the shape is another one.
+        NonFiniteValue: a value is NaN or infinite.
+    """
+    points = np.asarray(points_mm, dtype=np.float64)
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise InvalidParameter(f"{name} has shape {points.shape}; it must be (N, 3)")
+    finite = np.isfinite(points).all(axis=1)
+    if not finite.all():
+        bad = int(np.argmin(finite))
+        raise NonFiniteValue(
+            f"point {bad + 1} of {name} is {points[bad].tolist()}; it must be finite"
+        )
+    return points
+
+
 def cross_matrix(vector: Array) -> Array:
     """Return [v]x with [v]x u = v x u, of vectors (..., 3), shape (..., 3, 3)."""
     v = np.asarray(vector, dtype=np.float64)

@@ -5,6 +5,7 @@ from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from compute.camera.rotation import rotation_matrix, rotation_vector
 from compute.errors import InvalidParameter, NonFiniteValue
@@ -133,22 +134,17 @@ class Transform:
         """Return T_a_c = T_a_b @ T_b_c; their errors are treated as independent."""
         shift = self.rotation @ other.translation_mm
         covariance = None
-        if self.covariance is not None or other.covariance is not None:
-            covariance = np.zeros((6, 6))
-        if covariance is not None and self.covariance is not None:
+        if self.covariance is not None:
             # The rotation error moves the second translation: exp([w]x) R1 t2.
             jacobian = np.eye(6)
             jacobian[3:, :3] = -cross_matrix(shift)
-            covariance += jacobian @ self.covariance @ jacobian.T
-        if covariance is not None and other.covariance is not None:
-            jacobian = np.zeros((6, 6))
-            jacobian[:3, :3] = jacobian[3:, 3:] = self.rotation
-            covariance += jacobian @ other.covariance @ jacobian.T
-        return Transform(
-            nearest_rotation(self.rotation @ other.rotation),
-            shift + self.translation_mm,
-            covariance,
-        )
+            covariance = jacobian @ self.covariance @ jacobian.T
+        if other.covariance is not None:
+            rotation = block_diag(self.rotation, self.rotation)
+            second = rotation @ other.covariance @ rotation.T
+            covariance = second if covariance is None else covariance + second
+        rotation = nearest_rotation(self.rotation @ other.rotation)
+        return Transform(rotation, shift + self.translation_mm, covariance)
 
     def difference(self, other: "Transform") -> Array:
         """Return rotation vector (left) [rad] and shift [mm] from ``other`` to this, shape (6,)."""

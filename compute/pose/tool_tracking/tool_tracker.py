@@ -14,7 +14,7 @@ from compute.errors import InvalidParameter
 from compute.mapping.table import CorrectionTable
 from compute.measurement.measurement_model import MeasurementModel
 from compute.measurement.measurements import Measurements, check_sensors
-from compute.pose.estimation.observability import observability
+from compute.pose.estimation.observability import unobservable_motion
 from compute.pose.filtering.association import ToolObservation, associate, without_tools
 from compute.pose.filtering.imm import ImmModel
 from compute.pose.filtering.native.strobed_step import StrobedStepKernel, has_kernel
@@ -184,7 +184,7 @@ class ToolTracker:
             observations[index] = observation
         associate(
             self.model,
-            list(observations.values()),
+            observations.values(),
             measurements,
             self.settings.gate_probability,
             self.settings.resolution_px,
@@ -232,7 +232,7 @@ class ToolTracker:
         }
         associate(
             self.model,
-            list(trials.values()),
+            trials.values(),
             free,
             self.settings.gate_probability,
             self.settings.resolution_px,
@@ -380,8 +380,8 @@ class ToolTracker:
         scaled = covariance * (radius[:, None] * radius)
         if np.linalg.eigvalsh(scaled)[-1] <= most:
             return None
-        found = observability(np.linalg.inv(scaled), centred, tool.used, fit)
-        return found.reason or "the readings do not determine the pose"
+        reason = unobservable_motion(np.linalg.inv(scaled), centred, tool.used, fit)
+        return reason or "the readings do not determine the pose"
 
     def _outside_volume(
         self, tool: ToolTrack, state: PoseState, used: NDArray[np.bool_]

@@ -97,7 +97,7 @@ class TransformGraph:
     def _path(self, start: str, end: str) -> tuple[str, ...] | None:
         """Return the path between two frames, both included; None: there is none."""
         # There are no loops: no frame is reached in two ways.
-        paths = [(start,)]
+        paths: list[tuple[str, ...]] = [(start,)]
         for path in paths:
             if path[-1] == end:
                 return path

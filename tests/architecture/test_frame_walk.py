@@ -132,7 +132,7 @@ def config(illumination: Illumination) -> TrackingConfig:
     [
         ("strobed", "points", ["Points"], 19),
         ("simultaneous", "points", ["Points", "Points of markers that are lit together"], 23),
-        ("strobed", EVERYTHING, ["Points", "Tracks, tools and holds"], 52),
+        ("strobed", EVERYTHING, ["Points", "Tracks, tools and holds"], 46),
     ],
 )
 def test_walk_of_a_frame_runs_the_modules_of_the_table(

@@ -220,14 +220,14 @@ class StationaryCapture:
     def take(self) -> StationaryPoint | None:
         """Return the point if the last ``seconds`` were still, and restart; None: they were not."""
         held = self._held
-        known = [one for _, _, one, _ in held if one is not None]
+        times, positions, covariances, shared = zip(*held, strict=True) if held else ([],) * 4
         try:
             found = average_stationary_tip(
-                np.array([one for one, _, _, _ in held], np.int64),
-                np.array([one for _, one, _, _ in held]).reshape(-1, 3),
-                np.array(known) if len(known) == len(held) else None,
+                np.array(times, np.int64),
+                np.array(positions).reshape(-1, 3),
+                None if any(one is None for one in covariances) else np.array(covariances),
                 self._settings,
-                np.array([one for _, _, _, one in held]) if held else None,
+                np.array(shared) if held else None,
             )
         except (NotStationary, TooFewPoses) as error:
             self._error = error

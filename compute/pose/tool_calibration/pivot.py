@@ -140,7 +140,8 @@ def pivot_calibration(
         )
     normal, misfit = _normal(some, unknowns)
     factor = misfit / (3 * len(some) - UNKNOWNS)
-    covariance = np.linalg.inv(normal) * (max(1.0, factor) if known else factor)
+    inverse: Array = np.asarray(np.linalg.inv(normal), np.float64)
+    covariance = inverse * (max(1.0, factor) if known else factor)
     return PivotResult(
         unknowns[:3],
         covariance[:3, :3],

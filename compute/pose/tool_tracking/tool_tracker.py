@@ -1,6 +1,7 @@
 """ToolTracker: poses of all tools of a device, exposure by exposure, and why a tool has none."""
 
 from collections.abc import Sequence
+from copy import deepcopy
 from functools import partial
 from math import sqrt
 from typing import Final
@@ -109,7 +110,7 @@ class ToolTracker:
             ):
                 self._tools[index] = tool.continue_from(before)
         self._time_ns = other._time_ns
-        self._cycle = other._cycle.copy()
+        self._cycle = deepcopy(other._cycle)
 
     def _untracked(self, body: RigidBody, common_errors: int) -> ToolTrack:
         """Return the track of a lost tool."""
@@ -301,7 +302,7 @@ class ToolTracker:
         if missing is not None:
             return ToolPose(name, *missing, time_ns, sequence)
         pose, used = state.reported_pose(tool.centred), tool.used
-        readings, markers = np.count_nonzero(used), np.count_nonzero(used.any(axis=1))
+        readings, markers = int(used.sum()), int(used.any(axis=1).sum())
         tip_sd = sqrt(pose.tip_covariance_mm2.trace())
         limit = tool.body.max_tip_sd_mm
         if limit is None:
@@ -387,6 +388,8 @@ class ToolTracker:
         self, tool: ToolTrack, state: PoseState, used: NDArray[np.bool_]
     ) -> str | None:
         """Return which part of a tool is outside the calibrated volume or the table's hull."""
+        if self.settings.volume_mm is None and self.model.corrections is None:
+            return None
         markers = state.marker_positions(tool.centred)
         names = [f"marker {index + 1}" for index in range(len(markers))]
         if self.settings.volume_mm is not None:

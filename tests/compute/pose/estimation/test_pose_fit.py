@@ -190,7 +190,7 @@ def test_one_wrong_reading_is_left_out_and_named() -> None:
     found = fit_pose(CAMERAS, true.tool, readings, SIGMA)
     assert found.status is PoseStatus.OK
     assert found.excluded == ((2, 1),)
-    assert found.reason == "the reading of marker 3 by sensor 2 was left out as wrong"
+    assert found.reason == "the reading of marker 3 by sensor 2 was excluded as wrong"
     assert found.readings_used == 15
     square = pose_square(whole.rotation, whole.translation_mm, found.covariance, true)
     assert square < 30.0

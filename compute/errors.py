@@ -1,5 +1,6 @@
 """The domain's exceptions: one base, one class for each thing that can be wrong with data."""
 
+import re
 from typing import ClassVar
 
 
@@ -7,10 +8,16 @@ class LumilineError(Exception):
     """Base of every error that tells a user what was wrong with what they gave.
 
     ``detail`` says what was wrong, with the value, and what would be right. ``code`` is a stable
-    name (the last part of a problem type's URI); ``context`` holds the values by name.
+    name (the last part of a problem type's URI), by default the class's name with hyphens;
+    ``context`` holds the values by name.
     """
 
     code: ClassVar[str] = "error"
+
+    def __init_subclass__(cls, **options: object) -> None:
+        super().__init_subclass__(**options)
+        if "code" not in vars(cls):
+            cls.code = re.sub(r"(?<!^)(?=[A-Z])", "-", cls.__name__).lower()
 
     def __init__(self, detail: str, **context: object) -> None:
         super().__init__(detail)
@@ -20,8 +27,6 @@ class LumilineError(Exception):
 
 class TooFewPoints(LumilineError):
     """Fewer observations than the model has parameters, or than planes that make a point."""
-
-    code = "too-few-points"
 
 
 class DegeneratePoints(LumilineError):
@@ -33,100 +38,66 @@ class DegeneratePoints(LumilineError):
 class UndeterminedParameters(LumilineError):
     """Observations leave a combination of unknowns open: more than one solution fits."""
 
-    code = "undetermined-parameters"
-
 
 class NonFiniteValue(LumilineError):
     """A value is NaN or infinite."""
-
-    code = "non-finite-value"
 
 
 class UnknownSensor(LumilineError):
     """A reading names a sensor that the device does not have."""
 
-    code = "unknown-sensor"
-
 
 class DuplicatePoint(LumilineError):
     """A control point, or a reading of a point by one sensor, is given twice."""
-
-    code = "duplicate-point"
 
 
 class ReadingOutsideSensor(LumilineError):
     """A reading lies outside the sensor's pixels."""
 
-    code = "reading-outside-sensor"
-
 
 class NoConvergence(LumilineError):
     """An iteration did not converge, or left the domain of its model."""
-
-    code = "no-convergence"
 
 
 class InvalidParameter(LumilineError):
     """A parameter is outside the range in which it means something."""
 
-    code = "invalid-parameter"
-
 
 class InvalidRecording(LumilineError):
     """A recorded file is not one of ours, is cut short, or contradicts itself."""
-
-    code = "invalid-recording"
 
 
 class TooFewPoses(LumilineError):
     """Fewer poses, or fewer that agree, than a calibration of a tool needs."""
 
-    code = "too-few-poses"
-
 
 class TooLittleRotation(LumilineError):
     """A tool was not turned far enough, or not about the axes that a calibration needs."""
-
-    code = "too-little-rotation"
 
 
 class HighError(LumilineError):
     """What was measured fits what it should fit worse than it may."""
 
-    code = "high-error"
-
 
 class CollinearPoints(LumilineError):
     """Points lie (almost) on one line, which leaves a turn about it undetermined."""
-
-    code = "collinear-points"
 
 
 class NotStationary(LumilineError):
     """A point was to be measured at rest, and moved."""
 
-    code = "not-stationary"
-
 
 class UnknownFrame(LumilineError):
     """No coordinate frame has this name, or nothing connects it with the other one."""
-
-    code = "unknown-frame"
 
 
 class FrameConflict(LumilineError):
     """A transform would connect frames that are connected already, another way."""
 
-    code = "frame-conflict"
-
 
 class DegenerateTool(LumilineError):
     """A tool's markers cannot tell its pose: too few, on a line, too near, or exchangeable."""
 
-    code = "degenerate-tool"
-
 
 class IndistinguishableTools(LumilineError):
     """Two tools have markers with the same distances, or the same strobe slots."""
-
-    code = "indistinguishable-tools"

@@ -6,16 +6,10 @@ from compute.errors import LumilineError
 class DeviceNotConnected(LumilineError):
     """The device does not answer: unplugged, switched off, in use by another program, or silent."""
 
-    code = "device-not-connected"
-
 
 class DeviceChanged(LumilineError):
     """The reconnected device has other sensors, or other sensor properties, than before."""
 
-    code = "device-changed"
-
 
 class MissingLibrary(LumilineError):
     """A system library that the driver needs is not installed."""
-
-    code = "missing-library"

@@ -6,7 +6,7 @@ from typer.main import get_command
 from typer.testing import CliRunner
 
 from generators.text import page as whole_page
-from service.cli import app
+from service.cli import LazyCommand, app
 
 
 def page() -> str:
@@ -18,8 +18,10 @@ def page() -> str:
 def _command(command: Any, words: list[str]) -> list[str]:
     lines = [f"{'#' * (len(words) + 1)} lumiline {' '.join(words)}", ""] if words else []
     lines += ["```text", _help(words), "```", ""]
-    for name in sorted(getattr(command, "commands", {})):
-        lines += _command(command.commands[name], [*words, name])
+    commands = getattr(command, "commands", {})
+    for name in sorted(commands):
+        one = commands[name]
+        lines += _command(one.load() if isinstance(one, LazyCommand) else one, [*words, name])
     return lines
 
 

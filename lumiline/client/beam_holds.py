@@ -3,25 +3,25 @@
 from collections.abc import Mapping
 from typing import Any
 
-from lumiline.client.exchange import ClientMethod, Exchange, delete, get, get_all, send
+from lumiline.client.exchange import ClientMethod, Exchanges
 from lumiline.client.models import BeamHold, BeamHoldStatus
 
 
-class BeamHoldMethods:
+class BeamHoldMethods(Exchanges):
     """Requests about beam holds."""
 
     @ClientMethod
-    def beam_holds(self, device_id: str | None = None) -> Exchange[list[BeamHold]]:
+    async def beam_holds(self, device_id: str | None = None) -> list[BeamHold]:
         """Beam holds, of one device."""
-        return get_all(BeamHold, "beam-holds", device=device_id)
+        return await self._get_all(BeamHold, "beam-holds", device=device_id)
 
     @ClientMethod
-    def beam_hold(self, hold_id: str) -> Exchange[BeamHold]:
+    async def beam_hold(self, hold_id: str) -> BeamHold:
         """One beam hold."""
-        return get(BeamHold, "beam-holds", hold_id)
+        return await self._get(BeamHold, "beam-holds", hold_id)
 
     @ClientMethod
-    def create_beam_hold(
+    async def create_beam_hold(
         self,
         /,
         hold_id: str,
@@ -29,34 +29,36 @@ class BeamHoldMethods:
         watch: Mapping[str, Any],
         limits: Mapping[str, Any],
         **members: Any,
-    ) -> Exchange[BeamHold]:
+    ) -> BeamHold:
         """Make a beam hold; ``members`` as in the body of POST /api/v1/beam-holds."""
         own = {"id": hold_id, "device": device_id, "watch": dict(watch), "limits": dict(limits)}
-        return send(BeamHold, "POST", "beam-holds", body={"title": hold_id, **members, **own})
+        return await self._send(
+            BeamHold, "POST", "beam-holds", body={"title": hold_id, **members, **own}
+        )
 
     @ClientMethod
-    def change_beam_hold(self, /, hold_id: str, **members: Any) -> Exchange[BeamHold]:
+    async def change_beam_hold(self, /, hold_id: str, **members: Any) -> BeamHold:
         """Change a beam hold; ``members`` as in the body of PATCH /api/v1/beam-holds/ID."""
-        return send(BeamHold, "PATCH", "beam-holds", hold_id, body=members)
+        return await self._send(BeamHold, "PATCH", "beam-holds", hold_id, body=members)
 
     @ClientMethod
-    def delete_beam_hold(self, hold_id: str) -> Exchange[None]:
+    async def delete_beam_hold(self, hold_id: str) -> None:
         """Delete a beam hold."""
-        return delete("beam-holds", hold_id)
+        await self._delete("beam-holds", hold_id)
 
     @ClientMethod
-    def beam_hold_state(self, hold_id: str) -> Exchange[BeamHoldStatus]:
+    async def beam_hold_state(self, hold_id: str) -> BeamHoldStatus:
         """Whether a beam is held now; to act on it, take the stream's content ``holds``."""
-        return get(BeamHoldStatus, "beam-holds", hold_id, "state")
+        return await self._get(BeamHoldStatus, "beam-holds", hold_id, "state")
 
     @ClientMethod
-    def set_beam_hold_reference(
+    async def set_beam_hold_reference(
         self,
         hold_id: str,
         frames: int = 100,
         timeout_s: float = 10.0,
         given: Mapping[str, Any] | None = None,
-    ) -> Exchange[BeamHold]:
+    ) -> BeamHold:
         """Set the pose from which motion is measured.
 
         Args:
@@ -72,14 +74,14 @@ class BeamHoldMethods:
             "given": None if given is None else dict(given),
         }
         path = ("beam-holds", hold_id, "reference")
-        return send(BeamHold, "POST", *path, body=body, extra_timeout_s=timeout_s)
+        return await self._send(BeamHold, "POST", *path, body=body, extra_timeout_s=timeout_s)
 
     @ClientMethod
-    def remove_beam_hold_reference(self, hold_id: str) -> Exchange[BeamHold]:
+    async def remove_beam_hold_reference(self, hold_id: str) -> BeamHold:
         """Remove the reference; the beam is held until there is another."""
-        return send(BeamHold, "DELETE", "beam-holds", hold_id, "reference")
+        return await self._send(BeamHold, "DELETE", "beam-holds", hold_id, "reference")
 
     @ClientMethod
-    def acknowledge_beam_hold(self, hold_id: str) -> Exchange[BeamHoldStatus]:
+    async def acknowledge_beam_hold(self, hold_id: str) -> BeamHoldStatus:
         """Release a latched hold once its limits are met again."""
-        return send(BeamHoldStatus, "POST", "beam-holds", hold_id, "acknowledge")
+        return await self._send(BeamHoldStatus, "POST", "beam-holds", hold_id, "acknowledge")

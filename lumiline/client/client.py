@@ -2,7 +2,7 @@
 
 import asyncio
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any, Generic, TypeVar
@@ -12,15 +12,7 @@ import httpx
 from lumiline.client.beam_holds import BeamHoldMethods
 from lumiline.client.devices import DeviceMethods
 from lumiline.client.errors import ServerUnreachable, UnreadableMessage, server_problem
-from lumiline.client.exchange import (
-    AsyncRunner,
-    BlockingRunner,
-    ClientMethod,
-    Download,
-    Exchange,
-    HttpRequest,
-    Pause,
-)
+from lumiline.client.exchange import Asynchronous, Blocking, ClientMethod, path_of, result_of
 from lumiline.client.recordings import RecordingMethods
 from lumiline.client.registrations import RegistrationMethods
 from lumiline.client.server import KeyBy, Server
@@ -44,6 +36,8 @@ class _SharedClient(
 
     _http_type: type[Http]
     _stream_type: type[AnyStream]
+    _pieces: Callable[[httpx.Response], AsyncIterator[bytes]]
+    _end: Callable[[httpx.Response], Awaitable[None]]
 
     def __init__(
         self,
@@ -69,7 +63,7 @@ class _SharedClient(
         )
 
     @ClientMethod
-    def request(
+    async def request(
         self,
         method: str,
         path: str,
@@ -77,7 +71,7 @@ class _SharedClient(
         query: Mapping[str, Any] | None = None,
         body: Any = None,
         timeout_s: float | None = None,
-    ) -> Exchange[Any]:
+    ) -> Any:
         """Send any request of the server's interface, and return the JSON that it answers.
 
         Raises:
@@ -85,7 +79,7 @@ class _SharedClient(
             ServerUnreachable: it did not answer.
             UnreadableMessage: what it answered is no JSON.
         """
-        return (yield HttpRequest(method, path, query, body, timeout_s))
+        return await self._request(method, path, query=query, body=body, timeout_s=timeout_s)
 
     def stream(
         self,
@@ -107,7 +101,8 @@ class _SharedClient(
             mode: ``live``: the newest frames; ``lossless``: every message, also over lost
                 connections.
             rate_hz: highest rate of frames [Hz]; None: every frame.
-            bundle_ms: send the frames of this time [ms] together; None: each by itself.
+            bundle_ms: send the frames of this time [ms] together, which costs both sides far less
+                at thousands of frames a second; None: each by itself.
             resume: with ``lossless``: the stream's id, of ``hello``, and the number of the last
                 message that the program has, to go on after it.
             reconnect_s: how long a lost connection is tried again [s].
@@ -119,19 +114,48 @@ class _SharedClient(
         state = StreamState.begin(self._server, request, resume, reconnect_s)
         return self._stream_type(state, self._timeout_s)
 
-    def _http_arguments(self, step: HttpRequest) -> dict[str, Any]:
-        timeout_s = self._timeout_s if step.timeout_s is None else step.timeout_s
-        query = {name: value for name, value in (step.query or {}).items() if value is not None}
-        return {
-            "method": step.method,
-            "url": step.path,
-            "params": query or None,
-            "json": step.body,
-            "timeout": timeout_s + step.extra_timeout_s,
-        }
+    async def _request(
+        self,
+        method: str,
+        path: str,
+        *,
+        query: Mapping[str, Any] | None = None,
+        body: Any = None,
+        timeout_s: float | None = None,
+        extra_timeout_s: float = 0.0,
+    ) -> Any:
+        what = f"{method} {path}"
+        known = {name: value for name, value in (query or {}).items() if value is not None}
+        timeout_s = (self._timeout_s if timeout_s is None else timeout_s) + extra_timeout_s
+        with _connection_errors(what):
+            response = await result_of(
+                self._http.request(method, path, params=known or None, json=body, timeout=timeout_s)
+            )
+        _check(response, response.content)
+        if not response.content:
+            return None
+        try:
+            return response.json()
+        except ValueError as error:
+            raise UnreadableMessage(f"{what} did not answer JSON") from error
+
+    async def _download(self, file: Path | str, *path: str) -> Path:
+        source, file = path_of(*path), Path(file)
+        with _connection_errors(f"GET {source}"):
+            request = self._http.build_request("GET", source)
+            response = await result_of(self._http.send(request, stream=True))
+            try:
+                if not response.is_success:
+                    _check(response, b"".join([piece async for piece in self._pieces(response)]))
+                with _whole_file(file) as target:
+                    async for piece in self._pieces(response):
+                        target.write(piece)
+            finally:
+                await self._end(response)
+        return file
 
 
-class Client(_SharedClient[httpx.Client, Stream], BlockingRunner):
+class Client(_SharedClient[httpx.Client, Stream], Blocking):
     """A connection to a server, with blocking calls; a context manager that closes it.
 
     ``ServerProblem`` is raised where the server refuses, with its reason, ``ServerUnreachable``
@@ -140,35 +164,23 @@ class Client(_SharedClient[httpx.Client, Stream], BlockingRunner):
 
     _http_type = httpx.Client
     _stream_type = Stream
+    _sleep = staticmethod(time.sleep)
 
     def close(self) -> None:
         """Close the connections; streams have their own."""
         self._http.close()
 
-    def _perform(self, step: HttpRequest | Download | Pause) -> Any:
-        match step:
-            case HttpRequest():
-                what = f"{step.method} {step.path}"
-                with _connection_errors(what):
-                    response = self._http.request(**self._http_arguments(step))
-                return _json_of(response, what)
-            case Download():
-                with (
-                    _connection_errors(f"GET {step.source}"),
-                    self._http.stream("GET", step.source) as response,
-                ):
-                    if not response.is_success:
-                        _check(response, response.read())
-                    with _whole_file(step.path) as file:
-                        for piece in response.iter_bytes():
-                            file.write(piece)
-                return step.path
-            case Pause():
-                time.sleep(step.seconds)
-        return None
+    @staticmethod
+    async def _pieces(response: httpx.Response) -> AsyncIterator[bytes]:
+        for piece in response.iter_bytes():
+            yield piece
+
+    @staticmethod
+    async def _end(response: httpx.Response) -> None:
+        response.close()
 
 
-class AsyncClient(_SharedClient[httpx.AsyncClient, AsyncStream], AsyncRunner):
+class AsyncClient(_SharedClient[httpx.AsyncClient, AsyncStream], Asynchronous):
     """A connection to a server, with asyncio; an asynchronous context manager that closes it.
 
     ``ServerProblem`` is raised where the server refuses, with its reason, ``ServerUnreachable``
@@ -177,30 +189,13 @@ class AsyncClient(_SharedClient[httpx.AsyncClient, AsyncStream], AsyncRunner):
 
     _http_type = httpx.AsyncClient
     _stream_type = AsyncStream
+    _sleep = staticmethod(asyncio.sleep)
+    _pieces = staticmethod(httpx.Response.aiter_bytes)
+    _end = staticmethod(httpx.Response.aclose)
 
     async def close(self) -> None:
         """Close the connections; streams have their own."""
         await self._http.aclose()
-
-    async def _perform(self, step: HttpRequest | Download | Pause) -> Any:
-        match step:
-            case HttpRequest():
-                what = f"{step.method} {step.path}"
-                with _connection_errors(what):
-                    response = await self._http.request(**self._http_arguments(step))
-                return _json_of(response, what)
-            case Download():
-                with _connection_errors(f"GET {step.source}"):
-                    async with self._http.stream("GET", step.source) as response:
-                        if not response.is_success:
-                            _check(response, await response.aread())
-                        with _whole_file(step.path) as file:
-                            async for piece in response.aiter_bytes():
-                                file.write(piece)
-                return step.path
-            case Pause():
-                await asyncio.sleep(step.seconds)
-        return None
 
 
 def _check(response: httpx.Response, body: bytes) -> None:
@@ -208,17 +203,6 @@ def _check(response: httpx.Response, body: bytes) -> None:
     if not response.is_success:
         retry_after = response.headers.get("Retry-After")
         raise server_problem(response.status_code, body, retry_after)
-
-
-def _json_of(response: httpx.Response, what: str) -> Any:
-    """Return the JSON of a response that has been read; None where it is empty."""
-    _check(response, response.content)
-    if not response.content:
-        return None
-    try:
-        return response.json()
-    except ValueError as error:
-        raise UnreadableMessage(f"{what} did not answer JSON") from error
 
 
 @contextmanager

@@ -2,68 +2,72 @@
 
 from collections.abc import Mapping
 
-from lumiline.client.exchange import ClientMethod, Exchange, get, get_all, send
+from lumiline.client.exchange import ClientMethod, Exchanges
 from lumiline.client.models import Calibration, Device, DeviceStatus, Reconstruction, ResponseModel
 
 Readings = Mapping[str, float | tuple[float, float]]
 """By sensor: a position [px], or it and its standard deviation."""
 
 
-class DeviceMethods:
+class DeviceMethods(Exchanges):
     """Requests about devices, their calibrations, and points from readings."""
 
     @ClientMethod
-    def devices(self) -> Exchange[list[Device]]:
+    async def devices(self) -> list[Device]:
         """All devices."""
-        return get_all(Device, "devices")
+        return await self._get_all(Device, "devices")
 
     @ClientMethod
-    def device(self, device_id: str) -> Exchange[Device]:
+    async def device(self, device_id: str) -> Device:
         """One device."""
-        return get(Device, "devices", device_id)
+        return await self._get(Device, "devices", device_id)
 
     @ClientMethod
-    def device_status(self, device_id: str) -> Exchange[DeviceStatus]:
+    async def device_status(self, device_id: str) -> DeviceStatus:
         """State of a device and its counts of frames."""
-        return get(DeviceStatus, "devices", device_id, "status", inside="status")
+        return await self._get(DeviceStatus, "devices", device_id, "status", inside="status")
 
     @ClientMethod
-    def start_device(self, device_id: str) -> Exchange[DeviceStatus]:
+    async def start_device(self, device_id: str) -> DeviceStatus:
         """Start a device."""
-        return send(DeviceStatus, "POST", "devices", device_id, "start", inside="status")
+        return await self._send(
+            DeviceStatus, "POST", "devices", device_id, "start", inside="status"
+        )
 
     @ClientMethod
-    def stop_device(self, device_id: str) -> Exchange[DeviceStatus]:
+    async def stop_device(self, device_id: str) -> DeviceStatus:
         """Stop a device."""
-        return send(DeviceStatus, "POST", "devices", device_id, "stop", inside="status")
+        return await self._send(DeviceStatus, "POST", "devices", device_id, "stop", inside="status")
 
     @ClientMethod
-    def calibrations(
+    async def calibrations(
         self, device_id: str | None = None, state: str | None = None
-    ) -> Exchange[list[Calibration]]:
+    ) -> list[Calibration]:
         """Calibrations, newest first; of one device, in one state."""
-        return get_all(Calibration, "calibrations", device=device_id, state=state)
+        return await self._get_all(Calibration, "calibrations", device=device_id, state=state)
 
     @ClientMethod
-    def calibration(self, calibration_id: str) -> Exchange[Calibration]:
+    async def calibration(self, calibration_id: str) -> Calibration:
         """One calibration."""
-        return get(Calibration, "calibrations", calibration_id)
+        return await self._get(Calibration, "calibrations", calibration_id)
 
     @ClientMethod
-    def activate(self, calibration_id: str, expected: str | None = None) -> Exchange[Calibration]:
+    async def activate(self, calibration_id: str, expected: str | None = None) -> Calibration:
         """Make a calibration the active one; only if ``expected`` is active, where it is given."""
         path = ("calibrations", calibration_id, "activate")
-        return send(Calibration, "POST", *path, expected=expected)
+        return await self._send(Calibration, "POST", *path, expected=expected)
 
     @ClientMethod
-    def roll_back(self, device_id: str, expected: str | None = None) -> Exchange[Device]:
+    async def roll_back(self, device_id: str, expected: str | None = None) -> Device:
         """Go back to the calibration and table that were active before."""
-        return send(Device, "POST", "devices", device_id, "roll-back", expected=expected)
+        return await self._send(
+            Device, "POST", "devices", device_id, "roll-back", expected=expected
+        )
 
     @ClientMethod
-    def reconstruct(
+    async def reconstruct(
         self, device_id: str, points: Mapping[str, Readings], calibration_id: str | None = None
-    ) -> Exchange[Reconstruction]:
+    ) -> Reconstruction:
         """Compute points from readings.
 
         Args:
@@ -82,12 +86,12 @@ class DeviceMethods:
                 for name, readings in points.items()
             ],
         }
-        return send(Reconstruction, "POST", "reconstructions", body=body)
+        return await self._send(Reconstruction, "POST", "reconstructions", body=body)
 
     @ClientMethod
-    def reconstructions(self, device_id: str | None = None) -> Exchange[list[ResponseModel]]:
+    async def reconstructions(self, device_id: str | None = None) -> list[ResponseModel]:
         """Reconstructions without their points, newest first."""
-        return get_all(ResponseModel, "reconstructions", device=device_id)
+        return await self._get_all(ResponseModel, "reconstructions", device=device_id)
 
 
 def _reading(value: float | tuple[float, float]) -> float | dict[str, float]:

@@ -1,23 +1,11 @@
-"""Client methods as exchanges: written once without I/O, run by either client."""
+"""Client methods, written once as coroutines: awaited by one client, run at once by the other."""
 
 import inspect
-from collections.abc import Callable, Coroutine, Generator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Coroutine, Mapping, Sequence
 from functools import wraps
 from pathlib import Path
 from types import MethodType
-from typing import (
-    Any,
-    Concatenate,
-    Final,
-    Generic,
-    ParamSpec,
-    Self,
-    TypeAlias,
-    TypeVar,
-    get_args,
-    overload,
-)
+from typing import Any, Concatenate, Final, Generic, ParamSpec, Self, TypeVar, overload
 from urllib.parse import quote
 
 from pydantic import BaseModel, ValidationError
@@ -33,48 +21,95 @@ PAGE_SIZE: Final = 200
 """Items that a page of a list has at most."""
 
 
-@dataclass(frozen=True)
-class HttpRequest:
-    """Send a request; the answer is its JSON.
-
-    Args:
-        method: of HTTP.
-        path: from the server's root.
-        query: parameters; those that are None are left out.
-        body: sent as JSON; None: nothing.
-        timeout_s: how long the answer is waited for [s]; None: as the client says.
-        extra_timeout_s: how long the server measures or computes besides [s].
-    """
-
-    method: str
-    path: str
-    query: Mapping[str, Any] | None = None
-    body: Any = None
-    timeout_s: float | None = None
-    extra_timeout_s: float = 0.0
+async def result_of(value: Any) -> Any:
+    """Return a result of either transport: the value itself, or what it is awaited for."""
+    return await value if inspect.isawaitable(value) else value
 
 
-@dataclass(frozen=True)
-class Download:
-    """Write what a GET answers to a file; the answer is the file's path."""
-
-    source: str
-    path: Path
-
-
-@dataclass(frozen=True)
-class Pause:
-    """Wait [s]."""
-
-    seconds: float
+def finish(coroutine: Coroutine[Any, Any, T]) -> T:
+    """Run a coroutine of the blocking transport, in which nothing is awaited, to its end."""
+    try:
+        coroutine.send(None)
+    except StopIteration as end:
+        result: T = end.value
+        return result
+    raise RuntimeError("the blocking transport has awaited something")
 
 
-Exchange: TypeAlias = Generator[Any, Any, T]
-"""A generator that yields steps of input and output, is sent their results, and returns T."""
+class Exchanges:
+    """Requests of the server's interface, by their paths below its root."""
+
+    _sleep: Callable[[float], Any]
+
+    async def _request(
+        self,
+        method: str,
+        path: str,
+        *,
+        query: Mapping[str, Any] | None = None,
+        body: Any = None,
+        timeout_s: float | None = None,
+        extra_timeout_s: float = 0.0,
+    ) -> Any:
+        """Send a request, and return the JSON that is answered.
+
+        Args:
+            method: of HTTP.
+            path: from the server's root.
+            query: parameters; those that are None are left out.
+            body: sent as JSON; None: nothing.
+            timeout_s: how long the answer is waited for [s]; None: as the client says.
+            extra_timeout_s: how long the server measures or computes besides [s].
+        """
+        raise NotImplementedError
+
+    async def _download(self, file: Path | str, *path: str) -> Path:
+        """Write what is at a path to a file, and return the file's path."""
+        raise NotImplementedError
+
+    async def _get(
+        self, kind: type[Model], *path: str, inside: str | None = None, **query: Any
+    ) -> Model:
+        """Get what is at a path; arguments as of ``_send``."""
+        return await self._send(kind, "GET", *path, inside=inside, **query)
+
+    async def _get_all(self, kind: type[Model], *path: str, **query: Any) -> list[Model]:
+        """Get a list whole, page by page; raises UnreadableMessage."""
+        found: list[Model] = []
+        while True:
+            part = {**query, "limit": PAGE_SIZE, "offset": len(found)}
+            page = await self._request("GET", path_of(*path), query=part)
+            match page:
+                case {"items": list(items), "total": int(total)}:
+                    found += [_read(kind, item, path) for item in items]
+                case _:
+                    raise UnreadableMessage(f"{path_of(*path)} did not answer a list")
+            if not items or len(found) >= total:
+                return found
+
+    async def _send(
+        self,
+        kind: type[Model],
+        method: str,
+        *path: str,
+        body: Mapping[str, Any] | None = None,
+        inside: str | None = None,
+        extra_timeout_s: float = 0.0,
+        **query: Any,
+    ) -> Model:
+        """Send a request, and return its answer as a model, or a member of it: ``inside``."""
+        answer = await self._request(
+            method, path_of(*path), query=query, body=body, extra_timeout_s=extra_timeout_s
+        )
+        return _read(kind, answer, path, inside)
+
+    async def _delete(self, *path: str) -> None:
+        """Delete what is at a path."""
+        await self._request("DELETE", path_of(*path))
 
 
-class BlockingRunner:
-    """Runs exchanges by blocking calls; a context manager that closes what it opened."""
+class Blocking:
+    """Runs client methods by blocking calls; a context manager that closes what it opened."""
 
     def __enter__(self) -> Self:
         return self
@@ -86,26 +121,9 @@ class BlockingRunner:
         """Close the connection."""
         raise NotImplementedError
 
-    def _perform(self, step: Any) -> Any:
-        raise NotImplementedError
 
-    def _run(self, exchange: Exchange[T]) -> T:
-        try:
-            step = next(exchange)
-            while True:
-                try:
-                    answer = self._perform(step)
-                except Exception as error:  # noqa: BLE001  # the exchange decides
-                    step = exchange.throw(error)
-                else:
-                    step = exchange.send(answer)
-        except StopIteration as end:
-            result: T = end.value
-            return result
-
-
-class AsyncRunner:
-    """Runs exchanges with asyncio; an asynchronous context manager."""
+class Asynchronous:
+    """Runs client methods with asyncio; an asynchronous context manager."""
 
     async def __aenter__(self) -> Self:
         return self
@@ -117,134 +135,36 @@ class AsyncRunner:
         """Close the connection."""
         raise NotImplementedError
 
-    async def _perform(self, step: Any) -> Any:
-        raise NotImplementedError
-
-    async def _run(self, exchange: Exchange[T]) -> T:
-        try:
-            step = next(exchange)
-            while True:
-                try:
-                    answer = await self._perform(step)
-                except Exception as error:  # noqa: BLE001  # the exchange decides
-                    step = exchange.throw(error)
-                else:
-                    step = exchange.send(answer)
-        except StopIteration as end:
-            result: T = end.value
-            return result
-
 
 class ClientMethod(Generic[P, T]):
     """A method of both clients: blocking in the one, a coroutine function in the other.
 
     Args:
-        define: the method's parameters and documentation; returns its exchange.
+        define: the method, as a coroutine function.
     """
 
-    def __init__(self, define: Callable[Concatenate[Any, P], Exchange[T]]) -> None:
+    def __init__(self, define: Callable[Concatenate[Any, P], Coroutine[Any, Any, T]]) -> None:
         @wraps(define)
-        def blocking(client: BlockingRunner, *args: P.args, **named: P.kwargs) -> T:
-            return client._run(define(client, *args, **named))
+        def blocking(client: Blocking, *args: P.args, **named: P.kwargs) -> T:
+            return finish(define(client, *args, **named))
 
-        @wraps(define)
-        async def awaitable(client: AsyncRunner, *args: P.args, **named: P.kwargs) -> T:
-            return await client._run(define(client, *args, **named))
-
-        # help() and Sphinx show the result, not the exchange that leads to it.
-        signature = inspect.signature(define)
-        result = get_args(signature.return_annotation)[-1]
-        for function in (blocking, awaitable):
-            del vars(function)["__wrapped__"]
-            vars(function)["__signature__"] = signature.replace(return_annotation=result)
-            function.__annotations__ = {**define.__annotations__, "return": result}
-        self._blocking, self._awaitable = blocking, awaitable
+        self._blocking, self._awaitable = blocking, define
 
     @overload
     def __get__(self, client: None, owner: type[Any]) -> Callable[..., Any]: ...
     @overload
-    def __get__(self, client: BlockingRunner, owner: type[Any]) -> Callable[P, T]: ...
+    def __get__(self, client: Blocking, owner: type[Any]) -> Callable[P, T]: ...
     @overload
     def __get__(
-        self, client: AsyncRunner, owner: type[Any]
+        self, client: Asynchronous, owner: type[Any]
     ) -> Callable[P, Coroutine[Any, Any, T]]: ...
 
     def __get__(
-        self, client: BlockingRunner | AsyncRunner | None, owner: type[Any]
+        self, client: Blocking | Asynchronous | None, owner: type[Any]
     ) -> Callable[..., Any]:
         """Return the method, bound to a client where there is one."""
-        function = self._awaitable if issubclass(owner, AsyncRunner) else self._blocking
+        function = self._awaitable if issubclass(owner, Asynchronous) else self._blocking
         return function if client is None else MethodType(function, client)
-
-
-def get(kind: type[Model], *path: str, inside: str | None = None, **query: Any) -> Exchange[Model]:
-    """Get what is at a path below the interface's root.
-
-    Args:
-        kind: model that the answer is read as.
-        path: parts of the path.
-        inside: member of the answer that is wanted; None: all of it.
-        query: parameters; those that are None are left out.
-    """
-    answer = yield HttpRequest("GET", path_of(*path), query)
-    return _read(kind, answer, path, inside)
-
-
-def get_all(kind: type[Model], *path: str, **query: Any) -> Exchange[list[Model]]:
-    """Get a list whole, page by page.
-
-    Raises:
-        UnreadableMessage: the answer is no page of a list.
-    """
-    found: list[Model] = []
-    while True:
-        page = yield HttpRequest(
-            "GET", path_of(*path), {**query, "limit": PAGE_SIZE, "offset": len(found)}
-        )
-        if (
-            not isinstance(page, dict)
-            or not isinstance(page.get("items"), list)
-            or not isinstance(page.get("total"), int)
-        ):
-            raise UnreadableMessage(f"{path_of(*path)} did not answer a list")
-        found += [_read(kind, item, path) for item in page["items"]]
-        if not page["items"] or len(found) >= page["total"]:
-            return found
-
-
-def send(
-    kind: type[Model],
-    method: str,
-    *path: str,
-    body: Mapping[str, Any] | None = None,
-    inside: str | None = None,
-    extra_timeout_s: float = 0.0,
-    **query: Any,
-) -> Exchange[Model]:
-    """Send a request that changes something or has something computed.
-
-    Args:
-        kind: model that the answer is read as.
-        method: of HTTP.
-        path: parts of the path below the interface's root.
-        body: sent as JSON; None: nothing.
-        inside: member of the answer that is wanted; None: all of it.
-        extra_timeout_s: how long the server measures or computes besides [s].
-        query: parameters; those that are None are left out.
-    """
-    answer = yield HttpRequest(method, path_of(*path), query, body, extra_timeout_s=extra_timeout_s)
-    return _read(kind, answer, path, inside)
-
-
-def delete(*path: str) -> Exchange[None]:
-    """Delete what is at a path below the interface's root."""
-    yield HttpRequest("DELETE", path_of(*path))
-
-
-def download(file: Path | str, *path: str) -> Exchange[Path]:
-    """Write what is at a path below the interface's root to a file, and return its path."""
-    written: Path = yield Download(path_of(*path), Path(file))
-    return written
 
 
 def path_of(*parts: str) -> str:

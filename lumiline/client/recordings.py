@@ -4,59 +4,45 @@ import time
 from pathlib import Path
 from typing import Any
 
-from lumiline.client.exchange import (
-    ClientMethod,
-    Exchange,
-    Pause,
-    delete,
-    download,
-    get,
-    get_all,
-    send,
-)
+from lumiline.client.exchange import ClientMethod, Exchanges, result_of
 from lumiline.client.models import Export, Recording, Run
 
 
-class RecordingMethods:
+class RecordingMethods(Exchanges):
     """Requests about recordings, their exports, and runs."""
 
     @ClientMethod
-    def recordings(self, device_id: str | None = None) -> Exchange[list[Recording]]:
+    async def recordings(self, device_id: str | None = None) -> list[Recording]:
         """Recordings, newest first; of one device."""
-        return get_all(Recording, "recordings", device=device_id)
+        return await self._get_all(Recording, "recordings", device=device_id)
 
     @ClientMethod
-    def recording(self, name: str) -> Exchange[Recording]:
+    async def recording(self, name: str) -> Recording:
         """One recording."""
-        return get(Recording, "recordings", name)
+        return await self._get(Recording, "recordings", name)
 
     @ClientMethod
-    def start_recording(
+    async def start_recording(
         self, device_id: str, name: str | None = None, seconds: float | None = None
-    ) -> Exchange[Recording]:
+    ) -> Recording:
         """Record a running device from its next frame on."""
         body = {"name": name, "seconds": seconds}
-        return send(Recording, "POST", "devices", device_id, "recordings", body=body)
+        return await self._send(Recording, "POST", "devices", device_id, "recordings", body=body)
 
     @ClientMethod
-    def stop_recording(self, name: str) -> Exchange[Recording]:
+    async def stop_recording(self, name: str) -> Recording:
         """End a recording."""
-        return send(Recording, "POST", "recordings", name, "stop")
+        return await self._send(Recording, "POST", "recordings", name, "stop")
 
     @ClientMethod
-    def download_recording(self, name: str, path: Path | str) -> Exchange[Path]:
-        """Write a complete recording to a file, which exists only when it is whole.
-
-        Raises:
-            ServerProblem: there is no such recording, or it is still written.
-            ServerUnreachable: the connection was lost before the end.
-        """
-        return download(path, "recordings", name, "file")
+    async def download_recording(self, name: str, path: Path | str) -> Path:
+        """Write a complete recording to a file, which exists only when it is whole."""
+        return await self._download(path, "recordings", name, "file")
 
     @ClientMethod
-    def start_export(
+    async def start_export(
         self, /, recording: str, device_id: str, file_format: str, **members: Any
-    ) -> Exchange[Run]:
+    ) -> Run:
         """Have points, tracks and tool poses of a recording written to a file on the server.
 
         Args:
@@ -69,42 +55,37 @@ class RecordingMethods:
             The run, for ``wait_for_run``; its ``result_id`` is then the export's id.
         """
         body = {**members, "recording": recording, "device": device_id, "format": file_format}
-        return send(Run, "POST", "export-runs", body=body)
+        return await self._send(Run, "POST", "export-runs", body=body)
 
     @ClientMethod
-    def exports(self) -> Exchange[list[Export]]:
+    async def exports(self) -> list[Export]:
         """Files that export runs have made."""
-        return get_all(Export, "exports")
+        return await self._get_all(Export, "exports")
 
     @ClientMethod
-    def export(self, export_id: str) -> Exchange[Export]:
+    async def export(self, export_id: str) -> Export:
         """One export."""
-        return get(Export, "exports", export_id)
+        return await self._get(Export, "exports", export_id)
 
     @ClientMethod
-    def download_export(self, export_id: str, path: Path | str) -> Exchange[Path]:
-        """Write an export to a file, which exists only when it is whole.
-
-        Raises:
-            ServerProblem: there is no such export.
-            ServerUnreachable: the connection was lost before the end.
-        """
-        return download(path, "exports", export_id, "file")
+    async def download_export(self, export_id: str, path: Path | str) -> Path:
+        """Write an export to a file, which exists only when it is whole."""
+        return await self._download(path, "exports", export_id, "file")
 
     @ClientMethod
-    def delete_export(self, export_id: str) -> Exchange[None]:
+    async def delete_export(self, export_id: str) -> None:
         """Delete a file that an export run has made."""
-        return delete("exports", export_id)
+        await self._delete("exports", export_id)
 
     @ClientMethod
-    def run(self, run_id: str) -> Exchange[Run]:
+    async def run(self, run_id: str) -> Run:
         """State and progress of a run: of an export, a calibration or a map."""
-        return get(Run, "runs", run_id)
+        return await self._get(Run, "runs", run_id)
 
     @ClientMethod
-    def wait_for_run(
+    async def wait_for_run(
         self, run_id: str, timeout_s: float = 600.0, every_s: float = 0.2
-    ) -> Exchange[Run]:
+    ) -> Run:
         """Wait until a run has ended.
 
         Args:
@@ -114,12 +95,12 @@ class RecordingMethods:
         """
         end_s = time.monotonic() + timeout_s
         while True:
-            found = yield from get(Run, "runs", run_id)
+            found = await self._get(Run, "runs", run_id)
             if found.ended or time.monotonic() >= end_s:
                 return found
-            yield Pause(every_s)
+            await result_of(self._sleep(every_s))
 
     @ClientMethod
-    def cancel_run(self, run_id: str) -> Exchange[Run]:
+    async def cancel_run(self, run_id: str) -> Run:
         """End a run that waits or is computed."""
-        return send(Run, "POST", "runs", run_id, "cancel")
+        return await self._send(Run, "POST", "runs", run_id, "cancel")

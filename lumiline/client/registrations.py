@@ -3,28 +3,28 @@
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-from lumiline.client.exchange import ClientMethod, Exchange, float_rows, get, get_all, send
+from lumiline.client.exchange import ClientMethod, Exchanges, float_rows
 from lumiline.client.models import Frames, FrameTransform, MeasuredPoint, Registration
 
 _SURFACE_REGISTRATION_S: Final = 60.0
 """Time that the server needs for a large surface [s], at most."""
 
 
-class RegistrationMethods:
+class RegistrationMethods(Exchanges):
     """Requests about registrations, and the transforms between frames."""
 
     @ClientMethod
-    def registrations(self, device_id: str | None = None) -> Exchange[list[Registration]]:
+    async def registrations(self, device_id: str | None = None) -> list[Registration]:
         """Registrations, newest first; of one device."""
-        return get_all(Registration, "registrations", device=device_id)
+        return await self._get_all(Registration, "registrations", device=device_id)
 
     @ClientMethod
-    def registration(self, registration_id: str) -> Exchange[Registration]:
+    async def registration(self, registration_id: str) -> Registration:
         """One registration."""
-        return get(Registration, "registrations", registration_id)
+        return await self._get(Registration, "registrations", registration_id)
 
     @ClientMethod
-    def register(
+    async def register(
         self,
         /,
         registration_id: str,
@@ -32,7 +32,7 @@ class RegistrationMethods:
         pairs: Mapping[str, tuple[Sequence[float], Sequence[float] | MeasuredPoint]],
         targets: Mapping[str, Sequence[float]] | None = None,
         **members: Any,
-    ) -> Exchange[Registration]:
+    ) -> Registration:
         """Register a frame by paired points.
 
         Args:
@@ -56,12 +56,12 @@ class RegistrationMethods:
                 for name, position in (targets or {}).items()
             ],
         }
-        return send(Registration, "POST", "registrations", body=body)
+        return await self._send(Registration, "POST", "registrations", body=body)
 
     @ClientMethod
-    def register_markers(
+    async def register_markers(
         self, /, registration_id: str, device_id: str, **members: Any
-    ) -> Exchange[Registration]:
+    ) -> Registration:
         """Register the frame of three markers: M1 its origin, M2 on x, M3 at positive y.
 
         Args:
@@ -72,10 +72,12 @@ class RegistrationMethods:
         """
         body = {**members, "kind": "three-markers", "id": registration_id, "device": device_id}
         seconds = float(members.get("seconds", 1.0))
-        return send(Registration, "POST", "registrations", body=body, extra_timeout_s=seconds)
+        return await self._send(
+            Registration, "POST", "registrations", body=body, extra_timeout_s=seconds
+        )
 
     @ClientMethod
-    def register_surface(
+    async def register_surface(
         self,
         /,
         registration_id: str,
@@ -85,7 +87,7 @@ class RegistrationMethods:
         surface_mm: Sequence[Sequence[float]],
         triangles: Sequence[Sequence[int]] | None = None,
         **members: Any,
-    ) -> Exchange[Registration]:
+    ) -> Registration:
         """Refine a registration by points measured on a surface.
 
         Args:
@@ -112,25 +114,20 @@ class RegistrationMethods:
             "points_mm": float_rows(points_mm),
             "surface": surface,
         }
-        return send(
-            Registration,
-            "POST",
-            "registrations",
-            body=body,
-            extra_timeout_s=_SURFACE_REGISTRATION_S,
+        timeout_s = _SURFACE_REGISTRATION_S
+        return await self._send(
+            Registration, "POST", "registrations", body=body, extra_timeout_s=timeout_s
         )
 
     @ClientMethod
-    def frames(self, device_id: str) -> Exchange[Frames]:
+    async def frames(self, device_id: str) -> Frames:
         """A device's frames, and whether they are connected now."""
-        return get(Frames, "devices", device_id, "frames")
+        return await self._get(Frames, "devices", device_id, "frames")
 
     @ClientMethod
-    def transform(
-        self, device_id: str, frame: str, to: str = "tracker"
-    ) -> Exchange[FrameTransform]:
+    async def transform(self, device_id: str, frame: str, to: str = "tracker") -> FrameTransform:
         """The transform from one frame to another now, or why there is none."""
-        return get(FrameTransform, "devices", device_id, "frames", frame, to=to)
+        return await self._get(FrameTransform, "devices", device_id, "frames", frame, to=to)
 
 
 def _measured(position: Sequence[float] | MeasuredPoint) -> dict[str, Any]:

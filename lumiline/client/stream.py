@@ -3,29 +3,28 @@
 import asyncio
 import time
 from collections import deque
-from collections.abc import AsyncIterator, Iterator
-from contextlib import ExitStack
-from typing import Any, Generic, Literal, Self, TypeVar
+from collections.abc import AsyncIterator, Callable, Iterator
+from typing import Any, Self
 
 from websockets.asyncio import client as asyncio_client
 from websockets.sync import client as blocking_client
 
-from lumiline.client.exchange import AsyncRunner, BlockingRunner, Exchange, Pause
+from lumiline.client.exchange import finish, result_of
 from lumiline.client.messages import Frame, Hello, Message
 from lumiline.client.stream_state import CONNECTION_FAILURES, StreamState
 
-Socket = TypeVar("Socket", blocking_client.ClientConnection, asyncio_client.ClientConnection)
-Step = Literal["open", "receive", "close"] | Pause
 
+class _SharedStream:
+    """Connection and messages of a stream; its subclasses are iterators of either kind."""
 
-class _SharedStream(Generic[Socket]):
-    """State and messages of a stream; its subclasses add input and output."""
+    _connect: Callable[..., Any]
+    _sleep: Callable[[float], Any]
 
     def __init__(self, state: StreamState, open_timeout_s: float = 10.0) -> None:
         """Make a stream that is opened by its first message, or by entering it."""
         self._state = state
-        self._timeout_s = open_timeout_s
-        self._socket: Socket | None = None
+        self._options = {"open_timeout": open_timeout_s, **state.options}
+        self._socket: Any = None
         self._received: deque[Message] = deque()
         self._closed = False
 
@@ -44,59 +43,66 @@ class _SharedStream(Generic[Socket]):
         """Connections that were made again after a loss."""
         return self._state.reconnections
 
-    def _receive(self) -> Exchange[bool]:
+    async def _receive(self) -> bool:
         """Receive until there is a message; False: there will be none."""
         while not self._received:
             if self._closed:
                 return False
             try:
                 if self._socket is None:
-                    yield "open"
+                    self._socket = await result_of(self._connect(self._state.url, **self._options))
                 if self._closed:  # by another thread, while the connection was made
-                    yield "close"
+                    await self._disconnect()
                     return False
-                payload = yield "receive"
-                self._received.extend(self._state.decode(payload))
+                socket = self._socket
+                if socket is None:
+                    raise EOFError("another thread has closed the stream")
+                self._received.extend(self._state.decode(await result_of(socket.recv())))
             except CONNECTION_FAILURES as error:
-                yield "close"
+                await self._disconnect()
                 if self._closed:
                     return False
                 wait_s = self._state.wait_after(error, time.monotonic())
                 if wait_s is None:
                     self._closed = True
                     return False
-                yield Pause(wait_s)
+                await result_of(self._sleep(wait_s))
         return True
 
     def _take(self) -> Message:
         return self._state.take(self._received.popleft())
 
-    def _connection(self) -> Socket:
-        socket = self._socket
-        if socket is None:
-            raise EOFError("another thread has closed the stream")
-        return socket
+    async def _disconnect(self) -> None:
+        socket, self._socket = self._socket, None
+        if socket is not None:
+            await result_of(socket.close())
 
-    @property
-    def _options(self) -> dict[str, Any]:
-        return {"open_timeout": self._timeout_s, **self._state.options}
+    async def _close(self) -> None:
+        self._closed = True
+        self._received.clear()
+        await self._disconnect()
 
 
-class Stream(_SharedStream[blocking_client.ClientConnection], BlockingRunner):
+class Stream(_SharedStream):
     """Messages of a device, one after another; a context manager that closes the connection.
 
     Ends when the device is deleted. A connection that is lost is made again; then comes another
     ``Hello``.
     """
 
-    def __init__(self, state: StreamState, open_timeout_s: float = 10.0) -> None:
-        """Make a stream that is opened by its first message, or by entering it."""
-        super().__init__(state, open_timeout_s)
-        self._open = ExitStack()
+    _sleep = staticmethod(time.sleep)
+
+    @staticmethod
+    def _connect(url: str, **options: Any) -> Any:
+        # The library wants a context; its end is ``close``.
+        return blocking_client.connect(url, **options).__enter__()
 
     def __enter__(self) -> Self:
-        self._run(self._receive())
+        finish(self._receive())
         return self
+
+    def __exit__(self, *raised: object) -> None:
+        self.close()
 
     def __iter__(self) -> Iterator[Message]:
         return self
@@ -111,7 +117,7 @@ class Stream(_SharedStream[blocking_client.ClientConnection], BlockingRunner):
             ServerUnreachable: the connection was not made, or lost for too long.
             UnreadableMessage: a message cannot be decoded.
         """
-        if not self._received and not self._run(self._receive()):
+        if not self._received and not finish(self._receive()):
             raise StopIteration
         return self._take()
 
@@ -121,50 +127,32 @@ class Stream(_SharedStream[blocking_client.ClientConnection], BlockingRunner):
 
     def close(self) -> None:
         """Close the connection, also from another thread; messages not taken are lost."""
-        self._closed = True
-        self._received.clear()
-        self._perform("close")
-
-    def _perform(self, step: Step) -> Any:
-        match step:
-            case "open":
-                connection = blocking_client.connect(self._state.url, **self._options)
-                self._socket = self._open.enter_context(connection)
-            case "receive":
-                return self._connection().recv()
-            case "close":
-                self._socket = None
-                self._open.close()
-            case Pause():
-                time.sleep(step.seconds)
-        return None
+        finish(self._close())
 
 
-class AsyncStream(_SharedStream[asyncio_client.ClientConnection], AsyncRunner):
+class AsyncStream(_SharedStream):
     """Messages of a device, one after another; an asynchronous context manager.
 
     Ends when the device is deleted. A connection that is lost is made again; then comes another
     ``Hello``.
     """
 
+    _connect = staticmethod(asyncio_client.connect)
+    _sleep = staticmethod(asyncio.sleep)
+
     async def __aenter__(self) -> Self:
-        await self._run(self._receive())
+        await self._receive()
         return self
+
+    async def __aexit__(self, *raised: object) -> None:
+        await self.close()
 
     def __aiter__(self) -> AsyncIterator[Message]:
         return self
 
     async def __anext__(self) -> Message:
-        """Wait for the next message and return it.
-
-        Raises:
-            StopAsyncIteration: the stream was closed, or its device deleted.
-            StreamEnded: the key was revoked or has expired.
-            ServerProblem: the server refused the stream.
-            ServerUnreachable: the connection was not made, or lost for too long.
-            UnreadableMessage: a message cannot be decoded.
-        """
-        if not self._received and not await self._run(self._receive()):
+        """Wait for the next message and return it; raises what ``Stream.__next__`` does."""
+        if not self._received and not await self._receive():
             raise StopAsyncIteration
         return self._take()
 
@@ -176,20 +164,4 @@ class AsyncStream(_SharedStream[asyncio_client.ClientConnection], AsyncRunner):
 
     async def close(self) -> None:
         """Close the connection; messages not taken are lost."""
-        self._closed = True
-        self._received.clear()
-        await self._perform("close")
-
-    async def _perform(self, step: Step) -> Any:
-        match step:
-            case "open":
-                self._socket = await asyncio_client.connect(self._state.url, **self._options)
-            case "receive":
-                return await self._connection().recv()
-            case "close":
-                socket, self._socket = self._socket, None
-                if socket is not None:
-                    await socket.close()
-            case Pause():
-                await asyncio.sleep(step.seconds)
-        return None
+        await self._close()

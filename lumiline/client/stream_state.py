@@ -1,7 +1,6 @@
 """State of a stream over its connections: resumption, repeated messages, reconnection."""
 
 import json
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final, Literal, Self
 from urllib.parse import urlencode
@@ -15,7 +14,6 @@ from websockets.exceptions import (
 )
 
 from lumiline.client.errors import (
-    ServerProblem,
     ServerUnreachable,
     StreamEnded,
     UnreadableMessage,
@@ -45,18 +43,7 @@ MAX_MESSAGE_BYTES: Final = 2**26
 
 @dataclass(frozen=True)
 class StreamRequest:
-    """Query of a stream: device, content, mode and rate.
-
-    Args:
-        device: its id.
-        content: what frames hold; ``("status",)``: no frames.
-        mode: ``live``: what is new; ``lossless``: every message in order, also over a lost
-            connection, as long as the server still has them.
-        rate_hz: highest rate of frames [Hz]; None: every frame.
-        bundle_ms: send the frames of this time [ms] in one message, which costs both sides far
-            less at thousands of frames a second; None: each by itself.
-        encoding: ``msgpack``, or ``json``.
-    """
+    """Query of a stream: device, content, mode and rate, as of ``Client.stream``."""
 
     device: str
     content: tuple[Content, ...] = ("points",)
@@ -86,7 +73,7 @@ class StreamState:
 
     Args:
         server: where it comes from.
-        request: what it is to send.
+        request: its query.
         reconnect_s: how long a lost connection is tried again [s]; 0: not at all.
         stream: id of the server's numbered messages, from ``resume``; None: from now on.
         last: number of the last message that was received.
@@ -118,11 +105,7 @@ class StreamState:
     ) -> Self:
         """Return the state of a stream before its first connection.
 
-        Args:
-            server: where the stream comes from.
-            request: what it is to send.
-            resume: with ``lossless``: the stream's id and the number of the last message there is.
-            reconnect_s: how long a lost connection is tried again [s].
+        ``resume`` is the stream's id and the number of the last message that the program has.
 
         Raises:
             ValueError: only a lossless stream goes on where another ended.
@@ -176,7 +159,8 @@ class StreamState:
             elif isinstance(message, Missed):
                 self.last = message.last
             elif isinstance(message, UnknownMessage):
-                self.last = _number_of(message.members, self.last)
+                number = message.members.get("n")
+                self.last = number if isinstance(number, int) else self.last
             found.append(message)
         return found
 
@@ -205,11 +189,13 @@ class StreamState:
         closed = error.rcvd if isinstance(error, ConnectionClosed) else None
         if closed is not None and closed.code == POLICY_CLOSE:
             raise StreamEnded(closed.code, closed.reason) from error
-        problem = _problem_of(error)
-        if problem is not None and (problem.status not in _RETRYABLE_STATUS or self._first):
-            raise problem from error
-        lost_at_s = now_s if self._lost_at_s is None else self._lost_at_s
-        first, self._lost_at_s = self._first, lost_at_s
+        first = self.hello is None  # no connection was made yet: failures are raised at once
+        if isinstance(error, InvalidStatus):
+            response = error.response
+            status, body = response.status_code, bytes(response.body or b"")
+            if first or status not in _RETRYABLE_STATUS:
+                raise server_problem(status, body, response.headers.get("Retry-After")) from error
+        lost_at_s = self._lost_at_s = now_s if self._lost_at_s is None else self._lost_at_s
         if first or now_s - lost_at_s >= self.reconnect_s:
             raise ServerUnreachable(
                 f"the stream of {self.server.url} "
@@ -219,35 +205,15 @@ class StreamState:
         self._tries += 1
         return min(wait, max(lost_at_s + self.reconnect_s - now_s, 0.0))
 
-    @property
-    def _first(self) -> bool:
-        """Whether no connection was made yet; failures are raised at once then."""
-        return self.hello is None
-
 
 CONNECTION_FAILURES: Final = (OSError, ConnectionClosed, InvalidHandshake, InvalidMessage, EOFError)
 """What the websocket library raises when a connection is lost or is not made."""
 
 
-def _problem_of(error: Exception) -> ServerProblem | None:
-    if not isinstance(error, InvalidStatus):
-        return None
-    response = error.response
-    return server_problem(
-        response.status_code, bytes(response.body or b""), response.headers.get("Retry-After")
-    )
-
-
-def _number_of(members: Mapping[str, Any], last: int | None) -> int | None:
-    number = members.get("n")
-    return number if isinstance(number, int) else last
-
-
 def _unpack(payload: bytes | str) -> object:
+    loads: Any = json.loads if isinstance(payload, str) else msgpack.unpackb
     try:
-        found: object = (
-            json.loads(payload) if isinstance(payload, str) else msgpack.unpackb(payload)
-        )
+        found: object = loads(payload)
     except (ValueError, msgpack.UnpackException) as error:
         raise UnreadableMessage(f"a message of the stream cannot be decoded: {error}") from error
     return found

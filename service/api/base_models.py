@@ -61,6 +61,26 @@ class ResponseModel(BaseModel):
     model_config = ConfigDict(frozen=True)
 
 
+Model = TypeVar("Model", bound=BaseModel)
+
+
+def from_attributes(model: type[Model], source: object, **members: Any) -> Model:
+    """Return a model with the values that an object, such as a row of the database, has.
+
+    A field takes the attribute of its name, or of its name and ``_id`` (``device``: ``device_id``).
+
+    Args:
+        model: the model.
+        source: the object.
+        members: fields that it has not, or not as the model has them.
+    """
+    for name in model.model_fields.keys() - members.keys():
+        attribute = name if hasattr(source, name) else f"{name}_id"
+        if hasattr(source, attribute):
+            members[name] = getattr(source, attribute)
+    return model.model_validate(members)
+
+
 Item = TypeVar("Item")
 
 

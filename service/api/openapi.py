@@ -1,60 +1,34 @@
 """The OpenAPI document: problem responses by their types, and the shared schemas."""
 
 from collections import defaultdict
-from collections.abc import Sequence
-from typing import Any, Final
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, Final, TypeVar
 
-from fastapi import FastAPI
+from fastapi import APIRouter, FastAPI
 from fastapi.openapi.utils import get_openapi
 from pydantic.json_schema import models_json_schema
 
-from compute.errors import LumilineError, NonFiniteValue
+from compute.errors import LumilineError
+from service.api.inputs import JsonRoute
 from service.principal import SCOPE_MEANINGS
 from service.problems.catalogue import (
     MEDIA_TYPE,
     PROBLEM_TYPES,
     Problem,
     ProblemType,
-    problem_type_of,
-)
-from service.problems.errors import (
-    BodyTooLarge,
-    BodyTooSlow,
-    CredentialInQuery,
-    CrossOrigin,
-    DuplicateKey,
-    MalformedJson,
-    MissingScope,
-    NotReady,
-    QueryTooLong,
-    TooManyAttempts,
-    Unauthenticated,
-    UnsupportedMediaType,
 )
 from service.security.operation_scopes import OPERATION_SCOPES, PUBLIC
 
 Responses = dict[int | str, dict[str, Any]]
+Endpoint = TypeVar("Endpoint", bound=Callable[..., Any])
 
-_INVALID: Final = PROBLEM_TYPES["invalid-request"]
-_OF_EVERY_OPERATION: Final = (PROBLEM_TYPES["internal-error"],)
-_OF_RESOURCES: Final = (problem_type_of(NotReady),)
-_OF_ALL_REQUESTS: Final = tuple(
-    problem_type_of(error) for error in (CredentialInQuery, QueryTooLong)
-)
-_OF_THOSE_WITH_SCOPE: Final = tuple(
-    problem_type_of(error) for error in (Unauthenticated, MissingScope, TooManyAttempts)
-)
-_OF_CHANGES: Final = (problem_type_of(CrossOrigin),)
-_OF_BODIES: Final = tuple(
-    problem_type_of(error)
-    for error in (
-        MalformedJson,
-        DuplicateKey,
-        UnsupportedMediaType,
-        BodyTooLarge,
-        BodyTooSlow,
-        NonFiniteValue,
-    )
+_OF_RESOURCES: Final = ("not-ready",)
+_OF_ALL_REQUESTS: Final = ("credential-in-query", "query-too-long")
+_OF_THOSE_WITH_SCOPE: Final = ("unauthenticated", "missing-scope", "too-many-attempts")
+_OF_CHANGES: Final = ("cross-origin",)
+_OF_BODIES: Final = (
+    *("malformed-json", "duplicate-key", "unsupported-media-type"),
+    *("body-too-large", "body-too-slow", "non-finite-value"),
 )
 
 _SCHEME: Final = "key"
@@ -70,66 +44,101 @@ _SCHEMES: Final = {
     }
 }
 
-TAGS: Final = [
-    {"name": "devices", "description": "What is read, by which driver, and what it is doing."},
-    {
-        "name": "calibrations",
-        "description": "Camera models from control points. Immutable: create, read, activate, "
-        "retire.",
-    },
-    {
-        "name": "captures",
-        "description": "Guided measurement: place a marker, hold it, capture it, go to the next.",
-    },
-    {
-        "name": "drift-checks",
-        "description": "Is a calibration still good? Still markers read again, kept over time.",
-    },
-    {
-        "name": "quality",
-        "description": "Quick checks with known points and distances, a watch on drift, charts.",
-    },
-    {
-        "name": "correction-tables",
-        "description": "Maps of space: what is added to the readings, by where the marker is.",
-    },
-    {
-        "name": "runs",
-        "description": "Calibrations and maps computed beside the requests: post, follow, cancel.",
-    },
-    {"name": "reconstructions", "description": "3D points from readings that you post."},
-    {
-        "name": "tools",
-        "description": "Rigid tools with markers: geometry, tip, poses, registration to images.",
-    },
-    {
-        "name": "beam-holds",
-        "description": "Beam holds: a signal when a patient leaves the tolerance.",
-    },
-    {
-        "name": "recordings",
-        "description": "Line scans and results of running devices in files, to be replayed.",
-    },
-    {"name": "line-scans", "description": "Peaks of lines that you post, and their picture."},
-    {
-        "name": "device-profiles",
-        "description": "Tracking devices as published, and what they would reach: planning before "
-        "building.",
-    },
-    {"name": "keys", "description": "Who may do what, and who did what."},
-    {"name": "server", "description": "Health, and what problem types mean."},
-]
+_TAGS: Final = {
+    "devices": "What is read, by which driver, and what it is doing.",
+    "calibrations": "Camera models from control points. Immutable: create, read, activate, retire.",
+    "captures": "Guided measurement: place a marker, hold it, capture it, go to the next.",
+    "drift-checks": "Is a calibration still good? Still markers read again, kept over time.",
+    "quality": "Quick checks with known points and distances, a watch on drift, charts.",
+    "correction-tables": "Maps of space: what is added to the readings, by where the marker is.",
+    "runs": "Calibrations and maps computed beside the requests: post, follow, cancel.",
+    "reconstructions": "3D points from readings that you post.",
+    "tools": "Rigid tools with markers: geometry, tip, poses, registration to images.",
+    "beam-holds": "Beam holds: a signal when a patient leaves the tolerance.",
+    "recordings": "Line scans and results of running devices in files, to be replayed.",
+    "line-scans": "Peaks of lines that you post, and their picture.",
+    "device-profiles": "Tracking devices as published, and what they would reach: planning before "
+    "building.",
+    "keys": "Who may do what, and who did what.",
+    "server": "Health, and what problem types mean.",
+}
+
+
+class ResourceRouter(APIRouter):
+    """Operations of a resource: strict JSON bodies, problems in the OpenAPI document.
+
+    Args:
+        prefix: of the paths.
+        tag: of the operations.
+    """
+
+    def __init__(self, prefix: str, tag: str) -> None:
+        super().__init__(prefix=prefix, tags=[tag], route_class=JsonRoute)
+
+    def operation(
+        self,
+        route: str,
+        operation_id: str,
+        summary: str,
+        *,
+        responses: Responses | None = None,
+        **options: Any,
+    ) -> Callable[[Endpoint], Endpoint]:
+        """Return a decorator that adds an operation; ``raises`` below it names its problems.
+
+        Args:
+            route: method of HTTP and path below the prefix, such as ``GET /{run_id}``; an endpoint
+                that returns None is answered with 204.
+            operation_id: its name in the OpenAPI document and the table of scopes.
+            summary: of the document.
+            responses: other answers of the document.
+            options: as of ``APIRouter.add_api_route``.
+        """
+        method, _, path = route.partition(" ")
+
+        def add(endpoint: Endpoint) -> Endpoint:
+            if endpoint.__annotations__["return"] is None:
+                options.setdefault("status_code", 204)
+            codes: Sequence[str] = getattr(endpoint, "problems", ())
+            self.add_api_route(
+                path,
+                endpoint,
+                methods=[method],
+                operation_id=operation_id,
+                summary=summary,
+                responses=_responses(codes) | (responses or {}),
+                **options,
+            )
+            return endpoint
+
+        return add
+
+
+def raises(*codes: str) -> Callable[[Endpoint], Endpoint]:
+    """Return a decorator that names problems of an endpoint, beside those of its input and scope.
+
+    Args:
+        codes: of the problem types, as the OpenAPI document and problem documents have them.
+    """
+
+    def add(endpoint: Endpoint) -> Endpoint:
+        before = getattr(endpoint, "problems", ())
+        endpoint.problems = (*codes, *before)  # type: ignore[attr-defined]
+        return endpoint
+
+    return add
 
 
 def problems(*errors: type[LumilineError]) -> Responses:
     """Return the responses of an operation that raises these errors, for ``responses=``."""
-    return _responses([problem_type_of(error) for error in errors])
+    return _responses([error.code for error in errors])
 
 
-def _responses(kinds: list[ProblemType]) -> Responses:
+def _responses(codes: Iterable[str]) -> Responses:
     by_status: dict[int, dict[str, ProblemType]] = defaultdict(dict)
-    for kind in kinds:
-        by_status[kind.status][kind.code] = kind
+    for code in codes:
+        kind = PROBLEM_TYPES[code]
+        by_status[kind.status][code] = kind
     return {
         status: {
             "description": "; ".join(f"`{code}`: {kind.meaning}" for code, kind in found.items()),
@@ -156,7 +165,7 @@ def _document(app: FastAPI) -> dict[str, Any]:
         version=app.version,
         summary=app.summary,
         description=app.description,
-        tags=TAGS,
+        tags=[{"name": name, "description": text} for name, text in _TAGS.items()],
         routes=app.routes,
     )
     schemas = document.setdefault("components", {}).setdefault("schemas", {})
@@ -177,7 +186,7 @@ def _document(app: FastAPI) -> dict[str, Any]:
     return document
 
 
-def _secure(operation: dict[str, Any]) -> tuple[ProblemType, ...]:
+def _secure(operation: dict[str, Any]) -> tuple[str, ...]:
     """Document the scope that an operation needs; return the problems that follow."""
     scope = OPERATION_SCOPES[operation["operationId"]]
     if scope == PUBLIC:
@@ -210,17 +219,17 @@ def _require_discriminators(node: Any, schemas: dict[str, Any]) -> None:
             _require_discriminators(value, schemas)
 
 
-def _complete(operation: dict[str, Any], others: Sequence[ProblemType]) -> None:
+def _complete(operation: dict[str, Any], others: Sequence[str]) -> None:
     """Add the problems of every operation, ``others``, and those that follow from its input."""
     responses = operation["responses"]
-    kinds = [*_OF_EVERY_OPERATION, *others]
+    codes = ["internal-error", *others]
     if responses.get("422", {}).get("content", {}).get("application/json"):
         del responses["422"]  # FastAPI's own description of validation errors
     if operation.get("requestBody") or operation.get("parameters"):
-        kinds.append(_INVALID)
+        codes.append("invalid-request")
     if operation.get("requestBody"):
-        kinds += _OF_BODIES
-    for status, response in _responses(kinds).items():
+        codes += _OF_BODIES
+    for status, response in _responses(codes).items():
         given = responses.get(str(status))
         if given is None:
             responses[str(status)] = response

@@ -35,8 +35,8 @@ from service.application.middleware import (
     BodyLimitMiddleware,
     CrossOriginMiddleware,
     HeadMiddleware,
+    RequestLog,
 )
-from service.application.request_log import RequestLog
 from service.application.server import router as server
 from service.pipeline.pipeline_manager import PipelineManager
 from service.problems.handlers import install_problem_handlers, unknown_websocket

@@ -6,8 +6,9 @@ from typing import Any, Final
 from uvicorn.protocols.http.httptools_impl import STATUS_LINE, HttpToolsProtocol
 
 from compute.errors import LumilineError
-from service.problems.catalogue import MEDIA_TYPE, Problem, problem_type_of
+from service.problems.catalogue import MEDIA_TYPE
 from service.problems.errors import HeadTooLarge, HeadTooSlow, MalformedRequest
+from service.problems.handlers import error_response
 
 HEAD_S: Final = 10.0
 """Within which a request's head has to arrive."""
@@ -111,18 +112,11 @@ class LimitedHttpProtocol(HttpToolsProtocol):
         if self.cycle is not None and not self.cycle.response_complete:
             self.transport.close()  # an answer in between would be taken for the other's
             return
-        kind = problem_type_of(type(error))
-        problem = Problem(
-            type=kind.type,
-            title=kind.title,
-            status=kind.status,
-            detail=error.detail,
-            instance="/",  # the path may be what did not come
-        )
-        body = problem.model_dump_json(exclude_none=True).encode()
+        response = error_response(error, "/")  # the path may be what did not come
+        body = response.body
         self.transport.write(
             b"%scontent-type: %s\r\ncontent-length: %d\r\nconnection: close\r\n\r\n%s"
-            % (STATUS_LINE[kind.status], MEDIA_TYPE.encode(), len(body), body)
+            % (STATUS_LINE[response.status_code], MEDIA_TYPE.encode(), len(body), body)
         )
         self.transport.close()
 

@@ -17,7 +17,6 @@ from service.api.devices.sensor import Sensor
 from service.api.devices.store import add_device
 
 DEVICE_ID: Final = "sim"
-CALIBRATION_ID: Final = "sim-nominal"
 NOTE: Final = "The simulator's own camera models, taken as exact; nothing was measured."
 
 _VARIANCE: Final = 1e-12  # of every parameter: invertible, and far below any calibration's
@@ -43,9 +42,14 @@ def seed(session: Session) -> None:
     )
     result = nominal_calibration()
     sensors = [Sensor(model.name, model.pixels, PITCH_UM) for model in result.models]
-    content = calibration_content(DEVICE_ID, "nominal", [], result)
+    add_device(session, device, sensors)
+    store_nominal(session, DEVICE_ID, result, NOTE)
+
+
+def store_nominal(session: Session, device_id: str, result: Calibration, note: str) -> None:
+    """Store a calibration that was not measured as the device's active one, ``ID-nominal``."""
+    content = calibration_content(device_id, "nominal", [], result)
     errors = ControlPointErrors(fitted=None, leave_one_out=None)
     outcome = Outcome(result, content, errors.model_dump(mode="json"))
-    add_device(session, device, sensors)
-    add_calibration(session, DEVICE_ID, outcome, NOTE, CALIBRATION_ID)
-    activate(session, CALIBRATION_ID)
+    made = add_calibration(session, device_id, outcome, note, f"{device_id}-nominal")
+    activate(session, made.id)

@@ -3,7 +3,6 @@
 from collections.abc import AsyncIterator, Callable
 from contextlib import AsyncExitStack, asynccontextmanager
 from functools import partial
-from typing import Protocol
 
 from anyio.to_thread import run_sync
 from fastapi import FastAPI
@@ -31,12 +30,6 @@ from service.security.authenticator import Authenticator
 from service.settings import Settings
 
 
-class _Part(Protocol):
-    def close(self) -> None:
-        """End it."""
-        ...
-
-
 @asynccontextmanager
 async def running(
     app: FastAPI,
@@ -54,17 +47,17 @@ async def running(
     """
     async with AsyncExitStack() as stack:
 
-        def closed_at_the_end(part: _Part) -> None:
-            stack.push_async_callback(run_sync, part.close)
+        def at_the_end(close: Callable[[], None]) -> None:
+            stack.push_async_callback(run_sync, close)
 
         database = Database(settings.effective_database_url, query_timeout=True)
-        closed_at_the_end(database)
+        at_the_end(database.close)
         stack.enter_context(server_lock(database))
         named = await run_sync(prepare, settings, database)
         app.state.database = database
         app.state.authenticator = Authenticator(database, settings)
         manager = _live_manager(settings) if live is None else live
-        closed_at_the_end(manager)
+        at_the_end(manager.close)
         app.state.live = manager
         app.state.streams = manager.streams
         stack.callback(setattr, app.state, "live", None)
@@ -80,19 +73,19 @@ async def running(
             settings.recording_free_bytes,
             settings.recording_flush_s,
         )
-        closed_at_the_end(recordings)
+        at_the_end(recordings.close)
         app.state.recordings = recordings
         await run_sync(app.state.device_service.autostart, *named)
         exports = ExportRepository(settings.folders.exports, settings.recording_free_bytes)
         app.state.exports = exports
         kinds = kinds_with(exports, settings.folders.recordings)
         runs = RunManager(database, settings.runs_at_once, kinds)
-        closed_at_the_end(runs)
+        at_the_end(runs.close)
         app.state.runs = runs
         await run_sync(runs.start)
         await run_sync(exports.sweep, partial(running_runs, database))
         watch = DriftMonitor(database, manager)
-        closed_at_the_end(watch)
+        at_the_end(watch.close)
         watch.start()
         app.state.metrics.add(
             LiveCollector(manager, app.state.streams),

@@ -17,13 +17,11 @@ from compute.optics.profiles.profile_optics import profile_optics
 from compute.planning.cramer_rao import centroids
 from hardware.simulated.profile_driver import ProfileDriver
 from hardware.simulated.profile_settings import ProfileSettings
-from service.api.calibrations.calibration_content import Outcome, calibration_content
-from service.api.calibrations.schema import ControlPointErrors
-from service.api.calibrations.store import activate, add_calibration
 from service.api.devices.driver_factory import validated_sensors
 from service.api.devices.schema import NewDevice, ProfileSource
 from service.api.devices.sensor import Sensor
 from service.api.devices.store import add_device, source_of
+from service.application.initial_content import store_nominal
 from service.database.models import DeviceRow
 
 _GRID: Final = 6  # control points along each side of the volume
@@ -113,11 +111,7 @@ def store_profile_device(session: Session, made: ProfileDevice) -> None:
         "Cameras fitted to the profile's traced optics over its working volume; nothing was "
         f"measured. The optics' distortion beyond them is up to {left_over:.2g} px RMS."
     )
-    content = calibration_content(identity, "nominal", [], result)
-    errors = ControlPointErrors(fitted=None, leave_one_out=None)
-    outcome = Outcome(result, content, errors.model_dump(mode="json"))
-    add_calibration(session, identity, outcome, note, f"{identity}-nominal")
-    activate(session, f"{identity}-nominal")
+    store_nominal(session, identity, result, note)
 
 
 def nominal_calibration(profile: DeviceProfile) -> Calibration:

@@ -1,25 +1,119 @@
-"""Endpoints of the server itself: landing page, health, problem types."""
+"""Endpoints of the server itself: landing page, health, readiness, problem types."""
 
 import html
-from typing import TYPE_CHECKING, Annotated, Literal
+import shutil
+from collections.abc import Iterator
+from typing import Annotated, Final, Literal
 
-from fastapi import APIRouter, Path, Request
+from fastapi import Path, Request
 from pydantic import Field
+from sqlalchemy.exc import SQLAlchemyError
 from starlette.responses import HTMLResponse, JSONResponse, Response
 
 from service.api.base_models import ResponseModel
-from service.api.dependencies import DatabaseDep, RunsDep, SettingsDep
-from service.api.openapi import problems
-from service.api.recordings.recording_manager import RecordingsDep
-from service.application.readiness import check_ready, failed_devices, limits
+from service.api.inputs import DatabaseDep, RunsDep, SettingsDep
+from service.api.openapi import ResourceRouter, raises
+from service.api.recordings.recording_manager import RecordingManager, RecordingsDep
+from service.database.engine import Database
+from service.database.migration import newest_revision, revision_of
+from service.jobs.run_manager import RunManager
+from service.pipeline.pipeline_manager import PipelineManager
 from service.problems.catalogue import PROBLEM_TYPES, ProblemType
 from service.problems.errors import NotReady, UnknownProblem
 from service.security.credential import why_not_local
 
-if TYPE_CHECKING:
-    from service.pipeline.pipeline_manager import PipelineManager
+STUCK_AFTER_S: Final = 30.0
+"""A compute thread that is so long at one batch, or at making ready one device, is stuck."""
+MIN_FREE_BYTES: Final = 64 * 2**20
+"""Without so much room a SQLite database may fail to be written, and nothing works then."""
 
-router = APIRouter(tags=["server"])
+_Complaint = tuple[str, str]
+"""Of which part, and what is wrong with it."""
+
+
+def check_ready(
+    database: Database,
+    live: PipelineManager | None,
+    runs: RunManager,
+    recordings: RecordingManager,
+) -> None:
+    """Return when requests can be served.
+
+    Raises:
+        NotReady: what stands in the way; all of it in the message, the first as ``part``.
+    """
+    found = [*_database(database), *_live(live), *_runs(runs), *_disk(recordings)]
+    if found:
+        raise NotReady("; ".join(text for _, text in found), part=found[0][0])
+
+
+def limits(recordings: RecordingManager) -> list[str]:
+    """Return what does not work now although requests are served."""
+    free = _free(recordings)
+    if free is not None and free < recordings.free_bytes:
+        return ["recordings: the disk is too full to begin one"]
+    return []
+
+
+def failed_devices(live: PipelineManager) -> list[str]:
+    """Return the devices that failed, which keep the others and the server from nothing."""
+    return [name for name, status in live.statuses().items() if status.state == "failed"]
+
+
+def _database(database: Database) -> Iterator[_Complaint]:
+    try:
+        with database.engine.connect() as connection:
+            revision = revision_of(connection)
+    except SQLAlchemyError as error:
+        # Not the error's text: it may hold the URL with the password.
+        kind = type(error).__name__
+        text = f"the database does not answer ({kind}); it must accept connections"
+        yield "database", text
+        return
+    newest = newest_revision()
+    if revision != newest:
+        text = (
+            f"the database is of revision {revision}, this version of the service is of {newest}; "
+            "restart the server with the version that the database is of"
+        )
+        yield "database", text
+
+
+def _live(live: PipelineManager | None) -> Iterator[_Complaint]:
+    if live is None or not live.ready:
+        yield "live", "the live pipeline does not run; restart the server"
+        return
+    busy_s = live.busy_s
+    if busy_s > STUCK_AFTER_S:
+        text = f"the live pipeline is at one step for {busy_s:.0f} s; restart the server"
+        yield "live", f"{text} when it stays so"
+
+
+def _runs(runs: RunManager) -> Iterator[_Complaint]:
+    if not runs.alive:
+        yield "runs", "no runs are taken any more; restart the server"
+
+
+def _disk(recordings: RecordingManager) -> Iterator[_Complaint]:
+    free = _free(recordings)
+    if free is None:
+        yield "disk", "the folder of recordings cannot be read; it must be there"
+    elif free < MIN_FREE_BYTES:
+        text = (
+            f"{free} bytes are free on the disk of the data directory, which needs "
+            f"{MIN_FREE_BYTES}; delete recordings"
+        )
+        yield "disk", text
+
+
+def _free(recordings: RecordingManager) -> int | None:
+    try:
+        return shutil.disk_usage(recordings.library.folder).free
+    except OSError:
+        return None
+
+
+router = ResourceRouter("", "server")
 
 
 class Health(ResponseModel):
@@ -47,7 +141,7 @@ class Landing(ResponseModel):
     links: dict[str, str]
 
 
-@router.get("/", operation_id="get-landing", summary="Where to go from here")
+@router.operation("GET /", "get-landing", "Where to go from here")
 def get_landing(request: Request) -> Landing:
     """Links to the documentation and the resources."""
     return Landing(
@@ -68,18 +162,14 @@ def get_landing(request: Request) -> Landing:
     )
 
 
-@router.get("/healthz", operation_id="get-health", summary="Is the process alive?")
+@router.operation("GET /healthz", "get-health", "Is the process alive?")
 async def get_health() -> Health:
     """Answers as long as the process does, also while all threads wait for the database."""
     return Health()
 
 
-@router.get(
-    "/readyz",
-    operation_id="get-readiness",
-    summary="Can requests be served?",
-    responses=problems(NotReady),
-)
+@router.operation("GET /readyz", "get-readiness", "Can requests be served?")
+@raises("not-ready")
 def get_readiness(
     request: Request,
     database: DatabaseDep,
@@ -99,20 +189,20 @@ def get_readiness(
     )
 
 
-@router.get("/problems", operation_id="list-problems", summary="List all problem types")
+@router.operation("GET /problems", "list-problems", "List all problem types")
 def list_problems() -> list[ProblemType]:
     """All problem types that the server answers with."""
     return list(PROBLEM_TYPES.values())
 
 
-@router.get(
-    "/problems/{code}",
-    operation_id="get-problem",
-    summary="What a problem type means",
+@router.operation(
+    "GET /problems/{code}",
+    "get-problem",
+    "What a problem type means",
     response_model=ProblemType,
-    responses=problems(UnknownProblem)
-    | {200: {"content": {"text/html": {"schema": {"type": "string"}}}}},
+    responses={200: {"content": {"text/html": {"schema": {"type": "string"}}}}},
 )
+@raises("unknown-problem")
 def get_problem(
     request: Request,
     code: Annotated[

@@ -1,62 +1,66 @@
 """`lumiline backup`, `restore` and `check-database`."""
 
-from collections.abc import Iterator
 from pathlib import Path
+from typing import Annotated
 
 import typer
 
-from service.backup.backup import back_up
+from service.backup import backup as whole_backup
+from service.backup import restore as restoration
 from service.backup.consistency import find_inconsistencies
 from service.backup.copy_rows import count_rows
-from service.backup.restore import KeyChanges, restore
-from service.cli.local_database import local_database
-from service.cli.output import console, progress
+from service.cli.local_database import DataDir, local_database
+from service.cli.output import progress, say
 
 
-def run_backup(data_dir: Path | None, file: Path) -> None:
+def backup(
+    file: Annotated[Path, typer.Argument(help="The file to write.")],
+    data_dir: DataDir = None,
+) -> None:
     """Write a backup and say what it holds."""
     with local_database(data_dir, "backup") as (database, _), progress(f"writing {file}"):
         database.check()
-        counts = back_up(database, file)
-    console.print(f"{file}: {_to_sentence(counts)}", highlight=False)
+        counts = whole_backup.back_up(database, file)
+    say(f"{file}: {_to_sentence(counts)}")
 
 
-def run_restore(data_dir: Path | None, file: Path, *, replace: bool) -> None:
+def restore(
+    file: Annotated[Path, typer.Argument(help="A file that `lumiline backup` wrote.")],
+    replace: Annotated[
+        bool, typer.Option("--replace", help="Replace what is there, after backing it up.")
+    ] = False,
+    data_dir: DataDir = None,
+) -> None:
     """Restore a backup and say what was done."""
     with local_database(data_dir, "restore") as (database, settings), progress(f"reading {file}"):
         settings.folders.recordings.mkdir(parents=True, exist_ok=True)
         keep_in = settings.data_dir / "backups" if replace else None
-        restored = restore(database, file, keep_in)
+        restored = restoration.restore(database, file, keep_in)
     if restored.kept is not None:
-        console.print(f"what was there is in {restored.kept}", highlight=False)
-    console.print(f"restored: {_to_sentence(restored.counts)}", highlight=False)
-    for line in _of_keys(restored.keys):
-        console.print(line, highlight=False)
+        say(f"what was there is in {restored.kept}")
+    say(f"restored: {_to_sentence(restored.counts)}")
+    for keys, what in (
+        (restored.keys.revoked, "valid in the backup, and stay revoked"),
+        (restored.keys.valid, "valid now, and were not before; revoke those that should not be"),
+        (restored.keys.lost, "not in the backup, and can be used no more"),
+    ):
+        if keys:
+            say(f"keys {', '.join(keys)}: {what}")
 
 
-def run_check(data_dir: Path | None) -> None:
+def check_database(data_dir: DataDir = None) -> None:
     """Print what is wrong with the database; ends with 1 when anything is."""
     with (
         local_database(data_dir, "check-database") as (database, _),
         database.engine.connect() as connection,
     ):
-        found = find_inconsistencies(connection)
-        counts = None if found else count_rows(connection)
-    for line in found:
+        inconsistencies = find_inconsistencies(connection)
+        counts = {} if inconsistencies else count_rows(connection)
+    for line in inconsistencies:
         typer.echo(line)
-    if counts is None:
+    if inconsistencies:
         raise typer.Exit(1)
-    console.print(f"sound: {_to_sentence(counts)}", highlight=False)
-
-
-def _of_keys(keys: KeyChanges) -> Iterator[str]:
-    for found, what in (
-        (keys.revoked, "valid in the backup, and stay revoked"),
-        (keys.valid, "valid now, and were not before; revoke those that should not be"),
-        (keys.lost, "not in the backup, and can be used no more"),
-    ):
-        if found:
-            yield f"keys {', '.join(found)}: {what}"
+    say(f"sound: {_to_sentence(counts)}")
 
 
 def _to_sentence(counts: dict[str, int]) -> str:

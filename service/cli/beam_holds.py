@@ -4,105 +4,105 @@ import json
 from collections.abc import Iterator
 from dataclasses import asdict
 from datetime import UTC, datetime
-from math import inf, sqrt
+from math import hypot, inf
 from queue import Empty, Queue
 from threading import Thread
 from time import monotonic
-from typing import Any, Final
+from typing import Annotated, Any, Final
 
 import typer
-from rich.table import Table
 from rich.text import Text
 
 from lumiline.client.errors import ClientError
 from lumiline.client.messages import BeamHoldEvent, BeamHoldSample, Frame, Hello, Message
 from lumiline.client.models import BeamHoldStatus
 from lumiline.client.stream import Stream
-from service.cli.client_session import client_session
-from service.cli.output import console, print_json
+from service.cli.output import AsJson, console, make_table, print_json, say
+from service.cli.server_session import HERE, DeviceOption, Key, Url, WatchSeconds, client_session
 
 MAX_SILENCE_S: Final = 2.0
-"""After which a beam counts as held, without a word of the server."""
+"""Longest time without a message of the server; then the beam counts as held."""
 RATE_HZ: Final = 5.0
-"""Of frames, which say that the line is alive."""
+"""Rate of the frames, which show that the connection is alive."""
 SILENT: Final = "no word of the server"
 
+holds = typer.Typer(
+    help="Beam holds of a running server, and whether a beam is held.",
+    no_args_is_help=True,
+    add_completion=False,
+)
+HoldId = Annotated[str, typer.Argument(help="The hold's id.")]
 
-def show_all(url: str, key: str | None, device: str | None, *, as_json: bool) -> None:
-    """Print the holds, and whether each is held."""
+
+@holds.command("list")
+def show_all(
+    device: DeviceOption = None, url: Url = HERE, key: Key = None, as_json: AsJson = False
+) -> None:
+    """List beam holds, and whether each is held."""
     with client_session(url, key) as client:
-        found = [(hold, client.beam_hold_state(hold.id)) for hold in client.beam_holds(device)]
+        listed = [(hold, client.beam_hold_state(hold.id)) for hold in client.beam_holds(device)]
     if as_json:
-        both = [
-            {"hold": hold.model_dump(mode="json"), "state": state.model_dump(mode="json")}
-            for hold, state in found
-        ]
-        print_json(both)
+        print_json([{"hold": hold, "state": state} for hold, state in listed])
         return
-    table = Table()
-    for heading in ("id", "device", "title", "watches", "beam", "cause", "shift [mm]"):
-        table.add_column(heading, overflow="fold")
-    for hold, state in found:
-        table.add_row(
-            hold.id, hold.device, hold.title, hold.watch["kind"], _beam(state.held), state.cause,
-            _length(state),
-        )  # fmt: skip
-    console.print(table)
-    for hold, state in found:
+    rows = (
+        (hold.id, hold.device, hold.title, hold.watch["kind"], _beam(state.held), state.cause,
+         _shift(state))
+        for hold, state in listed
+    )  # fmt: skip
+    headings = ("id", "device", "title", "watches", "beam", "cause", "shift [mm]")
+    console.print(make_table(headings, rows, texts=None))
+    for hold, state in listed:
         if state.reason:
             console.print(Text(f"{hold.id}: {state.reason}"))
 
 
-def show_one(url: str, key: str | None, hold_id: str, *, as_json: bool) -> None:
-    """Print a hold and its state; exit code 1 where it is held."""
+@holds.command("show")
+def show_one(hold: HoldId, url: Url = HERE, key: Key = None, as_json: AsJson = False) -> None:
+    """Show a hold and its state; exit code 1 where the beam is held."""
     with client_session(url, key) as client:
-        hold, state = client.beam_hold(hold_id), client.beam_hold_state(hold_id)
+        shown, state = client.beam_hold(hold), client.beam_hold_state(hold)
     if as_json:
-        documents = {"hold": hold.model_dump(mode="json"), "state": state.model_dump(mode="json")}
-        print_json(documents)
+        print_json({"hold": shown, "state": state})
     else:
-        console.print(f"{hold.id}: {hold.title}, of device {hold.device}", highlight=False)
+        say(f"{shown.id}: {shown.title}, of device {shown.device}")
         _show(state)
     if state.held:
         raise typer.Exit(1)
 
 
-def acknowledge(url: str, key: str | None, hold_id: str, *, as_json: bool) -> None:
-    """Acknowledge a hold, and print how it stands; it ends with the next frames at the earliest."""
-    with client_session(url, key) as client:
-        state = client.acknowledge_beam_hold(hold_id)
-    if as_json:
-        print_json(state.model_dump(mode="json"))
-    else:
-        _show(state)
-
-
+@holds.command("watch")
 def watch(
-    url: str,
-    key: str | None,
-    hold_id: str,
-    seconds: float | None,
-    *,
-    as_json: bool,
-    silence_s: float = MAX_SILENCE_S,
+    hold: HoldId,
+    seconds: WatchSeconds = None,
+    url: Url = HERE,
+    key: Key = None,
+    as_json: AsJson = False,
 ) -> None:
-    """Print changes of a hold until the time is over; exit code 1 where it is held then.
-
-    A server from which nothing comes for ``silence_s`` says nothing of now: held.
-    """
+    """Print each change of a hold as it comes; exit code 1 where the beam is held at the end."""
     held = True
     end_s = inf if seconds is None else monotonic() + seconds
     with client_session(url, key) as client:
-        device = client.beam_hold(hold_id).device
+        device = client.beam_hold(hold).device
         with client.stream(device, ["holds"], rate_hz=RATE_HZ) as stream:
             try:
-                for one in _hold_changes(stream, hold_id, end_s, silence_s):
-                    held = one is None or one.held
-                    _line(hold_id, one, as_json=as_json)
+                for change in _hold_changes(stream, hold, end_s, MAX_SILENCE_S):
+                    held = change is None or change.held
+                    _print_change(hold, change, as_json=as_json)
             except KeyboardInterrupt:
                 pass
     if held:
         raise typer.Exit(1)
+
+
+@holds.command("acknowledge")
+def acknowledge(hold: HoldId, url: Url = HERE, key: Key = None, as_json: AsJson = False) -> None:
+    """Let a latched hold end, once all is back."""
+    with client_session(url, key) as client:
+        state = client.acknowledge_beam_hold(hold)
+    if as_json:
+        print_json(state)
+    else:
+        _show(state)
 
 
 def _hold_changes(
@@ -148,24 +148,28 @@ def _holds(message: Message, hold_id: str) -> Iterator[BeamHoldSample | BeamHold
         yield message
 
 
-def _line(hold_id: str, one: BeamHoldSample | BeamHoldEvent | None, *, as_json: bool) -> None:
-    """Print a change with the time at which it came."""
+def _print_change(
+    hold_id: str, change: BeamHoldSample | BeamHoldEvent | None, *, as_json: bool
+) -> None:
+    """Print a change with the time at which it came; None: silence, which holds the beam."""
     now = datetime.now(UTC)
+    members: dict[str, Any] = {
+        "hold": hold_id, "held": True, "cause": "no-data", "reason": SILENT
+    }  # fmt: skip
+    if change is not None:
+        members = asdict(change)
     if as_json:
-        silent = {"hold": hold_id, "held": True, "cause": "no-data", "reason": SILENT}
-        members: dict[str, Any] = silent if one is None else asdict(one)
         typer.echo(json.dumps(members | {"received_at": now.isoformat()}))
         return
     at = now.astimezone().strftime("%H:%M:%S.%f")[:-3]
-    held, cause, reason = (
-        (True, "no-data", SILENT) if one is None else (one.held, one.cause, one.reason)
-    )
-    # A line at once, also into a pipe, and no wrapping: each is one event.
-    typer.echo(f"{at}  {'HELD' if held else 'on'}  {cause}  {reason or ''}".rstrip())
+    # Printed at once, also into a pipe, and not wrapped: each line is one event.
+    state = "HELD" if members["held"] else "on"
+    typer.echo(f"{at}  {state}  {members['cause']}  {members['reason'] or ''}".rstrip())
 
 
 def _show(state: BeamHoldStatus) -> None:
-    console.print(f"beam: {_beam(state.held)}, {state.cause}; shift {_length(state)} mm")
+    shift = _shift(state) or "-"
+    console.print(f"beam: {_beam(state.held)}, {state.cause}; shift {shift} mm")
     if state.reason:
         console.print(Text(state.reason))
 
@@ -174,6 +178,5 @@ def _beam(held: bool) -> str:
     return "[red]HELD[/red]" if held else "[green]on[/green]"
 
 
-def _length(state: BeamHoldStatus) -> str:
-    shift = state.shift_mm
-    return "-" if shift is None else f"{sqrt(sum(value * value for value in shift)):.2f}"
+def _shift(state: BeamHoldStatus) -> str | None:
+    return None if state.shift_mm is None else f"{hypot(*state.shift_mm):.2f}"

@@ -1,27 +1,24 @@
 """`lumiline bench clock`: simulated accuracy of clock synchronisation with a device."""
 
-from dataclasses import asdict
+from typing import Any
 
-from rich.table import Table
-
-from service.cli.output import console, print_json
+from service.cli.output import console, make_table, print_json
 
 
-def run(*, as_json: bool) -> None:
+def run(*, as_json: bool, **_: Any) -> None:
     """Simulate all cases and print."""
     from hardware.clock_sync_simulation import CASES, SETTLED_S, errors
 
-    found = [errors(case) for case in CASES]
+    results = [errors(case) for case in CASES]
     if as_json:
-        print_json([asdict(one) for one in found])
+        print_json(results)
         return
+    rows = (
+        (one.name, f"{one.hull_us:.1f}", f"{one.stated_us:.1f}", f"{one.regression_us:.1f}",
+         f"{one.arrival_us:.1f}")
+        for one in results
+    )  # fmt: skip
+    headings = ("case", "lowest line", "its sigma", "regression", "arrival")
     title = f"RMS error of exposures' host times after {SETTLED_S:g} s, us"
-    table = Table(title=title, title_justify="left")
-    table.add_column("case")
-    for column in ("lowest line", "it says", "regression", "arrival"):
-        table.add_column(column, justify="right")
-    for one in found:
-        values = (one.hull_us, one.stated_us, one.regression_us, one.arrival_us)
-        table.add_row(one.name, *(f"{value:.1f}" for value in values))
-    console.print(table)
+    console.print(make_table(headings, rows, title))
     console.print("beyond the line's shortest delay, which nobody on the host can see")

@@ -12,10 +12,10 @@ from threading import Thread
 from typing import Any, Final, Literal
 
 import numpy as np
-from rich.table import Table
 
 from compute.pose.rigid_body import PoseStatus, ToolPose
-from service.cli.output import console, fail, print_json, progress
+from service.cli.bench_service import Figures, run_benchmark
+from service.cli.output import console, make_table, progress, spec
 from service.pipeline.latest_poses import LatestPoses, PoseEntry
 from service.protocols.openigtlink.counters import Counters
 from service.protocols.openigtlink.host import Caller, Landmark, WireTool
@@ -54,19 +54,12 @@ class _Tools:
         raise NotImplementedError
 
 
-def run(seconds: float, *, as_json: bool) -> None:
+def run(*, seconds: float, as_json: bool, **_: Any) -> None:
     """Measure, and print what was received of what was put up, and when."""
-    try:
-        found = measure(seconds, quiet=as_json)
-    except RuntimeError as error:
-        raise fail(str(error)) from error
-    if as_json:
-        print_json(found)
-    else:
-        _show(found)
+    run_benchmark(lambda _folder: measure(seconds, quiet=as_json), _show, as_json=as_json)
 
 
-def measure(seconds: float, *, quiet: bool) -> dict[str, Any]:
+def measure(seconds: float, *, quiet: bool) -> Figures:
     """Return the figures of our server, and of a bare one beside it for a sixth of the time."""
     with progress(TITLE, seconds, quiet=quiet) as done:
         ours = asyncio.run(_ours(seconds, done))
@@ -75,7 +68,7 @@ def measure(seconds: float, *, quiet: bool) -> dict[str, Any]:
         return ours | {"baseline": _baseline(baseline_s)}
 
 
-async def _ours(seconds: float, done: Callable[[float], object]) -> dict[str, Any]:
+async def _ours(seconds: float, done: Callable[[float], object]) -> Figures:
     board = LatestPoses()
     server = OpenIGTLinkServer(board, _Tools(), ServerSettings(port=0))
     await server.start()
@@ -109,27 +102,20 @@ def _feed(board: LatestPoses, seconds: float, done: Callable[[float], object]) -
         if wait > 0.0:
             time.sleep(wait)
         now = time.time_ns()
-        place = np.array([float(number), 0.0, 1000.0])
+        position = np.array([float(number), 0.0, 1000.0])
         poses = {
             tool: ToolPose(
-                tool,
-                PoseStatus.OK,
-                None,
-                now,
-                number,
-                np.eye(3),
-                place,
-                residual_sigma=1.0,
+                tool, PoseStatus.OK, None, now, number, np.eye(3), position, residual_sigma=1.0,
                 markers_used=4,
             )
             for tool in TOOLS
-        }
+        }  # fmt: skip
         board.put(PoseEntry(_DEVICE, number, now, poses, None, RATE_HZ))
         if number % 20 == 0:
             done(time.monotonic() - begin)
 
 
-def _baseline(seconds: float) -> dict[str, Any]:
+def _baseline(seconds: float) -> Figures:
     from benchmarks.peer_process import running_peer
 
     with running_peer("benchmarks.baseline_openigtlink") as url:
@@ -162,15 +148,15 @@ async def _until_connected(server: OpenIGTLinkServer, process: "subprocess.Popen
         await asyncio.sleep(0.01)
 
 
-def _ended(process: "subprocess.Popen[str]") -> dict[str, Any]:
+def _ended(process: "subprocess.Popen[str]") -> Figures:
     output, _ = process.communicate()
     if process.returncode != 0:
         raise RuntimeError("the clients failed; see above")
-    found: dict[str, Any] = json.loads(output)
+    found: Figures = json.loads(output)
     return found
 
 
-def _counted(counters: Counters) -> dict[str, Any]:
+def _counted(counters: Counters) -> Figures:
     # Not asdict, which makes other counters of them.
     return {
         name: dict(value) if isinstance(value, Counter) else value
@@ -178,38 +164,32 @@ def _counted(counters: Counters) -> dict[str, Any]:
     }
 
 
-def _show(found: dict[str, Any]) -> None:
-    received, bare, server = found["received"], found["baseline"], found["server"]
-    table = Table(title=TITLE, title_justify="left")
-    table.add_column("figure")
-    table.add_column("Lumiline", justify="right")
-    table.add_column("bare server, pyigtl alone", justify="right")
+def _show(figures: Figures) -> None:
+    received, bare, server = figures["received"], figures["baseline"], figures["server"]
     counts = received["messages"].values()
-    table.add_row("duration, s", f"{found['seconds']:g}")
-    table.add_row("frames put up", f"{found['frames_put_up']}")
-    table.add_row(
-        "messages received of each tool, least",
-        f"{min(counts, default=0)}",
-        f"{min(bare['messages'].values(), default=0)}",
-    )
-    table.add_row("the same, of all tools", f"{sum(counts)} of {found['messages_sent_up']}")
-    for label, name in (
-        ("missed between two received", "missed"),
-        ("out of order", "out_of_order"),
-        ("wrong checksums", "wrong_checksums"),
-    ):
-        table.add_row(label, f"{received[name]}", f"{bare[name]}")
-    table.add_row("largest gap, ms", f"{received['largest_gap_ms']:.1f}",
-                  f"{bare['largest_gap_ms']:.1f}")  # fmt: skip
-    for label, name in (("latency", "latency_ms"), ("jitter", "jitter_ms")):
-        for percentile, value in received[name].items():
-            table.add_row(
-                f"{label} {percentile}, ms", f"{value:.3f}", f"{bare[name][percentile]:.3f}"
-            )
-    table.add_row("the other client: times it stalled", f"{received['stalls']}")
-    table.add_row("frames replaced by newer ones", f"{server['frames_replaced']}")
-    table.add_row("connections ended", ", ".join(f"{n} {w}" for w, n in server["ended"].items()))
-    console.print(table)
+    ended = ", ".join(f"{count} {cause}" for cause, count in server["ended"].items())
+    rows: list[tuple[object, ...]] = [
+        ("duration, s", f"{figures['seconds']:g}"),
+        ("frames put up", figures["frames_put_up"]),
+        ("messages received of each tool, least", min(counts, default=0),
+         min(bare["messages"].values(), default=0)),
+        ("the same, of all tools", f"{sum(counts)} of {figures['messages_sent_up']}"),
+        ("missed between two received", received["missed"], bare["missed"]),
+        ("out of order", received["out_of_order"], bare["out_of_order"]),
+        ("wrong checksums", received["wrong_checksums"], bare["wrong_checksums"]),
+        ("largest gap, ms",
+         spec(received["largest_gap_ms"], ".1f"), spec(bare["largest_gap_ms"], ".1f")),
+    ]  # fmt: skip
+    for name in ("latency", "jitter"):
+        ours, peer = received[f"{name}_ms"], bare[f"{name}_ms"]
+        rows += [(f"{name} {p}, ms", f"{ours[p]:.3f}", f"{peer[p]:.3f}") for p in ours]
+    rows += [
+        ("the other client: times it stalled", received["stalls"]),
+        ("frames replaced by newer ones", server["frames_replaced"]),
+        ("connections ended", ended),
+    ]
+    headings = ("figure", "Lumiline", "bare server, pyigtl alone")
+    console.print(make_table(headings, rows, TITLE))
     console.print(
         "latency: from the exposure, which is when the frame was put up, to the message in "
         "pyigtl's hands; jitter: how much the time between two messages differs from that "

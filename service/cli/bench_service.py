@@ -1,16 +1,24 @@
-"""Common parts of the benchmarks that run a service: calibration target and requests."""
+"""Common parts of the benchmarks that run a service."""
 
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
-import httpx
+from lumiline.client import Client
+from service.cli.output import fail, print_json, progress
+from service.cli.server_session import client_session
+from service.cli.service_process import RunningService, service_process, simulated_device
 
-from service.cli.output import fail, print_json
+if TYPE_CHECKING:
+    from benchmarks.live import LiveFigures
 
 DEVICE: Final = "sim"
+MARKERS_MM: Final = ((0.0, 0.0, 0.0), (80.0, 0.0, 0.0), (0.0, 60.0, 0.0), (20.0, 15.0, 40.0))
+"""Four strobed markers of a tool."""
+BASELINE_SECONDS: Final = 10.0
 
 Figures = dict[str, Any]
 
@@ -26,33 +34,70 @@ def run_benchmark(
             raise fail(str(error)) from error
     if as_json:
         print_json(figures)
-        return
-    show(figures)
+    else:
+        show(figures)
 
 
-def answer(response: httpx.Response) -> Any:
-    """Return what the service answered; raises RuntimeError for a refusal."""
-    if not response.is_success:
-        raise RuntimeError(f"{response.request.url.path}: {response.text}")
-    return response.json()
+@contextmanager
+def service_of_simulated_device(
+    folder: Path,
+    rate_hz: float,
+    cycle: int,
+    scene: Mapping[str, Any] | None = None,
+    settings: Mapping[str, str] | None = None,
+    *,
+    quiet: bool,
+) -> Iterator[tuple[RunningService, Client]]:
+    """Run a service that reads a simulated device over a socket; the device is not started yet.
+
+    Args:
+        folder: for the data and logs of both.
+        rate_hz: exposures per second.
+        cycle: number of exposures that are rendered beforehand, and repeat.
+        scene: what the device sees; None: the rotating bar.
+        settings: of the service.
+        quiet: show no progress.
+    """
+    shown = {} if scene is None else {"scene": scene}
+    with ExitStack() as stack:
+        source = stack.enter_context(simulated_device(folder, rate_hz, cycle, shown))
+        service = stack.enter_context(service_process(folder / "service", settings, quiet=quiet))
+        client = stack.enter_context(client_session(service.url, None, 60.0))
+        client.stop_device(DEVICE)
+        client.request("PATCH", f"/api/v1/devices/{DEVICE}", body={"source": source})
+        yield service, client
 
 
-def device_status(client: httpx.Client) -> dict[str, Any]:
-    """Return how the device stands."""
-    found: dict[str, Any] = answer(client.get(f"/api/v1/devices/{DEVICE}/status"))["status"]
-    return found
+def device_counts(client: Client) -> dict[str, Any]:
+    """Return the device's state and its counts of frames."""
+    return client.device_status(DEVICE).model_dump()
 
 
-def read_device(client: httpx.Client, source: dict[str, Any]) -> None:
-    """Let the service read another device from now on; it is started by itself."""
-    answer(client.post(f"/api/v1/devices/{DEVICE}/stop"))
-    answer(client.patch(f"/api/v1/devices/{DEVICE}", json={"source": source}))
+def losses(before: dict[str, Any], after: dict[str, Any]) -> dict[str, int]:
+    """Return the frames that were lost, and those in which nothing was tracked."""
+    lost = ("frames_lost_device", "frames_dropped_ring")
+    return {
+        "frames_lost": sum(after[name] - before[name] for name in lost),
+        "frames_not_tracked": after["frames_not_tracked"] - before["frames_not_tracked"],
+    }
 
 
-def wait_for_frames(client: httpx.Client, frames: int, timeout_s: float = 120.0) -> None:
+def wait_for_frames(client: Client, frames: int, timeout_s: float = 120.0) -> None:
     """Wait until this many frames are processed; raises RuntimeError."""
     end = time.monotonic() + timeout_s
-    while device_status(client)["frames_processed"] < frames:
+    while (counts := device_counts(client))["frames_processed"] < frames:
         if time.monotonic() > end:
-            raise RuntimeError(f"too few frames come: {device_status(client)}")
+            raise RuntimeError(f"too few frames come: {counts}")
         time.sleep(0.1)
+
+
+def measure_baseline_stream(*, quiet: bool) -> "LiveFigures":
+    """Return the figures of a bare websocket server."""
+    from benchmarks.baseline_stream import running_baseline_stream
+    from benchmarks.live import measure
+
+    with (
+        progress("a bare server beside it", BASELINE_SECONDS, quiet=quiet) as done,
+        running_baseline_stream() as url,
+    ):
+        return measure(url, BASELINE_SECONDS, done)

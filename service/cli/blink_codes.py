@@ -1,27 +1,28 @@
 """`lumiline blink-codes`: code words for blinking markers with a minimum distance."""
 
-from rich.table import Table
+from typing import Annotated
 
-from compute.errors import LumilineError
+import typer
+
 from compute.tracking.blink_codes import blink_codes
-from service.cli.output import console, fail, print_json
+from service.cli.output import console, make_table, print_json
 
 
-def run(markers: int, bits: int, distance: int, *, as_json: bool) -> None:
+def print_codes(
+    markers: Annotated[int, typer.Option(min=1, max=64, help="How many markers.")] = 4,
+    bits: Annotated[int, typer.Option(min=5, max=20, help="Exposures of a word.")] = 12,
+    distance: Annotated[
+        int, typer.Option(min=3, help="Bits in which any two differ, at least, in any phase.")
+    ] = 3,
+    as_json: Annotated[bool, typer.Option("--json", help="The words only.")] = False,
+) -> None:
     """Print the code word of each marker."""
-    try:
-        codes = blink_codes(markers, bits, distance)
-    except LumilineError as error:
-        raise fail(error.detail) from error
+    codes = blink_codes(markers, bits, distance)
     if as_json:
-        print_json(list(codes.words))
+        print_json(codes.words)
         return
-    table = Table(
-        title=f"{bits} bits, {codes.minimum_distance} apart in any phase: "
+    title = (
+        f"{bits} bits, {codes.minimum_distance} apart in any phase: "
         f"{codes.corrected} wrong exposures of a word are corrected"
     )
-    table.add_column("marker", justify="right")
-    table.add_column("word")
-    for marker, word in enumerate(codes.words):
-        table.add_row(str(marker), word)
-    console.print(table)
+    console.print(make_table(("marker", "word"), enumerate(codes.words), title, texts=None))

@@ -1,10 +1,10 @@
 """`lumiline calibrate`: cameras from a CSV file of control points, without a server."""
 
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Annotated, cast
 
 import numpy as np
+import typer
 from rich.table import Table
 
 from compute.calibration.assessment.cross_validation import control_errors
@@ -14,167 +14,146 @@ from compute.calibration.mislabels.finding import LabelFinding
 from compute.calibration.result import (
     AxisErrors,
     Calibration,
-    CrossValidation,
     count_readings,
     effective_readings,
 )
 from compute.calibration.settings import CalibrationSettings, Distortion, LabelPolicy, Loss
 from compute.camera.model import SensorGeometry
-from compute.errors import InvalidParameter, LumilineError
-from service.cli.calibration_file import DOCUMENT
+from compute.errors import InvalidParameter
+from service.cli.json_files import DOCUMENT
 from service.cli.observations_csv import ObservationTable, read_observations
-from service.cli.output import console, error_table, fail, progress
+from service.cli.output import (
+    console,
+    error_table,
+    file_errors,
+    make_table,
+    progress,
+    say,
+    write_file,
+)
 
 if TYPE_CHECKING:
     from compute.camera.field_distortion import Term
 
 
-@dataclass(frozen=True)
-class CalibrateOptions:
-    """What the command is asked for beside the file; see ``CalibrationSettings``."""
-
-    pixels: int
-    pitch_um: float | None
-    distortion: str
-    control_sigma_mm: float | None
-    loss: str
-    labels: str
-
-    def settings(self) -> CalibrationSettings:
-        """Return them for the computation.
-
-        Raises:
-            InvalidParameter: one means nothing, or contradicts another.
-        """
-        return CalibrationSettings(
-            _distortion(self.distortion),
-            self.control_sigma_mm,
-            cast("Loss", self.loss),
-            cast("LabelPolicy", self.labels),
-        )
-
-
-def run(
-    path: Path,
-    options: CalibrateOptions,
-    output: Path | None,
-    report: Path | None,
-    figures: Path | None,
+def calibrate(
+    observations: Annotated[Path, typer.Argument(help="CSV: X_mm,Y_mm,Z_mm,NAME_px,...")],
+    pixels: Annotated[int, typer.Option(min=8, help="Pixels of each sensor.")],
+    pitch: Annotated[
+        float | None, typer.Option(min=0.01, help="Pixel pitch \\[um]; helps wide-field lenses.")
+    ] = None,
+    distortion: Annotated[
+        str,
+        typer.Option(
+            help="none, auto (by cross-validation), a set's name, or terms u^i v^j as '3,0 1,2'."
+        ),
+    ] = "auto",
+    control_sigma: Annotated[
+        float | None,
+        typer.Option(help=r"Standard deviation of the control points' coordinates \[mm]."),
+    ] = None,
+    loss: Annotated[str, typer.Option(help="linear or robust.")] = "linear",
+    labels: Annotated[
+        str, typer.Option(help="Wrong and exchanged labels: off, report, exclude or repair.")
+    ] = "report",
+    output: Annotated[Path | None, typer.Option(help="Write the calibration as JSON.")] = None,
+    report: Annotated[Path | None, typer.Option(help="Write a report: an HTML file.")] = None,
+    report_figures: Annotated[
+        Path | None, typer.Option(help="Folder for the report's figures as PNG.")
+    ] = None,
 ) -> None:
     """Calibrate from a CSV file; print the fit, write the calibration as JSON, and a report."""
-    try:
-        settings = options.settings()
-        table = read_observations(path)
-        sensors = [SensorGeometry(name, options.pixels, options.pitch_um) for name in table.sensors]
-        given = table.points_mm, table.readings_px
-        with progress("calibrating", 1.0) as done:
-            found = calibrate_and_assess(
-                *given, sensors, table.sigma_px, settings, lambda share, _stage: done(share)
-            )
-        rows = _error_rows(found, table)
-    except LumilineError as error:
-        raise fail(error.detail) from error
-    console.print(fit_table(found, f"{path}: {len(table.points_mm)} points"))
-    if found.distortion is not None:
-        console.print(
-            f"distortion: {found.distortion.chosen} ({found.distortion.reason})", highlight=False
-        )
-        for reason, names in refusals(found.distortion.candidates).items():
-            console.print(f"not judged: {', '.join(names)}: {reason}", highlight=False)
-    for finding in found.labels:
-        console.print(f"[yellow]label:[/yellow] {label_message(finding)}", highlight=False)
-    if found.labels and settings.labels == "report":
+    settings = CalibrationSettings(
+        _distortion(distortion), control_sigma, cast("Loss", loss), cast("LabelPolicy", labels)
+    )
+    table = read_observations(observations)
+    sensors = [SensorGeometry(name, pixels, pitch) for name in table.sensors]
+    with progress("calibrating", 1.0) as done:
+        result = calibrate_and_assess(
+            table.points_mm, table.readings_px, sensors, table.sigma_px, settings,
+            lambda share, _stage: done(share),
+        )  # fmt: skip
+    rows = _error_rows(result, table)
+    console.print(fit_table(result, f"{observations}: {len(table.points_mm)} points"))
+    if result.distortion is not None:
+        say(f"distortion: {result.distortion.chosen} ({result.distortion.reason})")
+        for reason, names in refusals(result.distortion.candidates).items():
+            say(f"not judged: {', '.join(names)}: {reason}")
+    for finding in result.labels:
+        say(f"[yellow]label:[/yellow] {label_message(finding)}")
+    if result.labels and settings.labels == "report":
         console.print("look at them; --labels exclude or --labels repair takes them as they are")
     if rows:
         title = "control points, absolute errors in mm"
-        counts = [row.readings for row in rows]
-        console.print(error_table(title, [(row.label, row.errors, "") for row in rows], counts))
+        counts = [count for _, _, count in rows]
+        console.print(
+            error_table(title, [(label, errors, "") for label, errors, _ in rows], counts)
+        )
         if len(set(counts)) > 1:
             console.print("the rows are over different readings: some points were not predicted")
     else:
         console.print("fewer than three sensors saw each point: no points were reconstructed")
-    for remark in found.diagnosis.remarks if found.diagnosis is not None else ():
-        console.print(remark, highlight=False)
+    for remark in result.diagnosis.remarks if result.diagnosis is not None else ():
+        say(remark)
     if output is not None:
-        write_calibration(output, found)
+        write_calibration(output, result)
     if report is not None:
-        _report(path, table, found, report, figures)
+        _report(observations, table, result, report, report_figures)
 
 
-@dataclass(frozen=True)
-class _ErrorRow:
-    """A row of the table of errors, over the readings that the calibration used."""
+def _error_rows(result: Calibration, table: ObservationTable) -> list[tuple[str, AxisErrors, int]]:
+    """Return the errors of the control points, fitted and predicted; none without any point.
 
-    label: str
-    errors: AxisErrors
-    readings: int
-
-
-def _error_rows(found: Calibration, table: ObservationTable) -> list[_ErrorRow]:
-    """Return the errors of the control points: fitted, and predicted; none without any point."""
+    Each row has its label, its errors, and how many of the used readings it is over.
+    """
     readings = table.readings_px
-    differences, over = control_errors(found, table.points_mm, readings, table.sigma_px)
+    differences, count = control_errors(result, table.points_mm, readings, table.sigma_px)
     fitted = AxisErrors.of(differences)
     if not fitted.points:
         return []
-    rows = [_ErrorRow("fitted", fitted, over)]
-    used, _ = effective_readings(found, readings)
-    for check in found.cross_validation:
+    rows = [("fitted", fitted, count)]
+    used, _ = effective_readings(result, readings)
+    for check in result.cross_validation:
         if check.errors is not None:
             known = np.array(
                 [(np.nan,) * 3 if row is None else row for row in check.differences_mm]
             )
-            rows.append(_ErrorRow(_scheme(check), check.errors, count_readings(used, known)))
+            by_point = check.scheme == "points"
+            label = "leave one out" if by_point else f"{check.groups} blocks left out"
+            rows.append((label, check.errors, count_readings(used, known)))
     return rows
 
 
-def _scheme(check: CrossValidation) -> str:
-    return "leave one out" if check.scheme == "points" else f"{check.groups} blocks left out"
-
-
-def write_calibration(path: Path, found: Calibration) -> None:
+def write_calibration(path: Path, calibration: Calibration) -> None:
     """Write a calibration as JSON, or end the command with the reason."""
-    try:
-        path.write_bytes(DOCUMENT.dump_json(found, indent=2) + b"\n")
-    except OSError as error:
-        raise fail(f"{path} cannot be written: {error.strerror}") from error
-    console.print(f"written: {path}")
+    write_file(path, DOCUMENT.dump_json(calibration, indent=2) + b"\n")
 
 
 def _report(
-    source: Path, table: ObservationTable, found: Calibration, page: Path, figures: Path | None
+    source: Path, table: ObservationTable, result: Calibration, page: Path, figures: Path | None
 ) -> None:
     from service.api.reports.content import ReportContent
     from service.api.reports.page import write_report
 
     names = [str(number) for number in range(1, len(table.points_mm) + 1)]
     content = ReportContent(
-        f"Calibration of {source.name}", found, names, table.points_mm, table.readings_px,
+        f"Calibration of {source.name}", result, names, table.points_mm, table.readings_px,
         table.sigma_px, {"file": source.name},
     )  # fmt: skip
-    try:
+    with file_errors(page):
         write_report(content, page, figures)
-    except OSError as error:
-        raise fail(f"{error.filename or page} cannot be written: {error.strerror}") from error
     console.print(f"written: {page}")
 
 
-def fit_table(found: Calibration, title: str) -> Table:
+def fit_table(calibration: Calibration, title: str) -> Table:
     """Return the fit by sensor."""
-    fits = Table(title=title, title_justify="left")
-    for heading in ("sensor", "points", "rms, px", "max, px", "c, px", "p0, px"):
-        fits.add_column(heading, justify="left" if heading == "sensor" else "right")
-    for fit in found.sensors:
-        model = fit.model
-        fits.add_row(
-            model.name,
-            str(fit.points),
-            f"{fit.rms_px:.4g}",
-            f"{fit.max_px:.4g}",
-            f"{model.principal_distance_px:.2f}",
-            f"{model.principal_point_px:.2f}",
-        )
-    return fits
+    headings = ("sensor", "points", "rms, px", "max, px", "c, px", "p0, px")
+    rows = (
+        (fit.model.name, fit.points, f"{fit.rms_px:.4g}", f"{fit.max_px:.4g}",
+         f"{fit.model.principal_distance_px:.2f}", f"{fit.model.principal_point_px:.2f}")
+        for fit in calibration.sensors
+    )  # fmt: skip
+    return make_table(headings, rows, title)
 
 
 def label_message(finding: LabelFinding) -> str:
@@ -192,11 +171,7 @@ def label_message(finding: LabelFinding) -> str:
 
 
 def _distortion(text: str) -> Distortion:
-    """Return a named set, or terms written as ``3,0 1,2``.
-
-    Raises:
-        InvalidParameter: pairs that are not two whole numbers.
-    """
+    """Return a named set, or terms written as ``3,0 1,2``; raises InvalidParameter."""
     if not text[:1].isdigit():
         return cast("Distortion", text)
     terms: list[Term] = []

@@ -1,40 +1,22 @@
 """`lumiline cameras`: lists the GenICam cameras that can be opened from here."""
 
+from dataclasses import astuple
+
 import typer
-from rich.table import Table
 
-from compute.errors import LumilineError
-from hardware.genicam.discovery import DiscoveredCamera, cameras
-from service.cli.output import console, fail, print_json
+from hardware.genicam.discovery import cameras
+from service.cli.output import AsJson, console, make_table, print_json
 
 
-def run(*, as_json: bool) -> None:
+def list_cameras(as_json: AsJson = False) -> None:
     """List the cameras."""
-    try:
-        found = cameras()
-    except LumilineError as error:
-        raise fail(error.detail) from error
+    listed = cameras()
     if as_json:
-        print_json(found)
-    elif found:
-        console.print(_table(found))
+        print_json(listed)
+    elif listed:
+        headings = ("camera", "address", "vendor", "model", "serial number", "protocol")
+        console.print(make_table(headings, map(astuple, listed), "GenICam cameras", texts=None))
     else:
         typer.echo(
             "No camera answered. Check cables, power, and that addresses are of one network."
         )
-
-
-def _table(found: list[DiscoveredCamera]) -> Table:
-    table = Table(title="GenICam cameras")
-    for heading in ("camera", "address", "vendor", "model", "serial number", "protocol"):
-        table.add_column(heading, overflow="fold")
-    for entry in found:
-        table.add_row(
-            entry.camera,
-            entry.address,
-            entry.vendor,
-            entry.model,
-            entry.serial_number,
-            entry.protocol,
-        )
-    return table

@@ -1,21 +1,21 @@
 """`lumiline demo`: the main job, end to end, as a client of the real service."""
 
 import shutil
-from contextlib import ExitStack, closing
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
-from rich.table import Table
+import typer
 
 from benchmarks.live import summarise
 from compute.calibration.result import AxisErrors
 from hardware.simulated.scenes import CalibrationTarget, RotatingBar
+from lumiline.client.errors import ClientError
 from service.cli.demo_client import DemoClient
 from service.cli.demo_picture import save_picture
-from service.cli.output import console, error_table, fail, millimetres, progress
-from service.cli.service_process import running_service
+from service.cli.output import console, error_table, fail, make_table, millimetres, progress
+from service.cli.service_process import service_process
 from validation.published_errors import DLT, PUBLISHED
 
 FRAME_SECONDS = 3.0
@@ -23,21 +23,26 @@ BAR = RotatingBar()
 FRAME = CalibrationTarget()
 
 
-def run(output: Path, seconds: float) -> None:
+def demo(
+    output: Annotated[Path, typer.Option(help="Folder for the picture, database and log.")] = Path(
+        "demo-output"
+    ),
+    seconds: Annotated[float, typer.Option(min=2.0, help="How long the bar is streamed.")] = 5.0,
+) -> None:
     """Start the service, calibrate, stream, print the figures and write the picture."""
     data = output / "data"
     shutil.rmtree(data, ignore_errors=True)
-    with ExitStack() as stack:
-        try:
-            with progress("starting the service (the first time it compiles its kernels)"):
-                url = stack.enter_context(running_service(data))
-            console.print(f"service: {url}  (SQLite in {data}, log in {data / 'service.log'})")
-            client = stack.enter_context(closing(DemoClient(url)))
+    doing = "starting the service (the first time it compiles its kernels)"
+    try:
+        with service_process(data, doing=doing) as service, DemoClient(service.url) as client:
+            console.print(
+                f"service: {service.url}  (SQLite in {data}, log in {data / 'service.log'})"
+            )
             _measured_frames(client)
             _simulated_calibration(client)
             _rotating_bar(client, seconds, output / "demo.png")
-        except RuntimeError as error:
-            raise fail(str(error)) from error
+    except (RuntimeError, ClientError) as error:
+        raise fail(str(error)) from error
 
 
 def _measured_frames(client: DemoClient) -> None:
@@ -72,22 +77,15 @@ def _simulated_calibration(client: DemoClient) -> None:
         observed = client.observe_frame(FRAME_SECONDS, done)
     with progress("calibrating the simulated device"):
         calibration = client.calibrate_simulated(FRAME.points(0.0), observed)
-    table = Table(
-        title=f"simulated device calibrated: {calibration['point_count']} markers",
-        title_justify="left",
-    )
-    for heading in ("sensor", "points", "rms, px", "reading sigma, px", "chi2/dof"):
-        table.add_column(heading, justify="left" if heading == "sensor" else "right")
-    for fit in calibration["result"]["sensors"]:
-        table.add_row(
-            fit["model"]["name"],
-            str(fit["points"]),
-            f"{fit['rms_px']:.4f}",
-            f"{fit['sigma_px']:.4f}",
-            f"{fit['chi2_per_dof']:.2f}",
-        )
+    headings = ("sensor", "points", "rms, px", "reading sigma, px", "chi2/dof")
+    rows = (
+        (fit["model"]["name"], fit["points"], f"{fit['rms_px']:.4f}", f"{fit['sigma_px']:.4f}",
+         f"{fit['chi2_per_dof']:.2f}")
+        for fit in calibration["result"]["sensors"]
+    )  # fmt: skip
+    title = f"simulated device calibrated: {calibration['point_count']} markers"
     console.print()
-    console.print(table)
+    console.print(make_table(headings, rows, title))
     left_out = _axis_errors(calibration["errors"]["leave_one_out"])
     console.print(
         "mean absolute error, leave one out, X Y Z, mm: "
@@ -105,24 +103,22 @@ def _rotating_bar(client: DemoClient, seconds: float, picture: Path) -> None:
     )
     time, first, second = stream.ends()
     length = np.linalg.norm(first - second, axis=1)
-    table = Table(title="rotating bar, streamed over the websocket", title_justify="left")
-    table.add_column("figure")
-    table.add_column("value", justify="right")
-    for label, text in (
+    rows = (
         ("duration, s", f"{figures.seconds:.2f}"),
-        ("frames received", f"{figures.frames}"),
+        ("frames received", figures.frames),
         ("frames/s", f"{figures.frames_per_s:.1f}"),
-        ("frames lost", f"{figures.lost}"),
-        ("messages missed", f"{stream.missed}"),
+        ("frames lost", figures.lost),
+        ("messages missed", stream.missed),
         ("latency, exposure to client, p50, ms", f"{figures.latency_ms['p50']:.2f}"),
         ("latency, exposure to client, p99, ms", f"{figures.latency_ms['p99']:.2f}"),
         ("bar length, true, mm", f"{BAR.length_mm:.3f}"),
         ("bar length, mean, mm", f"{length.mean():.3f}"),
         ("bar length, standard deviation, mm", f"{length.std(ddof=1):.3f}"),
-    ):
-        table.add_row(label, text)
+    )
     console.print()
-    console.print(table)
+    console.print(
+        make_table(("figure", "value"), rows, "rotating bar, streamed over the websocket")
+    )
     with progress("drawing"):
         save_picture(
             picture, time, (first, second), BAR.length_mm, np.array(stream.latency_ns) / 1e6

@@ -5,11 +5,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-import httpx
 import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.live import receive
+from lumiline.client import Client
 from validation.thesis_data import DFW_V500, load_test
 
 Array = NDArray[np.float64]
@@ -18,23 +18,12 @@ THESIS_DEVICE = "thesis-frame"
 SIMULATED = "sim"
 
 
-class DemoClient:
+class DemoClient(Client):
     """A client of one service; every method is one step of the demo."""
 
     def __init__(self, url: str) -> None:
-        """Connect to a service's base URL."""
-        self._url = url
-        self._http = httpx.Client(base_url=f"{url}/api/v1", timeout=120.0)
-
-    def close(self) -> None:
-        """Close the connection."""
-        self._http.close()
-
-    def _send(self, method: str, path: str, body: Any = None) -> Any:
-        response = self._http.request(method, path, json=body)
-        if response.is_error:
-            raise RuntimeError(f"{method} {path}: {response.status_code} {response.text}")
-        return response.json()
+        """Make a client of the service at a base URL."""
+        super().__init__(url, timeout_s=120.0)
 
     def create_thesis_device(self) -> None:
         """Create the four cameras of the thesis's Figure 5.9, whose readings are posted."""
@@ -46,15 +35,12 @@ class DemoClient:
             }
             for scale in DFW_V500
         ]
-        self._send(
-            "POST",
-            "/devices",
-            {
-                "id": THESIS_DEVICE,
-                "title": "Two Sony DFW-V500 at four places, thesis Figure 5.9",
-                "source": {"kind": "external", "sensors": sensors},
-            },
-        )
+        device = {
+            "id": THESIS_DEVICE,
+            "title": "Two Sony DFW-V500 at four places, thesis Figure 5.9",
+            "source": {"kind": "external", "sensors": sensors},
+        }
+        self.request("POST", "/api/v1/devices", body=device)
 
     def calibrate_thesis_frame(self, number: str) -> dict[str, Any]:
         """Submit a measured frame as a calibration: ``"5.3"`` or ``"5.4"``."""
@@ -72,23 +58,24 @@ class DemoClient:
                 zip(test.points_mm, test.readings_mm, strict=True)
             )
         ]
-        calibration: dict[str, Any] = self._send(
-            "POST",
-            "/calibrations",
-            {"device": THESIS_DEVICE, "points": points, "note": f"Test {number} as measured"},
-        )
+        return self._post_calibration(THESIS_DEVICE, points, f"Test {number} as measured")
+
+    def _post_calibration(
+        self, device: str, points: list[dict[str, Any]], note: str
+    ) -> dict[str, Any]:
+        body = {"device": device, "points": points, "note": note}
+        calibration: dict[str, Any] = self.request("POST", "/api/v1/calibrations", body=body)
         return calibration
 
     def show(self, scene: dict[str, Any]) -> None:
         """Let the simulated device show a scene, from its start."""
         source = {"kind": "simulated", "settings": {"scene": scene}}
-        self._send("PATCH", f"/devices/{SIMULATED}", {"source": source})
-        self._send("POST", f"/devices/{SIMULATED}/start")
+        self.request("PATCH", f"/api/v1/devices/{SIMULATED}", body={"source": source})
+        self.start_device(SIMULATED)
 
     def stream_url(self, content: str) -> str:
         """Return the URL of the simulated device's stream."""
-        base = self._url.replace("http", "ws", 1)
-        return f"{base}/api/v1/stream?device={SIMULATED}&content={content}"
+        return f"{self._server.stream_url}?device={SIMULATED}&content={content}"
 
     def observe_frame(
         self, seconds: float, progress: Callable[[float], None]
@@ -112,11 +99,7 @@ class DemoClient:
                 seen[message["marker"]][sensor].append(reading)
             progress((now - start) / 1e9)
         return {
-            marker: {
-                sensor: _average(readings)
-                for sensor, readings in sensors.items()
-                if len(readings) > 3
-            }
+            marker: {name: _average(some) for name, some in sensors.items() if len(some) > 3}
             for marker, sensors in sorted(seen.items())
         }
 
@@ -135,9 +118,8 @@ class DemoClient:
             }
             for marker, sensors in observed.items()
         ]
-        body = {"device": SIMULATED, "points": points, "note": "simulated calibration frame"}
-        calibration: dict[str, Any] = self._send("POST", "/calibrations", body)
-        self._send("POST", f"/calibrations/{calibration['id']}/activate")
+        calibration = self._post_calibration(SIMULATED, points, "simulated calibration frame")
+        self.activate(calibration["id"])
         return calibration
 
     def stream_bar(self, seconds: float, progress: Callable[[float], None]) -> "BarStream":
@@ -151,12 +133,12 @@ class DemoClient:
             stream.sequence.append(message["sequence"])
             stream.latency_ns.append(now - message["exposure_ns"])
             stream.exposure_ns.append(message["exposure_ns"])
-            progress((stream.exposure_ns[-1] - stream.exposure_ns[0]) / 1e9)
+            time_s = (stream.exposure_ns[-1] - stream.exposure_ns[0]) / 1e9
+            progress(time_s)
             for point in message["points"]:
-                position = point["position_mm"]
                 stream.marker.append(point["marker"])
-                stream.time_s.append((stream.exposure_ns[-1] - stream.exposure_ns[0]) / 1e9)
-                stream.position_mm.append(position or [np.nan] * 3)
+                stream.time_s.append(time_s)
+                stream.position_mm.append(point["position_mm"] or [np.nan] * 3)
         return stream
 
 

@@ -1,123 +1,99 @@
 """`lumiline drift`: checks a calibration by stationary markers, without a server."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 import typer
-from rich.table import Table
 
 from compute.calibration.drift.calibration_update import update_calibration
-from compute.calibration.drift.drift_detection import DriftCheck, check_drift
+from compute.calibration.drift.drift_detection import check_drift
 from compute.calibration.drift.stability_check import StationaryMarkers
 from compute.calibration.result import Calibration
-from compute.errors import InvalidParameter, LumilineError
+from compute.errors import InvalidParameter
 from service.api.drift_checks.messages import in_words, verdict_of
 from service.cli.calibrate import write_calibration
-from service.cli.calibration_file import read_calibration
+from service.cli.json_files import read_calibration
 from service.cli.observations_csv import ObservationTable, read_observations
-from service.cli.output import console, fail, print_json
+from service.cli.output import AsJson, console, make_table, print_json, say
 
 EXIT_DRIFTED = 1
 """Exit code where the calibration does not hold, and no update was asked for."""
 
 
-@dataclass(frozen=True)
-class DriftOptions:
-    """What the command is asked for beside its files.
-
-    Args:
-        position_sigma_mm: deviation of the markers' coordinates.
-        sensors: names of those that an update may change, separated by commas; None: all.
-        as_json: print for machines.
-    """
-
-    position_sigma_mm: float
-    sensors: str | None
-    as_json: bool
-
-
-def run(
-    path: Path,
-    calibration: Path,
-    earlier: Path | None,
-    options: DriftOptions,
-    output: Path | None,
+def drift(
+    markers: Annotated[
+        Path, typer.Argument(help="CSV of still markers, read now: X_mm,Y_mm,Z_mm,NAME_px,...")
+    ],
+    calibration: Annotated[
+        Path, typer.Option(help="Calibration as JSON, from `calibrate` or the service.")
+    ],
+    earlier: Annotated[
+        Path | None,
+        typer.Option(help="CSV of the same markers as they read when it was made: finer."),
+    ] = None,
+    position_sigma: Annotated[
+        float,
+        typer.Option(min=0.0, help=r"Standard deviation of the markers' coordinates \[mm]."),
+    ] = 0.0,
+    output: Annotated[
+        Path | None, typer.Option(help="Write the calibration, brought up to date, as JSON.")
+    ] = None,
+    sensors: Annotated[
+        str | None, typer.Option(help="Sensors that may have changed, as 'A,B'; left out: all.")
+    ] = None,
+    as_json: AsJson = False,
 ) -> None:
     """Check a calibration by still markers; write it brought up to date where that is asked."""
-    try:
-        found = read_calibration(calibration).calibration
-        still = _still_set(path, earlier, found, options.position_sigma_mm)
-        check = check_drift(found, still)
-        updated = None
-        if output is not None:
-            names = None if options.sensors is None else options.sensors.replace(",", " ").split()
-            updated = update_calibration(found, still, sensors=names)
-    except LumilineError as error:
-        raise fail(error.detail) from error
-    if options.as_json:
+    checked = read_calibration(calibration).calibration
+    still = _stationary_markers(markers, earlier, checked, position_sigma)
+    check = check_drift(checked, still)
+    updated = None
+    if output is not None:
+        names = None if sensors is None else sensors.replace(",", " ").split()
+        updated = update_calibration(checked, still, sensors=names)
+    if as_json:
         print_json({"verdict": verdict_of(check), "in_words": in_words(check), **asdict(check)})
     else:
-        console.print(_sensor_table(check, f"{path}: {len(still.readings_px)} markers"))
+        rows = (
+            (one.sensor, one.readings, f"{one.rms_px:.3g}", f"{one.p_value:.2g}",
+             "yes" if one.moved else "no")
+            for one in check.sensors
+        )  # fmt: skip
+        headings = ("sensor", "readings", "off, px RMS", "p", "moved")
+        console.print(make_table(headings, rows, f"{markers}: {len(still.readings_px)} markers"))
         for sentence in in_words(check):
-            console.print(sentence, highlight=False)
+            say(sentence)
     if output is not None and updated is not None:
         write_calibration(output, updated)
     elif not check.good:
         raise typer.Exit(EXIT_DRIFTED)
 
 
-def _still_set(
+def _stationary_markers(
     path: Path, earlier: Path | None, calibration: Calibration, position_sigma_mm: float
 ) -> StationaryMarkers:
-    """Return the markers of one file, or of two.
-
-    Raises:
-        InvalidParameter: other sensors than the calibration's, or two files of other markers.
-    """
-    now = read_observations(path)
-    readings, sigma = _in_order(path, now, calibration)
+    """Return the markers of one file, or of two; raises InvalidParameter."""
+    now = read_observations(path).in_order_of(calibration.models)
+    sigma = _sigma_px(now, calibration)
     if earlier is None:
-        return StationaryMarkers(readings, sigma, now.points_mm, position_sigma_mm)
-    before = read_observations(earlier)
+        return StationaryMarkers(now.readings_px, sigma, now.points_mm, position_sigma_mm)
+    before = read_observations(earlier).in_order_of(calibration.models)
     if not np.array_equal(before.points_mm, now.points_mm):
         raise InvalidParameter(
             f"{path} has {len(now.points_mm)} markers and {earlier} {len(before.points_mm)}, or "
-            "at other places; both must have the same markers in the same rows"
+            "at other positions; both must have the same markers in the same rows"
         )
-    then, then_sigma = _in_order(earlier, before, calibration)
-    return StationaryMarkers(readings, sigma, earlier_px=then, earlier_sigma_px=then_sigma)
+    return StationaryMarkers(
+        now.readings_px, sigma, earlier_px=before.readings_px,
+        earlier_sigma_px=_sigma_px(before, calibration),
+    )  # fmt: skip
 
 
-def _in_order(
-    path: Path, table: ObservationTable, calibration: Calibration
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return readings and sigma in the order of the calibration's sensors, (N, S) [px].
-
-    Readings without a deviation take the calibration's.
-    """
-    names = tuple(model.name for model in calibration.models)
-    if set(table.sensors) != set(names):
-        raise InvalidParameter(
-            f"{path} has readings of {', '.join(table.sensors)}; the calibration is of "
-            f"{', '.join(names)}"
-        )
-    order = [table.sensors.index(name) for name in names]
-    readings = table.readings_px[:, order]
-    own = np.array([fit.sigma_px for fit in calibration.sensors])
+def _sigma_px(table: ObservationTable, calibration: Calibration) -> np.ndarray:
+    """Return the readings' standard deviations, (N, S) [px]; the calibration's where not given."""
+    fitted = np.array([fit.sigma_px for fit in calibration.sensors])
     if table.sigma_px is None:
-        return readings, np.broadcast_to(own, readings.shape)
-    sigma = table.sigma_px[:, order]
-    return readings, np.where(np.isfinite(sigma), sigma, own)
-
-
-def _sensor_table(check: DriftCheck, title: str) -> Table:
-    table = Table(title=title, title_justify="left")
-    for heading in ("sensor", "readings", "off, px RMS", "p", "moved"):
-        table.add_column(heading, justify="left" if heading == "sensor" else "right")
-    for one in check.sensors:
-        moved = "yes" if one.moved else "no"
-        table.add_row(
-            one.sensor, str(one.readings), f"{one.rms_px:.3g}", f"{one.p_value:.2g}", moved
-        )
-    return table
+        return np.broadcast_to(fitted, table.readings_px.shape)
+    return np.where(np.isfinite(table.sigma_px), table.sigma_px, fitted)

@@ -1,77 +1,86 @@
 """`lumiline export`: points, tracks and tool poses as a file of another program's format."""
 
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
-from compute.errors import InvalidParameter, LumilineError
+import typer
+
+from compute.errors import InvalidParameter
 from service.api.exports.formats import suffix_of, write_export
 from service.api.exports.from_stream import SUFFIXES, table_from_stream
 from service.api.exports.motion_table import MotionTable
-from service.api.exports.tool_file import read_device, read_tools
-from service.cli.active_calibration_files import read_active_calibration
-from service.cli.output import console, fail, progress
+from service.cli.json_files import CalibrationOption, TableOption, read_active_calibration
+from service.cli.output import console, file_errors, progress
+from service.cli.tracking_files import read_device, read_tools
 
 
-@dataclass(frozen=True)
-class ExportOptions:
-    """What was asked for.
-
-    Args:
-        tools: JSON file of the tools whose poses are wanted.
-        calibration: JSON file; None: what was active.
-        table: correction table of that calibration.
-        predicted: keep positions of tracks where nothing was seen.
-        points: strobed markers' points in the tracks' place.
-        device: JSON file of the device, whose tracking is taken; None: by default.
-    """
-
-    tools: Path | None = None
-    calibration: Path | None = None
-    table: Path | None = None
-    predicted: bool = False
-    points: bool = False
-    device: Path | None = None
-
-
-def run(source: Path, output: Path, options: ExportOptions) -> None:
+def export(
+    source: Annotated[
+        Path, typer.Argument(help="A recording (HDF5), or a stream's JSON messages (.jsonl).")
+    ],
+    to: Annotated[Path, typer.Option("--to", help="File: .c3d, .trc, .csv, .parquet or .igs.mha.")],
+    tools: Annotated[
+        Path | None, typer.Option(help="Tools as JSON, as GET /api/v1/tools sends them.")
+    ] = None,
+    device: Annotated[
+        Path | None,
+        typer.Option(
+            help="The device as JSON, as GET /api/v1/devices/{id} sends it: its `tracking`, and "
+            "only its tools; left out: defaults, and all tools."
+        ),
+    ] = None,
+    calibration: CalibrationOption = None,
+    table: TableOption = None,
+    predicted: Annotated[
+        bool, typer.Option("--predicted", help="C3D, TRC: no gaps where tracks are predicted.")
+    ] = False,
+    points: Annotated[
+        bool, typer.Option("--points", help="C3D, TRC: strobed markers' points, not tracks.")
+    ] = False,
+) -> None:
     """Export a recording, or a captured stream; what cannot be done ends the command."""
-    try:
+    with file_errors(to, ""):
         # Before minutes of work.
-        suffix_of(output)
-        if output.exists():
-            raise InvalidParameter(f"{output} exists; choose another name")
-        captured = source.suffix.lower() in SUFFIXES
-        table = _captured(source, options) if captured else _recorded(source, options)
-        write_export(table, output, predicted=options.predicted, points=options.points)
-    except LumilineError as error:
-        raise fail(error.detail) from error
-    except OSError as error:
-        raise fail(f"{error.filename or output}: {error.strerror or error}") from error
-    tracks = len(set(table.tracks.identity.tolist()))
+        suffix_of(to)
+        if to.exists():
+            raise InvalidParameter(f"{to} exists; choose another name")
+        if source.suffix.lower() in SUFFIXES:
+            for name, file in (
+                ("tools", tools), ("device", device), ("calibration", calibration), ("table", table)
+            ):  # fmt: skip
+                if file is not None:
+                    raise InvalidParameter(
+                        f"--{name} is for recordings; a captured stream has what was found when "
+                        "it was live"
+                    )
+            motion = table_from_stream(source)
+        else:
+            motion = _from_recording(source, tools, device, calibration, table)
+        write_export(motion, to, predicted=predicted, points=points)
+    tracks = len(set(motion.tracks.identity.tolist()))
     console.print(
-        f"written: {output} ({len(table)} frames, {len(table.points.frame)} points, "
-        f"{tracks} tracks, {len(table.tools)} tools)",
+        f"written: {to} ({len(motion)} frames, {len(motion.points.frame)} points, "
+        f"{tracks} tracks, {len(motion.tools)} tools)",
         highlight=False,
         soft_wrap=True,
     )
 
 
-def _captured(source: Path, options: ExportOptions) -> MotionTable:
-    for name in ("tools", "device", "calibration", "table"):
-        if getattr(options, name) is not None:
-            raise InvalidParameter(
-                f"--{name} is for recordings; a captured stream has what was found when it was live"
-            )
-    return table_from_stream(source)
-
-
-def _recorded(source: Path, options: ExportOptions) -> MotionTable:
+def _from_recording(
+    source: Path,
+    tools: Path | None,
+    device: Path | None,
+    calibration: Path | None,
+    table: Path | None,
+) -> MotionTable:
     from hardware.recording.reader import RecordingReader
     from service.api.exports.from_recording import table_from_recording
 
-    device = None if options.device is None else read_device(options.device)
-    of, tracking = (None, None) if device is None else (device.id, device.tracking)
-    tools = () if options.tools is None else read_tools(options.tools, of)
-    given = read_active_calibration(options.calibration, options.table)
+    device_id, tracking = None, None
+    if device is not None:
+        settings = read_device(device)
+        device_id, tracking = settings.id, settings.tracking
+    bodies = () if tools is None else read_tools(tools, device_id)
+    active = read_active_calibration(calibration, table)
     with RecordingReader(source) as reader, progress("exporting", reader.info.frames) as done:
-        return table_from_recording(reader, tools, given, done, tracking)
+        return table_from_recording(reader, bodies, active, done, tracking)

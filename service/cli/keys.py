@@ -1,77 +1,89 @@
 """`lumiline keys`: makes, lists and revokes API keys, in the database itself."""
 
 from datetime import UTC, datetime, timedelta
-from pathlib import Path
-from typing import Final
+from typing import Annotated, Final
 
 import typer
 from pydantic import TypeAdapter, ValidationError
-from rich.table import Table
 
 from service.api.security.schema import ApiKey, NewApiKey, document
 from service.application.initial_content import seed
-from service.cli.local_database import local_database
-from service.cli.output import console, fail, progress_console
-from service.database.engine import Database
+from service.cli.local_database import DataDir, local_database
+from service.cli.output import AsJson, console, fail, make_table, progress_console, spec
 from service.database.migration import migrate
 from service.principal import SCOPES
 from service.security import store
 
 _MAX_SHOWN: Final = 10_000
+_TIME: Final = "%Y-%m-%d %H:%M"
+
+keys = typer.Typer(
+    help="Make, list and revoke API keys.", no_args_is_help=True, add_completion=False
+)
 
 
-def create(data_dir: Path | None, name: str, scopes: list[str], days: float | None) -> None:
-    """Make a key; its text, and nothing else, goes to standard output."""
-    unknown = [scope for scope in scopes if scope not in (*SCOPES, "all")]
+@keys.command("create")
+def create(
+    name: Annotated[str, typer.Argument(help="Who or what it is for.")],
+    scope: Annotated[
+        list[str],
+        typer.Option(
+            help="read:stream, read:calibration, write:calibration, admin:hardware, admin:keys; "
+            "may be given several times. all: every one."
+        ),
+    ],
+    days: Annotated[
+        float | None,
+        typer.Option(min=0.001, max=36_525, help="Valid so long; left out: until revoked."),
+    ] = None,
+    data_dir: DataDir = None,
+) -> None:
+    """Make a key, and print it once: it is kept nowhere."""
+    unknown = [one for one in scope if one not in (*SCOPES, "all")]
     if unknown:
         raise fail(f'there is no scope "{unknown[0]}"; there are {", ".join(SCOPES)}, and all')
     until = None if days is None else datetime.now(UTC) + timedelta(days=days)
-    wanted = SCOPES if "all" in scopes else tuple(scopes)
+    scopes = SCOPES if "all" in scope else tuple(scope)
     try:
-        request = NewApiKey.model_validate({"name": name, "scopes": wanted, "expires_at": until})
+        request = NewApiKey.model_validate({"name": name, "scopes": scopes, "expires_at": until})
     except ValidationError as error:
         raise fail(f"the name: {error.errors()[0]['msg']}") from None
     with local_database(data_dir, "keys create") as (database, settings):
         settings.folders.recordings.mkdir(parents=True, exist_ok=True)
         migrate(database, fill=seed)
         with database.write() as session:
-            row, made = store.add_key(session, request)
+            row, key = store.add_key(session, **dict(request))
             identity = row.id
-    progress_console.print(f"key {identity} for {name}: {', '.join(wanted)}", highlight=False)
+    progress_console.print(f"key {identity} for {name}: {', '.join(scopes)}", highlight=False)
     progress_console.print("It is shown once and kept nowhere:", highlight=False)
-    typer.echo(made.text)
+    # Its text, and nothing else, goes to standard output.
+    typer.echo(key.text)
 
 
-def show(data_dir: Path | None, *, as_json: bool) -> None:
-    """Print the keys, newest first."""
-    with local_database(data_dir, "keys list") as (database, _):
-        found = _all(database)
+@keys.command("list")
+def show(data_dir: DataDir = None, as_json: AsJson = False) -> None:
+    """List the keys that were given out."""
+    with local_database(data_dir, "keys list") as (database, _), database.read() as session:
+        rows = session.scalars(store.KEYS.newest_first().limit(_MAX_SHOWN))
+        listed = [document(row) for row in rows]
     if as_json:
-        typer.echo(TypeAdapter(list[ApiKey]).dump_json(found, indent=2))
+        typer.echo(TypeAdapter(list[ApiKey]).dump_json(listed, indent=2))
         return
-    table = Table()
-    for heading in ("id", "name", "state", "scopes", "made by", "expires", "last used"):
-        table.add_column(heading, overflow="fold")
-    for key in found:
-        table.add_row(
-            key.id, key.name, key.state, " ".join(key.scopes), key.created_by,
-            _day(key.expires_at), _day(key.last_used_at),
-        )  # fmt: skip
-    console.print(table)
+    headings = ("id", "name", "state", "scopes", "made by", "expires", "last used")
+    rows = (
+        (key.id, key.name, key.state, " ".join(key.scopes), key.created_by,
+         spec(key.expires_at, _TIME), spec(key.last_used_at, _TIME))
+        for key in listed
+    )  # fmt: skip
+    console.print(make_table(headings, rows, texts=None))
 
 
-def revoke(data_dir: Path | None, key_id: str) -> None:
-    """Revoke a key."""
+@keys.command("revoke")
+def revoke(
+    key: Annotated[str, typer.Argument(help="Its id: the part between lumi_ and the secret.")],
+    data_dir: DataDir = None,
+) -> None:
+    """Take a key back for good; its open streams end within seconds."""
     with local_database(data_dir, "keys revoke") as (database, _), database.write() as session:
-        store.revoke_key(session, key_id)
-    progress_console.print(f"key {key_id} is revoked", highlight=False)
-
-
-def _all(database: Database) -> list[ApiKey]:
-    with database.read() as session:
-        rows, _ = store.list_keys(session, _MAX_SHOWN, 0)
-        return [document(row) for row in rows]
-
-
-def _day(moment: datetime | None) -> str:
-    return "-" if moment is None else f"{moment:%Y-%m-%d %H:%M}"
+        store.revoke_key(session, key)
+    progress_console.print(f"key {key} is revoked", highlight=False)

@@ -4,10 +4,11 @@ import getpass
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Annotated
 
+import typer
 from sqlalchemy.exc import SQLAlchemyError
 
-from compute.errors import LumilineError
 from service.cli.output import fail
 from service.cli.preflight import database_fault, open_database, redact_password
 from service.cli.serve import load_settings, set_private_umask
@@ -15,10 +16,14 @@ from service.database.engine import Database
 from service.principal import Act, Principal, current_act
 from service.settings import Settings
 
+DataDir = Annotated[
+    Path | None, typer.Option(help="The service's data directory; left out: as `serve` takes it.")
+]
+
 
 @contextmanager
 def local_database(data_dir: Path | None, command: str) -> Iterator[tuple[Database, Settings]]:
-    """Yield the database of the settings; its failures, and domain errors, end the command.
+    """Yield the database of the settings; its failures end the command.
 
     What the command changes is in the audit log as the doing of this user.
     """
@@ -31,8 +36,6 @@ def local_database(data_dir: Path | None, command: str) -> Iterator[tuple[Databa
     )
     try:
         yield database, settings
-    except LumilineError as error:
-        raise fail(error.detail) from None
     except SQLAlchemyError as error:
         name = redact_password(database.engine.url)
         raise fail(f"database {name}: {database_fault(error, database.engine.url)}") from None

@@ -1,12 +1,15 @@
 """Reads a CSV file of readings, one column a sensor: control points or a moved wand."""
 
 import csv
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.camera.model import SensorModel
 from compute.errors import InvalidParameter
 
 Array = NDArray[np.float64]
@@ -17,35 +20,45 @@ READING, DEVIATION = "_px", "_sigma_px"
 
 
 @dataclass(frozen=True, eq=False)
-class ObservationTable:
-    """What the file holds.
+class ReadingTable:
+    """Readings of sensors, here of a wand.
 
     Args:
-        points_mm: shape (N, 3).
+        path: the file.
         sensors: names of the S sensors, in the order of their columns.
-        readings_px: shape (N, S), NaN where the cell is empty.
-        sigma_px: shape (N, S), or None when the file has no deviations.
+        readings_px: by pose and marker, shape (B, K, S), NaN where not seen or not in the file.
+        sigma_px: likewise, or None when the file has no standard deviations.
     """
 
-    points_mm: Array
+    path: Path
     sensors: tuple[str, ...]
     readings_px: Array
     sigma_px: Array | None
+
+    def in_order_of(self, models: Sequence[SensorModel], source: str = "the calibration") -> Self:
+        """Return the readings in the order of a calibration's sensors; raises InvalidParameter."""
+        names = tuple(model.name for model in models)
+        if set(self.sensors) != set(names):
+            raise InvalidParameter(
+                f"{self.path} has readings of {', '.join(self.sensors)}; {source} is of "
+                f"{', '.join(names)}"
+            )
+        order = [self.sensors.index(name) for name in names]
+        sigma = None if self.sigma_px is None else self.sigma_px[..., order]
+        return replace(
+            self, sensors=names, readings_px=self.readings_px[..., order], sigma_px=sigma
+        )
 
 
 @dataclass(frozen=True, eq=False)
-class WandTable:
-    """What a file of a wand's readings holds.
+class ObservationTable(ReadingTable):
+    """Readings of N points, shape (N, S); NaN where the cell is empty.
 
     Args:
-        sensors: names of the S sensors, in the order of their columns.
-        readings_px: by pose and marker, shape (B, K, S), NaN where not seen or not in the file.
-        sigma_px: likewise, or None when the file has no deviations.
+        points_mm: shape (N, 3).
     """
 
-    sensors: tuple[str, ...]
-    readings_px: Array
-    sigma_px: Array | None
+    points_mm: Array
 
 
 def read_observations(path: Path) -> ObservationTable:
@@ -57,13 +70,12 @@ def read_observations(path: Path) -> ObservationTable:
         InvalidParameter: a column is missing, or a cell is not a number.
     """
     file = _File(path, POSITION)
-    return ObservationTable(
-        file.numbers(list(POSITION), optional=False), file.sensors, *file.readings()
-    )
+    points = file.numbers(list(POSITION), optional=False)
+    return ObservationTable(path, file.sensors, *file.readings(), points)
 
 
-def read_wand(path: Path, markers: int) -> WandTable:
-    """Read columns ``pose, marker`` (from 1), and for each sensor ``NAME_px`` [, deviations].
+def read_wand(path: Path, markers: int) -> ReadingTable:
+    """Read columns ``pose, marker`` (from 1), and for each sensor ``NAME_px`` [, sigma].
 
     Poses are told apart by their text and kept in the order in which they first come.
 
@@ -94,7 +106,7 @@ def read_wand(path: Path, markers: int) -> WandTable:
         whole[0, pose, marker] = readings[line - 2]
         if sigma is not None:
             whole[1, pose, marker] = sigma[line - 2]
-    return WandTable(file.sensors, whole[0], None if sigma is None else whole[1])
+    return ReadingTable(path, file.sensors, whole[0], None if sigma is None else whole[1])
 
 
 class _File:

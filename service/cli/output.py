@@ -1,10 +1,11 @@
-"""Output of commands: tables on the terminal, JSON for programs."""
+"""Output of commands: tables, JSON, progress, files, and errors that end a command."""
 
 import json
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, is_dataclass
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
@@ -12,7 +13,10 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from compute.calibration.result import AxisErrors
+if TYPE_CHECKING:
+    from compute.calibration.result import AxisErrors
+
+AsJson = Annotated[bool, typer.Option("--json", help="For machines.")]
 
 console = Console()
 progress_console = Console(stderr=True)
@@ -39,17 +43,18 @@ def progress(
         yield lambda done: bar.update(task, completed=done)
 
 
+def say(message: str) -> None:
+    """Print a message without colouring its numbers."""
+    console.print(message, highlight=False)
+
+
 def print_json(value: Any) -> None:
-    """Print a dataclass, or a list of them, as JSON on standard output."""
-    typer.echo(json.dumps(_plain(value), indent=2))
+    """Print a dataclass, a Pydantic model, or a list of them, as JSON on standard output."""
+    typer.echo(json.dumps(value, indent=2, default=_plain))
 
 
 def _plain(value: Any) -> Any:
-    if is_dataclass(value) and not isinstance(value, type):
-        return asdict(value)
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    return value
+    return asdict(value) if is_dataclass(value) else value.model_dump(mode="json")  # type: ignore[arg-type]
 
 
 def fail(message: str) -> typer.Exit:
@@ -59,9 +64,61 @@ def fail(message: str) -> typer.Exit:
     return typer.Exit(2)
 
 
+@contextmanager
+def file_errors(path: Path, doing: str = " cannot be written") -> Iterator[None]:
+    """End the command where a file cannot be written, or read."""
+    try:
+        yield
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        raise fail(f"{error.filename or path}{doing}: {error.strerror or error}") from error
+
+
+def write_file(path: Path, content: bytes) -> None:
+    """Write a file and say so, or end the command with the reason."""
+    with file_errors(path):
+        path.write_bytes(content)
+    console.print(f"written: {path}")
+
+
+def check_picture(path: Path | None) -> None:
+    """End the command before its work where its picture could not be written."""
+    if path is not None and not path.parent.is_dir():
+        raise fail(f"{path} cannot be written: there is no folder {path.parent}")
+
+
+def make_table(
+    headings: Iterable[str],
+    rows: Iterable[Iterable[object]],
+    title: str | None = None,
+    *,
+    texts: int | None = 1,
+    no_wrap: bool = False,
+) -> Table:
+    """Return a table; None in a cell is a dash.
+
+    Args:
+        headings: of the columns.
+        rows: cells, shown as ``str`` shows them.
+        title: above the table.
+        texts: number of columns of text, which come first; columns of numbers follow. None: all.
+        no_wrap: keep numbers in one line.
+    """
+    table = Table(title=title, title_justify="left")
+    for index, heading in enumerate(headings):
+        if texts is None or index < texts:
+            table.add_column(heading, overflow="fold")
+        else:
+            table.add_column(heading, justify="right", no_wrap=no_wrap)
+    for row in rows:
+        table.add_row(*("-" if cell is None else str(cell) for cell in row))
+    return table
+
+
 def error_table(
     title: str,
-    rows: Iterable[tuple[str, AxisErrors | None, str]],
+    rows: Iterable[tuple[str, "AxisErrors | None", str]],
     readings: Sequence[int] | None = None,
 ) -> Table:
     """Return a table of mean and largest absolute errors by axis [mm].
@@ -71,20 +128,21 @@ def error_table(
         rows: label, errors, style; None for the errors prints dashes.
         readings: how many readings each row is over; None: no such column.
     """
-    table = Table(title=title, title_justify="left")
-    table.add_column("")
-    for heading in ("mean X", "Y", "Z", "max X", "Y", "Z"):
-        table.add_column(heading, justify="right", no_wrap=True)
-    if readings is not None:
-        table.add_column("readings", justify="right", no_wrap=True)
+    headings = ["", "mean X", "Y", "Z", "max X", "Y", "Z"]
+    over = [] if readings is None else ["readings"]
+    table = make_table([*headings, *over], (), title, no_wrap=True)
     for number, (label, errors, style) in enumerate(rows):
-        over = [] if readings is None else [str(readings[number])]
-        if errors is None:
-            table.add_row(label, *["-"] * 6, *over, style=style)
-            continue
-        values = (*errors.mean_absolute_mm, *errors.max_absolute_mm)
-        table.add_row(label, *(millimetres(value) for value in values), *over, style=style)
+        cells = ["-"] * 6
+        if errors is not None:
+            cells = list(map(millimetres, (*errors.mean_absolute_mm, *errors.max_absolute_mm)))
+        counts = [] if readings is None else [str(readings[number])]
+        table.add_row(label, *cells, *counts, style=style)
     return table
+
+
+def spec(value: object, form: str) -> str | None:
+    """Return a number or a time in a format, None where there is none."""
+    return None if value is None else format(value, form)
 
 
 def millimetres(value: float) -> str:

@@ -1,77 +1,110 @@
 """`lumiline peaks`: peaks of scans in a file, as a table, JSON or a plot."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING, Annotated, Final, get_args
 
 import typer
 from pydantic import TypeAdapter, ValidationError
 from rich.markup import escape
 from rich.table import Table
 
-from compute.errors import InvalidParameter, LumilineError
+from compute.errors import InvalidParameter
 from service.api.line_scans.chain_steps import passive_chain
 from service.api.line_scans.mask_method import MaskMethod
 from service.api.line_scans.methods import WIDEST_SPREAD, FitMethod, Method, MethodName
 from service.api.line_scans.noise import NoiseConstants
 from service.api.line_scans.peak_search import find_peaks
 from service.api.line_scans.schema import LinePeak, LineScan, LineScans, PixelNoise
-from service.cli.output import console, fail
+from service.cli.json_files import error_messages
+from service.cli.output import (
+    AsJson,
+    check_picture,
+    console,
+    fail,
+    file_errors,
+    make_table,
+    say,
+    spec,
+)
 from service.cli.scan_files import ScanFile, read_scans
 
 if TYPE_CHECKING:
     from hardware.driver import DeviceDescription
 
-METHOD: TypeAdapter[Method] = TypeAdapter(Method)
+METHOD: Final[TypeAdapter[Method]] = TypeAdapter(Method)
 
 
-def run(
-    path: Path,
-    *,
-    scan: int | None,
-    frame: int | None,
-    sensor: str | None,
-    method: str | None,
-    width_px: float | None,
-    further_peaks: bool | None,
-    settings: Path | None,
-    noise: dict[str, float | None],
-    output: Path | None,
-    as_json: bool,
-    detail: bool,
+def peaks(
+    file: Annotated[
+        Path, typer.Argument(help="CSV (one scan of counts a row), .npy (L, P), or a recording.")
+    ],
+    scan: Annotated[int | None, typer.Option(min=0, help="Only this scan, from 0.")] = None,
+    frame: Annotated[int | None, typer.Option(min=0, help="Of a recording, from 0.")] = None,
+    sensor: Annotated[str | None, typer.Option(help="Of a recording: only this one.")] = None,
+    method: Annotated[
+        str | None,
+        typer.Option(
+            help="centroid, fit, chain, matched or mask; left out: the recording's, or fit."
+        ),
+    ] = None,
+    width: Annotated[
+        float | None, typer.Option(help="Standard deviation of the lines \\[px]: fit, matched.")
+    ] = None,
+    further_peaks: Annotated[
+        bool | None, typer.Option(help="Fit: more peaks than are seen; left out: with a width.")
+    ] = None,
+    settings: Annotated[
+        Path | None, typer.Option(help="Method and settings as JSON, as REST takes them.")
+    ] = None,
+    gain: Annotated[float | None, typer.Option(help="Electrons per count.")] = None,
+    read_noise: Annotated[float | None, typer.Option(help="Read noise, electrons.")] = None,
+    offset: Annotated[float | None, typer.Option(help="The count without light.")] = None,
+    full_scale: Annotated[int | None, typer.Option(help="The count of a saturated pixel.")] = None,
+    output: Annotated[
+        Path | None, typer.Option(help="Draw the (first) scan: a PNG to write.")
+    ] = None,
+    as_json: AsJson = False,
+    detail: Annotated[
+        bool, typer.Option("--detail", help="In JSON: also model, residuals, steps.")
+    ] = False,
 ) -> None:
-    """Find and print the peaks of a file's lines; draw the first of them where wanted."""
-    if output is not None and not output.parent.is_dir():
-        raise fail(f"{output} cannot be written: there is no folder {output.parent}")
+    """Find and print the peaks of a file's scans; draw the first of them where wanted."""
+    check_picture(output)
     if output is not None and output.suffix.lower() != ".png":
         raise fail(f"{output} cannot be written: pictures are PNG, and their names end in .png")
     if detail and not as_json:
         raise fail("--detail is for --json; give both, or --output for a picture")
-    try:
-        read = read_scans(path, scan=scan, frame=frame, sensor=sensor)
-        if settings is not None:
-            chosen = _from_file(settings)
-        elif read.device is not None and width_px is None and further_peaks is None:
-            chosen = recorded_method(method, read.device, read.sensors)
-        else:
-            chosen = _named(method or "fit", width_px, further_peaks)
-        found = find_peaks(read.scans, chosen, _noise(noise, read.noise), detail=detail)
-        if output is not None:
-            _draw(read, chosen, found, output)
-    except LumilineError as error:
-        raise fail(escape(error.detail)) from error
+    noise = {
+        "electrons_per_count": gain,
+        "read_noise_electrons": read_noise,
+        "offset_counts": offset,
+        "full_scale_counts": full_scale,
+    }
+    read = read_scans(file, scan=scan, frame=frame, sensor=sensor)
+    if settings is not None:
+        chosen = _from_file(settings)
+    elif read.device is not None and width is None and further_peaks is None:
+        chosen = recorded_method(method, read.device, read.sensors)
+    else:
+        chosen = _named(method or "fit", width, further_peaks)
+    result = find_peaks(read.scans, chosen, _noise(noise, read.noise), detail=detail)
+    if output is not None:
+        _draw(read, chosen, result, output)
     if as_json:
         numbered = [
-            scan.model_copy(
+            one.model_copy(
                 update={
-                    "index": read.first + scan.index,
-                    "sensor": read.sensors[scan.index] if read.sensors else None,
+                    "index": read.first + one.index,
+                    "sensor": read.sensors[one.index] if read.sensors else None,
                 }
             )
-            for scan in found.scans
+            for one in result.scans
         ]
-        typer.echo(found.model_copy(update={"scans": numbered}).model_dump_json(indent=2))
+        typer.echo(result.model_copy(update={"scans": numbered}).model_dump_json(indent=2))
         return
-    _print(found, read.names)
+    _print(result, read.names)
     if output is not None:
         console.print(f"written: {output}")
 
@@ -97,7 +130,8 @@ def _named(name: str, width_px: float | None = None, further: bool | None = None
             "the method mask has to know the shadow: give it by --settings, as "
             '{"method": "mask", "profile": "coda-mpx30"}'
         )
-    return _valid({"method": name, **known}, "--width")
+    with _refusals("--width"):
+        return METHOD.validate_python({"method": name, **known})
 
 
 def recorded_method(
@@ -150,17 +184,19 @@ def _recorded_mask(device: "DeviceDescription", sensors: tuple[str, ...] | None)
 
 
 def _from_file(path: Path) -> Method:
-    try:
+    with _refusals(str(path)):
         return METHOD.validate_json(path.read_bytes(), strict=True)
-    except (OSError, ValidationError) as error:
-        raise fail(escape(_message(error, str(path)))) from error
 
 
-def _valid(values: dict[str, Any], name: str) -> Method:
+@contextmanager
+def _refusals(where: str, hint: str = "") -> Iterator[None]:
+    """End the command where settings are wrong, or their file cannot be read."""
     try:
-        return METHOD.validate_python(values)
+        yield
     except ValidationError as error:
-        raise fail(escape(_message(error, name))) from error
+        raise fail(f"{where}: {'; '.join(error_messages(error))}{hint}") from error
+    except OSError as error:
+        raise fail(f"{where}: {error.strerror}") from error
 
 
 def _noise(
@@ -170,7 +206,7 @@ def _noise(
     values = {name: value for name, value in given.items() if value is not None}
     if not values:
         return recorded
-    try:
+    with _refusals("noise", "; give --gain and --read-noise, or neither"):
         if recorded is not None:
             return PixelNoise.model_validate({**recorded.model_dump(), **values})
         known = {"offset_counts", "full_scale_counts"}
@@ -181,54 +217,38 @@ def _noise(
             )
             return NoiseConstants(**full.model_dump(include=set(values)))
         return PixelNoise.model_validate(values)
-    except ValidationError as error:
-        text = _message(error, "noise")
-        raise fail(escape(f"{text}; give --gain and --read-noise, or neither")) from error
 
 
-def _message(error: Exception, where: str) -> str:
-    if not isinstance(error, ValidationError):
-        return f"{where}: {error.strerror if isinstance(error, OSError) else error}"
-    parts = (
-        f"{'.'.join(map(str, one['loc'])) or 'the whole'}: {one['msg']}" for one in error.errors()
-    )
-    return f"{where}: {'; '.join(parts)}"
-
-
-def _draw(read: ScanFile, method: Method, found: LineScans, output: Path) -> None:
+def _draw(read: ScanFile, method: Method, result: LineScans, output: Path) -> None:
     from service.api.line_scans.plot import draw_scan
 
     count = getattr(method, "average", None) or 1
-    detailed = find_peaks(read.scans[:count], method, found.noise, detail=True)
-    first = found.model_copy(update={"scans": detailed.scans})
-    try:
+    detailed = find_peaks(read.scans[:count], method, result.noise, detail=True)
+    first = result.model_copy(update={"scans": detailed.scans})
+    with file_errors(output):
         output.write_bytes(draw_scan(read.scans[0], first, method, read.names[0]))
-    except OSError as error:
-        raise fail(f"{output} cannot be written: {error.strerror}") from error
 
 
-def _print(found: LineScans, names: tuple[str, ...]) -> None:
-    for scan in found.scans:
-        console.print(_heading(scan, names[scan.index]), highlight=False)
+def _print(result: LineScans, names: tuple[str, ...]) -> None:
+    for scan in result.scans:
+        say(_heading(scan, names[scan.index]))
         if scan.peaks:
             console.print(_table(scan))
         console.print()
-    noise = found.noise
-    console.print(
+    noise = result.noise
+    say(
         f"noise: {noise.electrons_per_count:.3g} electrons per count, read noise "
         f"{noise.read_noise_electrons:.3g} electrons, offset {noise.offset_counts:g} counts, full "
-        f"scale {noise.full_scale_counts} counts",
-        highlight=False,
+        f"scale {noise.full_scale_counts} counts"
     )
-    split = sum(scan.further_peaks or 0 for scan in found.scans)
+    split = sum(scan.further_peaks or 0 for scan in result.scans)
     if split:
-        console.print(
+        say(
             f"- further peaks, added because the pixels ask for them: {split}. A line that is not "
-            "Gaussian is split so, too; --no-further-peaks fits one for each that is seen",
-            highlight=False,
+            "Gaussian is split so, too; --no-further-peaks fits one for each that is seen"
         )
-    for text in found.assumed:
-        console.print(f"- guessed: {text}", highlight=False)
+    for text in result.assumed:
+        say(f"- guessed: {text}")
 
 
 def _heading(scan: LineScan, name: str) -> str:
@@ -237,7 +257,7 @@ def _heading(scan: LineScan, name: str) -> str:
     if scan.limit_counts is not None:
         limit = f"; peaks must reach {scan.limit_counts:.4g} counts"
     elif scan.limit_sigma is not None:
-        limit = f"; answers must be above {scan.limit_sigma:.3g} deviations"
+        limit = f"; the response must exceed {scan.limit_sigma:.3g} sigma"
     full = f"; {scan.saturated_pixels} pixels saturated" if scan.saturated_pixels else ""
     return (
         f"[bold]{escape(name)}: {count or 'no'} peak{'' if count == 1 else 's'}[/bold]; background "
@@ -246,37 +266,35 @@ def _heading(scan: LineScan, name: str) -> str:
     )
 
 
+_COLUMNS: Final = {
+    "position_px": "position,\npx",
+    "sigma_px": "sigma,\npx",
+    "response_sigma": "response,\nsigma",
+    "amplitude": "height,\ncounts",
+    "width_px": "width,\npx",
+    "reduced_chi2": "chi2 /\ndof",
+    "flags": "flags",
+}
+
+
 def _table(scan: LineScan) -> Table:
-    table = Table()
-    columns = _columns(scan)
-    table.add_column("", justify="right")
-    for heading in columns:
-        table.add_column(heading, justify="left" if heading == "flags" else "right")
-    for number, peak in enumerate(scan.peaks, start=1):
-        table.add_row(str(number), *(_cell(peak, field) for field in columns.values()))
+    """Return the peaks of a scan, without the columns that are empty."""
+    fields = [
+        field
+        for field in _COLUMNS
+        if field in ("position_px", "flags")
+        or any(getattr(peak, field) is not None for peak in scan.peaks)
+    ]
+    rows = (
+        [number, *(_cell(peak, field) for field in fields)]
+        for number, peak in enumerate(scan.peaks, start=1)
+    )
+    table = make_table(["", *(_COLUMNS[field] for field in fields)], rows, texts=0)
+    table.columns[-1].justify = "left"
     return table
 
 
-def _columns(scan: LineScan) -> dict[str, str]:
-    """Return headings and fields, without those of which this line's peaks have nothing."""
-    every = {
-        "position,\npx": "position_px",
-        "deviation,\npx": "sigma_px",
-        "answer,\ndeviations": "response_sigma",
-        "height,\ncounts": "amplitude",
-        "width,\npx": "width_px",
-        "chi2 /\nfreedom": "reduced_chi2",
-        "flags": "flags",
-    }
-    return {
-        heading: field
-        for heading, field in every.items()
-        if field in ("position_px", "flags")
-        or any(getattr(peak, field) is not None for peak in scan.peaks)
-    }
-
-
-def _cell(peak: LinePeak, field: str) -> str:
+def _cell(peak: LinePeak, field: str) -> str | None:
     value = getattr(peak, field)
     match field:
         case "flags":
@@ -284,4 +302,4 @@ def _cell(peak: LinePeak, field: str) -> str:
         case "position_px":
             return f"{value:.4f}" if peak.sigma_px is not None else f"{value:g}"
         case _:
-            return "-" if value is None else f"{value:.4g}" if value < 1e4 else f"{value:.0f}"
+            return spec(value, ".4g" if value is None or value < 1e4 else ".0f")

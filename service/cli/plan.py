@@ -1,18 +1,41 @@
 """`lumiline plan`: predicts the accuracy of a device from its profile."""
 
 from pathlib import Path
+from typing import Annotated
 
+import typer
 from rich.markup import escape
 from rich.table import Table
 
-from compute.errors import LumilineError
 from compute.optics.profiles.profile_loader import load_profile, profile_names
 from compute.planning.plan_result import Plan
-from service.cli.output import console, fail, millimetres, print_json, progress
+from service.cli.output import (
+    AsJson,
+    check_picture,
+    console,
+    fail,
+    file_errors,
+    make_table,
+    millimetres,
+    print_json,
+    progress,
+    say,
+)
 
 
-def run(
-    profile: str | None, *, grid: int, markers: int | None, output: Path | None, as_json: bool
+def plan(
+    profile: Annotated[
+        str | None, typer.Argument(help="A device profile's name, or its TOML file.")
+    ] = None,
+    grid: Annotated[
+        int, typer.Option(min=3, max=21, help="Points of the volume along each axis.")
+    ] = 5,
+    markers: Annotated[
+        int | None,
+        typer.Option(min=1, max=64, help="Most markers to count ghosts for."),
+    ] = None,
+    output: Annotated[Path | None, typer.Option(help="Draw the plan: a PNG to write.")] = None,
+    as_json: AsJson = False,
 ) -> None:
     """Work out and print a plan; draw it where a file is given. No profile: list them."""
     if profile is None:
@@ -20,27 +43,21 @@ def run(
             raise fail("--output wants a profile to draw the plan of")
         _list(as_json=as_json)
         return
-    if output is not None and not output.parent.is_dir():
-        raise fail(f"{output} cannot be written: there is no folder {output.parent}")
-    from compute.planning.plan import plan
+    check_picture(output)
+    from compute.planning import plan as planning
 
-    try:
-        device = load_profile(profile)
-        with progress("planning", 1.0, quiet=as_json) as done:
-            found = plan(device, grid=grid, markers=markers, progress=done)
-    except LumilineError as error:
-        raise fail(error.detail) from error
+    device = load_profile(profile)
+    with progress("planning", 1.0, quiet=as_json) as done:
+        result = planning.plan(device, grid=grid, markers=markers, progress=done)
     if output is not None:
         from service.api.planning.plot import draw_plan
 
-        try:
-            output.write_bytes(draw_plan(found))
-        except OSError as error:
-            raise fail(f"{output} cannot be written: {error.strerror}") from error
+        with file_errors(output):
+            output.write_bytes(draw_plan(result))
     if as_json:
-        print_json(found)
+        print_json(result)
         return
-    _print(found)
+    _print(result)
     if output is not None:
         console.print(f"written: {output}")
 
@@ -48,65 +65,45 @@ def run(
 def _list(*, as_json: bool) -> None:
     profiles = [load_profile(name) for name in profile_names()]
     if as_json:
-        print_json(
-            [
-                {
-                    "name": one.name,
-                    "title": one.title,
-                    "year": one.year,
-                    "sensors": len(one.sensors),
-                }
-                for one in profiles
-            ]
-        )
+        rows = [(one.name, one.title, one.year, len(one.sensors)) for one in profiles]
+        names = ("name", "title", "year", "sensors")
+        print_json([dict(zip(names, row, strict=True)) for row in rows])
         return
-    table = Table(title="device profiles: lumiline plan NAME, or FILE.toml", title_justify="left")
-    table.add_column("name", no_wrap=True)
-    for heading in ("year", "sensors"):
-        table.add_column(heading, justify="right")
-    table.add_column("device")
-    for one in profiles:
-        year = "" if one.year is None else str(one.year)
-        table.add_row(one.name, year, str(len(one.sensors)), escape(one.title))
-    console.print(table)
+    cells = ((one.name, one.year or "", len(one.sensors), escape(one.title)) for one in profiles)
+    title = "device profiles: lumiline plan NAME, or FILE.toml"
+    console.print(make_table(("name", "year", "sensors", "device"), cells, title, texts=None))
 
 
-def _print(found: Plan) -> None:
-    x, y, z = found.volume.size_mm
-    centre = ", ".join(f"{value:g}" for value in found.volume.centre_mm)
-    console.print(f"{found.profile}: {found.title}", style="bold", highlight=False)
-    console.print(
+def _print(plan: Plan) -> None:
+    x, y, z = plan.volume.size_mm
+    centre = ", ".join(f"{value:g}" for value in plan.volume.centre_mm)
+    console.print(f"{plan.profile}: {plan.title}", style="bold", highlight=False)
+    say(
         f"volume {x:g} x {y:g} x {z:g} mm about ({centre}) mm, "
-        f"{' x '.join(map(str, found.grid))} points",
-        highlight=False,
+        f"{' x '.join(map(str, plan.grid))} points"
     )
-    console.print(
-        f"seen by all sensors: {_share(found.coverage.all_sensors)} of the volume, by three or "
-        f"more: {_share(found.coverage.three_or_more)}",
-        highlight=False,
+    say(
+        f"seen by all sensors: {_share(plan.coverage.all_sensors)} of the volume, by three or "
+        f"more: {_share(plan.coverage.three_or_more)}"
     )
-    for table in (_precision(found), _sensors(found), _rates(found)):
+    tables = [_precision(plan), _sensors(plan), _rates(plan)]
+    for table in [*tables, _ghosts(plan)] if plan.ghosts else tables:
         console.print()
         console.print(table)
-    if found.ghosts:
-        console.print()
-        console.print(_ghosts(found))
-    for note in found.notes:
-        console.print(f"- {note}", highlight=False)
+    for note in plan.notes:
+        say(f"- {note}")
 
 
-def _precision(found: Plan) -> Table:
-    table = Table(title="standard deviations and errors, mm", title_justify="left")
-    table.add_column("")
-    table.add_column("axis")
-    for heading in ("centre", "best", "median", "worst"):
-        table.add_column(heading, justify="right", no_wrap=True)
+def _precision(plan: Plan) -> Table:
+    headings = ("", "axis", "centre", "best", "median", "worst")
+    title = "standard deviations and errors, mm"
+    table = make_table(headings, (), title, texts=2, no_wrap=True)
     for label, summary in (
-        ("noise, bound", found.noise),
-        ("noise, centre of gravity", found.centroid),
-        ("for readings of 1 px", found.dilution),
-        ("pixels' fixed pattern", found.fixed_pattern),
-        ("distortion, uncorrected", found.distortion),
+        ("noise, bound", plan.noise),
+        ("noise, centre of gravity", plan.centroid),
+        ("for readings of 1 px", plan.dilution),
+        ("pixels' fixed pattern", plan.fixed_pattern),
+        ("distortion, uncorrected", plan.distortion),
     ):
         columns = (summary.centre, summary.best, summary.median, summary.worst)
         for axis, name in enumerate("XYZ"):
@@ -115,67 +112,54 @@ def _precision(found: Plan) -> Table:
     return table
 
 
-def _sensors(found: Plan) -> Table:
-    table = Table(title="readings: medians over the volume", title_justify="left")
-    table.add_column("sensor", no_wrap=True)
-    for heading in (
-        "sees", "line,\nke-", "pixel,\nke-", "full", "bound,\npx", "c.o.g.,\npx",
+def _sensors(plan: Plan) -> Table:
+    headings = (
+        "sensor", "sees", "line,\nke-", "pixel,\nke-", "full", "bound,\npx", "c.o.g.,\npx",
         "fixed,\npx", "dist.,\npx",
-    ):  # fmt: skip
-        table.add_column(heading, justify="right")
-    for sensor, share in zip(found.sensors, found.coverage.by_sensor, strict=True):
-        table.add_row(
-            sensor.name,
-            _share(share),
-            _thousands(sensor.scan_electrons),
-            _thousands(sensor.peak_electrons),
-            _share(sensor.saturated),
-            _number(sensor.bound_px, digits=2),
-            _number(sensor.centroid_px, digits=2),
-            _number(sensor.fixed_pattern_px, digits=2),
-            _number(sensor.misfit_px, digits=2),
-        )
-    return table
+    )  # fmt: skip
+    rows = (
+        (sensor.name, _share(share), _thousands(sensor.scan_electrons),
+         _thousands(sensor.peak_electrons), _share(sensor.saturated),
+         _number(sensor.bound_px, digits=2), _number(sensor.centroid_px, digits=2),
+         _number(sensor.fixed_pattern_px, digits=2), _number(sensor.misfit_px, digits=2))
+        for sensor, share in zip(plan.sensors, plan.coverage.by_sensor, strict=True)
+    )  # fmt: skip
+    return make_table(headings, rows, "readings: medians over the volume")
 
 
-def _thousands(value: float | None) -> str:
+def _thousands(value: float | None) -> str | None:
     return _number(None if value is None else value / 1000.0, digits=3)
 
 
-def _rates(found: Plan) -> Table:
-    table = Table(title="rates, \\[3.1]-\\[3.3]", title_justify="left")
-    table.add_column("")
-    for one in found.rates:
-        noun = "marker" if one.markers == 1 else "markers"
-        table.add_column(f"{one.markers} {noun},\n{one.illumination}", justify="right")
-    for label, values in (
-        ("lines of a sensor, 1/s", [one.line_rate_hz for one in found.rates]),
-        ("positions of a marker, 1/s", [one.marker_rate_hz for one in found.rates]),
-        ("positions in all, 1/s", [one.points_per_s for one in found.rates]),
-        ("pixels, 1e6/s", [one.raw_pixels_per_s / 1e6 for one in found.rates]),
-        ("pixels, MB/s", [one.raw_bytes_per_s / 1e6 for one in found.rates]),
-        ("readings instead, kB/s", [one.reduced_bytes_per_s / 1e3 for one in found.rates]),
-    ):
-        table.add_row(label, *(_number(value) for value in values))
-    return table
+def _rates(plan: Plan) -> Table:
+    rates = plan.rates
+    headings = [
+        f"{one.markers} marker{'' if one.markers == 1 else 's'},\n{one.illumination}"
+        for one in rates
+    ]
+    rows = (
+        ("lines of a sensor, 1/s", [one.line_rate_hz for one in rates]),
+        ("positions of a marker, 1/s", [one.marker_rate_hz for one in rates]),
+        ("positions in all, 1/s", [one.points_per_s for one in rates]),
+        ("pixels, 1e6/s", [one.raw_pixels_per_s / 1e6 for one in rates]),
+        ("pixels, MB/s", [one.raw_bytes_per_s / 1e6 for one in rates]),
+        ("readings instead, kB/s", [one.reduced_bytes_per_s / 1e3 for one in rates]),
+    )
+    cells = ([label, *map(_number, values)] for label, values in rows)
+    return make_table(["", *headings], cells, "rates, \\[3.1]-\\[3.3]")
 
 
-def _ghosts(found: Plan) -> Table:
-    table = Table(title="markers lit together: ghosts", title_justify="left")
-    for heading in (
+def _ghosts(plan: Plan) -> Table:
+    headings = (
         "markers", "crossings in a\nplane \\[2.15]", "combinations", "expected\nghosts",
         "standard\nerror",
-    ):  # fmt: skip
-        table.add_column(heading, justify="right")
-    for ghost, crossings in zip(found.ghosts, found.planar_intersections, strict=True):
-        table.add_row(
-            str(ghost.markers),
-            str(crossings),
-            str(ghost.candidates),
-            _number(ghost.expected),
-            _number(ghost.standard_error),
-        )
-    return table
+    )  # fmt: skip
+    rows = (
+        (ghost.markers, crossings, ghost.candidates, _number(ghost.expected),
+         _number(ghost.standard_error))
+        for ghost, crossings in zip(plan.ghosts, plan.planar_intersections, strict=True)
+    )  # fmt: skip
+    return make_table(headings, rows, "markers lit together: ghosts", texts=0)
 
 
 def _length(values: tuple[float, ...] | None, axis: int) -> str:
@@ -189,7 +173,7 @@ def _share(value: float) -> str:
     return f"{100 * value:.3g} %"
 
 
-def _number(value: float | None, digits: int = 3) -> str:
+def _number(value: float | None, digits: int = 3) -> str | None:
     if value is None:
-        return "-"
+        return None
     return f"{value:.{digits}g}" if value < 1e3 else f"{value:,.0f}"

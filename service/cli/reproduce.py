@@ -2,11 +2,22 @@
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Annotated
 
+import typer
 from rich.markup import escape
 from rich.table import Table
 
-from service.cli.output import console, error_table, fail, print_json, progress
+from service.cli.output import (
+    AsJson,
+    check_picture,
+    console,
+    error_table,
+    fail,
+    make_table,
+    print_json,
+    progress,
+)
 from validation.all_cases import ALL_CASES
 from validation.progress import Listener, progress_listener
 from validation.result_tables import Cell, ResultTable, TablesCase, TablesResult
@@ -15,24 +26,28 @@ from validation.tests_5_1_to_5_8 import CaseResult
 SETTLED_PX = 0.01
 
 
-def run(name: str | None, *, as_json: bool, output: Path | None = None) -> None:
-    """List the cases, or run one of them, or ``all``; draw the one's picture to ``output``."""
+def reproduce(
+    case: Annotated[str | None, typer.Argument(help="A case's name, or all.")] = None,
+    as_json: AsJson = False,
+    output: Annotated[Path | None, typer.Option(help="Draw the case's picture: a PNG.")] = None,
+) -> None:
+    """List the cases, or run one of them, or all; draw the picture of one where it is wanted."""
     if output is not None:
-        _draw(name, output)
-    if name is None:
+        _draw(case, output)
+    if case is None:
         _list(as_json=as_json)
         return
-    if name != "all" and name not in ALL_CASES:
-        raise fail(f'there is no case "{name}"; the cases are {", ".join(ALL_CASES)} and all')
-    chosen = list(ALL_CASES.values()) if name == "all" else [ALL_CASES[name]]
+    if case != "all" and case not in ALL_CASES:
+        raise fail(f'there is no case "{case}"; the cases are {", ".join(ALL_CASES)} and all')
+    chosen = list(ALL_CASES.values()) if case == "all" else [ALL_CASES[case]]
     results = []
     with progress("reproducing", float(len(chosen)), quiet=as_json) as done:
-        for place, case in enumerate(chosen):
-            with progress_listener(_from(place, done)):
-                results.append(case.run())
-            done(place + 1.0)
+        for index, one in enumerate(chosen):
+            with progress_listener(_from(index, done)):
+                results.append(one.run())
+            done(index + 1.0)
     if as_json:
-        print_json(results if name == "all" else results[0])
+        print_json(results if case == "all" else results[0])
         return
     for result in results:
         if isinstance(result, TablesResult):
@@ -41,8 +56,8 @@ def run(name: str | None, *, as_json: bool, output: Path | None = None) -> None:
             _print(result)
 
 
-def _from(place: int, done: Callable[[float], None]) -> Listener:
-    return lambda share, _stage: done(place + share)
+def _from(index: int, done: Callable[[float], None]) -> Listener:
+    return lambda share, _stage: done(index + share)
 
 
 def _draw(name: str | None, output: Path) -> None:
@@ -55,8 +70,7 @@ def _draw(name: str | None, output: Path) -> None:
             if isinstance(other, TablesCase) and other.picture is not None
         ]
         raise fail(f"--output wants a case that has a picture: {', '.join(drawn)}")
-    if not output.parent.is_dir():
-        raise fail(f"there is no folder {output.parent} to write {output.name} to")
+    check_picture(output)
     case.picture(output)
 
 
@@ -65,12 +79,11 @@ def _list(*, as_json: bool) -> None:
     if as_json:
         print_json(rows)
         return
-    table = Table(title="cases: lumiline reproduce NAME, or all", title_justify="left")
-    table.add_column("name", no_wrap=True)
-    for heading in ("title", "source"):
-        table.add_column(heading)
-    for row in rows:
-        table.add_row(*row.values())
+    title = "cases: lumiline reproduce NAME, or all"
+    table = make_table(
+        ("name", "title", "source"), (row.values() for row in rows), title, texts=None
+    )
+    table.columns[0].no_wrap = True
     console.print(table)
 
 
@@ -85,14 +98,13 @@ def _print(result: CaseResult) -> None:
             ],
         )
     )
-    points = Table(title="principal points, mm from the sensor's edge", title_justify="left")
-    points.add_column("")
-    for sensor in range(4):
-        points.add_column(f"sensor {sensor + 1}", justify="right")
-    for column in (*result.published, *result.ours):
-        if column.principal_points_mm is not None:
-            points.add_row(column.label, *(f"{v:.3f}" for v in column.principal_points_mm))
-    console.print(points)
+    rows = (
+        [column.label, *(f"{value:.3f}" for value in column.principal_points_mm)]
+        for column in (*result.published, *result.ours)
+        if column.principal_points_mm is not None
+    )
+    headings = ["", *(f"sensor {number}" for number in range(1, 5))]
+    console.print(make_table(headings, rows, "principal points, mm from the sensor's edge"))
     for column in result.ours:
         if column.reason is not None:
             console.print(f"{column.label}: {column.reason}")

@@ -1,10 +1,10 @@
 """Reads line scans from a file: CSV with one scan a row, a NumPy array, or a recording."""
 
 import csv
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +24,7 @@ _HDF5 = b"\x89HDF\r\n\x1a\n"
 
 @dataclass(frozen=True, eq=False)
 class ScanFile:
-    """Lines of a file.
+    """Scans of a file.
 
     Args:
         scans: counts, shape (L, P).
@@ -46,11 +46,11 @@ class ScanFile:
 def read_scans(
     path: Path, *, scan: int | None = None, frame: int | None = None, sensor: str | None = None
 ) -> ScanFile:
-    """Read the lines of a file, which is recognised by its content.
+    """Read the scans of a file, which is recognised by its content.
 
     Args:
         path: the file.
-        line: only this one, counted from 0; of a recording's frame, the sensor of this number.
+        scan: only this one, counted from 0; of a recording's frame, the sensor of this number.
         frame: of a recording, counted from 0; None: the first.
         sensor: only the line of this sensor of a recording.
 
@@ -134,12 +134,7 @@ def _numpy(path: Path) -> Scans:
             f"{path} holds {values.dtype} of shape {values.shape}; it must be counts of shape "
             "(L, P) or (P,)"
         )
-    # The negation also finds NaN.
-    wrong = ~((values >= 0) & (values <= FULL_SCALE) & (values == np.floor(values)))
-    if wrong.any():
-        row, column = (int(index) for index in np.argwhere(wrong)[0])
-        raise _not_a_count(f"{path}, line {row}, pixel {column}", str(values[row, column]))
-    return np.asarray(values, dtype=np.uint16)
+    return _counts(path, values, lambda *at: str(values[at]))
 
 
 def _csv(path: Path) -> Scans:
@@ -152,7 +147,7 @@ def _csv(path: Path) -> Scans:
         rows = [row for row in csv.reader(text.splitlines(), delimiter=delimiter) if any(row)]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise InvalidParameter(f"{path} cannot be read as CSV: {error}") from error
-    if rows and not all(map(_is_number, rows[0])):
+    if rows and None in map(_number, rows[0]):
         rows = rows[1:]
     if not rows:
         raise InvalidParameter(f"{path} has no line of counts; it needs one in each row")
@@ -162,26 +157,25 @@ def _csv(path: Path) -> Scans:
                 f"{path}, line {number} has {len(row)} values and line 0 has {len(rows[0])}; all "
                 "must be of one length"
             )
-    return np.array([_counts(path, number, row) for number, row in enumerate(rows)], np.uint16)
+    values = np.array([list(map(_number, row)) for row in rows], np.float64)
+    return _counts(path, values, lambda row, column: f'"{rows[row][column][:40]}"')
 
 
-def _counts(path: Path, number: int, row: Sequence[str]) -> list[int]:
-    found = []
-    for column, cell in enumerate(row):
-        value = float(cell) if _is_number(cell) else -1.0
-        if not (0.0 <= value <= FULL_SCALE and value.is_integer()):
-            raise _not_a_count(f"{path}, line {number}, pixel {column}", f'"{cell[:40]}"')
-        found.append(int(value))
-    return found
-
-
-def _is_number(cell: str) -> bool:
+def _number(cell: str) -> float | None:
     try:
-        float(cell)
+        return float(cell)
     except ValueError:
-        return False
-    return True
+        return None
 
 
-def _not_a_count(where: str, value: str) -> InvalidParameter:
-    return InvalidParameter(f"{where} is {value}; it must be a whole number in 0 .. {FULL_SCALE}")
+def _counts(path: Path, values: NDArray[Any], text: Callable[[int, int], str]) -> Scans:
+    """Return values (L, P) as counts; ``text`` is what the file has in a row and column."""
+    # The negation also finds NaN.
+    wrong = ~((values >= 0) & (values <= FULL_SCALE) & (values == np.floor(values)))
+    if wrong.any():
+        row, column = (int(index) for index in np.argwhere(wrong)[0])
+        raise InvalidParameter(
+            f"{path}, line {row}, pixel {column} is {text(row, column)}; it must be a whole "
+            f"number in 0 .. {FULL_SCALE}"
+        )
+    return np.asarray(values, dtype=np.uint16)

@@ -1,8 +1,10 @@
-"""`lumiline serve`: runs the service under uvicorn."""
+"""`lumiline serve` and `openapi`: runs the service under uvicorn, prints its interface."""
 
 import gc
+import json
 import os
-from typing import Any, Final
+from pathlib import Path
+from typing import Annotated, Any, Final
 
 import typer
 from pydantic import ValidationError
@@ -16,26 +18,39 @@ GC_THRESHOLDS: Final = (10_000, 50, 100)
 """Objects more than before, and how many collections of one generation, before the next."""
 
 
-def run(**given: Any) -> None:
-    """Run until interrupted; ends the command with one line when it cannot start.
-
-    Args:
-        given: settings from the command line; None: not given.
-    """
+def serve(
+    host: Annotated[str | None, typer.Option(help="Address to listen on.")] = None,
+    port: Annotated[int | None, typer.Option(help="Port to listen on; 0: a free one.")] = None,
+    data_dir: Annotated[Path | None, typer.Option(help="Database, recordings, profiles.")] = None,
+    device: Annotated[
+        str | None, typer.Option(help="Start a device profile: optotrak, ..., or a TOML file.")
+    ] = None,
+    compute_device: Annotated[
+        str | None, typer.Option(help="Where the pipeline computes: cpu, cuda:0, ...")
+    ] = None,
+) -> None:
+    """Run until interrupted; ends the command with one line when it cannot start."""
     set_private_umask()
-    settings = load_settings(**given)
+    settings = load_settings(
+        host=host, port=port, data_dir=data_dir, device=device, compute_device=compute_device
+    )
     from service.application import shutdown
     from service.application.app import create_app
-    from service.cli.bootstrap_key import create_bootstrap_key
-    from service.cli.port_check import check_ports
-    from service.cli.preflight import check_startup
-    from service.logs.setup import configured_logging
+    from service.cli import preflight
+    from service.logs import configured_logging
 
-    check_ports(settings)
+    preflight.check_ports(settings)
     with configured_logging(settings):
-        check_startup(settings)
-        create_bootstrap_key(settings)
+        preflight.check_startup(settings)
+        preflight.create_bootstrap_key(settings)
         shutdown.run_server(create_app(settings, started=freeze_gc), server_options(settings))
+
+
+def openapi() -> None:
+    """Print the OpenAPI document; nothing is opened or started."""
+    from service.application.app import create_app
+
+    typer.echo(json.dumps(create_app(load_settings()).openapi(), indent=2, ensure_ascii=False))
 
 
 def set_private_umask() -> None:

@@ -14,6 +14,8 @@ from typing import Any
 
 import httpx
 
+from service.cli.output import progress
+
 START_TIMEOUT_S = 180.0
 """The first start on a machine compiles the kernels."""
 
@@ -25,27 +27,27 @@ class RunningService:
     url: str
     pid: int
 
-
-class ServiceFailedError(RuntimeError):
-    """The service did not start; the message holds the end of its log."""
-
-
-@contextmanager
-def running_service(data_dir: Path) -> Iterator[str]:
-    """Run ``lumiline serve`` and yield its base URL; see ``service_process``."""
-    with service_process(data_dir) as service:
-        yield service.url
+    @property
+    def stream_url(self) -> str:
+        """Address of its stream, without a query."""
+        return f"{self.url.replace('http', 'ws', 1)}/api/v1/stream"
 
 
 @contextmanager
 def service_process(
-    data_dir: Path, settings: Mapping[str, str] | None = None
+    data_dir: Path,
+    settings: Mapping[str, str] | None = None,
+    *,
+    doing: str = "starting the service",
+    quiet: bool = False,
 ) -> Iterator[RunningService]:
     """Run ``lumiline serve`` on a free port; ends it afterwards.
 
     Args:
         data_dir: its data directory, which also gets its log, ``service.log``.
         settings: further settings by name.
+        doing: shown until it is ready.
+        quiet: show nothing.
     """
     data_dir.mkdir(parents=True, exist_ok=True)
     log_path = data_dir / "service.log"
@@ -53,23 +55,12 @@ def service_process(
     # The embedded default, whatever this user's environment says of another database.
     environment = {k: v for k, v in os.environ.items() if not k.startswith("LUMILINE_")}
     environment |= {f"LUMILINE_{k.upper()}": v for k, v in (settings or {}).items()}
-    with log_path.open("w", encoding="utf-8") as log:
-        process = subprocess.Popen(  # noqa: S603 - our own command line
-            [sys.executable, "-m", "service.cli", "serve",
-             "--port", str(port), "--data-dir", str(data_dir)],
-            stdout=log, stderr=subprocess.STDOUT, env=environment,
-        )  # fmt: skip
+    command = ["serve", "--port", str(port), "--data-dir", str(data_dir)]
+    with _own_process(command, log_path, environment) as process:
         url = f"http://127.0.0.1:{port}"
-        try:
+        with progress(doing, quiet=quiet):
             _wait_until_ready(process, url, log_path)
-            yield RunningService(url, process.pid)
-        finally:
-            process.terminate()
-            try:
-                process.wait(20.0)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
+        yield RunningService(url, process.pid)
 
 
 @contextmanager
@@ -87,18 +78,33 @@ def simulated_device(
     port = free_port()
     given = folder / "device.json"
     given.write_text(json.dumps(settings or {}), encoding="utf-8")
-    with (folder / "device.log").open("wb") as log:
+    command = [
+        "simulate-serial", "--listen", f"127.0.0.1:{port}", "--rate", str(rate_hz),
+        "--cycle", str(cycle), "--settings", str(given),
+    ]  # fmt: skip
+    with _own_process(command, folder / "device.log"):
+        yield {"kind": "serial", "settings": {"url": f"socket://127.0.0.1:{port}"}}
+
+
+@contextmanager
+def _own_process(
+    command: list[str], log_path: Path, environment: Mapping[str, str] | None = None
+) -> Iterator["subprocess.Popen[bytes]"]:
+    """Run a command of this command line, whose output goes to a file; ends it afterwards."""
+    with log_path.open("wb") as log:
         process = subprocess.Popen(  # noqa: S603 - our own command line
-            [sys.executable, "-m", "service.cli", "simulate-serial",
-             "--listen", f"127.0.0.1:{port}", "--rate", str(rate_hz), "--cycle", str(cycle),
-             "--settings", str(given)],
-            stdout=log, stderr=subprocess.STDOUT,
+            [sys.executable, "-m", "service.cli", *command],
+            stdout=log, stderr=subprocess.STDOUT, env=environment,
         )  # fmt: skip
         try:
-            yield {"kind": "serial", "settings": {"url": f"socket://127.0.0.1:{port}"}}
+            yield process
         finally:
             process.terminate()
-            process.wait()
+            try:
+                process.wait(20.0)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
 
 
 def free_port() -> int:
@@ -120,4 +126,4 @@ def _wait_until_ready(process: "subprocess.Popen[bytes]", url: str, log_path: Pa
             pass
         time.sleep(0.1)
     tail = "\n".join(log_path.read_text(encoding="utf-8").splitlines()[-15:])
-    raise ServiceFailedError(f"the service did not become ready; the end of {log_path}:\n{tail}")
+    raise RuntimeError(f"the service did not become ready; the end of {log_path}:\n{tail}")

@@ -6,28 +6,34 @@ import socket
 from dataclasses import replace
 from pathlib import Path
 from threading import Event
+from typing import Annotated
 
-from pydantic import TypeAdapter, ValidationError
+import typer
 
-from compute.errors import LumilineError
 from hardware.serial.emulator import serve_socket, serve_terminal
 from hardware.serial.simulated_device import SimulatedSerialDevice
 from hardware.simulated.settings import SimulationSettings
+from service.cli.json_files import SimulationOption, read_settings
 from service.cli.output import console, fail
 
 
-def run(
-    listen: str | None,
-    *,
-    terminal: bool,
-    link: Path | None,
-    rate_hz: float | None,
-    cycle: int | None,
-    part: int | None,
-    settings: Path | None,
+def simulate_serial(
+    listen: Annotated[str | None, typer.Option(help="HOST:PORT to be reached at.")] = None,
+    pty: Annotated[bool, typer.Option("--pty", help="Be a pseudo-terminal instead.")] = False,
+    link: Annotated[
+        Path | None, typer.Option(help="Of a pseudo-terminal: a symbolic link to make.")
+    ] = None,
+    rate: Annotated[float | None, typer.Option(help="Exposures per second.")] = None,
+    cycle: Annotated[
+        int | None, typer.Option(min=1, help="Number of exposures to render and repeat.")
+    ] = None,
+    part: Annotated[
+        int | None, typer.Option(min=1, help="Counts in a message; left out: an exposure's all.")
+    ] = None,
+    settings: SimulationOption = None,
 ) -> None:
     """Serve the device until interrupted."""
-    if (listen is None) == (not terminal):
+    if (listen is None) == (not pty):
         raise fail("give one of --listen HOST:PORT and --pty")
     if link is not None and link.exists() and not link.is_symlink():
         raise fail(f"{link} exists and is no symbolic link; choose another name")
@@ -37,32 +43,25 @@ def run(
         for number in (signal.SIGINT, signal.SIGTERM)
     }
     try:
-        chosen = TypeAdapter(SimulationSettings).validate_json(
-            b"{}" if settings is None else settings.read_bytes()
-        )
-        if rate_hz is not None:
-            chosen = replace(chosen, frame_rate_hz=rate_hz)
+        chosen = read_settings(SimulationSettings, settings)
+        if rate is not None:
+            chosen = replace(chosen, frame_rate_hz=rate)
 
         def make(now_ns: int) -> SimulatedSerialDevice:
             return SimulatedSerialDevice(chosen, now_ns, rendered=cycle, part_counts=part)
 
-        if terminal:
+        if listen is None:
             also = f", also {link}" if link else ""
             serve_terminal(
                 make, link, ended, lambda name: console.print(f"the device is at {name}{also}")
             )
-        elif listen is not None:
+        else:
             with socket.create_server(_address(listen)) as listener:
                 host, port = listener.getsockname()[:2]
                 console.print(f"the device is at socket://{host}:{port}")
                 serve_socket(make, listener, ended)
     except OSError as error:
         raise fail(f"{listen or link or 'the terminal'}: {error.strerror or error}") from error
-    except ValidationError as error:
-        wrong = (f"{'.'.join(map(str, one['loc']))}: {one['msg']}" for one in error.errors())
-        raise fail(f"{settings}: {'; '.join(wrong)}") from error
-    except LumilineError as error:
-        raise fail(error.detail) from error
     finally:
         for number, handler in handlers.items():
             signal.signal(number, handler)

@@ -1,85 +1,93 @@
 """`lumiline tools create` and `capture`: adds tools to a server, from a file or by capture."""
 
-import json
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, Final
+from typing import Annotated, Any, Final
+
+import typer
 
 from lumiline.client.models import Tool
-from service.cli.client_session import client_session
-from service.cli.output import console, fail, print_json
+from service.cli.json_files import read_json
+from service.cli.output import AsJson, fail, print_json, say
+from service.cli.server_session import HERE, Key, Url, client_session
 
 _OF_THE_SERVER: Final = ("tip", "origin", "created_at", "updated_at")
 """Members that GET sends and POST does not take."""
 
 
 def create(
-    path: Path, device: str | None, tool_id: str | None, url: str, key: str | None, *, as_json: bool
+    file: Annotated[
+        Path, typer.Argument(help="A tool or a list as JSON, as POST takes it or GET sends it.")
+    ],
+    device: Annotated[
+        str | None, typer.Option(help="Of this device; left out: the file's.")
+    ] = None,
+    tool_id: Annotated[
+        str | None, typer.Option("--id", help="Of the one tool in the file; left out: the file's.")
+    ] = None,
+    url: Url = HERE,
+    key: Key = None,
+    as_json: AsJson = False,
 ) -> None:
-    """Make the tools of a file; the first that is refused ends the command with its reason."""
-    found = _in_order(_read(path))
+    """Make tools whose markers a file has."""
+    tools = _in_order(_read(file))
     if tool_id is not None:
-        if len(found) != 1:
-            raise fail(f"--id is for a file of one tool; {path} has {len(found)}")
-        found[0]["id"] = tool_id
-    made: list[Tool] = []
+        if len(tools) != 1:
+            raise fail(f"--id is for a file of one tool; {file} has {len(tools)}")
+        tools[0]["id"] = tool_id
+    created: list[Tool] = []
     with client_session(url, key) as client:
-        for one in found:
+        for tool in tools:
             if device is not None:
-                one["device"] = device
+                tool["device"] = device
             for name in ("id", "device", "markers_mm"):
-                if name not in one:
+                if name not in tool:
                     option = "" if name == "markers_mm" else f", or give --{name}"
-                    raise fail(f"{path}: a tool has no {name}; write it there{option}")
-            members = {"title": one["id"], **one}
-            made.append(Tool.model_validate(client.request("POST", "/api/v1/tools", body=members)))
+                    raise fail(f"{file}: a tool has no {name}; write it there{option}")
+            answer = client.request("POST", "/api/v1/tools", body={"title": tool["id"], **tool})
+            created.append(Tool.model_validate(answer))
             if not as_json:
-                _tell(made[-1])
+                _say_created(created[-1])
     if as_json:
-        print_json([tool.model_dump(mode="json") for tool in made])
+        print_json(created)
 
 
 def capture(
-    tool_id: str,
-    device: str,
-    markers: int | None,
-    strobe_markers: str | None,
-    seconds: float,
-    title: str | None,
-    url: str,
-    key: str | None,
-    *,
-    as_json: bool,
+    tool: Annotated[str, typer.Argument(help="The id that it gets.")],
+    device: Annotated[str, typer.Option(help="The running device that sees it.")],
+    markers: Annotated[
+        int | None, typer.Option(help="How many it has, lit together; nothing else is lit.")
+    ] = None,
+    strobe_markers: Annotated[
+        str | None, typer.Option(help="Its slots, lit one by one: 0,1,2,3.")
+    ] = None,
+    seconds: Annotated[float, typer.Option(min=0.05, max=60.0, help="How long to look.")] = 1.0,
+    title: Annotated[str | None, typer.Option(help="For people.")] = None,
+    url: Url = HERE,
+    key: Key = None,
+    as_json: AsJson = False,
 ) -> None:
-    """Make a tool of what a running device sees of it."""
+    """Make a tool by showing it: hold it still until this answers."""
     if (markers is None) == (strobe_markers is None):
         raise fail("give --markers or --strobe-markers: how many are lit together, or which slots")
     slots = None if strobe_markers is None else _numbers(strobe_markers)
     with client_session(url, key) as client:
         if not as_json:
-            console.print(f"Hold {tool_id} still in view of {device}.", highlight=False)
-        made = client.capture_tool(
-            tool_id,
-            device,
-            markers=markers,
-            strobe_markers=slots,
-            seconds=seconds,
-            title=title or tool_id,
-        )
+            say(f"Hold {tool} still in view of {device}.")
+        created = client.capture_tool(
+            tool, device, markers=markers, strobe_markers=slots, seconds=seconds,
+            title=title or tool,
+        )  # fmt: skip
     if as_json:
-        print_json(made.model_dump(mode="json"))
+        print_json(created)
         return
-    _tell(made)
-    for number, place in enumerate(made.markers_mm, start=1):
-        console.print(
-            f"  marker {number}: " + " ".join(f"{value:9.3f}" for value in place), highlight=False
-        )
+    _say_created(created)
+    for number, position in enumerate(created.markers_mm, start=1):
+        say(f"  marker {number}: " + " ".join(f"{value:9.3f}" for value in position))
 
 
-def _tell(tool: Tool) -> None:
-    console.print(
-        f"made: {tool.id}, {len(tool.markers_mm)} markers, of device {tool.device}", highlight=False
-    )
+def _say_created(tool: Tool) -> None:
+    say(f"made: {tool.id}, {len(tool.markers_mm)} markers, of device {tool.device}")
 
 
 def _numbers(text: str) -> list[int]:
@@ -90,28 +98,22 @@ def _numbers(text: str) -> list[int]:
 
 
 def _read(path: Path) -> list[dict[str, Any]]:
-    try:
-        content = json.loads(path.read_bytes())
-    except OSError as error:
-        raise fail(f"{path} cannot be read: {error.strerror}") from error
-    except (ValueError, RecursionError) as error:
-        raise fail(f"{path} is not JSON: {error}") from error
+    """Return a file's tools as POST takes them, from what GET sends or POST takes."""
+    content = read_json(path)
     if isinstance(content, dict):
         content = content.get("items", [content])
     if not isinstance(content, list) or not content:
         raise fail(f"{path} holds no tools; a tool is what POST /api/v1/tools takes")
     if not all(isinstance(one, dict) for one in content):
         raise fail(f"{path}: each tool must be an object, as POST /api/v1/tools takes it")
-    return [_given(one) for one in content]
-
-
-def _given(tool: dict[str, Any]) -> dict[str, Any]:
-    """Return a tool as POST takes it, from what GET sends or POST takes."""
-    given = {name: value for name, value in tool.items() if name not in _OF_THE_SERVER}
-    tip = tool.get("tip")
-    if isinstance(tip, dict) and tip.get("position_mm") is not None:
-        given.setdefault("tip_mm", tip["position_mm"])
-    return given
+    tools = []
+    for sent in content:
+        tool = {name: value for name, value in sent.items() if name not in _OF_THE_SERVER}
+        tip = sent.get("tip")
+        if isinstance(tip, dict) and tip.get("position_mm") is not None:
+            tool.setdefault("tip_mm", tip["position_mm"])
+        tools.append(tool)
+    return tools
 
 
 def _in_order(tools: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:

@@ -52,20 +52,13 @@ def _record(session: Session, _flush: UOWTransaction, _objects: object) -> None:
         if isinstance(row, ActivationRow):
             rows.append(_activation(row))
         elif _is_audited(row) and not isinstance(row, ReconstructionRow):
-            rows.append(entry(kind_of(row), _id(row), "done", after=_redacted(_values(row))))
-    for row in session.dirty:
-        if _is_audited(row) and session.is_modified(row) and _is_actors_change(row):
-            before, after = _difference(row)
-            rows.append(
-                entry(
-                    kind_of(row), _id(row), "done", before=_redacted(before), after=_redacted(after)
-                )
-            )
+            rows.append(_entry_of(row, after=_values(row)))
     rows += [
-        entry(kind_of(row), _id(row), "done", before=_redacted(_values(row)))
-        for row in session.deleted
-        if _is_audited(row)
+        _entry_of(row, *_difference(row))
+        for row in session.dirty
+        if _is_audited(row) and session.is_modified(row) and _is_actors_change(row)
     ]
+    rows += [_entry_of(row, _values(row)) for row in session.deleted if _is_audited(row)]
     session.add_all(rows)
 
 
@@ -158,9 +151,13 @@ def _activation(row: ActivationRow) -> AuditRow:
     return entry("device", row.device_id, "done", before=before, after=after)
 
 
-def _id(row: Base) -> str | None:
-    found = row.__dict__.get("id")
-    return None if found is None else str(found)
+def _entry_of(
+    row: Base, before: dict[str, Any] | None = None, after: dict[str, Any] | None = None
+) -> AuditRow:
+    identity = row.__dict__.get("id")
+    shown = [None if values is None else _redacted(values) for values in (before, after)]
+    name = None if identity is None else str(identity)
+    return entry(kind_of(row), name, "done", before=shown[0], after=shown[1])
 
 
 def _values(row: Base) -> dict[str, Any]:

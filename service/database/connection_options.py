@@ -38,8 +38,6 @@ def connect_with_timeout(engine: Engine) -> None:
 
     @event.listens_for(engine, "do_connect")
     def connect(_dialect: object, _record: object, given: Any, named: Any) -> object:
-        from service.database.connection_options import TimeoutConnection  # only with PostgreSQL
-
         return TimeoutConnection.connect(*given, **named)
 
 

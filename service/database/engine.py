@@ -4,17 +4,20 @@ import logging
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Generic, TypeVar
 
-from sqlalchemy import Connection, Engine, create_engine, event, text
+from sqlalchemy import Connection, Engine, Select, create_engine, event, select, text
 from sqlalchemy.engine import make_url
 from sqlalchemy.exc import DBAPIError, IntegrityError, InterfaceError, OperationalError
 from sqlalchemy.exc import TimeoutError as NoFreeConnection
 from sqlalchemy.orm import Session
 
+from compute.errors import LumilineError
 from service.database.audited_session import AuditedSession
 from service.database.connection_options import connect_with_timeout, timeouts
+from service.database.models import Base
 from service.problems.errors import NotReady
 
 _log = logging.getLogger(__name__)
@@ -91,6 +94,64 @@ def _answering() -> Iterator[None]:
             "look into the server's log when it stays so",
             part="database",
         ) from error
+
+
+Row = TypeVar("Row", bound=Base)
+
+
+@dataclass(frozen=True)
+class Resource(Generic[Row]):
+    """A table whose rows clients know by id: finds, lists and inserts rows.
+
+    Args:
+        row: the table.
+        key: of an id in the context of errors; with hyphens and an s the path of the list.
+        unknown: raised where no row has an id.
+        exists: raised where an id is taken that a client chose.
+        name: of a row in messages; None: its key.
+        taken: what is said of an id that is taken.
+    """
+
+    row: type[Row]
+    key: str
+    unknown: type[LumilineError]
+    exists: type[LumilineError] = LumilineError
+    name: str | None = None
+    taken: str = "exists already; choose another id, or leave it out"
+
+    def get(self, session: Session, identity: str, *, lock: bool = False) -> Row:
+        """Return the row of an id, locked until the transaction's end on request."""
+        row = session.get(self.row, identity, with_for_update=lock or None)
+        if row is None:
+            path = f"/api/v1/{self.key.replace('_', '-')}s"
+            detail = f'there is no {self._name} "{identity}"; GET {path} lists them'
+            raise self.unknown(detail, **{self.key: identity})
+        return row
+
+    def newest_first(self, **columns: object) -> Select[Row]:
+        """Return the rows whose columns have these values, newest first; None: any value."""
+        table: Any = self.row
+        wanted = {name: value for name, value in columns.items() if value is not None}
+        return select(table).filter_by(**wanted).order_by(table.created_at.desc(), table.id)
+
+    def check_unused(self, session: Session, identity: str | None) -> None:
+        """Raise an error where the id that a client chose is taken."""
+        if identity is not None and session.get(self.row, identity) is not None:
+            raise self._taken(identity)
+
+    def insert(self, session: Session, row: Row) -> Row:
+        """Insert a row and return it; raises an error where its id is taken."""
+        identity = str(row.__dict__["id"])
+        self.check_unused(session, identity)
+        insert(session, row, self._taken(identity))
+        return row
+
+    @property
+    def _name(self) -> str:
+        return self.name or self.key.replace("_", " ")
+
+    def _taken(self, identity: str) -> LumilineError:
+        return self.exists(f'{self._name} "{identity}" {self.taken}', **{self.key: identity})
 
 
 def insert(session: Session, row: object, taken: Exception) -> None:

@@ -54,6 +54,24 @@ class Base(DeclarativeBase):
     )
 
 
+def _of_same_device(name: str, table: str | None = None) -> ForeignKeyConstraint:
+    """Return the reference to a row of the same device, by default of the table ``names``."""
+    table = table or f"{name}s"
+    return ForeignKeyConstraint([f"{name}_id", "device_id"], [f"{table}.id", f"{table}.device_id"])
+
+
+class _OfDevice:
+    """Columns of what belongs to a device and is known by an id."""
+
+    id: Mapped[str] = mapped_column(String(63), primary_key=True)
+    device_id: Mapped[str] = mapped_column(ForeignKey("devices.id"))
+    created_at: Mapped[datetime] = mapped_column(UtcDateTime)
+
+
+class _NotedOfDevice(_OfDevice):
+    note: Mapped[str] = mapped_column(Text)
+
+
 class DeviceRow(Base):
     """A device: where its line scans come from, and its sensors."""
 
@@ -70,7 +88,7 @@ class DeviceRow(Base):
     updated_at: Mapped[datetime] = mapped_column(UtcDateTime)
 
 
-class CalibrationRow(Base):
+class CalibrationRow(_NotedOfDevice, Base):
     """A calibration; never changed but for the moment of its retirement."""
 
     __tablename__ = "calibrations"
@@ -80,41 +98,31 @@ class CalibrationRow(Base):
         Index(None, "device_id", "created_at"),
     )
 
-    id: Mapped[str] = mapped_column(String(63), primary_key=True)
-    device_id: Mapped[str] = mapped_column(ForeignKey("devices.id"))
     method: Mapped[str] = mapped_column(String(32))
     provenance: Mapped[str] = mapped_column(String(32))
-    note: Mapped[str] = mapped_column(Text)
     point_count: Mapped[int]
     content: Mapped[dict[str, Any]] = mapped_column(JSON)
     errors: Mapped[dict[str, Any]] = mapped_column(JSON)
     content_hash: Mapped[str] = mapped_column(String(64))
-    created_at: Mapped[datetime] = mapped_column(UtcDateTime)
     retired_at: Mapped[datetime | None] = mapped_column(UtcDateTime)
 
 
-class CorrectionTableRow(Base):
+class CorrectionTableRow(_NotedOfDevice, Base):
     """A correction table, never changed; ``data`` is the whole of it as an HDF5 file."""
 
     __tablename__ = "correction_tables"
     __table_args__ = (
-        ForeignKeyConstraint(
-            ["calibration_id", "device_id"], ["calibrations.id", "calibrations.device_id"]
-        ),
+        _of_same_device("calibration"),
         UniqueConstraint("id", "device_id"),
         Index(None, "device_id", "created_at"),
     )
 
-    id: Mapped[str] = mapped_column(String(63), primary_key=True)
-    device_id: Mapped[str] = mapped_column(ForeignKey("devices.id"))
     calibration_id: Mapped[str] = mapped_column(String(63))
     calibration_hash: Mapped[str] = mapped_column(String(64))
     content_hash: Mapped[str] = mapped_column(String(64))
     origin: Mapped[str] = mapped_column(String(16))
-    note: Mapped[str] = mapped_column(Text)
     content: Mapped[dict[str, Any]] = mapped_column(JSON)
     data: Mapped[bytes] = mapped_column(LargeBinary, deferred=True)
-    created_at: Mapped[datetime] = mapped_column(UtcDateTime)
 
 
 class ActiveCalibrationRow(Base):
@@ -122,12 +130,8 @@ class ActiveCalibrationRow(Base):
 
     __tablename__ = "active_calibrations"
     __table_args__ = (
-        ForeignKeyConstraint(
-            ["calibration_id", "device_id"], ["calibrations.id", "calibrations.device_id"]
-        ),
-        ForeignKeyConstraint(
-            ["table_id", "device_id"], ["correction_tables.id", "correction_tables.device_id"]
-        ),
+        _of_same_device("calibration"),
+        _of_same_device("table", "correction_tables"),
     )
 
     device_id: Mapped[str] = mapped_column(ForeignKey("devices.id"), primary_key=True)
@@ -143,12 +147,8 @@ class ActivationRow(Base):
 
     __tablename__ = "activations"
     __table_args__ = (
-        ForeignKeyConstraint(
-            ["calibration_id", "device_id"], ["calibrations.id", "calibrations.device_id"]
-        ),
-        ForeignKeyConstraint(
-            ["table_id", "device_id"], ["correction_tables.id", "correction_tables.device_id"]
-        ),
+        _of_same_device("calibration"),
+        _of_same_device("table", "correction_tables"),
     )
 
     id: Mapped[int] = mapped_column(primary_key=True, autoincrement=True)
@@ -162,39 +162,30 @@ class ActivationRow(Base):
     actor: Mapped[str | None] = mapped_column(String(200))
 
 
-class ReconstructionRow(Base):
+class ReconstructionRow(_OfDevice, Base):
     """Readings given by a client and the points computed from them."""
 
     __tablename__ = "reconstructions"
     __table_args__ = (
-        ForeignKeyConstraint(
-            ["calibration_id", "device_id"], ["calibrations.id", "calibrations.device_id"]
-        ),
-        ForeignKeyConstraint(
-            ["table_id", "device_id"], ["correction_tables.id", "correction_tables.device_id"]
-        ),
+        _of_same_device("calibration"),
+        _of_same_device("table", "correction_tables"),
         Index(None, "device_id", "created_at"),
     )
 
-    id: Mapped[str] = mapped_column(String(63), primary_key=True)
-    device_id: Mapped[str] = mapped_column(ForeignKey("devices.id"))
     calibration_id: Mapped[str] = mapped_column(String(63))
     table_id: Mapped[str | None] = mapped_column(String(63))
     points: Mapped[list[dict[str, Any]]] = mapped_column(JSON)
     estimates: Mapped[list[dict[str, Any]]] = mapped_column(JSON)
     point_count: Mapped[int]
-    created_at: Mapped[datetime] = mapped_column(UtcDateTime)
 
 
-class RunRow(Base):
+class RunRow(_OfDevice, Base):
     """A calibration or a mapping that is computed beside the requests, and what became of it."""
 
     __tablename__ = "runs"
     __table_args__ = (Index(None, "device_id", "created_at"), Index(None, "state", "created_at"))
 
-    id: Mapped[str] = mapped_column(String(63), primary_key=True)
     kind: Mapped[str] = mapped_column(String(32))
-    device_id: Mapped[str] = mapped_column(ForeignKey("devices.id"))
     state: Mapped[str] = mapped_column(String(16))
     progress: Mapped[float] = mapped_column(Double)
     stage: Mapped[str] = mapped_column(String(200))
@@ -203,7 +194,6 @@ class RunRow(Base):
     problem: Mapped[dict[str, Any] | None] = mapped_column(JSON(none_as_null=True))
     poster: Mapped[dict[str, Any] | None] = mapped_column(JSON(none_as_null=True))
     owner: Mapped[str | None] = mapped_column(String(200))
-    created_at: Mapped[datetime] = mapped_column(UtcDateTime)
     started_at: Mapped[datetime | None] = mapped_column(UtcDateTime)
     finished_at: Mapped[datetime | None] = mapped_column(UtcDateTime)
     heartbeat_at: Mapped[datetime | None] = mapped_column(UtcDateTime)
@@ -211,58 +201,44 @@ class RunRow(Base):
     """What it is to store its result under; of an open run only."""
 
 
-class DriftCheckRow(Base):
+class DriftCheckRow(_NotedOfDevice, Base):
     """What still markers said of a calibration at some time; never changed."""
 
     __tablename__ = "drift_checks"
     __table_args__ = (
-        ForeignKeyConstraint(
-            ["calibration_id", "device_id"], ["calibrations.id", "calibrations.device_id"]
-        ),
+        _of_same_device("calibration"),
         Index(None, "device_id", "created_at"),
     )
 
-    id: Mapped[str] = mapped_column(String(63), primary_key=True)
-    device_id: Mapped[str] = mapped_column(ForeignKey("devices.id"))
     calibration_id: Mapped[str] = mapped_column(String(63))
     good: Mapped[bool]
     given: Mapped[dict[str, Any]] = mapped_column(JSON)
     points: Mapped[list[dict[str, Any]]] = mapped_column(JSON)
     result: Mapped[dict[str, Any]] = mapped_column(JSON)
-    note: Mapped[str] = mapped_column(Text)
-    created_at: Mapped[datetime] = mapped_column(UtcDateTime)
 
 
-class CaptureRow(Base):
+class CaptureRow(_NotedOfDevice, Base):
     """Named target positions, and what a device's sensors read of a marker held at each."""
 
     __tablename__ = "captures"
     __table_args__ = (Index(None, "device_id", "created_at"),)
 
-    id: Mapped[str] = mapped_column(String(63), primary_key=True)
-    device_id: Mapped[str] = mapped_column(ForeignKey("devices.id"))
     sensors: Mapped[list[dict[str, Any]]] = mapped_column(JSON)
     settings: Mapped[dict[str, Any]] = mapped_column(JSON)
     targets: Mapped[list[dict[str, Any]]] = mapped_column(JSON)
     captured: Mapped[dict[str, Any]] = mapped_column(JSON)
-    note: Mapped[str] = mapped_column(Text)
-    created_at: Mapped[datetime] = mapped_column(UtcDateTime)
     updated_at: Mapped[datetime] = mapped_column(UtcDateTime)
 
 
-class QualityCheckRow(Base):
+class QualityCheckRow(_NotedOfDevice, Base):
     """A quality check and what it measured; never changed."""
 
     __tablename__ = "quality_checks"
     __table_args__ = (
-        ForeignKeyConstraint(
-            ["calibration_id", "device_id"], ["calibrations.id", "calibrations.device_id"]
-        ),
+        _of_same_device("calibration"),
         Index(None, "device_id", "created_at"),
     )
 
-    id: Mapped[str] = mapped_column(String(63), primary_key=True)
-    device_id: Mapped[str] = mapped_column(ForeignKey("devices.id"))
     calibration_id: Mapped[str] = mapped_column(String(63))
     table_id: Mapped[str | None] = mapped_column(String(63))
     kind: Mapped[str] = mapped_column(String(32))
@@ -270,8 +246,6 @@ class QualityCheckRow(Base):
     asked: Mapped[dict[str, Any]] = mapped_column(JSON)
     result: Mapped[dict[str, Any]] = mapped_column(JSON)
     passed: Mapped[bool | None]
-    note: Mapped[str] = mapped_column(Text)
-    created_at: Mapped[datetime] = mapped_column(UtcDateTime)
 
 
 class WatchRow(Base):
@@ -289,9 +263,7 @@ class WatchSampleRow(Base):
 
     __tablename__ = "watch_samples"
     __table_args__ = (
-        ForeignKeyConstraint(
-            ["calibration_id", "device_id"], ["calibrations.id", "calibrations.device_id"]
-        ),
+        _of_same_device("calibration"),
         Index(None, "device_id", "at"),
     )
 
@@ -309,7 +281,7 @@ class WatchSampleRow(Base):
     temperature_c: Mapped[float | None] = mapped_column(Double)
 
 
-class ToolRow(Base):
+class ToolRow(_NotedOfDevice, Base):
     """A rigid tool with markers, of one device.
 
     ``reference_id`` is the tool of the same device that its poses are given relative to; None:
@@ -319,8 +291,6 @@ class ToolRow(Base):
     __tablename__ = "tools"
     __table_args__ = (UniqueConstraint("id", "device_id"), Index(None, "device_id"))
 
-    id: Mapped[str] = mapped_column(String(63), primary_key=True)
-    device_id: Mapped[str] = mapped_column(ForeignKey("devices.id"))
     title: Mapped[str] = mapped_column(String(200))
     markers_mm: Mapped[list[list[float]]] = mapped_column(JSON)
     strobe_markers: Mapped[list[int] | None] = mapped_column(JSON(none_as_null=True))
@@ -328,46 +298,37 @@ class ToolRow(Base):
     reference_id: Mapped[str | None] = mapped_column(String(63))
     limits: Mapped[dict[str, Any]] = mapped_column(JSON)
     origin: Mapped[dict[str, Any]] = mapped_column(JSON)
-    note: Mapped[str] = mapped_column(Text)
-    created_at: Mapped[datetime] = mapped_column(UtcDateTime)
     updated_at: Mapped[datetime] = mapped_column(UtcDateTime)
 
 
-class ToolCalibrationRow(Base):
+class ToolCalibrationRow(_OfDevice, Base):
     """A pivot or spin calibration of a tool and what came of it; never changed."""
 
     __tablename__ = "tool_calibrations"
     __table_args__ = (
-        ForeignKeyConstraint(["tool_id", "device_id"], ["tools.id", "tools.device_id"]),
+        _of_same_device("tool"),
         Index(None, "tool_id", "created_at"),
     )
 
-    id: Mapped[str] = mapped_column(String(63), primary_key=True)
-    device_id: Mapped[str] = mapped_column(ForeignKey("devices.id"))
     tool_id: Mapped[str] = mapped_column(String(63))
     kind: Mapped[str] = mapped_column(String(16))
     asked: Mapped[dict[str, Any]] = mapped_column(JSON)
     result: Mapped[dict[str, Any]] = mapped_column(JSON)
     applied: Mapped[bool]
-    created_at: Mapped[datetime] = mapped_column(UtcDateTime)
 
 
-class RegistrationRow(Base):
+class RegistrationRow(_NotedOfDevice, Base):
     """A named frame, and the transform into it from the tracker or from a tool; never changed."""
 
     __tablename__ = "registrations"
     __table_args__ = (Index(None, "device_id", "created_at"),)
 
-    id: Mapped[str] = mapped_column(String(63), primary_key=True)
-    device_id: Mapped[str] = mapped_column(ForeignKey("devices.id"))
     reference_id: Mapped[str | None] = mapped_column(String(63))
     asked: Mapped[dict[str, Any]] = mapped_column(JSON)
     result: Mapped[dict[str, Any]] = mapped_column(JSON)
-    note: Mapped[str] = mapped_column(Text)
-    created_at: Mapped[datetime] = mapped_column(UtcDateTime)
 
 
-class HoldRow(Base):
+class HoldRow(_NotedOfDevice, Base):
     """A beam hold of a device: what it watches, and how far that may move.
 
     ``tool_id`` is the tool that it watches, if so; ``reference`` how all was at set-up, None: that
@@ -376,20 +337,16 @@ class HoldRow(Base):
 
     __tablename__ = "holds"
     __table_args__ = (
-        ForeignKeyConstraint(["tool_id", "device_id"], ["tools.id", "tools.device_id"]),
+        _of_same_device("tool"),
         Index(None, "device_id"),
     )
 
-    id: Mapped[str] = mapped_column(String(63), primary_key=True)
-    device_id: Mapped[str] = mapped_column(ForeignKey("devices.id"))
     tool_id: Mapped[str | None] = mapped_column(String(63))
     title: Mapped[str] = mapped_column(String(200))
     watch: Mapped[dict[str, Any]] = mapped_column(JSON)
     limits: Mapped[dict[str, Any]] = mapped_column(JSON)
     rules: Mapped[dict[str, Any]] = mapped_column(JSON)
     reference: Mapped[dict[str, Any] | None] = mapped_column(JSON(none_as_null=True))
-    note: Mapped[str] = mapped_column(Text)
-    created_at: Mapped[datetime] = mapped_column(UtcDateTime)
     updated_at: Mapped[datetime] = mapped_column(UtcDateTime)
 
 

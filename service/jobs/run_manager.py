@@ -3,23 +3,73 @@
 import logging
 import secrets
 import time
+from bisect import bisect_left
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from threading import Event, Lock, Thread
 from typing import Any, Final, TypeVar
+
+from sqlalchemy.orm import Session
 
 from compute.errors import LumilineError
 from service.database.engine import Database
 from service.database.models import RunRow
 from service.jobs import store
-from service.jobs.duration_histogram import DurationHistogram
-from service.jobs.run_kind import RunKind
-from service.jobs.worker import Done, Failed, Progress
+from service.jobs.worker import Done, Progress
 from service.jobs.worker_process import WorkerProcess
 from service.principal import Act, current_act
 from service.problems.catalogue import PROBLEM_TYPES
 from service.problems.errors import NotReady
 from service.problems.handlers import json_safe
+
+BOUNDS_S: Final = (0.5, 1.0, 2.0, 5.0, 10.0, 30.0, 60.0, 300.0, 1800.0, 7200.0)
+"""Upper bounds of the classes [s]; one more, without a bound, follows."""
+
+
+class DurationHistogram:
+    """Counts of each kind of run and how it ended; all methods may be called from any thread."""
+
+    def __init__(self) -> None:
+        self._counts: dict[tuple[str, ...], tuple[list[int], float]] = {}
+        self._lock = Lock()
+
+    def ended(self, row: RunRow) -> None:
+        """Count a run that has ended."""
+        if row.started_at is None or row.finished_at is None:
+            return
+        seconds = max((row.finished_at - row.started_at).total_seconds(), 0.0)
+        key = (row.kind, row.state)
+        with self._lock:
+            counts, total = self._counts.get(key, ([0] * (len(BOUNDS_S) + 1), 0.0))
+            counts[bisect_left(BOUNDS_S, seconds)] += 1
+            self._counts[key] = counts, total + seconds
+
+    def counts(self) -> dict[tuple[str, ...], tuple[tuple[int, ...], float]]:
+        """Return by kind and state the counts of all classes, and the sum [s]."""
+        with self._lock:
+            return {key: (tuple(counts), total) for key, (counts, total) in self._counts.items()}
+
+
+Task = tuple[Callable[..., Any], tuple[Any, ...]]
+
+
+@dataclass(frozen=True)
+class RunKind:
+    """One kind of run.
+
+    Args:
+        task: returns the function to call in the process and its arguments, from a run's row.
+        store: stores its result and returns the id under which it is found.
+        results: path of the resource that the results are of.
+        ended: called with the id of a run that has ended in any way, whatever was stored.
+    """
+
+    task: Callable[[Session, RunRow], Task]
+    store: Callable[[Session, RunRow, Any], str]
+    results: str
+    ended: Callable[[str], None] = lambda _: None
+
 
 _log = logging.getLogger(__name__)
 
@@ -123,7 +173,10 @@ class RunManager:
         except LumilineError as error:
             self._end(run_id, "failed", "failed", _problem(error.code, error.detail, error.context))
         except Exception as error:  # noqa: BLE001 - becomes the run's problem
-            self._fail_unexpectedly(run_id, error)
+            reference = secrets.token_hex(4)
+            _log.error("run %s, reference %s: %s", run_id, reference, error, exc_info=error)
+            detail = f"unexpected error; the server's log has it under reference {reference}"
+            self._end(run_id, "failed", "failed", _problem("internal-error", detail, {}))
         finally:
             with self._lock:
                 self._running.pop(run_id, None)
@@ -133,7 +186,7 @@ class RunManager:
     def _follow(self, run_id: str) -> None:
         """Start the process, store its progress and its result."""
         with self._database.read() as session:
-            row = store.get_run(session, run_id)
+            row = store.RUNS.get(session, run_id)
             kind = self._kinds[row.kind]
             function, arguments = kind.task(session, row)
         try:
@@ -157,9 +210,6 @@ class RunManager:
                 message = worker.next(_POLL_S)
                 if isinstance(message, Done):
                     break
-                if isinstance(message, Failed):
-                    self._failed(run_id, message)
-                    return
                 if message is not None:
                     latest = message
                 now = time.monotonic()
@@ -196,21 +246,6 @@ class RunManager:
             store.finish(row, "succeeded", "done")
             self.durations.ended(row)
         return True
-
-    def _failed(self, run_id: str, message: Failed) -> None:
-        if message.code is None:
-            reference = secrets.token_hex(4)
-            _log.error("run %s, reference %s: %s", run_id, reference, message.detail)
-            self._end(run_id, "failed", "failed", _unexpected(reference))
-            return
-        self._end(
-            run_id, "failed", "failed", _problem(message.code, message.detail, message.context)
-        )
-
-    def _fail_unexpectedly(self, run_id: str, error: Exception) -> None:
-        reference = secrets.token_hex(4)
-        _log.error("run %s, reference %s", run_id, reference, exc_info=error)
-        self._end(run_id, "failed", "failed", _unexpected(reference))
 
     def _end(
         self,
@@ -260,8 +295,3 @@ def _problem(code: str, detail: str, context: Mapping[str, object]) -> dict[str,
     if context:
         problem["context"] = json_safe(context)
     return problem
-
-
-def _unexpected(reference: str) -> dict[str, Any]:
-    detail = f"unexpected error; the server's log has it under reference {reference}"
-    return _problem("internal-error", detail, {})

@@ -6,11 +6,11 @@ import socket
 from datetime import UTC, datetime, timedelta
 from typing import Any, Final, Literal, get_args
 
-from sqlalchemy import Select, func, or_, select, update
+from sqlalchemy import func, or_, select, update
 from sqlalchemy.orm import Session
 
 from compute.errors import LumilineError
-from service.database.engine import Database, insert
+from service.database.engine import Database, Resource, insert
 from service.database.models import RunRow
 from service.principal import current_act
 from service.problems.errors import (
@@ -28,11 +28,11 @@ State = Literal["queued", "running", "succeeded", "failed", "cancelled", "interr
 OPEN: Final = ("queued", "running")
 STATES: Final[tuple[State, ...]] = get_args(State)
 
-_SORTS: Final[dict[Kind, str]] = {"mapping": "table", "export": "export"}
-_TAKEN: Final[dict[Kind, tuple[str, type[LumilineError]]]] = {
+_RESULTS: Final[dict[Kind, tuple[str, type[LumilineError]]]] = {
     "mapping": ("correction table", CorrectionTableExists),
     "export": ("export", ExportExists),
 }
+"""What runs make that are no calibrations, and the error about an id that is taken."""
 
 STALE_AFTER: Final = timedelta(seconds=60)
 """A running run whose server has not been heard of for so long has none any more."""
@@ -43,24 +43,7 @@ def owner() -> str:
     return f"{socket.gethostname()}/{os.getpid()}"
 
 
-def get_run(session: Session, run_id: str) -> RunRow:
-    """Return a run; raises UnknownRun."""
-    row = session.get(RunRow, run_id)
-    if row is None:
-        raise UnknownRun(f'there is no run "{run_id}"; GET /api/v1/runs lists them', run=run_id)
-    return row
-
-
-def runs(device_id: str | None, kind: Kind | None, state: State | None) -> Select[RunRow]:
-    """Return those that the filter matches, newest first."""
-    found = select(RunRow).order_by(RunRow.created_at.desc(), RunRow.id)
-    if device_id is not None:
-        found = found.where(RunRow.device_id == device_id)
-    if kind is not None:
-        found = found.where(RunRow.kind == kind)
-    if state is not None:
-        found = found.where(RunRow.state == state)
-    return found
+RUNS: Final = Resource(RunRow, "run", UnknownRun, RunExists)
 
 
 def add_run(
@@ -90,14 +73,8 @@ def add_run(
         other = session.scalar(select(RunRow.id).where(RunRow.claim == wanted))
         if other is not None:
             raise _claimed(kind, result_id, other)
-    identity = run_id or f"run-{secrets.token_hex(8)}"
-    taken = RunExists(
-        f'run "{identity}" exists already; choose another id, or leave it out', run=identity
-    )
-    if session.get(RunRow, identity) is not None:
-        raise taken
     row = RunRow(
-        id=identity,
+        id=run_id or f"run-{secrets.token_hex(8)}",
         kind=kind,
         device_id=device_id,
         state="queued",
@@ -114,7 +91,7 @@ def add_run(
         heartbeat_at=None,
         claim=None,
     )
-    insert(session, row, taken)
+    RUNS.insert(session, row)
     if result_id is not None:
         row.claim = wanted
         # Unique: of two transactions at the same moment, of any devices, one gets it.
@@ -124,11 +101,12 @@ def add_run(
 
 def _claim_of(kind: Kind, result_id: str) -> str:
     """Return what a run claims until it ends: the id of its result among those of its sort."""
-    return f"{_SORTS.get(kind, 'calibration')}/{result_id}"
+    sort = {"mapping": "table", "export": "export"}.get(kind, "calibration")
+    return f"{sort}/{result_id}"
 
 
 def _claimed(kind: Kind, result_id: str, run_id: str | None) -> LumilineError:
-    what, error = _TAKEN.get(kind, ("calibration", CalibrationExists))
+    what, error = _RESULTS.get(kind, ("calibration", CalibrationExists))
     which = "another run" if run_id is None else f'run "{run_id}"'
     return error(
         f'{which} is to make {what} "{result_id}"; choose another result_id, leave it out, '
@@ -199,9 +177,7 @@ def finish(row: RunRow, state: State, stage: str, problem: dict[str, Any] | None
 
 def cancel(session: Session, run_id: str) -> RunRow:
     """End a run that waits or runs; one that has ended stays as it is. Raises UnknownRun."""
-    row = session.get(RunRow, run_id, with_for_update=True)
-    if row is None:
-        return get_run(session, run_id)
+    row = RUNS.get(session, run_id, lock=True)
     if row.state in OPEN:
         finish(row, "cancelled", "cancelled on request")
         session.flush()
@@ -215,7 +191,7 @@ def delete_run(session: Session, run_id: str) -> None:
         UnknownRun.
         RunNotEnded: it waits or runs.
     """
-    row = session.get(RunRow, run_id, with_for_update=True) or get_run(session, run_id)
+    row = RUNS.get(session, run_id, lock=True)
     if row.state in OPEN:
         raise RunNotEnded(
             f'run "{run_id}" is {row.state}; cancel it first, or wait for its end', run=run_id

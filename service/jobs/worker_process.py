@@ -7,10 +7,8 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import Any, Final, Self
 
-import service.problems.errors as own
-from compute import errors as domain
-from compute.errors import LumilineError
 from service.jobs.worker import Done, Failed, Message, Progress, work
+from service.problems.catalogue import ERRORS
 from service.problems.errors import WorkerEnded
 
 _JOIN_S: Final = 5.0
@@ -49,11 +47,13 @@ class WorkerProcess:
         """The process's id."""
         return self._process.pid
 
-    def next(self, wait_s: float) -> Message | None:
+    def next(self, wait_s: float) -> Progress | Done | None:
         """Return the next message; None: none came within this time.
 
         Raises:
             WorkerEnded: it ended without a result.
+            LumilineError: what the function raised.
+            RuntimeError: it failed otherwise.
         """
         try:
             if not self._pipe.poll(wait_s):
@@ -67,6 +67,10 @@ class WorkerProcess:
                 "what the system does to a process that takes too much memory",
                 exit_code=code,
             ) from None
+        if isinstance(message, Failed):
+            if message.code is None:
+                raise RuntimeError(message.detail)
+            raise ERRORS[message.code](message.detail, **message.context)
         return message
 
     def kill(self) -> None:
@@ -88,14 +92,6 @@ class WorkerProcess:
         self.kill()
 
 
-_ERRORS: Final[dict[str, type[LumilineError]]] = {
-    found.code: found
-    for module in (domain, own)
-    for found in vars(module).values()
-    if isinstance(found, type) and issubclass(found, LumilineError)
-}
-
-
 def call_in_process(
     function: Callable[..., Any], *arguments: Any, timeout_s: float, memory_bytes: int
 ) -> Any:
@@ -113,16 +109,9 @@ def call_in_process(
     with WorkerProcess(function, *arguments, memory_bytes=memory_bytes) as worker:
         while True:
             message = worker.next(max(0.0, end - time.monotonic()))
-            match message:
-                case Done(result):
-                    return result
-                case Failed(code, detail, context) if code is not None:
-                    raise _ERRORS[code](detail, **context)
-                case Failed(_, detail, _):
-                    raise RuntimeError(detail)
-                case Progress():
-                    continue
-                case None:
-                    raise WorkerEnded(
-                        f"it took longer than {timeout_s:g} s and was ended", timeout_s=timeout_s
-                    )
+            if isinstance(message, Done):
+                return message.result
+            if message is None:
+                raise WorkerEnded(
+                    f"it took longer than {timeout_s:g} s and was ended", timeout_s=timeout_s
+                )

@@ -8,7 +8,7 @@ from typing import Literal
 from compute.errors import LumilineError
 from hardware.driver import Driver
 from hardware.errors import DeviceNotConnected
-from service.logs.context import set_device_id
+from service.logs import set_device_id
 from service.pipeline.active_calibration import ActiveCalibration
 
 _log = logging.getLogger(__name__)

@@ -11,7 +11,7 @@ from compute.errors import LumilineError
 from hardware.driver import Driver
 from hardware.line_frame import LineFrame
 from hardware.link import LinkedDriver, LinkState
-from service.logs.context import set_device_id
+from service.logs import set_device_id
 
 _log = logging.getLogger(__name__)
 

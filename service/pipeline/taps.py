@@ -11,7 +11,12 @@ from numpy.typing import NDArray
 from compute.signal.peaks import PeakFlag
 from service.pipeline.active_calibration import ActiveCalibration
 from service.pipeline.frame_batch import FrameBatch
-from service.problems.errors import DeviceNotRunning, NotReady
+from service.problems.errors import (
+    CalibrationSwitched,
+    DeviceNotRunning,
+    NoActiveCalibration,
+    NotReady,
+)
 
 if TYPE_CHECKING:
     from service.pipeline.device_session import DeviceSession
@@ -119,6 +124,36 @@ class SingleCalibrationTap:
             self.switched = True
             self.ended.set()
         return not self.ended.is_set()
+
+    def check_single(self, device_id: str, during: str) -> None:
+        """Raise CalibrationSwitched where the calibration or table changed.
+
+        Args:
+            device_id: of the device.
+            during: what was done then and what to do now: ``it was measured; try again``.
+        """
+        if self.switched:
+            raise CalibrationSwitched(
+                f'another calibration or table of device "{device_id}" was activated while '
+                f"{during}",
+                device=device_id,
+            )
+
+    def calibration_used(self, device_id: str, during: str) -> tuple[str, str | None]:
+        """Return the calibration and table of all batches; for arguments see ``check_single``.
+
+        Raises:
+            CalibrationSwitched: the calibration or table changed.
+            NoActiveCalibration: there was none, or no batch came.
+        """
+        self.check_single(device_id, during)
+        calibration_id, table_id = self.active_ids or (None, None)
+        if calibration_id is None:
+            raise NoActiveCalibration(
+                f'device "{device_id}" has no active calibration, and so no points; activate one',
+                device=device_id,
+            )
+        return calibration_id, table_id
 
 
 _LOOK_S: Final = 0.1

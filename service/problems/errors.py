@@ -1,531 +1,371 @@
 """The service's own errors: unknown resources, conflicts, limits."""
 
+from typing import ClassVar
+
 from compute.errors import LumilineError
 
 
-class UnknownDevice(LumilineError):
+class ServiceError(LumilineError):
+    """Base of the service's own errors, each with the HTTP status that answers it."""
+
+    status: ClassVar[int]
+
+    def __init_subclass__(cls, *, status: int = 422, **options: object) -> None:
+        super().__init_subclass__(**options)
+        cls.status = status
+
+
+class UnknownDevice(ServiceError, status=404):
     """No device has the given id."""
 
-    code = "unknown-device"
 
-
-class UnknownCalibration(LumilineError):
+class UnknownCalibration(ServiceError, status=404):
     """No calibration has the given id."""
 
-    code = "unknown-calibration"
 
-
-class UnknownReconstruction(LumilineError):
+class UnknownReconstruction(ServiceError, status=404):
     """No reconstruction has the given id."""
 
-    code = "unknown-reconstruction"
 
-
-class UnknownRun(LumilineError):
+class UnknownRun(ServiceError, status=404):
     """No run has the given id."""
 
-    code = "unknown-run"
 
-
-class UnknownCorrectionTable(LumilineError):
+class UnknownCorrectionTable(ServiceError, status=404):
     """No correction table has the given id."""
 
-    code = "unknown-correction-table"
 
-
-class UnknownCapture(LumilineError):
+class UnknownCapture(ServiceError, status=404):
     """No capture session has the given id."""
 
-    code = "unknown-capture"
 
-
-class UnknownDriftCheck(LumilineError):
+class UnknownDriftCheck(ServiceError, status=404):
     """No drift check has the given id."""
 
-    code = "unknown-drift-check"
 
-
-class NoSuchFigure(LumilineError):
+class NoSuchFigure(ServiceError, status=404):
     """The report has no such figure: the calibration holds nothing that it would show."""
 
-    code = "no-such-figure"
 
-
-class UnknownTarget(LumilineError):
+class UnknownTarget(ServiceError, status=404):
     """The capture session has no target of the given name."""
 
-    code = "unknown-target"
 
-
-class UnknownRecording(LumilineError):
+class UnknownRecording(ServiceError, status=404):
     """No recording of the given name lies in the data directory's folder of recordings."""
 
-    code = "unknown-recording"
 
-
-class RecordingExists(LumilineError):
+class RecordingExists(ServiceError, status=409):
     """A recording of this name exists already; recordings are never overwritten."""
 
-    code = "recording-exists"
 
-
-class RecordingInProgress(LumilineError):
+class RecordingInProgress(ServiceError, status=409):
     """The recording is being written, or the device has one that is; stop it first."""
 
-    code = "recording-in-progress"
 
-
-class RecordingInUse(LumilineError):
+class RecordingInUse(ServiceError, status=409):
     """A running device replays the recording; stop the device first."""
 
-    code = "recording-in-use"
 
-
-class UnknownExport(LumilineError):
+class UnknownExport(ServiceError, status=404):
     """No export has the given id: it was never made, or was deleted."""
 
-    code = "unknown-export"
 
-
-class ExportExists(LumilineError):
+class ExportExists(ServiceError, status=409):
     """An export of this id exists already; exports are never overwritten."""
 
-    code = "export-exists"
 
-
-class InsufficientStorage(LumilineError):
+class InsufficientStorage(ServiceError, status=507):
     """The disk has less free space than the server leaves, or cannot be written to."""
 
-    code = "insufficient-storage"
 
-
-class UnknownDeviceProfile(LumilineError):
+class UnknownDeviceProfile(ServiceError, status=404):
     """No device profile has the given name."""
 
-    code = "unknown-device-profile"
 
-
-class UnknownProblem(LumilineError):
+class UnknownProblem(ServiceError, status=404):
     """No problem type has the given code."""
 
-    code = "unknown-problem"
 
-
-class DeviceExists(LumilineError):
+class DeviceExists(ServiceError, status=409):
     """A device of this id exists already; ids are unique."""
 
-    code = "device-exists"
 
-
-class CalibrationExists(LumilineError):
+class CalibrationExists(ServiceError, status=409):
     """A calibration of this id exists already; calibrations are never overwritten."""
 
-    code = "calibration-exists"
 
-
-class ReconstructionExists(LumilineError):
+class ReconstructionExists(ServiceError, status=409):
     """A reconstruction of this id exists already; choose another id, or leave it out."""
 
-    code = "reconstruction-exists"
 
-
-class RunExists(LumilineError):
+class RunExists(ServiceError, status=409):
     """A run of this id exists already; choose another id, or leave it out."""
 
-    code = "run-exists"
 
-
-class CorrectionTableExists(LumilineError):
+class CorrectionTableExists(ServiceError, status=409):
     """A correction table of this id exists already; tables are never overwritten."""
 
-    code = "correction-table-exists"
 
-
-class DriftCheckExists(LumilineError):
+class DriftCheckExists(ServiceError, status=409):
     """A drift check of this id exists already; choose another id, or leave it out."""
 
-    code = "drift-check-exists"
 
-
-class CaptureExists(LumilineError):
+class CaptureExists(ServiceError, status=409):
     """A capture session of this id exists already; choose another id, or leave it out."""
 
-    code = "capture-exists"
 
-
-class DeviceInUse(LumilineError):
+class DeviceInUse(ServiceError, status=409):
     """The change would orphan what belongs to the device: calibrations, captures, runs, ..."""
 
-    code = "device-in-use"
 
-
-class DeviceRunning(LumilineError):
+class DeviceRunning(ServiceError, status=409):
     """The sensors of a running device do not change; stop it first."""
 
-    code = "device-running"
 
-
-class SensorsChanged(LumilineError):
+class SensorsChanged(ServiceError, status=409):
     """The calibration is of other sensors than the device has now; calibrate the device again."""
 
-    code = "sensors-changed"
 
-
-class DeviceWithoutDriver(LumilineError):
+class DeviceWithoutDriver(ServiceError, status=409):
     """An external device has no driver that could be started: its readings are posted."""
 
-    code = "device-without-driver"
 
-
-class CalibrationActive(LumilineError):
+class CalibrationActive(ServiceError, status=409):
     """The active calibration cannot be retired; activate another one first."""
 
-    code = "calibration-active"
 
-
-class CalibrationRetired(LumilineError):
+class CalibrationRetired(ServiceError, status=409):
     """A retired calibration cannot be activated or used again."""
 
-    code = "calibration-retired"
 
-
-class NoActiveCalibration(LumilineError):
+class NoActiveCalibration(ServiceError, status=409):
     """The device has no active calibration and the request names none."""
 
-    code = "no-active-calibration"
 
-
-class CalibrationOfAnotherDevice(LumilineError):
+class CalibrationOfAnotherDevice(ServiceError):
     """The calibration named belongs to another device than the readings."""
 
-    code = "calibration-of-another-device"
 
-
-class NothingToRollBack(LumilineError):
+class NothingToRollBack(ServiceError, status=409):
     """The device's history has no earlier activation to go back to."""
 
-    code = "nothing-to-roll-back"
 
-
-class TableOfAnotherCalibration(LumilineError):
+class TableOfAnotherCalibration(ServiceError, status=409):
     """The correction table belongs to another calibration than the one in question."""
 
     code = "foreign-correction-table"
 
 
-class InvalidTableFile(LumilineError):
+class InvalidTableFile(ServiceError):
     """An uploaded file is no correction table, is cut short, contradicts itself or hides data."""
 
-    code = "invalid-table-file"
 
-
-class TableHasHoles(LumilineError):
+class TableHasHoles(ServiceError):
     """Cells inside a correction table's volume, or all of a sensor's, have no measurement."""
 
-    code = "table-has-holes"
 
-
-class UnknownQualityCheck(LumilineError):
+class UnknownQualityCheck(ServiceError, status=404):
     """There is no quality check with this id."""
 
-    code = "unknown-quality-check"
 
-
-class QualityCheckExists(LumilineError):
+class QualityCheckExists(ServiceError, status=409):
     """The id that was chosen for a quality check is taken."""
 
-    code = "quality-check-exists"
 
-
-class CalibrationSwitched(LumilineError):
+class CalibrationSwitched(ServiceError, status=409):
     """Another calibration or table came into force while something was measured."""
 
-    code = "calibration-switched"
 
-
-class DeviceNotRunning(LumilineError):
+class DeviceNotRunning(ServiceError, status=409):
     """What is captured comes from a running device; start it first."""
 
-    code = "device-not-running"
 
-
-class CaptureIncomplete(LumilineError):
+class CaptureIncomplete(ServiceError, status=409):
     """Targets of the capture session are not captured yet."""
 
-    code = "capture-incomplete"
 
-
-class CaptureOfAnotherDevice(LumilineError):
+class CaptureOfAnotherDevice(ServiceError, status=409):
     """The capture session named belongs to another device, or to other sensors than it has now."""
 
-    code = "capture-of-another-device"
 
-
-class CaptureComplete(LumilineError):
+class CaptureComplete(ServiceError, status=409):
     """All targets of the session are captured; name one to capture it again."""
 
-    code = "capture-complete"
 
-
-class NoObservation(LumilineError):
+class NoObservation(ServiceError, status=409):
     """Fewer sensors than a point needs saw one clear peak in enough of the frames."""
 
     code = "nothing-seen"
 
 
-class TargetMoved(LumilineError):
+class TargetMoved(ServiceError, status=409):
     """Readings of a target held still spread by more than their noise explains."""
 
-    code = "target-moved"
 
-
-class MarkerNotMoved(LumilineError):
+class MarkerNotMoved(ServiceError, status=409):
     """A target reads as another one does: the marker is still there, or was named for both."""
 
-    code = "marker-not-moved"
 
-
-class RunNotEnded(LumilineError):
+class RunNotEnded(ServiceError, status=409):
     """A run that waits or runs is not deleted; cancel it first."""
 
-    code = "run-not-ended"
 
-
-class CorrectionTableInUse(LumilineError):
+class CorrectionTableInUse(ServiceError, status=409):
     """A table that was ever active or used is part of a history, and is not deleted."""
 
-    code = "correction-table-in-use"
 
-
-class WorkerEnded(LumilineError):
+class WorkerEnded(ServiceError, status=500):
     """The process that computed ended without a result, or was ended by its limits."""
 
-    code = "worker-ended"
 
-
-class Busy(LumilineError):
+class Busy(ServiceError, status=503):
     """The server does as much of this at once as it may; try again a little later."""
 
-    code = "busy"
 
-
-class ActivationConflict(LumilineError):
+class ActivationConflict(ServiceError, status=409):
     """Another request changed what the device uses, meanwhile or before; look, and ask again."""
 
-    code = "activation-conflict"
 
-
-class UnknownKey(LumilineError):
+class UnknownKey(ServiceError, status=404):
     """No API key has the given id."""
 
-    code = "unknown-key"
 
-
-class Unauthenticated(LumilineError):
+class Unauthenticated(ServiceError, status=401):
     """The operation needs a key or token, and none that is valid came with the request."""
 
-    code = "unauthenticated"
 
-
-class MissingScope(LumilineError):
+class MissingScope(ServiceError, status=403):
     """The key or token is valid, and not allowed to do this."""
 
-    code = "missing-scope"
 
-
-class CredentialInQuery(LumilineError):
+class CredentialInQuery(ServiceError, status=400):
     """A key is in the address, which servers and proxies write down; send it in a header."""
 
-    code = "credential-in-query"
 
-
-class QueryTooLong(LumilineError):
+class QueryTooLong(ServiceError, status=414):
     """The part of the address after the question mark is too long; send less."""
 
-    code = "query-too-long"
 
-
-class TooManyAttempts(LumilineError):
+class TooManyAttempts(ServiceError, status=429):
     """Too many requests of this address came with keys that are not valid; wait."""
 
-    code = "too-many-attempts"
 
-
-class TooManyStreams(LumilineError):
+class TooManyStreams(ServiceError, status=429):
     """The key has as many open streams as it may; close one."""
 
-    code = "too-many-streams"
 
-
-class BodyTooSlow(LumilineError):
+class BodyTooSlow(ServiceError, status=408):
     """The request's body did not arrive within the time limit."""
 
-    code = "body-too-slow"
 
-
-class BackupUnusable(LumilineError):
+class BackupUnusable(ServiceError):
     """A file is no backup of this service, is damaged, or is of a later version."""
 
-    code = "backup-unusable"
 
-
-class DatabaseNotEmpty(LumilineError):
+class DatabaseNotEmpty(ServiceError, status=409):
     """A backup would replace what the database holds; say so, or use an empty one."""
 
-    code = "database-not-empty"
 
-
-class DatabaseInUse(LumilineError):
+class DatabaseInUse(ServiceError, status=409):
     """A server uses the database, which would be replaced under it; stop the server first."""
 
-    code = "database-in-use"
 
-
-class UnknownTool(LumilineError):
+class UnknownTool(ServiceError, status=404):
     """No tool has this id."""
 
-    code = "unknown-tool"
 
-
-class ToolExists(LumilineError):
+class ToolExists(ServiceError, status=409):
     """The id that a tool is to have is taken, by a tool or by a registration."""
 
-    code = "tool-exists"
 
-
-class ToolInUse(LumilineError):
+class ToolInUse(ServiceError, status=409):
     """Poses of other tools, or registrations, are relative to the tool, or a hold watches it."""
 
-    code = "tool-in-use"
 
-
-class TooManyTools(LumilineError):
+class TooManyTools(ServiceError, status=409):
     """The device has as many tools as it may; delete one."""
 
-    code = "too-many-tools"
 
-
-class ToolReplaced(LumilineError):
+class ToolReplaced(ServiceError, status=409):
     """The tool was created again, or its tip changed, while it was measured; do it again."""
 
-    code = "tool-replaced"
 
-
-class TipNotCalibrated(LumilineError):
+class TipNotCalibrated(ServiceError, status=409):
     """The tool's working point is not known: it was neither given nor found by pivoting."""
 
-    code = "tip-not-calibrated"
 
-
-class MarkersTaken(LumilineError):
+class MarkersTaken(ServiceError, status=409):
     """Another tool of the device has a strobed marker of this number."""
 
-    code = "markers-taken"
 
-
-class UnknownRegistration(LumilineError):
+class UnknownRegistration(ServiceError, status=404):
     """No registration has this id."""
 
-    code = "unknown-registration"
 
-
-class RegistrationExists(LumilineError):
+class RegistrationExists(ServiceError, status=409):
     """The id that a registration is to have is taken, by a registration or by a tool."""
 
-    code = "registration-exists"
 
-
-class RegistrationReplaced(LumilineError):
+class RegistrationReplaced(ServiceError, status=409):
     """The registration was deleted, or made again, while it was used; do it again."""
 
-    code = "registration-replaced"
 
-
-class UnknownBeamHold(LumilineError):
+class UnknownBeamHold(ServiceError, status=404):
     """No beam hold has this id."""
 
-    code = "unknown-beam-hold"
 
-
-class BeamHoldExists(LumilineError):
+class BeamHoldExists(ServiceError, status=409):
     """The id that a beam hold is to have is taken."""
 
-    code = "beam-hold-exists"
 
-
-class TooManyBeamHolds(LumilineError):
+class TooManyBeamHolds(ServiceError, status=409):
     """The device has as many beam holds as it may; delete one."""
 
-    code = "too-many-beam-holds"
 
-
-class BeamHoldReplaced(LumilineError):
+class BeamHoldReplaced(ServiceError, status=409):
     """The hold was deleted and created again while its reference was measured; do it again."""
 
-    code = "beam-hold-replaced"
 
-
-class DatabaseDamaged(LumilineError):
+class DatabaseDamaged(ServiceError, status=500):
     """What the database holds does not agree with itself."""
 
-    code = "database-damaged"
 
-
-class CrossOrigin(LumilineError):
+class CrossOrigin(ServiceError, status=403):
     """A web page of another origin asked for a change, or for a websocket."""
 
-    code = "cross-origin"
 
-
-class UpgradeRequired(LumilineError):
+class UpgradeRequired(ServiceError, status=426):
     """The path is a websocket; plain HTTP requests have nothing there."""
 
-    code = "upgrade-required"
 
-
-class NotReady(LumilineError):
+class NotReady(ServiceError, status=503):
     """A part that requests need (database, live pipeline) does not answer."""
 
-    code = "not-ready"
 
-
-class MalformedJson(LumilineError):
+class MalformedJson(ServiceError, status=400):
     """The request's body is not JSON (RFC 8259)."""
 
-    code = "malformed-json"
 
-
-class DuplicateKey(LumilineError):
+class DuplicateKey(ServiceError, status=400):
     """An object in the request's body has the same key twice, so one value would be lost."""
 
-    code = "duplicate-key"
 
-
-class UnsupportedMediaType(LumilineError):
+class UnsupportedMediaType(ServiceError, status=415):
     """The request's body is not declared as what the path takes, mostly ``application/json``."""
 
-    code = "unsupported-media-type"
 
-
-class MalformedRequest(LumilineError):
+class MalformedRequest(ServiceError, status=400):
     """What came is not HTTP/1.1 (RFC 9112)."""
 
-    code = "malformed-request"
 
-
-class HeadTooLarge(LumilineError):
+class HeadTooLarge(ServiceError, status=431):
     """The request line and the headers together are larger than the server's limit."""
 
-    code = "head-too-large"
 
-
-class HeadTooSlow(LumilineError):
+class HeadTooSlow(ServiceError, status=408):
     """The request line and the headers did not arrive within the server's time; send again."""
 
-    code = "head-too-slow"
 
-
-class BodyTooLarge(LumilineError):
+class BodyTooLarge(ServiceError, status=413):
     """The request's body is larger than the server's limit."""
-
-    code = "body-too-large"

@@ -17,7 +17,7 @@ from starlette.types import Receive, Scope, Send
 from starlette.websockets import WebSocket
 
 from compute.errors import LumilineError, NonFiniteValue
-from service.logs.context import request_record
+from service.logs import request_record
 from service.problems.catalogue import (
     MEDIA_TYPE,
     PROBLEM_TYPES,
@@ -91,8 +91,19 @@ def problem_response(
     return Response(content, kind.status, headers, MEDIA_TYPE)
 
 
-async def refuse_websocket(response: Response, scope: Scope, receive: Receive, send: Send) -> None:
-    """Answer a websocket's handshake with a response, or close it where the server cannot."""
+def error_response(
+    error: LumilineError, instance: str, headers: Mapping[str, str] | None = None
+) -> Response:
+    """Return the response that tells of an error."""
+    kind = problem_type_of(type(error))
+    return problem_response(kind, error.detail, instance, context=error.context, headers=headers)
+
+
+async def refuse(response: Response, scope: Scope, receive: Receive, send: Send) -> None:
+    """Answer a request, or a websocket's handshake, which is closed where that cannot be done."""
+    if scope["type"] != "websocket":
+        await response(scope, receive, send)
+        return
     websocket = WebSocket(scope, receive, send)
     if "websocket.http.response" in scope.get("extensions", {}):
         await websocket.send_denial_response(response)
@@ -105,13 +116,12 @@ async def unknown_websocket(websocket: WebSocket) -> None:
     path = websocket.url.path
     detail = f"no websocket has the path {path}; the stream is at /api/v1/stream"
     response = problem_response(PROBLEM_TYPES["not-found"], detail, path)
-    await refuse_websocket(response, websocket.scope, websocket.receive, websocket.send)
+    await refuse(response, websocket.scope, websocket.receive, websocket.send)
 
 
 async def _domain_error(request: Request, error: Exception) -> Response:
     assert isinstance(error, LumilineError)
-    kind = problem_type_of(type(error))
-    return problem_response(kind, error.detail, request.url.path, context=error.context)
+    return error_response(error, request.url.path)
 
 
 async def _validation_error(request: Request, error: Exception) -> Response:
@@ -122,7 +132,7 @@ async def _validation_error(request: Request, error: Exception) -> Response:
         item = next(item for item in found if item["type"] == "json_invalid")
         reason = item.get("ctx", {}).get("error", item["msg"])
         detail = f"the body is not JSON: {reason}; send a JSON document"
-        return problem_response(problem_type_of(MalformedJson), detail, request.url.path)
+        return error_response(MalformedJson(detail), request.url.path)
     body = _parsed(error.body)
     errors = [
         FieldError(
@@ -138,7 +148,7 @@ async def _validation_error(request: Request, error: Exception) -> Response:
 
 
 def _parsed(body: Any) -> Any:
-    """Return the body, which is the text that was read where it was JSON; see json_body."""
+    """Return the body, which is the text that was read where it was JSON; see ``JsonTypes``."""
     return json.loads(body) if isinstance(body, bytes) and body else body
 
 

@@ -1,6 +1,8 @@
 """Entries of the audit log in a transaction of their own, for requests that change no row."""
 
 import logging
+from collections.abc import Callable
+from functools import partial
 from typing import Final, Literal
 
 from anyio import move_on_after
@@ -10,7 +12,8 @@ from starlette.types import Scope
 
 from service.database.audited_session import entry
 from service.database.engine import Database
-from service.logs.redaction import decoded, redact
+from service.database.models import AuditRow
+from service.logs import decoded, redact
 from service.principal import Act, current_act
 from service.problems.errors import NotReady
 
@@ -39,30 +42,23 @@ async def record_act(
     A database that does not answer keeps no device from being stopped; the log says so then.
     """
     kind, identity = _object(scope["path"])
-    await _record(scope["app"].state.database, act, kind, identity, outcome, detail)
+    shown = None if detail is None else redact(detail)
+    row = partial(entry, kind, identity, outcome, detail=shown)
+    await _record(scope["app"].state.database, act, outcome, row)
 
 
 async def record_repeats(database: Database, act: Act, more: int) -> None:
     """Write down how often the same was refused again; never raises."""
     detail = f"{more} more of this operation, refused within a minute for lack of the scope"
-    await _record(database, act, "server", None, "refused", detail)
+    row = partial(entry, "server", None, "refused", detail=detail)
+    await _record(database, act, "refused", row)
 
 
-async def _record(
-    database: Database,
-    act: Act,
-    kind: str,
-    identity: str | None,
-    outcome: str,
-    detail: str | None,
-) -> None:
-    shown = None if detail is None else redact(detail)
+async def _record(database: Database, act: Act, outcome: str, row: Callable[[], AuditRow]) -> None:
     problem = None
     try:
         with move_on_after(_WAITED_S) as waited:
-            await run_sync(
-                _write, database, act, kind, identity, outcome, shown, abandon_on_cancel=True
-            )
+            await run_sync(_write, database, act, row, abandon_on_cancel=True)
         if waited.cancelled_caught:
             problem = "is not written down yet: the database is slow"
     except (SQLAlchemyError, NotReady):
@@ -72,18 +68,11 @@ async def _record(
         _log.error("audit: %s by %s, %s, %s", act.operation, who, outcome, problem)
 
 
-def _write(
-    database: Database,
-    act: Act,
-    kind: str,
-    identity: str | None,
-    outcome: str,
-    detail: str | None,
-) -> None:
+def _write(database: Database, act: Act, row: Callable[[], AuditRow]) -> None:
     token = current_act.set(act)
     try:
         with database.write() as session:
-            session.add(entry(kind, identity, outcome, detail=detail))
+            session.add(row())
     finally:
         current_act.reset(token)
 

@@ -7,7 +7,7 @@ from urllib.parse import parse_qsl
 
 from starlette.datastructures import Headers
 
-from service.logs.redaction import decoded, redact
+from service.logs import decoded, redact
 from service.problems.errors import CredentialInQuery, QueryTooLong, Unauthenticated
 from service.settings import Settings
 

@@ -6,7 +6,7 @@ same one.
 """
 
 import json
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from functools import partial
 from typing import TYPE_CHECKING, Final
 
@@ -14,16 +14,14 @@ from anyio.to_thread import run_sync
 from fastapi.routing import RouteContext, iter_route_contexts
 from starlette.datastructures import Headers
 from starlette.requests import HTTPConnection
-from starlette.responses import Response
 from starlette.routing import BaseRoute, Match
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from compute.errors import LumilineError
-from service.logs.context import request_record
+from service.logs import request_record
 from service.principal import LOCAL, Act, Principal, current_act
-from service.problems.catalogue import problem_type_of
 from service.problems.errors import MissingScope, TooManyAttempts, Unauthenticated
-from service.problems.handlers import problem_response, refuse_websocket
+from service.problems.handlers import error_response, refuse
 from service.security.audit_entry import record_act, record_repeats
 from service.security.credential import check_query, credential_of, why_not_local
 from service.security.operation_scopes import OPERATION_SCOPES, PUBLIC, WRITE_SCOPES
@@ -212,17 +210,8 @@ def _detail(body: bytes) -> str | None:
 
 
 async def _refuse(error: LumilineError, scope: Scope, receive: Receive, send: Send) -> None:
-    response = _answer(error, scope["path"])
-    if scope["type"] == "websocket":
-        await refuse_websocket(response, scope, receive, send)
-    else:
-        await response(scope, receive, send)
-
-
-def _answer(error: LumilineError, path: str) -> Response:
-    kind = problem_type_of(type(error))
-    context: Mapping[str, object] | None = error.context
-    return problem_response(kind, error.detail, path, context=context, headers=_headers(error))
+    response = error_response(error, scope["path"], _headers(error))
+    await refuse(response, scope, receive, send)
 
 
 def _headers(error: LumilineError) -> dict[str, str]:

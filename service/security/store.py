@@ -1,17 +1,68 @@
-"""API keys in the database; only the digest of their text is stored."""
+"""API keys: their format, and the database, which has only the digest of their text.
 
+A key is ``lumi_<id>_<secret>``: the id, 12 letters and digits, finds it in the database; the
+secret has 43 letters and digits, 256 bits from the operating system. What is random to 256 bits
+cannot be tried out, so SHA-256 keeps it as well as a slow hash of passwords would, and costs a
+request nothing.
+"""
+
+import hashlib
+import re
+import secrets
+import string
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
-from typing import Final, Literal, Protocol
+from typing import Final, Literal
 
-from sqlalchemy import func, or_, select, update
+from sqlalchemy import or_, select, update
 from sqlalchemy.orm import Session
 
 from compute.errors import InvalidParameter
+from service.database.engine import Resource
 from service.database.models import ApiKeyRow
 from service.principal import Principal, Scope, current_act, known_scopes
 from service.problems.errors import UnknownKey
-from service.security.key_format import NewKey, make_key
+
+_ID_ALPHABET: Final = string.ascii_lowercase + string.digits
+_SECRET_ALPHABET: Final = string.ascii_letters + string.digits
+_ID_LENGTH: Final = 12
+_SECRET_LENGTH: Final = 43
+
+PREFIX: Final = "lumi_"
+_FORM: Final = re.compile(r"lumi_([a-z0-9]{12})_[A-Za-z0-9]{43}", re.ASCII)
+
+
+@dataclass(frozen=True)
+class NewKey:
+    """A key that was just made; ``text`` is shown once and kept nowhere."""
+
+    id: str
+    text: str = field(repr=False)
+
+    @property
+    def digest(self) -> str:
+        """What is stored of it."""
+        return digest(self.text)
+
+
+def make_key() -> NewKey:
+    """Make a key."""
+    identity = "".join(secrets.choice(_ID_ALPHABET) for _ in range(_ID_LENGTH))
+    secret = "".join(secrets.choice(_SECRET_ALPHABET) for _ in range(_SECRET_LENGTH))
+    return NewKey(identity, f"{PREFIX}{identity}_{secret}")
+
+
+def key_id_of(text: str) -> str | None:
+    """Return the id in a key's text, None when it has not the form of a key."""
+    found = _FORM.fullmatch(text)
+    return None if found is None else found.group(1)
+
+
+def digest(text: str) -> str:
+    """Return the SHA-256 of a key's text, in hexadecimal digits."""
+    return hashlib.sha256(text.encode()).hexdigest()
+
 
 KeyState = Literal["valid", "expired", "revoked"]
 
@@ -19,47 +70,36 @@ USED_EVERY: Final = timedelta(hours=1)
 """The moment of last use is written down no more often: each is a write."""
 
 
-class KeyRequest(Protocol):
-    """What a new key is asked to be: its name, its scopes and until when it is valid."""
-
-    @property
-    def name(self) -> str:
-        """Who or what the key is for."""
-        ...
-
-    @property
-    def scopes(self) -> Sequence[Scope]:
-        """What it may do."""
-        ...
-
-    @property
-    def expires_at(self) -> datetime | None:
-        """Until when it is valid; None: until it is revoked."""
-        ...
-
-
-def add_key(session: Session, request: KeyRequest) -> tuple[ApiKeyRow, NewKey]:
+def add_key(
+    session: Session, name: str, scopes: Sequence[Scope], expires_at: datetime | None = None
+) -> tuple[ApiKeyRow, NewKey]:
     """Store a new key and return it with its text, which nothing else has.
+
+    Args:
+        session: the session.
+        name: who or what the key is for.
+        scopes: what it may do.
+        expires_at: until when it is valid; None: until it is revoked.
 
     Raises:
         InvalidParameter: it would have expired already.
     """
     now = datetime.now(UTC)
-    if request.expires_at is not None and request.expires_at <= now:
+    if expires_at is not None and expires_at <= now:
         raise InvalidParameter(
-            f"expires_at is {request.expires_at.isoformat()}, which has passed; give a later "
+            f"expires_at is {expires_at.isoformat()}, which has passed; give a later "
             "moment, or leave it out"
         )
     made = make_key()
     act = current_act.get()
     row = ApiKeyRow(
         id=made.id,
-        name=request.name,
+        name=name,
         digest=made.digest,
-        scopes=sorted(set(request.scopes)),
+        scopes=sorted(set(scopes)),
         created_by=act.principal.label if act is not None else "service",
         created_at=now,
-        expires_at=request.expires_at,
+        expires_at=expires_at,
         revoked_at=None,
         last_used_at=None,
     )
@@ -68,29 +108,12 @@ def add_key(session: Session, request: KeyRequest) -> tuple[ApiKeyRow, NewKey]:
     return row, made
 
 
-def get_key(session: Session, key_id: str, *, lock: bool = False) -> ApiKeyRow:
-    """Return a key; raises UnknownKey."""
-    row = session.get(ApiKeyRow, key_id, with_for_update=lock or None)
-    if row is None:
-        raise UnknownKey(f'there is no key "{key_id}"; GET /api/v1/keys lists them', key=key_id)
-    return row
-
-
-def list_keys(session: Session, limit: int, offset: int) -> tuple[Sequence[ApiKeyRow], int]:
-    """Return a page of keys, newest first, and how many there are."""
-    total = session.scalar(select(func.count()).select_from(ApiKeyRow))
-    rows = session.scalars(
-        select(ApiKeyRow)
-        .order_by(ApiKeyRow.created_at.desc(), ApiKeyRow.id)
-        .limit(limit)
-        .offset(offset)
-    ).all()
-    return rows, total or 0
+KEYS: Final = Resource(ApiKeyRow, "key", UnknownKey)
 
 
 def revoke_key(session: Session, key_id: str) -> ApiKeyRow:
     """Revoke a key for good; one that is revoked stays as it is. Raises UnknownKey."""
-    row = get_key(session, key_id, lock=True)
+    row = KEYS.get(session, key_id, lock=True)
     if row.revoked_at is None:
         row.revoked_at = datetime.now(UTC)
         session.flush()

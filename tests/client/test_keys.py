@@ -29,7 +29,7 @@ def guarded(folder: Path) -> Iterator[str]:
 @pytest.fixture
 def key(guarded: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> str:
     """A key of every scope, as `lumiline keys create` makes it."""
-    create(folder, "client", ["all"], None)
+    create("client", ["all"], None, folder)
     return capsys.readouterr().out.strip().splitlines()[-1]
 
 

@@ -34,7 +34,7 @@ def test_serve_hands_the_settings_to_uvicorn(monkeypatch: pytest.MonkeyPatch, tm
     monkeypatch.setattr(
         "service.application.shutdown.run_server", lambda app, given: calls.append((app, given))
     )
-    monkeypatch.setattr("service.cli.port_check.check_ports", lambda _: None)
+    monkeypatch.setattr("service.cli.preflight.check_ports", lambda _: None)
     monkeypatch.setenv("LUMILINE_PORT", "1234")
     result = run(
         "serve", "--data-dir", str(tmp_path), "--compute-device", "cpu", "--host", "0.0.0.0"

@@ -16,7 +16,6 @@ from hardware.errors import DeviceNotConnected
 from hardware.genicam.driver import GenicamDriver
 from hardware.serial.driver import SerialDriver
 from hardware.tcd1304.driver import Tcd1304Driver
-from service.api.security.schema import NewApiKey
 from service.application.app import create_app
 from service.principal import SCOPES
 from service.security.store import add_key
@@ -158,7 +157,7 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         for driver in (SerialDriver, Tcd1304Driver, GenicamDriver):
             patch.setattr(driver, "open", not_connected)
         with relay.app.state.database.write() as session:
-            _, made = add_key(session, NewApiKey(name="contract", scopes=SCOPES))
+            _, made = add_key(session, name="contract", scopes=SCOPES)
         relay.key = made.text
         yield
 

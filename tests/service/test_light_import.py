@@ -26,7 +26,7 @@ def loaded_by(code: str) -> set[str]:
     [
         "import service",
         "import service.application.app",
-        "from service.cli.openapi import run; run()",
+        "from service.cli.serve import openapi; openapi()",
         "import service.cli.serve",
     ],
 )

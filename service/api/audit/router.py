@@ -1,18 +1,20 @@
 """REST resource /api/v1/audit: who changed what."""
 
 import re
-from typing import Annotated
+from dataclasses import dataclass
+from operator import eq, ge, lt
+from typing import Annotated, Any, Literal
 
-from fastapi import APIRouter, Query
-from pydantic import BeforeValidator
+from fastapi import Depends, Query
+from pydantic import BeforeValidator, Field
+from sqlalchemy import Select, select
 
-from service.api.audit import store
-from service.api.audit.store import AuditEntry, AuditFilter, Outcome
-from service.api.base_models import Page, RequestMoment
-from service.api.dependencies import DatabaseDep
-from service.api.request_parameters import Limit, Offset
+from service.api.base_models import Moment, Page, RequestMoment, ResponseModel, from_attributes
+from service.api.inputs import DatabaseDep, PagingDep, page_of
+from service.api.openapi import ResourceRouter
+from service.database.models import AuditRow
 
-router = APIRouter(prefix="/api/v1/audit", tags=["keys"])
+router = ResourceRouter("/api/v1/audit", "keys")
 
 _RFC3339 = re.compile(r"\d{4}-\d\d-\d\d[Tt ]\d\d:\d\d:\d\d(\.\d+)?([Zz]|[+-]\d\d:\d\d)", re.ASCII)
 
@@ -26,36 +28,81 @@ def _written_out(text: object) -> object:
 
 QueryMoment = Annotated[RequestMoment, BeforeValidator(_written_out)]
 
-_WORD = r"^[^\u0000]*$"
+Outcome = Literal["done", "refused"]
 
 
-@router.get("", operation_id="list-audit", summary="Who changed what")
+class Actor(ResponseModel):
+    """Who acted."""
+
+    kind: Literal["key", "token", "local", "command", "service"] = Field(
+        description="An API key, a token of the identity provider, a program on the server's own "
+        "machine without a key, the command line, or the server itself."
+    )
+    id: str = Field(description="The key's id, the token's subject, or the user.")
+    name: str
+
+
+class AuditEntry(ResponseModel):
+    """One change, or an attempt that was refused."""
+
+    id: int
+    at: Moment
+    actor: Actor
+    operation: str = Field(description="The operation's id in the OpenAPI document, or a command.")
+    outcome: Outcome
+    object_kind: str = Field(description="What was changed: device, calibration, key, ...")
+    object_id: str | None
+    before: dict[str, Any] | None = Field(description="Values that are no more, in short.")
+    after: dict[str, Any] | None = Field(description="Values from then on, in short.")
+    detail: str | None = Field(description="Why it was refused.")
+    request_id: str | None = Field(description="Also in the answer's header X-Request-ID.")
+    address: str | None
+
+
+def _text(max_length: int, description: str, alias: str | None = None) -> Any:
+    return Query(
+        max_length=max_length, pattern=r"^[^\u0000]*$", description=description, alias=alias
+    )
+
+
+@dataclass(frozen=True)
+class AuditFilter:
+    """Which entries are asked for: those that agree with all that is given."""
+
+    actor: Annotated[str | None, _text(200, "Only of this key id, subject or user.")] = None
+    operation: Annotated[str | None, _text(64, "Only this operation's.")] = None
+    outcome: Annotated[Outcome | None, Query(description="Only these.")] = None
+    kind: Annotated[str | None, _text(32, "Only objects of this kind: device, ...")] = None
+    object_id: Annotated[str | None, _text(200, "Only of this object.", "object")] = None
+    since: Annotated[QueryMoment | None, Query(description="From this moment on.")] = None
+    until: Annotated[QueryMoment | None, Query(description="Before this moment.")] = None
+
+    def entries(self) -> Select[AuditRow]:
+        """Return the entries, newest first."""
+        conditions = (
+            (AuditRow.actor_id, eq, self.actor),
+            (AuditRow.operation, eq, self.operation),
+            (AuditRow.outcome, eq, self.outcome),
+            (AuditRow.object_kind, eq, self.kind),
+            (AuditRow.object_id, eq, self.object_id),
+            (AuditRow.at, ge, self.since),
+            (AuditRow.at, lt, self.until),
+        )
+        given = [
+            compare(column, value) for column, compare, value in conditions if value is not None
+        ]
+        return select(AuditRow).where(*given).order_by(AuditRow.id.desc())
+
+
+@router.operation("GET", "list-audit", "Who changed what")
 def list_audit(
-    database: DatabaseDep,
-    actor: Annotated[
-        str | None,
-        Query(max_length=200, pattern=_WORD, description="Only of this key id, subject or user."),
-    ] = None,
-    operation: Annotated[
-        str | None, Query(max_length=64, pattern=_WORD, description="Only this operation's.")
-    ] = None,
-    outcome: Annotated[Outcome | None, Query(description="Only these.")] = None,
-    kind: Annotated[
-        str | None,
-        Query(max_length=32, pattern=_WORD, description="Only objects of this kind: device, ..."),
-    ] = None,
-    object_id: Annotated[
-        str | None,
-        Query(alias="object", max_length=200, pattern=_WORD, description="Only of this object."),
-    ] = None,
-    since: Annotated[QueryMoment | None, Query(description="From this moment on.")] = None,
-    until: Annotated[QueryMoment | None, Query(description="Before this moment.")] = None,
-    limit: Limit = 50,
-    offset: Offset = 0,
+    database: DatabaseDep, chosen: Annotated[AuditFilter, Depends()], paging: PagingDep
 ) -> Page[AuditEntry]:
     """Changes, and attempts that were refused, newest first. Nothing is ever removed."""
-    chosen = AuditFilter(actor, operation, outcome, kind, object_id, since, until)
     with database.read() as session:
-        rows, total = store.list_entries(session, chosen, limit, offset)
-        items = [store.document(row) for row in rows]
-    return Page(items=items, total=total, limit=limit, offset=offset)
+        return page_of(session, chosen.entries(), paging, _document)
+
+
+def _document(row: AuditRow) -> AuditEntry:
+    actor = {name: getattr(row, f"actor_{name}") for name in Actor.model_fields}
+    return from_attributes(AuditEntry, row, actor=actor)

@@ -19,12 +19,17 @@ from service.api.beam_holds.schema import (
     NewBeamHold,
     NewReference,
 )
-from service.api.dependencies import DatabaseDep, LiveDep
 from service.api.devices.device_service import DeviceServiceDep
-from service.api.json_body import JsonRoute, JsonTypes
+from service.api.inputs import (
+    DatabaseDep,
+    DeviceFilter,
+    JsonRoute,
+    JsonTypes,
+    LiveDep,
+    PagingDep,
+    page_of,
+)
 from service.api.openapi import problems
-from service.api.pagination import PagingDep, page_of
-from service.api.request_parameters import DeviceFilter
 from service.api.tools import concurrency_limits
 from service.database.models import HoldRow
 from service.pipeline.beam_hold_state import BeamHoldState

@@ -20,7 +20,7 @@ from service.api.beam_holds.schema import (
     ToolWatch,
 )
 from service.api.devices.activation import active
-from service.api.tools.store import get_tool
+from service.api.tools.store import TOOLS
 from service.database.engine import insert
 from service.database.models import HoldRow
 from service.problems.errors import (
@@ -108,7 +108,7 @@ def add_beam_hold(session: Session, request: NewBeamHold) -> HoldRow:
     to_limits(request.limits, request.rules, watch)
     tool_id = watch.tool if isinstance(watch, ToolWatch) else None
     if tool_id is not None:
-        tool = get_tool(session, tool_id)
+        tool = TOOLS.get(session, tool_id)
         if tool.device_id != device:
             raise InvalidParameter(
                 f'tool "{tool_id}" is of device "{tool.device_id}"; a hold of "{device}" watches '

@@ -26,14 +26,20 @@ from service.api.calibrations.schema import (
     NewCalibration,
     State,
 )
-from service.api.dependencies import DatabaseDep
 from service.api.devices.device_service import DeviceServiceDep
 from service.api.devices.sensor import check_sensors
 from service.api.devices.store import get_device, sensors_of_row
-from service.api.json_body import JsonRoute, JsonTypes
+from service.api.inputs import (
+    CalibrationPath,
+    DatabaseDep,
+    DeviceFilter,
+    ExpectedActive,
+    JsonRoute,
+    JsonTypes,
+    PagingDep,
+    page_of,
+)
 from service.api.openapi import problems
-from service.api.pagination import PagingDep, page_of
-from service.api.request_parameters import CalibrationPath, DeviceFilter, ExpectedActive
 from service.problems.errors import (
     ActivationConflict,
     CalibrationActive,

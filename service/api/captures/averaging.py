@@ -1,4 +1,4 @@
-"""Mean readings of a stationary marker over frames, and the check that it was stationary."""
+"""Mean readings of a stationary marker; checks that it rested, and moved between targets."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,13 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from service.problems.errors import NoObservation, TargetMoved
+from service.api.captures.schema import CapturedTarget
+from service.problems.errors import MarkerNotMoved, NoObservation, TargetMoved
 
 Array = NDArray[np.float64]
 
 MIN_SENSORS: Final = 3
 _FALSE_ALARM_PROBABILITY: Final = 1e-4
-"""That a marker at rest is taken for moving, of all sensors together."""
+"""That a marker at rest is taken for moving, of all sensors together, or the other way round."""
 _EXCESS_SIGMA_FACTOR: Final = 2.0
 """By so much may the peaks' own deviations be too small before it is movement."""
 _FLOOR_PX: Final = 0.02
@@ -121,3 +122,46 @@ def _check_rest(values: Array, stated_px: float, sensor: str, target: str, senso
             drift_px=drift,
             limit_px=limit,
         )
+
+
+MIN_POINT_DISTANCE_MM: Final = 0.1
+"""Targets nearer than this may be read the same."""
+_SETTLING_PX: Final = 0.01
+"""Deviation of a mean that noise does not show: how a marker settles."""
+
+
+def check_marker_moved(found: CapturedTarget, others: Sequence[CapturedTarget]) -> None:
+    """Check that a target's readings are not those of another.
+
+    Sensors that see only one of the two say nothing; at least three must see both.
+
+    Args:
+        found: what was read of the target.
+        others: what was read of targets elsewhere, in order.
+
+    Raises:
+        MarkerNotMoved: in all sensors that saw both, another was read the same within the noise.
+    """
+    now = {one.sensor: one for one in found.sensors}
+    for other in reversed(others):
+        if other.target == found.target:
+            continue
+        pairs = [(now[one.sensor], one) for one in other.sensors if one.sensor in now]
+        if len(pairs) < MIN_SENSORS:
+            continue
+        squares = [
+            (one.mean_px - before.mean_px) ** 2
+            / (one.sigma_px**2 + before.sigma_px**2 + _SETTLING_PX**2)
+            for one, before in pairs
+        ]
+        if sum(squares) <= float(chi2.isf(_FALSE_ALARM_PROBABILITY, len(pairs))):
+            largest = max(abs(one.mean_px - before.mean_px) for one, before in pairs)
+            raise MarkerNotMoved(
+                f'target "{found.target}" reads as target "{other.target}" does, within '
+                f"{largest:.2g} px in all {len(pairs)} sensors that see both: is the marker still "
+                f'at "{other.target}"? Move it and capture again; of strobed markers name each '
+                "target's own",
+                target=found.target,
+                other=other.target,
+                largest_px=largest,
+            )

@@ -7,11 +7,9 @@ from threading import Lock
 from typing import Annotated
 
 import numpy as np
-from fastapi import APIRouter, Body, Path, Query, Response
-from starlette.status import HTTP_201_CREATED, HTTP_204_NO_CONTENT
+from fastapi import Body, Query, Response
 
-from compute.errors import DuplicatePoint
-from service.api.base_models import SLUG_PATTERN, Page
+from service.api.base_models import Page
 from service.api.captures import store
 from service.api.captures.averaging import average
 from service.api.captures.examples import NEW_CAPTURES
@@ -22,58 +20,44 @@ from service.api.captures.schema import (
     CaptureSettings,
     NewCapture,
 )
-from service.api.dependencies import DatabaseDep, LiveDep
 from service.api.devices.store import get_device
-from service.api.json_body import JsonRoute, JsonTypes
-from service.api.openapi import problems
-from service.api.pagination import PagingDep, page_of
-from service.api.request_parameters import DeviceFilter
+from service.api.inputs import (
+    DatabaseDep,
+    DeviceFilter,
+    JsonTypes,
+    LiveDep,
+    PagingDep,
+    id_in_path,
+    page_of,
+)
+from service.api.openapi import ResourceRouter, raises
 from service.problems.errors import (
     Busy,
-    CaptureComplete,
-    CaptureExists,
-    CaptureOfAnotherDevice,
-    DeviceNotRunning,
-    MarkerNotMoved,
     NoObservation,
-    TargetMoved,
-    UnknownCapture,
-    UnknownDevice,
-    UnknownTarget,
 )
 
-router = APIRouter(prefix="/api/v1/captures", tags=["captures"], route_class=JsonRoute)
+router = ResourceRouter("/api/v1/captures", "captures")
 
 NewCaptureBody = Annotated[NewCapture, JsonTypes(), Body(openapi_examples=NEW_CAPTURES)]
-CapturePath = Annotated[
-    str,
-    Path(
-        pattern=SLUG_PATTERN,
-        description="The session's id.",
-        openapi_examples={"frame": {"summary": "of the example body", "value": "sim-capture"}},
-    ),
-]
+CapturePath = Annotated[str, id_in_path("The session's id.", "sim-capture", "frame")]
 
 _capturing: set[str] = set()
 _guard = Lock()
 
 
-@router.get("", operation_id="list-captures", summary="List capture sessions")
+@router.operation("GET", "list-captures", "List capture sessions")
 def list_captures(
     database: DatabaseDep, paging: PagingDep, device: DeviceFilter = None
 ) -> Page[Capture]:
     """Capture sessions, newest first."""
     with database.read() as session:
-        return page_of(session, store.captures(device), paging, store.document)
+        return page_of(
+            session, store.CAPTURES.newest_first(device_id=device), paging, store.document
+        )
 
 
-@router.post(
-    "",
-    operation_id="create-capture",
-    summary="Begin a capture session",
-    status_code=HTTP_201_CREATED,
-    responses=problems(UnknownDevice, CaptureExists, DuplicatePoint),
-)
+@router.operation("POST", "create-capture", "Begin a capture session", status_code=201)
+@raises("unknown-device", "capture-exists", "duplicate-point")
 def create_capture(request: NewCaptureBody, database: DatabaseDep, response: Response) -> Capture:
     """Name the places at which a marker will be held, in the order in which they will be visited.
 
@@ -87,47 +71,25 @@ def create_capture(request: NewCaptureBody, database: DatabaseDep, response: Res
     return made
 
 
-@router.get(
-    "/{capture_id}",
-    operation_id="get-capture",
-    summary="What is captured and what is left",
-    responses=problems(UnknownCapture),
-)
+@router.operation("GET /{capture_id}", "get-capture", "What is captured and what is left")
+@raises("unknown-capture")
 def get_capture(capture_id: CapturePath, database: DatabaseDep) -> Capture:
     """One session."""
     with database.read() as session:
-        return store.document(store.get_capture(session, capture_id))
+        return store.document(store.CAPTURES.get(session, capture_id))
 
 
-@router.delete(
-    "/{capture_id}",
-    operation_id="delete-capture",
-    summary="Delete a capture session",
-    status_code=HTTP_204_NO_CONTENT,
-    responses=problems(UnknownCapture),
-)
+@router.operation("DELETE /{capture_id}", "delete-capture", "Delete a capture session")
+@raises("unknown-capture")
 def delete_capture(capture_id: CapturePath, database: DatabaseDep) -> None:
     """Delete a session; runs that were posted with it keep its measurements."""
     with database.write() as session:
-        session.delete(store.get_capture(session, capture_id, lock=True))
+        session.delete(store.CAPTURES.get(session, capture_id, lock=True))
 
 
-@router.post(
-    "/{capture_id}/capture",
-    operation_id="capture-target",
-    summary="Capture the next target",
-    responses=problems(
-        UnknownCapture,
-        UnknownTarget,
-        DeviceNotRunning,
-        CaptureOfAnotherDevice,
-        CaptureComplete,
-        NoObservation,
-        TargetMoved,
-        MarkerNotMoved,
-        Busy,
-    ),
-)
+@router.operation("POST /{capture_id}/capture", "capture-target", "Capture the next target")
+@raises("unknown-capture", "unknown-target", "device-not-running", "capture-of-another-device")
+@raises("capture-complete", "nothing-seen", "target-moved", "marker-not-moved", "busy")
 def capture_target(
     capture_id: CapturePath,
     database: DatabaseDep,
@@ -149,7 +111,7 @@ def capture_target(
     the marker is still there, or a strobed one is named for both.
     """
     with database.read() as session:
-        row = store.get_capture(session, capture_id)
+        row = store.CAPTURES.get(session, capture_id)
         store.check_sensors_now(session, row)
         wanted = store.next_target(row, target)
         settings = CaptureSettings.model_validate(row.settings)

@@ -26,9 +26,7 @@ class Target(RequestModel):
 class CaptureSettings(RequestModel):
     """How each target is captured."""
 
-    frames: Annotated[int, Field(ge=3, le=10_000)] = Field(
-        default=50, description="Frames that are averaged."
-    )
+    frames: int = Field(default=50, ge=3, le=10_000, description="Frames that are averaged.")
     marker: Marker | None = Field(
         default=None,
         description="Strobed marker to take at targets that name none; null: frames in which "

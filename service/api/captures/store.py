@@ -5,15 +5,15 @@ from datetime import UTC, datetime
 from math import dist
 from typing import Any
 
-from sqlalchemy import Select, select
 from sqlalchemy.orm import Session
 
 from compute.errors import DuplicatePoint
+from service.api.base_models import from_attributes
 from service.api.calibrations.schema import ControlPoint, Reading
-from service.api.captures.movement_check import MIN_POINT_DISTANCE_MM, check_marker_moved
-from service.api.captures.schema import Capture, CapturedTarget, CaptureSettings, NewCapture, Target
+from service.api.captures.averaging import MIN_POINT_DISTANCE_MM, check_marker_moved
+from service.api.captures.schema import Capture, CapturedTarget, NewCapture, Target
 from service.api.devices.store import get_device, sensors_of_row
-from service.database.engine import insert
+from service.database.engine import Resource
 from service.database.models import CaptureRow, DeviceRow
 from service.problems.errors import (
     CaptureComplete,
@@ -27,21 +27,7 @@ from service.problems.errors import (
 _MIN_SIGMA_PX = 1e-6
 
 
-def get_capture(session: Session, capture_id: str, *, lock: bool = False) -> CaptureRow:
-    """Return a capture session, locked on request; raises UnknownCapture."""
-    row = session.get(CaptureRow, capture_id, with_for_update=lock or None)
-    if row is None:
-        raise UnknownCapture(
-            f'there is no capture session "{capture_id}"; GET /api/v1/captures lists them',
-            capture=capture_id,
-        )
-    return row
-
-
-def captures(device_id: str | None) -> Select[CaptureRow]:
-    """Return those that the filter matches, newest first."""
-    found = select(CaptureRow).order_by(CaptureRow.created_at.desc(), CaptureRow.id)
-    return found if device_id is None else found.where(CaptureRow.device_id == device_id)
+CAPTURES = Resource(CaptureRow, "capture", UnknownCapture, CaptureExists, "capture session")
 
 
 def add_capture(session: Session, request: NewCapture, device: DeviceRow) -> CaptureRow:
@@ -67,16 +53,9 @@ def add_capture(session: Session, request: NewCapture, device: DeviceRow) -> Cap
                 f"{target.position_mm} mm; give each once: a target can be captured again by name",
                 point=target.name,
             )
-    identity = request.id or f"capture-{secrets.token_hex(8)}"
-    taken = CaptureExists(
-        f'capture session "{identity}" exists already; choose another id, or leave it out',
-        capture=identity,
-    )
-    if session.get(CaptureRow, identity) is not None:
-        raise taken
     now = datetime.now(UTC)
     row = CaptureRow(
-        id=identity,
+        id=request.id or f"capture-{secrets.token_hex(8)}",
         device_id=device.id,
         sensors=device.sensors,
         settings=request.settings.model_dump(mode="json"),
@@ -86,8 +65,7 @@ def add_capture(session: Session, request: NewCapture, device: DeviceRow) -> Cap
         created_at=now,
         updated_at=now,
     )
-    insert(session, row, taken)
-    return row
+    return CAPTURES.insert(session, row)
 
 
 def next_target(row: CaptureRow, name: str | None) -> Target:
@@ -137,7 +115,7 @@ def keep(session: Session, capture_id: str, found: CapturedTarget) -> CaptureRow
         UnknownCapture: there is none.
         MarkerNotMoved: another target was read the same.
     """
-    row = get_capture(session, capture_id, lock=True)
+    row = CAPTURES.get(session, capture_id, lock=True)
     places = {target["name"]: target["position_mm"] for target in row.targets}
     others = [
         CapturedTarget.model_validate(row.captured[name])
@@ -167,7 +145,7 @@ def captured_points(
         CaptureOfAnotherDevice: it is of another device, or of other sensors.
         CaptureIncomplete: targets are missing.
     """
-    row = get_capture(session, capture_id)
+    row = CAPTURES.get(session, capture_id)
     if row.device_id != device_id:
         raise CaptureOfAnotherDevice(
             f'session "{row.id}" is of device "{row.device_id}", not of "{device_id}"',
@@ -207,19 +185,10 @@ def document(row: CaptureRow) -> Capture:
     """Return the session as clients see it."""
     names = [target["name"] for target in row.targets]
     left = [name for name in names if name not in row.captured]
-    return Capture(
-        id=row.id,
-        device=row.device_id,
-        settings=CaptureSettings.model_validate(row.settings),
-        targets=[Target.model_validate(target) for target in row.targets],
-        captured=[
-            CapturedTarget.model_validate(row.captured[name])
-            for name in names
-            if name in row.captured
-        ],
+    return from_attributes(
+        Capture,
+        row,
+        captured=[row.captured[name] for name in names if name in row.captured],
         next=left[0] if left else None,
         left=len(left),
-        note=row.note,
-        created_at=row.created_at,
-        updated_at=row.updated_at,
     )

@@ -13,11 +13,9 @@ from service.api.correction_tables import store
 from service.api.correction_tables.schema import CorrectionTableDocument
 from service.api.correction_tables.table_content import MEDIA_TYPE
 from service.api.correction_tables.upload_process import read_in_process
-from service.api.dependencies import DatabaseDep
 from service.api.devices.device_service import DeviceServiceDep
+from service.api.inputs import DatabaseDep, DeviceFilter, ExpectedActive, PagingDep, page_of
 from service.api.openapi import problems
-from service.api.pagination import PagingDep, page_of
-from service.api.request_parameters import DeviceFilter, ExpectedActive
 from service.database.engine import Database
 from service.problems.errors import (
     ActivationConflict,

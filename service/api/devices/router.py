@@ -8,16 +8,21 @@ from starlette.status import HTTP_201_CREATED, HTTP_204_NO_CONTENT
 from compute.errors import InvalidParameter, InvalidRecording
 from hardware.errors import DeviceNotConnected
 from service.api.base_models import SLUG_PATTERN, Page
-from service.api.dependencies import DatabaseDep
 from service.api.devices import store
 from service.api.devices.activation import activations
 from service.api.devices.device_service import DeviceServiceDep
 from service.api.devices.examples import CHANGES, NEW_DEVICES
 from service.api.devices.schema import Activation, Device, DeviceChange, NewDevice, Status
-from service.api.json_body import JsonRoute, JsonTypes
+from service.api.inputs import (
+    DatabaseDep,
+    DevicePath,
+    ExpectedActive,
+    JsonRoute,
+    JsonTypes,
+    PagingDep,
+    page_of,
+)
 from service.api.openapi import problems
-from service.api.pagination import PagingDep, page_of
-from service.api.request_parameters import DevicePath, ExpectedActive
 from service.database.models import ActivationRow
 from service.problems.errors import (
     ActivationConflict,

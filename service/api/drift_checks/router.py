@@ -2,20 +2,11 @@
 
 from typing import Annotated
 
-from fastapi import APIRouter, Body, Path, Query, Response
-from starlette.status import HTTP_201_CREATED
+from fastapi import Body, Query, Response
 
-from compute.errors import (
-    DuplicatePoint,
-    InvalidParameter,
-    ReadingOutsideSensor,
-    TooFewPoints,
-    UnknownSensor,
-)
 from service.api.base_models import SLUG_PATTERN, Page
 from service.api.calibrations.calibration_content import result_of
 from service.api.calibrations.store import get_calibration
-from service.api.dependencies import DatabaseDep
 from service.api.devices.sensor import check_sensors
 from service.api.devices.store import get_device, sensors_of_row
 from service.api.drift_checks import store
@@ -23,52 +14,32 @@ from service.api.drift_checks.examples import NEW_DRIFT_CHECKS
 from service.api.drift_checks.marker_references import resolve_stationary_markers
 from service.api.drift_checks.schema import DriftCheckDocument, DriftCheckSummary, NewDriftCheck
 from service.api.drift_checks.stationary_markers import still_set
-from service.api.json_body import JsonRoute, JsonTypes
-from service.api.openapi import problems
-from service.api.pagination import PagingDep, page_of
-from service.api.request_parameters import CalibrationPath, DeviceFilter
-from service.problems.errors import (
-    CaptureIncomplete,
-    CaptureOfAnotherDevice,
-    DriftCheckExists,
-    SensorsChanged,
-    UnknownCalibration,
-    UnknownCapture,
-    UnknownDriftCheck,
+from service.api.inputs import (
+    CalibrationPath,
+    DatabaseDep,
+    DeviceFilter,
+    JsonTypes,
+    PagingDep,
+    id_in_path,
+    page_of,
 )
+from service.api.openapi import ResourceRouter, raises
 
-router = APIRouter(prefix="/api/v1", tags=["drift-checks"], route_class=JsonRoute)
+router = ResourceRouter("/api/v1", "drift-checks")
 
 NewDriftCheckBody = Annotated[NewDriftCheck, JsonTypes(), Body(openapi_examples=NEW_DRIFT_CHECKS)]
-DriftCheckPath = Annotated[
-    str,
-    Path(
-        pattern=SLUG_PATTERN,
-        description="The check's id.",
-        openapi_examples={"frame": {"summary": "of the example body", "value": "sim-drift"}},
-    ),
-]
+DriftCheckPath = Annotated[str, id_in_path("The check's id.", "sim-drift", "frame")]
 
 
-@router.post(
-    "/calibrations/{calibration_id}/drift-checks",
-    operation_id="create-drift-check",
-    summary="Is a calibration still good?",
-    status_code=HTTP_201_CREATED,
-    responses=problems(
-        UnknownCalibration,
-        UnknownCapture,
-        DriftCheckExists,
-        CaptureOfAnotherDevice,
-        CaptureIncomplete,
-        SensorsChanged,
-        TooFewPoints,
-        DuplicatePoint,
-        UnknownSensor,
-        ReadingOutsideSensor,
-        InvalidParameter,
-    ),
+@router.operation(
+    "POST /calibrations/{calibration_id}/drift-checks",
+    "create-drift-check",
+    "Is a calibration still good?",
+    status_code=201,
 )
+@raises("unknown-calibration", "unknown-capture", "drift-check-exists", "capture-of-another-device")
+@raises("capture-incomplete", "sensors-changed", "too-few-points", "duplicate-point")
+@raises("unknown-sensor", "reading-outside-sensor", "invalid-parameter")
 def create_drift_check(
     calibration_id: CalibrationPath,
     request: NewDriftCheckBody,
@@ -83,7 +54,7 @@ def create_drift_check(
     from compute.calibration.drift.drift_detection import check_drift
 
     with database.read() as session:
-        store.check_unused(session, request.id)
+        store.DRIFT_CHECKS.check_unused(session, request.id)
         calibration = get_calibration(session, calibration_id)
         sensors = sensors_of_row(get_device(session, calibration.device_id))
         result = result_of(calibration.content)
@@ -98,7 +69,7 @@ def create_drift_check(
     return made
 
 
-@router.get("/drift-checks", operation_id="list-drift-checks", summary="List drift checks")
+@router.operation("GET /drift-checks", "list-drift-checks", "List drift checks")
 def list_drift_checks(
     database: DatabaseDep,
     paging: PagingDep,
@@ -117,13 +88,9 @@ def list_drift_checks(
         )
 
 
-@router.get(
-    "/drift-checks/{check_id}",
-    operation_id="get-drift-check",
-    summary="Read a drift check",
-    responses=problems(UnknownDriftCheck),
-)
+@router.operation("GET /drift-checks/{check_id}", "get-drift-check", "Read a drift check")
+@raises("unknown-drift-check")
 def get_drift_check(check_id: DriftCheckPath, database: DatabaseDep) -> DriftCheckDocument:
     """One check with its readings."""
     with database.read() as session:
-        return store.document(store.get_drift_check(session, check_id))
+        return store.document(store.DRIFT_CHECKS.get(session, check_id))

@@ -47,7 +47,8 @@ def write_c3d(table: MotionTable, found: Sequence[Trajectory], path: Path) -> No
     if table.tools:
         _rotations(file, table, place, frames)
     facts = {"DEVICE": table.device, "START_HOST_NS": str(int(table.host_ns[0]))}
-    for name, value in (facts | _parameters(table)).items():
+    facts |= {name.upper(): value for name, value in table.notes.items() if value}
+    for name, value in facts.items():
         file.add_parameter("LUMILINE", name, value)
     file.write(str(path))
 
@@ -89,10 +90,7 @@ def _points(
         residuals[0, index, place[seen]] = (
             np.minimum(np.round(steps), MAX_STEPS) + 0.5
         ) * RESIDUAL_STEP_MM
-    parameters = file["parameters"]["POINT"]
-    parameters["RATE"]["value"] = [table.rate_hz]
-    parameters["LABELS"]["value"] = [one.label for one in found]
-    parameters["UNITS"]["value"] = ["mm"]
+    parameters = _describe(file, "POINT", table.rate_hz, [one.label for one in found], "mm")
     # Below zero: numbers are single-precision as they stand; its size is the residuals' step.
     parameters["SCALE"]["value"] = [-RESIDUAL_STEP_MM]
     file["data"]["points"] = points
@@ -100,28 +98,33 @@ def _points(
     file["data"]["meta_points"]["camera_masks"] = np.zeros((7, len(found), frames), np.bool_)
 
 
+def _describe(file: Any, group: str, rate_hz: float, labels: list[str], unit: str) -> Any:
+    parameters = file["parameters"][group]
+    for name, value in (("RATE", rate_hz), ("UNITS", unit)):
+        parameters[name]["value"] = [value]
+    parameters["LABELS"]["value"] = labels
+    return parameters
+
+
 def _times(file: Any, table: MotionTable, place: NDArray[np.int64], frames: int) -> None:
     nominal_s = place / table.rate_hz if table.rate_hz else np.zeros(len(place))
     late = np.zeros((1, 1, frames))
     late[0, 0, place] = (table.time_s - nominal_s) * 1e6
-    parameters = file["parameters"]["ANALOG"]
-    parameters["RATE"]["value"] = [table.rate_hz]
-    parameters["LABELS"]["value"] = [TIME_CHANNEL]
-    parameters["UNITS"]["value"] = ["us"]
+    _describe(file, "ANALOG", table.rate_hz, [TIME_CHANNEL], "us")
     file["data"]["analogs"] = late
 
 
 def _rotations(file: Any, table: MotionTable, place: NDArray[np.int64], frames: int) -> None:
     """Write T_world_tool of each tool where its pose is OK."""
     poses = table.poses
-    turns = np.full((4, 4, len(table.tools), frames), np.nan)
+    rotations = np.full((4, 4, len(table.tools), frames), np.nan)
     good = np.flatnonzero(poses.status == PoseStatus.OK.value)
     where = (poses.tool[good], place[poses.frame[good]])
     matrix = np.tile(np.eye(4), (len(good), 1, 1))
     matrix[:, :3, :3] = poses.rotation[good]
     matrix[:, :3, 3] = poses.translation_mm[good]
-    turns[:, :, where[0], where[1]] = matrix.transpose(1, 2, 0)
-    file["data"]["rotations"] = turns
+    rotations[:, :, where[0], where[1]] = matrix.transpose(1, 2, 0)
+    file["data"]["rotations"] = rotations
     for name, value in (
         ("USED", [len(table.tools)]),
         ("RATE", [table.rate_hz]),
@@ -129,7 +132,3 @@ def _rotations(file: Any, table: MotionTable, place: NDArray[np.int64], frames: 
         ("LABELS", list(table.tools)),
     ):
         file.add_parameter("ROTATION", name, value)
-
-
-def _parameters(table: MotionTable) -> dict[str, str]:
-    return {name.upper(): value for name, value in table.notes.items() if value}

@@ -2,15 +2,13 @@
 
 from typing import Any, Final
 
-from service.api.recordings.examples import FINISHED
-
 NEW_EXPORT_RUNS: Final[dict[str, Any]] = {
     "table": {
         "summary": "Points, tracks and poses as rows of a CSV file",
         "value": {
             "id": "earlier-export",
             "device": "sim",
-            "recording": FINISHED["finished"]["value"],
+            "recording": "earlier.h5",
             "format": "csv",
             "result_id": "earlier-table",
         },

@@ -13,7 +13,13 @@ from compute.errors import InvalidParameter
 from compute.pose.rigid_body import PoseStatus, ToolPose
 from compute.reconstruction.point_batch import PointFlag
 from compute.tracking.track_batch import TrackFlag, TrackState
-from service.api.exports.motion_table import MotionTable
+from service.api.exports.motion_table import (
+    MotionTable,
+    PointRows,
+    TrackRows,
+    stack_or_nan,
+    standard_deviations,
+)
 from service.api.exports.table_builder import TableBuilder
 
 SUFFIXES: Final = (".jsonl", ".ndjson", ".json")
@@ -76,41 +82,34 @@ def _frames(line: str) -> Iterator[dict[str, Any]]:
 def _add(builder: TableBuilder, message: dict[str, Any]) -> None:
     index = len(builder)
     points, tracks = message.get("points") or [], message.get("tracks") or []
-    poses = [_pose(tool, message) for tool in message.get("tools") or []]
-    rows = _point_rows(points), _track_rows(tracks)
     builder.add_frame(
         int(message["sequence"]),
         int(message["device_ns"]),
         int(message["exposure_ns"]),
         message["marker"],
     )
-    if points:
-        builder.add_points(np.full(len(points), index), *rows[0])
-    if tracks:
-        builder.add_tracks(np.full(len(tracks), index), *rows[1])
-    for pose in poses:
-        builder.add_pose(index, pose)
-
-
-def _point_rows(points: list[dict[str, Any]]) -> tuple[Any, ...]:
-    return (
-        _stack(points, "position_mm", (3,)),
-        _stack(points, "covariance_mm2", (3, 3)),
-        _stack(points, "residual_sigma", ()),
-        np.array([_flags(PointFlag, one["flags"]) for one in points], np.int32),
+    builder.points.append(
+        PointRows(
+            np.full(len(points), index),
+            _stack(points, "position_mm", (3,)),
+            standard_deviations(_stack(points, "covariance_mm2", (3, 3))),
+            _stack(points, "residual_sigma", ()),
+            np.array([_flags(PointFlag, one["flags"]) for one in points], np.int32),
+        )
     )
-
-
-def _track_rows(tracks: list[dict[str, Any]]) -> tuple[Any, ...]:
-    return (
-        np.array([one["id"] for one in tracks], np.int64),
-        np.array([-1 if one["marker"] is None else one["marker"] for one in tracks], np.int32),
-        np.array([TrackState[one["state"].upper()] for one in tracks], np.int8),
-        np.array([_flags(TrackFlag, one["flags"]) for one in tracks], np.int32),
-        _stack(tracks, "position_mm", (3,)),
-        _stack(tracks, "covariance_mm2", (3, 3)),
-        _stack(tracks, "velocity_mm_s", (3,)),
+    builder.tracks.append(
+        TrackRows(
+            np.full(len(tracks), index),
+            np.array([one["id"] for one in tracks], np.int64),
+            np.array([-1 if one["marker"] is None else one["marker"] for one in tracks], np.int32),
+            np.array([TrackState[one["state"].upper()] for one in tracks], np.int8),
+            np.array([_flags(TrackFlag, one["flags"]) for one in tracks], np.int32),
+            _stack(tracks, "position_mm", (3,)),
+            standard_deviations(_stack(tracks, "covariance_mm2", (3, 3))),
+            _stack(tracks, "velocity_mm_s", (3,)),
+        )
     )
+    builder.poses += [(index, _pose(tool, message)) for tool in message.get("tools") or []]
 
 
 def _pose(tool: dict[str, Any], message: dict[str, Any]) -> ToolPose:
@@ -130,10 +129,7 @@ def _pose(tool: dict[str, Any], message: dict[str, Any]) -> ToolPose:
 
 
 def _stack(items: list[dict[str, Any]], name: str, shape: tuple[int, ...]) -> Array:
-    found = [_array(one[name], shape) for one in items]
-    none = np.full(shape, np.nan)
-    whole = np.array([none if one is None else one for one in found], np.float64)
-    return whole.reshape(-1, *shape)
+    return stack_or_nan((_array(one[name], shape) for one in items), shape)
 
 
 def _array(values: Any, shape: tuple[int, ...]) -> Array | None:

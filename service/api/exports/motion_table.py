@@ -1,8 +1,8 @@
 """MotionTable: points, tracks and tool poses of a sequence of frames, in columns."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Final
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from typing import Any, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,18 +13,29 @@ NO_MARKER: Final = -1
 
 
 @dataclass(frozen=True, eq=False)
-class PointRows:
-    """N points, ordered by their frames.
+class _Rows:
+    """N rows, ordered by their frames: index of the frame of each, shape (N,)."""
+
+    frame: NDArray[np.intp]
+
+    @classmethod
+    def concatenate(cls, parts: Sequence[Self]) -> Self:
+        """Return the rows of all parts, in the types of the first."""
+        columns = ([getattr(part, one.name) for part in parts] for one in fields(cls))
+        return cls(*(np.concatenate(column).astype(column[0].dtype) for column in columns))
+
+
+@dataclass(frozen=True, eq=False)
+class PointRows(_Rows):
+    """Points.
 
     Args:
-        frame: index of the frame of each, shape (N,).
         position_mm: shape (N, 3) [mm]; NaN: it could not be solved for.
         sd_mm: standard deviations, shape (N, 3) [mm].
         residual_sigma: root of chi2 per degree of freedom, shape (N,); NaN: there is none.
         flags: PointFlag values, shape (N,).
     """
 
-    frame: NDArray[np.intp]
     position_mm: Array
     sd_mm: Array
     residual_sigma: Array
@@ -32,11 +43,10 @@ class PointRows:
 
 
 @dataclass(frozen=True, eq=False)
-class TrackRows:
-    """N states of tracks, ordered by their frames.
+class TrackRows(_Rows):
+    """States of tracks.
 
     Args:
-        frame: index of the frame of each, shape (N,).
         identity: number of the track, shape (N,).
         marker: strobe slot or code of the marker; -1: not known, shape (N,).
         state: TrackState values, shape (N,).
@@ -46,7 +56,6 @@ class TrackRows:
         velocity_mm_s: shape (N, 3) [mm/s].
     """
 
-    frame: NDArray[np.intp]
     identity: NDArray[np.int64]
     marker: NDArray[np.int32]
     state: NDArray[np.int8]
@@ -57,11 +66,10 @@ class TrackRows:
 
 
 @dataclass(frozen=True, eq=False)
-class PoseRows:
-    """N poses, ordered by their frames; NaN where there is no pose.
+class PoseRows(_Rows):
+    """Poses; NaN where there is no pose.
 
     Args:
-        frame: index of the frame of each, shape (N,).
         tool: index of its tool, shape (N,).
         status: PoseStatus values, as text, shape (N,).
         rotation: R_world_tool, shape (N, 3, 3).
@@ -72,7 +80,6 @@ class PoseRows:
         residual_sigma: shape (N,).
     """
 
-    frame: NDArray[np.intp]
     tool: NDArray[np.intp]
     status: NDArray[np.str_]
     rotation: Array
@@ -81,6 +88,17 @@ class PoseRows:
     tip_mm: Array
     tip_sd_mm: Array
     residual_sigma: Array
+
+
+_NUMBERS: Final = np.empty(0)
+_VECTORS: Final = np.empty((0, 3))
+NO_POINTS: Final = PointRows(
+    np.empty(0, np.intp), _VECTORS, _VECTORS, _NUMBERS, np.empty(0, np.int32)
+)
+NO_TRACKS: Final = TrackRows(
+    np.empty(0, np.intp), np.empty(0, np.int64), np.empty(0, np.int32), np.empty(0, np.int8),
+    np.empty(0, np.int32), _VECTORS, _VECTORS, _VECTORS,
+)  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,3 +140,16 @@ class MotionTable:
         """Times of the frames on the device's clock since the first, shape (F,) [s]."""
         since = (self.device_ns - self.device_ns[:1]).astype(np.float64)
         return since * 1e-9
+
+
+def stack_or_nan(values: Iterable[Any], shape: tuple[int, ...] = ()) -> Array:
+    """Return N numbers or arrays of a shape as one, shape (N, ...); NaN for each None."""
+    none = np.full(shape, np.nan)
+    stacked = np.array([none if one is None else one for one in values], np.float64)
+    return stacked.reshape(-1, *shape)
+
+
+def standard_deviations(covariance: Array) -> Array:
+    """Return the roots of the diagonals of covariances (..., 3, 3), shape (..., 3)."""
+    sigma: Array = np.sqrt(np.einsum("...ii->...i", covariance).clip(min=0.0))
+    return sigma

@@ -7,11 +7,7 @@ from hardware.errors import MissingLibrary
 
 
 def import_optional(name: str) -> Any:
-    """Return a module.
-
-    Raises:
-        MissingLibrary: it is not installed; the message has the command that does.
-    """
+    """Return a module; raises MissingLibrary."""
     try:
         return import_module(name)
     except ImportError as error:

@@ -9,13 +9,11 @@ from starlette.responses import FileResponse
 from starlette.status import HTTP_204_NO_CONTENT
 
 from service.api.base_models import SLUG_PATTERN, Page
-from service.api.dependencies import DatabaseDep
 from service.api.exports.examples import EXPORT_IDS
 from service.api.exports.repository import MEDIA_TYPES, ExportRepository
 from service.api.exports.schema import Export, ExportFile
-from service.api.json_body import JsonRoute
+from service.api.inputs import DatabaseDep, JsonRoute, Limit, Offset
 from service.api.openapi import problems
-from service.api.request_parameters import Limit, Offset
 from service.database.models import RunRow
 from service.problems.errors import (
     UnknownExport,

@@ -1,7 +1,7 @@
 """Labelled trajectories, one position a frame, for motion-capture formats."""
 
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from compute.errors import InvalidParameter
 from compute.pose.rigid_body import PoseStatus
 from compute.tracking.track_batch import TrackState
-from service.api.exports.motion_table import NO_MARKER, MotionTable
+from service.api.exports.motion_table import NO_MARKER, MotionTable, PointRows, PoseRows, TrackRows
 
 Array = NDArray[np.float64]
 
@@ -60,60 +60,50 @@ def _of_tracks(table: MotionTable, predicted: bool) -> list[Trajectory]:
     tracks = table.tracks
     seen = tracks.state == TrackState.CONFIRMED
     kept = seen | (tracks.state == TrackState.COASTING) if predicted else seen
-    identities = np.unique(tracks.identity[seen]).tolist()
-    markers = {}
-    for identity in identities:
-        own = tracks.marker[seen & (tracks.identity == identity)]
-        markers[identity] = int(own[-1])
+    # The newest marker of each track is its last, as later items replace earlier ones.
+    markers = dict(zip(tracks.identity[seen].tolist(), tracks.marker[seen].tolist(), strict=True))
     shared = Counter(markers.values())
-    found = []
-    for identity in identities:
-        marker = markers[identity]
+    trajectories = []
+    for identity, marker in sorted(markers.items()):
         alone = marker != NO_MARKER and shared[marker] == 1
         label = f"marker-{marker}" if alone else f"track-{identity}"
-        own = np.flatnonzero(kept & (tracks.identity == identity))
-        found.append(
-            _placed(table, label, tracks.frame[own], tracks.position_mm[own], tracks.sd_mm[own])
-        )
-    return found
+        trajectories.append(_placed(table, label, tracks, kept & (tracks.identity == identity)))
+    return trajectories
 
 
 def _of_markers(table: MotionTable) -> list[Trajectory]:
     points = table.points
     marker = table.marker[points.frame]
-    found = []
-    for number in np.unique(marker[marker != NO_MARKER]).tolist():
-        own = np.flatnonzero(marker == number)
-        found.append(
-            _placed(
-                table,
-                f"marker-{number}",
-                points.frame[own],
-                points.position_mm[own],
-                points.sd_mm[own],
-            )
-        )
-    return found
+    return [
+        _placed(table, f"marker-{number}", points, marker == number)
+        for number in np.unique(marker[marker != NO_MARKER]).tolist()
+    ]
 
 
 def _of_tools(table: MotionTable) -> list[Trajectory]:
     """Return origins and tips where poses are OK: these formats have no word for another status."""
-    found = []
+    trajectories = []
     poses = table.poses
+    tips = replace(poses, translation_mm=poses.tip_mm, sd_mm=poses.tip_sd_mm)
     good = poses.status == PoseStatus.OK.value
     for index, name in enumerate(table.tools):
-        own = np.flatnonzero(good & (poses.tool == index))
-        frame, origin, tip = poses.frame[own], poses.translation_mm[own], poses.tip_mm[own]
-        found.append(_placed(table, f"{name}_origin", frame, origin, poses.sd_mm[own]))
-        if not np.array_equal(origin, tip, equal_nan=True):
-            found.append(_placed(table, f"{name}_tip", frame, tip, poses.tip_sd_mm[own]))
-    return found
+        chosen = good & (poses.tool == index)
+        trajectories.append(_placed(table, f"{name}_origin", poses, chosen))
+        if not np.array_equal(poses.translation_mm[chosen], poses.tip_mm[chosen], equal_nan=True):
+            trajectories.append(_placed(table, f"{name}_tip", tips, chosen))
+    return trajectories
 
 
 def _placed(
-    table: MotionTable, label: str, frame: NDArray[np.intp], position_mm: Array, sd_mm: Array
+    table: MotionTable,
+    label: str,
+    rows: PointRows | TrackRows | PoseRows,
+    chosen: NDArray[np.bool_],
 ) -> Trajectory:
+    """Return the positions of the chosen rows at their frames, gaps elsewhere."""
+    position_mm = rows.translation_mm if isinstance(rows, PoseRows) else rows.position_mm
     whole = Trajectory(label, np.full((len(table), 3), np.nan), np.full(len(table), np.nan))
-    whole.position_mm[frame] = position_mm
-    whole.sd_mm[frame] = np.sqrt((sd_mm**2).mean(axis=1))
+    frame = rows.frame[chosen]
+    whole.position_mm[frame] = position_mm[chosen]
+    whole.sd_mm[frame] = np.sqrt((rows.sd_mm[chosen] ** 2).mean(axis=1))
     return whole

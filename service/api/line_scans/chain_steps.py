@@ -1,9 +1,9 @@
 """Steps of the thesis's signal chain in requests, discriminated by `kind`."""
 
-from dataclasses import field
+from dataclasses import asdict, field
 from typing import Annotated, Final, Literal
 
-from pydantic import ConfigDict, Field
+from pydantic import ConfigDict, Field, TypeAdapter
 from pydantic.dataclasses import dataclass as checked_dataclass
 
 from compute.signal.centroid_settings import Weighting
@@ -152,21 +152,7 @@ class ChainMethod(SignalChain):
 
 def passive_chain() -> ChainMethod:
     """Return ``SignalChain.passive()`` as clients would set it."""
-    chain = SignalChain.passive()
-    background, separation = chain.background, chain.separation
-    assert isinstance(chain.line_filter, ButterworthFilter)
-    assert isinstance(background, InterpolatedBackground)
-    assert isinstance(background.smoothing, ButterworthFilter)
-    assert isinstance(separation, SlopeExtension)
-    return ChainMethod(
-        line_filter=Butterworth(**vars(chain.line_filter)),
-        background=Bridged(
-            mask=Mask(**vars(background.mask)),
-            smoothing=Butterworth(**vars(background.smoothing)),
-        ),
-        separation=Slope(**vars(separation)),
-        level_fraction=chain.level_fraction,
-        threshold_fraction=chain.threshold_fraction,
-        weighting=chain.weighting,
-        min_width_px=chain.min_width_px,
-    )
+    chain = asdict(SignalChain.passive()) | {"max_peaks": MAX_CHAIN_PEAKS}
+    chain["line_filter"]["kind"] = chain["background"]["smoothing"]["kind"] = "butterworth"
+    chain["background"]["kind"], chain["separation"]["kind"] = "bridged", "slope-extension"
+    return TypeAdapter(ChainMethod).validate_python(chain)

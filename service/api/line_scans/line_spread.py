@@ -71,11 +71,7 @@ class Shape:
 
     @cached_property
     def line_shape(self) -> LineSpreadFunction:
-        """Compute's form of it.
-
-        Raises:
-            InvalidParameter: as of ``width_px``.
-        """
+        """Compute's form of it; raises InvalidParameter."""
         return LineSpreadFunction.from_cells(
             self._cells()[None],
             self.first_px,

@@ -51,11 +51,7 @@ class Template:
 
     @property
     def shadow(self) -> ShadowTemplate:
-        """Compute's form of it.
-
-        Raises:
-            InvalidParameter: too few cells for a line, or cells without contrast.
-        """
+        """Compute's form of it; raises InvalidParameter."""
         return ShadowTemplate(
             np.array(self.cells), self.per_px, self.first_px, self.reading_px, self.dark_beyond
         )

@@ -116,11 +116,7 @@ class FitMethod(FitSettings):
 
     @property
     def settings(self) -> FitSettings:
-        """Compute's settings, with the width that a shape has.
-
-        Raises:
-            InvalidParameter: a shape that cannot be used.
-        """
+        """Compute's settings, with the width that a shape has; raises InvalidParameter."""
         plain = {one.name: getattr(self, one.name) for one in fields(FitSettings)}
         if self.shape is not None:
             plain["width_px"] = self.shape.width_px

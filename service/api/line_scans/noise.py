@@ -72,7 +72,7 @@ def estimate_noise(
             f"full scale: {full} counts, the next 2^n - 1 not below the largest value, {largest}"
         )
     if gain > 1.0:
-        better = "" if known.offset_counts is not None else "; a known offset mends most of it"
+        better = "" if known.offset_counts is not None else "; a known offset repairs most of it"
         assumed.append(
             "standard deviations are lower limits: the gain is the greatest that the noise "
             f"allows{better}"

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from functools import lru_cache
 from math import isfinite
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,14 +13,14 @@ from compute.errors import InvalidParameter
 from compute.flags import flag_names
 from compute.signal.centroid_reference import find_peaks_reference
 from compute.signal.centroid_settings import LEVEL_UNIT, CentroidSettings
+from compute.signal.coded_aperture.shadow_fit import ShadowFitter
 from compute.signal.detection.background_estimate import estimate_background
 from compute.signal.detection.matched_filter import MatchedFilter, gaussian_filter
 from compute.signal.detection.peak_detector import DetectionBatch, PeakDetector
 from compute.signal.fit.fit_reference import fit_scans
-from compute.signal.fit.group_fit import GroupFit, fit_scan
+from compute.signal.fit.group_fit import fit_scan
 from compute.signal.peaks import PeakBatch, PeakFlag
 from compute.signal.sensor_noise import SensorNoise
-from compute.signal.thesis_pipeline.result import ChainResult
 from service.api.line_scans.chain_steps import ChainMethod
 from service.api.line_scans.mask_method import MaskMethod
 from service.api.line_scans.methods import CentroidMethod, FitMethod, MatchedMethod, Method
@@ -39,7 +39,7 @@ from service.api.line_scans.schema import (
     PixelNoise,
     Stage,
 )
-from service.api.line_scans.shadow_search import ShadowSearch
+from service.api.line_scans.shadow_search import read_shadow
 from service.pipeline.expected_scans import FindProfile, built_in_profile
 
 Scans = NDArray[np.uint16]
@@ -71,14 +71,14 @@ def find_peaks(
     _check_full_scale(lines, noise)
     match method:
         case ChainMethod():
-            found = _by_chain(lines, method, noise, detail=detail)
+            scans = _by_chain(lines, method, noise, detail=detail)
         case MatchedMethod():
-            found = _by_filter(lines, method, noise, detail=detail)
+            scans = _by_filter(lines, method, noise, detail=detail)
         case MaskMethod():
-            found = _by_mask(lines, method, noise, find_profile, detail=detail)
+            scans = _by_mask(lines, method, noise, find_profile, detail=detail)
         case _:
-            found = _by_search(lines, method, noise, detail=detail)
-    return LineScans(method=method.method, noise=noise, assumed=assumed, scans=found)
+            scans = _by_search(lines, method, noise, detail=detail)
+    return LineScans(method=method.method, noise=noise, assumed=assumed, scans=scans)
 
 
 def _check_full_scale(lines: Scans, noise: PixelNoise) -> None:
@@ -98,25 +98,25 @@ def _by_search(
     lines: Scans, method: CentroidMethod | FitMethod, noise: PixelNoise, *, detail: bool
 ) -> list[LineScan]:
     model = line_noise(noise)
+    fit = method if isinstance(method, FitMethod) else None
     search: CentroidSettings = method.search if isinstance(method, FitMethod) else method
     seen = batch = find_peaks_reference(lines, search, model)
-    further = None
-    if isinstance(method, FitMethod):
-        batch = fit_scans(lines, method.settings, model, method.line_shape, candidates=seen)
-        if method.further_peaks:
+    further: list[int | None] = [None] * len(lines)
+    if fit is not None:
+        batch = fit_scans(lines, fit.settings, model, fit.line_shape, candidates=seen)
+        if fit.further_peaks:
             further = np.maximum(batch.count - seen.count, 0).tolist()
     limits = search_limits(lines, search, noise)
     return [
-        LineScan(
-            **_levels(lines[line : line + 1], noise),
-            index=line,
+        _scan(
+            lines[line : line + 1],
+            noise,
+            line,
+            _peaks(batch, line),
             limit_counts=float(limits[line]),
-            limit_sigma=None,
-            further_peaks=None if further is None else further[line],
-            peaks=_peaks(batch, line),
+            further_peaks=further[line],
             covariance_px2=_covariance(batch, line),
-            windows=_windows(lines[line], method, model) if detail else None,
-            stages=None,
+            windows=_windows(lines[line], fit, model) if detail and fit is not None else None,
         )
         for line in range(len(lines))
     ]
@@ -125,7 +125,7 @@ def _by_search(
 def _by_chain(
     lines: Scans, method: ChainMethod, noise: PixelNoise, *, detail: bool
 ) -> list[LineScan]:
-    count = 1 if method.average is None else method.average
+    count = method.average or 1
     if len(lines) % count:
         raise InvalidParameter(
             f"there are {len(lines)} scans, and average is {count}; the number of scans must be a "
@@ -133,24 +133,18 @@ def _by_chain(
             scans=len(lines),
             average=count,
         )
-    found = []
+    scans = []
     # One after another: a result keeps a line of values for each of its peaks.
     for first in range(0, len(lines), count):
-        result = method.run(lines[first : first + count], line_noise(noise))
-        found.append(
-            LineScan(
-                **_levels(lines[first : first + count], noise),
-                index=first,
-                limit_counts=None,
-                limit_sigma=None,
-                further_peaks=None,
-                peaks=_peaks(result.peaks, 0),
-                covariance_px2=None,
-                windows=None,
-                stages=_stages(result) if detail else None,
-            )
-        )
-    return found
+        averaged = lines[first : first + count]
+        result = method.run(averaged, line_noise(noise))
+        stages = [
+            Stage(name=one.name, unit="counts", shift_px=one.shift_px, values=one.scans[0].tolist())
+            for one in result.stages
+        ]
+        peaks = _peaks(result.peaks, 0)
+        scans.append(_scan(averaged, noise, first, peaks, stages=stages if detail else None))
+    return scans
 
 
 def _by_filter(
@@ -159,27 +153,21 @@ def _by_filter(
     matched = _filter(method.width_px, method.length_px)
     detector = PeakDetector(matched, lines.shape[1], method, line_noise(noise))
     batch = detector.detect(lines)
-    answers = matched.respond(lines) / matched.norm if detail else None
+    stages: list[list[Stage] | None] = [None] * len(lines)
+    if detail:
+        responses = matched.respond(lines) / matched.norm / batch.noise_counts[:, None]
+        stages = [
+            [Stage(name="matched filter", unit="deviations", shift_px=0.0, values=values)]
+            for values in responses.tolist()
+        ]
     return [
-        LineScan(
-            **_levels(lines[line : line + 1], noise),
-            index=line,
-            limit_counts=None,
+        _scan(
+            lines[line : line + 1],
+            noise,
+            line,
+            _detections(batch, line),
             limit_sigma=detector.threshold_sigma,
-            further_peaks=None,
-            peaks=_detections(batch, line),
-            covariance_px2=None,
-            windows=None,
-            stages=None
-            if answers is None
-            else [
-                Stage(
-                    name="matched filter",
-                    unit="deviations",
-                    shift_px=0.0,
-                    values=(answers[line] / batch.noise_counts[line]).tolist(),
-                )
-            ],
+            stages=stages[line],
         )
         for line in range(len(lines))
     ]
@@ -194,31 +182,25 @@ def _by_mask(
     detail: bool,
 ) -> list[LineScan]:
     pixels, model = lines.shape[1], line_noise(noise)
-    readings = [
-        ShadowSearch(template, pixels, method, model)
+    fitters = [
+        ShadowFitter(template, pixels, model, method)
         for template in method.templates(pixels, find_profile)[: len(lines)]
     ]
-    found = []
+    scans = []
     for line, values in enumerate(lines):
-        shadow = readings[line % len(readings)].read(values)
-        peaks = [
-            peak.model_copy(update={"response_sigma": _plain(shadow.response_sigma)})
-            for peak in _peaks(shadow.peaks, 0)
-        ]
-        found.append(
-            LineScan(
-                **_levels(values[None], noise),
-                index=line,
-                limit_counts=None,
+        shadow = read_shadow(values, fitters[line % len(fitters)], method, model)
+        scans.append(
+            _scan(
+                values[None],
+                noise,
+                line,
+                _peaks(shadow.peaks, 0, _plain(shadow.response_sigma)),
                 limit_sigma=shadow.limit_sigma,
-                further_peaks=None,
-                peaks=peaks,
-                covariance_px2=None,
                 windows=shadow.windows if detail and method.estimator == "fit" else None,
                 stages=[shadow.stage] if detail else None,
             )
         )
-    return found
+    return scans
 
 
 @lru_cache(maxsize=8)
@@ -226,24 +208,35 @@ def _filter(width_px: float, length_px: int | None) -> MatchedFilter:
     return gaussian_filter(width_px, length_px)
 
 
-def _levels(lines: Scans, noise: PixelNoise) -> dict[str, Any]:
-    """Return the levels of the first of the lines of one answer, and what is saturated in any."""
-    spread = estimate_background(lines[:1])
-    background = spread.background / LEVEL_UNIT
-    return {
-        "background_counts": float(background[0]),
-        "noise_counts": float(noise_at(noise, background)[0]),
-        "measured_noise_counts": float(np.sqrt(spread.variance()[0])),
-        "saturated_pixels": int((lines >= noise.full_scale_counts).any(axis=0).sum()),
-    }
+_ABSENT: Final[dict[str, Any]] = dict.fromkeys(
+    ("limit_counts", "limit_sigma", "further_peaks", "covariance_px2", "windows", "stages")
+)
 
 
-def _peaks(batch: PeakBatch, line: int) -> list[LinePeak]:
-    found = []
-    for peak in batch.peaks(line, ""):
-        values = {name: _plain(value) for name, value in asdict(peak).items() if name != "sensor"}
-        found.append(LinePeak(**values, response_sigma=None))
-    return found
+def _scan(
+    lines: Scans, noise: PixelNoise, index: int, peaks: list[LinePeak], **known: Any
+) -> LineScan:
+    """Return the answer for one line, or for averaged ones; what is not known of it is null.
+
+    Levels are those of the first line; a pixel counts as saturated where it is in any.
+    """
+    estimate = estimate_background(lines[:1])
+    background = estimate.background / LEVEL_UNIT
+    return LineScan(
+        **_ABSENT | known,
+        index=index,
+        background_counts=float(background[0]),
+        noise_counts=float(noise_at(noise, background)[0]),
+        measured_noise_counts=float(np.sqrt(estimate.variance()[0])),
+        saturated_pixels=int((lines >= noise.full_scale_counts).any(axis=0).sum()),
+        peaks=peaks,
+    )
+
+
+def _peaks(batch: PeakBatch, line: int, response_sigma: float | None = None) -> list[LinePeak]:
+    peaks = (_plain(asdict(peak)) for peak in batch.peaks(line, ""))
+    known = [{name: one[name] for name in one if name != "sensor"} for one in peaks]
+    return [LinePeak(**one, response_sigma=response_sigma) for one in known]
 
 
 def _detections(batch: DetectionBatch, line: int) -> list[LinePeak]:
@@ -269,25 +262,10 @@ def _covariance(batch: PeakBatch, line: int) -> list[list[float]] | None:
     return found
 
 
-def _windows(
-    line: NDArray[np.uint16], method: CentroidMethod | FitMethod, noise: SensorNoise
-) -> list[FitWindow] | None:
-    if not isinstance(method, FitMethod):
-        return None
-    return [_window(group) for group in fit_scan(line, method.settings, noise, method.line_shape)]
-
-
-def _window(group: GroupFit) -> FitWindow:
-    values = {name: _plain(getattr(group, name)) for name in FitWindow.model_fields}
-    return FitWindow(**values)
-
-
-def _stages(result: ChainResult) -> list[Stage]:
+def _windows(line: NDArray[np.uint16], method: FitMethod, noise: SensorNoise) -> list[FitWindow]:
     return [
-        Stage(
-            name=stage.name, unit="counts", shift_px=stage.shift_px, values=stage.scans[0].tolist()
-        )
-        for stage in result.stages
+        FitWindow(**{name: _plain(getattr(group, name)) for name in FitWindow.model_fields})
+        for group in fit_scan(line, method.settings, noise, method.line_shape)
     ]
 
 
@@ -297,6 +275,8 @@ def _plain(value: Any) -> Any:
         value = value.tolist()
     if isinstance(value, float):
         return value if isfinite(value) else None
+    if isinstance(value, dict):
+        return {name: _plain(item) for name, item in value.items()}
     if isinstance(value, Sequence) and not isinstance(value, str):
         return [_plain(item) for item in value]
     return value

@@ -23,7 +23,7 @@ from service.api.line_scans.plot_panels import (
     draw_panel,
     draw_residuals,
     panels_of,
-    plain_flags,
+    peak_colour,
 )
 from service.api.line_scans.schema import LinePeak, LineScan, LineScans, Stage
 
@@ -137,7 +137,7 @@ def _top(values: Counts, peak: LinePeak) -> int:
 
 
 def _mark(axes: Axes, number: int, peak: LinePeak, height: float, count: int) -> None:
-    colour = FLAGGED if plain_flags(peak) else MODEL
+    colour = peak_colour(peak)
     axes.plot(peak.position_px, height, "v", color=colour, ms=4, clip_on=False)
     if count <= _MAX_NUMBERS:
         axes.annotate(
@@ -165,7 +165,7 @@ def _last_stage(axes: Axes, stage: Stage, scan: LineScan, pixels: int) -> None:
         text = f"the line after all steps of the chain ({names}){moved}"
     axes.axhline(0.0, color="0.7", lw=0.7)
     for peak in scan.peaks:
-        colour = FLAGGED if plain_flags(peak) else MODEL
+        colour = peak_colour(peak)
         axes.axvline(peak.position_px, color=colour, lw=0.6, alpha=0.5)
     axes.set(xlim=(-0.5, pixels - 0.5), xlabel="pixel")
     axes.set_ylabel("deviations of noise" if answer else "counts")

@@ -104,7 +104,7 @@ def draw_panel(
         low, high = min(low, lowest), max(high, highest)
     for number in panel.numbers:
         peak = scan.peaks[number]
-        colour = FLAGGED if plain_flags(peak) else MODEL
+        colour = peak_colour(peak)
         axes.axvline(peak.position_px, color=colour, lw=1.0)
         if peak.sigma_px is not None:
             axes.axvspan(
@@ -124,7 +124,7 @@ def draw_panel(
     axes.set_ylim(low - 0.05 * room, high + 0.3 * room)
     axes.stairs(shown, edges, baseline=low - 0.05 * room, fill=True, color="0.88", zorder=0)
     axes.xaxis.set_major_locator(MaxNLocator(5, integer=True))
-    wrong = any(plain_flags(scan.peaks[number]) for number in panel.numbers)
+    wrong = peak_colour(*(scan.peaks[number] for number in panel.numbers)) == FLAGGED
     title = "\n".join(_described(scan, panel))
     axes.set_title(title, loc="left", fontsize=8, color=FLAGGED if wrong else "black")
     axes.legend(
@@ -144,7 +144,7 @@ def draw_residuals(axes: Axes, panel: Panel) -> None:
         axes.set_yticks([])
         return
     pixel = window.first_px + np.arange(len(window.values))
-    rest = np.array([np.nan if r is None else r for r in window.residual_sigma])
+    rest = np.array(window.residual_sigma, np.float64)
     used = np.array(window.used)
     axes.axhspan(-1.0, 1.0, color="0.93", lw=0.0)
     axes.axhline(0.0, color="0.6", lw=0.7)
@@ -156,9 +156,9 @@ def draw_residuals(axes: Axes, panel: Panel) -> None:
     axes.set_ylim(-1.15 * max(largest, 3.0), 1.15 * max(largest, 3.0))
 
 
-def plain_flags(peak: LinePeak) -> list[str]:
-    """Return the flags that say that something may be wrong with a peak."""
-    return [flag for flag in peak.flags if flag != "joint"]
+def peak_colour(*peaks: LinePeak) -> str:
+    """Return the colour of peaks of which one has a flag of a fault, else that of the model."""
+    return FLAGGED if any(set(peak.flags) - {"joint"} for peak in peaks) else MODEL
 
 
 def _draw_fit(axes: Axes, window: FitWindow, method: Method) -> float:
@@ -169,7 +169,7 @@ def _draw_fit(axes: Axes, window: FitWindow, method: Method) -> float:
     """
     if not isinstance(method, FitMethod):
         edges = window.first_px + np.arange(len(window.model) + 1) - 0.5
-        model = np.array([np.nan if value is None else value for value in window.model])
+        model = np.array(window.model, np.float64)
         axes.stairs(model, edges, baseline=None, color=MODEL, lw=1.0, label="model")
         return float(np.nanmax(model, initial=0.0))
     if window.chi2 is None or window.width_px is None or window.background_counts is None:

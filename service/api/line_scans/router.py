@@ -3,18 +3,30 @@
 from functools import partial
 from typing import Annotated, Final
 
+import numpy as np
 from fastapi import APIRouter, Body, Depends, Query, Request
 from starlette.responses import Response
 
 from compute.errors import InvalidParameter
 from service.api.concurrency_limit import ConcurrencyLimit
 from service.api.devices.profiles import find_profile
-from service.api.json_body import JsonRoute, JsonTypes
+from service.api.inputs import JsonRoute, JsonTypes
+from service.api.line_scans.chain_steps import ChainMethod
 from service.api.line_scans.examples import NEW_LINE_SCANS
 from service.api.line_scans.mask_method import MaskMethod
-from service.api.line_scans.peak_search import find_peaks
-from service.api.line_scans.request_arrays import Scans, request_noise, request_scans
-from service.api.line_scans.schema import MAX_SCANS, LineScanRequest, LineScans
+from service.api.line_scans.noise import NoiseConstants
+from service.api.line_scans.peak_search import Scans, find_peaks
+from service.api.line_scans.schema import (
+    CHAIN_PIXELS,
+    CHAIN_TOTAL_PIXELS,
+    CORRELATION_VALUES,
+    DETAIL_PIXELS,
+    MAX_SCANS,
+    MAX_TOTAL_PIXELS,
+    LineScanRequest,
+    LineScans,
+    PixelNoise,
+)
 from service.api.openapi import problems
 from service.pipeline.expected_scans import FindProfile
 from service.problems.errors import Busy
@@ -64,9 +76,9 @@ def find_peaks_of_scans(request: NewLineScansBody, profile: ProfileFinder) -> Re
     """
     with _limit:
         found = find_peaks(
-            request_scans(request),
+            _request_scans(request),
             request.method,
-            request_noise(request),
+            _request_noise(request),
             detail=request.detail,
             find_profile=profile,
         )
@@ -90,13 +102,13 @@ def draw_peaks_of_scan(
     from service.api.line_scans.plot import draw_scan
 
     with _limit:
-        scans = request_scans(request)
+        scans = _request_scans(request)
         chosen = select_scan(scans, scan, getattr(request.method, "average", None) or 1)
         method = request.method
         if isinstance(method, MaskMethod):
             method = method.of_line(scan, profile)
         found = find_peaks(
-            chosen, method, request_noise(request), detail=True, find_profile=profile
+            chosen, method, _request_noise(request), detail=True, find_profile=profile
         )
         picture = draw_scan(chosen[0], found, method, f"scan {scan}")
     return Response(picture, media_type="image/png")
@@ -115,3 +127,63 @@ def select_scan(scans: Scans, scan: int, average: int) -> Scans:
         )
     first = scan // average * average
     return scans[first : first + average]
+
+
+def _request_scans(request: LineScanRequest) -> Scans:
+    """Return the scans of a request, shape (L, P); raises InvalidParameter."""
+    length = len(request.scans[0])
+    for number, scan in enumerate(request.scans):
+        if len(scan) != length:
+            raise InvalidParameter(
+                f"scans.{number} has {len(scan)} values and scans.0 has {length}; all scans must "
+                "be of one length",
+                scan=number,
+                length=len(scan),
+            )
+    values = length * len(request.scans)
+    max_values, how = MAX_TOTAL_PIXELS, "at once"
+    if isinstance(request.method, ChainMethod):
+        max_values, how = CHAIN_TOTAL_PIXELS, "for the method chain"
+    elif request.detail:
+        max_values, how = DETAIL_PIXELS, "with detail"
+    if values > max_values:
+        raise InvalidParameter(
+            f"the scans have {values} values; {how} they may have {max_values}: send them in "
+            "several requests",
+            values=values,
+        )
+    if isinstance(request.method, ChainMethod) and length > CHAIN_PIXELS:
+        raise InvalidParameter(
+            f"the scans have {length} values; for the method chain they may have {CHAIN_PIXELS}",
+            length=length,
+        )
+    _check_correlations(request, length)
+    return np.array(request.scans, dtype=np.uint16)
+
+
+def _check_correlations(request: LineScanRequest, length: int) -> None:
+    """Raise InvalidParameter where the correlations that detail has would fill the memory."""
+    method = request.method
+    if not (request.detail and isinstance(method, MaskMethod) and method.template):
+        return
+    readings = length + len(method.template.cells) // method.template.per_px
+    values = readings * len(request.scans)
+    if values > CORRELATION_VALUES:
+        raise InvalidParameter(
+            f"the correlations of {len(request.scans)} scans with this template have {values} "
+            f"values; with detail they may have {CORRELATION_VALUES}: send fewer scans at once",
+            values=values,
+        )
+
+
+def _request_noise(request: LineScanRequest) -> PixelNoise | NoiseConstants | None:
+    """Return what a request says about the noise; raises InvalidParameter."""
+    if request.offset_counts is None:
+        return request.noise
+    if request.noise is not None:
+        raise InvalidParameter(
+            f"offset_counts is {request.offset_counts} beside noise, which has an offset_counts "
+            "of its own; give it there",
+            offset_counts=request.offset_counts,
+        )
+    return NoiseConstants(offset_counts=request.offset_counts)

@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from compute.optics.coded_aperture.correlation_decoding import decode_mask
 from compute.signal.coded_aperture.shadow_fit import CLIPPED_CONTRAST_THRESHOLD, ShadowFitter
 from compute.signal.coded_aperture.shadow_search import CorrelationPeak
-from compute.signal.coded_aperture.shadow_template import ShadowTemplate
 from compute.signal.peaks import PeakBatch, PeakFlag
 from compute.signal.sensor_noise import SensorNoise
 from service.api.line_scans.mask_method import MaskMethod
@@ -37,47 +36,37 @@ class Shadow:
     stage: Stage
 
 
-class ShadowSearch:
-    """Reads the shadows in lines of one sensor.
+def read_shadow(
+    line: Scans, fitter: ShadowFitter, method: MaskMethod, noise: SensorNoise
+) -> Shadow:
+    """Read the shadow in one line of a sensor.
 
     Args:
-        template: the shadow.
-        pixels: pixels of a line.
-        method: how.
+        line: counts, shape (P,).
+        fitter: of the shadow's template.
+        method: settings.
         noise: of the sensor.
-
-    Raises:
-        InvalidParameter: a template that does not fit the lines.
     """
-
-    def __init__(
-        self, template: ShadowTemplate, pixels: int, method: MaskMethod, noise: SensorNoise
-    ) -> None:
-        self._method, self._noise = method, noise
-        self._fitter = ShadowFitter(template, pixels, noise, method)
-
-    def read(self, line: Scans) -> Shadow:
-        """Read the shadow in one line, shape (P,)."""
-        fitter, search, noise = self._fitter, self._fitter.search, self._noise
-        counts = line[None].astype(np.float64)
-        level = max(float(counts.mean()) - noise.offset_counts[0], 0.0)
-        sigma = float(np.sqrt(noise.dark_variance[0] + noise.photon_variance[0] * level))
-        contrasts = search.heights(counts)
-        heights = contrasts[0] / sigma
-        top = float(heights.max())
-        peaks = PeakBatch.empty(1, 1)
-        windows = []
-        if self._method.estimator == "fit":
-            windows = _fitted(line, fitter, noise, peaks)
-        elif top > fitter.threshold_sigma:
-            _correlated(counts, fitter, self._method, search.highest(contrasts), sigma, peaks)
-            if (line >= noise.full_scale_counts[0]).any():
-                peaks.flags[0, 0] |= int(PeakFlag.SATURATED)
-        first_px = fitter.template.reading_px + search.first_shift_px
-        stage = Stage(
-            name="correlation", unit="deviations", shift_px=-first_px, values=heights.tolist()
-        )
-        return Shadow(peaks, top, fitter.threshold_sigma, windows, stage)
+    search = fitter.search
+    counts = line[None].astype(np.float64)
+    level = max(float(counts.mean()) - noise.offset_counts[0], 0.0)
+    sigma = float(np.sqrt(noise.dark_variance[0] + noise.photon_variance[0] * level))
+    contrasts = search.heights(counts)
+    heights = contrasts[0] / sigma
+    top = float(heights.max())
+    peaks = PeakBatch.empty(1, 1)
+    windows = []
+    if method.estimator == "fit":
+        windows = _fitted(line, fitter, noise, peaks)
+    elif top > fitter.threshold_sigma:
+        _correlated(counts, fitter, method, search.highest(contrasts), sigma, peaks)
+        if (line >= noise.full_scale_counts[0]).any():
+            peaks.flags[0, 0] |= int(PeakFlag.SATURATED)
+    first_px = fitter.template.reading_px + search.first_shift_px
+    stage = Stage(
+        name="correlation", unit="deviations", shift_px=-first_px, values=heights.tolist()
+    )
+    return Shadow(peaks, top, fitter.threshold_sigma, windows, stage)
 
 
 def _fitted(

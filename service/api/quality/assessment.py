@@ -1,9 +1,11 @@
 """Assessment of a device's quality from control charts, with recommended actions."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime
-from typing import Final, Literal
+from functools import partial
+from operator import attrgetter
+from typing import Any, Final, Literal
 
 import numpy as np
 from sqlalchemy.orm import Session
@@ -51,10 +53,13 @@ def quality(session: Session, device_id: str) -> Quality:
             reasons=["no calibration is active: there are no points to judge by"],
             charts=[],
         )
-    using = (device_id, pointer.calibration_id, pointer.table_id)
-    seen = store.samples_with(session, *using)
-    made = store.checks_with(session, *using)
-    charts = [_charted(series) for series in (*_of_watch(seen), *_of_checks(made))]
+    using = {"calibration_id": pointer.calibration_id, "table_id": pointer.table_id}
+    seen = store.samples_with(session, device_id=device_id, **using)
+    made = store.checks_with(session, device_id=device_id, **using)
+    charts = [
+        (series, control_chart(np.array(series.values), series.baseline, series.floor))
+        for series in (*_of_watch(seen), *_of_checks(made))
+    ]
     recommendation, reasons = _advice(charts, made)
     scatter = seen[-1].reference_scatter_mm if seen else None
     if scatter is not None and scatter > _STILL_MM:
@@ -64,8 +69,7 @@ def quality(session: Session, device_id: str) -> Quality:
         )
     return Quality(
         device=device_id,
-        calibration_id=pointer.calibration_id,
-        table_id=pointer.table_id,
+        **using,
         watch=watch,
         recommendation=recommendation,
         reasons=reasons,
@@ -74,26 +78,32 @@ def quality(session: Session, device_id: str) -> Quality:
 
 
 def _of_watch(seen: Sequence[WatchSampleRow]) -> Iterable[_Series]:
-    found = [(row.at, row.residual_sigma) for row in seen if row.residual_sigma is not None]
-    if found:
-        at, values = zip(*found, strict=True)
-        meaning = "RMS residual of points with four or more sensors, in standard deviations"
-        yield _Series("residual", meaning, "sigma", _FLOOR_SIGMA, WATCH_BASELINE, at, values)
-    places = [(row.at, row.reference_mm) for row in seen if row.reference_mm is not None]
+    def series(
+        name: str,
+        meaning: str,
+        unit: str,
+        floor: float,
+        value: Callable[[WatchSampleRow], Any],
+        **options: bool,
+    ) -> Iterator[_Series]:
+        known = [(row.at, value(row)) for row in seen if value(row) is not None]
+        if known:
+            at, values = zip(*known, strict=True)
+            yield _Series(name, meaning, unit, floor, WATCH_BASELINE, at, values, **options)
+
+    meaning = "RMS residual of points with four or more sensors, in standard deviations"
+    yield from series("residual", meaning, "sigma", _FLOOR_SIGMA, attrgetter("residual_sigma"))
     for axis, name in enumerate("xyz"):
-        if places:
-            meaning = f"{name.upper()} of the reference marker"
-            series = f"reference-{name}"
-            values = tuple(place[axis] for _, place in places)
-            times = tuple(moment for moment, _ in places)
-            yield _Series(series, meaning, "mm", _FLOOR_MM, WATCH_BASELINE, times, values)
-    warm = [(row.at, row.temperature_c) for row in seen if row.temperature_c is not None]
-    if warm:
-        at, values = zip(*warm, strict=True)
-        meaning = "temperature of the device"
-        yield _Series(
-            "temperature", meaning, "degree Celsius", 0.1, WATCH_BASELINE, at, values, acts=False
-        )
+        meaning = f"{name.upper()} of the reference marker"
+        place = partial(_coordinate, axis=axis)
+        yield from series(f"reference-{name}", meaning, "mm", _FLOOR_MM, place)
+    meaning = "temperature of the device"
+    warmth = attrgetter("temperature_c")
+    yield from series("temperature", meaning, "degree Celsius", 0.1, warmth, acts=False)
+
+
+def _coordinate(row: WatchSampleRow, axis: int) -> float | None:
+    return None if row.reference_mm is None else row.reference_mm[axis]
 
 
 def _of_checks(made: Sequence[QualityCheckRow]) -> Iterable[_Series]:
@@ -112,10 +122,6 @@ def _of_checks(made: Sequence[QualityCheckRow]) -> Iterable[_Series]:
             values = tuple(result["scatter"]["rms"] for result in results)
             meaning = "scatter of a still marker, RMS"
         yield _Series(name, meaning, "mm", _FLOOR_MM, CHECK_BASELINE, at, values)
-
-
-def _charted(series: _Series) -> tuple[_Series, ControlChart]:
-    return series, control_chart(np.array(series.values), series.baseline, series.floor)
 
 
 def _advice(

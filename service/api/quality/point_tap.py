@@ -1,11 +1,13 @@
 """PointTap: collects a running device's points for some seconds, with marker and time."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.errors import InvalidParameter
 from compute.quality.accuracy import MarkerTrack
 from compute.reconstruction.point_batch import PointFlag
 from service.pipeline.frame_batch import FrameBatch
@@ -107,3 +109,14 @@ class PointTap(SingleCalibrationTap):
         rows.position.append(batch.points.position_mm[mask])
         rows.covariance.append(batch.points.covariance_mm2[mask])
         self._taken += int(mask.sum())
+
+
+def check_strobed(device_id: str, numbers: Sequence[int], strobes: int) -> None:
+    """Raise InvalidParameter when a marker's number exceeds the device's strobed markers."""
+    unknown = next((number for number in numbers if number >= strobes), None)
+    if unknown is not None:
+        known = f"0 to {strobes - 1}" if strobes else "none: they are lit together"
+        raise InvalidParameter(
+            f'device "{device_id}" has no strobed marker {unknown}; it has {known}',
+            marker=unknown,
+        )

@@ -1,21 +1,25 @@
 """REST resources of quality checks, drift monitors and assessments."""
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Final, Literal
 
-from fastapi import APIRouter, Body, Path, Query
+from fastapi import Body, Query
 from starlette.responses import Response
-from starlette.status import HTTP_201_CREATED, HTTP_204_NO_CONTENT
 
-from compute.errors import InvalidParameter, TooFewPoints
-from service.api.base_models import SLUG_PATTERN, Page
-from service.api.dependencies import DatabaseDep, LiveDep
+from service.api.base_models import Page
 from service.api.devices.store import get_device
-from service.api.json_body import JsonRoute, JsonTypes
-from service.api.openapi import problems
-from service.api.pagination import PagingDep, page_of
+from service.api.inputs import (
+    DatabaseDep,
+    DeviceFilter,
+    DevicePath,
+    JsonTypes,
+    LiveDep,
+    PagingDep,
+    id_in_path,
+    page_of,
+)
+from service.api.openapi import ResourceRouter, raises
 from service.api.quality import store
 from service.api.quality.assessment import quality
-from service.api.quality.examples import NEW_CHECKS, WATCHES
 from service.api.quality.schema import (
     NewQualityCheck,
     Quality,
@@ -23,46 +27,42 @@ from service.api.quality.schema import (
     WatchSample,
     WatchSettings,
 )
-from service.api.request_parameters import DeviceFilter, DevicePath
-from service.problems.errors import (
-    CalibrationSwitched,
-    DeviceNotRunning,
-    NoActiveCalibration,
-    QualityCheckExists,
-    UnknownDevice,
-    UnknownQualityCheck,
-)
 
-router = APIRouter(prefix="/api/v1", tags=["quality"], route_class=JsonRoute)
+router = ResourceRouter("/api/v1", "quality")
 
-NewCheckBody = Annotated[NewQualityCheck, JsonTypes(), Body(openapi_examples=NEW_CHECKS)]
-WatchBody = Annotated[WatchSettings, JsonTypes(), Body(openapi_examples=WATCHES)]
-CheckPath = Annotated[
-    str,
-    Path(
-        pattern=SLUG_PATTERN,
-        description="The check's id.",
-        openapi_examples={"bar": {"summary": "of the example body", "value": "sim-bar"}},
-    ),
-]
+_NEW_CHECKS: Final[dict[str, Any]] = {
+    "bar": {
+        "summary": "The simulated bar's two markers, which turn on a circle of 146 mm radius",
+        "value": {
+            "id": "sim-bar",
+            "kind": "point-to-point",
+            "markers": [0, 1],
+            "reference_mm": 292.0,
+            "reference_sigma_mm": 0.05,
+            "seconds": 2.0,
+            "tolerance_mm": 1.0,
+        },
+    },
+}
+
+_WATCHES: Final[dict[str, Any]] = {
+    "ten-minutes": {"summary": "A value each ten minutes", "value": {"interval_s": 600.0}},
+}
+
+NewCheckBody = Annotated[NewQualityCheck, JsonTypes(), Body(openapi_examples=_NEW_CHECKS)]
+WatchBody = Annotated[WatchSettings, JsonTypes(), Body(openapi_examples=_WATCHES)]
+CheckPath = Annotated[str, id_in_path("The check's id.", "sim-bar", "bar")]
 _PNG = {"content": {"image/png": {"schema": {"type": "string", "format": "binary"}}}}
 
 
-@router.post(
-    "/devices/{device_id}/quality-checks",
-    operation_id="create-quality-check",
-    summary="How well does a device measure now?",
-    status_code=HTTP_201_CREATED,
-    responses=problems(
-        UnknownDevice,
-        DeviceNotRunning,
-        NoActiveCalibration,
-        CalibrationSwitched,
-        QualityCheckExists,
-        TooFewPoints,
-        InvalidParameter,
-    ),
+@router.operation(
+    "POST /devices/{device_id}/quality-checks",
+    "create-quality-check",
+    "How well does a device measure now?",
+    status_code=201,
 )
+@raises("unknown-device", "device-not-running", "no-active-calibration", "calibration-switched")
+@raises("quality-check-exists", "too-few-points", "invalid-parameter")
 def create_quality_check(
     device_id: DevicePath,
     request: NewCheckBody,
@@ -79,7 +79,7 @@ def create_quality_check(
 
     with database.read() as session:
         get_device(session, device_id)
-        store.check_unused(session, request.root.id)
+        store.QUALITY_CHECKS.check_unused(session, request.root.id)
     measured = measure(live, device_id, request.root)
     with database.write() as session:
         get_device(session, device_id, lock=True)
@@ -88,7 +88,7 @@ def create_quality_check(
     return made
 
 
-@router.get("/quality-checks", operation_id="list-quality-checks", summary="List quality checks")
+@router.operation("GET /quality-checks", "list-quality-checks", "List quality checks")
 def list_quality_checks(
     database: DatabaseDep,
     paging: PagingDep,
@@ -99,40 +99,36 @@ def list_quality_checks(
 ) -> Page[QualityCheck]:
     """Checks, newest first."""
     with database.read() as session:
-        return page_of(session, store.checks(device, kind), paging, store.document)
+        return page_of(
+            session,
+            store.QUALITY_CHECKS.newest_first(device_id=device, kind=kind),
+            paging,
+            store.document,
+        )
 
 
-@router.get(
-    "/quality-checks/{check_id}",
-    operation_id="get-quality-check",
-    summary="Read a quality check",
-    responses=problems(UnknownQualityCheck),
-)
+@router.operation("GET /quality-checks/{check_id}", "get-quality-check", "Read a quality check")
+@raises("unknown-quality-check")
 def get_quality_check(check_id: CheckPath, database: DatabaseDep) -> QualityCheck:
     """One check."""
     with database.read() as session:
-        return store.document(store.get_check(session, check_id))
+        return store.document(store.QUALITY_CHECKS.get(session, check_id))
 
 
-@router.delete(
-    "/quality-checks/{check_id}",
-    operation_id="delete-quality-check",
-    summary="Delete a quality check",
-    status_code=HTTP_204_NO_CONTENT,
-    responses=problems(UnknownQualityCheck),
+@router.operation(
+    "DELETE /quality-checks/{check_id}", "delete-quality-check", "Delete a quality check"
 )
+@raises("unknown-quality-check")
 def delete_quality_check(check_id: CheckPath, database: DatabaseDep) -> None:
     """For one that was made wrongly: its values take no part in the charts any more."""
     with database.write() as session:
-        store.delete_check(session, check_id)
+        session.delete(store.QUALITY_CHECKS.get(session, check_id))
 
 
-@router.get(
-    "/devices/{device_id}/quality",
-    operation_id="get-quality",
-    summary="Is a device as good as it was?",
-    responses=problems(UnknownDevice),
+@router.operation(
+    "GET /devices/{device_id}/quality", "get-quality", "Is a device as good as it was?"
 )
+@raises("unknown-device")
 def get_quality(device_id: DevicePath, database: DatabaseDep) -> Quality:
     """Control charts of all that was watched and checked with what is active, and what to do."""
     with database.read() as session:
@@ -140,13 +136,14 @@ def get_quality(device_id: DevicePath, database: DatabaseDep) -> Quality:
         return quality(session, device_id)
 
 
-@router.get(
-    "/devices/{device_id}/quality.png",
-    operation_id="get-quality-picture",
-    summary="The control charts of a device",
+@router.operation(
+    "GET /devices/{device_id}/quality.png",
+    "get-quality-picture",
+    "The control charts of a device",
+    responses={200: _PNG},
     response_class=Response,
-    responses=problems(UnknownDevice) | {200: _PNG},
 )
+@raises("unknown-device")
 def get_quality_picture(device_id: DevicePath, database: DatabaseDep) -> Response:
     """The charts of `quality` as PNG."""
     from service.api.quality.control_chart_plot import plot_control_charts
@@ -157,12 +154,8 @@ def get_quality_picture(device_id: DevicePath, database: DatabaseDep) -> Respons
     return Response(plot_control_charts(found), media_type="image/png")
 
 
-@router.get(
-    "/devices/{device_id}/watch",
-    operation_id="get-watch",
-    summary="How a device's drift is watched",
-    responses=problems(UnknownDevice),
-)
+@router.operation("GET /devices/{device_id}/watch", "get-watch", "How a device's drift is watched")
+@raises("unknown-device")
 def get_watch(device_id: DevicePath, database: DatabaseDep) -> WatchSettings:
     """The settings; the defaults while nobody has changed them."""
     with database.read() as session:
@@ -170,12 +163,10 @@ def get_watch(device_id: DevicePath, database: DatabaseDep) -> WatchSettings:
         return store.watch_of(session, device_id)
 
 
-@router.put(
-    "/devices/{device_id}/watch",
-    operation_id="set-watch",
-    summary="Say how a device's drift is watched",
-    responses=problems(UnknownDevice),
+@router.operation(
+    "PUT /devices/{device_id}/watch", "set-watch", "Say how a device's drift is watched"
 )
+@raises("unknown-device")
 def set_watch(device_id: DevicePath, request: WatchBody, database: DatabaseDep) -> WatchSettings:
     """Takes effect within seconds; what was watched before stays in the charts."""
     with database.write() as session:
@@ -184,7 +175,7 @@ def set_watch(device_id: DevicePath, request: WatchBody, database: DatabaseDep) 
     return request
 
 
-@router.get("/watch-samples", operation_id="list-watch-samples", summary="List what the watch saw")
+@router.operation("GET /watch-samples", "list-watch-samples", "List what the watch saw")
 def list_watch_samples(
     database: DatabaseDep, paging: PagingDep, device: DeviceFilter = None
 ) -> Page[WatchSample]:

@@ -7,11 +7,10 @@ import numpy as np
 
 from compute.errors import InvalidParameter
 from compute.quality.accuracy import PointToPoint, SinglePoint, point_to_point, single_point
-from service.api.quality.point_tap import PointTap
+from service.api.quality.point_tap import PointTap, check_strobed
 from service.api.quality.schema import NewPointToPoint, NewSinglePoint
 from service.pipeline.pipeline_manager import PipelineManager
 from service.pipeline.taps import collect
-from service.problems.errors import CalibrationSwitched, NoActiveCalibration
 
 _GAPS: Final = 2.5
 """Positions of a marker are interpolated over one of its exposures that is missing, not more."""
@@ -47,18 +46,8 @@ def measure(
     _check_markers(device_id, wanted, session.description.markers)
     tap = PointTap(wanted, 1 if isinstance(asked, NewSinglePoint) else 2)
     collect(live, session, tap, asked.seconds, tap.ended)
-    if tap.switched:
-        raise CalibrationSwitched(
-            f'another calibration or table of device "{device_id}" was activated while it was '
-            "measured; check again",
-            device=device_id,
-        )
-    calibration_id, table_id = tap.active_ids or (None, None)
-    if calibration_id is None:
-        raise NoActiveCalibration(
-            f'device "{device_id}" has no active calibration, and so no points; activate one',
-            device=device_id,
-        )
+    during = "it was measured; check again"
+    calibration_id, table_id = tap.calibration_used(device_id, during)
     result = _result(tap, asked)
     errors = result.scatter if isinstance(result, SinglePoint) else result.errors
     worst = errors.percentile_95
@@ -88,13 +77,7 @@ def _check_markers(device_id: str, wanted: tuple[int, ...] | None, markers: int)
             f'device "{device_id}" strobes {markers} markers, numbers 0 to {markers - 1}; say '
             "what is measured"
         )
-    for number in wanted or ():
-        if number >= markers:
-            known = f"0 to {markers - 1}" if markers else "none: they are lit together"
-            raise InvalidParameter(
-                f'device "{device_id}" has no strobed marker {number}; it has {known}',
-                marker=number,
-            )
+    check_strobed(device_id, wanted or (), markers)
 
 
 def _result(tap: PointTap, asked: NewSinglePoint | NewPointToPoint) -> SinglePoint | PointToPoint:

@@ -1,14 +1,14 @@
 """Quality checks, watches and their samples in the database."""
 
 import secrets
-from collections.abc import Sequence
 from dataclasses import asdict
 from datetime import UTC, datetime
 from typing import Any, TypeVar
 
 from sqlalchemy import Select, select
-from sqlalchemy.orm import Session
+from sqlalchemy.orm import InstrumentedAttribute, Session
 
+from service.api.base_models import from_attributes
 from service.api.quality.run_check import CheckMeasurement
 from service.api.quality.schema import (
     NewPointToPoint,
@@ -17,7 +17,7 @@ from service.api.quality.schema import (
     WatchSample,
     WatchSettings,
 )
-from service.database.engine import insert
+from service.database.engine import Resource
 from service.database.models import QualityCheckRow, WatchRow, WatchSampleRow
 from service.problems.errors import QualityCheckExists, UnknownQualityCheck
 
@@ -28,38 +28,7 @@ MAX_CHARTED = 1000
 """Values of a chart; of more the first, which say what is normal, and the newest."""
 
 
-def get_check(session: Session, check_id: str) -> QualityCheckRow:
-    """Return a quality check; raises UnknownQualityCheck."""
-    row = session.get(QualityCheckRow, check_id)
-    if row is None:
-        raise UnknownQualityCheck(
-            f'there is no quality check "{check_id}"; GET /api/v1/quality-checks lists them',
-            quality_check=check_id,
-        )
-    return row
-
-
-def checks(device_id: str | None, kind: str | None) -> Select[QualityCheckRow]:
-    """Return those that the filter matches, newest first."""
-    found = select(QualityCheckRow).order_by(QualityCheckRow.created_at.desc(), QualityCheckRow.id)
-    if device_id is not None:
-        found = found.where(QualityCheckRow.device_id == device_id)
-    if kind is not None:
-        found = found.where(QualityCheckRow.kind == kind)
-    return found
-
-
-def check_unused(session: Session, check_id: str | None) -> None:
-    """Raise QualityCheckExists when the id that a client chose is taken."""
-    if check_id is not None and session.get(QualityCheckRow, check_id) is not None:
-        raise _exists(check_id)
-
-
-def _exists(check_id: str) -> QualityCheckExists:
-    return QualityCheckExists(
-        f'quality check "{check_id}" exists already; choose another id, or leave it out',
-        quality_check=check_id,
-    )
+QUALITY_CHECKS = Resource(QualityCheckRow, "quality_check", UnknownQualityCheck, QualityCheckExists)
 
 
 def add_check(
@@ -69,7 +38,6 @@ def add_check(
     measured: CheckMeasurement,
 ) -> QualityCheckRow:
     """Store what was measured; raises QualityCheckExists."""
-    check_unused(session, asked.id)
     result = asdict(measured)
     row = QualityCheckRow(
         id=asked.id or f"quality-{secrets.token_hex(8)}",
@@ -84,8 +52,7 @@ def add_check(
         note=asked.note,
         created_at=datetime.now(UTC),
     )
-    insert(session, row, _exists(row.id))
-    return row
+    return QUALITY_CHECKS.insert(session, row)
 
 
 def series_of(asked: NewSinglePoint | NewPointToPoint) -> str:
@@ -102,26 +69,9 @@ def series_of(asked: NewSinglePoint | NewPointToPoint) -> str:
     return f"point-to-point, {which}, {asked.reference_mm:g} mm"
 
 
-def delete_check(session: Session, check_id: str) -> None:
-    """Delete a quality check; raises UnknownQualityCheck."""
-    session.delete(get_check(session, check_id))
-    session.flush()
-
-
 def document(row: QualityCheckRow) -> QualityCheck:
     """Return a check as clients see it."""
-    members: dict[str, Any] = {
-        "id": row.id,
-        "device": row.device_id,
-        "kind": row.kind,
-        "calibration_id": row.calibration_id,
-        "table_id": row.table_id,
-        "asked": row.asked,
-        "passed": row.passed,
-        "note": row.note,
-        "created_at": row.created_at,
-    }
-    return QualityCheck.model_validate(members | row.result)
+    return from_attributes(QualityCheck, row, **row.result)
 
 
 def watch_of(session: Session, device_id: str) -> WatchSettings:
@@ -144,47 +94,34 @@ def set_watch(session: Session, device_id: str, settings: WatchSettings) -> None
 def samples(device_id: str | None) -> Select[WatchSampleRow]:
     """Return what the watch saw, newest first."""
     found = select(WatchSampleRow).order_by(WatchSampleRow.id.desc())
-    return found if device_id is None else found.where(WatchSampleRow.device_id == device_id)
+    return found if device_id is None else found.filter_by(device_id=device_id)
 
 
-def samples_with(
-    session: Session, device_id: str, calibration_id: str, table_id: str | None
-) -> list[WatchSampleRow]:
+def samples_with(session: Session, **using: str | None) -> list[WatchSampleRow]:
     """Return the first and the newest samples of a calibration and table, oldest first."""
-    found = (
-        select(WatchSampleRow)
-        .where(WatchSampleRow.device_id == device_id)
-        .where(WatchSampleRow.calibration_id == calibration_id)
-        .where(WatchSampleRow.table_id.is_not_distinct_from(table_id))
-    )
-    first = session.scalars(found.order_by(WatchSampleRow.id).limit(FIRST_CHARTED)).all()
-    newest = found.order_by(WatchSampleRow.id.desc()).limit(MAX_CHARTED - FIRST_CHARTED)
-    return _joined(first, session.scalars(newest).all())
+    return _first_and_newest(session, WatchSampleRow, [WatchSampleRow.id], using)
 
 
-def checks_with(
-    session: Session, device_id: str, calibration_id: str, table_id: str | None
-) -> list[QualityCheckRow]:
+def checks_with(session: Session, **using: str | None) -> list[QualityCheckRow]:
     """Return the first and the newest checks of a calibration and table, oldest first."""
-    found = (
-        select(QualityCheckRow)
-        .where(QualityCheckRow.device_id == device_id)
-        .where(QualityCheckRow.calibration_id == calibration_id)
-        .where(QualityCheckRow.table_id.is_not_distinct_from(table_id))
-    )
-    at, name = QualityCheckRow.created_at, QualityCheckRow.id
-    first = session.scalars(found.order_by(at, name).limit(FIRST_CHARTED)).all()
-    newest = found.order_by(at.desc(), name.desc()).limit(MAX_CHARTED - FIRST_CHARTED)
-    return _joined(first, session.scalars(newest).all())
+    order = [QualityCheckRow.created_at, QualityCheckRow.id]
+    return _first_and_newest(session, QualityCheckRow, order, using)
 
 
-def _joined(first: Sequence[Row], newest: Sequence[Row]) -> list[Row]:
-    """Return rows, oldest first, and the newest of them, newest first, as one list."""
-    rows = {row.id: row for row in (*first, *reversed(newest))}
-    return list(rows.values())
+def _first_and_newest(
+    session: Session,
+    table: type[Row],
+    order: list[InstrumentedAttribute[Any]],
+    using: dict[str, str | None],
+) -> list[Row]:
+    wanted = [getattr(table, name).is_not_distinct_from(value) for name, value in using.items()]
+    found = select(table).where(*wanted)
+    first = session.scalars(found.order_by(*order).limit(FIRST_CHARTED)).all()
+    latest_first = found.order_by(*(column.desc() for column in order))
+    newest = session.scalars(latest_first.limit(MAX_CHARTED - FIRST_CHARTED)).all()
+    return list({row.id: row for row in (*first, *reversed(newest))}.values())
 
 
 def sample(row: WatchSampleRow) -> WatchSample:
     """Return a sample as clients see it."""
-    members = {name: getattr(row, name) for name in WatchSample.model_fields if name != "device"}
-    return WatchSample.model_validate(members | {"device": row.device_id})
+    return from_attributes(WatchSample, row)

@@ -15,12 +15,10 @@ from hardware.driver import SensorDescription
 from service.api.base_models import SLUG_PATTERN, Page
 from service.api.calibrations.calibration_content import observations, result_of
 from service.api.correction_tables.store import content_of
-from service.api.dependencies import DatabaseDep
 from service.api.devices.sensor import check_sensors
 from service.api.devices.store import get_device, sensors_of_row
-from service.api.json_body import JsonRoute, JsonTypes
+from service.api.inputs import DatabaseDep, DeviceFilter, JsonRoute, JsonTypes, PagingDep, page_of
 from service.api.openapi import problems
-from service.api.pagination import PagingDep, page_of
 from service.api.reconstructions import store
 from service.api.reconstructions.examples import NEW_RECONSTRUCTIONS
 from service.api.reconstructions.schema import (
@@ -30,7 +28,6 @@ from service.api.reconstructions.schema import (
     Reconstruction,
     ReconstructionSummary,
 )
-from service.api.request_parameters import DeviceFilter
 from service.problems.errors import (
     CalibrationOfAnotherDevice,
     CalibrationRetired,

@@ -1,20 +1,25 @@
 """Recorder: passes the batches of a running device to the process that writes the file."""
 
 from dataclasses import dataclass, replace
+from datetime import datetime
 from functools import partial
+from pathlib import Path
 from threading import Lock
+from typing import Any, Final
 
 import numpy as np
 
-from hardware.recording.frame_block import frame_rows
-from hardware.recording.layout import NO_CALIBRATION_ROW, PEAK, RecordingState, point_dtype
+from hardware.recording.frame_block import frame_rows, scan_shape
+from hardware.recording.layout import NO_CALIBRATION_ROW, PEAK, point_dtype
 from hardware.recording.writer_process.client import WriterProcessClient
-from hardware.recording.writer_process.job import WriterJob
+from hardware.recording.writer_process.job import WriterJob, WriterStatus
 from service.api.recordings.active_calibration_file import dump_active_calibration
 from service.api.recordings.result_rows import peak_rows, point_rows
+from service.api.recordings.schema import NewRecording
 from service.pipeline.active_calibration import ActiveCalibration
 from service.pipeline.device_session import DeviceSession
 from service.pipeline.frame_batch import FrameBatch
+from service.version import package_version
 
 
 class Recorder:
@@ -39,24 +44,9 @@ class Recorder:
         self._nothing = np.empty(0, PEAK), np.empty(0, point_dtype(sensors))
 
     @property
-    def ended(self) -> str | None:
-        """Why it ended; None: it goes on."""
-        return self._feed.status.ended
-
-    @property
-    def failed(self) -> bool:
-        """Whether it ended because the file could not be written."""
-        return self._feed.status.failed
-
-    @property
-    def state(self) -> RecordingState:
-        """What is safe in the file, and what was lost until then."""
-        return self._feed.status.state
-
-    @property
-    def size_bytes(self) -> int:
-        """Size of the file."""
-        return self._feed.status.size_bytes
+    def status(self) -> WriterStatus:
+        """What is safe in the file, its size, and why it ended; None: it goes on."""
+        return self._feed.status
 
     @property
     def dropped_frames(self) -> int:
@@ -135,9 +125,65 @@ class WriteCounters:
         """Return this and what a recorder has written."""
         return replace(
             self,
-            open=self.open + (recorder.ended is None),
-            frames=self.frames + recorder.state.frames,
+            open=self.open + (recorder.status.ended is None),
+            frames=self.frames + recorder.status.state.frames,
             dropped=self.dropped + recorder.dropped_frames,
-            size_bytes=self.size_bytes + recorder.size_bytes,
-            failed=self.failed + recorder.failed,
+            size_bytes=self.size_bytes + recorder.status.size_bytes,
+            failed=self.failed + recorder.status.failed,
         )
+
+
+RING_SECONDS: Final = 1.5
+MIN_RING_BYTES: Final = 2**23
+MAX_RING_BYTES: Final = 2**28
+_UNKNOWN_HZ: Final = 1000.0
+
+
+def writer_job(
+    session: DeviceSession,
+    request: NewRecording,
+    path: Path,
+    begin: datetime,
+    free_bytes: int,
+    flush_s: float,
+) -> WriterJob:
+    """Return the job of a recording.
+
+    Args:
+        session: of the device.
+        request: what a client asked for.
+        path: the file.
+        begin: when it was asked for.
+        free_bytes: what has to stay free on the disk.
+        flush_s: how often it is flushed [s].
+    """
+    return WriterJob(
+        path=path,
+        description=session.description,
+        lines="lines" in request.contents,
+        results="results" in request.contents,
+        provenance=_provenance(session, request, begin),
+        seconds=request.seconds,
+        size_bytes=request.size_bytes,
+        free_bytes=free_bytes,
+        flush_s=flush_s,
+        ring_bytes=_ring_bytes(session),
+    )
+
+
+def _provenance(session: DeviceSession, request: NewRecording, begin: datetime) -> dict[str, Any]:
+    """Return the provenance of results: software versions and settings."""
+    return {
+        "program": "lumiline",
+        "version": package_version(),
+        "started_at": begin.isoformat(),
+        "request": request.model_dump(mode="json"),
+        "peaks": session.processor.detection.settings(),
+    }
+
+
+def _ring_bytes(session: DeviceSession) -> int:
+    sensors, pixels = scan_shape(session.description)
+    rate = session.description.frame_rate_hz or _UNKNOWN_HZ
+    wanted = int(RING_SECONDS * rate * sensors * pixels * 2)
+    return max(MIN_RING_BYTES, min(MAX_RING_BYTES, wanted)) // 64 * 64

@@ -9,10 +9,8 @@ from pathlib import Path
 from threading import Event, Lock, Thread
 from typing import Annotated, Final
 
-from fastapi import Depends, Request
-
-from service.api.recordings.recorder import Recorder, WriteCounters
-from service.api.recordings.recording_job import writer_job
+from service.api.inputs import of_application
+from service.api.recordings.recorder import Recorder, WriteCounters, writer_job
 from service.api.recordings.repository import RecordingRepository, unread
 from service.api.recordings.schema import NewRecording, RecordingDetail, RecordingDocument
 from service.pipeline.device_session import DeviceSession
@@ -111,7 +109,7 @@ class RecordingManager:
             busy = {
                 recorder.session.device_id: other
                 for other, recorder in self._active.items()
-                if recorder.ended is None
+                if recorder.status.ended is None
             } | {device: other for other, device in self._starting.items()}
             if device_id in busy:
                 raise RecordingInProgress(
@@ -161,7 +159,7 @@ class RecordingManager:
         path = self.library.path(name)
         with self._lock:
             recorder, starting = self._active.get(name), name in self._starting
-        if starting or (recorder is not None and recorder.ended is None):
+        if starting or (recorder is not None and recorder.status.ended is None):
             raise RecordingInProgress(
                 f'recording "{name}" is being written; stop it first', recording=name
             )
@@ -226,7 +224,7 @@ class RecordingManager:
                 with self._lock:
                     active = list(self._active.values())
                 for recorder in active:
-                    if recorder.ended is None and recorder.session.drained:
+                    if recorder.status.ended is None and recorder.session.drained:
                         recorder.stop(_why(recorder.session))
                 self._settle()
             except Exception:  # noqa: BLE001 - the others' recordings go on
@@ -236,13 +234,13 @@ class RecordingManager:
         """Detach and forget recordings that have ended."""
         with self._lock:
             for name, recorder in list(self._active.items()):
-                if recorder.ended is None:
+                if recorder.status.ended is None:
                     continue
                 self._live.detach(recorder.session, recorder)
-                level = logging.ERROR if recorder.failed else logging.INFO
-                _log.log(level, "recording %s has ended: %s", name, recorder.ended)
-                if recorder.failed:
-                    self._failed[name] = recorder.ended
+                level = logging.ERROR if recorder.status.failed else logging.INFO
+                _log.log(level, "recording %s has ended: %s", name, recorder.status.ended)
+                if recorder.status.failed:
+                    self._failed[name] = recorder.status.ended
                 del self._active[name]
                 device = recorder.session.device_id
                 self._past[device] = self._past.get(device, WriteCounters()).with_recorder(recorder)
@@ -260,7 +258,7 @@ class RecordingManager:
         with self._lock:
             recorder, failure = self._active.get(name), self._failed.get(name)
             starting = name in self._starting
-        if recorder is not None and recorder.ended is None:
+        if recorder is not None and recorder.status.ended is None:
             return _of_recorder(name, recorder)
         document = self.library.document(name)
         if starting:
@@ -272,7 +270,7 @@ class RecordingManager:
 
 def _of_recorder(name: str, recorder: Recorder) -> RecordingDocument:
     """Return how a recording stands that is being written."""
-    job, state = recorder.job, recorder.state
+    job, state = recorder.job, recorder.status.state
     return RecordingDocument(
         **unread("recording", None)
         | {
@@ -287,7 +285,7 @@ def _of_recorder(name: str, recorder: Recorder) -> RecordingDocument:
             "frames_dropped_compute": state.dropped_compute,
             "frames_dropped_writer": recorder.dropped_frames,
             "frames_refused": state.refused,
-            "size_bytes": recorder.size_bytes,
+            "size_bytes": recorder.status.size_bytes,
             "started_at": datetime.fromisoformat(job.provenance["started_at"]),
             "changed_at": datetime.now(UTC),
         }
@@ -308,9 +306,4 @@ def _exists(name: str) -> RecordingExists:
     )
 
 
-def _recordings(request: Request) -> RecordingManager:
-    recordings: RecordingManager = request.app.state.recordings
-    return recordings
-
-
-RecordingsDep = Annotated[RecordingManager, Depends(_recordings)]
+RecordingsDep = Annotated[RecordingManager, of_application("recordings")]

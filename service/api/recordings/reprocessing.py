@@ -2,12 +2,12 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any
 
 import numpy as np
 
 from compute.errors import InvalidRecording
-from hardware.line_frame import LineFrame
 from hardware.recording.frame_block import FrameBlock
 from hardware.recording.reader import RecordingReader
 from service.api.recordings.active_calibration_file import load_active_calibration
@@ -77,11 +77,11 @@ def reprocess(
     """
     if not reader.info.lines:
         raise InvalidRecording("the recording holds results only; it has no lines to process")
-    waiting = _Frames(reader)
+    waiting = reader.frames()
     for first, end, found in calibration_intervals(reader, given):
         use(processor, found)
         for start in range(first, end, batch_frames):
-            yield processor.process(waiting.take(min(batch_frames, end - start)))
+            yield processor.process(list(islice(waiting, min(batch_frames, end - start))))
 
 
 def calibration_intervals(
@@ -152,17 +152,6 @@ def compare(
 def use(processor: FrameProcessor, found: ActiveCalibration) -> None:
     """Have a processor reconstruct with this from its next batch on."""
     processor.set_calibration(found.calibration_id, found.calibration, found.table_id, found.table)
-
-
-class _Frames:
-    """A recording's frames, taken in any numbers."""
-
-    def __init__(self, reader: RecordingReader) -> None:
-        self._frames: Iterator[LineFrame] = reader.frames()
-
-    def take(self, count: int) -> list[LineFrame]:
-        """Return the next frames."""
-        return [next(self._frames) for _ in range(count)]
 
 
 def _differences(

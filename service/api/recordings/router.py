@@ -1,67 +1,59 @@
 """REST resource /api/v1/recordings."""
 
-from typing import Annotated, Final
+from typing import Annotated, Any, Final
 
-from fastapi import APIRouter, Body, Path, Response
+from fastapi import Body, Path, Response
 from starlette.responses import FileResponse
-from starlette.status import HTTP_201_CREATED, HTTP_204_NO_CONTENT
 
 from service.api.base_models import Page
-from service.api.dependencies import DatabaseDep, LiveDep
 from service.api.devices import store
 from service.api.devices.schema import RECORDING_PATTERN
-from service.api.json_body import JsonRoute, JsonTypes
-from service.api.openapi import problems
-from service.api.recordings.examples import BEGUN, FINISHED, NEW_RECORDINGS
+from service.api.inputs import (
+    DatabaseDep,
+    DeviceFilter,
+    DevicePath,
+    JsonTypes,
+    Limit,
+    LiveDep,
+    Offset,
+)
+from service.api.openapi import ResourceRouter, raises
 from service.api.recordings.recording_manager import RecordingsDep
 from service.api.recordings.repository import replaying_device
 from service.api.recordings.schema import NewRecording, RecordingDetail, RecordingDocument
-from service.api.request_parameters import DeviceFilter, DevicePath, Limit, Offset
-from service.problems.errors import (
-    DeviceNotRunning,
-    InsufficientStorage,
-    RecordingExists,
-    RecordingInProgress,
-    RecordingInUse,
-    UnknownDevice,
-    UnknownRecording,
-)
 
 MEDIA_TYPE: Final = "application/x-hdf5"
 
-router = APIRouter(prefix="/api/v1", tags=["recordings"], route_class=JsonRoute)
+router = ResourceRouter("/api/v1", "recordings")
 
+_NEW_RECORDINGS: Final[dict[str, Any]] = {
+    "whole": {
+        "summary": "Lines and results, for a minute",
+        "value": {"name": "first.h5", "contents": ["lines", "results"], "seconds": 60.0},
+    },
+}
 _FILE: Final = {MEDIA_TYPE: {"schema": {"type": "string", "format": "binary"}}}
-NewRecordingBody = Annotated[NewRecording, JsonTypes(), Body(openapi_examples=NEW_RECORDINGS)]
-BegunPath = Annotated[
-    str,
-    Path(
+NewRecordingBody = Annotated[NewRecording, JsonTypes(), Body(openapi_examples=_NEW_RECORDINGS)]
+
+
+def _name_in_path(example: str, name: str, summary: str) -> Any:
+    return Path(
         pattern=RECORDING_PATTERN,
         max_length=200,
         description="File name below the folder `recordings`.",
-        openapi_examples=BEGUN,
-    ),
-]
-FinishedPath = Annotated[
-    str,
-    Path(
-        pattern=RECORDING_PATTERN,
-        max_length=200,
-        description="File name below the folder `recordings`.",
-        openapi_examples=FINISHED,
-    ),
-]
+        openapi_examples={name: {"summary": summary, "value": example}},
+    )
 
 
-@router.post(
-    "/devices/{device_id}/recordings",
-    operation_id="start-recording",
-    summary="Record a device",
-    status_code=HTTP_201_CREATED,
-    responses=problems(
-        UnknownDevice, DeviceNotRunning, RecordingExists, RecordingInProgress, InsufficientStorage
-    ),
+BegunPath = Annotated[str, _name_in_path("first.h5", "begun", "begun before")]
+FinishedPath = Annotated[str, _name_in_path("earlier.h5", "finished", "one in the folder")]
+
+
+@router.operation(
+    "POST /devices/{device_id}/recordings", "start-recording", "Record a device", status_code=201
 )
+@raises("unknown-device", "device-not-running", "recording-exists", "recording-in-progress")
+@raises("insufficient-storage")
 def start_recording(
     device_id: DevicePath,
     request: NewRecordingBody,
@@ -81,7 +73,7 @@ def start_recording(
     return begun
 
 
-@router.get("/recordings", operation_id="list-recordings", summary="List recordings")
+@router.operation("GET /recordings", "list-recordings", "List recordings")
 def list_recordings(
     recordings: RecordingsDep, device: DeviceFilter = None, limit: Limit = 50, offset: Offset = 0
 ) -> Page[RecordingDocument]:
@@ -91,28 +83,24 @@ def list_recordings(
 
 
 # The paths that go on from a name come first: a name may have slashes in it.
-@router.post(
-    "/recordings/{name:path}/stop",
-    operation_id="stop-recording",
-    summary="End a recording",
-    responses=problems(UnknownRecording),
-)
+@router.operation("POST /recordings/{name:path}/stop", "stop-recording", "End a recording")
+@raises("unknown-recording")
 def stop_recording(name: BegunPath, recordings: RecordingsDep) -> RecordingDetail:
     """End a recording and close its file; one that has ended stays as it is."""
     return recordings.stop(name)
 
 
-@router.get(
-    "/recordings/{name:path}/file",
-    operation_id="download-recording",
-    summary="Download a recording",
-    response_class=FileResponse,
-    responses=problems(UnknownRecording, RecordingInProgress)
-    | {
+@router.operation(
+    "GET /recordings/{name:path}/file",
+    "download-recording",
+    "Download a recording",
+    responses={
         200: {"description": "The whole file.", "content": _FILE},
         206: {"description": "The part that the header `Range` asks for.", "content": _FILE},
     },
+    response_class=FileResponse,
 )
+@raises("unknown-recording", "recording-in-progress")
 def download_recording(name: FinishedPath, recordings: RecordingsDep) -> FileResponse:
     """The file, or the part of it that the header `Range` asks for.
 
@@ -122,24 +110,15 @@ def download_recording(name: FinishedPath, recordings: RecordingsDep) -> FileRes
     return FileResponse(path, media_type=MEDIA_TYPE, filename=path.name)
 
 
-@router.get(
-    "/recordings/{name:path}",
-    operation_id="get-recording",
-    summary="Read about a recording",
-    responses=problems(UnknownRecording),
-)
+@router.operation("GET /recordings/{name:path}", "get-recording", "Read about a recording")
+@raises("unknown-recording")
 def get_recording(name: BegunPath, recordings: RecordingsDep) -> RecordingDetail:
     """What is in a recording, what was lost on the way, and why it ended."""
     return recordings.get(name)
 
 
-@router.delete(
-    "/recordings/{name:path}",
-    operation_id="delete-recording",
-    summary="Delete a recording",
-    status_code=HTTP_204_NO_CONTENT,
-    responses=problems(UnknownRecording, RecordingInProgress, RecordingInUse),
-)
+@router.operation("DELETE /recordings/{name:path}", "delete-recording", "Delete a recording")
+@raises("unknown-recording", "recording-in-progress", "recording-in-use")
 def delete_recording(
     name: FinishedPath, database: DatabaseDep, live: LiveDep, recordings: RecordingsDep
 ) -> None:

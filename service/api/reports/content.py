@@ -85,10 +85,7 @@ class ReportContent:
         rows = self.calibration.residuals_px
         if len(rows) != len(self.points_mm):
             return np.full(self.readings_px.shape, np.nan)
-        return np.array(
-            [[np.nan if value is None else value for value in row] for row in rows],
-            dtype=np.float64,
-        ).reshape(self.readings_px.shape)
+        return np.array(rows, dtype=np.float64).reshape(self.readings_px.shape)
 
     @cached_property
     def reading_sigma_px(self) -> Array:
@@ -156,16 +153,10 @@ class ReportContent:
     @cached_property
     def suspicious(self) -> list[tuple[str, str, float, float]]:
         """Largest residuals: point, sensor, residual [px], residual over sigma; largest first."""
-        ratio = np.abs(self.residuals_px) / self.reading_sigma_px
-        with np.errstate(invalid="ignore"):
-            places = np.argwhere(ratio > SUSPICIOUS_SIGMA)
-        found = [
-            (
-                self.names[row],
-                self.sensors[column],
-                float(self.residuals_px[row, column]),
-                float(ratio[row, column]),
-            )
-            for row, column in places
+        residuals = self.residuals_px
+        ratio = np.abs(residuals) / self.reading_sigma_px
+        large = [
+            (self.names[row], self.sensors[k], float(residuals[row, k]), float(ratio[row, k]))
+            for row, k in np.argwhere(ratio > SUSPICIOUS_SIGMA)
         ]
-        return sorted(found, key=lambda item: -item[3])
+        return sorted(large, key=lambda item: -item[3])

@@ -54,84 +54,62 @@ def draw_as(figure: str, content: ReportContent, kinds: Sequence[Kind]) -> dict[
     return found
 
 
-def _style(number: int) -> tuple[str, str]:
-    return COLOURS[number % len(COLOURS)], MARKERS[number % len(MARKERS)]
+def _colour(number: int) -> str:
+    return COLOURS[number % len(COLOURS)]
 
 
 def _dots(axes: Axes, x: Array, y: Array, number: int, label: str | None = None) -> None:
-    colour, marker = _style(number)
     axes.plot(
-        x,
-        y,
-        marker,
-        color=colour,
-        markersize=3,
-        alpha=0.8,
-        label=label,
-        rasterized=len(x) > _MARKER_COUNT_THRESHOLD,
-    )
+        x, y, MARKERS[number % len(MARKERS)], color=_colour(number), markersize=3, alpha=0.8,
+        label=label, rasterized=len(x) > _MARKER_COUNT_THRESHOLD,
+    )  # fmt: skip
 
 
-def _rows(
-    content: ReportContent, title: str, columns: int = 1
-) -> tuple[Figure, NDArray[np.object_]]:
-    """Return a figure with a row for each sensor."""
+def _residuals(
+    content: ReportContent, title: str, columns: dict[str, Array], band: Array | None = None
+) -> Figure | None:
+    """Draw residuals over columns of x values (N, 1) or (N, S), in a row for each sensor."""
+    residuals = content.residuals_px
+    if not np.isfinite(residuals).any():
+        return None
     count = len(content.sensors)
     figure = Figure(figsize=(9.0, 1.0 + 1.3 * count), layout="constrained")
-    axes = figure.subplots(count, columns, squeeze=False, sharey="row", sharex="col")
+    axes = figure.subplots(count, len(columns), squeeze=False, sharey="row", sharex="col")
     figure.suptitle(title)
-    for number, name in enumerate(content.sensors):
-        axes[number, 0].set_ylabel(f"{name}\n[px]")
-        for one in axes[number]:
+    for column, (label, values) in enumerate(columns.items()):
+        x = np.broadcast_to(values, residuals.shape)
+        for number, name in enumerate(content.sensors):
+            one = axes[number, column]
             one.axhline(0.0, color="0.6", linewidth=0.6)
-    return figure, axes
-
-
-def _has_residuals(content: ReportContent) -> bool:
-    return bool(np.isfinite(content.residuals_px).any())
+            if band is not None:
+                one.fill_between(x[:, number], -band[:, number], band[:, number], color="0.9")
+            _dots(one, x[:, number], residuals[:, number], number)
+            if column == 0:
+                one.set_ylabel(f"{name}\n[px]")
+        axes[-1, column].set_xlabel(label)
+    return figure
 
 
 def residuals_order(content: ReportContent) -> Figure | None:
     """Residuals in the order of measurement: drift and jumps show here."""
-    if not _has_residuals(content):
-        return None
-    figure, axes = _rows(content, "Residuals in the order of measurement")
-    order = np.arange(1, len(content.points_mm) + 1, dtype=np.float64)
-    for number in range(len(content.sensors)):
-        limit = 2.0 * content.reading_sigma_px[:, number]
-        axes[number, 0].fill_between(order, -limit, limit, color="0.9", label="2 deviations")
-        _dots(axes[number, 0], order, content.residuals_px[:, number], number)
-    axes[-1, 0].set_xlabel("number of the point")
-    return figure
+    title = "Residuals in the order of measurement"
+    x = {"number of the point": _numbers(content)[:, None]}
+    return _residuals(content, title, x, 2.0 * content.reading_sigma_px)
 
 
 def residuals_position(content: ReportContent) -> Figure | None:
     """Residuals against X, Y, Z: what the model does not describe shows as a curve."""
-    if not _has_residuals(content):
-        return None
-    figure, axes = _rows(content, "Residuals over position", 3)
-    for number in range(len(content.sensors)):
-        for axis in range(3):
-            _dots(
-                axes[number, axis], content.points_mm[:, axis], content.residuals_px[:, number],
-                number,
-            )  # fmt: skip
-    for axis, name in enumerate("XYZ"):
-        axes[-1, axis].set_xlabel(f"{name} [mm]")
-    return figure
+    x = {f"{name} [mm]": content.points_mm[:, [axis]] for axis, name in enumerate("XYZ")}
+    return _residuals(content, "Residuals over position", x)
 
 
 def residuals_pixels(content: ReportContent) -> Figure | None:
     """Residuals against the reading: errors of the pixels and of distortion along the row."""
-    if not _has_residuals(content):
-        return None
-    figure, axes = _rows(content, "Residuals over the pixels")
-    for number in range(len(content.sensors)):
-        _dots(
-            axes[number, 0], content.repaired_px[:, number], content.residuals_px[:, number], number
-        )
-    axes[-1, 0].set_xlabel("reading [px]")
-    return figure
+    return _residuals(content, "Residuals over the pixels", {"reading [px]": content.repaired_px})
+
+
+def _numbers(content: ReportContent) -> Array:
+    return np.arange(1, len(content.points_mm) + 1, dtype=np.float64)
 
 
 def residuals_histogram(content: ReportContent) -> Figure | None:
@@ -170,7 +148,7 @@ def coverage(content: ReportContent) -> Figure | None:
         pixels, field, depth = axes[number]
         pixels.hist(
             content.repaired_px[seen, number], np.linspace(-0.5, model.pixels - 0.5, 33),
-            color=_style(number)[0],
+            color=_colour(number),
         )  # fmt: skip
         pixels.set_ylabel(f"{model.name}\npoints")
         across, name = v[seen, number], "v = y/z"
@@ -180,7 +158,7 @@ def coverage(content: ReportContent) -> Figure | None:
         _dots(field, u[seen, number], across, number)
         field.set_ylabel(name)
         z = content.points_mm[seen] @ model.rotation[2] + model.offset_z_mm
-        depth.hist(z, 20, color=_style(number)[0])
+        depth.hist(z, 20, color=_colour(number))
     axes[-1, 0].set_xlabel("reading [px]")
     axes[-1, 1].set_xlabel("u = x/z")
     axes[-1, 2].set_xlabel("depth [mm]")
@@ -203,7 +181,7 @@ def point_errors(content: ReportContent) -> Figure | None:
     figure = Figure(figsize=(9.0, 5.0), layout="constrained")
     axes = figure.subplots(3, 1, sharex=True)
     figure.suptitle("Control points: reconstructed less given")
-    order = np.arange(1, len(content.points_mm) + 1, dtype=np.float64)
+    order = _numbers(content)
     for axis, name in enumerate("XYZ"):
         axes[axis].axhline(0.0, color="0.6", linewidth=0.6)
         axes[axis].set_ylabel(f"{name} [mm]")
@@ -262,10 +240,8 @@ def comparison(content: ReportContent) -> Figure | None:
     parameters = list(dict.fromkeys(row.parameter for row in rows))
     for number, sensor in enumerate(content.sensors):
         own = [row for row in rows if row.sensor == sensor]
-        x = [
-            parameters.index(row.parameter) + 0.12 * (number - len(content.sensors) / 2)
-            for row in own
-        ]
+        shift = 0.12 * (number - len(content.sensors) / 2)
+        x = [parameters.index(row.parameter) + shift for row in own]
         signed = [float(np.copysign(row.sigmas or 0.0, row.difference)) for row in own]
         _dots(axes, np.array(x), np.array(signed), number, sensor)
     axes.axhspan(-2.0, 2.0, color="0.92")

@@ -1,5 +1,7 @@
 """REST resource /api/v1/calibrations/{id}/report.html and its figures."""
 
+from collections.abc import Callable
+from functools import partial
 from typing import Annotated, Final, Literal
 
 from fastapi import APIRouter, Depends, Path, Query, Request
@@ -7,12 +9,13 @@ from starlette.responses import HTMLResponse, Response
 
 from service.api.base_models import SLUG_PATTERN
 from service.api.concurrency_limit import ConcurrencyLimit
-from service.api.dependencies import DatabaseDep
+from service.api.inputs import CalibrationPath, DatabaseDep
 from service.api.openapi import problems
 from service.api.reports.assembly import assemble_report, report_key
 from service.api.reports.cache import ReportCache
+from service.api.reports.content import ReportContent
 from service.api.reports.render_process import render_figure, render_page
-from service.api.request_parameters import CalibrationPath
+from service.database.engine import Database
 from service.problems.errors import (
     Busy,
     CalibrationOfAnotherDevice,
@@ -83,15 +86,9 @@ def get_report(
     previous: PreviousQuery = None,
 ) -> HTMLResponse:
     """One HTML file that needs nothing else: to read, to print, to keep."""
-    with database.read() as session:
-        key = report_key(session, calibration_id, previous)
-    page = kept.get(key)
-    if page is None:
-        with _limit:
-            with database.read() as session:
-                content = assemble_report(session, calibration_id, previous)
-            page = render_page(content).encode()
-        kept.keep(key, page)
+    page = _rendered(
+        calibration_id, previous, database, kept, lambda content: render_page(content).encode()
+    )
     return HTMLResponse(page)
 
 
@@ -114,16 +111,9 @@ def get_figure(
     previous: PreviousQuery = None,
 ) -> Response:
     """The figure as PNG."""
-    with database.read() as session:
-        key = f"{report_key(session, calibration_id, previous)}/{figure}"
-    drawn = kept.get(key)
-    if drawn is None:
-        with _limit:
-            with database.read() as session:
-                content = assemble_report(session, calibration_id, previous)
-            drawn = render_figure(figure, content)
-        if drawn is not None:
-            kept.keep(key, drawn)
+    drawn = _rendered(
+        calibration_id, previous, database, kept, partial(render_figure, figure), f"/{figure}"
+    )
     if drawn is None:
         raise NoSuchFigure(
             f'the report of calibration "{calibration_id}" has no figure {figure}: there are no '
@@ -132,3 +122,25 @@ def get_figure(
             figure=figure,
         )
     return Response(drawn, media_type="image/png")
+
+
+def _rendered(
+    calibration_id: str,
+    previous: str | None,
+    database: Database,
+    kept: ReportCache,
+    render: Callable[[ReportContent], bytes | None],
+    part: str = "",
+) -> bytes | None:
+    """Return a part of a report from the cache, else rendered; None: there is nothing for it."""
+    with database.read() as session:
+        key = report_key(session, calibration_id, previous) + part
+    rendered = kept.get(key)
+    if rendered is None:
+        with _limit:
+            with database.read() as session:
+                content = assemble_report(session, calibration_id, previous)
+            rendered = render(content)
+        if rendered is not None:
+            kept.keep(key, rendered)
+    return rendered

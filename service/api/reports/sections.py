@@ -81,16 +81,11 @@ def outliers(content: ReportContent, _draw: Draw) -> str:
     findings = content.calibration.labels
     if findings:
         rows = [
-            (
-                one.kind,
-                one.sensor or "all",
-                ", ".join(_point(content, place) for place in one.points),
-                one.probability,
-                ", ".join(plain(value) for value in one.residual_px),
-                ", ".join(plain(value) for value in one.normalised_residual),
-            )
+            (one.kind, one.sensor or "all",
+             ", ".join(_point(content, number) for number in one.points), one.probability,
+             ", ".join(map(plain, one.residual_px)), ", ".join(map(plain, one.normalised_residual)))
             for one in findings
-        ]
+        ]  # fmt: skip
         headings = ("label", "sensor", "points", "probability", "off, px", "off, deviations")
         parts.append("<p>Labels that do not fit:</p>" + table(headings, rows))
     if content.suspicious:
@@ -101,9 +96,8 @@ def outliers(content: ReportContent, _draw: Draw) -> str:
         if len(content.suspicious) > 50:
             parts.append(f"<p>and {len(content.suspicious) - 50} more.</p>")
     if not parts and len(content.points_mm):
-        looked = content.calibration.settings is not None and (
-            content.calibration.settings.labels != "off"
-        )
+        settings = content.calibration.settings
+        looked = settings is not None and settings.labels != "off"
         labels = "No label looks wrong. " if looked else "Labels were not looked at. "
         parts.append(f"<p>{labels}No residual exceeds {SUSPICIOUS_SIGMA} deviations.</p>")
     return "".join(parts)
@@ -197,16 +191,13 @@ def distortion(content: ReportContent, _draw: Draw) -> str:
 def parameters(content: ReportContent, _draw: Draw) -> str:
     """Return all parameters with their standard deviations."""
     diagonal = np.diag(np.array(content.calibration.covariance)).tolist()
-    rows: list[tuple[Cell, ...]] = []
-    place = 0
-    for model in content.calibration.models:
-        values = parameter_values(model)
-        for name in model.parameter_names:
-            rows.append(
-                (model.name, name, values.get(name), float(np.sqrt(max(diagonal[place], 0))))
-            )
-            place += 1
-    note = "<p>Rotations are given as the deviation of a small turn in the sensor's frame.</p>"
+    named = [
+        (model.name, name, parameter_values(model).get(name))
+        for model in content.calibration.models
+        for name in model.parameter_names
+    ]
+    rows = [(*one, float(np.sqrt(max(v, 0)))) for one, v in zip(named, diagonal, strict=True)]
+    note = "<p>Rotations are given as the sigma of a small rotation in the sensor's frame.</p>"
     return note + table(("sensor", "parameter", "value", "deviation"), rows)
 
 
@@ -256,19 +247,13 @@ def comparison(content: ReportContent, draw: Draw) -> str:
     parts = [f"<p>The other is {which}. Differences are the other less this.</p>"]
     if found.positions is not None:
         where = found.positions
-        parts.append(
-            table(
-                ("positions over the box", "mm"),
-                (
-                    ("mean X", where.mean_mm[0]),
-                    ("mean Y", where.mean_mm[1]),
-                    ("mean Z", where.mean_mm[2]),
-                    ("RMS distance", where.rms_mm),
-                    ("largest distance", where.max_mm),
-                    ("RMS after the best turn and shift", where.aligned_rms_mm),
-                ),
-            )
+        lengths = (
+            *((f"mean {axis}", value) for axis, value in zip("XYZ", where.mean_mm, strict=True)),
+            ("RMS distance", where.rms_mm),
+            ("largest distance", where.max_mm),
+            ("RMS after the best rotation and shift", where.aligned_rms_mm),
         )
+        parts.append(table(("positions over the box", "mm"), lengths))
     names = {"one": "this", "other": "the other", "neither": "neither clearly"}
     rows = [
         (names[row.of], row.points, row.one_rms_mm, row.other_rms_mm,

@@ -8,7 +8,7 @@ from typing import Final
 
 from service.api.exports.repository import ExportRepository
 from service.api.runs.kinds import calibration, export, mapping, self_calibration, update
-from service.jobs.run_kind import RunKind
+from service.jobs.run_manager import RunKind
 
 KINDS: Final[dict[str, RunKind]] = {
     "calibration": RunKind(calibration.task, calibration.store, "/api/v1/calibrations"),

@@ -10,7 +10,7 @@ from service.api.captures.store import captured_points
 from service.api.devices.sensor import Sensor, check_sensors
 from service.api.drift_checks.marker_references import resolve_stationary_markers
 from service.api.drift_checks.schema import StationaryMarker
-from service.api.drift_checks.store import get_drift_check, markers_of
+from service.api.drift_checks.store import DRIFT_CHECKS, markers_of
 from service.api.runs.schema import NewUpdateRun
 from service.database.models import CalibrationRow
 from service.problems.errors import CalibrationOfAnotherDevice, NoActiveCalibration
@@ -87,7 +87,7 @@ def resolve_markers(
         raise InvalidParameter(
             f"{given[0]} is given with drift_check, which has its own markers; give one of them"
         )
-    check = get_drift_check(session, request.drift_check)
+    check = DRIFT_CHECKS.get(session, request.drift_check)
     if request.calibration not in (None, check.calibration_id):
         raise InvalidParameter(
             f'drift check "{check.id}" is of calibration "{check.calibration_id}", not of '

@@ -2,36 +2,25 @@
 
 from typing import Annotated
 
-from fastapi import APIRouter, Path, Query
-from starlette.status import HTTP_204_NO_CONTENT
+from fastapi import APIRouter, Query
 
-from service.api.base_models import SLUG_PATTERN, Page
-from service.api.dependencies import DatabaseDep, RunsDep
-from service.api.json_body import JsonRoute
-from service.api.openapi import problems
-from service.api.pagination import PagingDep, page_of
-from service.api.request_parameters import DeviceFilter
+from service.api.base_models import Page
+from service.api.inputs import DatabaseDep, DeviceFilter, PagingDep, RunsDep, id_in_path, page_of
+from service.api.openapi import ResourceRouter, raises
 from service.api.runs import submit_router
 from service.api.runs.schema import Run, run_document
 from service.jobs import store
 from service.jobs.store import Kind, State
-from service.problems.errors import RunNotEnded, UnknownRun
 
-router = APIRouter(route_class=JsonRoute)
+router = APIRouter()
 router.include_router(submit_router.router)
-_runs = APIRouter(prefix="/api/v1/runs", tags=["runs"], route_class=JsonRoute)
+router.include_router(submit_router.exports_router)
+_runs = ResourceRouter("/api/v1/runs", "runs")
 
-RunPath = Annotated[
-    str,
-    Path(
-        pattern=SLUG_PATTERN,
-        description="The run's id.",
-        openapi_examples={"frame": {"summary": "of the example body", "value": "sim-frame-run"}},
-    ),
-]
+RunPath = Annotated[str, id_in_path("The run's id.", "sim-frame-run", "frame")]
 
 
-@_runs.get("", operation_id="list-runs", summary="List runs")
+@_runs.operation("GET", "list-runs", "List runs")
 def list_runs(
     database: DatabaseDep,
     paging: PagingDep,
@@ -41,40 +30,32 @@ def list_runs(
 ) -> Page[Run]:
     """Runs of all kinds, newest first."""
     with database.read() as session:
-        return page_of(session, store.runs(device, kind, state), paging, run_document)
+        return page_of(
+            session,
+            store.RUNS.newest_first(device_id=device, kind=kind, state=state),
+            paging,
+            run_document,
+        )
 
 
-@_runs.get(
-    "/{run_id}",
-    operation_id="get-run",
-    summary="How far a run is",
-    responses=problems(UnknownRun),
-)
+@_runs.operation("GET /{run_id}", "get-run", "How far a run is")
+@raises("unknown-run")
 def get_run(run_id: RunPath, database: DatabaseDep) -> Run:
     """State, progress, and what came of it."""
     with database.read() as session:
-        return run_document(store.get_run(session, run_id))
+        return run_document(store.RUNS.get(session, run_id))
 
 
-@_runs.delete(
-    "/{run_id}",
-    operation_id="delete-run",
-    summary="Delete a run",
-    status_code=HTTP_204_NO_CONTENT,
-    responses=problems(UnknownRun, RunNotEnded),
-)
+@_runs.operation("DELETE /{run_id}", "delete-run", "Delete a run")
+@raises("unknown-run", "run-not-ended")
 def delete_run(run_id: RunPath, database: DatabaseDep) -> None:
     """Delete a run that has ended, with the measurements posted for it; what it made stays."""
     with database.write() as session:
         store.delete_run(session, run_id)
 
 
-@_runs.post(
-    "/{run_id}/cancel",
-    operation_id="cancel-run",
-    summary="Cancel a run",
-    responses=problems(UnknownRun),
-)
+@_runs.operation("POST /{run_id}/cancel", "cancel-run", "Cancel a run")
+@raises("unknown-run")
 def cancel_run(run_id: RunPath, database: DatabaseDep, runs: RunsDep) -> Run:
     """End a run that waits or runs; nothing of it is stored. One that has ended stays as it is."""
     with database.write() as session:

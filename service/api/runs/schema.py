@@ -6,7 +6,7 @@ from pydantic import Field
 
 from compute.calibration.settings import LabelPolicy
 from compute.mapping.settings import MappingMethod, MappingSettings
-from service.api.base_models import Moment, Note, RequestModel, ResponseModel, Slug
+from service.api.base_models import Moment, Note, RequestModel, ResponseModel, Slug, from_attributes
 from service.api.calibrations.schema import (
     MAX_POINTS,
     CalibrationOptions,
@@ -19,6 +19,11 @@ from service.api.runs.kind_registry import RESULTS
 from service.database.models import RunRow
 from service.jobs.store import Kind, State
 
+RunId = Annotated[Slug | None, Field(description="The run's; left out: the server's choice.")]
+CalibrationToMake = Annotated[
+    Slug | None,
+    Field(description="Of the calibration to be made; left out: the server's choice."),
+]
 Pitch = Annotated[float, Field(gt=0, le=1e6)]
 
 
@@ -54,7 +59,19 @@ class Run(ResponseModel):
     finished_at: Moment | None
 
 
-class NewCalibrationRun(CalibrationOptions):
+class PointsRequest(RequestModel):
+    """Control points, or a capture session that holds them."""
+
+    points: Annotated[list[ControlPoint], Field(max_length=MAX_POINTS)] | None = Field(
+        default=None, description="Give these, or `capture`."
+    )
+    capture: Slug | None = Field(default=None, description="A capture session, in place of points.")
+    allow_incomplete: bool = Field(
+        default=False, description="Take a capture session of which targets are missing."
+    )
+
+
+class NewCalibrationRun(PointsRequest, CalibrationOptions):
     """Control points, or a capture session that holds them, from which a device is calibrated."""
 
     distortion: GivenDistortion = Field(
@@ -64,38 +81,22 @@ class NewCalibrationRun(CalibrationOptions):
     labels: LabelPolicy = Field(
         default="report", description="As of a calibration; a run reports them by default."
     )
-    id: Slug | None = Field(default=None, description="The run's; left out: the server's choice.")
+    id: RunId = None
     device: Slug
-    result_id: Slug | None = Field(
-        default=None, description="Of the calibration to be made; left out: the server's choice."
-    )
-    points: Annotated[list[ControlPoint], Field(max_length=MAX_POINTS)] | None = Field(
-        default=None, description="Give these, or `capture`."
-    )
-    capture: Slug | None = Field(default=None, description="A capture session, in place of points.")
-    allow_incomplete: bool = Field(
-        default=False, description="Take a capture session of which targets are missing."
-    )
+    result_id: CalibrationToMake = None
     note: Note = ""
 
 
-class NewMappingRun(RequestModel):
+class NewMappingRun(PointsRequest):
     """Measurements at known places, from which a correction table is built for a calibration."""
 
-    id: Slug | None = Field(default=None, description="The run's; left out: the server's choice.")
+    id: RunId = None
     device: Slug
     calibration: Slug | None = Field(
         default=None, description="The table's parent; left out: the device's active calibration."
     )
     result_id: Slug | None = Field(
         default=None, description="Of the table to be made; left out: the server's choice."
-    )
-    points: Annotated[list[ControlPoint], Field(max_length=MAX_POINTS)] | None = Field(
-        default=None, description="Give these, or `capture`."
-    )
-    capture: Slug | None = Field(default=None, description="A capture session, in place of points.")
-    allow_incomplete: bool = Field(
-        default=False, description="Take a capture session of which targets are missing."
     )
     method: MappingMethod = Field(
         default="b-spline",
@@ -126,15 +127,13 @@ class NewUpdateRun(StationaryMarkersRequest):
     date.
     """
 
-    id: Slug | None = Field(default=None, description="The run's; left out: the server's choice.")
+    id: RunId = None
     device: Slug
     calibration: Slug | None = Field(
         default=None,
         description="The parent; left out: the drift check's, or the device's active calibration.",
     )
-    result_id: Slug | None = Field(
-        default=None, description="Of the calibration to be made; left out: the server's choice."
-    )
+    result_id: CalibrationToMake = None
     drift_check: Slug | None = Field(
         default=None,
         description="A drift check of the parent: its markers, in place of points or capture.",
@@ -163,19 +162,4 @@ def run_document(row: RunRow) -> Run:
     result = None
     if row.result_id is not None:
         result = f"{RESULTS[row.kind]}/{row.result_id}"
-    return Run.model_validate(
-        {
-            "id": row.id,
-            "kind": row.kind,
-            "device": row.device_id,
-            "state": row.state,
-            "progress": row.progress,
-            "stage": row.stage,
-            "result_id": row.result_id,
-            "result": result,
-            "problem": row.problem,
-            "created_at": row.created_at,
-            "started_at": row.started_at,
-            "finished_at": row.finished_at,
-        }
-    )
+    return from_attributes(Run, row, result=result)

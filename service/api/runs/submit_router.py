@@ -1,28 +1,21 @@
 """REST resources that submit runs: /api/v1/calibration-runs, /mapping-runs, ..."""
 
+from collections.abc import Callable
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Body
+from fastapi import Body, Depends, Response
 from sqlalchemy.orm import Session
-from starlette.status import HTTP_202_ACCEPTED
 
-from compute.errors import (
-    DegeneratePoints,
-    DuplicatePoint,
-    InvalidParameter,
-    ReadingOutsideSensor,
-    TooFewPoints,
-    UnknownSensor,
-)
+from service.api.base_models import from_attributes
 from service.api.calibrations.schema import ControlPoint
 from service.api.calibrations.store import check_unused
 from service.api.correction_tables import store as tables
-from service.api.devices.store import sensors_of_row
+from service.api.devices.store import get_device, sensors_of_row
 from service.api.exports.examples import NEW_EXPORT_RUNS
 from service.api.exports.router import ExportsDep
 from service.api.exports.schema import NewExportRun
-from service.api.json_body import JsonRoute, JsonTypes
-from service.api.openapi import problems
+from service.api.inputs import DatabaseDep, JsonTypes, RunsDep, SettingsDep
+from service.api.openapi import ResourceRouter, raises
 from service.api.recordings.recording_manager import RecordingsDep
 from service.api.runs.examples import (
     NEW_CALIBRATION_RUNS,
@@ -36,34 +29,62 @@ from service.api.runs.kinds.mapping import Request as MappingRequest
 from service.api.runs.kinds.self_calibration import Request as SelfCalibrationRequest
 from service.api.runs.kinds.update import Request as UpdateRequest
 from service.api.runs.references import resolve_calibration, resolve_markers, resolve_points
-from service.api.runs.schema import NewCalibrationRun, NewMappingRun, NewUpdateRun, Run
-from service.api.runs.self_calibration_schema import NewSelfCalibrationRun
-from service.api.runs.submission import SubmissionDep
-from service.database.models import DeviceRow
-from service.problems.errors import (
-    Busy,
-    CalibrationExists,
-    CalibrationOfAnotherDevice,
-    CalibrationRetired,
-    CaptureIncomplete,
-    CaptureOfAnotherDevice,
-    CorrectionTableExists,
-    ExportExists,
-    InsufficientStorage,
-    NoActiveCalibration,
-    RecordingInProgress,
-    RunExists,
-    SensorsChanged,
-    UnknownCalibration,
-    UnknownCapture,
-    UnknownCorrectionTable,
-    UnknownDevice,
-    UnknownDriftCheck,
-    UnknownRecording,
-    UnknownTool,
+from service.api.runs.schema import (
+    NewCalibrationRun,
+    NewMappingRun,
+    NewUpdateRun,
+    Run,
+    run_document,
 )
+from service.api.runs.self_calibration_schema import NewSelfCalibrationRun
+from service.database.models import DeviceRow
+from service.jobs import store
+from service.jobs.store import Kind
 
-router = APIRouter(prefix="/api/v1", route_class=JsonRoute)
+router = ResourceRouter("/api/v1", "runs")
+exports_router = ResourceRouter("/api/v1", "recordings")
+
+
+class Submission:
+    """Takes the runs of one request."""
+
+    def __init__(
+        self, database: DatabaseDep, runs: RunsDep, settings: SettingsDep, response: Response
+    ) -> None:
+        self._database, self._runs, self._response = database, runs, response
+        self._max_waiting = settings.runs_waiting
+
+    def run(
+        self,
+        kind: Kind,
+        device_id: str,
+        run_id: str | None,
+        stored: Callable[[Session, DeviceRow], dict[str, Any]],
+    ) -> Run:
+        """Store a run, wake the run manager, and answer with the run's location.
+
+        Args:
+            kind: what is computed.
+            device_id: of the device.
+            run_id: the run's id; None: the server's choice.
+            stored: checks the request, the device being locked, and returns it as it is stored.
+
+        Raises:
+            UnknownDevice, RunExists, Busy: as they say, and what ``stored`` raises.
+        """
+        with self._database.write() as session:
+            device = get_device(session, device_id, lock=True)
+            row = store.add_run(
+                session, kind, device.id, stored(session, device), self._max_waiting, run_id
+            )
+            made = run_document(row)
+        self._runs.submitted()
+        self._response.headers["Location"] = f"/api/v1/runs/{made.id}"
+        return made
+
+
+SubmissionDep = Annotated[Submission, Depends()]
+
 
 NewCalibrationRunBody = Annotated[
     NewCalibrationRun, JsonTypes(), Body(openapi_examples=NEW_CALIBRATION_RUNS)
@@ -76,29 +97,16 @@ NewSelfCalibrationRunBody = Annotated[
 ]
 
 
-@router.post(
-    "/calibration-runs",
-    tags=["runs"],
-    operation_id="create-calibration-run",
-    summary="Calibrate a device beside the requests",
-    status_code=HTTP_202_ACCEPTED,
-    responses=problems(
-        UnknownDevice,
-        UnknownCapture,
-        RunExists,
-        CalibrationExists,
-        CaptureOfAnotherDevice,
-        CaptureIncomplete,
-        TooFewPoints,
-        DegeneratePoints,
-        DuplicatePoint,
-        UnknownSensor,
-        ReadingOutsideSensor,
-        InvalidParameter,
-        Busy,
-    ),
+@router.operation(
+    "POST /calibration-runs",
+    "create-calibration-run",
+    "Calibrate a device beside the requests",
+    status_code=202,
 )
-def create_calibration_run(request: NewCalibrationRunBody, acceptance: SubmissionDep) -> Run:
+@raises("unknown-device", "unknown-capture", "run-exists", "calibration-exists")
+@raises("capture-of-another-device", "capture-incomplete", "too-few-points", "coplanar-points")
+@raises("duplicate-point", "unknown-sensor", "reading-outside-sensor", "invalid-parameter", "busy")
+def create_calibration_run(request: NewCalibrationRunBody, submission: SubmissionDep) -> Run:
     """Calibrate in a process of its own: follow the run at the header `Location`.
 
     The calibration is stored when it is done, under the run's `result_id`, and not activated.
@@ -106,18 +114,15 @@ def create_calibration_run(request: NewCalibrationRunBody, acceptance: Submissio
 
     def stored(session: Session, device: DeviceRow) -> dict[str, Any]:
         check_unused(session, request.result_id)
+        points, sensors = _points(session, request), sensors_of_row(device)
+        settings = request.settings()
         return calibration.request_of(
-            CalibrationRequest(
-                points=_points(session, request),
-                sensors=sensors_of_row(device),
-                settings=request.settings(),
-                result_id=request.result_id,
-                capture=request.capture,
-                note=request.note,
+            from_attributes(
+                CalibrationRequest, request, points=points, sensors=sensors, settings=settings
             )
         )
 
-    return acceptance.run("calibration", request, stored)
+    return submission.run("calibration", request.device, request.id, stored)
 
 
 def _points(session: Session, request: NewCalibrationRun | NewMappingRun) -> list[ControlPoint]:
@@ -130,34 +135,18 @@ def _points(session: Session, request: NewCalibrationRun | NewMappingRun) -> lis
     )
 
 
-@router.post(
-    "/mapping-runs",
-    tags=["runs"],
-    operation_id="create-mapping-run",
-    summary="Map the volume beside the requests",
-    status_code=HTTP_202_ACCEPTED,
-    responses=problems(
-        UnknownDevice,
-        UnknownCalibration,
-        UnknownCapture,
-        RunExists,
-        CorrectionTableExists,
-        CalibrationOfAnotherDevice,
-        CaptureOfAnotherDevice,
-        CaptureIncomplete,
-        CalibrationRetired,
-        NoActiveCalibration,
-        SensorsChanged,
-        TooFewPoints,
-        DegeneratePoints,
-        DuplicatePoint,
-        UnknownSensor,
-        ReadingOutsideSensor,
-        InvalidParameter,
-        Busy,
-    ),
+@router.operation(
+    "POST /mapping-runs",
+    "create-mapping-run",
+    "Map the volume beside the requests",
+    status_code=202,
 )
-def create_mapping_run(request: NewMappingRunBody, acceptance: SubmissionDep) -> Run:
+@raises("unknown-device", "unknown-calibration", "unknown-capture", "run-exists")
+@raises("correction-table-exists", "calibration-of-another-device", "capture-of-another-device")
+@raises("capture-incomplete", "calibration-retired", "no-active-calibration", "sensors-changed")
+@raises("too-few-points", "coplanar-points", "duplicate-point", "unknown-sensor")
+@raises("reading-outside-sensor", "invalid-parameter", "busy")
+def create_mapping_run(request: NewMappingRunBody, submission: SubmissionDep) -> Run:
     """Build a correction table in a process of its own: follow the run at the header `Location`.
 
     The table is stored when it is done, under the run's `result_id`, and not activated.
@@ -167,47 +156,32 @@ def create_mapping_run(request: NewMappingRunBody, acceptance: SubmissionDep) ->
         tables.check_unused(session, request.result_id)
         parent = resolve_calibration(session, request.device, request.calibration)
         return mapping.request_of(
-            MappingRequest(
+            from_attributes(
+                MappingRequest,
+                request,
                 calibration=parent.id,
                 points=_points(session, request),
                 sensors=sensors_of_row(device),
                 settings=request.settings(),
-                point_sigma_mm=request.point_sigma_mm,
-                result_id=request.result_id,
-                capture=request.capture,
-                note=request.note,
             ),
             parent,
         )
 
-    return acceptance.run("mapping", request, stored)
+    return submission.run("mapping", request.device, request.id, stored)
 
 
-@router.post(
-    "/self-calibration-runs",
-    tags=["runs"],
-    operation_id="create-self-calibration-run",
-    summary="Calibrate a device without known coordinates",
-    status_code=HTTP_202_ACCEPTED,
-    responses=problems(
-        UnknownDevice,
-        UnknownCalibration,
-        RunExists,
-        CalibrationExists,
-        CalibrationOfAnotherDevice,
-        CalibrationRetired,
-        NoActiveCalibration,
-        SensorsChanged,
-        TooFewPoints,
-        DegeneratePoints,
-        UnknownSensor,
-        ReadingOutsideSensor,
-        InvalidParameter,
-        Busy,
-    ),
+@router.operation(
+    "POST /self-calibration-runs",
+    "create-self-calibration-run",
+    "Calibrate a device without known coordinates",
+    status_code=202,
 )
+@raises("unknown-device", "unknown-calibration", "run-exists", "calibration-exists")
+@raises("calibration-of-another-device", "calibration-retired", "no-active-calibration")
+@raises("sensors-changed", "too-few-points", "coplanar-points", "unknown-sensor")
+@raises("reading-outside-sensor", "invalid-parameter", "busy")
 def create_self_calibration_run(
-    request: NewSelfCalibrationRunBody, acceptance: SubmissionDep
+    request: NewSelfCalibrationRunBody, submission: SubmissionDep
 ) -> Run:
     """Calibrate from a wand, a rigid body or a frame at unknown places, in a process of its own.
 
@@ -219,48 +193,27 @@ def create_self_calibration_run(
         check_unused(session, request.result_id)
         start = resolve_calibration(session, request.device, request.start)
         return self_calibration.request_of(
-            SelfCalibrationRequest(
-                start=start.id,
-                recordings=request.recordings,
-                sensors=sensors_of_row(device),
-                datum=request.datum,
-                result_id=request.result_id,
-                note=request.note,
+            from_attributes(
+                SelfCalibrationRequest, request, start=start.id, sensors=sensors_of_row(device)
             ),
             start,
         )
 
-    return acceptance.run("self-calibration", request, stored)
+    return submission.run("self-calibration", request.device, request.id, stored)
 
 
-@router.post(
-    "/update-runs",
-    tags=["runs"],
-    operation_id="create-update-run",
-    summary="Bring a calibration up to date by still markers",
-    status_code=HTTP_202_ACCEPTED,
-    responses=problems(
-        UnknownDevice,
-        UnknownCalibration,
-        UnknownCapture,
-        UnknownDriftCheck,
-        RunExists,
-        CalibrationExists,
-        CalibrationOfAnotherDevice,
-        CaptureOfAnotherDevice,
-        CaptureIncomplete,
-        CalibrationRetired,
-        NoActiveCalibration,
-        SensorsChanged,
-        TooFewPoints,
-        DuplicatePoint,
-        UnknownSensor,
-        ReadingOutsideSensor,
-        InvalidParameter,
-        Busy,
-    ),
+@router.operation(
+    "POST /update-runs",
+    "create-update-run",
+    "Bring a calibration up to date by still markers",
+    status_code=202,
 )
-def create_update_run(request: NewUpdateRunBody, acceptance: SubmissionDep) -> Run:
+@raises("unknown-device", "unknown-calibration", "unknown-capture", "unknown-drift-check")
+@raises("run-exists", "calibration-exists", "calibration-of-another-device")
+@raises("capture-of-another-device", "capture-incomplete", "calibration-retired")
+@raises("no-active-calibration", "sensors-changed", "too-few-points", "duplicate-point")
+@raises("unknown-sensor", "reading-outside-sensor", "invalid-parameter", "busy")
+def create_update_run(request: NewUpdateRunBody, submission: SubmissionDep) -> Run:
     """Re-calibrate quickly: what a few still markers say has changed, and the rest as it was.
 
     Eight markers do where a whole frame was measured before. The new calibration names its parent;
@@ -272,47 +225,32 @@ def create_update_run(request: NewUpdateRunBody, acceptance: SubmissionDep) -> R
         sensors = sensors_of_row(device)
         parent, markers, sigma = resolve_markers(session, request, sensors)
         return update.request_of(
-            UpdateRequest(
+            from_attributes(
+                UpdateRequest,
+                request,
                 calibration=parent.id,
                 markers=markers,
                 device_sensors=sensors,
                 position_sigma_mm=sigma,
-                sensors=request.sensors,
-                allowance=request.allowance,
-                result_id=request.result_id,
-                capture=request.capture,
-                drift_check=request.drift_check,
-                note=request.note,
             ),
             parent,
         )
 
-    return acceptance.run("update", request, stored)
+    return submission.run("update", request.device, request.id, stored)
 
 
-@router.post(
-    "/export-runs",
-    tags=["recordings"],
-    operation_id="create-export-run",
-    summary="Export a recording beside the requests",
-    status_code=HTTP_202_ACCEPTED,
-    responses=problems(
-        UnknownDevice,
-        UnknownRecording,
-        UnknownTool,
-        UnknownCalibration,
-        UnknownCorrectionTable,
-        RunExists,
-        ExportExists,
-        RecordingInProgress,
-        InvalidParameter,
-        InsufficientStorage,
-        Busy,
-    ),
+@exports_router.operation(
+    "POST /export-runs",
+    "create-export-run",
+    "Export a recording beside the requests",
+    status_code=202,
 )
+@raises("unknown-device", "unknown-recording", "unknown-tool", "unknown-calibration")
+@raises("unknown-correction-table", "run-exists", "export-exists", "recording-in-progress")
+@raises("invalid-parameter", "insufficient-storage", "busy")
 def create_export_run(
     request: NewExportRunBody,
-    acceptance: SubmissionDep,
+    submission: SubmissionDep,
     recordings: RecordingsDep,
     exports: ExportsDep,
 ) -> Run:
@@ -332,4 +270,4 @@ def create_export_run(
         exports.check_unused(request.result_id)
         return export.request_of(session, device, request)
 
-    return acceptance.run("export", request, stored)
+    return submission.run("export", request.device, request.id, stored)

@@ -2,20 +2,15 @@
 
 from typing import Annotated, Any, Final
 
-from fastapi import APIRouter, Body, Path, Request, Response
-from starlette.status import HTTP_201_CREATED
+from fastapi import Body, Request, Response
 
-from compute.errors import InvalidParameter
-from service.api.base_models import SLUG_PATTERN, Page
-from service.api.dependencies import DatabaseDep
-from service.api.json_body import JsonRoute, JsonTypes
-from service.api.openapi import problems
-from service.api.request_parameters import Limit, Offset
+from service.api.base_models import Page
+from service.api.inputs import DatabaseDep, JsonTypes, PagingDep, id_in_path, page_of
+from service.api.openapi import ResourceRouter, raises
 from service.api.security.schema import ApiKey, CreatedApiKey, NewApiKey, created_document, document
-from service.problems.errors import UnknownKey
 from service.security import store
 
-router = APIRouter(prefix="/api/v1/keys", tags=["keys"], route_class=JsonRoute)
+router = ResourceRouter("/api/v1/keys", "keys")
 
 _NEW_KEYS: Final[Any] = {
     "display": {
@@ -34,30 +29,24 @@ _NEW_KEYS: Final[Any] = {
 
 KeyPath = Annotated[
     str,
-    Path(
-        pattern=SLUG_PATTERN,
-        description="The key's id: the part between `lumi_` and the secret.",
-        openapi_examples={"one": {"summary": "one that was made", "value": "examplekey00"}},
+    id_in_path(
+        "The key's id: the part between `lumi_` and the secret.",
+        "examplekey00",
+        "one",
+        "one that was made",
     ),
 ]
 
 
-@router.get("", operation_id="list-keys", summary="List keys")
-def list_keys(database: DatabaseDep, limit: Limit = 50, offset: Offset = 0) -> Page[ApiKey]:
+@router.operation("GET", "list-keys", "List keys")
+def list_keys(database: DatabaseDep, paging: PagingDep) -> Page[ApiKey]:
     """Keys without their secrets, newest first; also those that are not valid any more."""
     with database.read() as session:
-        rows, total = store.list_keys(session, limit, offset)
-        items = [document(row) for row in rows]
-    return Page(items=items, total=total, limit=limit, offset=offset)
+        return page_of(session, store.KEYS.newest_first(), paging, document)
 
 
-@router.post(
-    "",
-    operation_id="create-key",
-    summary="Make a key",
-    status_code=HTTP_201_CREATED,
-    responses=problems(InvalidParameter),
-)
+@router.operation("POST", "create-key", "Make a key", status_code=201)
+@raises("invalid-parameter")
 def create_key(
     request: Annotated[NewApiKey, JsonTypes(), Body(openapi_examples=_NEW_KEYS)],
     database: DatabaseDep,
@@ -68,28 +57,23 @@ def create_key(
     Who may make keys may make them with any scope.
     """
     with database.write() as session:
-        row, made = store.add_key(session, request)
+        row, made = store.add_key(session, **dict(request))
         created = created_document(row, made.text)
     response.headers["Location"] = f"/api/v1/keys/{created.id}"
     response.headers["Cache-Control"] = "no-store"
     return created
 
 
-@router.get(
-    "/{key_id}", operation_id="get-key", summary="Read a key", responses=problems(UnknownKey)
-)
+@router.operation("GET /{key_id}", "get-key", "Read a key")
+@raises("unknown-key")
 def get_key(key_id: KeyPath, database: DatabaseDep) -> ApiKey:
     """One key, without its secret."""
     with database.read() as session:
-        return document(store.get_key(session, key_id))
+        return document(store.KEYS.get(session, key_id))
 
 
-@router.post(
-    "/{key_id}/revoke",
-    operation_id="revoke-key",
-    summary="Revoke a key",
-    responses=problems(UnknownKey),
-)
+@router.operation("POST /{key_id}/revoke", "revoke-key", "Revoke a key")
+@raises("unknown-key")
 def revoke_key(request: Request, key_id: KeyPath, database: DatabaseDep) -> ApiKey:
     """Take a key back for good: at once for requests, within seconds for open streams."""
     with database.write() as session:

@@ -4,7 +4,14 @@ from typing import Annotated
 
 from pydantic import Field
 
-from service.api.base_models import Moment, RequestModel, RequestMoment, ResponseModel, Text200
+from service.api.base_models import (
+    Moment,
+    RequestModel,
+    RequestMoment,
+    ResponseModel,
+    Text200,
+    from_attributes,
+)
 from service.database.models import ApiKeyRow
 from service.principal import Scope
 from service.security.store import KeyState, state_of
@@ -44,15 +51,9 @@ class CreatedApiKey(ApiKey):
 
 def document(row: ApiKeyRow) -> ApiKey:
     """Return a key as clients see it."""
-    return ApiKey.model_validate(_members(row))
+    return from_attributes(ApiKey, row, state=state_of(row))
 
 
 def created_document(row: ApiKeyRow, text: str) -> CreatedApiKey:
     """Return a key that was just made, with its text."""
-    return CreatedApiKey.model_validate(_members(row) | {"key": text})
-
-
-def _members(row: ApiKeyRow) -> dict[str, object]:
-    names = ("id", "name", "scopes", "created_by", "created_at", "expires_at", "revoked_at")
-    found: dict[str, object] = {name: getattr(row, name) for name in names}
-    return found | {"state": state_of(row), "last_used_at": row.last_used_at}
+    return from_attributes(CreatedApiKey, row, state=state_of(row), key=text)

@@ -6,7 +6,7 @@ from datetime import datetime
 
 from sqlalchemy.orm import Session
 
-from service.api.tools.store import get_same_tool, get_tool
+from service.api.tools.store import TOOLS, get_same_tool
 from service.database.models import RegistrationRow
 from service.problems.errors import RegistrationReplaced
 
@@ -52,6 +52,6 @@ def dependencies(
     """Return tools, None for none, and registrations as they are now; raises UnknownTool."""
     names = dict.fromkeys(name for name in tools if name is not None)
     return Dependencies(
-        {name: get_tool(session, name).created_at for name in names},
+        {name: TOOLS.get(session, name).created_at for name in names},
         {row.id: row.created_at for row in registrations},
     )

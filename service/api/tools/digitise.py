@@ -127,12 +127,7 @@ class _Digitiser:
         if self._found is not None:
             return self._found
         tool = self._pointer.tool
-        if self.tap.switched:
-            raise CalibrationSwitched(
-                f'another calibration or table of device "{self._pointer.device}" was activated '
-                "while the point was measured; do it again",
-                device=self._pointer.device,
-            )
+        self.tap.check_single(self._pointer.device, "the point was measured; do it again")
         told = f'the tip of tool "{tool}" was not held still within {self._asked.timeout_s:g} s'
         if not self._good:
             seen = ", ".join(f"{status}: {count}" for status, count in self._statuses.items())

@@ -55,12 +55,6 @@ CALIBRATIONS: Final[dict[str, Any]] = {
         "value": {"seconds": 10, "poses": 500, "apply": True},
     },
 }
-TOOL_IDS: Final[dict[str, Any]] = {
-    "pointer": {"summary": "of the example body", "value": "pointer"}
-}
-SPUN_IDS: Final[dict[str, Any]] = {
-    "clamp": {"summary": "of the example that captures it", "value": "clamp"}
-}
 _BOX_MM: Final = [[x, y, z] for z in (-120, 0) for y in (-100, 100) for x in (-70, 70)]
 _BOX: Final = [
     [0, 1, 3], [0, 3, 2], [4, 5, 7], [4, 7, 6], [0, 1, 5], [0, 5, 4],
@@ -134,10 +128,4 @@ NEW_POINTS: Final[dict[str, Any]] = {
         "description": _LIVE,
         "value": {"name": "nasion", "frame": "tracker"},
     },
-}
-FRAME_NAMES: Final[dict[str, Any]] = {
-    "image": {"summary": "of the registration of the example body", "value": "image"}
-}
-REGISTRATION_IDS: Final[dict[str, Any]] = {
-    "image": {"summary": "of the example body", "value": "image"}
 }

@@ -15,7 +15,7 @@ from compute.pose.transform_graph import TransformGraph
 from service.api.tools.frame_conversion import POSE_STATUSES
 from service.api.tools.pose_query import board_pose
 from service.api.tools.provenance import active_ids, provenance
-from service.api.tools.registrations import frame_from_measured, registrations
+from service.api.tools.registrations import REGISTRATIONS, frame_from_measured
 from service.api.tools.schema import TRACKER
 from service.api.tools.store import tools
 from service.pipeline.latest_poses import PoseEntry
@@ -152,7 +152,7 @@ def device_frames(session: Session, live: PipelineManager, device_id: str) -> De
         pose = board_pose(live, tool.id, device_id, entry, now_ns)
         known = Transform.from_pose(pose) if pose.rotation is not None else None
         nodes.append(Node(tool.id, "tool", TRACKER, pose.status, pose.reason, known))
-    for row in session.scalars(registrations(device_id)):
+    for row in session.scalars(REGISTRATIONS.newest_first(device_id=device_id)):
         to = row.reference_id or TRACKER
         why = provenance(session, row).invalid_reason(*in_force)
         if why is not None:

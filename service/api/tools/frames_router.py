@@ -1,39 +1,30 @@
 """REST resource /api/v1/devices/{id}/frames: a device's frames and the transforms between them."""
 
-from typing import Annotated
+from typing import Annotated, Final
 
-from fastapi import APIRouter, Path, Query
+from fastapi import Query
 
-from compute.errors import UnknownFrame
-from service.api.base_models import SLUG_PATTERN
-from service.api.dependencies import DatabaseDep, LiveDep
+from service.api.base_models import SLUG_PATTERN, from_attributes
 from service.api.devices.store import get_device
-from service.api.openapi import problems
-from service.api.request_parameters import DevicePath
-from service.api.tools.examples import FRAME_NAMES
+from service.api.inputs import DatabaseDep, DevicePath, LiveDep, id_in_path
+from service.api.openapi import ResourceRouter, raises
 from service.api.tools.frame_graph import device_frames
 from service.api.tools.frame_schema import FrameList, FrameState, FrameTransform
 from service.api.tools.schema import TRACKER
-from service.problems.errors import UnknownDevice
 
-router = APIRouter(prefix="/api/v1/devices", tags=["tools"])
+router = ResourceRouter("/api/v1/devices", "tools")
 
+_DESCRIPTION: Final = "`tracker`, a tool, or a registration."
 FramePath = Annotated[
     str,
-    Path(
-        pattern=SLUG_PATTERN,
-        description="`tracker`, a tool, or a registration.",
-        openapi_examples=FRAME_NAMES,
-    ),
+    id_in_path(_DESCRIPTION, "image", "image", "of the registration of the example body"),
 ]
 
 
-@router.get(
-    "/{device_id}/frames",
-    operation_id="list-frames",
-    summary="A device's frames, and what connects them now",
-    responses=problems(UnknownDevice),
+@router.operation(
+    "GET /{device_id}/frames", "list-frames", "A device's frames, and what connects them now"
 )
+@raises("unknown-device")
 def list_frames(device_id: DevicePath, database: DatabaseDep, live: LiveDep) -> FrameList:
     """The tracker's frame, those of the tools, and the registered ones.
 
@@ -47,13 +38,11 @@ def list_frames(device_id: DevicePath, database: DatabaseDep, live: LiveDep) -> 
         device=device_id,
         **found.instant,
         frames=[
-            FrameState(
+            from_attributes(
+                FrameState,
+                node,
                 frame=node.name,
-                kind=node.kind,
-                to=node.to,
                 connected=node.to is None or node.to_from is not None,
-                status=node.status,
-                reason=node.reason,
                 root=found.root(node.name),
             )
             for node in found.nodes.values()
@@ -61,12 +50,12 @@ def list_frames(device_id: DevicePath, database: DatabaseDep, live: LiveDep) -> 
     )
 
 
-@router.get(
-    "/{device_id}/frames/{frame}",
-    operation_id="get-frame-transform",
-    summary="The transform from one frame to another now",
-    responses=problems(UnknownDevice, UnknownFrame),
+@router.operation(
+    "GET /{device_id}/frames/{frame}",
+    "get-frame-transform",
+    "The transform from one frame to another now",
 )
+@raises("unknown-device", "unknown-frame")
 def get_frame_transform(
     device_id: DevicePath,
     frame: FramePath,

@@ -1,6 +1,5 @@
 """Captures a tool's geometry from the points of a running device while the tool is held still."""
 
-from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -14,11 +13,11 @@ from compute.pose.tool_calibration.digitising import (
     average_stationary_tip,
 )
 from compute.quality.accuracy import MarkerTrack
-from service.api.quality.point_tap import PointTap
+from service.api.quality.point_tap import PointTap, check_strobed
 from service.api.tools.schema import NewCapturedTool, Origin
 from service.pipeline.pipeline_manager import PipelineManager
 from service.pipeline.taps import collect
-from service.problems.errors import CalibrationSwitched, NoActiveCalibration, NoObservation
+from service.problems.errors import NoObservation
 
 Array = NDArray[np.float64]
 
@@ -46,21 +45,16 @@ def capture_geometry(live: PipelineManager, asked: NewCapturedTool) -> tuple[Rig
     strobed, together = _wanted(asked, session.description.markers)
     tap = PointTap(strobed, together)
     collect(live, session, tap, asked.seconds, tap.ended)
-    if tap.switched:
-        raise CalibrationSwitched(
-            f'another calibration or table of device "{asked.device}" was activated while the '
-            "tool was captured; capture it again",
-            device=asked.device,
-        )
-    calibration_id = (tap.active_ids or (None, None))[0]
-    if calibration_id is None:
-        raise NoActiveCalibration(
-            f'device "{asked.device}" has no active calibration, and so no points; activate one',
-            device=asked.device,
-        )
+    during = "the tool was captured; capture it again"
+    calibration_id, table_id = tap.calibration_used(asked.device, during)
     tracks = tap.tracks() if strobed is not None else in_canonical_order(tap.tracks())
     _check_seen(tracks, strobed, asked.seconds)
-    still = [_still(track) for track in tracks]
+    still = [
+        stationary_marker(
+            np.round(track.time_s * 1e9).astype(np.int64), track.position_mm, track.covariance_mm2
+        )
+        for track in tracks
+    ]
     markers = principal_axes(np.array([one.position_mm for one in still]))
     return (
         RigidBody(asked.id, markers, strobed, asked.tip_mm),
@@ -69,7 +63,7 @@ def capture_geometry(live: PipelineManager, asked: NewCapturedTool) -> tuple[Rig
             frames=min(one.poses for one in still),
             sigma_mm=[float(np.sqrt(np.trace(one.covariance_mm2))) for one in still],
             calibration=calibration_id,
-            table=(tap.active_ids or (None, None))[1],
+            table=table_id,
         ),
     )
 
@@ -91,17 +85,6 @@ def _wanted(asked: NewCapturedTool, strobes: int) -> tuple[tuple[int, ...] | Non
         return None, asked.markers
     check_strobed(asked.device, asked.strobe_markers, strobes)
     return tuple(asked.strobe_markers), len(asked.strobe_markers)
-
-
-def check_strobed(device_id: str, numbers: Sequence[int], strobes: int) -> None:
-    """Raise InvalidParameter when a marker's number exceeds the device's strobed markers."""
-    unknown = next((number for number in numbers if number >= strobes), None)
-    if unknown is not None:
-        known = f"0 to {strobes - 1}" if strobes else "none: they are lit together"
-        raise InvalidParameter(
-            f'device "{device_id}" has no strobed marker {unknown}; it has {known}',
-            marker=unknown,
-        )
 
 
 def _check_seen(tracks: list[MarkerTrack], strobed: tuple[int, ...] | None, seconds: float) -> None:
@@ -144,12 +127,24 @@ def in_canonical_order(tracks: list[MarkerTrack]) -> list[MarkerTrack]:
     ]
 
 
-def _still(track: MarkerTrack) -> StationaryPoint:
-    times_ns = np.round(track.time_s * 1e9).astype(np.int64)
-    span_s = max(float(track.time_s[-1] - track.time_s[0]), 1e-9)
-    # How long was asked by the client; a marker that is hidden for a moment is seen often enough.
+def stationary_marker(
+    times_ns: NDArray[np.int64], positions_mm: Array, covariances_mm2: Array
+) -> StationaryPoint:
+    """Return the mean of a marker that was held still for as long as a client asked.
+
+    A marker that is hidden for a moment is seen often enough.
+
+    Args:
+        times_ns: of N exposures [ns].
+        positions_mm: shape (N, 3) [mm].
+        covariances_mm2: shape (N, 3, 3) [mm^2].
+
+    Raises:
+        NotStationary: it moved.
+    """
+    span_s = max(float(times_ns[-1] - times_ns[0]) * 1e-9, 1e-9)
     wanted = StationarySettings(seconds=1e-9, min_poses=MIN_FRAMES, max_gap_s=2.0 * span_s)
-    return average_stationary_tip(times_ns, track.position_mm, track.covariance_mm2, wanted)
+    return average_stationary_tip(times_ns, positions_mm, covariances_mm2, wanted)
 
 
 def principal_axes(points_mm: Array) -> Array:

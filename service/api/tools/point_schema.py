@@ -27,9 +27,7 @@ class NewPoint(RequestModel):
         default=0.3,
         description="Largest movement from its begin to its end that noise does not explain.",
     )
-    timeout_s: Annotated[float, Field(gt=0, le=120)] = Field(
-        default=30.0, description="How long to wait for that."
-    )
+    timeout_s: float = Field(default=30.0, gt=0, le=120, description="How long to wait for that.")
 
 
 class MeasuredPoint(ResponseModel):

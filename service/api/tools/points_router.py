@@ -2,61 +2,34 @@
 
 from typing import Annotated
 
-from fastapi import APIRouter, Body, Path
+from fastapi import Body
 
-from compute.errors import InvalidParameter, NotStationary, TooFewPoses
-from service.api.base_models import SLUG_PATTERN
-from service.api.dependencies import DatabaseDep, LiveDep
-from service.api.json_body import JsonRoute, JsonTypes
-from service.api.openapi import problems
+from service.api.inputs import DatabaseDep, JsonTypes, LiveDep
+from service.api.openapi import ResourceRouter, raises
 from service.api.tools import concurrency_limits
 from service.api.tools.dependency_check import dependencies
-from service.api.tools.examples import NEW_POINTS, TOOL_IDS
+from service.api.tools.examples import NEW_POINTS
 from service.api.tools.point_schema import MeasuredPoint, NewPoint
 from service.api.tools.pose_query import frame_of
 from service.api.tools.rigid_bodies import tip_of
-from service.api.tools.store import get_tool
+from service.api.tools.router import ToolPath
+from service.api.tools.store import TOOLS
 from service.api.tools.tip_limit import tip_limit_of
 from service.database.models import RegistrationRow
 from service.problems.errors import (
-    Busy,
-    CalibrationSwitched,
-    DeviceNotRunning,
-    NoActiveCalibration,
-    NoObservation,
-    RegistrationReplaced,
     TipNotCalibrated,
     ToolReplaced,
-    UnknownTool,
 )
 
-router = APIRouter(prefix="/api/v1/tools", tags=["tools"], route_class=JsonRoute)
+router = ResourceRouter("/api/v1/tools", "tools")
 
 NewPointBody = Annotated[NewPoint, JsonTypes(), Body(openapi_examples=NEW_POINTS)]
-ToolPath = Annotated[
-    str, Path(pattern=SLUG_PATTERN, description="The tool's id.", openapi_examples=TOOL_IDS)
-]
 
 
-@router.post(
-    "/{tool_id}/points",
-    operation_id="measure-point",
-    summary="Measure a point with a tool's tip",
-    responses=problems(
-        UnknownTool,
-        ToolReplaced,
-        RegistrationReplaced,
-        TipNotCalibrated,
-        Busy,
-        DeviceNotRunning,
-        NoActiveCalibration,
-        CalibrationSwitched,
-        NoObservation,
-        NotStationary,
-        TooFewPoses,
-        InvalidParameter,
-    ),
-)
+@router.operation("POST /{tool_id}/points", "measure-point", "Measure a point with a tool's tip")
+@raises("unknown-tool", "tool-replaced", "registration-replaced", "tip-not-calibrated", "busy")
+@raises("device-not-running", "no-active-calibration", "calibration-switched", "nothing-seen")
+@raises("not-stationary", "too-few-poses", "invalid-parameter")
 def measure_point(
     tool_id: ToolPath, request: NewPointBody, database: DatabaseDep, live: LiveDep
 ) -> MeasuredPoint:
@@ -67,7 +40,7 @@ def measure_point(
     from service.api.tools.digitise import Pointer, digitise_point
 
     with database.read() as session:
-        tool = get_tool(session, tool_id)
+        tool = TOOLS.get(session, tool_id)
         tip = tip_of(tool)
         if tip.position_mm is None:
             raise TipNotCalibrated(
@@ -85,7 +58,7 @@ def measure_point(
         found = digitise_point(live, pointer, frame, request)
     with database.read() as session:
         relied.check(session)
-        if tip_of(get_tool(session, tool_id)) != tip:
+        if tip_of(TOOLS.get(session, tool_id)) != tip:
             raise ToolReplaced(
                 f'the tip of tool "{tool_id}" was changed while a point was measured with it; '
                 "measure it again",

@@ -10,37 +10,45 @@ from service.pipeline.frame_batch import FrameBatch
 from service.pipeline.taps import SingleCalibrationTap
 
 
-class PoseTap(SingleCalibrationTap):
-    """Collects valid poses of a tool while one calibration is active.
+class _ToolTap(SingleCalibrationTap):
+    """Base of taps of a tool's poses.
 
     Args:
         tool: its id.
-        reference: the tool that they are taken relative to; None: the tracker.
-        most: how many are collected at most.
+        reference: the tool that they are wanted relative to; None: the tracker.
     """
 
-    def __init__(self, tool: str, reference: str | None, max_poses: int) -> None:
+    def __init__(self, tool: str, reference: str | None) -> None:
         super().__init__()
+        self._tool = tool
+        self._reference = reference
+
+    def _pairs(self, batch: FrameBatch) -> Iterator[tuple[ToolPose, ToolPose | None]]:
+        """Yield the tool's poses of a batch, each with its reference's where that has one."""
+        if not self._goes_on(batch) or batch.motion is None:
+            return
+        for frame in range(len(batch.frames)):
+            poses = {pose.tool: pose for pose in batch.motion.poses_of(frame)}
+            if self._tool in poses:
+                yield poses[self._tool], poses.get(self._reference or "")
+
+
+class PoseTap(_ToolTap):
+    """Collects at most ``max_poses`` valid poses of a tool while one calibration is active."""
+
+    def __init__(self, tool: str, reference: str | None, max_poses: int) -> None:
+        super().__init__(tool, reference)
         self.poses: list[ToolPose] = []
         self.statuses: dict[PoseStatus, int] = {}
         """Frames by the status of the tool, or of what it is relative to."""
         self.reason: str | None = None
         """Why the newest pose that was not taken was not."""
-        self._tool = tool
-        self._reference = reference
         self._max_poses = max_poses
 
     def offer(self, batch: FrameBatch) -> None:
         """Collect from a batch; called in the compute thread."""
-        if not self._goes_on(batch) or batch.motion is None:
-            return
-        for frame in range(len(batch.frames)):
-            poses = {pose.tool: pose for pose in batch.motion.poses_of(frame)}
-            pose = poses.get(self._tool)
-            if pose is None:
-                continue
+        for pose, reference in self._pairs(batch):
             if self._reference is not None:
-                reference = poses.get(self._reference)
                 if reference is None:
                     continue
                 pose = pose_in_frame(pose, reference)
@@ -60,33 +68,19 @@ MAX_KEPT: Final = 20_000
 Pair = tuple[ToolPose, ToolPose | None]
 
 
-class TipTap(SingleCalibrationTap):
-    """Keeps the poses of a tool frame by frame while one calibration is active.
-
-    Args:
-        tool: its id.
-        reference: the tool that it is wanted relative to; None: the tracker.
-    """
+class TipTap(_ToolTap):
+    """Keeps the poses of a tool frame by frame while one calibration is active."""
 
     def __init__(self, tool: str, reference: str | None) -> None:
-        super().__init__()
-        self._tool = tool
-        self._reference = reference
+        super().__init__(tool, reference)
         # Its append and popleft are atomic: one thread puts in, another takes out.
         self._kept: deque[Pair] = deque(maxlen=MAX_KEPT)
 
     def offer(self, batch: FrameBatch) -> None:
         """Collect from a batch; called in the compute thread."""
-        if not self._goes_on(batch) or batch.motion is None:
-            return
-        for frame in range(len(batch.frames)):
-            poses = {pose.tool: pose for pose in batch.motion.poses_of(frame)}
-            pose = poses.get(self._tool)
-            if pose is None:
-                continue
-            reference = None
-            if self._reference is not None:
-                reference = poses.get(self._reference) or ToolPose(
+        for pose, reference in self._pairs(batch):
+            if reference is None and self._reference is not None:
+                reference = ToolPose(
                     self._reference,
                     PoseStatus.UNKNOWN,
                     "the device does not track it yet",

@@ -31,28 +31,22 @@ class Provenance:
         covariance of every pose. It does not outlive another table: what a table corrects was
         in no covariance, and it differs from place to place.
         """
-        if self.fixed and self.calibration != calibration:
-            measured = (
-                "without an active calibration"
-                if self.calibration is None
-                else f'with calibration "{self.calibration}"'
-            )
-            now = "none" if calibration is None else f'"{calibration}"'
-            return (
-                f'registration "{self.name}" was measured {measured}, and {now} is in force: '
-                "its world may be another; register again"
-            )
-        if self.table != table:
-            measured = (
-                "without a correction table"
-                if self.table is None
-                else f'with correction table "{self.table}"'
-            )
-            now = "none" if table is None else f'"{table}"'
-            return (
-                f'registration "{self.name}" was measured {measured}, and {now} is in force: '
-                "points are elsewhere by as much as a table corrects; register again"
-            )
+        with_what = [
+            ("an active calibration", "calibration", self.calibration, calibration,
+             "its world may be another"),
+            ("a correction table", "correction table", self.table, table,
+             "points are elsewhere by as much as a table corrects"),
+        ]  # fmt: skip
+        for none, name, measured_with, active_now, consequence in with_what[not self.fixed :]:
+            if measured_with != active_now:
+                measured = f"without {none}"
+                if measured_with is not None:
+                    measured = f'with {name} "{measured_with}"'
+                now = "none" if active_now is None else f'"{active_now}"'
+                return (
+                    f'registration "{self.name}" was measured {measured}, and {now} is in force: '
+                    f"{consequence}; register again"
+                )
         return None
 
 

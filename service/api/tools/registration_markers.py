@@ -9,17 +9,15 @@ from compute.errors import InvalidParameter
 from compute.pose.registration.three_marker_frame import three_marker_frame
 from compute.pose.tool_calibration.digitising import (
     StationaryPoint,
-    StationarySettings,
-    average_stationary_tip,
 )
-from service.api.tools.geometry_capture import MIN_FRAMES, check_strobed
+from service.api.quality.point_tap import check_strobed
+from service.api.tools.geometry_capture import MIN_FRAMES, stationary_marker
 from service.api.tools.marker_tap import MarkerObservation, MarkerTap
 from service.api.tools.registration_schema import NewThreeMarkers
-from service.api.tools.registrations import NewRegistrationRecord
-from service.api.tools.target_errors import target_errors
+from service.api.tools.registrations import NewRegistrationRecord, target_errors
 from service.pipeline.pipeline_manager import PipelineManager
 from service.pipeline.taps import collect
-from service.problems.errors import CalibrationSwitched, NoActiveCalibration, NoObservation
+from service.problems.errors import NoObservation
 
 Array = NDArray[np.float64]
 
@@ -112,17 +110,7 @@ def _looked_at(
     check_strobed(request.device, numbers, session.description.markers)
     tap = MarkerTap(numbers, request.reference)
     collect(live, session, tap, request.seconds, tap.ended)
-    if tap.switched:
-        raise CalibrationSwitched(
-            f'another calibration or table of device "{request.device}" was activated while the '
-            "markers were measured; do it again",
-            device=request.device,
-        )
-    if tap.active_ids is None or tap.active_ids[0] is None:
-        raise NoActiveCalibration(
-            f'device "{request.device}" has no active calibration, and so no points; activate one',
-            device=request.device,
-        )
+    used = tap.calibration_used(request.device, "the markers were measured; do it again")
     counts = [len(tap.observations[number]) for number in numbers]
     if min(counts) < MIN_FRAMES:
         listed = ", ".join(f"{one}: {count}" for one, count in zip(numbers, counts, strict=True))
@@ -137,17 +125,14 @@ def _looked_at(
             f"must be in at least {MIN_FRAMES}{without}",
             frames=min(counts),
         )
-    return [_still(tap.observations[number]) for number in numbers], tap.active_ids
+    return [_still(tap.observations[number]) for number in numbers], used
 
 
 def _still(observations: list[MarkerObservation]) -> StationaryPoint:
     times = np.array([one.time_ns for one in observations], np.int64)
     places = [one.relative() for one in observations]
-    span_s = max(float(times[-1] - times[0]) * 1e-9, 1e-9)
-    # How long was asked by the client; a marker that is hidden for a moment is seen often enough.
-    wanted = StationarySettings(seconds=1e-9, min_poses=MIN_FRAMES, max_gap_s=2.0 * span_s)
-    return average_stationary_tip(
-        times, np.array([one for one, _ in places]), np.array([one for _, one in places]), wanted
+    return stationary_marker(
+        times, np.array([one for one, _ in places]), np.array([one for _, one in places])
     )
 
 

@@ -2,7 +2,7 @@
 
 import hashlib
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any, Final
 
 import numpy as np
@@ -17,8 +17,8 @@ from compute.pose.registration.icp import (
 from compute.pose.registration.surface import PointCloud, Surface, TriangleMesh
 from compute.pose.transform import Transform
 from service.api.tools.registration_schema import NewSurface
+from service.api.tools.registrations import target_errors
 from service.api.tools.surface_schema import MeshInput, PointCloudInput
-from service.api.tools.target_errors import target_errors
 from service.settings import Settings
 
 Array = NDArray[np.float64]
@@ -31,24 +31,22 @@ _LOOSE: Final = 0.01
 
 def check_size(request: NewSurface, settings: Settings) -> None:
     """Refuse more points, or a larger surface, than the settings allow; raises InvalidParameter."""
-    _check_count("points_mm", len(request.points_mm), settings.surface_points, "surface_points")
     given = request.surface
-    places = given.vertices_mm if isinstance(given, MeshInput) else given.points_mm
-    name = "surface.vertices_mm" if isinstance(given, MeshInput) else "surface.points_mm"
-    _check_count(name, len(places), settings.surface_size, "surface_size")
+    counts = {"points_mm": (len(request.points_mm), "surface_points")}
     if isinstance(given, MeshInput):
-        count = len(given.triangles)
-        _check_count("surface.triangles", count, settings.surface_size, "surface_size")
-
-
-def _check_count(name: str, count: int, most: int, setting: str) -> None:
-    if count > most:
-        raise InvalidParameter(
-            f"{name} has {count} items; this server takes {most} (its setting {setting}): send "
-            "fewer, evenly from all",
-            items=count,
-            most=most,
-        )
+        counts["surface.vertices_mm"] = (len(given.vertices_mm), "surface_size")
+        counts["surface.triangles"] = (len(given.triangles), "surface_size")
+    else:
+        counts["surface.points_mm"] = (len(given.points_mm), "surface_size")
+    for name, (count, setting) in counts.items():
+        most = getattr(settings, setting)
+        if count > most:
+            raise InvalidParameter(
+                f"{name} has {count} items; this server takes {most} (its setting {setting}): send "
+                "fewer, evenly from all",
+                items=count,
+                most=most,
+            )
 
 
 def refine_by_surface(
@@ -83,6 +81,7 @@ def refine_by_surface(
         _within(max_s),
     )
     back = found.transform.inverse()
+    assert back.covariance is not None
     middle = points.mean(axis=0)
     moved = found.transform.difference(frame_from_measured)
     rotation_deg = float(np.degrees(np.linalg.norm(moved[:3])))
@@ -92,7 +91,7 @@ def refine_by_surface(
     other = found.other
     return {
         "matrix": back.matrix.tolist(),
-        "covariance": _known(back).tolist(),
+        "covariance": back.covariance.tolist(),
         "surface": {
             "rms_mm": found.rms_mm,
             "iterations": found.steps,
@@ -144,16 +143,11 @@ def _arrays(given: MeshInput | PointCloudInput) -> list[NDArray[Any]]:
     if isinstance(given, MeshInput):
         return [np.array(given.vertices_mm, "<f8"), np.array(given.triangles, "<i8")]
     points = np.array(given.points_mm, "<f8")
-    return [points] if given.normals is None else [points, _rows(given.normals)]
-
-
-def _rows(given: Sequence[tuple[float, float, float]]) -> Array:
-    return np.array(given, "<f8").reshape(-1, 3)
-
-
-def _known(transform: Transform) -> Array:
-    assert transform.covariance is not None
-    return transform.covariance
+    return (
+        [points]
+        if given.normals is None
+        else [points, np.array(given.normals, "<f8").reshape(-1, 3)]
+    )
 
 
 def _warnings(found: IcpRegistration) -> list[str]:
@@ -177,15 +171,11 @@ def _check_near(request: NewSurface, rotation_deg: float, shifted_mm: float) -> 
 
     The frame is in use from the answer on, and as far off other answers were not looked for.
     """
-    for name, value, most, unit in (
-        (
-            "initial_rotation_tolerance_deg",
-            rotation_deg,
-            request.initial_rotation_tolerance_deg,
-            "degrees",
-        ),
-        ("initial_shift_tolerance_mm", shifted_mm, request.initial_shift_tolerance_mm, "mm"),
+    for name, value, unit in (
+        ("initial_rotation_tolerance_deg", rotation_deg, "degrees"),
+        ("initial_shift_tolerance_mm", shifted_mm, "mm"),
     ):
+        most = getattr(request, name)
         if most > 0.0 and value > most:
             raise HighError(
                 f"the points lie on the surface {value:.3g} {unit} from where registration "

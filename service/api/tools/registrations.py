@@ -1,17 +1,17 @@
 """Registrations in the database: named frames."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any, Final
 
 import numpy as np
 from pydantic import TypeAdapter
-from sqlalchemy import Select, select
 from sqlalchemy.orm import Session
 
 from compute.errors import InvalidParameter
 from compute.pose.transform import Transform
-from service.api.base_models import Position
+from service.api.base_models import Position, from_attributes
 from service.api.tools.dependency_check import Dependencies
 from service.api.tools.provenance import active_ids, provenance
 from service.api.tools.registration_schema import (
@@ -20,11 +20,11 @@ from service.api.tools.registration_schema import (
     NewThreeMarkers,
     Registration,
     StoredRequest,
+    Target,
 )
-from service.api.tools.schema import TRACKER
-from service.api.tools.store import get_tool
-from service.database.engine import insert
-from service.database.models import RegistrationRow, ToolRow
+from service.api.tools.store import TOOLS, check_free
+from service.database.engine import Resource
+from service.database.models import RegistrationRow
 from service.problems.errors import CalibrationSwitched, RegistrationExists, UnknownRegistration
 
 NewAny = NewPairedPoints | NewThreeMarkers | NewSurface
@@ -32,21 +32,13 @@ NewAny = NewPairedPoints | NewThreeMarkers | NewSurface
 _ASKED: Final[TypeAdapter[Any]] = TypeAdapter(StoredRequest)
 
 
-def get_registration(session: Session, registration_id: str) -> RegistrationRow:
-    """Return a registration; raises UnknownRegistration."""
-    row = session.get(RegistrationRow, registration_id)
-    if row is None:
-        raise UnknownRegistration(
-            f'there is no registration "{registration_id}"; GET /api/v1/registrations lists them',
-            registration=registration_id,
-        )
-    return row
-
-
-def registrations(device_id: str | None) -> Select[RegistrationRow]:
-    """Return those that the filter matches, newest first."""
-    found = select(RegistrationRow).order_by(RegistrationRow.created_at.desc(), RegistrationRow.id)
-    return found if device_id is None else found.where(RegistrationRow.device_id == device_id)
+REGISTRATIONS: Final = Resource(
+    RegistrationRow,
+    "registration",
+    UnknownRegistration,
+    RegistrationExists,
+    taken="exists already; choose another id",
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,18 +69,9 @@ def check_new(session: Session, request: NewAny, reference: str | None) -> None:
         UnknownTool: the reference is none.
         InvalidParameter: the id is not to be had, or the reference is another device's.
     """
-    if request.id == TRACKER:
-        raise InvalidParameter(
-            f'"{TRACKER}" is the name of the device\'s own frame; choose another id'
-        )
-    for table, what in ((RegistrationRow, "registration"), (ToolRow, "tool")):
-        if session.get(table, request.id) is not None:
-            raise RegistrationExists(
-                f'{what} "{request.id}" exists already; choose another id',
-                registration=request.id,
-            )
+    check_free(session, request.id, REGISTRATIONS)
     if reference is not None:
-        tool = get_tool(session, reference)
+        tool = TOOLS.get(session, reference)
         if tool.device_id != request.device:
             raise InvalidParameter(
                 f'tool "{tool.id}" is of device "{tool.device_id}"; the reference must be of '
@@ -145,11 +128,7 @@ def add_registration(
         note=request.note,
         created_at=datetime.now(UTC),
     )
-    taken = RegistrationExists(
-        f'registration "{row.id}" exists already; choose another id', registration=row.id
-    )
-    insert(session, row, taken)
-    return row
+    return REGISTRATIONS.insert(session, row)
 
 
 def frame_from_measured(row: RegistrationRow) -> Transform:
@@ -173,13 +152,27 @@ def measured_points(row: RegistrationRow) -> list[tuple[str, Position]]:
 
 def document(row: RegistrationRow) -> Registration:
     """Return a registration as clients see it."""
-    members = {
-        "id": row.id,
-        "kind": row.asked.get("kind", "paired-points"),
-        "device": row.device_id,
-        "reference": row.reference_id,
-        "request": row.asked,
-        "note": row.note,
-        "created_at": row.created_at,
-    }
-    return Registration.model_validate(row.result | members)
+    kind = row.asked.get("kind", "paired-points")
+    return from_attributes(Registration, row, **row.result, kind=kind, request=row.asked)
+
+
+def target_errors(
+    targets: Sequence[Target], measured_from_frame: Transform
+) -> list[dict[str, Any]]:
+    """Return the members of TargetError, by the covariance of the transform.
+
+    Args:
+        targets: places in the frame.
+        measured_from_frame: the registration, with its covariance.
+    """
+    places = np.array([target.frame_mm for target in targets]).reshape(-1, 3)
+    return [
+        {
+            "name": target.name,
+            "error_mm": float(np.sqrt(np.trace(spread))),
+            "covariance_mm2": spread.tolist(),
+        }
+        for target, spread in zip(
+            targets, measured_from_frame.point_covariance(places), strict=True
+        )
+    ]

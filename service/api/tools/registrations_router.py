@@ -3,31 +3,25 @@
 from dataclasses import replace
 from typing import Annotated
 
-from fastapi import APIRouter, Body, Path, Response
-from starlette.status import HTTP_201_CREATED, HTTP_204_NO_CONTENT
+from fastapi import Body, Response
 
-from compute.errors import (
-    CollinearPoints,
-    DuplicatePoint,
-    HighError,
-    InvalidParameter,
-    NoConvergence,
-    NotStationary,
-    TooFewPoints,
-    TooFewPoses,
-    UndeterminedParameters,
-)
-from service.api.base_models import SLUG_PATTERN, Page
-from service.api.dependencies import DatabaseDep, LiveDep, SettingsDep
+from service.api.base_models import Page
 from service.api.devices.store import get_device
-from service.api.json_body import JsonRoute, JsonTypes
-from service.api.openapi import problems
-from service.api.pagination import PagingDep, page_of
-from service.api.request_parameters import DeviceFilter
+from service.api.inputs import (
+    DatabaseDep,
+    DeviceFilter,
+    JsonTypes,
+    LiveDep,
+    PagingDep,
+    SettingsDep,
+    id_in_path,
+    page_of,
+)
+from service.api.openapi import ResourceRouter, raises
 from service.api.tools import concurrency_limits
 from service.api.tools import registrations as store
 from service.api.tools.dependency_check import dependencies
-from service.api.tools.examples import NEW_REGISTRATIONS, REGISTRATION_IDS
+from service.api.tools.examples import NEW_REGISTRATIONS
 from service.api.tools.provenance import active_ids
 from service.api.tools.registration_schema import (
     NewPairedPoints,
@@ -38,73 +32,40 @@ from service.api.tools.registration_schema import (
 )
 from service.database.engine import Database
 from service.pipeline.pipeline_manager import PipelineManager
-from service.problems.errors import (
-    Busy,
-    CalibrationSwitched,
-    DeviceNotRunning,
-    NoActiveCalibration,
-    NoObservation,
-    RegistrationExists,
-    RegistrationReplaced,
-    ToolReplaced,
-    UnknownDevice,
-    UnknownRegistration,
-    UnknownTool,
-)
 from service.settings import Settings
 
-router = APIRouter(prefix="/api/v1/registrations", tags=["tools"], route_class=JsonRoute)
+router = ResourceRouter("/api/v1/registrations", "tools")
 
 NewRegistrationBody = Annotated[
     NewRegistration, JsonTypes(), Body(openapi_examples=NEW_REGISTRATIONS)
 ]
 RegistrationPath = Annotated[
-    str,
-    Path(
-        pattern=SLUG_PATTERN,
-        description="The registration's id, the name of its frame.",
-        openapi_examples=REGISTRATION_IDS,
-    ),
+    str, id_in_path("The registration's id, the name of its frame.", "image", "image")
 ]
 
 
-@router.get("", operation_id="list-registrations", summary="List registrations")
+@router.operation("GET", "list-registrations", "List registrations")
 def list_registrations(
     database: DatabaseDep, paging: PagingDep, device: DeviceFilter = None
 ) -> Page[Registration]:
     """Registrations, newest first."""
     with database.read() as session:
-        return page_of(session, store.registrations(device), paging, store.document)
+        return page_of(
+            session, store.REGISTRATIONS.newest_first(device_id=device), paging, store.document
+        )
 
 
-@router.post(
-    "",
-    operation_id="create-registration",
-    summary="Register paired points, three markers, or a surface: a named frame",
-    status_code=HTTP_201_CREATED,
-    responses=problems(
-        UnknownDevice,
-        UnknownTool,
-        UnknownRegistration,
-        RegistrationExists,
-        RegistrationReplaced,
-        ToolReplaced,
-        Busy,
-        DeviceNotRunning,
-        NoActiveCalibration,
-        CalibrationSwitched,
-        NoObservation,
-        NotStationary,
-        TooFewPoses,
-        TooFewPoints,
-        CollinearPoints,
-        DuplicatePoint,
-        UndeterminedParameters,
-        HighError,
-        NoConvergence,
-        InvalidParameter,
-    ),
+@router.operation(
+    "POST",
+    "create-registration",
+    "Register paired points, three markers, or a surface: a named frame",
+    status_code=201,
 )
+@raises("unknown-device", "unknown-tool", "unknown-registration", "registration-exists")
+@raises("registration-replaced", "tool-replaced", "busy", "device-not-running")
+@raises("no-active-calibration", "calibration-switched", "nothing-seen", "not-stationary")
+@raises("too-few-poses", "too-few-points", "collinear-points", "duplicate-point")
+@raises("undetermined-parameters", "high-error", "no-convergence", "invalid-parameter")
 def create_registration(
     request: NewRegistrationBody,
     database: DatabaseDep,
@@ -170,7 +131,7 @@ def _of_surface(
     check_size(asked, settings)
     with database.read() as session:
         get_device(session, asked.device)
-        parent = store.get_registration(session, asked.parent)
+        parent = store.REGISTRATIONS.get(session, asked.parent)
         store.check_parent(session, asked, parent)
         start = store.frame_from_measured(parent)
         active = active_ids(session, asked.device)
@@ -185,26 +146,17 @@ def _of_surface(
     )
 
 
-@router.get(
-    "/{registration_id}",
-    operation_id="get-registration",
-    summary="Read a registration",
-    responses=problems(UnknownRegistration),
-)
+@router.operation("GET /{registration_id}", "get-registration", "Read a registration")
+@raises("unknown-registration")
 def get_registration(registration_id: RegistrationPath, database: DatabaseDep) -> Registration:
     """One registration."""
     with database.read() as session:
-        return store.document(store.get_registration(session, registration_id))
+        return store.document(store.REGISTRATIONS.get(session, registration_id))
 
 
-@router.delete(
-    "/{registration_id}",
-    operation_id="delete-registration",
-    summary="Delete a registration",
-    status_code=HTTP_204_NO_CONTENT,
-    responses=problems(UnknownRegistration),
-)
+@router.operation("DELETE /{registration_id}", "delete-registration", "Delete a registration")
+@raises("unknown-registration")
 def delete_registration(registration_id: RegistrationPath, database: DatabaseDep) -> None:
     """Delete a registration: no pose can be asked for in its frame any more."""
     with database.write() as session:
-        session.delete(store.get_registration(session, registration_id))
+        session.delete(store.REGISTRATIONS.get(session, registration_id))

@@ -1,13 +1,11 @@
 """Stored tools as rigid bodies, and the check of a new one."""
 
 from collections.abc import Sequence
-from typing import Final
 
 import numpy as np
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
-from compute.errors import DegenerateTool, IndistinguishableTools
 from compute.pose.rigid_body import RigidBody
 from service.api.tools.schema import Tip, ToolLimits
 from service.database.models import ToolRow
@@ -33,10 +31,6 @@ def tools_of(session: Session, device_id: str) -> tuple[RigidBody, ...]:
     """Return all tools of a device, by id."""
     rows = select(ToolRow).where(ToolRow.device_id == device_id).order_by(ToolRow.id)
     return tuple(body_of(row) for row in session.scalars(rows))
-
-
-GEOMETRY: Final = (DegenerateTool, IndistinguishableTools)
-"""What ``check_geometry`` raises."""
 
 
 def check_geometry(tool: RigidBody, others: Sequence[RigidBody]) -> None:

@@ -1,41 +1,36 @@
 """REST resources /api/v1/tools and /api/v1/tool-captures."""
 
-from collections.abc import Sequence
 from typing import Annotated, Final, Literal
 
 import numpy as np
-from fastapi import APIRouter, Body, Path, Query, Response
-from starlette.status import HTTP_201_CREATED, HTTP_204_NO_CONTENT
+from fastapi import Body, Query, Response
 
 from compute.errors import (
-    HighError,
     InvalidParameter,
-    LumilineError,
-    NoConvergence,
-    NotStationary,
-    TooFewPoses,
-    TooLittleRotation,
 )
 from compute.pose.rigid_body import RigidBody
 from service.api.base_models import SLUG_PATTERN, Page
-from service.api.dependencies import DatabaseDep, LiveDep
 from service.api.devices.device_service import DeviceService, DeviceServiceDep
 from service.api.devices.store import get_device
-from service.api.json_body import JsonRoute, JsonTypes
-from service.api.openapi import problems
-from service.api.pagination import PagingDep, page_of
-from service.api.request_parameters import DeviceFilter
+from service.api.inputs import (
+    DatabaseDep,
+    DeviceFilter,
+    JsonTypes,
+    LiveDep,
+    PagingDep,
+    id_in_path,
+    page_of,
+)
+from service.api.openapi import ResourceRouter, raises
 from service.api.tools import concurrency_limits, store
 from service.api.tools.examples import (
     CALIBRATIONS,
     CAPTURED_TOOLS,
     CHANGES,
     NEW_TOOLS,
-    SPUN_IDS,
-    TOOL_IDS,
 )
 from service.api.tools.pose_query import frame_of, newest_pose
-from service.api.tools.rigid_bodies import GEOMETRY, check_geometry
+from service.api.tools.rigid_bodies import check_geometry
 from service.api.tools.schema import (
     NewCapturedTool,
     NewTool,
@@ -47,59 +42,28 @@ from service.api.tools.schema import (
     ToolChange,
 )
 from service.api.tools.tip_limit import max_tip_sd_mm
-from service.problems.errors import (
-    Busy,
-    CalibrationSwitched,
-    DeviceNotRunning,
-    MarkersTaken,
-    NoActiveCalibration,
-    NoObservation,
-    ToolExists,
-    ToolInUse,
-    ToolReplaced,
-    TooManyTools,
-    UnknownDevice,
-    UnknownTool,
-)
 
-router = APIRouter(prefix="/api/v1", tags=["tools"], route_class=JsonRoute)
+router = ResourceRouter("/api/v1", "tools")
 
 NewToolBody = Annotated[NewTool, JsonTypes(), Body(openapi_examples=NEW_TOOLS)]
 CapturedBody = Annotated[NewCapturedTool, JsonTypes(), Body(openapi_examples=CAPTURED_TOOLS)]
 ChangeBody = Annotated[ToolChange, JsonTypes(), Body(openapi_examples=CHANGES)]
 CalibrationBody = Annotated[NewToolCalibration, JsonTypes(), Body(openapi_examples=CALIBRATIONS)]
-ToolPath = Annotated[
-    str, Path(pattern=SLUG_PATTERN, description="The tool's id.", openapi_examples=TOOL_IDS)
-]
+ToolPath = Annotated[str, id_in_path("The tool's id.", "pointer", "pointer")]
+_CAPTURED: Final = "of the example that captures it"
+SpunPath = Annotated[str, id_in_path("The tool's id.", "clamp", "clamp", _CAPTURED)]
 
 
-SpunPath = Annotated[
-    str, Path(pattern=SLUG_PATTERN, description="The tool's id.", openapi_examples=SPUN_IDS)
-]
-
-
-@router.get("/tools", operation_id="list-tools", summary="List tools")
+@router.operation("GET /tools", "list-tools", "List tools")
 def list_tools(database: DatabaseDep, paging: PagingDep, device: DeviceFilter = None) -> Page[Tool]:
     """Tools by id."""
     with database.read() as session:
         return page_of(session, store.tools(device), paging, store.document)
 
 
-@router.post(
-    "/tools",
-    operation_id="create-tool",
-    summary="Create a tool of known geometry",
-    status_code=HTTP_201_CREATED,
-    responses=problems(
-        UnknownDevice,
-        UnknownTool,
-        ToolExists,
-        TooManyTools,
-        MarkersTaken,
-        InvalidParameter,
-        *GEOMETRY,
-    ),
-)
+@router.operation("POST /tools", "create-tool", "Create a tool of known geometry", status_code=201)
+@raises("unknown-device", "unknown-tool", "tool-exists", "too-many-tools", "markers-taken")
+@raises("invalid-parameter", "degenerate-tool", "indistinguishable-tools")
 def create_tool(request: NewToolBody, device_service: DeviceServiceDep, response: Response) -> Tool:
     """Markers must not be collinear, and the tool must not look like another one of the device.
 
@@ -110,28 +74,13 @@ def create_tool(request: NewToolBody, device_service: DeviceServiceDep, response
     return _add(device_service, request, body, Origin(kind="given"), response)
 
 
-@router.post(
-    "/tool-captures",
-    operation_id="capture-tool",
-    summary="Define a tool by showing it",
-    status_code=HTTP_201_CREATED,
-    responses=problems(
-        UnknownDevice,
-        UnknownTool,
-        ToolExists,
-        TooManyTools,
-        MarkersTaken,
-        Busy,
-        DeviceNotRunning,
-        NoActiveCalibration,
-        CalibrationSwitched,
-        NoObservation,
-        NotStationary,
-        TooFewPoses,
-        InvalidParameter,
-        *GEOMETRY,
-    ),
+@router.operation(
+    "POST /tool-captures", "capture-tool", "Define a tool by showing it", status_code=201
 )
+@raises("unknown-device", "unknown-tool", "tool-exists", "too-many-tools", "markers-taken", "busy")
+@raises("device-not-running", "no-active-calibration", "calibration-switched", "nothing-seen")
+@raises("not-stationary", "too-few-poses", "invalid-parameter", "degenerate-tool")
+@raises("indistinguishable-tools")
 def capture_tool(
     request: CapturedBody,
     database: DatabaseDep,
@@ -177,52 +126,37 @@ def _add(
     return made
 
 
-@router.get(
-    "/tools/{tool_id}",
-    operation_id="get-tool",
-    summary="Read a tool",
-    responses=problems(UnknownTool),
-)
+@router.operation("GET /tools/{tool_id}", "get-tool", "Read a tool")
+@raises("unknown-tool")
 def get_tool(tool_id: ToolPath, database: DatabaseDep) -> Tool:
     """One tool."""
     with database.read() as session:
-        return store.document(store.get_tool(session, tool_id))
+        return store.document(store.TOOLS.get(session, tool_id))
 
 
-@router.patch(
-    "/tools/{tool_id}",
-    operation_id="change-tool",
-    summary="Change a tool's title, tip, limits or reference",
-    responses=problems(UnknownTool, InvalidParameter),
+@router.operation(
+    "PATCH /tools/{tool_id}", "change-tool", "Change a tool's title, tip, limits or reference"
 )
+@raises("unknown-tool", "invalid-parameter")
 def change_tool(
     tool_id: ToolPath, request: ChangeBody, database: DatabaseDep, device_service: DeviceServiceDep
 ) -> Tool:
     """Change what is given. Markers never change: delete the tool and create another."""
     with device_service.tools_change(_device_of(database, tool_id)) as session:
-        row = store.change_tool(session, store.get_tool(session, tool_id), request)
+        row = store.change_tool(session, store.TOOLS.get(session, tool_id), request)
         return store.document(row)
 
 
-@router.delete(
-    "/tools/{tool_id}",
-    operation_id="delete-tool",
-    summary="Delete a tool",
-    status_code=HTTP_204_NO_CONTENT,
-    responses=problems(UnknownTool, ToolInUse),
-)
+@router.operation("DELETE /tools/{tool_id}", "delete-tool", "Delete a tool")
+@raises("unknown-tool", "tool-in-use")
 def delete_tool(tool_id: ToolPath, database: DatabaseDep, device_service: DeviceServiceDep) -> None:
     """Delete a tool and its calibrations; refused while something is relative to it."""
     with device_service.tools_change(_device_of(database, tool_id)) as session:
-        store.delete_tool(session, store.get_tool(session, tool_id))
+        store.delete_tool(session, store.TOOLS.get(session, tool_id))
 
 
-@router.get(
-    "/tools/{tool_id}/pose",
-    operation_id="get-tool-pose",
-    summary="Where a tool is now",
-    responses=problems(UnknownTool, InvalidParameter),
-)
+@router.operation("GET /tools/{tool_id}/pose", "get-tool-pose", "Where a tool is now")
+@raises("unknown-tool", "invalid-parameter")
 def get_tool_pose(
     tool_id: ToolPath,
     database: DatabaseDep,
@@ -240,32 +174,19 @@ def get_tool_pose(
     Always answered with 200: that a tool is not seen is a pose's status and no problem.
     """
     with database.read() as session:
-        tool = store.get_tool(session, tool_id)
+        tool = store.TOOLS.get(session, tool_id)
         wanted = frame_of(session, tool, frame)
         return newest_pose(live, tool, wanted, max_tip_sd_mm(session, tool))
 
 
-_PROBLEMS_OF_CALIBRATION: Final[Sequence[type[LumilineError]]] = (
-    UnknownTool,
-    ToolReplaced,
-    Busy,
-    DeviceNotRunning,
-    CalibrationSwitched,
-    TooFewPoses,
-    TooLittleRotation,
-    HighError,
-    NoConvergence,
-    InvalidParameter,
+@router.operation(
+    "POST /tools/{tool_id}/pivot-calibrations",
+    "calibrate-pivot",
+    "Find a tool's tip by pivoting it",
+    status_code=201,
 )
-
-
-@router.post(
-    "/tools/{tool_id}/pivot-calibrations",
-    operation_id="calibrate-pivot",
-    summary="Find a tool's tip by pivoting it",
-    status_code=HTTP_201_CREATED,
-    responses=problems(*_PROBLEMS_OF_CALIBRATION),
-)
+@raises("unknown-tool", "tool-replaced", "busy", "device-not-running", "calibration-switched")
+@raises("too-few-poses", "too-little-rotation", "high-error", "no-convergence", "invalid-parameter")
 def calibrate_pivot(
     tool_id: ToolPath,
     request: CalibrationBody,
@@ -281,13 +202,14 @@ def calibrate_pivot(
     return _calibrated(tool_id, "pivot", request, database, live, device_service)
 
 
-@router.post(
-    "/tools/{tool_id}/spin-calibrations",
-    operation_id="calibrate-spin",
-    summary="Find a tool's long axis by spinning it",
-    status_code=HTTP_201_CREATED,
-    responses=problems(*_PROBLEMS_OF_CALIBRATION),
+@router.operation(
+    "POST /tools/{tool_id}/spin-calibrations",
+    "calibrate-spin",
+    "Find a tool's long axis by spinning it",
+    status_code=201,
 )
+@raises("unknown-tool", "tool-replaced", "busy", "device-not-running", "calibration-switched")
+@raises("too-few-poses", "too-little-rotation", "high-error", "no-convergence", "invalid-parameter")
 def calibrate_spin(
     tool_id: SpunPath,
     request: CalibrationBody,
@@ -310,7 +232,7 @@ def _calibrated(
     from service.api.tools.tip_calibration import calibrate_tip
 
     with database.read() as session:
-        tool = store.get_tool(session, tool_id)
+        tool = store.TOOLS.get(session, tool_id)
         device, reference, created = tool.device_id, tool.reference_id, tool.created_at
     with concurrency_limits.captures:
         result = calibrate_tip(live, device, tool_id, reference, kind, request)
@@ -320,21 +242,21 @@ def _calibrated(
         return store.calibration_document(made)
 
 
-@router.get(
-    "/tools/{tool_id}/calibrations",
-    operation_id="list-tool-calibrations",
-    summary="Pivot and spin calibrations of a tool",
-    responses=problems(UnknownTool),
+@router.operation(
+    "GET /tools/{tool_id}/calibrations",
+    "list-tool-calibrations",
+    "Pivot and spin calibrations of a tool",
 )
+@raises("unknown-tool")
 def list_tool_calibrations(
     tool_id: ToolPath, database: DatabaseDep, paging: PagingDep
 ) -> Page[ToolCalibration]:
     """What they found, newest first."""
     with database.read() as session:
-        store.get_tool(session, tool_id)
+        store.TOOLS.get(session, tool_id)
         return page_of(session, store.calibrations(tool_id), paging, store.calibration_document)
 
 
 def _device_of(database: DatabaseDep, tool_id: str) -> str:
     with database.read() as session:
-        return store.get_tool(session, tool_id).device_id
+        return store.TOOLS.get(session, tool_id).device_id

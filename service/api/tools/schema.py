@@ -82,9 +82,7 @@ class NewCapturedTool(_Described):
         default=None,
         description="How many markers it has, and are in view, when they are lit together.",
     )
-    seconds: Annotated[float, Field(gt=0, le=60)] = Field(
-        default=1.0, description="How long it is looked at."
-    )
+    seconds: float = Field(default=1.0, gt=0, le=60, description="How long it is looked at.")
     tip_mm: Position | None = Field(
         default=None, description="The working point in the coordinates that it will have."
     )
@@ -188,9 +186,7 @@ class Pose(ResponseModel):
 class NewToolCalibration(RequestModel):
     """What a calibration from live poses takes."""
 
-    seconds: Annotated[float, Field(gt=0, le=120)] = Field(
-        default=10.0, description="How long poses are collected."
-    )
+    seconds: float = Field(default=10.0, gt=0, le=120, description="How long poses are collected.")
     poses: Annotated[int, Field(ge=10, le=5000)] = Field(
         default=500, description="Poses that are used at most, evenly from all of that time."
     )

@@ -5,14 +5,13 @@ from collections.abc import Sequence
 from datetime import UTC, datetime
 from typing import Any, Final
 
-import numpy as np
 from sqlalchemy import Select, func, select
 from sqlalchemy.orm import Session
 
 from compute.errors import InvalidParameter
 from compute.pose.rigid_body import RigidBody
-from service.api.base_models import Position
-from service.api.tools.rigid_bodies import body_of, tip_of
+from service.api.base_models import Position, from_attributes
+from service.api.tools.rigid_bodies import tip_of
 from service.api.tools.rigid_bodies import tools_of as tools_of
 from service.api.tools.schema import (
     TRACKER,
@@ -24,9 +23,8 @@ from service.api.tools.schema import (
     Tool,
     ToolCalibration,
     ToolChange,
-    ToolLimits,
 )
-from service.database.engine import insert
+from service.database.engine import Resource
 from service.database.models import HoldRow, RegistrationRow, ToolCalibrationRow, ToolRow
 from service.problems.errors import (
     MarkersTaken,
@@ -41,19 +39,14 @@ MAX_TOOLS: Final = 32
 """Of one device."""
 
 
-def get_tool(session: Session, tool_id: str) -> ToolRow:
-    """Return a tool; raises UnknownTool."""
-    row = session.get(ToolRow, tool_id)
-    if row is None:
-        raise UnknownTool(
-            f'there is no tool "{tool_id}"; GET /api/v1/tools lists them', tool=tool_id
-        )
-    return row
+TOOLS: Final = Resource(
+    ToolRow, "tool", UnknownTool, ToolExists, taken="exists already; choose another id"
+)
 
 
 def get_same_tool(session: Session, tool_id: str, created_at: datetime) -> ToolRow:
     """Return a tool that was measured; raises UnknownTool, or ToolReplaced when it is another."""
-    row = get_tool(session, tool_id)
+    row = TOOLS.get(session, tool_id)
     if row.created_at != created_at:
         raise ToolReplaced(
             f'tool "{tool_id}" was deleted and created again while it was measured; what was found '
@@ -69,17 +62,16 @@ def tools(device_id: str | None) -> Select[ToolRow]:
     return found if device_id is None else found.where(ToolRow.device_id == device_id)
 
 
-def check_free(session: Session, identity: str) -> None:
-    """Raise ToolExists when a tool, or the frame of a registration, has this id."""
+def check_free(session: Session, identity: str, resource: Resource[Any] = TOOLS) -> None:
+    """Raise an error of a resource when a tool, or the frame of a registration, has this id."""
     if identity == TRACKER:
         raise InvalidParameter(
             f'"{TRACKER}" is the name of the device\'s own frame; choose another id'
         )
     for table, what in ((ToolRow, "tool"), (RegistrationRow, "registration")):
         if session.get(table, identity) is not None:
-            raise ToolExists(
-                f'{what} "{identity}" exists already; choose another id', tool=identity
-            )
+            detail = f'{what} "{identity}" exists already; choose another id'
+            raise resource.exists(detail, **{resource.key: identity})
 
 
 def check_new(
@@ -127,7 +119,7 @@ def _check_reference(session: Session, tool_id: str, device_id: str, reference: 
         return
     if reference == tool_id:
         raise InvalidParameter(f'tool "{tool_id}" cannot be its own reference; name another')
-    other = get_tool(session, reference)
+    other = TOOLS.get(session, reference)
     if other.device_id != device_id:
         raise InvalidParameter(
             f'tool "{reference}" is of device "{other.device_id}"; a reference must be of the same '
@@ -144,7 +136,7 @@ def _check_reference(session: Session, tool_id: str, device_id: str, reference: 
                 "not lead back",
                 reference=reference,
             )
-        other = get_tool(session, further)
+        other = TOOLS.get(session, further)
 
 
 def add_tool(
@@ -169,9 +161,7 @@ def add_tool(
         created_at=now,
         updated_at=now,
     )
-    taken = ToolExists(f'tool "{row.id}" exists already; choose another id', tool=row.id)
-    insert(session, row, taken)
-    return row
+    return TOOLS.insert(session, row)
 
 
 def change_tool(session: Session, row: ToolRow, change: ToolChange) -> ToolRow:
@@ -181,8 +171,8 @@ def change_tool(session: Session, row: ToolRow, change: ToolChange) -> ToolRow:
         UnknownTool, InvalidParameter: the reference cannot be one.
     """
     given = change.model_fields_set
-    if "title" in given:
-        row.title = change.title
+    for name in given & {"title", "note"}:
+        setattr(row, name, getattr(change, name))
     if "tip_mm" in given:
         # The axis of a spin calibration goes with the geometry, not with the tip.
         kept = tip_of(row).axis
@@ -192,8 +182,6 @@ def change_tool(session: Session, row: ToolRow, change: ToolChange) -> ToolRow:
         row.reference_id = change.reference
     if "limits" in given:
         row.limits = change.limits.model_dump(mode="json")
-    if "note" in given:
-        row.note = change.note
     row.updated_at = datetime.now(UTC)
     session.flush()
     return row
@@ -237,7 +225,7 @@ def calibrations(tool_id: str) -> Select[ToolCalibrationRow]:
     """Return a tool's calibrations, newest first."""
     return (
         select(ToolCalibrationRow)
-        .where(ToolCalibrationRow.tool_id == tool_id)
+        .filter_by(tool_id=tool_id)
         .order_by(ToolCalibrationRow.created_at.desc(), ToolCalibrationRow.id)
     )
 
@@ -287,38 +275,9 @@ def add_calibration(
 
 def calibration_document(row: ToolCalibrationRow) -> ToolCalibration:
     """Return a calibration as clients see it."""
-    return ToolCalibration.model_validate(
-        row.result
-        | {
-            "id": row.id,
-            "tool": row.tool_id,
-            "device": row.device_id,
-            "kind": row.kind,
-            "applied": row.applied,
-            "request": row.asked,
-            "created_at": row.created_at,
-        }
-    )
+    return from_attributes(ToolCalibration, row, **row.result, request=row.asked)
 
 
 def document(row: ToolRow) -> Tool:
     """Return a tool as clients see it."""
-    return Tool(
-        id=row.id,
-        device=row.device_id,
-        title=row.title,
-        markers_mm=[_position(marker) for marker in body_of(row).markers_mm],
-        strobe_markers=row.strobe_markers,
-        tip=tip_of(row),
-        reference=row.reference_id,
-        limits=ToolLimits.model_validate(row.limits),
-        origin=Origin.model_validate(row.origin),
-        note=row.note,
-        created_at=row.created_at,
-        updated_at=row.updated_at,
-    )
-
-
-def _position(values: np.ndarray[Any, np.dtype[np.float64]]) -> Position:
-    x, y, z = values.tolist()
-    return x, y, z
+    return from_attributes(Tool, row, tip=tip_of(row))

@@ -18,9 +18,7 @@ class MeshInput(RequestModel):
     """A surface of triangles."""
 
     kind: Literal["mesh"]
-    vertices_mm: Annotated[list[Position], Field(min_length=3)] = Field(
-        description="Places in the frame."
-    )
+    vertices_mm: list[Position] = Field(min_length=3, description="Places in the frame.")
     triangles: Annotated[list[tuple[Index, Index, Index]], Field(min_length=1)] = Field(
         description="Numbers of their vertices, from 0. Which side is out does not matter."
     )

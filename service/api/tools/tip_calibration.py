@@ -1,9 +1,8 @@
 """Pivot and spin calibration from the live poses of a tool."""
 
-from typing import Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from compute.errors import TooFewPoses
 from compute.pose.rigid_body import ToolPose
@@ -11,9 +10,10 @@ from service.api.tools.pose_taps import PoseTap
 from service.api.tools.schema import NewToolCalibration
 from service.pipeline.pipeline_manager import PipelineManager
 from service.pipeline.taps import collect
-from service.problems.errors import CalibrationSwitched
 
-Array = NDArray[np.float64]
+if TYPE_CHECKING:
+    from compute.pose.tool_calibration.pivot import PivotResult
+    from compute.pose.tool_calibration.spin import SpinResult
 
 MAX_COLLECTED: Final = 100_000
 
@@ -37,12 +37,7 @@ def calibrate_tip(
     session = live.session(device_id)
     tap = PoseTap(tool_id, reference if asked.relative else None, MAX_COLLECTED)
     collect(live, session, tap, asked.seconds, tap.ended)
-    if tap.switched:
-        raise CalibrationSwitched(
-            f'another calibration or table of device "{device_id}" was activated while poses were '
-            "collected; do it again",
-            device=device_id,
-        )
+    tap.check_single(device_id, "poses were collected; do it again")
     chosen = subsample(tap.poses, asked.poses)
     if not chosen:
         seen = ", ".join(f"{status}: {count}" for status, count in tap.statuses.items())
@@ -69,47 +64,26 @@ def _found(kind: Literal["pivot", "spin"], poses: list[ToolPose]) -> dict[str, A
     translations = np.array([pose.translation_mm for pose in poses])
     known = all(pose.covariance is not None for pose in poses)
     covariances = np.array([pose.covariance for pose in poses]) if known else None
+    found: PivotResult | SpinResult
+    vectors: dict[str, Any] = dict.fromkeys(("tip_mm", "tip_covariance_mm2", "axis", "point_mm"))
     if kind == "pivot":
         from compute.pose.tool_calibration.pivot import pivot_calibration
 
-        pivot = pivot_calibration(rotations, translations, covariances)
-        return _members(
-            len(poses),
-            pivot.outlying,
-            pivot.rms_mm,
-            pivot.residual_sigma,
-            pivot.orientations.swing_rad,
-            tip_mm=pivot.tip_mm,
-            tip_covariance_mm2=pivot.tip_covariance_mm2,
-        )
-    from compute.pose.tool_calibration.spin import spin_calibration
+        found = pivot_calibration(rotations, translations, covariances)
+        swing = found.orientations.swing_rad
+        vectors["tip_mm"] = found.tip_mm.tolist()
+        vectors["tip_covariance_mm2"] = found.tip_covariance_mm2.tolist()
+    else:
+        from compute.pose.tool_calibration.spin import spin_calibration
 
-    spin = spin_calibration(rotations, translations, covariances)
-    return _members(
-        len(poses),
-        spin.outlying,
-        spin.rms_mm,
-        spin.residual_sigma,
-        spin.orientations.swing_rad[1:],  # the least of them is the axis's own
-        axis=spin.direction,
-        point_mm=spin.point_mm,
-    )
-
-
-def _members(
-    poses: int,
-    outlying: tuple[int, ...],
-    rms_mm: float,
-    residual_sigma: float | None,
-    swing_rad: Array,
-    **vectors: Array,
-) -> dict[str, Any]:
-    none: dict[str, Any] = dict.fromkeys(("tip_mm", "tip_covariance_mm2", "axis", "point_mm"))
-    return none | {
-        "poses": poses - len(outlying),
-        "outliers": len(outlying),
-        "rms_mm": rms_mm,
-        "residual_sigma": residual_sigma,
-        "smallest_rotation_deg": float(np.degrees(np.min(swing_rad))),
-        **{name: vector.tolist() for name, vector in vectors.items()},
+        found = spin_calibration(rotations, translations, covariances)
+        swing = found.orientations.swing_rad[1:]  # the least of them is the axis's own
+        vectors["axis"] = found.direction.tolist()
+        vectors["point_mm"] = found.point_mm.tolist()
+    return vectors | {
+        "poses": len(poses) - len(found.outlying),
+        "outliers": len(found.outlying),
+        "rms_mm": found.rms_mm,
+        "residual_sigma": found.residual_sigma,
+        "smallest_rotation_deg": float(np.degrees(np.min(swing))),
     }

@@ -15,7 +15,7 @@ from prometheus_client.core import InfoMetricFamily
 from prometheus_client.exposition import choose_encoder
 from prometheus_client.registry import Collector
 
-from service.logs.context import RequestRecord
+from service.logs import RequestRecord
 from service.version import package_version
 
 

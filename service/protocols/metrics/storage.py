@@ -11,7 +11,7 @@ from sqlalchemy import func, select
 from service.api.recordings.recording_manager import RecordingManager
 from service.database.engine import Database
 from service.database.models import RunRow
-from service.jobs.duration_histogram import BOUNDS_S, DurationHistogram
+from service.jobs.run_manager import BOUNDS_S, DurationHistogram
 from service.jobs.store import STATES, Kind
 from service.problems.errors import NotReady
 from service.protocols.metrics.families import counter, gauge, histogram, single

@@ -8,7 +8,7 @@ import pytest
 from sqlalchemy import text
 
 from service.application.app import create_app
-from service.application.readiness import MIN_FREE_BYTES, STUCK_AFTER_S
+from service.application.server import MIN_FREE_BYTES, STUCK_AFTER_S
 from service.pipeline.compute_thread import ComputeThread
 from service.pipeline.device_status import DeviceStatus
 from service.settings import Settings

@@ -28,7 +28,7 @@ PROGRAM = """
 import sys
 from service.cli.serve import load_settings, server_options
 from service.application.shutdown import run_server
-from service.logs.setup import configured_logging
+from service.logs import configured_logging
 from service.application.app import create_app
 settings = load_settings(port=int(sys.argv[1]), data_dir=sys.argv[2], compute_device="cpu")
 with configured_logging(settings):

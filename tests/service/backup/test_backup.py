@@ -13,7 +13,6 @@ from sqlalchemy import select, text
 from typer.testing import CliRunner
 
 from service.api.correction_tables.store import add_table, find_parent
-from service.api.security.schema import NewApiKey
 from service.application.initial_content import seed
 from service.backup import restore as restoring
 from service.backup.backup import back_up
@@ -172,7 +171,7 @@ def source(made: Path, tmp_path: Path) -> Iterator[Database]:
 
 def add_key(database: Database, *, revoked: datetime | None = None) -> str:
     with database.write() as session:
-        row, _ = store.add_key(session, NewApiKey(name="k", scopes=["read:stream"]))
+        row, _ = store.add_key(session, name="k", scopes=["read:stream"])
         row.revoked_at = revoked
         return row.id
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from lumiline.client.messages import BeamHoldEvent, BeamHoldSample, Frame
-from service.cli.beam_holds import _hold_changes, _line
+from service.cli.beam_holds import _hold_changes, _print_change
 
 
 def frame(number: int, held: bool) -> Frame:
@@ -46,9 +46,9 @@ def test_a_beam_is_held_while_no_word_comes_and_each_change_is_told_once() -> No
 
 def test_lines_have_the_time_at_which_they_came(capsys: Any) -> None:
     change = BeamHoldEvent(1, "sim", "chest", True, "moved", "1 mm off", 5, None, None)
-    _line("chest", change, as_json=True)
-    _line("chest", None, as_json=True)
-    _line("chest", None, as_json=False)
+    _print_change("chest", change, as_json=True)
+    _print_change("chest", None, as_json=True)
+    _print_change("chest", None, as_json=False)
     known, silent, text = capsys.readouterr().out.splitlines()
     assert '"received_at": "20' in known
     assert '"held": true' in silent

@@ -15,7 +15,7 @@ from compute.camera.model import SensorModel
 from compute.camera.stack import CameraStack
 from service.cli import app
 from service.cli.calibrate import label_message
-from service.cli.calibration_file import read_calibration
+from service.cli.json_files import read_calibration
 from tests.compute.rig import rig
 from tests.service.cli.test_commands import QUICK, frame_csv, here
 from validation.thesis_data import DFW_V500, load_test

@@ -154,7 +154,7 @@ def nominal_document() -> bytes:
     """The simulator's own cameras, as `lumiline calibrate` writes a calibration."""
     from compute.calibration.result import Calibration, SensorFit
     from hardware.simulated.simulated_rig import simulated_sensor_models
-    from service.cli.calibration_file import DOCUMENT
+    from service.cli.json_files import DOCUMENT
 
     fits = tuple(
         SensorFit(model, 0, 0.0, 0.0, 1e-3, "given", None) for model in simulated_sensor_models()

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from compute.calibration.calibrate import calibrate
 from compute.camera.model import SensorModel
 from service.cli import app
-from service.cli.calibration_file import DOCUMENT, read_calibration
+from service.cli.json_files import DOCUMENT, read_calibration
 from tests.compute.rig import control_points, geometry, project, rig
 
 SIGMA_PX = 0.05

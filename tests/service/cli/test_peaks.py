@@ -198,7 +198,7 @@ def test_tables(array: Path, recording: Path) -> None:
     assert "guessed" not in run(array, *GIVEN).output
     assert "diagonal-falling, frame 0: 1 peak" in run(recording).output
     text = run(array, "--method", "matched", "--width", WIDTH).output
-    assert "answers must be above" in " ".join(text.split())
+    assert "the response must exceed" in " ".join(text.split())
     flat = array.with_name("flat.npy")
     np.save(flat, np.full(100, 200))
     assert "line 0: no peaks" in run(flat).output

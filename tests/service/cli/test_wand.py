@@ -11,7 +11,7 @@ from compute.calibration.calibrate import calibrate
 from compute.camera.stack import CameraStack
 from compute.reconstruction.triangulation import reconstruct
 from service.cli import app
-from service.cli.calibration_file import DOCUMENT, read_calibration
+from service.cli.json_files import DOCUMENT, read_calibration
 from tests.compute.rig import control_points, geometry, project, rig
 
 LENGTH_MM, SIGMA_PX, POSES = 300.0, 0.05, 120

@@ -12,16 +12,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from service.application.app import create_app
-from service.application.request_log import RequestLog
-from service.logs.context import (
+from service.application.middleware import RequestLog
+from service.logs import (
     REFUSED,
+    JsonFormatter,
     RequestRecord,
+    TextFormatter,
+    configured_logging,
+    is_server_record,
     request_record,
     set_device_id,
     set_request_id,
 )
-from service.logs.formatter import JsonFormatter, TextFormatter
-from service.logs.setup import configured_logging, is_server_record
 from service.settings import Settings
 from tests.service.fake_pipeline import FakePipeline, TestClient
 

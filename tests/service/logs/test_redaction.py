@@ -6,9 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from service.logs.formatter import TextFormatter
-from service.logs.redaction import decoded, redact
-from service.security.key_format import make_key
+from service.logs import TextFormatter, decoded, redact
+from service.security.store import make_key
 
 TOKEN = "eyJhbGciOiJSUzI1NiJ9.eyJzdWIiOiJhIn0.c2lnbmF0dXJl"
 

@@ -20,7 +20,7 @@ from hardware.simulated.scenes import StillPoints
 from service.application.bootstrap import prepare
 from service.application.profile_device import nominal_calibration
 from service.cli import app
-from service.cli.calibration_file import DOCUMENT
+from service.cli.json_files import DOCUMENT
 from service.database.engine import Database
 from service.settings import Settings
 from tests.running_server import serving

@@ -118,7 +118,7 @@ def test_ready_only_with_database_and_live_pipeline(
     def refuse(_: Any) -> None:
         raise OperationalError("SELECT 1", {}, Exception("postgresql://user:hunter2@host"))
 
-    monkeypatch.setattr("service.application.readiness.revision_of", refuse)
+    monkeypatch.setattr("service.application.server.revision_of", refuse)
     answer = sqlite_client.get("/readyz")
     assert (answer.status_code, answer.json()["context"]) == (503, {"part": "database"})
     assert "hunter2" not in answer.text

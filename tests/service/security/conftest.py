@@ -7,7 +7,6 @@ from typing import Any
 import pytest
 from sqlalchemy import update
 
-from service.api.security.schema import NewApiKey
 from service.application.app import create_app
 from service.database.models import ApiKeyRow
 from service.principal import Scope
@@ -26,7 +25,7 @@ class Secured:
     def key(self, *scopes: Scope, name: str = "test") -> str:
         """Make a key."""
         with self.database.write() as session:
-            _, made = store.add_key(session, NewApiKey(name=name, scopes=scopes))
+            _, made = store.add_key(session, name=name, scopes=scopes)
         return made.text
 
     def expired(self, *scopes: Scope) -> str:

@@ -7,12 +7,11 @@ from typing import Any
 import pytest
 from sqlalchemy import update
 
-from service.api.security.schema import NewApiKey
 from service.application.app import create_app
 from service.database.models import ApiKeyRow
 from service.principal import Principal
 from service.security import store
-from service.security.key_cache import CACHE_LIFETIME_S, KeyCache
+from service.security.authenticator import CACHE_LIFETIME_S, KeyCache
 from service.settings import Settings
 from tests.service.fake_pipeline import FakePipeline, TestClient
 from tests.service.security.conftest import Secured, bearer, key_id
@@ -113,6 +112,6 @@ def test_a_key_that_another_process_revoked_is_forgotten_when_it_is_seen(server:
     assert len(remembered) == 1
     with server.database.write() as session:
         store.revoke_key(session, key_id(key))
-        store.add_key(session, NewApiKey(name="other", scopes=("read:stream",)))
+        store.add_key(session, name="other", scopes=("read:stream",))
     assert server.ask("GET", "/api/v1/devices", key).status_code == 401
     assert len(remembered) == 0

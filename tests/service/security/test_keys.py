@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from sqlalchemy import text, update
 
 from service.database.models import ApiKeyRow
-from service.security import key_format, store
-from service.security.key_format import digest, key_id_of, make_key
+from service.security import store
+from service.security.store import digest, key_id_of, make_key
 from tests.service.security.conftest import Secured, bearer, key_id
 
 KEY_CHARACTERS = string.ascii_letters + string.digits
@@ -167,4 +167,4 @@ def test_a_key_with_a_wrong_character_is_another(place: int, character: str) -> 
         assert found is None
 
 
-KEY = key_format.make_key()
+KEY = store.make_key()

@@ -8,8 +8,8 @@ import pytest
 from service.application.app import create_app
 from service.principal import Act, Principal
 from service.security.guard import Guard
-from service.security.key_format import make_key
 from service.security.refusal_aggregation import RefusalAggregator
+from service.security.store import make_key
 from service.settings import Settings
 from tests.service.fake_pipeline import FakePipeline, TestClient
 from tests.service.security.conftest import Secured, key_id

@@ -12,12 +12,11 @@ import httpx
 import pytest
 from sqlalchemy.engine import make_url
 
-from service.api.security.schema import NewApiKey
 from service.database.engine import Database
 from service.database.migration import migrate
 from service.principal import SCOPES
 from service.security import store
-from service.security.key_format import make_key
+from service.security.store import make_key
 from tests.service.conftest import postgres_schema
 
 PASSWORD = "s3cret-of-the-database"
@@ -73,7 +72,7 @@ def admin_key(url: str) -> str:
     try:
         migrate(database)
         with database.write() as session:
-            _, made = store.add_key(session, NewApiKey(name="admin", scopes=SCOPES))
+            _, made = store.add_key(session, name="admin", scopes=SCOPES)
     finally:
         database.close()
     return made.text

@@ -12,7 +12,7 @@ from compute.camera.stack import CameraStack
 from compute.optics.pixel_row import PixelRow
 from compute.optics.stripe_optics.stripe_profile import Blur
 from compute.optics.stripe_optics.traced_stripes import TracedStripes
-from service.cli.reproduce import run
+from service.cli.reproduce import reproduce
 from validation.aberrations.thesis_lens import ROW, WIDTH_MM, StopPlace, stopped_lens
 from validation.all_cases import ALL_CASES
 from validation.result_tables import TablesCase
@@ -132,6 +132,6 @@ def test_output_is_for_cases_with_a_picture(
 ) -> None:
     for name in ("test-5.4", "all", None):
         with pytest.raises(typer.Exit):
-            run(name, as_json=False, output=tmp_path / "none.png")
+            reproduce(name, as_json=False, output=tmp_path / "none.png")
         assert "skew-effect" in capsys.readouterr().err
     assert not (tmp_path / "none.png").exists()

@@ -50,7 +50,15 @@ def task(_session: "Session", row: "RunRow") -> tuple[Callable[..., Any], tuple[
 
 
 def store(session: "Session", row: "RunRow", outcome: Outcome) -> str:
-    """Store the calibration and return its id.
+    """Store the calibration and return its id; raises what ``add_outcome`` does."""
+    request = Request.model_validate(row.request)
+    return add_outcome(session, row, outcome, request.note, request.result_id)
+
+
+def add_outcome(
+    session: "Session", row: "RunRow", outcome: Outcome, note: str, result_id: str | None
+) -> str:
+    """Store the calibration that a run made and return its id.
 
     Raises:
         SensorsChanged: the device has other sensors meanwhile.
@@ -59,11 +67,9 @@ def store(session: "Session", row: "RunRow", outcome: Outcome) -> str:
     from service.api.calibrations.store import add_calibration
     from service.api.devices.store import get_device, sensors_of_row
 
-    request = Request.model_validate(row.request)
     device = get_device(session, row.device_id, lock=True)
     check_sensors(device.id, sensors_of_row(device), outcome.result.models)
-    made = add_calibration(session, row.device_id, outcome, request.note, request.result_id)
-    return made.id
+    return add_calibration(session, device.id, outcome, note, result_id).id
 
 
 def compute(report_progress: Progress, device_id: str, request: Request) -> Outcome:

@@ -8,7 +8,7 @@ import numpy as np
 
 from compute.errors import InvalidParameter
 from compute.pose.rigid_body import RigidBody
-from service.api.base_models import Position, ResponseModel
+from service.api.base_models import Position, ResponseModel, from_attributes
 from service.api.calibrations.calibration_content import result_of
 from service.api.devices.driver_factory import recording_path
 from service.api.devices.tracking_settings import Tracking
@@ -71,16 +71,11 @@ def request_of(session: "Session", device: "DeviceRow", request: NewExportRun) -
     """
     from service.api.devices.store import tracking_of
 
-    kept = Request(
-        recording=request.recording,
-        format=request.format,
-        result_id=request.result_id,
+    kept = from_attributes(
+        Request,
+        request,
         tools=[_kept(row) for row in _tools(session, device.id, request.tools)],
         tracking=tracking_of(device),
-        calibration=request.calibration,
-        table=request.table,
-        predicted=request.predicted,
-        points=request.points,
     )
     _check_given(session, kept)
     return kept.model_dump(mode="json")
@@ -118,13 +113,13 @@ def store(exports: ExportRepository, _session: "Session", row: "RunRow", _result
 def _tools(session: "Session", device_id: str, wanted: list[str] | None) -> "list[ToolRow]":
     from sqlalchemy import select
 
-    from service.api.tools.store import get_tool
+    from service.api.tools.store import TOOLS
     from service.database.models import ToolRow
 
     if wanted is None:
         query = select(ToolRow).where(ToolRow.device_id == device_id).order_by(ToolRow.id)
         return list(session.scalars(query))
-    found = [get_tool(session, one) for one in dict.fromkeys(wanted)]
+    found = [TOOLS.get(session, one) for one in dict.fromkeys(wanted)]
     for row in found:
         if row.device_id != device_id:
             raise InvalidParameter(
@@ -138,14 +133,7 @@ def _tools(session: "Session", device_id: str, wanted: list[str] | None) -> "lis
 def _kept(row: "ToolRow") -> StoredTool:
     from service.api.tools.rigid_bodies import body_of
 
-    body = body_of(row)
-    return StoredTool(
-        name=body.name,
-        markers_mm=row.markers_mm,
-        strobe_markers=row.strobe_markers,
-        tip_mm=body.tip_mm,
-        max_tip_sd_mm=body.max_tip_sd_mm,
-    )
+    return from_attributes(StoredTool, body_of(row), markers_mm=row.markers_mm)
 
 
 def _check_given(session: "Session", request: Request) -> None:

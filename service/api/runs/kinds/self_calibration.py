@@ -10,6 +10,7 @@ from service.api.base_models import ResponseModel
 from service.api.calibrations.calibration_content import Outcome, calibration_content, result_of
 from service.api.calibrations.schema import ControlPointErrors
 from service.api.devices.sensor import Sensor, check_sensors
+from service.api.runs.kinds.calibration import add_outcome
 from service.api.runs.self_calibration_schema import NewRecording, recording_of
 
 if TYPE_CHECKING:
@@ -54,22 +55,12 @@ def task(session: "Session", row: "RunRow") -> tuple[Callable[..., Any], tuple[A
 
 
 def store(session: "Session", row: "RunRow", result: Calibration) -> str:
-    """Store the calibration and return its id.
-
-    Raises:
-        SensorsChanged: the device has other sensors meanwhile.
-        CalibrationExists: the id was taken meanwhile.
-    """
-    from service.api.calibrations.store import add_calibration
-    from service.api.devices.store import get_device, sensors_of_row
-
+    """Store the calibration and return its id; raises what ``add_outcome`` does."""
     request = Request.model_validate(row.request)
-    device = get_device(session, row.device_id, lock=True)
-    check_sensors(device.id, sensors_of_row(device), result.models)
-    content = calibration_content(device.id, "self-calibrated", [], result)
+    content = calibration_content(row.device_id, "self-calibrated", [], result)
     errors = ControlPointErrors(fitted=None, leave_one_out=None)
     outcome = Outcome(result, content, errors.model_dump(mode="json"))
-    return add_calibration(session, device.id, outcome, request.note, request.result_id).id
+    return add_outcome(session, row, outcome, request.note, request.result_id)
 
 
 def compute(

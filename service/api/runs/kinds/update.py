@@ -21,6 +21,7 @@ from service.api.calibrations.schema import ControlPoint, ControlPointErrors
 from service.api.devices.sensor import Sensor, check_sensors
 from service.api.drift_checks.schema import StationaryMarker
 from service.api.drift_checks.stationary_markers import still_set
+from service.api.runs.kinds.calibration import add_outcome
 
 if TYPE_CHECKING:
     from sqlalchemy.orm import Session
@@ -66,25 +67,17 @@ def task(session: "Session", row: "RunRow") -> tuple[Callable[..., Any], tuple[A
 
 
 def store(session: "Session", row: "RunRow", result: Calibration) -> str:
-    """Store the calibration and return its id.
-
-    Raises:
-        SensorsChanged: the device has other sensors meanwhile.
-        CalibrationExists: the id was taken meanwhile.
-    """
-    from service.api.calibrations.store import add_calibration, get_calibration
-    from service.api.devices.store import get_device, sensors_of_row
+    """Store the calibration and return its id; raises what ``add_outcome`` does."""
+    from service.api.calibrations.store import get_calibration
 
     request = Request.model_validate(row.request)
     parent = get_calibration(session, request.calibration)
-    device = get_device(session, row.device_id, lock=True)
-    check_sensors(device.id, sensors_of_row(device), result.models)
     points, errors = _drift_verdict(request, result)
-    content = calibration_content(device.id, "updated", points, result) | {
+    content = calibration_content(row.device_id, "updated", points, result) | {
         "parent": {"id": parent.id, "content_hash": parent.content_hash}
     }
     outcome = Outcome(result, content, errors.model_dump(mode="json"))
-    return add_calibration(session, device.id, outcome, request.note, request.result_id).id
+    return add_outcome(session, row, outcome, request.note, request.result_id)
 
 
 def _drift_verdict(

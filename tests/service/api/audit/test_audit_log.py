@@ -12,7 +12,6 @@ from hardware.simulated.calibration_target import calibration_target_points_mm
 from service.api.calibrations.examples import simulated_points
 from service.api.correction_tables.hdf5_file import write_table
 from service.api.correction_tables.table_content import MEDIA_TYPE
-from service.api.security.schema import NewApiKey
 from service.application.app import create_app
 from service.database.audited_session import kind_of
 from service.database.models import Base, DeviceRow
@@ -121,7 +120,7 @@ def test_every_change_of_a_device_and_its_calibration(client: Any) -> None:
 
 def test_the_next_reader_of_the_log_knows_who(module_client: Any) -> None:
     with module_client.app.state.database.write() as session:
-        row, made = store.add_key(session, NewApiKey(name="ada", scopes=("write:calibration",)))
+        row, made = store.add_key(session, name="ada", scopes=("write:calibration",))
         identity = row.id
     headers = {"authorization": f"Bearer {made.text}"}
     send(module_client, "POST", "/calibrations/sim-nominal/activate", 200, headers=headers)

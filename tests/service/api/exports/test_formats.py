@@ -17,7 +17,7 @@ from hardware.errors import MissingLibrary
 from service.api.exports.c3d_file import MAX_FRAMES, RESIDUAL_STEP_MM, TIME_CHANNEL
 from service.api.exports.formats import SUFFIXES, suffix_of, write_export
 from service.api.exports.motion_table import MotionTable
-from service.api.exports.tidy_columns import COLUMNS, NUMBERS, TEXTS, tidy_columns
+from service.api.exports.tabular_files import COLUMNS, NUMBERS, TEXTS, tidy_columns
 from service.api.exports.trajectories import trajectories
 from tests.service.api.exports.motion_tables import table
 from tests.service.api.exports.readers import matrix, read_sequence, read_trc

@@ -22,10 +22,10 @@ from service.api.devices.tracking_settings import Tracking
 from service.api.exports.from_recording import table_from_recording
 from service.api.exports.from_stream import table_from_stream
 from service.api.exports.table_builder import TableBuilder
-from service.api.exports.tool_file import read_device
 from service.api.recordings.active_calibration_file import dump_active_calibration
 from service.api.recordings.result_rows import peak_rows, point_rows
-from service.cli.calibration_file import DOCUMENT
+from service.cli.json_files import DOCUMENT
+from service.cli.tracking_files import read_device
 from service.pipeline.active_calibration import ActiveCalibration
 from service.pipeline.frame_batch import FrameBatch
 from service.pipeline.frame_processor import FrameProcessor

@@ -10,9 +10,8 @@ from typing import Any, Self
 
 import pytest
 
-from compute.errors import LumilineError
 from service.jobs import run_manager
-from service.jobs.worker import Done, Failed, Message
+from service.jobs.worker import Done
 
 
 class InProcessWorker:
@@ -23,15 +22,12 @@ class InProcessWorker:
     def __init__(self, function: Callable[..., Any], *arguments: Any) -> None:
         self._task = pickle.dumps((function, arguments))
 
-    def next(self, wait_s: float) -> Message | None:
+    def next(self, wait_s: float) -> Done | None:
         """Return the result; as from a process, it has been pickled."""
         if not self.gate.wait(wait_s):
             return None
         function, arguments = pickle.loads(self._task)
-        try:
-            result = function(lambda share, stage: None, *arguments)
-        except LumilineError as error:
-            return Failed(error.code, error.detail, error.context)
+        result = function(lambda share, stage: None, *arguments)
         return Done(pickle.loads(pickle.dumps(result)))
 
     def __enter__(self) -> Self:

@@ -14,8 +14,8 @@ from compute.pose.rigid_body import PoseStatus
 from hardware.link import LinkCounters, LinkState
 from service.api.recordings.recorder import WriteCounters
 from service.database.models import RunRow
-from service.jobs.duration_histogram import DurationHistogram
-from service.logs.context import RequestRecord
+from service.jobs.run_manager import DurationHistogram
+from service.logs import RequestRecord
 from service.pipeline.device_session import BOUNDS_S, LatencyHistogram, ToolCounts
 from service.pipeline.device_status import DeviceStatus
 from tests.service.fake_pipeline import FakePipeline

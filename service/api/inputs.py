@@ -1,10 +1,12 @@
-"""Strict JSON bodies: media type checked, duplicate keys refused, no silent conversion."""
+"""What endpoints take: parts of the application, JSON bodies, ids, filters and pages."""
 
 import email.message
 import json
 from collections.abc import Callable, Coroutine
-from typing import Any
+from dataclasses import dataclass
+from typing import Annotated, Any, TypeVar
 
+from fastapi import Depends, Path, Query, Request
 from fastapi.routing import APIRoute
 from pydantic import (
     GetCoreSchemaHandler,
@@ -13,10 +15,111 @@ from pydantic import (
     ValidatorFunctionWrapHandler,
 )
 from pydantic_core import CoreSchema, ErrorDetails, core_schema
-from starlette.requests import Request
+from sqlalchemy import Select, func
+from sqlalchemy.orm import Session
 from starlette.responses import Response
 
-from service.problems.errors import DuplicateKey, MalformedJson, UnsupportedMediaType
+from service.api.base_models import SLUG_PATTERN, Page
+from service.database.engine import Database
+from service.jobs.run_manager import RunManager
+from service.pipeline.pipeline_manager import PipelineManager
+from service.problems.errors import DuplicateKey, MalformedJson, NotReady, UnsupportedMediaType
+from service.settings import Settings
+
+
+def of_application(name: str) -> Any:
+    """Return the dependency on a part of the application, by its name in ``app.state``."""
+
+    def part(request: Request) -> Any:
+        return getattr(request.app.state, name)
+
+    return Depends(part)
+
+
+def _live(request: Request) -> PipelineManager:
+    live: PipelineManager | None = request.app.state.live
+    if live is None:
+        raise NotReady("the live pipeline does not run; restart the server", part="live")
+    return live
+
+
+DatabaseDep = Annotated[Database, of_application("database")]
+LiveDep = Annotated[PipelineManager, Depends(_live)]
+RunsDep = Annotated[RunManager, of_application("runs")]
+SettingsDep = Annotated[Settings, of_application("settings")]
+
+
+def id_in_path(
+    description: str, example: str, name: str, summary: str = "of the example body"
+) -> Any:
+    """Return the parameter of a path that is an id.
+
+    Args:
+        description: what it is the id of.
+        example: an id that works on a new server, or with the example body.
+        name: of the example.
+        summary: where the example's id comes from.
+    """
+    examples: dict[str, Any] = {name: {"summary": summary, "value": example}}
+    return Path(pattern=SLUG_PATTERN, description=description, openapi_examples=examples)
+
+
+DevicePath = Annotated[str, id_in_path("The device's id.", "sim", "sim", "the simulated device")]
+CalibrationPath = Annotated[
+    str, id_in_path("The calibration's id.", "sim-nominal", "nominal", "the simulator's own")
+]
+DeviceFilter = Annotated[
+    str | None,
+    Query(pattern=SLUG_PATTERN, description="Only those of this device.", examples=["sim"]),
+]
+ExpectedActive = Annotated[
+    str | None,
+    Query(
+        pattern=SLUG_PATTERN,
+        description="The calibration that you believe to be active now; where another one is, "
+        "nothing is changed (409).",
+    ),
+]
+Limit = Annotated[int, Query(ge=1, le=200, description="Most items to return.")]
+Offset = Annotated[int, Query(ge=0, le=2**31 - 1, description="Items to skip.")]
+
+
+Row = TypeVar("Row")
+Item = TypeVar("Item")
+
+
+@dataclass(frozen=True)
+class Paging:
+    """Which part of a list is asked for."""
+
+    limit: Limit = 50
+    offset: Offset = 0
+
+
+PagingDep = Annotated[Paging, Depends()]
+
+
+def page_of(
+    session: Session, listed: Select[Row], paging: Paging, document: Callable[[Row], Item]
+) -> Page[Item]:
+    """Return a page.
+
+    Args:
+        session: the session.
+        listed: the whole list of rows, in its order.
+        paging: the part.
+        document: returns a row as clients see it.
+    """
+    counted: Select[Any] = listed.with_only_columns(
+        func.count(), maintain_column_froms=True
+    ).order_by(None)
+    rows = session.scalars(listed.limit(paging.limit).offset(paging.offset)).all()
+    return Page(
+        items=[document(row) for row in rows],
+        total=session.scalar(counted) or 0,
+        limit=paging.limit,
+        offset=paging.offset,
+    )
 
 
 class JsonTypes:

@@ -1,12 +1,10 @@
 """Tools and tracking settings from JSON files in the form of the REST API."""
 
-import json
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Final
 
 import numpy as np
-from pydantic import AliasChoices, BaseModel, Field, TypeAdapter, ValidationError
+from pydantic import AliasChoices, BaseModel, Field, TypeAdapter
 
 from compute.errors import InvalidParameter
 from compute.pose.acquisition.tool_geometry import check_distinguishable, check_tool
@@ -14,6 +12,7 @@ from compute.pose.rigid_body import RigidBody
 from service.api.base_models import Position, Slug
 from service.api.devices.tracking_settings import Tracking
 from service.api.tools.schema import ToolLimits
+from service.cli.json_files import read_json, validate
 
 
 class _Tip(BaseModel):
@@ -30,7 +29,7 @@ class _Tool(BaseModel):
     device: Slug | None = None
 
 
-_TOOLS: TypeAdapter[list[_Tool]] = TypeAdapter(list[_Tool])
+_TOOLS: Final = TypeAdapter(list[_Tool])
 
 
 def read_tools(path: Path, device: str | None = None) -> tuple[RigidBody, ...]:
@@ -48,25 +47,16 @@ def read_tools(path: Path, device: str | None = None) -> tuple[RigidBody, ...]:
         InvalidParameter: the file cannot be read, or holds no tools.
         LumilineError: the markers of a tool make no pose, or two tools are alike.
     """
-    try:
-        content: Any = json.loads(path.read_bytes())
-    except OSError as error:
-        raise InvalidParameter(f"{path} cannot be read: {error.strerror or error}") from error
-    except (ValueError, RecursionError) as error:
-        raise InvalidParameter(f"{path} is not JSON: {error}") from error
-    try:
-        found = _TOOLS.validate_python(
-            content["items"] if isinstance(content, dict) and "items" in content else content
-        )
-    except ValidationError as error:
-        first = error.errors()[0]
-        place = ".".join(map(str, first["loc"])) or "the whole"
-        raise InvalidParameter(
-            f'{path} holds no tools: {place}: {first["msg"]}; a tool is {{"id": "probe", '
-            '"markers_mm": [[0, 0, 0], ...]}, with "strobe_markers", "tip_mm" and "limits" if it '
-            "has them"
-        ) from error
-    tools = tuple(_body(one) for one in found if device is None or one.device in (None, device))
+    content = read_json(path)
+    listed = validate(
+        _TOOLS,
+        content["items"] if isinstance(content, dict) and "items" in content else content,
+        path,
+        "no tools",
+        'a tool is {"id": "probe", "markers_mm": [[0, 0, 0], ...]}, with "strobe_markers", '
+        '"tip_mm" and "limits" if it has them',
+    )
+    tools = tuple(_body(one) for one in listed if device is None or one.device in (None, device))
     names = [one.name for one in tools]
     if len(set(names)) < len(names):
         raise InvalidParameter(f"{path} has tools of one name: {', '.join(names)}")
@@ -93,21 +83,10 @@ def _body(tool: _Tool) -> RigidBody:
     )
 
 
-class _Device(BaseModel):
+class DeviceTracking(BaseModel):
+    """A device as far as tracking goes."""
+
     id: Slug
-    tracking: Tracking
-
-
-@dataclass(frozen=True)
-class DeviceTracking:
-    """A device as far as tracking goes.
-
-    Args:
-        id: its id.
-        tracking: how its markers and tools are followed.
-    """
-
-    id: str
     tracking: Tracking
 
 
@@ -117,17 +96,5 @@ def read_device(path: Path) -> DeviceTracking:
     Raises:
         InvalidParameter: the file cannot be read, or holds no device.
     """
-    try:
-        found = _Device.model_validate(json.loads(path.read_bytes()))
-    except OSError as error:
-        raise InvalidParameter(f"{path} cannot be read: {error.strerror or error}") from error
-    except ValidationError as error:
-        first = error.errors()[0]
-        place = ".".join(map(str, first["loc"])) or "the whole"
-        raise InvalidParameter(
-            f"{path} holds no device: {place}: {first['msg']}; it must be the answer of "
-            "GET /api/v1/devices/{id}"
-        ) from error
-    except (ValueError, RecursionError) as error:
-        raise InvalidParameter(f"{path} is not JSON: {error}") from error
-    return DeviceTracking(found.id, found.tracking)
+    hint = "it must be the answer of GET /api/v1/devices/{id}"
+    return validate(TypeAdapter(DeviceTracking), read_json(path), path, "no device", hint)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from compute.errors import DegenerateTool, IndistinguishableTools, InvalidParameter
-from service.api.exports.tool_file import read_tools
+from service.cli.tracking_files import read_tools
 
 MARKERS = [[0.0, 0.0, 0.0], [60.0, 0.0, 0.0], [0.0, 80.0, 10.0], [-40.0, 30.0, 50.0]]
 

@@ -1,0 +1,95 @@
+"""`lumiline replay`: replays a recording offline, and compares it with the live results."""
+
+import os
+import sys
+from contextlib import ExitStack
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from pydantic import ValidationError
+
+from compute.errors import InvalidRecording
+from service.cli.json_files import CalibrationOption, TableOption, read_active_calibration
+from service.cli.output import fail, print_json, progress, say
+
+
+def replay(
+    recording: Annotated[Path, typer.Argument(help="HDF5 file of a recording.")],
+    calibration: CalibrationOption = None,
+    table: TableOption = None,
+    output: Annotated[Path | None, typer.Option(help="File; left out: standard output.")] = None,
+    check: Annotated[
+        bool, typer.Option("--check", help="Compare with the recorded results, bit by bit.")
+    ] = False,
+    batch: Annotated[
+        int, typer.Option(min=1, max=64, help="Frames that are processed together.")
+    ] = 64,
+    as_json: Annotated[bool, typer.Option("--json", help="Of --check, for machines.")] = False,
+) -> None:
+    """Replay a recording; print one JSON message a frame, or whether it gives the live results."""
+    if check:
+        _check(recording, batch, as_json=as_json)
+        return
+    try:
+        _replay(recording, calibration, table, output)
+    except BrokenPipeError:
+        # The reader of our output has gone, `| head` for example; nothing is left to say.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except (OSError, ValidationError) as error:
+        raise fail(str(error)) from error
+
+
+def _replay(path: Path, calibration: Path | None, table: Path | None, output: Path | None) -> None:
+    from hardware.recording.reader import RecordingReader
+    from service.api.recordings.reprocessing import reprocess
+    from service.pipeline.frame_processor import FrameProcessor
+    from service.protocols.stream.encoding import encode, frame_messages
+    from service.protocols.stream.stream_batch import StreamBatch
+
+    with RecordingReader(path) as reader, ExitStack() as stack:
+        target = typer.get_text_stream("stdout")
+        if output is not None:
+            target = stack.enter_context(output.open("w", encoding="utf-8"))
+        active = read_active_calibration(calibration, table)
+        if active is None and reader.info.state.in_force == 0:
+            raise InvalidRecording(f"{path.name} holds no calibration; give one with --calibration")
+        processor = FrameProcessor("replay", reader.info.description, "cpu")
+        done = stack.enter_context(progress("replaying", reader.info.frames))
+        count = 0
+        for batch in reprocess(reader, processor, given=active):
+            for message in frame_messages(StreamBatch.of(batch), frozenset({"points"})):
+                target.write(f"{encode(message, 'json')!s}\n")
+            count += len(batch.frames)
+            done(count)
+
+
+def _check(path: Path, batch_frames: int, *, as_json: bool) -> None:
+    """Process a recording again, and say whether it gives what was recorded live, bit by bit."""
+    from hardware.recording.reader import RecordingReader
+    from service.api.recordings.reprocessing import compare
+    from service.pipeline.frame_processor import FrameProcessor
+
+    with (
+        RecordingReader(path) as reader,
+        progress("comparing", reader.info.frames, quiet=as_json) as done,
+    ):
+        processor = FrameProcessor("replay", reader.info.description, "cpu")
+        result = compare(reader, processor, batch_frames, done)
+    if as_json:
+        print_json(asdict(result) | {"same": result.same})
+    else:
+        say(
+            f"{result.frames} frames, {result.peaks} peaks, {result.points} points: "
+            + ("the same in every bit" if result.same else "not the same")
+        )
+        for line in result.settings_differ:
+            say(f"how peaks are found: {line}")
+        if not result.same:
+            say(
+                f"frames with other peaks: {result.peaks_differ}, with other points: "
+                f"{result.points_differ}; the first is {result.first_difference}"
+            )
+    if not result.same:
+        raise typer.Exit(1)

@@ -1,1 +1,0 @@
-"""Logging: format, redaction, and the request or device of a line."""

@@ -91,8 +91,8 @@ class Figures:
 
 def step_us() -> dict[str, float]:
     """Return the CPU time of a monitor's step [us]: for a tool and for four markers, stationary."""
-    from compute.pose.beam_hold.beam_hold_limits import BeamHoldLimits
-    from compute.pose.beam_hold.beam_hold_monitor import (
+    from compute.pose.beam_hold import (
+        BeamHoldLimits,
         MarkerDeviationMonitor,
         PoseDeviationMonitor,
     )

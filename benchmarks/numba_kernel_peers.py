@@ -7,8 +7,8 @@ from typing import Final
 import numpy as np
 from numba import njit as compile_loops
 
-from compute.pose.filtering.imm_model import IMM_STATES
-from compute.pose.filtering.native.kernel_arguments import POSE
+from compute.pose.filtering.imm import IMM_STATES
+from compute.pose.filtering.native.definitions import POSE
 from compute.tracking.joint_events import (
     MIN_MERGE_PROBABILITY,
     NEGLIGIBLE_WEIGHT_RATIO,

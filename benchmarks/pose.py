@@ -36,9 +36,8 @@ from compute.camera.stack import CameraStack
 from compute.measurement.measurement_model import MeasurementModel
 from compute.measurement.measurements import Measurements
 from compute.pose.estimation.pose_fit import fit_pose
-from compute.pose.rigid_body import RigidBody
+from compute.pose.rigid_body import PoseStatus, RigidBody, ToolPose
 from compute.pose.settings import ImmSettings, MotionMode, ToolTrackerSettings
-from compute.pose.tool_pose import PoseStatus, ToolPose
 from compute.pose.tool_tracking.tool_tracker import ToolTracker
 from compute.pose.transform import Transform
 from compute.reconstruction.triangulation import reconstruct

@@ -1,8 +1,8 @@
 """Settings of pose fits and tool trackers; the defaults are for live use."""
 
-from dataclasses import dataclass, fields
-from math import inf, isfinite
-from typing import Final
+from dataclasses import dataclass
+from math import inf
+from typing import ClassVar, Final
 
 from compute.camera.model import Vector3
 from compute.errors import InvalidParameter
@@ -10,19 +10,24 @@ from compute.errors import InvalidParameter
 POSE_PARAMETERS: Final = 6
 
 
-def _check_positive(settings: object, *, but: tuple[str, ...] = ()) -> None:
-    for field in fields(settings):  # type: ignore[arg-type]
-        value = getattr(settings, field.name)
-        if field.name in but or not isinstance(value, int | float):
-            continue
-        if not (isfinite(value) and value > 0.0):
-            raise InvalidParameter(
-                f"{field.name} is {value}; it must be positive", **{field.name: value}
-            )
+class _PositiveSettings:
+    """Base of settings whose numbers must be positive."""
+
+    _MAY_BE_ZERO: ClassVar[tuple[str, ...]] = ()
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not isinstance(value, int | float):
+                continue
+            if name in self._MAY_BE_ZERO:
+                if value < 0:
+                    raise InvalidParameter(f"{name} is {value}; it must be 0 or more")
+            elif not 0.0 < value < inf:
+                raise InvalidParameter(f"{name} is {value}; it must be positive", **{name: value})
 
 
 @dataclass(frozen=True)
-class PoseFitSettings:
+class PoseFitSettings(_PositiveSettings):
     """Acceptance limits of a pose fit.
 
     Args:
@@ -43,11 +48,7 @@ class PoseFitSettings:
     ambiguity_chi2_margin: float = 16.0
     max_sigma_fraction: float = 0.1
 
-    def __post_init__(self) -> None:
-        _check_positive(self, but=("min_redundancy", "max_excluded"))
-        for name in ("min_redundancy", "max_excluded"):
-            if getattr(self, name) < 0:
-                raise InvalidParameter(f"{name} is {getattr(self, name)}; it must be 0 or more")
+    _MAY_BE_ZERO = ("min_redundancy", "max_excluded")
 
     @property
     def min_readings(self) -> int:
@@ -56,7 +57,7 @@ class PoseFitSettings:
 
 
 @dataclass(frozen=True)
-class MotionSettings:
+class MotionSettings(_PositiveSettings):
     """Expected motion of tools: velocity and angular velocity change by white noise.
 
     Args:
@@ -78,12 +79,9 @@ class MotionSettings:
     angular_velocity_sigma_rad_s: float = 5.0
     manoeuvre_factor: float = 10.0
 
-    def __post_init__(self) -> None:
-        _check_positive(self)
-
 
 @dataclass(frozen=True)
-class MotionMode:
+class MotionMode(_PositiveSettings):
     """A motion model of a tool.
 
     Args:
@@ -96,12 +94,9 @@ class MotionMode:
     acceleration_fraction: float
     manoeuvre_time_constant_s: float | None = None
 
-    def __post_init__(self) -> None:
-        _check_positive(self)
-
 
 @dataclass(frozen=True)
-class ImmSettings:
+class ImmSettings(_PositiveSettings):
     """Motion models of a strobed tool, which run in parallel.
 
     Args:
@@ -119,17 +114,16 @@ class ImmSettings:
     mean_sojourn_s: float = 0.3
 
     def __post_init__(self) -> None:
-        _check_positive(self)
+        super().__post_init__()
         if not self.modes or self.modes[-1] != MotionMode(1.0):
             raise InvalidParameter(
                 f"modes are {self.modes}; the last one must be {MotionMode(1.0)}: readings are "
-                "looked "
-                "for as far as it reaches"
+                "looked for as far as it reaches"
             )
 
 
 @dataclass(frozen=True)
-class LabellingSettings:
+class LabellingSettings(_PositiveSettings):
     """Tolerances of the identification of tools by their geometry.
 
     Args:
@@ -149,7 +143,7 @@ class LabellingSettings:
     max_search_steps: int = 20_000
 
     def __post_init__(self) -> None:
-        _check_positive(self)
+        super().__post_init__()
         if self.min_markers < 3:
             raise InvalidParameter(
                 f"min_markers is {self.min_markers}; it must be 3 or more: two points fit any "
@@ -158,7 +152,7 @@ class LabellingSettings:
 
 
 @dataclass(frozen=True)
-class ToolTrackerSettings:
+class ToolTrackerSettings(_PositiveSettings):
     """Settings of a tool tracker, and the limits of a usable pose.
 
     Args:
@@ -188,7 +182,7 @@ class ToolTrackerSettings:
     volume_mm: tuple[Vector3, Vector3] | None = None
 
     def __post_init__(self) -> None:
-        _check_positive(self)
+        super().__post_init__()
         if self.volume_mm is not None:
             low, high = self.volume_mm
             if not all(-inf < a < b < inf for a, b in zip(low, high, strict=True)):

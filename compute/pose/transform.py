@@ -5,10 +5,11 @@ from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from compute.camera.rotation import rotation_matrix, rotation_vector
 from compute.errors import InvalidParameter, NonFiniteValue
-from compute.pose.tool_pose import ToolPose
+from compute.pose.rigid_body import ToolPose
 
 Array = NDArray[np.float64]
 
@@ -133,27 +134,45 @@ class Transform:
         """Return T_a_c = T_a_b @ T_b_c; their errors are treated as independent."""
         shift = self.rotation @ other.translation_mm
         covariance = None
-        if self.covariance is not None or other.covariance is not None:
-            covariance = np.zeros((6, 6))
-        if covariance is not None and self.covariance is not None:
+        if self.covariance is not None:
             # The rotation error moves the second translation: exp([w]x) R1 t2.
             jacobian = np.eye(6)
             jacobian[3:, :3] = -cross_matrix(shift)
-            covariance += jacobian @ self.covariance @ jacobian.T
-        if covariance is not None and other.covariance is not None:
-            jacobian = np.zeros((6, 6))
-            jacobian[:3, :3] = jacobian[3:, 3:] = self.rotation
-            covariance += jacobian @ other.covariance @ jacobian.T
-        return Transform(
-            nearest_rotation(self.rotation @ other.rotation),
-            shift + self.translation_mm,
-            covariance,
-        )
+            covariance = jacobian @ self.covariance @ jacobian.T
+        if other.covariance is not None:
+            rotation = block_diag(self.rotation, self.rotation)
+            second = rotation @ other.covariance @ rotation.T
+            covariance = second if covariance is None else covariance + second
+        rotation = nearest_rotation(self.rotation @ other.rotation)
+        return Transform(rotation, shift + self.translation_mm, covariance)
 
     def difference(self, other: "Transform") -> Array:
         """Return rotation vector (left) [rad] and shift [mm] from ``other`` to this, shape (6,)."""
         turn = rotation_vector(self.rotation @ other.rotation.T)
         return np.concatenate([turn, self.translation_mm - other.translation_mm])
+
+
+def finite_points(points_mm: Array, name: str) -> Array:
+    """Return points as float64 of shape (N, 3).
+
+    Args:
+        points_mm: the points, shape (N, 3) [mm].
+        name: what they are, for messages.
+
+    Raises:
+        InvalidParameter: the shape is another one.
+        NonFiniteValue: a value is NaN or infinite.
+    """
+    points = np.asarray(points_mm, dtype=np.float64)
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise InvalidParameter(f"{name} has shape {points.shape}; it must be (N, 3)")
+    finite = np.isfinite(points).all(axis=1)
+    if not finite.all():
+        bad = int(np.argmin(finite))
+        raise NonFiniteValue(
+            f"point {bad + 1} of {name} is {points[bad].tolist()}; it must be finite"
+        )
+    return points
 
 
 def cross_matrix(vector: Array) -> Array:

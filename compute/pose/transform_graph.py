@@ -1,6 +1,5 @@
 """TransformGraph: named coordinate frames and the transforms between them."""
 
-from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import pairwise
@@ -97,19 +96,12 @@ class TransformGraph:
 
     def _path(self, start: str, end: str) -> tuple[str, ...] | None:
         """Return the path between two frames, both included; None: there is none."""
-        came: dict[str, str | None] = {start: None}
-        waiting = deque([start])
-        while waiting:
-            here = waiting.popleft()
-            if here == end:
-                path = [here]
-                while (before := came[path[-1]]) is not None:
-                    path.append(before)
-                return tuple(reversed(path))
-            for there in self._near[here]:
-                if there not in came:
-                    came[there] = here
-                    waiting.append(there)
+        # There are no loops: no frame is reached in two ways.
+        paths: list[tuple[str, ...]] = [(start,)]
+        for path in paths:
+            if path[-1] == end:
+                return path
+            paths += [(*path, near) for near in self._near[path[-1]] if near not in path]
         return None
 
     def _reached(self, name: str) -> list[str]:

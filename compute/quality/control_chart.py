@@ -85,14 +85,10 @@ class ControlChart:
         Alarms of the average do not count: it has a memory, and one is followed by others.
         """
         judged = len(self.values) - self.baseline
-        if not self.ready:
-            return False
-        newest = self.alarms[-_SUSTAINED_JUMPS:]
-        if judged >= _SUSTAINED_JUMPS and all(
-            signal is ControlChartAlarm.JUMP for signal in newest
-        ):
+        newest = set(self.alarms[-_SUSTAINED_JUMPS:])
+        if self.ready and judged >= _SUSTAINED_JUMPS and newest == {ControlChartAlarm.JUMP}:
             return True
-        if judged < _SUSTAINED_VALUES:
+        if not self.ready or judged < _SUSTAINED_VALUES:
             return False
         off = abs(float(self.values[-_SUSTAINED_VALUES:].mean()) - self.centre)
         factor = _quantile(self.baseline, 1.0 - _SUSTAINED_SIGNIFICANCE / 2)
@@ -133,16 +129,16 @@ def control_chart(values: Array, baseline: int = 20, floor: float = 0.0) -> Cont
     alarms = [ControlChartAlarm.NONE] * len(values)
     for index in range(used, len(values)):
         ewma[index] = (1 - _EWMA_WEIGHT) * ewma[index - 1] + _EWMA_WEIGHT * values[index]
-        share = (
-            _EWMA_WEIGHT / (2 - _EWMA_WEIGHT) * (1 - (1 - _EWMA_WEIGHT) ** (2 * (index - used + 1)))
-        )
+        memory = 1 - (1 - _EWMA_WEIGHT) ** (2 * (index - used + 1))
+        share = _EWMA_WEIGHT / (2 - _EWMA_WEIGHT) * memory
         limit[index] = several * np.sqrt(share + 1 / used)
         if abs(values[index] - centre) > single:
             alarms[index] = ControlChartAlarm.JUMP
         elif abs(ewma[index] - centre) > limit[index]:
             alarms[index] = ControlChartAlarm.DRIFT
-    found = tuple(alarms)
-    return ControlChart(values, centre, sigma, ewma, float(single), limit, found, used, ready)
+    return ControlChart(
+        values, centre, sigma, ewma, float(single), limit, tuple(alarms), used, ready
+    )
 
 
 def _quantile(baseline: int, probability: float) -> float:

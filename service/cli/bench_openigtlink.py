@@ -13,7 +13,7 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
-from compute.pose.tool_pose import PoseStatus, ToolPose
+from compute.pose.rigid_body import PoseStatus, ToolPose
 from service.cli.bench_service import Figures, run_benchmark
 from service.cli.output import console, make_table, progress, spec
 from service.pipeline.latest_poses import LatestPoses, PoseEntry

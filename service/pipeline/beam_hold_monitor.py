@@ -7,12 +7,12 @@ from typing import Final
 
 import numpy as np
 
-from compute.pose.beam_hold.beam_hold_monitor import (
+from compute.pose.beam_hold import (
+    BeamHoldCause,
     BeamHoldDecision,
     MarkerDeviationMonitor,
     PoseDeviationMonitor,
 )
-from compute.pose.beam_hold.beam_hold_state import BeamHoldCause
 from compute.pose.tool_tracking.exposure_history import StaleDataDetector
 from service.pipeline.beam_hold_observer import (
     HoldObservation,

@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.pose.beam_hold.beam_hold_limits import BeamHoldLimits
+from compute.pose.beam_hold import BeamHoldLimits
 from compute.pose.transform import Transform
 
 Array = NDArray[np.float64]

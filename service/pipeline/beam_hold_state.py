@@ -8,8 +8,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.pose.beam_hold.beam_hold_monitor import BeamHoldDecision
-from compute.pose.beam_hold.beam_hold_state import BeamHoldCause
+from compute.pose.beam_hold import BeamHoldCause, BeamHoldDecision
 
 Vector = tuple[float, float, float]
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from threading import Lock
 from typing import Final
 
-from compute.pose.tool_pose import PoseStatus, ToolPose
+from compute.pose.rigid_body import PoseStatus, ToolPose
 from hardware.driver import DeviceDescription
 from hardware.line_frame import LineFrame
 from hardware.link import LinkState

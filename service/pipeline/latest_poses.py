@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from threading import Lock
 
-from compute.pose.tool_pose import ToolPose
+from compute.pose.rigid_body import ToolPose
 
 Told = Callable[["PoseEntry"], None]
 

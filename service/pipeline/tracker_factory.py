@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 
 from compute.camera.stack import CameraStack
 from compute.measurement.measurements import Measurements
-from compute.pose.rigid_body import RigidBody
-from compute.pose.tool_pose import ToolPose
+from compute.pose.rigid_body import RigidBody, ToolPose
 from compute.reconstruction.point_batch import PointBatch
 from compute.tracking.track_batch import TrackBatch
 from service.pipeline.active_calibration import PreparedCalibration

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from compute.errors import LumilineError
 from compute.measurement.measurements import Measurements
-from compute.pose.rigid_body import RigidBody
-from compute.pose.tool_pose import PoseStatus, ToolPose
+from compute.pose.rigid_body import PoseStatus, RigidBody, ToolPose
 from compute.reconstruction.point_batch import PointBatch
 from compute.tracking.blink_identification import BlinkIdentifier
 from compute.tracking.track_batch import TrackBatch

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal, cast
 
 import pytest
 
-from compute.pose.beam_hold.beam_hold_limits import BeamHoldLimits
-from compute.pose.beam_hold.beam_hold_state import BeamHoldTiming
+from compute.pose.beam_hold import BeamHoldLimits, BeamHoldTiming
 from compute.pose.transform import Transform
 from hardware.line_frame import LineFrame
 from hardware.simulated.driver import SimulatedDriver

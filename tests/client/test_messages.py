@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from compute.pose.tool_pose import PoseStatus
-from compute.pose.tool_pose import ToolPose as ServerPose
+from compute.pose.rigid_body import PoseStatus
+from compute.pose.rigid_body import ToolPose as ServerPose
 from lumiline.client.errors import UnreadableMessage, server_problem
 from lumiline.client.messages import (
     Frame,

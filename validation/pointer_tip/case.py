@@ -8,9 +8,8 @@ from numpy.typing import NDArray
 
 from compute.measurement.measurements import Measurements
 from compute.pose.estimation.pose_fit import fit_pose
-from compute.pose.rigid_body import RigidBody
+from compute.pose.rigid_body import PoseStatus, RigidBody
 from compute.pose.settings import ToolTrackerSettings
-from compute.pose.tool_pose import PoseStatus
 from compute.pose.tool_tracking.tool_tracker import ToolTracker
 from validation.pointer_tip.scene import (
     FRAME_S,

@@ -18,9 +18,8 @@ from compute.pose.filtering.association import (
     without_tools,
 )
 from compute.pose.filtering.pose_filter import PoseState, initial_state
-from compute.pose.rigid_body import CentredMarkers, RigidBody
+from compute.pose.rigid_body import CentredMarkers, PoseStatus, RigidBody
 from compute.pose.settings import ToolTrackerSettings
-from compute.pose.tool_pose import PoseStatus
 from compute.pose.transform import Transform
 from compute.reconstruction.point_batch import PointBatch
 from compute.reconstruction.triangulation import chi2_limit
@@ -83,61 +82,66 @@ def acquire_simultaneous(
     Returns:
         One result for each of ``tools``, in their order.
     """
-    place, covariance = _unclaimed_points(points, tracked, settings.gate_probability)
-    found = {one.tool: one for one in identify_tools(tools, place, covariance, settings.labelling)}
-    observations: dict[int, ToolObservation] = {}
-    for index, one in found.items():
-        if one.ambiguity is not None:
-            continue
-        centred = CentredMarkers.of(tools[index])
-        way = one.labelling
-        state = initial_state(
-            time_ns,
-            way.rotation,
-            way.centroid_mm,
-            COVARIANCE_INFLATION * way.covariance,
-            settings.motion,
-            common_errors[index],
+    position, covariance = _unclaimed_points(points, tracked, settings.gate_probability)
+    identified = {
+        one.tool: one for one in identify_tools(tools, position, covariance, settings.labelling)
+    }
+    observations = {
+        index: ToolObservation(
+            CentredMarkers.of(tools[index]),
+            np.arange(len(tools[index])),
+            initial_state(
+                time_ns,
+                one.labelling.rotation,
+                one.labelling.centroid_mm,
+                COVARIANCE_INFLATION * one.labelling.covariance,
+                settings.motion,
+                common_errors[index],
+            ),
         )
-        observations[index] = ToolObservation(centred, np.arange(len(tools[index])), state)
+        for index, one in identified.items()
+        if one.ambiguity is None
+    }
     associate(
         model,
-        list(observations.values()),
+        observations.values(),
         measurements,
         settings.gate_probability,
         settings.resolution_px,
     )
-    rest = without_tools(measurements, list(observations.values()))
+    rest = without_tools(measurements, observations.values())
     free = rest.usable.sum(axis=1)
-    starts = []
-    for index, tool in enumerate(tools):
-        own, observation = found.get(index), observations.get(index)
-        if (
-            observation is not None
-            and observation.count_contradictions(free) > observation.readings
-        ):
+
+    def acquire(index: int, tool: RigidBody) -> SimultaneousAcquisition:
+        found, observation = identified.get(index), observations.get(index)
+        if found is None or observation is None:
+            reason = _not_identified(found, len(position), settings)
+            status = PoseStatus.MISSING if found is None else PoseStatus.INVALID
+            return _failed(model, tool, status, reason, len(position))
+        against = observation.count_contradictions(free)
+        if against > observation.readings:
             reason = (
                 f"{observation.readings} readings are where its geometry among the points puts it, "
-                "and "
-                f"{observation.count_contradictions(free)} are not where they must be"
+                f"and {against} are not where they must be"
             )
-            starts.append(_failed(model, tool, PoseStatus.INVALID, reason, len(place)))
-        elif own is not None and observation is not None:
-            start = _acquire(
-                model,
-                tool,
-                common_errors[index],
-                measurements,
-                own,
-                observation,
-                len(place),
-                settings,
-            )
-            off = observation.excluded_nis(model, rest, settings.gate_probability)
-            starts.append(replace(start, excluded=start.excluded + (off > 0.0).sum(axis=1)))
-        else:
-            starts.append(_failure_reason(model, tool, own, len(place), settings))
-    return starts
+            return _failed(model, tool, PoseStatus.INVALID, reason, len(position))
+        readings, sigma = observation.readings_px(measurements)
+        labelling, centred = found.labelling, observation.centred
+        translation = centred.translation(labelling.rotation, labelling.centroid_mm)
+        start = Transform(labelling.rotation, translation)
+        fit = fit_pose(model, tool, readings, sigma, start=start, settings=settings.fit)
+        off = observation.excluded_nis(model, rest, settings.gate_probability) > 0.0
+        if fit.status is not PoseStatus.OK:
+            failed = _failed(model, tool, fit.status, str(fit.reason), len(position))
+            return replace(failed, excluded=off.sum(axis=1))
+        assert fit.chi2 is not None
+        state = _fitted_state(model, observation, fit, readings, sigma, settings)
+        excluded = (np.isfinite(readings) & ~fit.used).sum(axis=1) + off.sum(axis=1)
+        return SimultaneousAcquisition(
+            state, PoseStatus.OK, "", len(position), fit.chi2, fit.used, excluded
+        )
+
+    return [acquire(index, tool) for index, tool in enumerate(tools)]
 
 
 def _unclaimed_points(
@@ -147,37 +151,31 @@ def _unclaimed_points(
     if points is None:
         return np.empty((0, 3)), np.empty((0, 3, 3))
     known = np.isfinite(points.position_mm).all(axis=1)
-    place, covariance = points.position_mm[known], points.covariance_mm2[known]
-    if not len(place) or not tracked:
-        return place, covariance
+    position, covariance = points.position_mm[known], points.covariance_mm2[known]
+    if not len(position) or not tracked:
+        return position, covariance
     markers = np.concatenate(
         [observation.state.marker_positions(observation.centred) for observation in tracked]
     )
-    off = place[:, None] - markers
+    off = position[:, None] - markers
     square = np.einsum("nmi,nij,nmj->nm", off, np.linalg.inv(covariance), off)
     free = (square > chi2_limit(3, probability)).all(axis=1)
-    return place[free], covariance[free]
+    return position[free], covariance[free]
 
 
-def _failure_reason(
-    model: MeasurementModel,
-    tool: RigidBody,
-    found: IdentifiedTool | None,
-    points: int,
-    settings: ToolTrackerSettings,
-) -> SimultaneousAcquisition:
-    """Return the status and reason of a tool that was not identified."""
-    status, least = PoseStatus.MISSING, settings.labelling.min_markers
+def _not_identified(
+    found: IdentifiedTool | None, points: int, settings: ToolTrackerSettings
+) -> str:
+    """Return why a tool was not identified, or not unambiguously."""
+    least = settings.labelling.min_markers
     if found is not None:
-        status, reason = PoseStatus.INVALID, str(found.ambiguity)
-    elif points < least:
-        reason = (
+        return str(found.ambiguity)
+    if points < least:
+        return (
             f"{points or 'no'} point{'' if points == 1 else 's'} that may be its markers; its "
             f"geometry is told by {least} or more"
         )
-    else:
-        reason = f"none of the {points} points that may be its markers lie as its markers do"
-    return _failed(model, tool, status, reason, points)
+    return f"none of the {points} points that may be its markers lie as its markers do"
 
 
 def _failed(
@@ -187,42 +185,12 @@ def _failed(
     return SimultaneousAcquisition(None, status, reason, points, 0.0, nothing, nothing.sum(axis=1))
 
 
-def _acquire(
-    model: MeasurementModel,
-    tool: RigidBody,
-    common_errors: int,
-    measurements: Measurements,
-    found: IdentifiedTool,
-    observation: ToolObservation,
-    points: int,
-    settings: ToolTrackerSettings,
-) -> SimultaneousAcquisition:
-    """Fit the pose of a tool that was identified."""
-    readings, sigma = observation.readings_px(measurements)
-    centred = CentredMarkers.of(tool)
-    start = Transform(
-        found.labelling.rotation,
-        centred.translation(found.labelling.rotation, found.labelling.centroid_mm),
-    )
-    fit = fit_pose(model, tool, readings, sigma, start=start, settings=settings.fit)
-    if fit.status is not PoseStatus.OK:
-        return _failed(model, tool, fit.status, str(fit.reason), points)
-    assert fit.chi2 is not None
-    state = _fitted_state(
-        model, centred, fit, readings, sigma, common_errors, observation.state.time_ns, settings
-    )
-    excluded = (np.isfinite(readings) & ~fit.used).sum(axis=1)
-    return SimultaneousAcquisition(state, PoseStatus.OK, "", points, fit.chi2, fit.used, excluded)
-
-
 def _fitted_state(
     model: MeasurementModel,
-    centred: CentredMarkers,
+    observation: ToolObservation,
     fit: PoseFit,
     readings_px: Array,
     sigma_px: Array,
-    common_errors: int,
-    time_ns: int,
     settings: ToolTrackerSettings,
 ) -> PoseState:
     """Return the state of a fitted pose, with its correlation with the common errors.
@@ -232,20 +200,20 @@ def _fitted_state(
     """
     assert fit.rotation is not None
     assert fit.translation_mm is not None
+    centred, common_errors = observation.centred, observation.state.common.shape[1]
     centroid = centred.centroid(fit.rotation, fit.translation_mm)
-    given = np.where(fit.used, readings_px, np.nan)
-    equations = PoseEquations(model, centred, given, sigma_px)
+    equations = PoseEquations(model, centred, np.where(fit.used, readings_px, np.nan), sigma_px)
     whitening = equations.whitening(fit.rotation, centroid)
     jacobian = whitening @ equations.rows(fit.rotation[None], centroid[None])[0, :, :6]
     jacobian[:, :3] *= centred.radius_mm
     covariance: Array = np.asarray(np.linalg.inv(jacobian.T @ jacobian))
+    time_ns = observation.state.time_ns
     state = initial_state(
         time_ns, fit.rotation, centroid, covariance, settings.motion, common_errors
     )
-    if common_errors == 0:
-        return state
-    expected = model.predict(equations.lever_arms(fit.rotation) + centroid, with_common_errors=True)
-    lit = np.arange(len(readings_px))
-    common = common_jacobian(expected, lit, common_errors)[fit.used]
-    state.common[:6] = -covariance @ jacobian.T @ (whitening @ common)
+    if common_errors:
+        markers = equations.lever_arms(fit.rotation) + centroid
+        expected = model.predict(markers, with_common_errors=True)
+        common = common_jacobian(expected, observation.lit, common_errors)[fit.used]
+        state.common[:6] = -covariance @ jacobian.T @ (whitening @ common)
     return state

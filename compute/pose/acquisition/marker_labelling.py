@@ -1,7 +1,7 @@
 """Marker labelling: assignment of reconstructed points to tool markers by their distances."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,7 @@ from compute.camera.rotation import rotation_matrix
 from compute.pose.estimation.pose_initialisation import initial_pose_from_points
 from compute.pose.rigid_body import CentredMarkers, RigidBody
 from compute.pose.settings import LabellingSettings
-from compute.pose.transform import cross_matrix
+from compute.pose.transform import point_jacobian
 from compute.reconstruction.triangulation import chi2_limit
 
 Array = NDArray[np.float64]
@@ -157,10 +157,10 @@ def find_labellings(
         not collinear, or where the search would take more than ``max_search_steps``.
     """
     known = np.flatnonzero(np.isfinite(points_mm).all(axis=1))
-    places, spread = points_mm[known], covariance_mm2[known]
+    positions, covariances = points_mm[known], covariance_mm2[known]
     if len(known) < settings.min_markers:
         return []
-    fits = _compatible_distances(tool, places, spread, settings)
+    fits = _compatible_distances(tool, positions, covariances, settings)
     found: list[MarkerLabelling] = []
     most = settings.min_markers
     for points in _assignments(fits, settings.min_markers, settings.max_search_steps):
@@ -169,15 +169,13 @@ def find_labellings(
         count = int((points >= 0).sum())
         if count < most:
             continue
-        labelling = _fit_labelling(tool, points, places, spread, settings)
-        if labelling is None:
-            continue
-        if count > most:
-            most, found = count, []
-        found.append(labelling)
-    found = [_renumber(labelling, known) for labelling in found]
-    found.sort(key=lambda labelling: labelling.chi2)
-    return found
+        labelling = _fit_labelling(tool, points, positions, covariances, settings)
+        if labelling is not None:
+            found = [labelling] if count > most else [*found, labelling]
+            most = count
+    # Indices into all points.
+    found = [replace(one, points=np.where(one.points >= 0, known[one.points], -1)) for one in found]
+    return sorted(found, key=lambda one: one.chi2)
 
 
 def _compatible_distances(
@@ -236,24 +234,22 @@ def _assignments(
 def _fit_labelling(
     tool: RigidBody,
     points: NDArray[np.intp],
-    places_mm: Array,
+    positions_mm: Array,
     covariance_mm2: Array,
     settings: LabellingSettings,
 ) -> MarkerLabelling | None:
     """Fit the pose of a tool to its points by weighted least squares; None: chi2 is too large."""
     centred = CentredMarkers.of(tool)
     own = np.flatnonzero(points >= 0)
-    markers, target = centred.markers_mm[own], places_mm[points[own]]
+    markers, target = centred.markers_mm[own], positions_mm[points[own]]
     start = initial_pose_from_points(markers, target)
     if start is None:
         return None
     rotation, centroid = start
     inverse = np.linalg.inv(covariance_mm2[points[own]] + settings.marker_sigma_mm**2 * np.eye(3))
-    jacobian = np.empty((len(own), 3, 6))
-    jacobian[..., 3:] = np.eye(3)
     for _ in range(GAUSS_NEWTON_STEPS):
         arms = markers @ rotation.T
-        jacobian[..., :3] = -cross_matrix(arms)
+        jacobian = point_jacobian(arms)
         weighted = jacobian.transpose(0, 2, 1) @ inverse
         normal = (weighted @ jacobian).sum(axis=0)
         rest = target - arms - centroid
@@ -264,11 +260,3 @@ def _fit_labelling(
     if not chi2 <= chi2_limit(3 * len(own) - 6, settings.gate_probability):
         return None
     return MarkerLabelling(points, rotation, centroid, np.linalg.inv(normal), chi2)
-
-
-def _renumber(labelling: MarkerLabelling, known: NDArray[np.intp]) -> MarkerLabelling:
-    """Return the assignment with indices into all points."""
-    points = np.where(labelling.points >= 0, known[labelling.points], -1)
-    return MarkerLabelling(
-        points, labelling.rotation, labelling.centroid_mm, labelling.covariance, labelling.chi2
-    )

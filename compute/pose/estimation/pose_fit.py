@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from operator import itemgetter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,15 +12,14 @@ from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter
 from compute.mapping.table import CorrectionTable
 from compute.measurement.measurement_model import MeasurementModel
-from compute.pose.estimation.observability import missing_readings, observability
+from compute.pose.estimation.observability import missing_readings, unobservable_motion
 from compute.pose.estimation.pose_equations import PoseCandidates, PoseEquations
 from compute.pose.estimation.pose_initialisation import (
     initial_pose_from_points,
     initial_poses_from_readings,
 )
-from compute.pose.rigid_body import CentredMarkers, RigidBody
+from compute.pose.rigid_body import CentredMarkers, PoseStatus, RigidBody
 from compute.pose.settings import POSE_PARAMETERS, PoseFitSettings
-from compute.pose.tool_pose import PoseStatus
 from compute.pose.transform import Transform
 from compute.reconstruction.triangulation import chi2_limit
 
@@ -131,7 +131,13 @@ def fit_pose(
     reason = missing_readings(centred, equations.used, settings)
     if reason is not None:
         return PoseFit(PoseStatus.MISSING, reason, equations.used)
-    first = _initial_pose(centred, tool, start, points_mm)
+    first = None
+    if start is not None:
+        first = start.rotation, start.translation_mm
+    elif points_mm is not None:
+        first = initial_pose_from_points(tool.markers_mm, points_mm)
+    if first is not None:
+        first = first[0][None], centred.centroid(*first)[None]
     found = _fit_from_start(equations, first, settings)
     if found.status is PoseStatus.INVALID and found.chi2 is not None:
         found = _exclude_outlier(equations, found, settings)
@@ -161,22 +167,6 @@ def _validate(
     return np.where(known, readings, np.nan), np.where(known, sigma, np.nan)
 
 
-def _initial_pose(
-    centred: CentredMarkers, tool: RigidBody, start: Transform | None, points_mm: Array | None
-) -> tuple[Array, Array] | None:
-    """Return initial rotations (1, 3, 3) and centroids (1, 3), if known."""
-    if start is not None:
-        rotation, translation = start.rotation, start.translation_mm
-    else:
-        initial = (
-            None if points_mm is None else initial_pose_from_points(tool.markers_mm, points_mm)
-        )
-        if initial is None:
-            return None
-        rotation, translation = initial
-    return rotation[None], centred.centroid(rotation, translation)[None]
-
-
 def _fit_from_start(
     equations: PoseEquations, first: tuple[Array, Array] | None, settings: PoseFitSettings
 ) -> PoseFit:
@@ -184,27 +174,23 @@ def _fit_from_start(
     limit = chi2_limit(
         len(equations.independent_whitening) - 6, settings.false_rejection_probability
     )
-    poses = None
-    if first is not None:
-        poses = solutions(equations, *first)
-        if not (poses.chi2 <= limit).any():
-            poses = None
-    if poses is None:
+    poses = None if first is None else solutions(equations, *first)
+    if poses is None or not (poses.chi2 <= limit).any():
         starts = initial_poses_from_readings(
             equations.model, equations.centred, equations.readings_px, equations.sigma_px
         )
         poses = solutions(equations, *starts)
     used = equations.used
     if len(poses.chi2) == 0 or not np.isfinite(poses.chi2[0]):
-        reason = "the readings' planes tell no place, or the search for one did not come to rest"
+        reason = "the readings' planes determine no position, or the search did not converge"
         return PoseFit(PoseStatus.MISSING, reason, used)
-    judged = observability(poses.gram[0, :6, :6], equations.centred, used, settings)
-    if not judged.observable:
-        return PoseFit(PoseStatus.MISSING, judged.reason, used)
+    motion = unobservable_motion(poses.gram[0, :6, :6], equations.centred, used, settings)
+    if motion is not None:
+        return PoseFit(PoseStatus.MISSING, motion, used)
     best = float(poses.chi2[0])
     if best > limit:
         reason = (
-            f"the readings do not fit the tool: chi2 is {best:.4g} where {limit:.4g} is the most "
+            f"the readings do not fit the tool: chi2 is {best:.4g}; at most {limit:.4g} is allowed "
             f"of {int(used.sum()) - 6} degrees of freedom"
         )
         return replace(_pose(equations, poses), status=PoseStatus.INVALID, reason=reason)
@@ -282,40 +268,34 @@ def _exclude_outlier(
     1968: ``w^2 = (Q r)^2 / Q_ii`` with ``Q = S^-1 - S^-1 J (J' S^-1 J)^-1 J' S^-1``); each is
     excluded in turn.
     """
-    count = int(equations.used.sum())
-    nothing = replace(PoseFit(PoseStatus.INVALID, whole.reason, equations.used), chi2=whole.chi2)
-    if settings.max_excluded < 1 or count - 1 < settings.min_readings:
-        return nothing
-    suspects = _suspects(equations, whole)
+    refused = PoseFit(PoseStatus.INVALID, whole.reason, equations.used, chi2=whole.chi2)
+    if settings.max_excluded < 1 or refused.readings_used - 1 < settings.min_readings:
+        return refused
     trials: list[tuple[float, PoseFit]] = []
-    for marker, sensor in suspects:
+    for marker, sensor in _suspects(equations, whole):
         readings = equations.readings_px.copy()
         readings[marker, sensor] = np.nan
         fewer = replace(equations, readings_px=readings)
         if missing_readings(equations.centred, fewer.used, settings) is not None:
             continue
         trial = _fit_from_start(fewer, None, settings)
-        if trial.status is PoseStatus.OK:
-            assert trial.chi2 is not None
+        if trial.status is PoseStatus.OK and trial.chi2 is not None:
             trials.append((trial.chi2, replace(trial, excluded=((marker, sensor),))))
-    trials.sort(key=lambda one: one[0])
     if not trials:
-        return nothing
-    if len(trials) > 1 and trials[1][0] <= trials[0][0] + settings.ambiguity_chi2_margin:
+        return refused
+    trials.sort(key=itemgetter(0))
+    (chi2, best), *others = trials
+    if others and others[0][0] <= chi2 + settings.ambiguity_chi2_margin:
         names = " or ".join(
             f"sensor {sensor + 1} of marker {marker + 1}"
             for _, trial in trials
             for marker, sensor in trial.excluded
         )
-        return replace(
-            nothing,
-            reason=f"one reading is wrong, and it is not clear which: {names}",
-        )
-    marker, sensor = trials[0][1].excluded[0]
-    return replace(
-        trials[0][1],
-        reason=f"the reading of marker {marker + 1} by sensor {sensor + 1} was left out as wrong",
-    )
+        reason = f"one reading is wrong, and it is not clear which: {names}"
+        return replace(refused, reason=reason)
+    marker, sensor = best.excluded[0]
+    reason = f"the reading of marker {marker + 1} by sensor {sensor + 1} was excluded as wrong"
+    return replace(best, reason=reason)
 
 
 def _suspects(equations: PoseEquations, whole: PoseFit) -> list[tuple[int, int]]:

@@ -38,14 +38,12 @@ def initial_pose_from_points(markers_mm: Array, points_mm: Array) -> tuple[Array
         None with fewer than three points, or collinear ones: they leave a rotation undetermined.
     """
     known = np.isfinite(points_mm).all(axis=1)
-    if known.sum() < 3:
-        return None
     source, target = markers_mm[known], points_mm[known]
+    if are_collinear(source) or are_collinear(target):
+        return None
     weight = np.full(len(source), 1.0 / len(source))
     centre_source, centre_target = weight @ source, weight @ target
     about_source, about_target = source - centre_source, target - centre_target
-    if are_collinear(source) or are_collinear(target):
-        return None
     rotation = nearest_rotation((about_target * weight[:, None]).T @ about_source)
     return rotation, centre_target - rotation @ centre_source
 
@@ -153,12 +151,7 @@ def _linearising_shift(model: MeasurementModel, place_mm: Array) -> Array:
 def _refine_rotations(rotations: Array, rest: Array, design: Array) -> tuple[Array, Array]:
     """Minimise |c + A vec(R)|^2 from K rotations; return rotations and sums of squares."""
     by_element = design.reshape(-1, 3, 3)
-
-    def residual(of: Array) -> Array:
-        found: Array = rest + of.reshape(-1, 9) @ design.T
-        return found
-
-    value = residual(rotations)
+    value = rest + rotations.reshape(-1, 9) @ design.T
     cost = (value**2).sum(axis=1)
     damping = np.full(len(rotations), 1e-3)
     for _ in range(REFINEMENT_STEPS):
@@ -173,7 +166,7 @@ def _refine_rotations(rotations: Array, rest: Array, design: Array) -> tuple[Arr
         length = np.linalg.norm(step, axis=1, keepdims=True)
         step *= np.minimum(1.0, 0.5 / np.maximum(length, 1e-12))
         trial = rotation_matrix(step) @ rotations
-        trial_value = residual(trial)
+        trial_value = rest + trial.reshape(-1, 9) @ design.T
         trial_cost = (trial_value**2).sum(axis=1)
         better = trial_cost <= cost
         rotations = np.where(better[:, None, None], trial, rotations)
@@ -185,16 +178,13 @@ def _refine_rotations(rotations: Array, rest: Array, design: Array) -> tuple[Arr
 
 def _separated(rotations: Array, cost: Array) -> NDArray[np.intp]:
     """Return indices of the rotations to keep, best first, none close to a better one."""
-    order = np.argsort(cost, kind="stable")
     near = 1.0 + 2.0 * np.cos(MIN_SEPARATION_RAD)
     traces = np.einsum("aij,bij->ab", rotations, rotations)
     kept: list[int] = []
-    for index in order:
-        if all(traces[index, other] < near for other in kept):
+    for index in np.argsort(cost, kind="stable"):
+        if (traces[index, kept] < near).all():
             kept.append(int(index))
-            if len(kept) == MAX_STARTS:
-                break
-    return np.array(kept, dtype=np.intp)
+    return np.array(kept[:MAX_STARTS], dtype=np.intp)
 
 
 _AXES: Final = cross_matrix(np.eye(3))

@@ -6,7 +6,7 @@ peak that still has two markers, or a marker that still has two peaks, is not us
 and false peaks are never resolved by a guess.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final
 
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from compute.measurement.measurement_model import MeasurementModel, PredictedMeasurements
 from compute.measurement.measurements import Measurements
-from compute.pose.filtering.imm_state import ImmState
+from compute.pose.filtering.imm import ImmState
 from compute.pose.filtering.pose_filter import (
     FilterUpdate,
     MeasurementPrediction,
@@ -43,7 +43,7 @@ MAX_EXCLUDED_NIS: Final = 25.0
 
 
 def without_tools(
-    measurements: Measurements, observations: Sequence["ToolObservation"]
+    measurements: Measurements, observations: Iterable["ToolObservation"]
 ) -> Measurements:
     """Return the measurements without the peaks that tools have taken; the indices stay.
 
@@ -164,7 +164,7 @@ class ToolObservation:
 
 def associate(
     model: MeasurementModel,
-    observations: list[ToolObservation],
+    observations: Collection[ToolObservation],
     measurements: Measurements,
     gate_probability: float,
     resolution_px: float,
@@ -216,20 +216,20 @@ def associate(
         strong = RIVAL_VARIANCE_RATIO * every.min(axis=0)
         wanted = (every <= strong) & (every < np.inf)
         claims = wanted.sum(axis=0)
-        found, open_still = False, bool((claims > 1).any())
+        any_updated, any_open = False, bool((claims > 1).any())
         for observation, one, offer in zip(active, prediction, offers, strict=True):
             known = offer < np.inf
             number = known.sum(axis=2, keepdims=True)
             single = known & (offer <= strong) & (claims == 1) & (number == 1)
             row, sensor, peak = np.nonzero(single)
             if len(row) and not observation.misfit:
-                found |= _update_from_peaks(
+                any_updated |= _update_from_peaks(
                     observation, one, measurements, row, sensor, peak, gate_probability
                 )
                 taken, where = np.nonzero(observation.peaks >= 0)
                 free[where, observation.peaks[taken, where]] = False
-            open_still |= bool((number > 1).any())
-        if not found or not open_still:
+            any_open |= bool((number > 1).any())
+        if not any_updated or not any_open:
             return
 
 
@@ -237,31 +237,24 @@ def _predict_observed(
     model: MeasurementModel, observations: list[ToolObservation], sigma_px: float
 ) -> list[MeasurementPrediction]:
     """Return the predicted readings of the lit markers of all tools, in one call of the cameras."""
-    arms = [
-        observation.centred.markers_mm[observation.lit] @ observation.state.rotation.T
-        for observation in observations
-    ]
+    arms = [one.centred.markers_mm[one.lit] @ one.state.rotation.T for one in observations]
     marker_positions = np.concatenate(
-        [
-            arm + observation.state.centroid_mm
-            for arm, observation in zip(arms, observations, strict=True)
-        ]
+        [arm + one.state.centroid_mm for arm, one in zip(arms, observations, strict=True)]
     )
     whole = model.predict(marker_positions, with_common_errors=True)
     focal = float(model.cameras.principal_distance_px.min())
-    found = []
+    predictions = []
     first = 0
     for arm, observation in zip(arms, observations, strict=True):
+        centred, lit, state = observation.centred, observation.lit, observation.state
         part = whole.part(first, first + len(arm))
         first += len(arm)
-        common = common_jacobian(part, observation.lit, observation.state.common.shape[1])
-        prediction = predict_measurement(observation.state, arm, part, common)
-        if needs_second_order(observation.state, observation.centred, prediction, focal, sigma_px):
-            prediction = second_order_prediction(
-                model, observation.centred, observation.lit, observation.state, prediction
-            )
-        found.append(prediction)
-    return found
+        common = common_jacobian(part, lit, state.common.shape[1])
+        prediction = predict_measurement(state, arm, part, common)
+        if needs_second_order(state, centred, prediction, focal, sigma_px):
+            prediction = second_order_prediction(model, centred, lit, state, prediction)
+        predictions.append(prediction)
+    return predictions
 
 
 def common_jacobian(
@@ -350,11 +343,11 @@ def _update_from_peaks(
     """Update a tool by its unambiguous peaks; return whether they fit."""
     some = prediction.of(row * observation.peaks.shape[1] + sensor)
     residual = measurements.position_px[sensor, peak] - some.value_px
-    deviation = np.sqrt(measurements.variance_px2[sensor, peak])
+    sigma = np.sqrt(measurements.variance_px2[sensor, peak])
     if observation.imm is None:
-        found = robust_update(observation.state, some, residual, deviation, probability)
+        found = robust_update(observation.state, some, residual, sigma, probability)
     else:
-        found = _update_imm(observation, some, residual, deviation, probability)
+        found = _update_imm(observation, some, residual, sigma, probability)
     if found is None:
         observation.misfit = True
         return False

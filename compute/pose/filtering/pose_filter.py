@@ -87,6 +87,8 @@ class PoseState:
     def reported_pose(self, centred: CentredMarkers) -> ReportedPose:
         """Return the reported pose of a tool with these markers."""
         here = self.covariance[:6, :6]
+        wx, wy, wz = self.angular_velocity_rad_s.tolist()
+        x, y, z = (self.rotation @ centred.centroid_mm).tolist()
         origin, tip = centred.origin_jacobian(self.rotation), centred.tip_jacobian(self.rotation)
         return ReportedPose(
             self.rotation,
@@ -95,7 +97,7 @@ class PoseState:
             origin @ here @ origin.T,
             self.centroid_mm + self.rotation @ centred.tip_mm,
             tip @ here @ tip.T,
-            origin_velocity(self, centred),
+            self.velocity_mm_s - np.array([wy * z - wz * y, wz * x - wx * z, wx * y - wy * x]),
         )
 
 
@@ -123,15 +125,8 @@ def initial_state(
     covariance[ANGULAR_VELOCITY, ANGULAR_VELOCITY] = (
         motion.angular_velocity_sigma_rad_s** 2 * np.eye(3)
     )
-    return PoseState(
-        time_ns,
-        rotation,
-        centroid_mm,
-        np.zeros(3),
-        np.zeros(3),
-        covariance,
-        np.zeros((STATES, common_errors)),
-    )
+    common, rest = np.zeros((STATES, common_errors)), np.zeros(3)
+    return PoseState(time_ns, rotation, centroid_mm, rest, rest, covariance, common)
 
 
 def predict(
@@ -324,28 +319,11 @@ def update(
         raise np.linalg.LinAlgError("the readings' covariance is not positive definite")
     solved, _ = dtrtrs(root, right, lower=1, overwrite_b=1)
     residual, gain = solved[:, 0], solved[:, 1 : 1 + STATES]
-    step = residual @ gain
     # Exactly symmetric: the product of a matrix with its own transpose.
     after = retract(
         state,
-        step,
+        residual @ gain,
         state.covariance - gain.T @ gain,
         state.common - gain.T @ solved[:, 1 + STATES :] if common_errors else state.common,
     )
     return FilterUpdate(after, float(residual @ residual), np.arange(count))
-
-
-def origin_velocity(state: PoseState, centred: CentredMarkers) -> Array:
-    """Return the velocity of the tool's origin, shape (3,) [mm/s].
-
-    Args:
-        state: the tool's state.
-        centred: its markers.
-    """
-    arm = state.rotation @ centred.centroid_mm
-    wx, wy, wz = state.angular_velocity_rad_s.tolist()
-    x, y, z = arm.tolist()
-    found: Array = state.velocity_mm_s - np.array(
-        [wy * z - wz * y, wz * x - wx * z, wx * y - wy * x]
-    )
-    return found

@@ -1,6 +1,7 @@
 """Absolute orientation: the rigid transform, or similarity, between two sets of paired points."""
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -8,7 +9,7 @@ from numpy.typing import NDArray
 
 from compute.camera.rotation import rotation_matrix
 from compute.errors import NoConvergence
-from compute.pose.transform import cross_matrix, nearest_rotation
+from compute.pose.transform import cross_matrix, nearest_rotation, point_jacobian
 
 Array = NDArray[np.float64]
 
@@ -45,12 +46,8 @@ class Similarity:
             scaled: whether the scale is free.
         """
         turned = self.scale * (points_mm @ self.rotation.T)
-        found = np.empty((*turned.shape, 7 if scaled else 6))
-        found[..., :3] = -cross_matrix(turned)
-        found[..., 3:6] = np.eye(3)
-        if scaled:
-            found[..., 6] = turned
-        return found
+        rigid = point_jacobian(turned)
+        return np.concatenate([rigid, turned[..., None]], axis=-1) if scaled else rigid
 
     def residual_covariance(self, source_covariance: Array, target_covariance: Array) -> Array:
         """Return the covariances of ``apply(source) - target``, shape (N, 3, 3) [mm^2].
@@ -65,13 +62,10 @@ class Similarity:
 
     def retract(self, step: Array) -> "Similarity":
         """Return the similarity corrected by an increment of its 6 or 7 parameters."""
-        scale = self.scale * float(np.exp(step[6])) if len(step) == 7 else self.scale
-        turn = rotation_matrix(step[:3])
-        return replace(
-            self,
-            rotation=nearest_rotation(turn @ self.rotation),
-            translation_mm=self.translation_mm + step[3:6],
-            scale=scale,
+        return Similarity(
+            nearest_rotation(rotation_matrix(step[:3]) @ self.rotation),
+            self.translation_mm + step[3:6],
+            self.scale * float(np.exp(step[6])) if len(step) == 7 else self.scale,
         )
 
 
@@ -147,8 +141,14 @@ def fit_weighted_similarity(
     centred = source - centre
     found = fit_isotropic_similarity(centred, target, 1.0 / size, scaled)
     length = float(np.sqrt((centred**2).sum(axis=1).mean()))
-    chi2, information, residual = _misfit(found, centred, target, source_covariance,
-                                          target_covariance)  # fmt: skip
+    misfit = partial(
+        _misfit,
+        source=centred,
+        target=target,
+        source_covariance=source_covariance,
+        target_covariance=target_covariance,
+    )
+    chi2, information, residual = misfit(found)
     for _ in range(_STEPS):
         turn = found.scale * found.rotation
         pull = np.einsum("nij,nj->ni", information, residual)
@@ -159,7 +159,7 @@ def fit_weighted_similarity(
         # With exchanged points full steps may oscillate.
         for _ in range(_HALVINGS):
             tried = found.retract(step)
-            after = _misfit(tried, centred, target, source_covariance, target_covariance)
+            after = misfit(tried)
             if after[0] <= chi2 * (1.0 + 1e-12) + 1e-15:
                 break
             step = 0.5 * step
@@ -200,8 +200,5 @@ def _misfit(
     covariance = found.residual_covariance(source_covariance, target_covariance)
     information = np.asarray(np.linalg.inv(covariance), np.float64)
     residual = found.apply(source) - target
-    return (
-        float(np.einsum("ni,nij,nj->", residual, information, residual)),
-        information,
-        residual,
-    )
+    chi2 = float(np.einsum("ni,nij,nj->", residual, information, residual))
+    return chi2, information, residual

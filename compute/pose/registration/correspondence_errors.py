@@ -1,6 +1,7 @@
 """Correspondence errors of a registration: exchanged or misplaced fiducials."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import combinations, permutations
 from typing import Final, Literal
 
@@ -58,6 +59,10 @@ class _Hypotheses:
         return int(np.argmin(self.squares))
 
     @property
+    def min_square(self) -> float:
+        return float(self.squares[self.best])
+
+    @property
     def dof(self) -> int:
         return 3 * int(self.kept.shape[1]) - 6
 
@@ -83,55 +88,130 @@ def find_correspondence_errors(
         well as the given one, best first: an exchange to one of these does not show in the
         residuals.
     """
-    orders = _orders(source, target, variance_mm2)
-    return (
-        _find_errors(source, target, variance_mm2, orders),
-        _symmetric_orders(source, target, variance_mm2, orders),
-    )
+    pairs = _Pairs(source, target, variance_mm2)
+    orders = pairs.orders()
+    return pairs.find_errors(orders), pairs.symmetric_orders(orders)
 
 
-def _find_errors(
-    source: Array, target: Array, variance_mm2: Array | None, orders: list[_Hypotheses]
-) -> CorrespondenceErrors | None:
-    given = _squares(source, target, np.arange(len(source))[None], variance_mm2)
-    dof = 3 * len(source) - 6
-    if variance_mm2 is not None and chi_square.sf(given.squares[0], dof) > SIGNIFICANCE:
+@dataclass(frozen=True, eq=False)
+class _Pairs:
+    """The pairs of a registration."""
+
+    source: Array
+    target: Array
+    variance: Array | None
+
+    @cached_property
+    def given(self) -> _Hypotheses:
+        return self.squares(np.arange(len(self.source))[None])
+
+    def find_errors(self, orders: list[_Hypotheses]) -> CorrespondenceErrors | None:
+        known = self.variance is not None
+        if known and chi_square.sf(self.given.squares[0], self.given.dof) > SIGNIFICANCE:
+            return None
+        # Exclusions come last: an exchange that explains the misfit needs no wrong point.
+        tried = [*orders, *self.exclusions()]
+        count = sum(len(one.squares) for one in tried)
+        least, least_dof = min((one.min_square / one.dof, one.dof) for one in tried)
+        for one in tried:
+            p_value = count * _p_value(self.given, one, known)
+            # A hypothesis with a clearly larger misfit than another one is not the explanation.
+            if known:
+                as_good = chi_square.sf(one.min_square, one.dof) > SIGNIFICANCE
+            else:
+                limit = max(least, 1e-300) * fisher.isf(0.01, one.dof, least_dof)
+                as_good = one.min_square / one.dof <= limit
+            if p_value < SIGNIFICANCE and as_good:
+                return self.describe(one, min(float(p_value), 1.0))
         return None
-    # Exclusions come last: an exchange that explains the misfit needs no wrong point.
-    tried = [*orders, *_exclusions(source, target, variance_mm2)]
-    count = sum(len(one.squares) for one in tried)
-    least = min((float(one.squares[one.best]) / one.dof, one.dof) for one in tried)
-    for one in tried:
-        p_value = count * _p_value(given, one, variance_mm2 is not None)
-        mean = one.squares[one.best] / one.dof
-        # A hypothesis with a clearly larger misfit than another one is not the explanation.
-        as_good = mean <= max(least[0], 1e-300) * fisher.isf(0.01, one.dof, least[1])
-        if variance_mm2 is not None:
-            as_good = chi_square.sf(one.squares[one.best], one.dof) > SIGNIFICANCE
-        if p_value < SIGNIFICANCE and as_good:
-            return _describe(source, target, one, min(float(p_value), 1.0))
-    return None
 
+    def symmetric_orders(self, orders: list[_Hypotheses]) -> tuple[tuple[int, ...], ...]:
+        dof = self.given.dof
+        if self.variance is None:
+            bound = max(self.given.squares[0], 1e-18) * fisher.isf(SYMMETRY_PROBABILITY, dof, dof)
+        else:
+            bound = chi_square.isf(SYMMETRY_PROBABILITY, dof)
+        found = [
+            (float(tried.squares[one]), tuple(tried.order[one].tolist()))
+            for tried in orders
+            for one in np.flatnonzero(tried.squares <= bound)
+        ]
+        return tuple(order for _, order in sorted(found))
 
-def _symmetric_orders(
-    source: Array, target: Array, variance_mm2: Array | None, orders: list[_Hypotheses]
-) -> tuple[tuple[int, ...], ...]:
-    given = _squares(source, target, np.arange(len(source))[None], variance_mm2)
-    dof = given.dof
-    if variance_mm2 is None:
-        bound = max(given.squares[0], 1e-18) * fisher.isf(SYMMETRY_PROBABILITY, dof, dof)
-    else:
-        bound = chi_square.isf(SYMMETRY_PROBABILITY, dof)
-    found = []
-    for tried in orders:
-        near = np.flatnonzero(tried.squares <= bound)
-        found += [(float(tried.squares[one]), tuple(tried.order[one].tolist())) for one in near]
-    return tuple(order for _, order in sorted(found))
+    def orders(self) -> list[_Hypotheses]:
+        """Return the other orders of the targets, by the number of pairs that they change."""
+        count = len(self.source)
+        rows: dict[int, list[list[int]]] = {}
+        if count <= _MAX_EXHAUSTIVE_PAIRS:
+            for order in permutations(range(count)):
+                moved = sum(one != goal for one, goal in enumerate(order))
+                rows.setdefault(moved, []).append([*order])
+            rows.pop(0)
+        else:
+            worst = self.worst()
+            rows[2] = [_cycle(count, two) for two in combinations(sorted(worst), 2)]
+            rows[3] = [
+                _cycle(count, ring)
+                for a, b, c in combinations(sorted(worst[:_MAX_CYCLE_PAIRS]), 3)
+                for ring in ((a, b, c), (a, c, b))
+            ]
+        return [self.squares(np.array(rows[moved], np.intp)) for moved in sorted(rows)]
+
+    def exclusions(self) -> list[_Hypotheses]:
+        count = len(self.source)
+        every, found = np.arange(count), []
+        for left_out in (1, 2):
+            # Fewer than four pairs, or three degrees of freedom, fit by chance.
+            if 3 * (count - left_out) - 6 < _MIN_DOF + 3 * (left_out - 1):
+                continue
+            out = combinations(sorted(self.worst()), left_out)
+            kept = np.array([np.setdiff1d(every, one) for one in out])
+            found.append(self.squares(np.broadcast_to(every, (len(kept), count)), kept))
+        return found
+
+    def worst(self) -> list[int]:
+        """Return the pairs with the largest residuals, largest first."""
+        weights = np.ones(len(self.source)) if self.variance is None else 1.0 / self.variance
+        fitted = fit_isotropic_similarity(self.source, self.target, weights)
+        off = np.linalg.norm(fitted.apply(self.source) - self.target, axis=1) * np.sqrt(weights)
+        worst: list[int] = np.argsort(-off)[:_MAX_SWAP_PAIRS].tolist()
+        return worst
+
+    def squares(self, order: NDArray[np.intp], kept: NDArray[np.intp] | None = None) -> _Hypotheses:
+        """Return the least sum of weighted squares of each of E orders over rigid transforms."""
+        rows = np.broadcast_to(np.arange(order.shape[1]), order.shape) if kept is None else kept
+        x, y = self.source[rows], self.target[np.take_along_axis(order, rows, axis=1)]
+        weights = np.ones(rows.shape) if self.variance is None else 1.0 / self.variance[rows]
+        share = weights / weights.sum(axis=1, keepdims=True)
+        x = x - np.einsum("en,eni->ei", share, x)[:, None]
+        y = y - np.einsum("en,eni->ei", share, y)[:, None]
+        cross_covariance = np.einsum("en,eni,enj->eij", weights, y, x)
+        a, b, c = np.linalg.svd(cross_covariance, compute_uv=False).T
+        turned = a + b + np.sign(np.linalg.det(cross_covariance)) * c
+        total = np.einsum("en,eni->e", weights, x**2 + y**2)
+        return _Hypotheses(order, rows, np.maximum(total - 2.0 * turned, 0.0))
+
+    def describe(self, tried: _Hypotheses, p_value: float) -> CorrespondenceErrors:
+        order, kept = tried.order[tried.best], tried.kept[tried.best]
+        every = np.arange(len(order))
+        moved = np.flatnonzero(order != every)
+        wrong = moved if len(moved) else np.setdiff1d(every, kept)
+        unweighted = replace(self, variance=None)
+        before = unweighted.given.squares[0] / len(every)
+        after = unweighted.squares(order[None], kept[None]).squares[0] / len(kept)
+        return CorrespondenceErrors(
+            "exchanged" if len(moved) else "misplaced",
+            tuple(wrong.tolist()),
+            tuple(order.tolist()),
+            float(np.sqrt(before)),
+            float(np.sqrt(after)),
+            p_value,
+        )
 
 
 def _p_value(given: _Hypotheses, tried: _Hypotheses, known: bool) -> float:
     """Return the probability that noise makes the given order this much worse."""
-    before, after = float(given.squares[0]), float(tried.squares[tried.best])
+    before, after = float(given.squares[0]), tried.min_square
     fewer = given.dof - tried.dof
     if known:
         return float(chi_square.sf(before - after, fewer or given.dof))
@@ -142,91 +222,8 @@ def _p_value(given: _Hypotheses, tried: _Hypotheses, known: bool) -> float:
     return float(fisher.sf(before / after, given.dof, tried.dof))
 
 
-def _orders(source: Array, target: Array, variance: Array | None) -> list[_Hypotheses]:
-    count = len(source)
-    rows: dict[int, list[list[int]]] = {}
-    if count <= _MAX_EXHAUSTIVE_PAIRS:
-        for order in permutations(range(count)):
-            rows.setdefault(int((np.array(order) != np.arange(count)).sum()), []).append([*order])
-        rows.pop(0)
-    else:
-        off = _residuals(source, target, variance)
-        worst = np.argsort(-off)
-        for two in combinations(sorted(worst[:_MAX_SWAP_PAIRS].tolist()), 2):
-            rows.setdefault(2, []).append(_cycle(count, two))
-        for a, b, c in combinations(sorted(worst[:_MAX_CYCLE_PAIRS].tolist()), 3):
-            rows.setdefault(3, []).extend([_cycle(count, (a, b, c)), _cycle(count, (a, c, b))])
-    return [
-        _squares(source, target, np.array(rows[moved], np.intp), variance) for moved in sorted(rows)
-    ]
-
-
 def _cycle(count: int, ring: tuple[int, ...]) -> list[int]:
     order = list(range(count))
     for here, there in zip(ring, (*ring[1:], ring[0]), strict=True):
         order[here] = there
     return order
-
-
-def _exclusions(source: Array, target: Array, variance: Array | None) -> list[_Hypotheses]:
-    count = len(source)
-    found = []
-    for left_out in (1, 2):
-        # Fewer than four pairs, or three degrees of freedom, fit by chance.
-        if 3 * (count - left_out) - 6 < _MIN_DOF + 3 * (left_out - 1):
-            continue
-        worst = sorted(np.argsort(-_residuals(source, target, variance))[:_MAX_SWAP_PAIRS].tolist())
-        kept = np.array(
-            [np.setdiff1d(np.arange(count), out) for out in combinations(worst, left_out)]
-        )
-        same = np.broadcast_to(np.arange(count), (len(kept), count))
-        found.append(_squares(source, target, same, variance, kept))
-    return found
-
-
-def _residuals(source: Array, target: Array, variance: Array | None) -> Array:
-    weights = np.ones(len(source)) if variance is None else 1.0 / variance
-    off = fit_isotropic_similarity(source, target, weights).apply(source) - target
-    sizes: Array = np.linalg.norm(off, axis=1) * np.sqrt(weights)
-    return sizes
-
-
-def _squares(
-    source: Array,
-    target: Array,
-    order: NDArray[np.intp],
-    variance: Array | None,
-    kept: NDArray[np.intp] | None = None,
-) -> _Hypotheses:
-    """Return the least sum of weighted squares of each of E orders over all rigid transforms."""
-    rows = np.broadcast_to(np.arange(order.shape[1]), order.shape) if kept is None else kept
-    goals = np.take_along_axis(order, rows, axis=1)
-    x, y = source[rows], target[goals]
-    weights = np.ones(rows.shape) if variance is None else 1.0 / variance[rows]
-    share = weights / weights.sum(axis=1, keepdims=True)
-    x = x - np.einsum("en,eni->ei", share, x)[:, None]
-    y = y - np.einsum("en,eni->ei", share, y)[:, None]
-    cross_covariance = np.einsum("en,eni,enj->eij", weights, y, x)
-    values = np.linalg.svd(cross_covariance, compute_uv=False)
-    turned = values[:, 0] + values[:, 1] + np.sign(np.linalg.det(cross_covariance)) * values[:, 2]
-    total = np.einsum("en,eni->e", weights, x**2 + y**2)
-    return _Hypotheses(order, rows, np.maximum(total - 2.0 * turned, 0.0))
-
-
-def _describe(
-    source: Array, target: Array, tried: _Hypotheses, p_value: float
-) -> CorrespondenceErrors:
-    order, kept = tried.order[tried.best], tried.kept[tried.best]
-    every = np.arange(len(order))
-    moved = np.flatnonzero(order != every)
-    wrong = moved if len(moved) else np.setdiff1d(every, kept)
-    before = _squares(source, target, every[None], None).squares[0] / len(every)
-    after = _squares(source, target, order[None], None, kept[None]).squares[0] / len(kept)
-    return CorrespondenceErrors(
-        "exchanged" if len(moved) else "misplaced",
-        tuple(wrong.tolist()),
-        tuple(order.tolist()),
-        float(np.sqrt(before)),
-        float(np.sqrt(after)),
-        p_value,
-    )

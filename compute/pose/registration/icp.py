@@ -1,6 +1,6 @@
 """Surface registration: iterative closest points (ICP) refines a registration by surface points."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -12,13 +12,12 @@ from compute.errors import (
     HighError,
     InvalidParameter,
     NoConvergence,
-    NonFiniteValue,
     TooFewPoints,
     UndeterminedParameters,
 )
 from compute.pose.registration.absolute_orientation import fit_isotropic_similarity
 from compute.pose.registration.surface import Surface
-from compute.pose.transform import Transform, cross_matrix, nearest_rotation
+from compute.pose.transform import Transform, cross_matrix, finite_points, nearest_rotation
 from compute.robust_statistics import MAD_OF_NORMAL
 
 Array = NDArray[np.float64]
@@ -137,19 +136,15 @@ def register_surface(
         InvalidParameter, NonFiniteValue: the points are of a wrong shape, or not finite.
     """
     wanted = settings or IcpSettings()
-    surface = _ReportingSurface(surface, tell)
-    points = np.asarray(points_mm, np.float64)
-    if points.ndim != 2 or points.shape[1] != 3:
-        raise InvalidParameter(f"the points have shape {points.shape}; it must be (N, 3)")
-    if not np.isfinite(points).all():
-        raise NonFiniteValue("the points have values that are not finite")
+    points = finite_points(points_mm, "points_mm")
     if len(points) < wanted.min_points:
         raise TooFewPoints(
             f"{len(points)} points on the surface; at least {wanted.min_points} are needed",
             points=len(points),
             needed=wanted.min_points,
         )
-    alignment = _iterate(points, surface, start.rotation, start.translation_mm, wanted)
+    search = _Icp(surface, tell, wanted)
+    alignment = search.iterate(points, start.rotation, start.translation_mm)
     centre = alignment.moved[alignment.kept].mean(axis=0)
     length, normal = _stiffness(alignment, centre)
     values, axes = np.linalg.eigh(normal)
@@ -158,10 +153,8 @@ def register_surface(
     if stiffness_ratio < wanted.min_stiffness_ratio:
         raise UndeterminedParameters(
             f"the surface does not hold {weakest_motion}: its stiffness is {stiffness_ratio:.1e} "
-            "of the best held "
-            f"motion's; at least {wanted.min_stiffness_ratio:.0e} is needed. Take points where "
-            "the surface "
-            "bends another way",
+            f"of the best held motion's; at least {wanted.min_stiffness_ratio:.0e} is needed. Take "
+            "points where the surface bends another way",
             stiffness_ratio=stiffness_ratio,
             needed=wanted.min_stiffness_ratio,
             motion=weakest_motion,
@@ -173,7 +166,7 @@ def register_surface(
             rms_mm=alignment.rms,
             max_mm=wanted.max_rms_mm,
         )
-    other = _alternative_minimum(points, surface, start, wanted, alignment, length)
+    other = _alternative_minimum(search, points, start, alignment, length)
     return IcpRegistration(
         Transform(
             alignment.rotation,
@@ -192,102 +185,70 @@ def register_surface(
 
 
 @dataclass(frozen=True, eq=False)
-class _ReportingSurface:
-    """A surface that tells of every look at it."""
-
+class _Icp:
     surface: Surface
     tell: Callable[[], None]
+    settings: IcpSettings
 
-    @property
-    def exact_normals(self) -> bool:
-        return self.surface.exact_normals
+    def iterate(self, points: Array, rotation: Array, translation: Array) -> _Alignment:
+        """Return where steps end that bring the points nearer, whole or halved."""
+        spread = float(np.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=1).mean()))
+        here = self.align(points, rotation, translation)
+        steps = 0
+        while steps < self.settings.max_steps:
+            step, centre = self.step(here)
+            for _ in range(_HALVINGS):
+                steps += 1
+                turn = rotation_matrix(step[:3])
+                there = self.align(
+                    points,
+                    nearest_rotation(turn @ here.rotation),
+                    turn @ (here.translation - centre) + centre + step[3:],
+                )
+                if there.misfit < here.misfit:
+                    break
+                step = 0.5 * step
+            gained = here.misfit - there.misfit
+            if gained > 0.0:
+                here = there
+            size = float(spread * np.linalg.norm(step[:3]) + np.linalg.norm(step[3:]))
+            if gained <= _MIN_RELATIVE_GAIN * here.misfit or size < 1e-9 * spread:
+                return replace(here, steps=steps)
+        raise NoConvergence(
+            f"the surface registration did not end in {self.settings.max_steps} steps; the last "
+            f"moved the points by {size:.2g} mm, and they are {here.rms:.3g} mm RMS off the surface"
+        )
 
-    def nearest(self, points_mm: Array) -> tuple[Array, Array]:
+    def align(self, points: Array, rotation: Array, translation: Array) -> _Alignment:
+        """Return how the points lie beside the surface after a motion."""
+        moved = points @ rotation.T + translation
         self.tell()
-        return self.surface.nearest(points_mm)
+        places, normals = self.surface.nearest(moved)
+        off = moved - places
+        along = (off * normals).sum(axis=1)
+        distance = np.linalg.norm(off, axis=1)
+        kept = np.zeros(len(points), bool)
+        keep = max(int(np.ceil((1.0 - self.settings.trim) * len(points))), 6)
+        kept[np.argsort(distance, kind="stable")[:keep]] = True
+        counted = along if self.surface.exact_normals else distance
+        misfit = float((counted[kept] ** 2).sum())
+        rms = float(np.sqrt((distance[kept] ** 2).mean()))
+        return _Alignment(
+            rotation, translation, moved, places, normals, along, distance, kept, misfit, rms
+        )
 
-
-def _iterate(
-    points: Array, surface: Surface, rotation: Array, translation: Array, wanted: IcpSettings
-) -> _Alignment:
-    """Return where steps end that bring the points nearer, whole or halved."""
-    spread = float(np.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=1).mean()))
-    here = _align(points, surface, rotation, translation, wanted)
-    steps = 0
-    while steps < wanted.max_steps:
-        kept = here.kept
-        if surface.exact_normals:
-            step, centre = _point_to_plane_step(
-                here.moved[kept], here.normals[kept], here.along[kept]
-            )
-        else:
-            step, centre = _point_to_point_step(here.moved[kept], here.places[kept])
-        for _ in range(_HALVINGS):
-            steps += 1
-            turn = rotation_matrix(step[:3])
-            there = _align(
-                points,
-                surface,
-                nearest_rotation(turn @ here.rotation),
-                turn @ (here.translation - centre) + centre + step[3:],
-                wanted,
-            )
-            if there.misfit < here.misfit:
-                break
-            step = 0.5 * step
-        gained = here.misfit - there.misfit
-        if gained > 0.0:
-            here = there
-        size = float(spread * np.linalg.norm(step[:3]) + np.linalg.norm(step[3:]))
-        if gained <= _MIN_RELATIVE_GAIN * here.misfit or size < 1e-9 * spread:
-            return replace(here, steps=steps)
-    raise NoConvergence(
-        f"the surface registration did not end in {wanted.max_steps} steps; the last moved the "
-        f"points by {size:.2g} mm, and they are {here.rms:.3g} mm RMS off the surface"
-    )
-
-
-def _align(
-    points: Array, surface: Surface, rotation: Array, translation: Array, wanted: IcpSettings
-) -> _Alignment:
-    """Return how the points lie beside the surface after a motion."""
-    moved = points @ rotation.T + translation
-    places, normals = surface.nearest(moved)
-    off = moved - places
-    along = (off * normals).sum(axis=1)
-    distance = np.linalg.norm(off, axis=1)
-    kept = np.zeros(len(points), bool)
-    keep = max(int(np.ceil((1.0 - wanted.trim) * len(points))), 6)
-    kept[np.argsort(distance, kind="stable")[:keep]] = True
-    counted = along if surface.exact_normals else distance
-    return _Alignment(
-        rotation,
-        translation,
-        moved,
-        places,
-        normals,
-        along,
-        distance,
-        kept,
-        float((counted[kept] ** 2).sum()),
-        float(np.sqrt((distance[kept] ** 2).mean())),
-    )
-
-
-def _point_to_point_step(moved: Array, places: Array) -> tuple[Array, Array]:
-    """Return the motion (turn, shift) about their middle that takes points to places."""
-    found = fit_isotropic_similarity(moved, places, np.ones(len(moved)))
-    centre = moved.mean(axis=0)
-    turn = rotation_vector(found.rotation)
-    return np.concatenate([turn, found.apply(centre) - centre]), centre
-
-
-def _point_to_plane_step(moved: Array, normals: Array, along: Array) -> tuple[Array, Array]:
-    """Return the small motion about their middle that takes points to planes at their places."""
-    centre = moved.mean(axis=0)
-    jacobian = np.concatenate([np.cross(moved - centre, normals), normals], axis=1)
-    # Motions that the surface does not constrain are left unchanged (and reported afterwards).
-    return -np.linalg.lstsq(jacobian, along, rcond=1e-6)[0], centre
+    def step(self, here: _Alignment) -> tuple[Array, Array]:
+        """Return the motion (rotation, shift) of the kept points about their centre, and this."""
+        moved = here.moved[here.kept]
+        centre = moved.mean(axis=0)
+        if not self.surface.exact_normals:
+            found = fit_isotropic_similarity(moved, here.places[here.kept], np.ones(len(moved)))
+            turn = rotation_vector(found.rotation)
+            return np.concatenate([turn, found.apply(centre) - centre]), centre
+        normals = here.normals[here.kept]
+        jacobian = np.concatenate([np.cross(moved - centre, normals), normals], axis=1)
+        # Motions that the surface does not constrain are left unchanged (and reported afterwards).
+        return -np.linalg.lstsq(jacobian, here.along[here.kept], rcond=1e-6)[0], centre
 
 
 def _stiffness(alignment: _Alignment, centre: Array) -> tuple[float, Array]:
@@ -316,53 +277,52 @@ def _covariance(alignment: _Alignment, normal: Array, centre: Array, length: flo
 
 def _describe_motion(motion: Array, centre: Array) -> str:
     turn, shift = np.linalg.norm(motion[:3]), np.linalg.norm(motion[3:])
-    way = motion[:3] / turn if turn > shift else motion[3:] / shift
-    told = ", ".join(f"{one:.2f}" for one in way)
     if turn > shift:
-        place = ", ".join(f"{one:.1f}" for one in centre)
-        return f"a turn about ({told}) near ({place}) mm"
-    return f"a shift along ({told})"
+        x, y, z = motion[:3] / turn
+        near = ", ".join(f"{one:.1f}" for one in centre)
+        return f"a turn about ({x:.2f}, {y:.2f}, {z:.2f}) near ({near}) mm"
+    x, y, z = motion[3:] / shift
+    return f"a shift along ({x:.2f}, {y:.2f}, {z:.2f})"
 
 
 def _alternative_minimum(
-    points: Array,
-    surface: Surface,
-    start: Transform,
-    wanted: IcpSettings,
-    alignment: _Alignment,
-    length: float,
+    search: _Icp, points: Array, start: Transform, alignment: _Alignment, length: float
 ) -> _Alignment | None:
-    """Return the best of the answers from other starts that is another one, and about as good."""
-    centre = start.apply(points.mean(axis=0))
+    """Return the best result from other starts that is another one, and about as good."""
     # A subset of the points finds the minimum of each start; all points refine it.
     some = points[:: max(1, len(points) // _MIN_RESTART_POINTS)]
     here = alignment
     if len(some) < len(points):
         try:
-            here = _iterate(some, surface, alignment.rotation, alignment.translation, wanted)
+            here = search.iterate(some, alignment.rotation, alignment.translation)
         except NoConvergence:
             some = points
 
-    def other(tried: _Alignment, here: _Alignment) -> bool:
+    def is_other(tried: _Alignment, here: _Alignment) -> bool:
         apart = np.sqrt(((tried.moved - here.moved) ** 2).sum(axis=1).mean())
         return bool(apart > max(here.rms, 1e-3 * length) and tried.rms <= 1.5 * here.rms)
 
     found: list[_Alignment] = []
-    for axis in np.concatenate([np.eye(3), -np.eye(3)]):
-        starts = []
-        if wanted.start_turn_rad > 0.0:
-            turn = rotation_matrix(wanted.start_turn_rad * axis)
-            about = turn @ (start.translation_mm - centre) + centre
-            starts.append((turn @ start.rotation, about))
-        if wanted.start_shift_mm > 0.0:
-            starts.append((start.rotation, start.translation_mm + wanted.start_shift_mm * axis))
-        for rotation, translation in starts:
-            try:
-                tried = _iterate(some, surface, rotation, translation, wanted)
-                if other(tried, here) and here is not alignment:
-                    tried = _iterate(points, surface, tried.rotation, tried.translation, wanted)
-            except NoConvergence:
-                continue
-            if len(tried.moved) == len(points) and other(tried, alignment):
-                found.append(tried)
+    for rotation, translation in _other_starts(points, start, search.settings):
+        try:
+            tried = search.iterate(some, rotation, translation)
+            if is_other(tried, here) and here is not alignment:
+                tried = search.iterate(points, tried.rotation, tried.translation)
+        except NoConvergence:
+            continue
+        if len(tried.moved) == len(points) and is_other(tried, alignment):
+            found.append(tried)
     return min(found, key=lambda one: one.rms, default=None)
+
+
+def _other_starts(
+    points: Array, start: Transform, settings: IcpSettings
+) -> Iterator[tuple[Array, Array]]:
+    """Yield rotation and translation of the start, rotated and shifted along three axes."""
+    centre = start.apply(points.mean(axis=0))
+    for axis in np.concatenate([np.eye(3), -np.eye(3)]):
+        if settings.start_turn_rad > 0.0:
+            turn = rotation_matrix(settings.start_turn_rad * axis)
+            yield turn @ start.rotation, turn @ (start.translation_mm - centre) + centre
+        if settings.start_shift_mm > 0.0:
+            yield start.rotation, start.translation_mm + settings.start_shift_mm * axis

@@ -6,6 +6,7 @@ from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import chi2 as chi_square
 
 from compute.errors import (
     CollinearPoints,
@@ -24,12 +25,7 @@ from compute.pose.registration.correspondence_errors import (
     CorrespondenceErrors,
     find_correspondence_errors,
 )
-from compute.pose.registration.registration_messages import (
-    collinearity_messages,
-    misfit_messages,
-    symmetry_messages,
-)
-from compute.pose.transform import Transform
+from compute.pose.transform import Transform, finite_points
 
 Array = NDArray[np.float64]
 
@@ -40,6 +36,9 @@ MIN_HEIGHT: Final = 0.01
 _MAX_ROTATION_SIGMA_RAD: Final = 1.0 / 3.0
 _UNIT: Final = np.eye(3)
 _DUPLICATE_TOLERANCE: Final = 1e-6
+_NEARLY_COLLINEAR: Final = 0.1
+"""Fiducials flatter than this, as MIN_HEIGHT, are warned of."""
+_MISFIT_PROBABILITY: Final = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +130,7 @@ def register_points(
         InvalidParameter, NonFiniteValue: an array is of a wrong shape, or not finite.
         NoConvergence: the weighted fit did not converge.
     """
-    source, target = _points(source_mm, "source"), _points(target_mm, "target")
+    source, target = finite_points(source_mm, "the source"), finite_points(target_mm, "the target")
     count = len(source)
     if len(target) != count:
         raise InvalidParameter(f"{count} source points and {len(target)} target points; pair them")
@@ -150,11 +149,9 @@ def register_points(
     target_covariances = _covariances(target_covariance_mm2, count, "target")
     _check_distinct(source, "source", called)
     _check_distinct(target, "target", called)
-    variance = np.trace(source_covariances + target_covariances, axis1=1, axis2=2) / 3.0
-    if (
-        known
-        and not (np.linalg.eigvalsh(source_covariances + target_covariances)[:, 0] > 0.0).all()
-    ):
+    both = source_covariances + target_covariances
+    variance = np.trace(both, axis1=1, axis2=2) / 3.0
+    if known and not (np.linalg.eigvalsh(both)[:, 0] > 0.0).all():
         raise InvalidParameter("the covariances of a pair, both sides added, must be positive")
     for points, side in ((source, "source"), (target, "target")):
         _check_not_collinear(points, side, float(np.sqrt(variance.mean())) if known else 0.0)
@@ -174,11 +171,13 @@ def register_points(
         shrunk, target, variance if known else None
     )
     similarity = fit.similarity
-    warnings = [
-        *misfit_messages(fit.chi2 if known else None, dof, correspondence_errors, called),
-        *symmetry_messages(others, correspondence_errors, called),
-        *collinearity_messages(*principal_line(source), covariance, known),
-    ]
+    warnings: list[str | None]
+    if correspondence_errors is not None:
+        warnings = [_wrong_pairs_message(correspondence_errors, called)]
+    else:
+        misfit = _misfit_message(fit.chi2, dof) if known else None
+        warnings = [misfit, _symmetry_message(others, called)]
+    warnings.append(_collinearity_message(source, covariance, known))
     return Registration(
         Transform(similarity.rotation, similarity.translation_mm, covariance[:6, :6]),
         similarity.scale,
@@ -189,18 +188,8 @@ def register_points(
         float(np.sqrt(3.0 * variance.mean())) if known else None,
         float(np.sqrt(fit.chi2 / dof)) if known else None,
         correspondence_errors,
-        tuple(warnings),
+        tuple(message for message in warnings if message is not None),
     )
-
-
-def _points(given: Array, side: str) -> Array:
-    points = np.asarray(given, dtype=np.float64)
-    if points.ndim != 2 or points.shape[1] != 3:
-        raise InvalidParameter(f"the {side} has shape {points.shape}; it must be (N, 3)")
-    if not np.isfinite(points).all():
-        bad = int(np.argmin(np.isfinite(points).all(axis=1)))
-        raise NonFiniteValue(f"point {bad + 1} of the {side} is {points[bad].tolist()}")
-    return points
 
 
 def _covariances(given: Array | None, count: int, side: str) -> Array:
@@ -232,12 +221,57 @@ def _check_distinct(points: Array, side: str, names: Sequence[str]) -> None:
         )
 
 
+def _wrong_pairs_message(errors: CorrespondenceErrors, names: Sequence[str]) -> str:
+    wrong = ", ".join(f'"{names[one]}"' for one in errors.pairs)
+    falls = (
+        f"the RMS residual falls from {errors.rms_before_mm:.3g} to {errors.rms_after_mm:.3g} mm"
+    )
+    if errors.kind == "exchanged":
+        goes = ", ".join(f'"{names[one]}" to "{names[errors.order[one]]}"' for one in errors.pairs)
+        return f"fiducials {wrong} are exchanged: {falls} with {goes}"
+    if len(errors.pairs) == 1:
+        return f"fiducial {wrong} is not where it should be: {falls} without it"
+    return f"fiducials {wrong} are not where they should be: {falls} without them"
+
+
+def _misfit_message(chi2: float, dof: int) -> str | None:
+    if chi_square.sf(chi2, dof) >= _MISFIT_PROBABILITY:
+        return None
+    return (
+        f"the residuals are {np.sqrt(chi2 / dof):.3g} standard deviations, which noise causes in "
+        f"less than one of {1.0 / _MISFIT_PROBABILITY:.0f}, and no exchange or exclusion of pairs "
+        "explains them: the covariances are too small, or something moved"
+    )
+
+
+def _symmetry_message(others: tuple[tuple[int, ...], ...], names: Sequence[str]) -> str | None:
+    if not others:
+        return None
+    moved = ", ".join(f'"{names[one]}"' for one, goal in enumerate(others[0]) if one != goal)
+    return (
+        f"fiducials {moved} are placed so that they fit as well in another order: an exchange "
+        "would not be seen; one more fiducial away from their symmetry would show it"
+    )
+
+
+def _collinearity_message(source: Array, covariance: Array, known: bool) -> str | None:
+    along, off = principal_line(source)
+    if off >= _NEARLY_COLLINEAR * along:
+        return None
+    turn = float(np.sqrt(np.linalg.eigvalsh(covariance[:3, :3])[-1]))
+    basis = "" if known else ", by what the residuals tell"
+    return (
+        f"the fiducials are only {off:.3g} mm RMS off one line, along which they are spread "
+        f"by {along:.4g} mm: the turn about it is known to {np.degrees(turn):.2g} deg{basis}, "
+        f"and a target {along:.3g} mm from the line is {turn * along:.2g} mm off for it"
+    )
+
+
 def principal_line(points: Array) -> tuple[float, float]:
     """Return the RMS of points along their principal line, and off it [mm]."""
     values = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-    return float(values[0] / np.sqrt(len(points))), float(
-        np.hypot(values[1], values[2]) / np.sqrt(len(points))
-    )
+    along, off = np.array([values[0], np.hypot(values[1], values[2])]) / np.sqrt(len(points))
+    return float(along), float(off)
 
 
 def _check_not_collinear(points: Array, side: str, sigma_mm: float) -> None:

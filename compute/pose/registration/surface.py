@@ -1,6 +1,6 @@
 """Surfaces for registration: point cloud or triangle mesh, with closest points and normals."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Final, Protocol
 
@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from compute.errors import InvalidParameter, NonFiniteValue, TooFewPoints
+from compute.errors import InvalidParameter, TooFewPoints
+from compute.pose.transform import finite_points
 
 Array = NDArray[np.float64]
 
@@ -25,15 +26,13 @@ _BATCH_TRIANGLES: Final = 200_000
 class Surface(Protocol):
     """A surface with a closest point to any point."""
 
-    @property
-    def exact_normals(self) -> bool:
-        """Whether the normals are given, not estimated from neighbours."""
+    exact_normals: bool
+    """Whether the normals are given, not estimated from neighbours."""
 
     def nearest(self, points_mm: Array) -> tuple[Array, Array]:
         """Return the closest surface points (N, 3) [mm] to points (N, 3), and the unit normals."""
 
 
-@dataclass(frozen=True, eq=False)
 class PointCloud:
     """A surface given by points.
 
@@ -47,49 +46,37 @@ class PointCloud:
         InvalidParameter, NonFiniteValue: an array is of a wrong shape, or not finite.
     """
 
-    points_mm: Array
-    normals: Array | None = None
-    _tree: cKDTree = field(init=False, repr=False)
-    _units: Array = field(init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        points = _checked(self.points_mm, "points_mm")
-        tree = cKDTree(points)
-        object.__setattr__(self, "points_mm", points)
-        object.__setattr__(self, "_tree", tree)
-        if self.normals is not None:
-            normals = _checked(self.normals, "normals")
-            length = np.linalg.norm(normals, axis=1, keepdims=True)
-            if normals.shape != points.shape or not (length > 0.0).all():
+    def __init__(self, points_mm: Array, normals: Array | None = None) -> None:
+        self._points = _not_empty(points_mm, "points_mm")
+        self._tree = cKDTree(self._points)
+        self.exact_normals = normals is not None
+        if normals is not None:
+            given = _not_empty(normals, "normals")
+            length = np.linalg.norm(given, axis=1, keepdims=True)
+            if given.shape != self._points.shape or not (length > 0.0).all():
                 raise InvalidParameter(
-                    f"normals have shape {normals.shape}, some perhaps of no length; they must be "
-                    f"{points.shape}, one for each point"
+                    f"normals have shape {given.shape}, some perhaps of no length; they must be "
+                    f"{self._points.shape}, one for each point"
                 )
-            object.__setattr__(self, "_units", normals / length)
+            self._normals = given / length
             return
-        if len(points) < _NEIGHBOURS:
+        if len(self._points) < _NEIGHBOURS:
             raise TooFewPoints(
-                f"a cloud of {len(points)} points without normals; it needs {_NEIGHBOURS} or more",
-                points=len(points),
+                f"a cloud of {len(self._points)} points without normals; it needs {_NEIGHBOURS} "
+                "or more",
+                points=len(self._points),
                 needed=_NEIGHBOURS,
             )
-        near = points[tree.query(points, _NEIGHBOURS)[1]]
+        near = self._points[self._tree.query(self._points, _NEIGHBOURS)[1]]
         off = near - near.mean(axis=1, keepdims=True)
-        axes = np.linalg.eigh(off.swapaxes(1, 2) @ off)[1]
-        object.__setattr__(self, "_units", axes[..., 0])
-
-    @property
-    def exact_normals(self) -> bool:
-        """Whether normals were given."""
-        return self.normals is not None
+        self._normals = np.linalg.eigh(off.swapaxes(1, 2) @ off)[1][..., 0]
 
     def nearest(self, points_mm: Array) -> tuple[Array, Array]:
         """Return the nearest points of the cloud, and their normals."""
         found = self._tree.query(points_mm)[1]
-        return self.points_mm[found], self._units[found]
+        return self._points[found], self._normals[found]
 
 
-@dataclass(frozen=True, eq=False)
 class TriangleMesh:
     """A surface of triangles.
 
@@ -102,47 +89,36 @@ class TriangleMesh:
         InvalidParameter, NonFiniteValue: an array is not what it should be.
     """
 
-    vertices_mm: Array
-    faces: NDArray[np.intp]
-    _corners: Array = field(init=False, repr=False)
-    _units: Array = field(init=False, repr=False)
-    _reach: Array = field(init=False, repr=False)
-    _levels: "tuple[_Level, ...]" = field(init=False, repr=False)
+    exact_normals = True
 
-    def __post_init__(self) -> None:
-        vertices = _checked(self.vertices_mm, "vertices_mm")
-        faces = np.asarray(self.faces)
+    def __init__(self, vertices_mm: Array, faces: NDArray[np.intp]) -> None:
+        self.vertices_mm = _not_empty(vertices_mm, "vertices_mm")
+        self.faces = faces = np.asarray(faces)
         if faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype.kind not in "iu":
             raise InvalidParameter(
                 f"faces have shape {faces.shape} and type {faces.dtype}; they must be whole "
                 "numbers, (F, 3)"
             )
-        if faces.size and (faces.min() < 0 or faces.max() >= len(vertices)):
+        if faces.size and (faces.min() < 0 or faces.max() >= len(self.vertices_mm)):
             raise InvalidParameter(
-                f"faces name vertices {faces.min()} to {faces.max()}; there are {len(vertices)}"
+                f"faces name vertices {faces.min()} to {faces.max()}; there are "
+                f"{len(self.vertices_mm)}"
             )
-        corners = vertices[faces]
+        corners = self.vertices_mm[faces]
         across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         size = np.linalg.norm(across, axis=1)
         real = size > 1e-12 * max(float(size.max(initial=0.0)), 1e-300)
         if not real.any():
             raise TooFewPoints(f"none of {len(faces)} triangles has an area", triangles=len(faces))
-        corners, middles = corners[real], corners[real].mean(axis=1)
-        object.__setattr__(self, "_corners", corners)
-        object.__setattr__(self, "_units", across[real] / size[real, None])
-        reach = np.linalg.norm(corners - middles[:, None], axis=2).max(axis=1)
-        object.__setattr__(self, "_reach", reach)
-        size_class = np.floor(np.log(reach / reach.max()) / np.log(_MAX_SIZE_RATIO)).astype(np.intp)
-        levels = []
+        self._corners, centres = corners[real], corners[real].mean(axis=1)
+        self._normals = across[real] / size[real, None]
+        self._reach = np.linalg.norm(self._corners - centres[:, None], axis=2).max(axis=1)
+        size_class = np.floor(np.log(self._reach / self._reach.max()) / np.log(_MAX_SIZE_RATIO))
+        self._levels = []
         for one in np.unique(size_class):
-            faces = np.flatnonzero(size_class == one)
-            levels.append(_Level(faces, float(reach[faces].max()), cKDTree(middles[faces])))
-        object.__setattr__(self, "_levels", tuple(levels))
-
-    @property
-    def exact_normals(self) -> bool:
-        """Triangles have normals."""
-        return True
+            level = np.flatnonzero(size_class == one)
+            radius = float(self._reach[level].max())
+            self._levels.append(_Level(level, radius, cKDTree(centres[level])))
 
     def nearest(self, points_mm: Array) -> tuple[Array, Array]:
         """Return the nearest places on the triangles, exactly, and the directions off them."""
@@ -151,10 +127,10 @@ class TriangleMesh:
         for level in self._levels:
             level.search(near, self._reach)
         # Next to an edge or a corner the distance increases away from it, not along a normal.
-        off = points - near.place
         length = near.distance[:, None]
         tiny = length <= 1e-9 * self._levels[-1].radius
-        return near.place, np.where(tiny, self._units[near.face], off / np.where(tiny, 1.0, length))
+        away = (points - near.place) / np.where(tiny, 1.0, length)
+        return near.place, np.where(tiny, self._normals[near.face], away)
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,9 +182,8 @@ class _Nearest:
         # The closest triangle of each point comes first.
         order = np.lexsort((distance, owner))
         rows, first = np.unique(owner[order], return_index=True)
-        chosen = order[first]
-        nearer = distance[chosen] < self.distance[rows]
-        rows, chosen = rows[nearer], chosen[nearer]
+        nearer = distance[order[first]] < self.distance[rows]
+        rows, chosen = rows[nearer], order[first][nearer]
         self.place[rows], self.face[rows] = places[chosen], faces[chosen]
         self.distance[rows] = distance[chosen]
 
@@ -249,10 +224,7 @@ def _dot(one: Array, other: Array) -> Array:
     return found
 
 
-def _checked(given: Array, name: str) -> Array:
-    array = np.asarray(given, np.float64)
-    if array.ndim != 2 or array.shape[1] != 3 or not len(array):
-        raise InvalidParameter(f"{name} has shape {array.shape}; it must be (N, 3)")
-    if not np.isfinite(array).all():
-        raise NonFiniteValue(f"{name} has values that are not finite")
-    return array
+def _not_empty(points_mm: Array, name: str) -> Array:
+    if not len(points_mm):
+        raise InvalidParameter(f"{name} has shape {np.shape(points_mm)}; it must be (N, 3)")
+    return finite_points(points_mm, name)

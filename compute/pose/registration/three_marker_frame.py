@@ -4,6 +4,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from compute.errors import (
     CollinearPoints,
@@ -70,16 +71,12 @@ def three_marker_frame(markers_mm: Array, covariance_mm2: Array | None = None) -
     axes = np.stack([x, np.cross(z, x), z], axis=1)
     if covariance_mm2 is None:
         return Transform(axes, markers[0])
-    given = np.asarray(covariance_mm2, dtype=np.float64)
-    joint = np.zeros((9, 9))
-    if given.shape == (3, 3, 3):
-        for one in range(3):
-            joint[3 * one : 3 * one + 3, 3 * one : 3 * one + 3] = given[one]
-    elif given.shape == (9, 9):
-        joint = given
-    else:
+    joint = np.asarray(covariance_mm2, dtype=np.float64)
+    if joint.shape == (3, 3, 3):
+        joint = block_diag(*joint)
+    elif joint.shape != (9, 9):
         raise InvalidParameter(
-            f"covariance_mm2 has shape {given.shape}; it must be (3, 3, 3) or (9, 9)"
+            f"covariance_mm2 has shape {joint.shape}; it must be (3, 3, 3) or (9, 9)"
         )
     jacobian = _frame_jacobian(axes, i, j, k)
     covariance = jacobian @ joint @ jacobian.T

@@ -1,13 +1,13 @@
 """Poses for pivot and spin calibration: validation, and the spread of their orientations."""
 
 from dataclasses import dataclass
-from typing import Self
+from typing import Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.camera.rotation import rotation_vector
-from compute.errors import InvalidParameter, NonFiniteValue
+from compute.camera.rotation import rotation_matrix, rotation_vector
+from compute.errors import HighError, InvalidParameter, NonFiniteValue
 
 Array = NDArray[np.float64]
 
@@ -59,10 +59,9 @@ class OrientationCoverage:
         )
 
 
-def validate_poses(
-    rotations: Array, translations_mm: Array, covariances: Array | None
-) -> tuple[Array, Array, Array | None]:
-    """Return poses as float64 arrays.
+@dataclass(frozen=True, eq=False)
+class CalibrationPoses:
+    """N poses of a tool.
 
     Args:
         rotations: R_world_tool, shape (N, 3, 3).
@@ -75,35 +74,96 @@ def validate_poses(
             positive definite.
         NonFiniteValue: a value is NaN or infinite.
     """
-    rotations = np.asarray(rotations, dtype=np.float64)
-    translations = np.asarray(translations_mm, dtype=np.float64)
-    count = len(translations)
-    pose_covariances = None if covariances is None else np.asarray(covariances, dtype=np.float64)
-    for name, array, shape in (
-        ("rotations", rotations, (count, 3, 3)),
-        ("translations_mm", translations, (count, 3)),
-        ("covariances", pose_covariances, (count, 6, 6)),
-    ):
-        if array is None:
-            continue
-        if array.shape != shape:
-            raise InvalidParameter(f"{name} has shape {array.shape}; it must be {shape}")
-        bad = ~np.isfinite(array.reshape(count, -1)).all(axis=1)
+
+    rotations: Array
+    translations_mm: Array
+    covariances: Array | None
+
+    def __post_init__(self) -> None:
+        count = len(self.translations_mm)
+        for name, shape in _SHAPES.items():
+            if getattr(self, name) is None:
+                continue
+            array = np.asarray(getattr(self, name), dtype=np.float64)
+            object.__setattr__(self, name, array)
+            if array.shape != (count, *shape):
+                raise InvalidParameter(
+                    f"{name} has shape {array.shape}; it must be {(count, *shape)}"
+                )
+            bad = ~np.isfinite(array.reshape(count, -1)).all(axis=1)
+            if bad.any():
+                raise NonFiniteValue(
+                    f"{name} of pose {int(np.argmax(bad))} is not finite; leave out poses that "
+                    "are not known",
+                    pose=int(np.argmax(bad)),
+                )
+        rotations = self.rotations
+        off = np.abs(rotations @ rotations.swapaxes(1, 2) - np.eye(3)).reshape(count, -1)
+        bad = (off > 1e-6).any(axis=1) | (np.linalg.det(rotations) < 0.0)
         if bad.any():
-            raise NonFiniteValue(
-                f"{name} of pose {int(np.argmax(bad))} is not finite; leave out poses that are "
-                "not known",
-                pose=int(np.argmax(bad)),
-            )
-    off = np.abs(rotations @ rotations.swapaxes(1, 2) - np.eye(3)).reshape(count, -1)
-    bad = (off > 1e-6).any(axis=1) | (np.linalg.det(rotations) < 0.0)
-    if bad.any():
-        raise InvalidParameter(
-            f"the matrix of pose {int(np.argmax(bad))} is no rotation", pose=int(np.argmax(bad))
-        )
-    if pose_covariances is not None and (np.linalg.eigvalsh(pose_covariances)[:, 0] <= 0.0).any():
-        worst = int(np.argmin(np.linalg.eigvalsh(pose_covariances)[:, 0]))
-        raise InvalidParameter(
-            f"the covariance of pose {worst} is not positive definite", pose=worst
-        )
-    return rotations, translations, pose_covariances
+            pose = int(np.argmax(bad))
+            raise InvalidParameter(f"the matrix of pose {pose} is no rotation", pose=pose)
+        if self.covariances is not None:
+            smallest = np.linalg.eigvalsh(self.covariances)[:, 0]
+            if (smallest <= 0.0).any():
+                pose = int(np.argmin(smallest))
+                raise InvalidParameter(
+                    f"the covariance of pose {pose} is not positive definite", pose=pose
+                )
+
+    def __len__(self) -> int:
+        """Return the number of poses."""
+        return len(self.translations_mm)
+
+    def of(self, used: NDArray[np.bool_] | NDArray[np.intp]) -> "CalibrationPoses":
+        """Return some of the poses."""
+        some = object.__new__(CalibrationPoses)
+        for name in _SHAPES:
+            array = getattr(self, name)
+            object.__setattr__(some, name, None if array is None else array[used])
+        return some
+
+    def adjusted_rotations(self, jacobian: Array, weighted_residual: Array) -> Array:
+        """Return the orientations, adjusted within their covariances, shape (N, 3, 3).
+
+        The gradient of the likelihood is that at the adjusted orientations: with the measured ones,
+        their noise would bias the result towards the tool's origin.
+
+        Args:
+            jacobian: Jacobian of the R residuals of a pose with respect to it, shape (N, R, 6).
+            weighted_residual: information times residuals, shape (N, R).
+        """
+        if self.covariances is None:
+            return self.rotations
+        correction = np.einsum("nij,nkj,nk->ni", self.covariances, jacobian, weighted_residual)
+        adjusted: Array = rotation_matrix(-correction[:, :3]) @ self.rotations
+        return adjusted
+
+
+_SHAPES: Final = {"rotations": (3, 3), "translations_mm": (3,), "covariances": (6, 6)}
+
+
+def check_agreement(
+    used: NDArray[np.bool_], min_poses: int, max_outlier_fraction: float, cause: str
+) -> None:
+    """Refuse poses of which too many do not fit the others.
+
+    Args:
+        used: which poses fit, shape (N,).
+        min_poses: smallest number of poses that fit.
+        max_outlier_fraction: largest fraction of poses that do not.
+        cause: what may have caused it, for the message.
+
+    Raises:
+        HighError: fewer fit.
+    """
+    outlying = np.flatnonzero(~used)
+    if len(used) - len(outlying) >= max(min_poses, (1.0 - max_outlier_fraction) * len(used)):
+        return
+    raise HighError(
+        f"{len(outlying)} of {len(used)} poses do not fit the others (the first: "
+        f"{outlying[:10].tolist()}); at least {min_poses} poses and "
+        f"{1.0 - max_outlier_fraction:.0%} of them must agree: {cause}",
+        outlying=len(outlying),
+        poses=len(used),
+    )

@@ -120,7 +120,7 @@ def average_stationary_tip(
     shared = np.zeros((3, 3)) if shared_mm2 is None else np.mean(shared_mm2, axis=0)
     if covariances_mm2 is not None:
         own = np.mean(covariances_mm2, axis=0) - shared
-        covariance = covariance + shared + _beyond(own, scatter)
+        covariance = covariance + shared + positive_semidefinite_part(own - scatter)
     return StationaryPoint(
         mean, covariance, deviation, drift, count, int(times_ns[0]), int(times_ns[-1])
     )
@@ -163,9 +163,9 @@ def _drift(times: Array, off: Array) -> tuple[float, float]:
     return float(np.linalg.norm(slope) * times[-1]), float(np.linalg.norm(least) * times[-1])
 
 
-def _beyond(stated: Array, scatter: Array) -> Array:
-    """Return the part of a covariance that exceeds the scatter, without negative eigenvalues."""
-    values, axes = np.linalg.eigh(stated - scatter)
+def positive_semidefinite_part(matrix: Array) -> Array:
+    """Return a symmetric matrix (n, n) without its negative eigenvalues."""
+    values, axes = np.linalg.eigh(matrix)
     found: Array = (axes * np.maximum(values, 0.0)) @ axes.T
     return found
 
@@ -205,7 +205,7 @@ class StationaryCapture:
             shared_mm2: part of the covariance that is common to all positions, shape (3, 3) [mm^2];
                 None: none.
         """
-        held, wanted = self._held, self._settings
+        held = self._held
         if held and time_ns <= held[-1][0]:
             held.clear()
         if position_mm is None:
@@ -214,20 +214,20 @@ class StationaryCapture:
         shared = _NOTHING if shared_mm2 is None else shared_mm2
         held.append((time_ns, np.asarray(position_mm, np.float64), covariance_mm2, shared))
         # As short as allowed, so that earlier motion does not count.
-        while len(held) > 1 and (time_ns - held[1][0]) * 1e-9 >= wanted.seconds:
+        while len(held) > 1 and (time_ns - held[1][0]) * 1e-9 >= self._settings.seconds:
             held.popleft()
 
     def take(self) -> StationaryPoint | None:
         """Return the point if the last ``seconds`` were still, and restart; None: they were not."""
         held = self._held
-        known = [one for _, _, one, _ in held if one is not None]
+        times, positions, covariances, shared = zip(*held, strict=True) if held else ([],) * 4
         try:
             found = average_stationary_tip(
-                np.array([one for one, _, _, _ in held], np.int64),
-                np.array([one for _, one, _, _ in held]).reshape(-1, 3),
-                np.array(known) if len(known) == len(held) else None,
+                np.array(times, np.int64),
+                np.array(positions).reshape(-1, 3),
+                None if any(one is None for one in covariances) else np.array(covariances),
                 self._settings,
-                np.array([one for _, _, _, one in held]) if held else None,
+                np.array(shared) if held else None,
             )
         except (NotStationary, TooFewPoses) as error:
             self._error = error

@@ -7,10 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from compute.camera.rotation import rotation_matrix
 from compute.errors import HighError, NoConvergence, TooFewPoses, TooLittleRotation
-from compute.pose.tool_calibration.calibration_poses import OrientationCoverage, validate_poses
-from compute.pose.transform import cross_matrix
+from compute.pose.tool_calibration.calibration_poses import (
+    CalibrationPoses,
+    OrientationCoverage,
+    check_agreement,
+)
+from compute.pose.transform import point_jacobian
 from compute.robust_statistics import biweight
 
 Array = NDArray[np.float64]
@@ -101,10 +104,8 @@ def pivot_calibration(
         NoConvergence: the adjustment did not converge.
     """
     wanted = settings or PivotSettings()
-    rotations, translations, pose_covariances = validate_poses(
-        rotations, translations_mm, covariances
-    )
-    count = len(translations)
+    poses = CalibrationPoses(rotations, translations_mm, covariances)
+    count, known = len(poses), poses.covariances is not None
     if count < wanted.min_poses:
         raise TooFewPoses(
             f"{count} poses; a pivot calibration needs at least {wanted.min_poses}, with the "
@@ -112,37 +113,35 @@ def pivot_calibration(
             poses=count,
             needed=wanted.min_poses,
         )
-    _check_rotation(OrientationCoverage.of(rotations), wanted)
-    unknowns = _robust_fit(
-        rotations, translations, pose_covariances, _initial_estimate(rotations, translations)
-    )
-    used = _inliers(rotations, translations, pose_covariances, unknowns)
+    _check_rotation(OrientationCoverage.of(poses.rotations), wanted)
+    unknowns = _robust_fit(poses, _initial_estimate(poses))
+    limits = wanted.min_poses, wanted.max_outlier_fraction, "the tip moved, or there was none"
+    used = _inliers(poses, unknowns)
     for _ in range(3):
-        _check_used(used, wanted)
-        some = None if pose_covariances is None else pose_covariances[used]
-        unknowns = _least_squares(rotations[used], translations[used], some, unknowns)
-        again = _inliers(rotations, translations, pose_covariances, unknowns, used)
+        check_agreement(used, *limits)
+        unknowns = _least_squares(poses.of(used), unknowns)
+        again = _inliers(poses, unknowns, used)
         if (again == used).all():
             break
         used = again
-    _check_used(used, wanted)
-    orientations = OrientationCoverage.of(rotations[used])
+    check_agreement(used, *limits)
+    some = poses.of(used)
+    orientations = OrientationCoverage.of(some.rotations)
     _check_rotation(orientations, wanted)
-    residual = _residuals(rotations, translations, unknowns)
-    distance = np.linalg.norm(residual, axis=1)
+    distance = np.linalg.norm(_residuals(poses, unknowns), axis=1)
     rms = float(np.sqrt((distance[used] ** 2).mean()))
     if rms > wanted.max_rms_mm:
         raise HighError(
-            f"the tip is {rms:.3g} mm RMS off the fixed point over {int(used.sum())} poses; it "
+            f"the tip is {rms:.3g} mm RMS off the fixed point over {len(some)} poses; it "
             f"must be within {wanted.max_rms_mm:g} mm: hold it in a pit, and check that the "
             "markers are firm on the tool",
             rms_mm=rms,
             max_mm=wanted.max_rms_mm,
         )
-    covariances = None if pose_covariances is None else pose_covariances[used]
-    normal, misfit = _normal(rotations[used], translations[used], covariances, unknowns)
-    factor = misfit / (3 * used.sum() - UNKNOWNS)
-    covariance = np.linalg.inv(normal) * (factor if pose_covariances is None else max(1.0, factor))
+    normal, misfit = _normal(some, unknowns)
+    factor = misfit / (3 * len(some) - UNKNOWNS)
+    inverse: Array = np.asarray(np.linalg.inv(normal), np.float64)
+    covariance = inverse * (max(1.0, factor) if known else factor)
     return PivotResult(
         unknowns[:3],
         covariance[:3, :3],
@@ -150,7 +149,7 @@ def pivot_calibration(
         covariance[3:, 3:],
         distance,
         rms,
-        None if pose_covariances is None else float(np.sqrt(factor)),
+        float(np.sqrt(factor)) if known else None,
         tuple(np.flatnonzero(~used).tolist()),
         orientations,
     )
@@ -172,165 +171,106 @@ def _check_rotation(orientations: OrientationCoverage, wanted: PivotSettings) ->
     )
 
 
-def _check_used(used: NDArray[np.bool_], wanted: PivotSettings) -> None:
-    left = int(used.sum())
-    if left >= max(wanted.min_poses, (1.0 - wanted.max_outlier_fraction) * len(used)):
-        return
-    first = np.flatnonzero(~used)[:10].tolist()
-    raise HighError(
-        f"{len(used) - left} of {len(used)} poses do not fit the others (the first: {first}); "
-        f"at least {wanted.min_poses} poses and {1.0 - wanted.max_outlier_fraction:.0%} of them "
-        "must "
-        "agree: the tip moved, or there was none",
-        outlying=len(used) - left,
-        poses=len(used),
-    )
-
-
-def _initial_estimate(rotations: Array, translations: Array) -> Array:
+def _initial_estimate(poses: CalibrationPoses) -> Array:
     """Return tip and pivot (6,) that bring most poses together, each try from three of them."""
-    count = len(translations)
     # A fixed seed: the same poses give the same result to the last bit.
     rng = np.random.default_rng(0)
-    picks = np.argpartition(rng.random((_RANDOM_TRIPLES, count)), 3, axis=1)[:, :3]
-    design = np.concatenate(
-        [rotations[picks], np.broadcast_to(-np.eye(3), (_RANDOM_TRIPLES, 3, 3, 3))], axis=-1
-    ).reshape(_RANDOM_TRIPLES, 9, 6)
+    picks = np.argpartition(rng.random((_RANDOM_TRIPLES, len(poses))), 3, axis=1)[:, :3]
     # Minimum-norm: three poses of nearly the same orientation give a poor start and score badly.
     tries = np.einsum(
         "kij,kj->ki",
-        np.linalg.pinv(design, rcond=1e-4),
-        -translations[picks].reshape(_RANDOM_TRIPLES, 9),
+        np.linalg.pinv(_design(poses.rotations[picks]).reshape(-1, 9, 6), rcond=1e-4),
+        -poses.translations_mm[picks].reshape(_RANDOM_TRIPLES, 9),
     )
-    every = np.concatenate([rotations, np.broadcast_to(-np.eye(3), rotations.shape)], axis=-1)
-    whole = np.linalg.lstsq(every.reshape(-1, 6), -translations.reshape(-1), rcond=None)[0]
+    every = _design(poses.rotations).reshape(-1, 6)
+    whole = np.linalg.lstsq(every, -poses.translations_mm.reshape(-1), rcond=None)[0]
     tries = np.concatenate([whole[None], tries])
-    scores = [
-        float(np.median(np.linalg.norm(_residuals(rotations, translations, one), axis=1)))
-        for one in tries
-    ]
+    scores = [np.median(np.linalg.norm(_residuals(poses, one), axis=1)) for one in tries]
     return np.asarray(tries[int(np.argmin(scores))])
 
 
-def _residuals(rotations: Array, translations: Array, unknowns: Array) -> Array:
+def _residuals(poses: CalibrationPoses, unknowns: Array) -> Array:
     """Return ``R_i tip + t_i - pivot``, shape (N, 3) [mm]."""
-    residual: Array = rotations @ unknowns[:3] + translations - unknowns[3:]
+    residual: Array = poses.rotations @ unknowns[:3] + poses.translations_mm - unknowns[3:]
     return residual
 
 
-def _information(
-    rotations: Array, pose_covariances: Array | None, unknowns: Array
-) -> tuple[Array, Array]:
-    """Return the slopes of what is off to the pose (N, 3, 6) and its information (N, 3, 3)."""
-    jacobian = np.empty((len(rotations), 3, 6))
-    jacobian[..., :3] = -cross_matrix(rotations @ unknowns[:3])
-    jacobian[..., 3:] = np.eye(3)
-    if pose_covariances is None:
-        return jacobian, np.broadcast_to(np.eye(3), (len(rotations), 3, 3))
-    information = np.linalg.inv(jacobian @ pose_covariances @ jacobian.swapaxes(1, 2))
+def _design(rotations: Array) -> Array:
+    """Return d residuals / d (tip, pivot), shape (..., 3, 6)."""
+    return np.concatenate([rotations, np.broadcast_to(-np.eye(3), rotations.shape)], axis=-1)
+
+
+def _information(poses: CalibrationPoses, unknowns: Array) -> tuple[Array, Array]:
+    """Return d residuals / d pose, shape (N, 3, 6), and the residuals' information (N, 3, 3)."""
+    jacobian = point_jacobian(poses.rotations @ unknowns[:3])
+    if poses.covariances is None:
+        return jacobian, np.broadcast_to(np.eye(3), (len(poses), 3, 3))
+    information = np.linalg.inv(jacobian @ poses.covariances @ jacobian.swapaxes(1, 2))
     return jacobian, np.asarray(information, np.float64)
 
 
-def _normalised_residuals(
-    rotations: Array, translations: Array, pose_covariances: Array | None, unknowns: Array
-) -> Array:
-    """Return how far each pose is off, in its deviations, or in mm where none are known, (N,)."""
-    residual = _residuals(rotations, translations, unknowns)
-    _, information = _information(rotations, pose_covariances, unknowns)
-    normalised_residuals: Array = np.sqrt(
-        np.einsum("ni,nij,nj->n", residual, information, residual)
-    )
-    return normalised_residuals
+def _normalised_residuals(poses: CalibrationPoses, unknowns: Array) -> Array:
+    """Return the residuals in standard deviations, or in mm where these are unknown, (N,)."""
+    residual = _residuals(poses, unknowns)
+    _, information = _information(poses, unknowns)
+    found: Array = np.sqrt(np.einsum("ni,nij,nj->n", residual, information, residual))
+    return found
 
 
-def _scale(normalised_residuals: Array, pose_covariances: Array | None) -> float:
-    found = float(np.median(normalised_residuals)) / _MEDIAN_SIGMAS
-    return max(found, 1.0) if pose_covariances is not None else max(found, 1e-9)
+def _scale(normalised_residuals: Array, known: bool) -> float:
+    return max(float(np.median(normalised_residuals)) / _MEDIAN_SIGMAS, 1.0 if known else 1e-9)
 
 
 def _inliers(
-    rotations: Array,
-    translations: Array,
-    pose_covariances: Array | None,
-    unknowns: Array,
-    among: NDArray[np.bool_] | None = None,
+    poses: CalibrationPoses, unknowns: Array, among: NDArray[np.bool_] | None = None
 ) -> NDArray[np.bool_]:
     """Return which poses fit, by the scatter of those ``among`` them, shape (N,)."""
-    normalised_residuals = _normalised_residuals(
-        rotations, translations, pose_covariances, unknowns
+    normalised = _normalised_residuals(poses, unknowns)
+    scale = _scale(
+        normalised if among is None else normalised[among], poses.covariances is not None
     )
-    return normalised_residuals <= _OUTLIER_THRESHOLD * _scale(
-        normalised_residuals if among is None else normalised_residuals[among], pose_covariances
-    )
+    return normalised <= _OUTLIER_THRESHOLD * scale
 
 
-def _robust_fit(
-    rotations: Array, translations: Array, pose_covariances: Array | None, unknowns: Array
-) -> Array:
+def _robust_fit(poses: CalibrationPoses, unknowns: Array) -> Array:
     """Return tip and pivot under Tukey's loss, the scale falling with the scatter."""
     for _ in range(20):
-        normalised_residuals = _normalised_residuals(
-            rotations, translations, pose_covariances, unknowns
-        )
+        normalised = _normalised_residuals(poses, unknowns)
+        scale = _scale(normalised, poses.covariances is not None)
         # The loss expects a scalar deviation; the median of a 3D distance is larger.
-        weight = biweight(
-            normalised_residuals
-            / _scale(normalised_residuals, pose_covariances)
-            / np.sqrt(3.0)
-            * 1.5
-        )
-        step = _gauss_newton_step(rotations, translations, pose_covariances, unknowns, weight)
+        weight = biweight(normalised / scale / np.sqrt(3.0) * 1.5)
+        step = _gauss_newton_step(poses, unknowns, weight)
         unknowns = unknowns + step
         if np.abs(step).max() < 1e-7:
             break
     return unknowns
 
 
-def _least_squares(
-    rotations: Array, translations: Array, pose_covariances: Array | None, unknowns: Array
-) -> Array:
+def _least_squares(poses: CalibrationPoses, unknowns: Array) -> Array:
     """Return tip and pivot by weighted least squares."""
-    weight = np.ones(len(translations))
     for _ in range(_MAX_ITERATIONS):
-        step = _gauss_newton_step(rotations, translations, pose_covariances, unknowns, weight)
+        step = _gauss_newton_step(poses, unknowns, np.ones(len(poses)))
         unknowns = unknowns + step
         if np.abs(step).max() < 1e-9 * (1.0 + np.abs(unknowns).max()):
             return unknowns
     raise NoConvergence(
         f"the pivot calibration did not converge in {_MAX_ITERATIONS} steps; the last moved the "
-        "tip by "
-        f"{np.linalg.norm(step[:3]):.2g} mm"
+        f"tip by {np.linalg.norm(step[:3]):.2g} mm"
     )
 
 
-def _gauss_newton_step(
-    rotations: Array,
-    translations: Array,
-    pose_covariances: Array | None,
-    unknowns: Array,
-    weight: Array,
-) -> Array:
-    residual = _residuals(rotations, translations, unknowns)
-    jacobian, information = _information(rotations, pose_covariances, unknowns)
-    pull = np.einsum("nij,nj->ni", information, residual)
-    right = rotations
-    if pose_covariances is not None:
-        # The likelihood's gradient is that at the adjusted orientations: with the measured ones,
-        # their noise would pull the tip towards the tool's origin.
-        turn = np.einsum("nij,nkj,nk->ni", pose_covariances, jacobian, pull)[:, :3]
-        right = rotation_matrix(-turn) @ rotations
-    design = np.concatenate([right, np.broadcast_to(-np.eye(3), right.shape)], axis=-1)
+def _gauss_newton_step(poses: CalibrationPoses, unknowns: Array, weight: Array) -> Array:
+    jacobian, information = _information(poses, unknowns)
+    weighted = np.einsum("nij,nj->ni", information, _residuals(poses, unknowns))
+    design = _design(poses.adjusted_rotations(jacobian, weighted))
     normal = np.einsum("n,nia,nij,njb->ab", weight, design, information, design, optimize=True)
-    gradient = np.einsum("n,nia,ni->a", weight, design, pull)
+    gradient = np.einsum("n,nia,ni->a", weight, design, weighted)
     return -np.linalg.solve(normal, gradient)
 
 
-def _normal(
-    rotations: Array, translations: Array, pose_covariances: Array | None, unknowns: Array
-) -> tuple[Array, float]:
+def _normal(poses: CalibrationPoses, unknowns: Array) -> tuple[Array, float]:
     """Return the normal matrix (6, 6) and chi2."""
-    _, information = _information(rotations, pose_covariances, unknowns)
-    design = np.concatenate([rotations, np.broadcast_to(-np.eye(3), rotations.shape)], axis=-1)
-    residual = _residuals(rotations, translations, unknowns)
+    _, information = _information(poses, unknowns)
+    design, residual = _design(poses.rotations), _residuals(poses, unknowns)
     normal = np.einsum("nia,nij,njb->ab", design, information, design, optimize=True)
     return normal, float(np.einsum("ni,nij,nj->", residual, information, residual))

@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from compute.camera.rotation import rotation_matrix
 from compute.errors import (
     HighError,
     InvalidParameter,
@@ -15,16 +14,12 @@ from compute.errors import (
     TooFewPoses,
     TooLittleRotation,
 )
-from compute.pose.tool_calibration.calibration_poses import OrientationCoverage, validate_poses
-from compute.pose.tool_calibration.spin_axis import (
-    ROWS,
-    UNKNOWNS,
-    SpinAxis,
-    axis_design,
-    axis_differences,
-    linear_axis,
-    pose_jacobian,
+from compute.pose.tool_calibration.calibration_poses import (
+    CalibrationPoses,
+    OrientationCoverage,
+    check_agreement,
 )
+from compute.pose.tool_calibration.spin_axis import ROWS, UNKNOWNS, SpinAxis
 
 Array = NDArray[np.float64]
 
@@ -114,10 +109,8 @@ def spin_calibration(
         NoConvergence: the adjustment did not end.
     """
     wanted = settings or SpinSettings()
-    rotations, translations, pose_covariances = validate_poses(
-        rotations, translations_mm, covariances
-    )
-    count = len(translations)
+    poses = CalibrationPoses(rotations, translations_mm, covariances)
+    count, known = len(poses), poses.covariances is not None
     if count < wanted.min_poses:
         raise TooFewPoses(
             f"{count} poses; a spin calibration needs at least {wanted.min_poses}, with the "
@@ -125,36 +118,30 @@ def spin_calibration(
             poses=count,
             needed=wanted.min_poses,
         )
-    _check_rotation(OrientationCoverage.of(rotations), wanted)
-    axis = _initial_estimate(rotations, translations)
-    used = _close_poses(rotations, translations, axis)
+    _check_rotation(OrientationCoverage.of(poses.rotations), wanted)
+    axis = _initial_estimate(poses)
+    used = _close_poses(poses, axis)
     for _ in range(5):
-        axis, weight = _least_squares(rotations, translations, pose_covariances, axis, used)
-        again = _inliers(rotations, translations, weight, axis, used, pose_covariances is not None)
+        axis, weight = _least_squares(poses, axis, used)
+        again = _inliers(poses, weight, axis, used)
         if (again == used).all():
             break
         used = again
-        if used.sum() < max(wanted.min_poses, (1.0 - wanted.max_outlier_fraction) * count):
-            raise HighError(
-                f"{count - int(used.sum())} of {count} poses do not fit the others; at least "
-                f"{wanted.min_poses} poses and {1.0 - wanted.max_outlier_fraction:.0%} of them "
-                "must "
-                "agree: the tool was not turned about one axis",
-                outlying=count - int(used.sum()),
-                poses=count,
-            )
-    orientations = OrientationCoverage.of(rotations[used])
+        cause = "the tool was not turned about one axis"
+        check_agreement(used, wanted.min_poses, wanted.max_outlier_fraction, cause)
+    some = poses.of(used)
+    orientations = OrientationCoverage.of(some.rotations)
     _check_rotation(orientations, wanted)
-    off = axis_differences(rotations[used], translations[used], axis)
+    off = axis.differences(some)
     tilt = float(np.sqrt((off[:, :2] ** 2).sum(axis=1).mean()))
     rms = float(np.sqrt((off[:, 2:] ** 2).sum(axis=1).mean()))
     _check_axis(tilt, rms, wanted)
-    design = axis_design(rotations[used], axis)
+    design = axis.design(some.rotations)
     information = weight[used]
     normal = np.einsum("nia,nij,njb->ab", design, information, design, optimize=True)
     factor = float(np.einsum("ni,nij,nj->", off, information, off))
     factor /= ROWS * used.sum() - UNKNOWNS
-    covariance = np.linalg.inv(normal) * (1.0 if pose_covariances is None else max(1.0, factor))
+    covariance = np.linalg.inv(normal) * (max(1.0, factor) if known else 1.0)
     sign = _sign(axis.tool_direction, along)
     across = axis.across_tool
     # The point is the closest to the origin: it depends on the direction.
@@ -170,7 +157,7 @@ def spin_calibration(
         axis.world_point,
         tilt,
         rms,
-        None if pose_covariances is None else float(np.sqrt(factor)),
+        float(np.sqrt(factor)) if known else None,
         tuple(np.flatnonzero(~used).tolist()),
         orientations,
     )
@@ -218,102 +205,75 @@ def _sign(direction: Array, along: Array | None) -> float:
     return float(np.sign(cosine))
 
 
-def _initial_estimate(rotations: Array, translations: Array) -> SpinAxis:
+def _initial_estimate(poses: CalibrationPoses) -> SpinAxis:
     """Return the axis of the half of the poses that fit one another best.
 
     By steps of concentration (P. J. Rousseeuw, K. Van Driessen, doi:10.1007/s10618-005-0024-4).
     """
-    half = np.arange(len(translations))
+    half = np.arange(len(poses))
     for _ in range(10):
-        axis = linear_axis(rotations[half], translations[half])
-        off = axis_differences(rotations, translations, axis)
+        axis = SpinAxis.linear(poses.of(half))
+        off = axis.differences(poses)
         parts = np.stack([(off[:, :2] ** 2).sum(axis=1), (off[:, 2:] ** 2).sum(axis=1)], axis=1)
         size = (parts / np.maximum(np.median(parts, axis=0), 1e-24)).sum(axis=1)
-        best = np.sort(np.argsort(size, kind="stable")[: (len(translations) + 1) // 2])
+        best = np.sort(np.argsort(size, kind="stable")[: (len(poses) + 1) // 2])
         if np.array_equal(best, half):
             break
         half = best
     return axis
 
 
-def _close_poses(rotations: Array, translations: Array, axis: SpinAxis) -> NDArray[np.bool_]:
+def _close_poses(poses: CalibrationPoses, axis: SpinAxis) -> NDArray[np.bool_]:
     """Return the poses that are not grossly off the start, by the medians, shape (N,)."""
-    off = axis_differences(rotations, translations, axis)
-    normalised_residuals = np.stack(
-        [np.hypot(off[:, 0], off[:, 1]), np.hypot(off[:, 2], off[:, 3])], axis=1
-    )
-    near: NDArray[np.bool_] = (
-        normalised_residuals <= _GROSS * np.median(normalised_residuals, axis=0) + 1e-12
-    ).all(axis=1)
+    off = axis.differences(poses)
+    sizes = np.stack([np.hypot(off[:, 0], off[:, 1]), np.hypot(off[:, 2], off[:, 3])], axis=1)
+    near: NDArray[np.bool_] = (sizes <= _GROSS * np.median(sizes, axis=0) + 1e-12).all(axis=1)
     return near
 
 
-def _weights(
-    rotations: Array,
-    translations: Array,
-    pose_covariances: Array | None,
-    axis: SpinAxis,
-    used: NDArray[np.bool_],
-) -> Array:
+def _weights(poses: CalibrationPoses, axis: SpinAxis, used: NDArray[np.bool_]) -> Array:
     """Return the information of the differences, shape (N, 4, 4)."""
-    if pose_covariances is not None:
-        jacobian = pose_jacobian(rotations, axis)
-        spread = jacobian @ pose_covariances @ jacobian.swapaxes(1, 2)
-        return np.asarray(np.linalg.inv(spread), np.float64)
-    squares = axis_differences(rotations[used], translations[used], axis) ** 2
-    freedom = 2 * len(squares) - UNKNOWNS / 2
-    variance = np.maximum([squares[:, :2].sum(), squares[:, 2:].sum()], 1e-24) / freedom
-    return np.broadcast_to(np.diag(np.repeat(1.0 / variance, 2)), (len(rotations), 4, 4))
+    if poses.covariances is not None:
+        jacobian = axis.pose_jacobian(poses.rotations)
+        covariance = jacobian @ poses.covariances @ jacobian.swapaxes(1, 2)
+        return np.asarray(np.linalg.inv(covariance), np.float64)
+    squares = axis.differences(poses.of(used)) ** 2
+    dof = 2 * len(squares) - UNKNOWNS / 2
+    variance = np.maximum([squares[:, :2].sum(), squares[:, 2:].sum()], 1e-24) / dof
+    return np.broadcast_to(np.diag(np.repeat(1.0 / variance, 2)), (len(poses), 4, 4))
 
 
 def _least_squares(
-    rotations: Array,
-    translations: Array,
-    pose_covariances: Array | None,
-    axis: SpinAxis,
-    used: NDArray[np.bool_],
+    poses: CalibrationPoses, axis: SpinAxis, used: NDArray[np.bool_]
 ) -> tuple[SpinAxis, Array]:
+    """Return the axis by weighted least squares of the used poses, and the weights of all."""
+    some = poses.of(used)
     for _ in range(_MAX_ITERATIONS):
-        weight = _weights(rotations, translations, pose_covariances, axis, used)
-        some, information = rotations[used], weight[used]
-        off = axis_differences(some, translations[used], axis)
-        pull = np.einsum("nij,nj->ni", information, off)
-        right = some
-        if pose_covariances is not None:
-            # As in pivot calibration: the gradients are those at the adjusted orientations.
-            turn = np.einsum(
-                "nij,nkj,nk->ni", pose_covariances[used], pose_jacobian(some, axis), pull
-            )[:, :3]
-            right = rotation_matrix(-turn) @ some
-        design = axis_design(right, axis)
+        information = _weights(poses, axis, used)[used]
+        weighted = np.einsum("nij,nj->ni", information, axis.differences(some))
+        design = axis.design(some.adjusted_rotations(axis.pose_jacobian(some.rotations), weighted))
         normal = np.einsum("nia,nij,njb->ab", design, information, design, optimize=True)
-        gradient = np.einsum("nia,ni->a", design, pull)
+        gradient = np.einsum("nia,ni->a", design, weighted)
         # Without rotation the point is undetermined; the check of the orientations reports it.
         scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
         step = -np.linalg.lstsq(normal / np.outer(scale, scale), gradient / scale, rcond=1e-9)[0]
         step /= scale
         axis = axis.retract(step)
         if np.abs(step[:4]).max() < 1e-10 and np.abs(step[4:]).max() < 1e-7:
-            return axis, _weights(rotations, translations, pose_covariances, axis, used)
+            return axis, _weights(poses, axis, used)
     raise NoConvergence(
         f"the spin calibration did not converge in {_MAX_ITERATIONS} steps; the last turned the "
-        "axis by "
-        f"{np.linalg.norm(step[:2]):.2g} rad"
+        f"axis by {np.linalg.norm(step[:2]):.2g} rad"
     )
 
 
 def _inliers(
-    rotations: Array,
-    translations: Array,
-    weight: Array,
-    axis: SpinAxis,
-    used: NDArray[np.bool_],
-    pose_covariances: bool,
+    poses: CalibrationPoses, weight: Array, axis: SpinAxis, used: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
-    off = axis_differences(rotations, translations, axis)
-    normalised_residuals = np.sqrt(np.einsum("ni,nij,nj->n", off, weight, off))
-    scale = float(np.median(normalised_residuals[used])) / _MEDIAN_SIGMAS
-    fits: NDArray[np.bool_] = normalised_residuals <= _OUTLIER_THRESHOLD * (
-        max(scale, 1.0) if pose_covariances else scale
-    )
+    off = axis.differences(poses)
+    normalised = np.sqrt(np.einsum("ni,nij,nj->n", off, weight, off))
+    scale = float(np.median(normalised[used])) / _MEDIAN_SIGMAS
+    if poses.covariances is not None:
+        scale = max(scale, 1.0)
+    fits: NDArray[np.bool_] = normalised <= _OUTLIER_THRESHOLD * scale
     return fits

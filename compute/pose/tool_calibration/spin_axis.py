@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.pose.tool_calibration.calibration_poses import CalibrationPoses
 from compute.pose.transform import cross_matrix
 
 Array = NDArray[np.float64]
@@ -34,89 +35,72 @@ class SpinAxis:
         """Two unit vectors across it in the world, shape (2, 3)."""
         return _across(self.world_direction)
 
+    @classmethod
+    def linear(cls, poses: CalibrationPoses) -> "SpinAxis":
+        """Return the least-squares axis of N poses in closed form."""
+        left, _, right = np.linalg.svd(poses.rotations.mean(axis=0))
+        tool_direction, world_direction = right[0], left[:, 0]
+        across, other = _across(tool_direction), _across(world_direction)
+        # other (R_i across' x + t_i) = y
+        design = np.concatenate(
+            [
+                other @ poses.rotations @ across.T,
+                np.broadcast_to(-np.eye(2), (len(poses), 2, 2)),
+            ],
+            axis=-1,
+        ).reshape(-1, 4)
+        goal = -(poses.translations_mm @ other.T).reshape(-1)
+        found = np.linalg.lstsq(design, goal, rcond=1e-9)[0]
+        return cls(tool_direction, world_direction, found[:2] @ across, found[2:] @ other)
+
     def retract(self, step: Array) -> "SpinAxis":
         """Return the axis corrected by an increment: two parameters of each direction and point."""
-        tool_direction, world_direction = self.across_tool, self.across_world
-        rotations = self.tool_direction + step[0:2] @ tool_direction
-        other = self.world_direction + step[2:4] @ world_direction
-        rotations /= np.linalg.norm(rotations)
-        other /= np.linalg.norm(other)
-        tool_point = self.tool_point + step[4:6] @ tool_direction
-        world_point = self.world_point + step[6:8] @ world_direction
         # Shifts along the axis are undetermined and removed.
-        return SpinAxis(
-            rotations,
-            other,
-            tool_point - rotations * (rotations @ tool_point),
-            world_point - other * (other @ world_point),
+        tool_direction, tool_point = _retract(
+            self.tool_direction, self.tool_point, step[0:2], step[4:6]
         )
+        world_direction, world_point = _retract(
+            self.world_direction, self.world_point, step[2:4], step[6:8]
+        )
+        return SpinAxis(tool_direction, world_direction, tool_point, world_point)
+
+    def differences(self, poses: CalibrationPoses) -> Array:
+        """Return the differences of direction and point (tool less world) across it, (N, 4)."""
+        other = self.across_world
+        direction = poses.rotations @ self.tool_direction @ other.T
+        point = poses.rotations @ self.tool_point + poses.translations_mm - self.world_point
+        return np.concatenate([direction, point @ other.T], axis=1)
+
+    def design(self, rotations: Array) -> Array:
+        """Return the Jacobian of ``differences`` with respect to the axis, shape (N, 4, 8)."""
+        design = np.zeros((len(rotations), 4, UNKNOWNS))
+        rows = self.across_world @ rotations @ self.across_tool.T
+        design[:, :2, 0:2] = design[:, 2:, 4:6] = rows
+        design[:, :2, 2:4] = design[:, 2:, 6:8] = -np.eye(2)
+        return design
+
+    def pose_jacobian(self, rotations: Array) -> Array:
+        """Return the Jacobian of ``differences`` with respect to the poses, shape (N, 4, 6).
+
+        Its columns are rotation (left) [rad] and translation [mm].
+        """
+        other = self.across_world
+        jacobian = np.zeros((len(rotations), 4, 6))
+        jacobian[:, :2, :3] = -other @ cross_matrix(rotations @ self.tool_direction)
+        jacobian[:, 2:, :3] = -other @ cross_matrix(rotations @ self.tool_point)
+        jacobian[:, 2:, 3:] = other
+        return jacobian
 
 
-def linear_axis(rotations: Array, translations: Array) -> SpinAxis:
-    """Return the least-squares axis of N poses in closed form.
-
-    Args:
-        rotations: R_world_tool, shape (N, 3, 3).
-        translations: shape (N, 3) [mm].
-    """
-    left, _, right = np.linalg.svd(rotations.mean(axis=0))
-    tool_direction, world_direction = right[0], left[:, 0]
-    across, other = _across(tool_direction), _across(world_direction)
-    # other (R_i across' x + t_i) = y
-    design = np.concatenate(
-        [other @ rotations @ across.T, np.broadcast_to(-np.eye(2), (len(translations), 2, 2))],
-        axis=-1,
-    )
-    found = np.linalg.lstsq(
-        design.reshape(-1, 4), -(translations @ other.T).reshape(-1), rcond=1e-9
-    )[0]
-    return SpinAxis(tool_direction, world_direction, found[:2] @ across, found[2:] @ other)
-
-
-def axis_differences(rotations: Array, translations: Array, axis: SpinAxis) -> Array:
-    """Return the differences of direction and point (tool less world) across the axis, (N, 4).
-
-    Args:
-        rotations: R_world_tool, shape (N, 3, 3).
-        translations: shape (N, 3) [mm].
-        axis: the axis.
-    """
-    other = axis.across_world
-    direction = rotations @ axis.tool_direction @ other.T
-    tool_point = (rotations @ axis.tool_point + translations - axis.world_point) @ other.T
-    return np.concatenate([direction, tool_point], axis=1)
-
-
-def axis_design(rotations: Array, axis: SpinAxis) -> Array:
-    """Return the Jacobian of ``axis_differences`` with respect to the axis, shape (N, 4, 8).
-
-    Args:
-        rotations: R_world_tool, shape (N, 3, 3).
-        axis: the axis.
-    """
-    tool_direction, other = axis.across_tool, axis.across_world
-    design = np.zeros((len(rotations), 4, UNKNOWNS))
-    rows = other @ rotations @ tool_direction.T
-    design[:, :2, 0:2] = design[:, 2:, 4:6] = rows
-    design[:, :2, 2:4] = design[:, 2:, 6:8] = -np.eye(2)
-    return design
-
-
-def pose_jacobian(rotations: Array, axis: SpinAxis) -> Array:
-    """Return the Jacobian of ``axis_differences`` with respect to the poses, shape (N, 4, 6).
-
-    Its columns are rotation (left) [rad] and translation [mm].
-
-    Args:
-        rotations: R_world_tool, shape (N, 3, 3).
-        axis: the axis.
-    """
-    other = axis.across_world
-    jacobian = np.zeros((len(rotations), 4, 6))
-    jacobian[:, :2, :3] = -other @ cross_matrix(rotations @ axis.tool_direction)
-    jacobian[:, 2:, :3] = -other @ cross_matrix(rotations @ axis.tool_point)
-    jacobian[:, 2:, 3:] = other
-    return jacobian
+def _retract(
+    direction: Array, point: Array, direction_step: Array, point_step: Array
+) -> tuple[Array, Array]:
+    """Return a corrected direction, of length 1, and the corrected point nearest to the origin."""
+    across = _across(direction)
+    direction = direction + direction_step @ across
+    direction /= np.linalg.norm(direction)
+    point = point + point_step @ across
+    return direction, point - direction * (direction @ point)
 
 
 def _across(direction: Array) -> Array:

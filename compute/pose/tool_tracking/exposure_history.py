@@ -135,12 +135,3 @@ class StrobeCycle:
         """Return the longest period of the slots [ns]; 0: unknown, or markers lit together."""
         known = [min(self._between[slot]) for slot in slots or () if slot in self._between]
         return max(known, default=0)
-
-    def copy(self) -> "StrobeCycle":
-        """Return an independent copy."""
-        other = StrobeCycle()
-        other._last = dict(self._last)
-        other._between = {
-            slot: deque(one, maxlen=INTERVALS_KEPT) for slot, one in self._between.items()
-        }
-        return other

@@ -1,91 +1,33 @@
-"""ToolTrack: state of one tool between exposures; AcquisitionBackoff: intervals of its search."""
+"""ToolTrack: state of one tool between exposures, and the consistency of its readings."""
 
 from collections import deque
-from collections.abc import Callable
-from dataclasses import dataclass, field
-from functools import cached_property
-from typing import Final
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property, lru_cache
+from math import sqrt
+from typing import Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from compute.measurement.measurement_model import MeasurementModel
 from compute.measurement.measurements import Measurements
-from compute.pose.acquisition.acquisition_strobed import MarkerExposure
+from compute.pose.acquisition.acquisition_strobed import AcquisitionBackoff, MarkerExposure
 from compute.pose.filtering.association import MAX_EXCLUDED_NIS, ToolObservation
-from compute.pose.filtering.imm_state import ImmState
+from compute.pose.filtering.imm import ImmModel, ImmState
 from compute.pose.filtering.native.strobed_step import StrobedStepKernel
 from compute.pose.filtering.pose_filter import PoseState, predict
-from compute.pose.rigid_body import CentredMarkers, RigidBody
+from compute.pose.rigid_body import CentredMarkers, PoseStatus, RigidBody
 from compute.pose.settings import MotionSettings
-from compute.pose.tool_pose import PoseStatus
-from compute.pose.tool_tracking.pose_report import ExposureResiduals, TrackSupport, chi2_test
+from compute.reconstruction.triangulation import chi2_limit
 
-MAX_DELAY_FRACTION: Final = 0.1
-"""Largest delay by the pauses, as a fraction of the time of unsuccessful searches."""
-MAX_PAUSE_NS: Final = 250_000_000
-"""Longest pause between two searches."""
-
-
-class AcquisitionBackoff:
-    """Limits how often one lost strobed tool is searched for.
-
-    A search costs as much as tracking twenty exposures or more. A tool that is seen well is found
-    by the first, or soon; one with few and often false readings by the thirtieth; one whose
-    readings never fit, because of a wrong calibration or another tool's markers, is searched for
-    at growing intervals. The pauses grow in proportion to the time of unsuccessful searches, up to
-    MAX_PAUSE_NS, so that waiting delays the acquisition by no more than that fraction. They restart
-    when more readings are available than in any search before.
-    """
-
-    def __init__(self) -> None:
-        """Start without any search."""
-        self.reset()
-
-    def reset(self) -> None:
-        """Restart: the tool was found, or its readings changed."""
-        self._first_ns: int | None = None  # of the searches in vain
-        self._failed_ns = 0
-        self._left = 0
-        self._max_readings = -1
-
-    @property
-    def is_waiting(self) -> bool:
-        """Whether a search failed since the last restart."""
-        return self._first_ns is not None
-
-    def count_exposure(self) -> None:
-        """Count an exposure of the tool's markers."""
-        self._left -= 1
-
-    def due(self, time_ns: int, readings: int) -> bool:
-        """Return whether to search now.
-
-        Args:
-            time_ns: time of the exposure [ns].
-            readings: number of readings; more than in any search before are worth one.
-        """
-        if self._first_ns is None or readings > self._max_readings:
-            return True
-        pause_ns = time_ns - self._failed_ns
-        enough_ns = MAX_DELAY_FRACTION * (self._failed_ns - self._first_ns)
-        return pause_ns >= MAX_PAUSE_NS or (self._left <= 0 and pause_ns >= enough_ns)
-
-    def record_failure(self, time_ns: int, readings: int, exposures: int) -> None:
-        """Record an unsuccessful search.
-
-        Args:
-            time_ns: time of the latest exposure [ns].
-            readings: number of readings that the search had.
-            exposures: smallest number of exposures until the next search.
-        """
-        if self._first_ns is None or readings > self._max_readings:
-            self._first_ns, self._max_readings = time_ns, readings
-        self._failed_ns, self._left = time_ns, exposures
-
+Array = NDArray[np.float64]
+T = TypeVar("T")
 
 ACQUISITION_CYCLES: Final = 2
 """Number of exposures of each marker that a strobed tool is found from."""
+COAST_CYCLES: Final = 1.25
+"""Shortest prediction without readings in strobe cycles: one, and some lost frames."""
 CONSISTENCY_CYCLES: Final = 4
 """Number of exposures of each marker whose readings, excluded ones too, are tested together."""
 EXCLUSION_COUNT_THRESHOLD: Final = 3
@@ -93,6 +35,73 @@ EXCLUSION_COUNT_THRESHOLD: Final = 3
 WEAK_FRACTION: Final = 0.5
 """A frame with fewer than this fraction of the last frame's readings is tried again with larger
 accelerations."""
+_HISTORIES: Final = ("recent_updates", "recent_residuals", "exposures", "fit_history")
+_MIN_VARIANCE: Final = 0.05
+"""Smallest variance of a combination of whitened readings: smaller ones are rounding errors."""
+
+
+@dataclass(frozen=True, eq=False)
+class ExposureResiduals:
+    """Residuals of the readings of one exposure.
+
+    Args:
+        sum_of_squares: sum of their normalised squares, excluded readings included.
+        count: number of readings.
+        excluded: number of excluded readings of each marker, shape (M,).
+        whitened: whitened innovations of the readings that were used, and their Jacobian with
+            respect to the common errors, shape (n, 1 + E); None: unknown.
+    """
+
+    sum_of_squares: float
+    count: int
+    excluded: NDArray[np.intp]
+    whitened: Array | None = None
+
+    @cached_property
+    def any_excluded(self) -> bool:
+        """Whether any reading was excluded."""
+        return bool(np.count_nonzero(self.excluded))
+
+
+def chi2_test(
+    exposures: Sequence[ExposureResiduals], probability: float
+) -> tuple[float, int, float]:
+    """Return the sum of squares of several exposures, the number of readings, and the limit.
+
+    Where the sum is too large for independent errors, and the common errors are known, it is that
+    of the jointly whitened readings.
+
+    Args:
+        exposures: residuals of the exposures.
+        probability: probability that correct readings are rejected.
+    """
+    sum_of_squares = sum(one.sum_of_squares for one in exposures)
+    count = sum(one.count for one in exposures)
+    limit = _limit(count, probability)
+    if sum_of_squares > limit:
+        known = [one.whitened for one in exposures if one.whitened is not None]
+        if known and known[0].shape[1] > 1:
+            sum_of_squares = min(sum_of_squares, _jointly_whitened(sum_of_squares, known))
+    return sum_of_squares, count, limit
+
+
+_limit: Final = lru_cache(maxsize=1024)(chi2_limit)
+
+
+def _jointly_whitened(sum_of_squares: float, whitened: Sequence[Array]) -> float:
+    """Return the sum of squares with the innovations of all exposures whitened jointly."""
+    value = np.concatenate([one[:, 0] for one in whitened])
+    common = np.concatenate([one[:, 1:] for one in whitened])
+    covariance = common @ common.T
+    first = 0
+    for one in whitened:
+        own = slice(first, first + len(one))
+        covariance[own, own] = np.eye(len(one))
+        first += len(one)
+    size, axes = np.linalg.eigh(covariance)
+    alone = float(value @ value)
+    along = axes.T @ value
+    return sum_of_squares - alone + float((along**2 / np.maximum(size, _MIN_VARIANCE)).sum())
 
 
 @dataclass(eq=False)
@@ -102,6 +111,8 @@ class ToolTrack:
     Args:
         body: its markers.
         common_errors: number of common errors of its filter.
+        imm_model: motion models of a strobed tool; None: one motion model. Markers that are lit
+            together determine the pose in every frame: motion models add little.
         step: kernel for unambiguous exposures; None: one motion model, or no kernel.
         state: state of its filter at the last frame; None: it is lost.
         imm: states of a strobed tool's motion models at its last exposure; None: there is one.
@@ -121,6 +132,7 @@ class ToolTrack:
 
     body: RigidBody
     common_errors: int
+    imm_model: ImmModel | None = None
     step: StrobedStepKernel | None = None
     state: PoseState | None = None
     imm: ImmState | None = None
@@ -136,6 +148,37 @@ class ToolTrack:
     status: PoseStatus = PoseStatus.UNKNOWN
     reason: str = "no exposure could have shown it yet"
 
+    def begin(self, state: PoseState, time_ns: int, exposures_to_confirm: int) -> None:
+        """Begin a track.
+
+        Args:
+            state: the acquired state.
+            time_ns: time of the latest readings [ns].
+            exposures_to_confirm: number of exposures that must fit before it is reported.
+        """
+        self.state, self.updated_ns = state, time_ns
+        self.imm = self._initial_imm(state)
+        self.exposures_to_confirm = exposures_to_confirm
+        self.fit_history.clear()
+        self.recent_updates.clear()
+
+    def continue_from(self, before: "ToolTrack") -> "ToolTrack":
+        """Return the track of another tracker's same tool with the kernel of this one."""
+        track = replace(
+            before,
+            body=self.body,
+            imm_model=self.imm_model,
+            step=self.step,
+            backoff=self.backoff,
+            **{name: deque(getattr(before, name)) for name in _HISTORIES},
+        )
+        if before.imm is not None and before.imm.model is not self.imm_model:
+            track.imm = track._initial_imm(before.imm.combined)
+        return track
+
+    def _initial_imm(self, state: PoseState) -> ImmState | None:
+        return None if self.imm_model is None else ImmState.of(state, self.imm_model)
+
     @property
     def centred(self) -> CentredMarkers:
         """The markers relative to their centroid."""
@@ -143,15 +186,11 @@ class ToolTrack:
 
     def lit(self, marker: int | None) -> NDArray[np.intp]:
         """Return the indices of the markers that an exposure lights."""
-        known = self.lit_by_slot.get(marker)
-        if known is None:
-            slots = self.body.strobe_markers or ()
-            one = [slots.index(marker)] if marker in slots else []
-            every = range(len(self.body))
-            known = self.lit_by_slot[marker] = np.array(
-                every if marker is None else one, dtype=np.intp
-            )
-        return known
+        if marker not in self.lit_by_slot:
+            slots = self.body.strobe_markers or [None] * len(self.body)
+            lit = [index for index, slot in enumerate(slots) if marker in (None, slot)]
+            self.lit_by_slot[marker] = np.array(lit, dtype=np.intp)
+        return self.lit_by_slot[marker]
 
     def predict_observation(
         self,
@@ -173,22 +212,22 @@ class ToolTrack:
         assert self.state is not None
         lit = self.lit(marker)
         if self.imm is None:
-            return ToolObservation(
-                self.centred, lit, predict(self.state, time_ns, motion, manoeuvre_factor)
-            )
+            state = predict(self.state, time_ns, motion, manoeuvre_factor)
+            return ToolObservation(self.centred, lit, state)
+        kernel = None if measurements is None else self.step
         if len(lit) == 0:
-            if self.step is not None and measurements is not None:
-                return ToolObservation(
-                    self.centred, lit, self.step.predict_combined(self.imm, time_ns)
-                )
-            return ToolObservation(self.centred, lit, self.imm.predict_combined(time_ns))
-        if self.step is not None and measurements is not None and len(lit) == 1:
-            step = self.step.take(self.imm, time_ns, int(lit[0]), measurements, manoeuvre_factor)
-            return ToolObservation(
-                self.centred, lit, step.predicted.widest_state, step.predicted, step
+            state = (
+                self.imm.predict_combined(time_ns)
+                if kernel is None
+                else kernel.predict_combined(self.imm, time_ns)
             )
-        imm = self.imm.predict(time_ns, manoeuvre_factor)
-        return ToolObservation(self.centred, lit, imm.widest_state, imm)
+            return ToolObservation(self.centred, lit, state)
+        if kernel is not None and measurements is not None and len(lit) == 1:
+            step = kernel.take(self.imm, time_ns, int(lit[0]), measurements, manoeuvre_factor)
+            imm = step.predicted
+        else:
+            step, imm = None, self.imm.predict(time_ns, manoeuvre_factor)
+        return ToolObservation(self.centred, lit, imm.widest_state, imm, step)
 
     def commit(self, observation: ToolObservation) -> None:
         """Continue from the state after an exposure."""
@@ -203,6 +242,8 @@ class ToolTrack:
             status: status of the lost tool.
             reason: the same in words.
         """
+        if not self.exposures_to_confirm:
+            self.backoff.reset()
         self.state = self.imm = None
         self.recent_updates.clear()
         self.exposures.clear()
@@ -218,13 +259,16 @@ class ToolTrack:
         """No excluded reading of any marker, shape (M,); not to be written to."""
         return np.zeros(len(self.body), dtype=np.intp)
 
-    def support(self) -> TrackSupport:
-        """Return the readings that the pose is based on."""
-        nis, readings, sensors = zip(*self.recent_updates, strict=True)
-        used = sensors[0].copy()
-        for one in sensors[1:]:
-            used |= one
-        return TrackSupport(nis, readings, used)
+    @property
+    def used(self) -> NDArray[np.bool_]:
+        """Readings that the pose is based on: which sensor read which marker, shape (M, S)."""
+        return np.logical_or.reduce([sensors for _, _, sensors in self.recent_updates])
+
+    @property
+    def residual_sigma(self) -> float | None:
+        """Root of the mean NIS per reading of the last updates; None without any reading."""
+        count = sum(readings for _, readings, _ in self.recent_updates)
+        return sqrt(sum(nis for nis, _, _ in self.recent_updates) / count) if count else None
 
     def check_consistency(
         self,
@@ -250,16 +294,16 @@ class ToolTrack:
         if len(observation.lit) == 0:
             return
         square, count = 0.0, 0
-        of_markers = self._none_excluded
-        if observation.readings < observation.peaks.size:
+        excluded = self._none_excluded
+        missed = observation.readings < observation.peaks.size
+        if missed:
             off = observation.excluded_nis(model, free(), gate_probability)
             count = int(np.count_nonzero(off))
         if count:
             square = float(off.sum())
-            of_markers = np.zeros(len(self.body), dtype=np.intp)
-            of_markers[observation.lit] = (off > 0.0).sum(axis=1)
+            excluded = np.zeros(len(self.body), dtype=np.intp)
+            excluded[observation.lit] = (off > 0.0).sum(axis=1)
         if marker is None:
-            missed = observation.readings < observation.peaks.size
             against = observation.count_contradictions(free().usable.sum(axis=1)) if missed else 0
             if against and against >= observation.readings > 0:
                 square, count = MAX_EXCLUDED_NIS * against, against
@@ -269,23 +313,17 @@ class ToolTrack:
             # do so by chance. The misfit is recorded, so no residuals are needed.
             square, count = 0.0, 0
             observation.roll_back()
+        markers = len(self.body)
         if observation.readings + count:
             whitened = np.concatenate(observation.whitened) if observation.whitened else None
-            one = ExposureResiduals(
-                observation.nis + square, observation.readings + count, of_markers, whitened
+            residuals = ExposureResiduals(
+                observation.nis + square, observation.readings + count, excluded, whitened
             )
-            self._keep_residuals(one, marker)
-        self.fit_history.append(observation.readings > 0 or not observation.misfit)
+            cycle = 1 if marker is None else markers
+            _append(self.recent_residuals, residuals, CONSISTENCY_CYCLES * cycle)
+        fits = observation.readings > 0 or not observation.misfit
+        _append(self.fit_history, fits, ACQUISITION_CYCLES * markers)
         self.exposures_to_confirm = max(0, self.exposures_to_confirm - (observation.readings > 0))
-        while len(self.fit_history) > ACQUISITION_CYCLES * len(self.body):
-            self.fit_history.popleft()
-
-    def _keep_residuals(self, one: ExposureResiduals, marker: int | None) -> None:
-        """Keep the residuals of an exposure."""
-        self.recent_residuals.append(one)
-        cycle = 1 if marker is None else len(self.body)
-        while len(self.recent_residuals) > CONSISTENCY_CYCLES * cycle:
-            self.recent_residuals.popleft()
 
     def inconsistency(self, probability: float) -> str | None:
         """Return why its readings do not fit, the excluded ones included; None: they fit.
@@ -313,9 +351,9 @@ class ToolTrack:
             square, count, limit = chi2_test(of, probability)
             if square > limit:
                 return (
-                    f"its last {count} readings do not fit it: they are "
-                    f"{(square / count) ** 0.5:.3g} deviations off, RMS; "
-                    f"{(limit / count) ** 0.5:.3g} is the most"
+                    f"its last {count} readings do not fit it: their residuals are "
+                    f"{(square / count) ** 0.5:.3g} standard deviations RMS; at most "
+                    f"{(limit / count) ** 0.5:.3g} are allowed"
                 )
         return None
 
@@ -343,7 +381,12 @@ class ToolTrack:
         sensors = np.zeros((len(self.body), observation.peaks.shape[1]), dtype=np.bool_)
         sensors[observation.lit] = observation.peaks >= 0
         most = 1 if len(observation.lit) == len(self.body) else len(self.body)
-        self.recent_updates.append((observation.nis, observation.readings, sensors))
-        while len(self.recent_updates) > most:
-            self.recent_updates.popleft()
+        _append(self.recent_updates, (observation.nis, observation.readings, sensors), most)
         self.updated_ns = time_ns
+
+
+def _append(history: deque[T], item: T, most: int) -> None:
+    """Append an item; the oldest of more than ``most`` are dropped."""
+    history.append(item)
+    while len(history) > most:
+        history.popleft()

@@ -1,9 +1,9 @@
 """ToolTracker: poses of all tools of a device, exposure by exposure, and why a tool has none."""
 
-from collections import deque
 from collections.abc import Sequence
-from dataclasses import replace
+from copy import deepcopy
 from functools import partial
+from math import sqrt
 from typing import Final
 
 import numpy as np
@@ -15,37 +15,20 @@ from compute.errors import InvalidParameter
 from compute.mapping.table import CorrectionTable
 from compute.measurement.measurement_model import MeasurementModel
 from compute.measurement.measurements import Measurements, check_sensors
-from compute.pose.acquisition.acquisition_simultaneous import acquire_simultaneous
-from compute.pose.acquisition.acquisition_strobed import MarkerExposure, acquire_strobed
-from compute.pose.filtering.association import (
-    MAX_EXCLUDED_NIS,
-    ToolObservation,
-    associate,
-    without_tools,
-)
-from compute.pose.filtering.imm_model import ImmModel
-from compute.pose.filtering.imm_state import ImmState
+from compute.pose.estimation.observability import unobservable_motion
+from compute.pose.filtering.association import ToolObservation, associate, without_tools
+from compute.pose.filtering.imm import ImmModel
 from compute.pose.filtering.native.strobed_step import StrobedStepKernel, has_kernel
 from compute.pose.filtering.pose_filter import PoseState
-from compute.pose.rigid_body import CentredMarkers, RigidBody
+from compute.pose.rigid_body import CentredMarkers, PoseStatus, RigidBody, ToolPose
 from compute.pose.settings import ToolTrackerSettings
-from compute.pose.tool_pose import PoseStatus, ToolPose
 from compute.pose.tool_tracking.exposure_history import StaleDataDetector, StrobeCycle
-from compute.pose.tool_tracking.pose_report import (
-    ExposureResiduals,
-    missing_pose,
-    outside_volume,
-    report,
-)
-from compute.pose.tool_tracking.tool_track import ACQUISITION_CYCLES, ToolTrack
+from compute.pose.tool_tracking.tool_search import ToolSearch
+from compute.pose.tool_tracking.tool_track import COAST_CYCLES, ToolTrack
 from compute.reconstruction.point_batch import PointBatch
 
 Array = NDArray[np.float64]
 
-MIN_EXPOSURES: Final = 8
-"""Smallest number of exposures kept for acquisition: enough for three markers and two sensors."""
-COAST_CYCLES: Final = 1.25
-"""Shortest prediction without readings in strobe cycles: one, and some lost frames."""
 STALE_DATA_MESSAGE: Final = "the readings do not change by a single bit: the image is frozen"
 MISFIT: Final = "the readings do not fit it where it was and how it moved"
 
@@ -94,6 +77,7 @@ class ToolTracker:
         table = 0 if corrections is None else len(self.model)
         self._imm_model = ImmModel.of(self.settings.motion, self.settings.imm)
         self._tools = [self._untracked(body, common + table * len(body)) for body in tools]
+        self._search = ToolSearch(self.model, self.settings)
         self._time_ns: int | None = None
         self._stale_data = StaleDataDetector()
         self._cycle = StrobeCycle()
@@ -105,7 +89,10 @@ class ToolTracker:
 
     def reset(self) -> None:
         """End all tracks; needed where time goes back."""
-        self._tools = [ToolTrack(tool.body, tool.common_errors, tool.step) for tool in self._tools]
+        self._tools = [
+            ToolTrack(tool.body, tool.common_errors, tool.imm_model, tool.step)
+            for tool in self._tools
+        ]
         self._time_ns = None
         self._stale_data = StaleDataDetector()
         self._cycle = StrobeCycle()
@@ -113,50 +100,32 @@ class ToolTracker:
     def adopt_state(self, other: "ToolTracker") -> None:
         """Take over the tracks of the same tools from another tracker of the same cameras."""
         known = {tool.body.name: tool for tool in other._tools}
-        for tool in self._tools:
+        for index, tool in enumerate(self._tools):
             before = known.get(tool.body.name)
-            if before is None or before.common_errors != tool.common_errors:
-                continue
-            same = np.array_equal(before.body.markers_mm, tool.body.markers_mm)
-            if same and before.body.strobe_markers == tool.body.strobe_markers:
-                tool.state, tool.updated_ns, tool.exposures_since_search = (
-                    before.state,
-                    before.updated_ns,
-                    before.exposures_since_search,
-                )
-                tool.imm = before.imm
-                if before.imm is not None and before.imm.model is not self._imm_model:
-                    tool.imm = self._initial_imm(tool, before.imm.combined)
-                tool.recent_updates, tool.fit_history = (
-                    deque(before.recent_updates),
-                    deque(before.fit_history),
-                )
-                tool.recent_residuals = deque(before.recent_residuals)
-                tool.exposures, tool.exposures_to_confirm = (
-                    deque(before.exposures),
-                    before.exposures_to_confirm,
-                )
-                tool.status, tool.reason = before.status, before.reason
+            if (
+                before is not None
+                and before.common_errors == tool.common_errors
+                and np.array_equal(before.body.markers_mm, tool.body.markers_mm)
+                and before.body.strobe_markers == tool.body.strobe_markers
+            ):
+                self._tools[index] = tool.continue_from(before)
         self._time_ns = other._time_ns
-        self._cycle = other._cycle.copy()
+        self._cycle = deepcopy(other._cycle)
 
     def _untracked(self, body: RigidBody, common_errors: int) -> ToolTrack:
         """Return the track of a lost tool."""
-        probability, step = self.settings.gate_probability, None
-        if body.strobe_markers is not None and has_kernel(self.model, self._imm_model):
-            step = StrobedStepKernel(
-                self.model, self._imm_model, CentredMarkers.of(body), common_errors, probability
+        if body.strobe_markers is None or len(self._imm_model) == 1:
+            return ToolTrack(body, common_errors)
+        kernel = None
+        if has_kernel(self.model, self._imm_model):
+            kernel = StrobedStepKernel(
+                self.model,
+                self._imm_model,
+                CentredMarkers.of(body),
+                common_errors,
+                self.settings.gate_probability,
             )
-        return ToolTrack(body, common_errors, step)
-
-    def _initial_imm(self, tool: ToolTrack, state: PoseState) -> ImmState | None:
-        """Return the motion models of a tool with a known state; None: it needs one model only.
-
-        Markers that are lit together determine the pose in every frame: motion models add little.
-        """
-        if tool.body.strobe_markers is None or len(self._imm_model) == 1:
-            return None
-        return ImmState.of(state, self._imm_model)
+        return ToolTrack(body, common_errors, self._imm_model, kernel)
 
     def step(
         self,
@@ -216,7 +185,7 @@ class ToolTracker:
             observations[index] = observation
         associate(
             self.model,
-            list(observations.values()),
+            observations.values(),
             measurements,
             self.settings.gate_probability,
             self.settings.resolution_px,
@@ -264,7 +233,7 @@ class ToolTracker:
         }
         associate(
             self.model,
-            list(trials.values()),
+            trials.values(),
             free,
             self.settings.gate_probability,
             self.settings.resolution_px,
@@ -283,9 +252,7 @@ class ToolTracker:
         coast = f"nothing was seen of it for {1e-6 * self._coast_ns(tool):.3g} ms"
         if tool.fit_history and not tool.fit_history[-1]:
             tool.drop(PoseStatus.INVALID, MISFIT)
-            return
-        left = self._left_view(tool, state)
-        if left is not None:
+        elif (left := self._left_view(tool, state)) is not None:
             tool.drop(PoseStatus.OUT_OF_VIEW, f"{left}; {coast}")
         else:
             tool.drop(PoseStatus.MISSING, coast)
@@ -312,158 +279,141 @@ class ToolTracker:
         points: PointBatch | None,
     ) -> None:
         """Search for the tools that are lost or have no readings in this frame."""
-        together = []
-        taken = []
+        lost: list[ToolTrack] = []
+        tracked: list[ToolObservation] = []
         for index, tool in enumerate(self._tools):
-            observation = observations.get(index)
-            lit = tool.lit(marker)
-            if marker is None and (
-                tool.state is None or observation is None or not observation.readings
-            ):
-                together.append(tool)
-            elif tool.state is not None and observation is not None:
-                taken.append(observation)
-                if not tool.exposures_to_confirm:
-                    tool.backoff.reset()
-            elif len(lit):
-                self._acquire_strobed(tool, time_ns, int(lit[0]), measurements)
-        if together:
-            self._acquire_simultaneous(together, time_ns, measurements, taken, points)
-
-    def _acquire_strobed(
-        self, tool: ToolTrack, time_ns: int, marker: int, measurements: Measurements
-    ) -> None:
-        """Keep an exposure of a lost strobed tool; search for it when there are enough."""
-        backoff = tool.backoff
-        before = list(tool.exposures)[-len(tool.body) :]
-        if len(before) == len(tool.body) and not any(one.any_reading for one in before):
-            backoff.reset()  # all of its markers were hidden
-        tool.exposures.append(MarkerExposure(time_ns, marker, *measurements.unambiguous_readings()))
-        most = max(ACQUISITION_CYCLES * len(tool.body), MIN_EXPOSURES)
-        turns_ns = round(
-            ACQUISITION_CYCLES * COAST_CYCLES * self._cycle.duration_ns(tool.body.strobe_markers)
-        )
-        window_ns = max(round(1e9 * self.settings.acquisition_window_s), turns_ns)
-        oldest = time_ns - window_ns
-        while tool.exposures[0].time_ns < oldest or len(tool.exposures) > most:
-            tool.exposures.popleft()
-        tool.exposures_since_search += 1
-        backoff.count_exposure()
-        shown = [one for one in tool.exposures if one.any_reading]
-        markers = len({one.marker for one in shown})
-        if not shown and tool.status is PoseStatus.OUT_OF_VIEW:
-            return
-        if not shown or not (backoff.is_waiting or tool.status is PoseStatus.INVALID):
-            tool.status = PoseStatus.MISSING
-            tool.reason = (
-                f"{markers} of {len(tool.body)} markers were seen in the last "
-                f"{1e-6 * window_ns:.3g} ms"
-            )
-        # Wait for a cycle after a failure: the same exposures would fail again.
-        if (
-            tool.exposures_since_search < len(tool.body)
-            or not shown
-            or shown[-1].time_ns != time_ns
-        ):
-            return
-        readings = sum(int(np.isfinite(one.readings_px).sum()) for one in shown)
-        if not backoff.due(time_ns, readings):
-            return
-        found = acquire_strobed(self.model, tool.centred, shown, tool.common_errors, self.settings)
-        if found.searched:
-            # A failure until it is confirmed. Too few readings may suffice with the next exposure.
-            too_few = found.state is None and not found.inconsistent
-            backoff.record_failure(time_ns, readings, 1 if too_few else len(tool.body))
-        if found.state is None:
-            tool.exposures_since_search = 0 if found.inconsistent else tool.exposures_since_search
-            tool.status = PoseStatus.INVALID if found.inconsistent else PoseStatus.MISSING
-            tool.reason = str(found.reason)
-            return
-        tool.state, tool.updated_ns = found.state, time_ns
-        tool.imm = self._initial_imm(tool, found.state)
-        tool.exposures_to_confirm = len(tool.body)
-        tool.exposures.clear()
-        tool.fit_history.clear()
-        tool.recent_updates.clear()
-        sensors = np.zeros((len(tool.body), len(self.model)), dtype=np.bool_)
-        for one in shown:
-            sensors[one.marker] = np.isfinite(one.readings_px)
-        tool.recent_updates.append((found.nis, found.readings, sensors))
-        nothing = np.zeros(len(tool.body), dtype=np.intp)
-        tool.recent_residuals.append(ExposureResiduals(found.nis, found.readings, nothing))
-
-    def _acquire_simultaneous(
-        self,
-        lost: list[ToolTrack],
-        time_ns: int,
-        measurements: Measurements,
-        taken: list[ToolObservation],
-        points: PointBatch | None,
-    ) -> None:
-        """Search for lost tools whose markers are lit together, among this frame's points."""
-        found = acquire_simultaneous(
-            self.model,
-            [tool.body for tool in lost],
-            [tool.common_errors for tool in lost],
-            time_ns,
-            without_tools(measurements, taken),
-            taken,
-            points,
-            self.settings,
-        )
-        for tool, one in zip(lost, found, strict=True):
-            if one.state is None and tool.state is not None:
-                continue
-            if one.state is None:
-                nothing = one.point_count == 0 and tool.status is PoseStatus.OUT_OF_VIEW
-                if not nothing:
-                    tool.status, tool.reason = one.status, one.reason
-                continue
-            tool.state, tool.updated_ns, tool.exposures_to_confirm = one.state, time_ns, 0
-            tool.imm = self._initial_imm(tool, one.state)
-            tool.fit_history.clear()
-            tool.recent_updates.clear()
-            tool.recent_updates.append((one.nis, int(one.sensors.sum()), one.sensors))
-            off = one.nis + MAX_EXCLUDED_NIS * int(one.excluded.sum())
-            number = int(one.sensors.sum() + one.excluded.sum())
-            tool.recent_residuals.append(ExposureResiduals(off, number, one.excluded))
+            observation = None if tool.state is None else observations.get(index)
+            if marker is None and (observation is None or not observation.readings):
+                lost.append(tool)
+            elif observation is not None:
+                tracked.append(observation)
+            elif len(lit := tool.lit(marker)):
+                cycle_ns = self._cycle.duration_ns(tool.body.strobe_markers)
+                self._search.strobed(tool, time_ns, int(lit[0]), measurements, cycle_ns)
+        if lost:
+            self._search.simultaneous(lost, time_ns, measurements, tracked, points)
 
     def _report(self, tool: ToolTrack, time_ns: int, sequence: int) -> ToolPose:
-        if tool.state is None:
-            return missing_pose(tool.body, tool.status, tool.reason, time_ns, sequence)
-        if self._stale_data.is_stale(tool.body.strobe_markers):
-            return missing_pose(
-                tool.body, PoseStatus.INVALID, STALE_DATA_MESSAGE, time_ns, sequence
+        """Return the pose of a tool, or the reason why there is none."""
+        name, state = tool.body.name, tool.state
+        if state is None:
+            return ToolPose(name, tool.status, tool.reason, time_ns, sequence)
+        missing = self._missing(tool, state, time_ns)
+        if missing is not None:
+            return ToolPose(name, *missing, time_ns, sequence)
+        pose, used = state.reported_pose(tool.centred), tool.used
+        readings, markers = int(used.sum()), int(used.any(axis=1).sum())
+        tip_sd = sqrt(pose.tip_covariance_mm2.trace())
+        limit = tool.body.max_tip_sd_mm
+        if limit is None:
+            limit = self.settings.max_tip_sd_mm
+        status, reason = PoseStatus.OK, self._outside_volume(tool, state, used)
+        if tip_sd > limit:
+            status = PoseStatus.HIGH_ERROR
+            reason = (
+                f"the tip's standard deviation is {tip_sd:.3g} mm, of {readings} readings of "
+                f"{markers} of {len(used)} markers; at most {limit:.3g} mm is allowed"
             )
+        elif reason is not None:
+            status = PoseStatus.OUT_OF_VOLUME
+        return ToolPose(
+            name,
+            status,
+            reason,
+            time_ns,
+            sequence,
+            pose.rotation,
+            pose.translation_mm,
+            pose.covariance,
+            pose.tip_mm,
+            pose.tip_covariance_mm2,
+            tool.residual_sigma,
+            markers,
+            readings,
+            pose.velocity_mm_s,
+            pose.angular_velocity_rad_s,
+            time_ns - tool.updated_ns,
+        )
+
+    def _missing(
+        self, tool: ToolTrack, state: PoseState, time_ns: int
+    ) -> tuple[PoseStatus, str] | None:
+        """Return status and reason of a tracked tool without a usable pose; None: it has one."""
+        if self._stale_data.is_stale(tool.body.strobe_markers):
+            return PoseStatus.INVALID, STALE_DATA_MESSAGE
         if not all(list(tool.fit_history)[-len(tool.body) :]):
-            return missing_pose(tool.body, PoseStatus.INVALID, MISFIT, time_ns, sequence)
+            return PoseStatus.INVALID, MISFIT
         unseen_ms = 1e-6 * (time_ns - tool.updated_ns)
         if unseen_ms > 1e3 * self.settings.coast_s:
-            turn_ms = 1e-6 * self._cycle.duration_ns(tool.body.strobe_markers)
-            reason = (
+            cycle_ms = 1e-6 * self._cycle.duration_ns(tool.body.strobe_markers)
+            return PoseStatus.MISSING, (
                 f"nothing was seen of it for {unseen_ms:.3g} ms; its markers' turn to be lit comes "
-                f"every {turn_ms:.3g} ms"
+                f"every {cycle_ms:.3g} ms"
             )
-            return missing_pose(tool.body, PoseStatus.MISSING, reason, time_ns, sequence)
         if tool.exposures_to_confirm and tool.status is PoseStatus.INVALID:
-            return missing_pose(tool.body, tool.status, tool.reason, time_ns, sequence)
+            return tool.status, tool.reason
         if tool.exposures_to_confirm:
-            reason = (
+            return PoseStatus.MISSING, (
                 f"it was just found; {tool.exposures_to_confirm} more exposure"
                 f"{'' if tool.exposures_to_confirm == 1 else 's'} must fit before it is believed"
             )
-            return missing_pose(tool.body, PoseStatus.MISSING, reason, time_ns, sequence)
-        support = tool.support()
         inconsistency = tool.inconsistency(self.settings.fit.false_rejection_probability)
         if inconsistency is not None:
-            return missing_pose(tool.body, PoseStatus.INVALID, inconsistency, time_ns, sequence)
-        outside = outside_volume(self.model, tool.body, tool.state, support, self.settings)
-        pose = report(tool.body, tool.state, support, sequence, outside, self.settings)
-        if pose.status is PoseStatus.MISSING:
-            left = self._left_view(tool, tool.state)
-            if left is not None:
-                return missing_pose(tool.body, PoseStatus.OUT_OF_VIEW, left, time_ns, sequence)
-        unseen_ns = time_ns - tool.updated_ns
-        return (
-            pose if pose.rotation is None or not unseen_ns else replace(pose, unseen_ns=unseen_ns)
-        )
+            return PoseStatus.INVALID, inconsistency
+        unobservable = self._unobservable(tool, state)
+        if unobservable is None:
+            return None
+        left = self._left_view(tool, state)
+        if left is not None:
+            return PoseStatus.OUT_OF_VIEW, left
+        return PoseStatus.MISSING, unobservable
+
+    def _unobservable(self, tool: ToolTrack, state: PoseState) -> str | None:
+        """Return which motion the readings do not determine; None: they determine all."""
+        centred, fit = tool.centred, self.settings.fit
+        covariance = state.covariance[:6, :6]
+        most = (fit.max_sigma_fraction * centred.radius_mm) ** 2
+        a, b, c, x, y, z = covariance.diagonal().tolist()
+        # The trace bounds the largest eigenvalue and is much cheaper: it is checked first.
+        if centred.radius_mm**2 * (a + b + c) + (x + y + z) <= most:
+            return None
+        radius = np.array([centred.radius_mm] * 3 + [1.0] * 3)
+        scaled = covariance * (radius[:, None] * radius)
+        if np.linalg.eigvalsh(scaled)[-1] <= most:
+            return None
+        reason = unobservable_motion(np.linalg.inv(scaled), centred, tool.used, fit)
+        return reason or "the readings do not determine the pose"
+
+    def _outside_volume(
+        self, tool: ToolTrack, state: PoseState, used: NDArray[np.bool_]
+    ) -> str | None:
+        """Return which part of a tool is outside the calibrated volume or the table's hull."""
+        if self.settings.volume_mm is None and self.model.corrections is None:
+            return None
+        markers = state.marker_positions(tool.centred)
+        names = [f"marker {index + 1}" for index in range(len(markers))]
+        if self.settings.volume_mm is not None:
+            low, high = np.array(self.settings.volume_mm)
+            tip = state.centroid_mm + state.rotation @ tool.centred.tip_mm
+            parts = np.vstack([tip, markers])
+            beyond = np.flatnonzero(((parts < low) | (parts > high)).any(axis=1))
+            if len(beyond):
+                return (
+                    f"{_listed(['the tip', *names], beyond)} outside of the volume of the "
+                    f"calibration, at {_position(parts[beyond[0]])}; it reaches from "
+                    f"{_position(low)} to {_position(high)}"
+                )
+        if self.model.corrections is not None:
+            outside = np.flatnonzero((used & ~self.model.inside_hull(markers)).any(axis=1))
+            if len(outside):
+                return f"{_listed(names, outside)} where the correction table is not valid"
+        return None
+
+
+def _listed(names: Sequence[str], which: NDArray[np.intp]) -> str:
+    *first, last = (names[index] for index in which)
+    return f"{', '.join(first)} and {last} are" if first else f"{last} is"
+
+
+def _position(position_mm: Array) -> str:
+    return "(" + ", ".join(f"{value:.0f}" for value in position_mm) + ") mm"

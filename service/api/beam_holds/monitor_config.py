@@ -11,8 +11,7 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from compute.errors import InvalidParameter
-from compute.pose.beam_hold.beam_hold_limits import BeamHoldLimits
-from compute.pose.beam_hold.beam_hold_state import BeamHoldTiming
+from compute.pose.beam_hold import BeamHoldLimits, BeamHoldTiming
 from compute.pose.transform import Transform
 from service.api.beam_holds.schema import (
     Limits,
@@ -37,6 +36,14 @@ from service.pipeline.tracking_config import TrackingConfig
 
 MIN_APART_MM: Final = 1.0
 """Of markers: two lights that are nearer to each other are seen as one."""
+REFERENCE_ARRAYS: Final = (
+    "rotation",
+    "translation_mm",
+    "covariance",
+    "positions_mm",
+    "covariances_mm2",
+)
+"""Members of a stored reference that are arrays."""
 _WATCH: TypeAdapter[Watch] = TypeAdapter(Watch)
 
 
@@ -101,31 +108,27 @@ def validate_reference(given: ReferenceInput, watch: Watch) -> dict[str, Any]:
     Raises:
         InvalidParameter: it is not one of what is watched.
     """
-    tool = isinstance(watch, ToolWatch)
-    pose = given.rotation is not None and given.translation_mm is not None
-    nothing = given.rotation is None and given.translation_mm is None and given.covariance is None
-    if tool and (not pose or given.positions_mm is not None):
-        raise InvalidParameter(
-            "the reference of a tool is its pose: give rotation and translation_mm, and no "
-            "positions_mm"
-        )
-    if not tool and (not nothing or given.positions_mm is None):
-        raise InvalidParameter(
-            "the reference of markers is their places: give positions_mm, and neither rotation, "
-            "translation_mm nor covariance"
-        )
-    if tool:
+    pose, positions = (given.rotation, given.translation_mm), given.positions_mm
+    if isinstance(watch, ToolWatch):
+        if None in pose or positions is not None:
+            raise InvalidParameter(
+                "the reference of a tool is its pose: give rotation and translation_mm, and no "
+                "positions_mm"
+            )
         Transform(np.array(given.rotation), np.array(given.translation_mm))
         if given.covariance is not None:
             _check_covariance(np.array(given.covariance))
-    elif given.positions_mm is not None and len(given.positions_mm) != (
-        count := to_spec(watch).count
-    ):
-        raise InvalidParameter(
-            f"positions_mm has {len(given.positions_mm)} places; {count} markers are watched"
-        )
-    elif given.positions_mm is not None:
-        _check_apart(np.array(given.positions_mm))
+    else:
+        if positions is None or (*pose, given.covariance) != (None, None, None):
+            raise InvalidParameter(
+                "the reference of markers is their places: give positions_mm, and neither "
+                "rotation, translation_mm nor covariance"
+            )
+        if len(positions) != (count := to_spec(watch).count):
+            raise InvalidParameter(
+                f"positions_mm has {len(positions)} places; {count} markers are watched"
+            )
+        _check_apart(np.array(positions))
     return {
         **given.model_dump(mode="json"),
         "covariances_mm2": None,
@@ -172,23 +175,21 @@ def to_watched_hold(row: HoldRow) -> BeamHoldConfig:
 
 
 def _reference(stored: dict[str, Any]) -> HoldReference:
+    rotation, translation, covariance, positions, covariances = (
+        None if stored[name] is None else np.array(stored[name], np.float64)
+        for name in REFERENCE_ARRAYS
+    )
     pose = None
-    if stored["rotation"] is not None:
-        spread = stored["covariance"]
-        pose = Transform(
-            np.array(stored["rotation"]),
-            np.array(stored["translation_mm"]),
-            None if spread is None else np.array(spread),
-        )
-    places, spreads = stored["positions_mm"], stored["covariances_mm2"]
+    if rotation is not None and translation is not None:
+        pose = Transform(rotation, translation, covariance)
     return HoldReference(
         stored["id"],
         datetime.fromisoformat(stored["set_at"]),
         stored["calibration"],
         stored["table"],
         pose,
-        None if places is None else np.array(places, np.float64),
-        None if spreads is None else np.array(spreads, np.float64),
+        positions,
+        covariances,
     )
 
 

@@ -1,18 +1,20 @@
 """Captures a beam hold's reference from a running device, the patient set up and at rest."""
 
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.camera.rotation import rotation_vector
 from compute.errors import NotStationary
 from compute.pose.tool_calibration.digitising import (
     StationaryPoint,
     StationarySettings,
     average_stationary_tip,
+    positive_semidefinite_part,
 )
-from compute.pose.transform import Transform
+from compute.pose.transform import Transform, nearest_rotation
+from service.api.beam_holds.monitor_config import REFERENCE_ARRAYS
 from service.api.beam_holds.schema import NewReference
 from service.pipeline.beam_hold_observer import (
     HoldObserver,
@@ -105,14 +107,11 @@ class ReferenceTap(SingleCalibrationTap):
                 self.positions[row].append(shown.positions_mm[row])
                 self.covariances[row].append(shown.covariances_mm2[row])
 
-    def _rows(self, marker: int | None) -> range:
+    def _rows(self, marker: int | None) -> list[int]:
         """Return which markers a frame shows anew."""
         if not isinstance(self._spec, WatchedStrobedMarkers):
-            return range(len(self.times))
-        if marker not in self._spec.markers:
-            return range(0)
-        row = self._spec.markers.index(marker)
-        return range(row, row + 1)
+            return list(range(len(self.times)))
+        return [row for row, strobed in enumerate(self._spec.markers) if strobed == marker]
 
 
 def capture_reference(
@@ -194,27 +193,19 @@ def mean_pose(poses: list[Transform]) -> Transform:
     Its covariance is the scatter over their number, and what their own covariances say beyond
     the scatter: that is common to all of them (the calibration's), and no mean makes it smaller.
     """
-    left, _, right = np.linalg.svd(np.sum([pose.rotation for pose in poses], axis=0))
-    rotation = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
-    translation = np.mean([pose.translation_mm for pose in poses], axis=0)
-    off = np.array(
-        [
-            np.concatenate(
-                [rotation_vector(pose.rotation @ rotation.T), pose.translation_mm - translation]
-            )
-            for pose in poses
-        ]
-    )
+    rotation = nearest_rotation(np.sum([pose.rotation for pose in poses], axis=0))
+    mean = Transform(rotation, np.mean([pose.translation_mm for pose in poses], axis=0))
+    off = np.array([pose.difference(mean) for pose in poses])
     scatter = off.T @ off / max(len(poses) - 1, 1)
     stated = [pose.covariance for pose in poses if pose.covariance is not None]
     covariance = scatter / len(poses)
     if stated:
-        # In mm for turns, too: else the eigenvectors would mix units.
+        # In mm for rotations, too: else the eigenvectors would mix units.
         scale = np.array([LEVER_ARM_MM] * 3 + [1.0] * 3)
         units = scale[:, None] * scale
-        values, axes = np.linalg.eigh((np.mean(stated, axis=0) - scatter) * units)
-        covariance = covariance + (axes * np.maximum(values, 0.0)) @ axes.T / units
-    return Transform(rotation, translation, covariance)
+        excess = positive_semidefinite_part((np.mean(stated, axis=0) - scatter) * units)
+        covariance = covariance + excess / units
+    return replace(mean, covariance=covariance)
 
 
 def _still(
@@ -236,7 +227,5 @@ def _still(
 
 
 def _members(frames: int, scatter_mm: float, **found: Any) -> dict[str, Any]:
-    none = dict.fromkeys(
-        ("rotation", "translation_mm", "covariance", "positions_mm", "covariances_mm2")
-    )
+    none = dict.fromkeys(REFERENCE_ARRAYS)
     return {**none, **found, "kind": "captured", "frames": frames, "scatter_mm": scatter_mm}

@@ -7,7 +7,7 @@ from fastapi import APIRouter, Body, Path, Response
 from starlette.status import HTTP_201_CREATED, HTTP_204_NO_CONTENT
 
 from compute.errors import InvalidParameter, NotStationary
-from compute.pose.beam_hold.beam_hold_state import BeamHoldCause
+from compute.pose.beam_hold import BeamHoldCause
 from service.api.base_models import SLUG_PATTERN, Page
 from service.api.beam_holds import store
 from service.api.beam_holds.examples import BEAM_HOLD_IDS, CHANGES, NEW_BEAM_HOLDS, REFERENCES
@@ -119,9 +119,8 @@ def change_beam_hold(
     What is watched never changes: delete the hold and create another.
     """
     with device_service.tools_change(_device_of(database, hold_id)) as session:
-        return store.document(
-            store.change_beam_hold(session, store.get_beam_hold(session, hold_id), request)
-        )
+        row = store.get_beam_hold(session, hold_id)
+        return store.document(store.change_beam_hold(session, row, request))
 
 
 @router.delete(
@@ -181,7 +180,8 @@ def set_beam_hold_reference(
         measured, calibration, table = capture_reference(live, device, spec, request)
     with device_service.tools_change(device) as session:
         row = store.get_same_beam_hold(session, hold_id, created, before)
-        return _set_up(live, store.set_captured(session, row, measured, calibration, table))
+        reference = store.complete_reference(measured, calibration, table)
+        return _set_up(live, store.set_reference(session, row, reference))
 
 
 @router.delete(
@@ -195,9 +195,8 @@ def delete_beam_hold_reference(
 ) -> BeamHold:
     """The beam is held until there is another: between two patients."""
     with device_service.tools_change(_device_of(database, hold_id)) as session:
-        return store.document(
-            store.remove_reference(session, store.get_beam_hold(session, hold_id))
-        )
+        row = store.get_beam_hold(session, hold_id)
+        return store.document(store.set_reference(session, row, None))
 
 
 @router.post(
@@ -254,16 +253,7 @@ def state_of(live: PipelineManager, device_id: str, hold_id: str) -> BeamHoldSta
         # Of a server that is starting, or one that could not take the hold over.
         why = "it is not watched"
         now = BeamHoldState(hold_id, True, BeamHoldCause.NO_DATA, why, time.time_ns())
-    return BeamHoldStatus(
-        hold=hold_id,
-        device=device_id,
-        held=now.held,
-        cause=now.cause,
-        reason=now.reason,
-        since_ns=now.since_ns,
-        exposure_ns=now.exposure_ns,
-        sequence=now.sequence,
-        shift_mm=now.shift_mm,
-        rotation_rad=now.rotation_rad,
-        probability=now.probability,
-    )
+    members = {
+        name: getattr(now, name) for name in BeamHoldStatus.model_fields if hasattr(now, name)
+    }
+    return BeamHoldStatus(hold=hold_id, device=device_id, **members)

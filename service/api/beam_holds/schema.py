@@ -4,8 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from compute.pose.beam_hold.beam_hold_limits import BeamHoldLimits
-from compute.pose.beam_hold.beam_hold_state import BeamHoldCause, BeamHoldTiming
+from compute.pose.beam_hold import BeamHoldCause, BeamHoldLimits, BeamHoldTiming
 from service.api.base_models import (
     Moment,
     Note,
@@ -70,11 +69,13 @@ SettlingTime = Annotated[
 ]
 Latched = Annotated[
     bool,
-    Field(
-        description="Whether a hold, after the first release, lasts until it is acknowledged.",
-    ),
+    Field(description="Whether a hold, after the first release, lasts until it is acknowledged."),
 ]
-MinMarkers = Annotated[int, Field(ge=1, le=MAX_MARKERS)]
+MarkerCount = Annotated[int, Field(ge=1, le=MAX_MARKERS)]
+MinMarkers = Annotated[
+    MarkerCount | None,
+    Field(description="With fewer of them seen, nothing counts as measured; null: all of them."),
+]
 
 
 class ToolWatch(RequestModel):
@@ -98,21 +99,15 @@ class StrobedMarkersWatch(RequestModel):
 
     kind: Literal["strobed-markers"]
     markers: Annotated[list[Marker], Field(min_length=1, max_length=MAX_MARKERS)]
-    min_markers: MinMarkers | None = Field(
-        default=None,
-        description="With fewer of them seen, nothing counts as measured; null: all of them.",
-    )
+    min_markers: MinMarkers = None
 
 
 class SimultaneousMarkersWatch(RequestModel):
     """Markers on the patient that are lit together, each near its place."""
 
     kind: Literal["simultaneous-markers"]
-    markers: Annotated[int, Field(ge=1, le=MAX_MARKERS)] = Field(description="How many.")
-    min_markers: MinMarkers | None = Field(
-        default=None,
-        description="With fewer of them seen, nothing counts as measured; null: all of them.",
-    )
+    markers: MarkerCount = Field(description="How many.")
+    min_markers: MinMarkers = None
     search_radius_mm: Length = Field(
         default=30.0,
         description="How far from its place a marker is looked for; farther than the limits.",

@@ -116,18 +116,9 @@ def add_beam_hold(session: Session, request: NewBeamHold) -> HoldRow:
                 tool=tool_id,
             )
     now = datetime.now(UTC)
+    members = request.model_dump(mode="json", exclude={"device", "reference"})
     row = HoldRow(
-        id=request.id,
-        device_id=device,
-        tool_id=tool_id,
-        title=request.title,
-        watch=watch.model_dump(mode="json"),
-        limits=request.limits.model_dump(mode="json"),
-        rules=request.rules.model_dump(mode="json"),
-        reference=None,
-        note=request.note,
-        created_at=now,
-        updated_at=now,
+        device_id=device, tool_id=tool_id, reference=None, created_at=now, updated_at=now, **members
     )
     if request.reference is not None:
         row.reference = _given(session, row, request.reference)
@@ -137,17 +128,13 @@ def add_beam_hold(session: Session, request: NewBeamHold) -> HoldRow:
 
 def change_beam_hold(session: Session, row: HoldRow, change: BeamHoldChange) -> HoldRow:
     """Change what the request gives; raises InvalidParameter: it contradicts itself."""
-    given = change.model_fields_set
     members = change.model_dump(mode="json", exclude_unset=True)
     limits = Limits.model_validate(row.limits | members.get("limits", {}))
     rules = Rules.model_validate(row.rules | members.get("rules", {}))
     to_limits(limits, rules, to_watch(row))
-    row.limits = limits.model_dump(mode="json")
-    row.rules = rules.model_dump(mode="json")
-    if "title" in given:
-        row.title = change.title
-    if "note" in given:
-        row.note = change.note
+    members |= {"limits": limits.model_dump(mode="json"), "rules": rules.model_dump(mode="json")}
+    for name, value in members.items():
+        setattr(row, name, value)
     row.updated_at = datetime.now(UTC)
     session.flush()
     return row
@@ -155,22 +142,11 @@ def change_beam_hold(session: Session, row: HoldRow, change: BeamHoldChange) -> 
 
 def set_given(session: Session, row: HoldRow, given: ReferenceInput) -> HoldRow:
     """Give a hold a reference with the calibration that is active; raises InvalidParameter."""
-    return _set(session, row, _given(session, row, given))
+    return set_reference(session, row, _given(session, row, given))
 
 
-def set_captured(
-    session: Session, row: HoldRow, measured: dict[str, Any], calibration: str, table: str | None
-) -> HoldRow:
-    """Give a hold what was measured."""
-    return _set(session, row, _completed(measured, calibration, table))
-
-
-def remove_reference(session: Session, row: HoldRow) -> HoldRow:
-    """Take a hold's reference away: the beam is held."""
-    return _set(session, row, None)
-
-
-def _set(session: Session, row: HoldRow, reference: dict[str, Any] | None) -> HoldRow:
+def set_reference(session: Session, row: HoldRow, reference: dict[str, Any] | None) -> HoldRow:
+    """Give a hold a completed reference; None: take it away, and the beam is held."""
     row.reference = reference
     row.updated_at = datetime.now(UTC)
     session.flush()
@@ -181,13 +157,14 @@ def _given(session: Session, row: HoldRow, given: ReferenceInput) -> dict[str, A
     members = validate_reference(given, to_watch(row))
     pointer = active(session, row.device_id)
     if pointer is None:
-        return _completed(members, None, None)
-    return _completed(members, pointer.calibration_id, pointer.table_id)
+        return complete_reference(members, None, None)
+    return complete_reference(members, pointer.calibration_id, pointer.table_id)
 
 
-def _completed(
+def complete_reference(
     members: dict[str, Any], calibration: str | None, table: str | None
 ) -> dict[str, Any]:
+    """Return a reference as it is stored, with its id, time, calibration and table."""
     own = {
         "id": f"reference-{secrets.token_hex(8)}",
         "calibration": calibration,
@@ -199,15 +176,5 @@ def _completed(
 
 def document(row: HoldRow) -> BeamHold:
     """Return a hold as clients see it."""
-    return BeamHold(
-        id=row.id,
-        device=row.device_id,
-        title=row.title,
-        watch=to_watch(row),
-        limits=Limits.model_validate(row.limits),
-        rules=Rules.model_validate(row.rules),
-        reference=None if row.reference is None else Reference.model_validate(row.reference),
-        note=row.note,
-        created_at=row.created_at,
-        updated_at=row.updated_at,
-    )
+    members = {name: getattr(row, name) for name in BeamHold.model_fields if name != "device"}
+    return BeamHold(device=row.device_id, **members)

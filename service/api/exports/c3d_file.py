@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.errors import InvalidParameter
-from compute.pose.tool_pose import PoseStatus
+from compute.pose.rigid_body import PoseStatus
 from service.api.exports.motion_table import MotionTable
 from service.api.exports.optional_dependencies import import_optional
 from service.api.exports.trajectories import Trajectory

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.errors import InvalidParameter
-from compute.pose.tool_pose import PoseStatus, ToolPose
+from compute.pose.rigid_body import PoseStatus, ToolPose
 from compute.reconstruction.point_batch import PointFlag
 from compute.tracking.track_batch import TrackFlag, TrackState
 from service.api.exports.motion_table import (

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.errors import InvalidParameter
-from compute.pose.tool_pose import PoseStatus
+from compute.pose.rigid_body import PoseStatus
 from service.api.exports.motion_table import MotionTable
 from service.pipeline.transform_names import wire_name
 

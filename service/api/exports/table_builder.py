@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.pose.tool_pose import ToolPose
+from compute.pose.rigid_body import ToolPose
 from service.api.exports.motion_table import (
     NO_MARKER,
     NO_POINTS,

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.errors import InvalidParameter
-from compute.pose.tool_pose import PoseStatus
+from compute.pose.rigid_body import PoseStatus
 from compute.tracking.track_batch import TrackState
 from service.api.exports.motion_table import NO_MARKER, MotionTable, PointRows, PoseRows, TrackRows
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.errors import InvalidParameter
-from compute.quality.point_to_point import MarkerTrack
+from compute.quality.accuracy import MarkerTrack
 from compute.reconstruction.point_batch import PointFlag
 from service.pipeline.frame_batch import FrameBatch
 from service.pipeline.taps import SingleCalibrationTap

@@ -6,8 +6,7 @@ from typing import Final
 import numpy as np
 
 from compute.errors import InvalidParameter
-from compute.quality.point_to_point import PointToPoint, point_to_point
-from compute.quality.single_point import SinglePoint, single_point
+from compute.quality.accuracy import PointToPoint, SinglePoint, point_to_point, single_point
 from service.api.quality.point_tap import PointTap, check_strobed
 from service.api.quality.schema import NewPointToPoint, NewSinglePoint
 from service.pipeline.pipeline_manager import PipelineManager

@@ -4,8 +4,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import ConfigDict, Field, RootModel, model_validator
 
-from compute.quality.point_to_point import PointToPoint
-from compute.quality.single_point import SinglePoint
+from compute.quality.accuracy import PointToPoint, SinglePoint
 from service.api.base_models import Moment, Note, Position, RequestModel, ResponseModel, Slug
 
 MAX_SECONDS = 60.0

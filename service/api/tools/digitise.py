@@ -6,12 +6,12 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.pose.rigid_body import PoseStatus, ToolPose
 from compute.pose.tool_calibration.digitising import (
     StationaryCapture,
     StationaryPoint,
     StationarySettings,
 )
-from compute.pose.tool_pose import PoseStatus, ToolPose
 from service.api.tools.frame_conversion import pose_in_frame
 from service.api.tools.point_schema import NewPoint
 from service.api.tools.pose_query import Frame

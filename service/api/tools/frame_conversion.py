@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.pose.tool_pose import PoseStatus, ToolPose
+from compute.pose.rigid_body import PoseStatus, ToolPose
 from compute.pose.transform import Transform
 from service.api.tools.tip_limit import exceeded_reason
 

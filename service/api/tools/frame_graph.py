@@ -9,7 +9,7 @@ from sqlalchemy.orm import Session
 
 from compute.camera.rotation import rotation_quaternion
 from compute.errors import UnknownFrame
-from compute.pose.tool_pose import PoseStatus
+from compute.pose.rigid_body import PoseStatus
 from compute.pose.transform import Transform
 from compute.pose.transform_graph import TransformGraph
 from service.api.tools.frame_conversion import POSE_STATUSES

@@ -4,7 +4,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from compute.pose.tool_pose import PoseStatus
+from compute.pose.rigid_body import PoseStatus
 from service.api.base_models import Position, ResponseModel
 from service.api.tools.schema import Matrix3, Matrix6
 

@@ -12,7 +12,7 @@ from compute.pose.tool_calibration.digitising import (
     StationarySettings,
     average_stationary_tip,
 )
-from compute.quality.point_to_point import MarkerTrack
+from compute.quality.accuracy import MarkerTrack
 from service.api.quality.point_tap import PointTap, check_strobed
 from service.api.tools.schema import NewCapturedTool, Origin
 from service.pipeline.pipeline_manager import PipelineManager

@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.pose.tool_pose import ToolPose
+from compute.pose.rigid_body import ToolPose
 from compute.pose.transform import Transform
 from compute.reconstruction.point_batch import PointFlag
 from service.pipeline.frame_batch import FrameBatch

@@ -9,7 +9,7 @@ from sqlalchemy.orm import Session
 
 from compute.camera.rotation import rotation_quaternion
 from compute.errors import InvalidParameter
-from compute.pose.tool_pose import PoseStatus, ToolPose
+from compute.pose.rigid_body import PoseStatus, ToolPose
 from compute.pose.transform import Transform
 from service.api.tools.frame_conversion import pose_in_frame
 from service.api.tools.provenance import Provenance, provenance

@@ -4,7 +4,7 @@ from collections import deque
 from collections.abc import Iterator
 from typing import Final
 
-from compute.pose.tool_pose import PoseStatus, ToolPose
+from compute.pose.rigid_body import PoseStatus, ToolPose
 from service.api.tools.frame_conversion import pose_in_frame
 from service.pipeline.frame_batch import FrameBatch
 from service.pipeline.taps import SingleCalibrationTap

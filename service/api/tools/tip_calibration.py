@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 import numpy as np
 
 from compute.errors import TooFewPoses
-from compute.pose.tool_pose import ToolPose
+from compute.pose.rigid_body import ToolPose
 from service.api.tools.pose_taps import PoseTap
 from service.api.tools.schema import NewToolCalibration
 from service.pipeline.pipeline_manager import PipelineManager

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from sqlalchemy.orm import Session
 
-from compute.pose.tool_pose import ToolPose
+from compute.pose.rigid_body import ToolPose
 from service.api.devices.store import get_device, tracking_of
 from service.api.tools.rigid_bodies import tip_of
 from service.api.tools.schema import ToolLimits

@@ -7,7 +7,7 @@ from typing import Final, get_args
 from prometheus_client import Metric
 from prometheus_client.registry import Collector
 
-from compute.pose.tool_pose import PoseStatus
+from compute.pose.rigid_body import PoseStatus
 from service.pipeline.device_session import BOUNDS_S
 from service.pipeline.device_status import DeviceState, DeviceStatus
 from service.pipeline.pipeline_manager import PipelineManager

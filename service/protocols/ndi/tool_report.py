@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.camera.rotation import rotation_quaternion
-from compute.pose.tool_pose import PoseStatus, ToolPose
+from compute.pose.rigid_body import PoseStatus, ToolPose
 from service.protocols.ndi.fixed_point import MAX_MM, MAX_UNIT
 from service.protocols.ndi.port_handles import PortHandle
 

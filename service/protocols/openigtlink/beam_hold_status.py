@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import Final
 
-from compute.pose.beam_hold.beam_hold_state import BeamHoldCause
+from compute.pose.beam_hold import BeamHoldCause
 from service.pipeline.beam_hold_registry import BeamHoldRegistry
 from service.pipeline.beam_hold_state import BeamHoldState
 from service.pipeline.transform_names import NAME_BYTES

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 from typing import Final, Literal
 
-from compute.pose.tool_pose import PoseStatus
+from compute.pose.rigid_body import PoseStatus
 from service.protocols.openigtlink.errors import BadMessage
 from service.protocols.openigtlink.header import Header
 from service.protocols.openigtlink.message import Message, write_message

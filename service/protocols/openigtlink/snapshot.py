@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.pose.tool_pose import PoseStatus, ToolPose
+from compute.pose.rigid_body import PoseStatus, ToolPose
 from service.api.tools.frame_conversion import POSE_STATUSES, status_rank
 from service.api.tools.tip_limit import TipLimit, exceeded_reason, tip_sd_mm
 from service.pipeline.latest_poses import PoseEntry

@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 from compute.camera.rotation import rotation_matrix
 from compute.camera.stack import CameraStack
 from compute.measurement.measurements import Measurements
-from compute.pose.rigid_body import RigidBody
-from compute.pose.tool_pose import ToolPose
+from compute.pose.rigid_body import RigidBody, ToolPose
 from compute.pose.tool_tracking.tool_tracker import ToolTracker
 from compute.reconstruction.point_batch import PointBatch
 from compute.reconstruction.triangulation import reconstruct

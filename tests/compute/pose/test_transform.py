@@ -6,7 +6,7 @@ from hypothesis import given, settings
 
 from compute.camera.rotation import rotation_matrix
 from compute.errors import InvalidParameter, NonFiniteValue
-from compute.pose.tool_pose import PoseStatus, ToolPose
+from compute.pose.rigid_body import PoseStatus, ToolPose
 from compute.pose.transform import Transform, cross_matrix, nearest_rotation
 from tests.compute.pose.motions import Array, pose_covariance, transforms, vectors
 

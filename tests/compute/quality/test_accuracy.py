@@ -6,9 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from compute.errors import InvalidParameter, TooFewPoints
-from compute.quality.point_to_point import MarkerTrack, point_to_point
-from compute.quality.single_point import single_point
-from compute.quality.statistics import error_statistics
+from compute.quality.accuracy import MarkerTrack, error_statistics, point_to_point, single_point
 
 COVARIANCE = np.diag([0.01, 0.01, 0.09])
 

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from compute.errors import DegenerateTool
 from compute.measurement.measurements import Measurements
-from compute.pose.rigid_body import RigidBody
-from compute.pose.tool_pose import PoseStatus, ToolPose
+from compute.pose.rigid_body import PoseStatus, RigidBody, ToolPose
 from compute.reconstruction.point_batch import PointBatch
 from compute.tracking.track_batch import TrackBatch, TrackState
 from service.pipeline.active_calibration import PreparedCalibration

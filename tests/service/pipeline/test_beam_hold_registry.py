@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from compute.pose.beam_hold.beam_hold_state import BeamHoldCause, BeamHoldTiming
-from compute.pose.tool_pose import PoseStatus
+from compute.pose.beam_hold import BeamHoldCause, BeamHoldTiming
+from compute.pose.rigid_body import PoseStatus
 from compute.reconstruction.point_batch import PointFlag
 from compute.signal.peaks import PeakBatch
 from service.pipeline.beam_hold_registry import BeamHoldRegistry, BeamHoldWatchdog

@@ -11,9 +11,8 @@ from scipy.stats import chi2
 
 from compute.calibration.result import Calibration
 from compute.camera.rotation import rotation_vector
-from compute.pose.rigid_body import RigidBody
+from compute.pose.rigid_body import RigidBody, ToolPose
 from compute.pose.settings import MotionSettings, ToolTrackerSettings
-from compute.pose.tool_pose import ToolPose
 from compute.tracking.track_batch import TrackState
 from hardware.line_frame import LineFrame
 from hardware.simulated.driver import SimulatedDriver

@@ -5,8 +5,7 @@ import pytest
 
 from compute.measurement.flag_policy import STANDARD_POLICY
 from compute.measurement.measurements import Measurements
-from compute.pose.rigid_body import RigidBody
-from compute.pose.tool_pose import PoseStatus
+from compute.pose.rigid_body import PoseStatus, RigidBody
 from compute.reconstruction.point_batch import PointBatch
 from compute.reconstruction.solver import PointSolver
 from hardware.line_frame import LineFrame

@@ -1,19 +1,81 @@
-"""Definitions of the strobed-step kernel for C++: constants and its argument record."""
+"""Definitions that Python and C++ share: argument record of the strobed-step kernel, constants."""
 
 from typing import Final
 
-from compute.native.records import constants, header
-from compute.pose.filtering.imm_model import IMM_STATES
-from compute.pose.filtering.native.kernel_arguments import (
-    CONTESTED,
-    CURVED,
-    HEAD,
-    MISFIT,
-    POSE,
-    STEP_RECORD,
-    TAKEN,
-)
+from compute.native.records import Record, constants, header
+from compute.pose.filtering.imm import IMM_STATES
 from compute.pose.filtering.second_order import CUBATURE_RADIUS, CURVATURE_SIGMA_FRACTION
+from compute.reconstruction.native.definitions import CAMERAS
+
+_OF_FRAMES: Final = {
+    # States before, predicted and after, results and reported pose; then the frame's peaks,
+    # (S, P).
+    "before": "const double*",
+    "predicted": "double*",
+    "after": "double*",
+    "result": "double*",
+    "reported_pose": "double*",
+    "position": "const double*",
+    "variance": "const double*",
+    "usable": "const unsigned char*",
+    # Number of peaks of each sensor, and the lit marker; -1: none, prediction only.
+    "peaks": "long long",
+    "lit": "long long",
+}
+_NUMBERS_OF_FRAMES: Final = {
+    "time_s": "double",
+    "switch_probability": "double",
+    "manoeuvre_factor": "double",
+}
+_OF_TOOLS: Final[dict[str, str | Record]] = {
+    # Covariance factor of the calibration, (S, width, C).
+    "columns": "const double*",
+    # Motion models: (K, 18), (K, 18, 18), (K,), (5, K * 18 * 18).
+    "persistence": "const double*",
+    "initial_covariance": "const double*",
+    "renewal": "const double*",
+    "terms": "const double*",
+    # (M, 3) relative to the centroid; (S + 1,), by number of readings; scratch memory.
+    "markers": "const double*",
+    "chi2_limits": "const double*",
+    "scratch": "double*",
+    "modes": "long long",
+    "errors": "long long",
+    "own_errors": "long long",
+    "gate": "double",
+    "radius_mm": "double",
+    "principal_distance_px": "double",
+    # The centroid in the tool's coordinates and the tip less it.
+    "centroid": "double[3]",
+    "tip": "double[3]",
+    "cameras": CAMERAS,
+}
+
+STEP_RECORD: Final = Record("StepRecord", {**_OF_FRAMES, **_NUMBERS_OF_FRAMES, **_OF_TOOLS})
+"""Argument record of one step of one tool; 64-bit words only. Members that change from frame to
+frame come first."""
+STEP: Final = STEP_RECORD.dtype
+FRAME_WORDS: Final = len(_OF_FRAMES)
+"""Number of addresses and counts of a frame; its numbers follow."""
+FRAME_NUMBERS: Final = len(_NUMBERS_OF_FRAMES)
+
+POSE: Final = 18
+"""Number of values of rotation, centroid, velocity and angular velocity. In an ImmState the mode
+probabilities, offsets and covariances follow."""
+HEAD: Final = 4
+"""Number of values at the head of a result: outcome, number of readings, their NIS, and that of the
+widest model."""
+TAKEN: Final = 0
+"""Outcome: readings were used, or there were none within the gates."""
+_PREDICTION_ONLY: Final = {
+    # Second-order terms matter, or the covariance has no Cholesky factor.
+    "status_curved": 1,
+    # A sensor has several peaks within the gate.
+    "status_contested": 2,
+    # The readings do not fit one another.
+    "status_misfit": 3,
+}
+"""Outcomes that set only the prediction."""
 
 HEADER: Final = header(
     "lumiline::pose",
@@ -24,9 +86,7 @@ HEADER: Final = header(
             "pose_size": POSE,
             "head_size": HEAD,
             "status_taken": TAKEN,
-            "status_curved": CURVED,
-            "status_contested": CONTESTED,
-            "status_misfit": MISFIT,
+            **_PREDICTION_ONLY,
             "max_curvature_fraction": CURVATURE_SIGMA_FRACTION,
             "sigma_point_reach": CUBATURE_RADIUS,
         }

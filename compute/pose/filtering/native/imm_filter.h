@@ -1,5 +1,5 @@
 // The modes of an interacting multiple model at a later instant, and their mixture:
-// compute.pose.filtering.imm_state.
+// compute.pose.filtering.imm.
 #pragma once
 
 #include "compute/native/platform.h"
@@ -160,7 +160,7 @@ struct ImmFilter {
         }
     }
 
-    // That at a later instant, as ``Regimes.ahead``.
+    // That at a later instant, as ImmState.predict_combined.
     LUMILINE_FN void predict_mixed(const double* from, double* mixture) {
         const double h = step.time_s, stay = K > 1 ? 1.0 - (K - 1) * step.switch_probability : 1.0;
         double rotation[9], rotation_step[3], later[18];

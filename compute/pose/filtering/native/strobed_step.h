@@ -1,5 +1,5 @@
 // One exposure of a strobed tool: its modes are predicted, and all take the readings within the
-// gates, as Regimes.update of compute.pose.filtering.imm_state.
+// gates, as ImmState.update of compute.pose.filtering.imm.
 #pragma once
 
 #include "compute/native/platform.h"

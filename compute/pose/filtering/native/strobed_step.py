@@ -1,29 +1,25 @@
 """StrobedStepKernel: prediction, gating and update of a strobed tool in one launch."""
 
 from dataclasses import dataclass
+from functools import cache, lru_cache
+from itertools import accumulate
+from math import prod
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from compute.measurement.measurement_model import MeasurementModel
-from compute.pose.filtering.imm_model import ImmModel
-from compute.pose.filtering.imm_state import ImmState
-from compute.pose.filtering.native.kernel_arguments import (
-    FIGURES_SIZE,
+from compute.pose.filtering.imm import IMM_STATES, ImmModel, ImmState
+from compute.pose.filtering.native.definitions import (
     FRAME_NUMBERS,
     FRAME_WORDS,
     HEAD,
     POSE,
     STEP,
     TAKEN,
-    PackedImmState,
-    PackedPose,
-    imm_state_size,
-    result_size,
-    scratch_size,
 )
-from compute.pose.filtering.pose_filter import STATES, PoseState
+from compute.pose.filtering.pose_filter import STATES, PoseState, ReportedPose
 from compute.pose.rigid_body import CentredMarkers
 from compute.reconstruction.native.definitions import MAX_POWER, fill_cameras, row_length
 from compute.reconstruction.solver import MAX_SENSORS, MIN_CAPACITY, address, term_capacity
@@ -34,10 +30,130 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-
 _NONE_LIT: Final = 2**64 - 1
 """-1, as the unsigned words that a record is written in."""
-_Given = tuple[Array, Array, NDArray[np.bool_], tuple[int, int, int]]
+_POSE_VIEWS: Final[dict[str, tuple[tuple[int, ...], int]]] = {
+    "rotation": ((3, 3), 0),
+    "centroid_mm": ((3,), 9),
+    "velocity_mm_s": ((3,), 12),
+    "angular_velocity_rad_s": ((3,), 15),
+}
+"""Members of PoseState: shape, and place in memory."""
+_REPORTED_SHAPES: Final = ((3, 3), (3,), (3,), (6, 6), (3,), (3, 3), (3,))
+"""Shapes of the members of ReportedPose, in their order in memory."""
+_ENDS: Final = tuple(accumulate(map(prod, _REPORTED_SHAPES)))
+_REPORTED_VIEWS: Final = tuple(zip((0, *_ENDS), _ENDS, _REPORTED_SHAPES, strict=False))
+
+
+class PackedPose(PoseState):
+    """PoseState whose arrays are views, made at first use, of memory that stays as it is."""
+
+    @classmethod
+    def within(
+        cls,
+        time_ns: int,
+        block: Array,
+        covariances: int,
+        row: int,
+        common_errors: int,
+        known: tuple[CentredMarkers, Array] | None = None,
+    ) -> "PackedPose":
+        """Return the state in a block of memory.
+
+        Args:
+            time_ns: time of the state [ns].
+            block: memory that begins with rotation, centroid, velocity and angular velocity.
+            covariances: index of the covariances in the block, row by row.
+            row: length of a row of the covariances, which then also has the columns of
+                accelerations and common errors; 0: the covariance with the common errors follows
+                the state's.
+            common_errors: number of common errors.
+            known: the markers and the values of the reported pose, in the order of its members;
+                None: not computed yet.
+        """
+        state = object.__new__(cls)
+        state.__dict__.update(
+            time_ns=time_ns, _block=block, _at=(covariances, row, common_errors), _known=known
+        )
+        return state
+
+    def __getattr__(self, name: str) -> Array:
+        """Return a member of PoseState, and keep it."""
+        if name not in PoseState.__dataclass_fields__:
+            raise AttributeError(name)
+        first, row, common_errors = self.__dict__["_at"]
+        if name in _POSE_VIEWS:
+            view = self._view(*_POSE_VIEWS[name])
+        elif name == "covariance":
+            view = self._view((STATES, row or STATES), first)[:, :STATES]
+        elif row:
+            view = self._view((STATES, row), first)[:, IMM_STATES:]
+        else:
+            view = self._view((STATES, common_errors), first + STATES * STATES)
+        self.__dict__[name] = view
+        return view
+
+    def _view(self, shape: tuple[int, ...], first: int) -> Array:
+        return np.ndarray(shape, np.float64, self.__dict__["_block"], 8 * first)
+
+    def reported_pose(self, centred: CentredMarkers) -> ReportedPose:
+        """As of PoseState."""
+        known = self.__dict__["_known"]
+        if known is None or known[0] is not centred:
+            return super().reported_pose(centred)
+        return ReportedPose(
+            *(known[1][first:last].reshape(shape) for first, last, shape in _REPORTED_VIEWS)
+        )
+
+
+class PackedImmState(ImmState):
+    """ImmState whose arrays are views, made at first use, of memory that stays as it is."""
+
+    @classmethod
+    def within(
+        cls,
+        model: ImmModel,
+        time_ns: int,
+        block: Array,
+        common_errors: int,
+        combined: PoseState | None = None,
+    ) -> "PackedImmState":
+        """Return the states in a block of memory.
+
+        Args:
+            model: the motion models.
+            time_ns: time of the states [ns].
+            block: memory in the order of ``ImmState.packed``.
+            common_errors: number of common errors.
+            combined: the combined state, if known.
+        """
+        state = object.__new__(cls)
+        known: dict[str, Any] = {"model": model, "packed": block, "_at": (time_ns, common_errors)}
+        if combined is not None:
+            known["combined"] = combined
+        state.__dict__.update(known)
+        return state
+
+    def __getattr__(self, name: str) -> Any:
+        """Return a member of ImmState, and keep it."""
+        if name not in ImmState.__dataclass_fields__:
+            raise AttributeError(name)
+        time_ns, common_errors = self.__dict__["_at"]
+        count, wide = len(self.model), IMM_STATES + common_errors
+        offsets = POSE + count
+        covariances = offsets + count * IMM_STATES
+        found: object
+        if name == "widest_state":
+            last = covariances + (count - 1) * IMM_STATES * wide
+            found = PackedPose.within(time_ns, self.packed, last, wide, common_errors)
+        elif name == "offsets":
+            found = self.packed[offsets:covariances].reshape(count, IMM_STATES)
+        elif name == "covariances":
+            found = self.packed[covariances:].reshape(count, IMM_STATES, wide)
+        else:
+            found = self.packed[POSE:offsets]
+        self.__dict__[name] = found
+        return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,15 +204,13 @@ class StrobedStepKernel:
     ) -> None:
         import warp as wp
 
-        from compute.pose.filtering.native.kernel import step_kernel
-
-        self._model, self._centred = imm, centred
+        self._imm_model, self._centred = imm, centred
         self._common_errors = common_errors
         self._sensors = sensors = len(model)
         self._size = imm_state_size(len(imm), common_errors)
-        self._room = 2 * self._size + result_size(sensors, common_errors)
-        self._inputs: dict[int, _Given] = {}
-        self._steps: tuple[int, float] = (0, 0.0)
+        self._result_size = result_size(sensors, common_errors)
+        self._inputs: dict[int, tuple[Array, Array, NDArray[np.bool_], tuple[int, int, int]]] = {}
+        self._switch_probability = lru_cache(maxsize=1)(imm.switch_probability)
         step = np.zeros(1, dtype=STEP)
         columns = model.covariance_factor * model.cameras.parameter_mask[..., None]
         limits = [chi2_limit(count, gate_probability) for count in range(sensors + 1)]
@@ -115,15 +229,17 @@ class StrobedStepKernel:
             step[name] = self._keep(values)
         row = row_length(sensors, cuda=False)
         fill_cameras(step["cameras"], self._keep, model.cameras, model.corrections, row)
-        step["modes"], step["errors"], step["own_errors"] = (
-            len(imm),
-            common_errors,
-            columns.shape[2],
-        )
-        step["gate"] = chi2_limit(1, gate_probability)
-        step["radius_mm"] = centred.radius_mm
-        step["principal_distance_px"] = model.cameras.principal_distance_px.min()
-        step["centroid"], step["tip"] = centred.centroid_mm, centred.tip_mm
+        for name, value in (
+            ("modes", len(imm)),
+            ("errors", common_errors),
+            ("own_errors", columns.shape[2]),
+            ("gate", chi2_limit(1, gate_probability)),
+            ("radius_mm", centred.radius_mm),
+            ("principal_distance_px", model.cameras.principal_distance_px.min()),
+            ("centroid", centred.centroid_mm),
+            ("tip", centred.tip_mm),
+        ):
+            step[name] = value
         self._words = step.view(np.uint64)[:FRAME_WORDS]
         self._numbers = step.view(np.float64)[FRAME_WORDS : FRAME_WORDS + FRAME_NUMBERS]
         # Loads the kernel now, not at the first frame.
@@ -153,15 +269,13 @@ class StrobedStepKernel:
             manoeuvre_factor: factor on the accelerations of all models.
         """
         size, sensors, common_errors = self._size, self._sensors, self._common_errors
-        block, reported_pose = np.empty(self._room), np.empty(FIGURES_SIZE)
+        block, reported_pose = np.empty(2 * size + self._result_size), np.empty(_ENDS[-1])
         first = address(block)
         peaks_each = measurements.position_px.shape[1]
-        position, variance, usable, at = self._given(peaks_each)
-        position[:], variance[:], usable[:] = (
-            measurements.position_px,
-            measurements.variance_px2,
-            measurements.usable,
-        )
+        position, variance, usable, at = self._input_arrays(peaks_each)
+        position[:] = measurements.position_px
+        variance[:] = measurements.variance_px2
+        usable[:] = measurements.usable
         self._words[:] = (
             before.packed_address,
             first,
@@ -174,24 +288,27 @@ class StrobedStepKernel:
         )
         self._run(before, time_ns, manoeuvre_factor)
         after = 2 * size
-        how, count, nis, _ = block[after : after + HEAD].tolist()
-        peak, whole = after + HEAD, after + HEAD + sensors
-        peaks = block[peak:whole].astype(np.intp)[None]
-        readings = int(count)
-        if how != TAKEN:
-            predicted = PackedImmState.within(self._model, time_ns, block[:size], common_errors)
-            return Step(predicted, None, np.full_like(peaks, -1), 0, 0.0, _nothing(common_errors))
-        pose = PackedPose.within(
-            time_ns, block[whole:], POSE, 0, common_errors, (self._centred, reported_pose)
-        )
-        if not readings:
-            predicted = PackedImmState.within(
-                self._model, time_ns, block[:size], common_errors, pose
+        outcome, count, nis, _ = block[after : after + HEAD].tolist()
+        peak, mixture = after + HEAD, after + HEAD + sensors
+        peaks = block[peak:mixture].astype(np.intp)[None]
+        taken, readings = outcome == TAKEN, int(count)
+        combined = None
+        if taken:
+            combined = PackedPose.within(
+                time_ns, block[mixture:], POSE, 0, common_errors, (self._centred, reported_pose)
             )
-            return Step(predicted, predicted, peaks, 0, 0.0, _nothing(common_errors))
-        predicted = PackedImmState.within(self._model, time_ns, block[:size], common_errors)
-        imm = PackedImmState.within(self._model, time_ns, block[size:after], common_errors, pose)
-        white = whole + POSE + STATES * (STATES + common_errors)
+        if not taken or not readings:
+            predicted = PackedImmState.within(
+                self._imm_model, time_ns, block[:size], common_errors, combined
+            )
+            nothing = np.empty((0, 1 + common_errors))
+            imm = predicted if taken else None
+            return Step(predicted, imm, np.full_like(peaks, -1), 0, 0.0, nothing)
+        predicted = PackedImmState.within(self._imm_model, time_ns, block[:size], common_errors)
+        imm = PackedImmState.within(
+            self._imm_model, time_ns, block[size:after], common_errors, combined
+        )
+        white = mixture + POSE + STATES * (STATES + common_errors)
         # A copy: it is kept for some exposures, the rest of the block is not.
         whitened = (
             block[white : white + readings * (1 + common_errors)].reshape(readings, -1).copy()
@@ -207,38 +324,36 @@ class StrobedStepKernel:
         """
         if time_ns == before.widest_state.time_ns:
             return before.combined
-        sensors, common_errors = self._sensors, self._common_errors
-        block, reported_pose = np.empty(result_size(sensors, common_errors)), np.empty(FIGURES_SIZE)
-        result = address(block)
+        block, reported_pose = np.empty(self._result_size), np.empty(_ENDS[-1])
+        no_inputs = (0, 0, 0, 0)
         self._words[:] = (
             before.packed_address,
             0,
             0,
-            result,
+            address(block),
             address(reported_pose),
-            0,
-            0,
-            0,
-            0,
+            *no_inputs,
             _NONE_LIT,
         )
         self._run(before, time_ns, 1.0)
-        whole = block[HEAD + sensors :]
+        mixture = block[HEAD + self._sensors :]
         return PackedPose.within(
-            time_ns, whole, POSE, 0, common_errors, (self._centred, reported_pose)
+            time_ns, mixture, POSE, 0, self._common_errors, (self._centred, reported_pose)
         )
 
     def _run(self, before: ImmState, time_ns: int, manoeuvre_factor: float) -> None:
-        between = time_ns - before.widest_state.time_ns
-        self._numbers[:] = 1e-9 * between, self._change(between), manoeuvre_factor
+        step_s = 1e-9 * (time_ns - before.widest_state.time_ns)
+        self._numbers[:] = step_s, self._switch_probability(step_s), manoeuvre_factor
         self._launch.launch()
 
     def _keep(self, values: NDArray[Any]) -> int:
-        there = np.ascontiguousarray(values)
-        self._kept.append(there)
-        return address(there)
+        array = np.ascontiguousarray(values)
+        self._kept.append(array)
+        return address(array)
 
-    def _given(self, peaks: int) -> _Given:
+    def _input_arrays(
+        self, peaks: int
+    ) -> tuple[Array, Array, NDArray[np.bool_], tuple[int, int, int]]:
         """Return input arrays for a number of peaks per sensor, and their addresses."""
         if peaks not in self._inputs:
             shape = self._sensors, peaks
@@ -248,15 +363,32 @@ class StrobedStepKernel:
             self._inputs[peaks] = position, variance, usable, at
         return self._inputs[peaks]
 
-    def _change(self, between_ns: int) -> float:
-        """Return ``ImmModel.switch_probability`` of a time step [ns]; the last one is cached."""
-        if self._steps[0] != between_ns:
-            self._steps = between_ns, self._model.switch_probability(1e-9 * between_ns)
-        return self._steps[1]
 
+@cache
+def step_kernel(sensors: int, capacity: int) -> Any:
+    """Return the strobed-step kernel; it takes the address of a STEP.
 
-def _nothing(common_errors: int) -> Array:
-    return np.empty((0, 1 + common_errors))
+    Loads Warp. Launch it with one thread, on the CPU.
+
+    Args:
+        sensors: number of sensors.
+        capacity: largest number of distortion terms.
+    """
+    import warp as wp
+
+    from compute.native.headers import module_options
+
+    def take_step(step_address: wp.uint64) -> None: ...
+
+    native = wp.func_native(f"lumiline::pose::take_step<{sensors}, {capacity}>(step_address);")(
+        take_step
+    )
+
+    def strobed_step(step_address: wp.uint64) -> None:
+        native(step_address)
+
+    options = module_options("compute/pose/filtering/native/strobed_step.h")
+    return wp.kernel(module="unique", module_options=options)(strobed_step)
 
 
 def has_kernel(model: MeasurementModel, imm: ImmModel) -> bool:
@@ -273,7 +405,42 @@ def has_kernel(model: MeasurementModel, imm: ImmModel) -> bool:
 
 def load_kernels(sensors: int) -> None:
     """Load the kernels for a number of sensors, with up to MIN_CAPACITY terms of distortion."""
-    from compute.pose.filtering.native.kernel import step_kernel
+    for capacity in (0, MIN_CAPACITY):
+        step_kernel(sensors, capacity).module.load("cpu", block_dim=1)
 
-    for room in (0, MIN_CAPACITY):
-        step_kernel(sensors, room).module.load("cpu", block_dim=1)
+
+def imm_state_size(modes: int, errors: int) -> int:
+    """Return the number of float64 of an ImmState.
+
+    Args:
+        modes: number K of motion models.
+        errors: number E of common errors.
+    """
+    return POSE + modes * (1 + IMM_STATES + IMM_STATES * (IMM_STATES + errors))
+
+
+def result_size(sensors: int, errors: int) -> int:
+    """Return the number of float64 of a result.
+
+    A result holds the head; the index of each sensor's peak, -1: none; the combined state; the
+    whitened innovations, (n, 1 + E).
+
+    Args:
+        sensors: number of sensors.
+        errors: number E of common errors.
+    """
+    return HEAD + sensors + POSE + STATES * (STATES + errors) + sensors * (1 + errors)
+
+
+def scratch_size(sensors: int, modes: int, errors: int) -> int:
+    """Return the number of float64 of the kernel's scratch memory.
+
+    Args:
+        sensors: number of sensors.
+        modes: number K of motion models.
+        errors: number E of common errors.
+    """
+    wide = IMM_STATES + errors
+    mixing = modes * modes + IMM_STATES * IMM_STATES + IMM_STATES
+    readings = sensors * (errors + wide) + modes * (sensors * (1 + wide) + 2)
+    return mixing + readings + IMM_STATES * wide

@@ -7,17 +7,16 @@ from hypothesis import strategies as st
 
 from compute.camera.rotation import rotation_matrix
 from compute.errors import InvalidParameter
-from compute.pose.beam_hold.beam_hold_limits import (
+from compute.pose.beam_hold import (
+    BeamHoldCause,
+    BeamHoldDecision,
     BeamHoldLimits,
+    BeamHoldTiming,
+    MarkerDeviationMonitor,
+    PoseDeviationMonitor,
     norm_exceedance_probability,
     scalar_exceedance_probability,
 )
-from compute.pose.beam_hold.beam_hold_monitor import (
-    BeamHoldDecision,
-    MarkerDeviationMonitor,
-    PoseDeviationMonitor,
-)
-from compute.pose.beam_hold.beam_hold_state import BeamHoldCause, BeamHoldTiming
 from compute.pose.transform import Transform
 from tests.compute.pose.motions import Array, point_covariance, transforms
 

@@ -16,7 +16,7 @@ from compute.mapping.table import CorrectionTable
 from compute.measurement.measurement_model import MeasurementModel
 from compute.pose.estimation.pose_fit import fit_pose
 from compute.pose.estimation.pose_initialisation import initial_pose_from_points
-from compute.pose.tool_pose import PoseStatus
+from compute.pose.rigid_body import PoseStatus
 from compute.pose.transform import Transform
 from tests.compute.distorted_rig import distorted_rig
 from tests.compute.pose.scene import (
@@ -190,7 +190,7 @@ def test_one_wrong_reading_is_left_out_and_named() -> None:
     found = fit_pose(CAMERAS, true.tool, readings, SIGMA)
     assert found.status is PoseStatus.OK
     assert found.excluded == ((2, 1),)
-    assert found.reason == "the reading of marker 3 by sensor 2 was left out as wrong"
+    assert found.reason == "the reading of marker 3 by sensor 2 was excluded as wrong"
     assert found.readings_used == 15
     square = pose_square(whole.rotation, whole.translation_mm, found.covariance, true)
     assert square < 30.0

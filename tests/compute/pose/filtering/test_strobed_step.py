@@ -13,15 +13,17 @@ from compute.measurement.measurement_model import MeasurementModel
 from compute.measurement.measurements import Measurements
 from compute.pose.filtering import association
 from compute.pose.filtering.association import ToolObservation, associate
-from compute.pose.filtering.imm_model import ImmModel
-from compute.pose.filtering.imm_state import ImmState
-from compute.pose.filtering.native.kernel import step_kernel
-from compute.pose.filtering.native.strobed_step import Step, StrobedStepKernel, load_kernels
+from compute.pose.filtering.imm import ImmModel, ImmState
+from compute.pose.filtering.native.strobed_step import (
+    Step,
+    StrobedStepKernel,
+    load_kernels,
+    step_kernel,
+)
 from compute.pose.filtering.pose_filter import STATES, PoseState, predict_measurement
 from compute.pose.filtering.second_order import second_order_prediction
-from compute.pose.rigid_body import CentredMarkers, RigidBody
+from compute.pose.rigid_body import CentredMarkers, RigidBody, ToolPose
 from compute.pose.settings import ImmSettings, MotionMode, MotionSettings
-from compute.pose.tool_pose import ToolPose
 from compute.pose.tool_tracking.tool_tracker import ToolTracker
 from compute.reconstruction.solver import MIN_CAPACITY
 from compute.signal.peaks import PeakFlag

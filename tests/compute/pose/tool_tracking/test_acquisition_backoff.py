@@ -11,18 +11,15 @@ from numpy.typing import NDArray
 from compute.measurement.measurement_model import MeasurementModel
 from compute.measurement.measurements import Measurements
 from compute.pose.acquisition.acquisition_strobed import (
+    MAX_DELAY_FRACTION,
+    MAX_PAUSE_NS,
+    AcquisitionBackoff,
     MarkerExposure,
     StrobedAcquisition,
     acquire_strobed,
 )
-from compute.pose.rigid_body import CentredMarkers
-from compute.pose.tool_pose import PoseStatus
-from compute.pose.tool_tracking import tool_tracker
-from compute.pose.tool_tracking.tool_track import (
-    MAX_DELAY_FRACTION,
-    MAX_PAUSE_NS,
-    AcquisitionBackoff,
-)
+from compute.pose.rigid_body import CentredMarkers, PoseStatus
+from compute.pose.tool_tracking import tool_search
 from compute.pose.tool_tracking.tool_tracker import ToolTracker
 from tests.compute.pose.scene import CAMERAS, PIXELS_OF_ALL, SIGMA_PX, Scene, body, pointer
 
@@ -82,7 +79,7 @@ class Counted:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.number = 0
-        monkeypatch.setattr(tool_tracker, "acquire_strobed", self)
+        monkeypatch.setattr(tool_search, "acquire_strobed", self)
 
     def __call__(self, *given: object) -> StrobedAcquisition:
         self.number += 1
@@ -158,7 +155,7 @@ def test_a_tool_that_is_found_where_it_is_not_is_not_looked_for_all_the_time(
         now = replace(state, time_ns=exposures[-1].time_ns)
         return StrobedAcquisition(now, None, False, 20.0, 32, searched=True)
 
-    monkeypatch.setattr(tool_tracker, "acquire_strobed", wrong)
+    monkeypatch.setattr(tool_search, "acquire_strobed", wrong)
     scene = lost()
     for centred in range(1200):
         if centred == 600:
@@ -231,7 +228,7 @@ def test_why_it_was_not_found_is_told_until_it_is_looked_for_again(
         number += 1
         return StrobedAcquisition(None, words, searched=True)
 
-    monkeypatch.setattr(tool_tracker, "acquire_strobed", too_few)
+    monkeypatch.setattr(tool_search, "acquire_strobed", too_few)
     scene = lost()
     poses = [scene.strobed()[0] for _ in range(300)]
     assert {(pose.status, pose.reason) for pose in poses[8:]} == {(PoseStatus.MISSING, words)}

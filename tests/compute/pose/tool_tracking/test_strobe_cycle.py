@@ -1,12 +1,13 @@
 """How long a strobe takes is learned, and tools whose turn comes seldom are waited for."""
 
+from copy import deepcopy
 from dataclasses import replace
 
 import numpy as np
 
 from compute.measurement.measurements import Measurements
+from compute.pose.rigid_body import PoseStatus, ToolPose
 from compute.pose.settings import ToolTrackerSettings
-from compute.pose.tool_pose import PoseStatus, ToolPose
 from compute.pose.tool_tracking.exposure_history import StrobeCycle
 from compute.pose.tool_tracking.tool_tracker import ToolTracker
 from tests.compute.pose.scene import CAMERAS, SIGMA_PX, body, pointer
@@ -36,7 +37,7 @@ def test_a_copy_learns_by_itself() -> None:
     cycle = StrobeCycle()
     cycle.add_exposure(0, 0)
     cycle.add_exposure(0, 10 * MS)
-    other = cycle.copy()
+    other = deepcopy(cycle)
     assert other.duration_ns((0,)) == 10 * MS
     other.add_exposure(0, 13 * MS)
     assert (other.duration_ns((0,)), cycle.duration_ns((0,))) == (3 * MS, 10 * MS)

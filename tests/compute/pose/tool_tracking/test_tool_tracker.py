@@ -13,9 +13,8 @@ from compute.mapping.table import CorrectionTable
 from compute.measurement.measurements import Measurements
 from compute.pose.estimation.pose_fit import fit_pose
 from compute.pose.filtering.pose_filter import predict
-from compute.pose.rigid_body import RigidBody
+from compute.pose.rigid_body import PoseStatus, RigidBody, ToolPose
 from compute.pose.settings import MotionSettings, ToolTrackerSettings
-from compute.pose.tool_pose import PoseStatus, ToolPose
 from compute.pose.tool_tracking.tool_tracker import ToolTracker
 from compute.signal.peaks import PeakFlag
 from tests.compute.pose.scene import (
@@ -369,7 +368,7 @@ def test_beyond_the_correction_table_is_out_of_volume_and_its_doubt_stays() -> N
     tracker = ToolTracker(CAMERAS, [pointer()], corrections=tables[0])
     (pose,) = Scene([far], tracker).together()
     assert pose.status is PoseStatus.OUT_OF_VOLUME
-    assert "correction table does not vouch" in str(pose.reason)
+    assert "correction table is not valid" in str(pose.reason)
 
 
 def test_readings_of_a_bent_tool_are_invalid() -> None:
@@ -546,7 +545,7 @@ def test_a_limit_of_the_tool_makes_it_high_error() -> None:
     one = scene([fine])
     (pose,) = one.together()
     assert pose.status is PoseStatus.HIGH_ERROR
-    assert "0.001 mm is the most" in str(pose.reason)
+    assert "at most 0.001 mm is allowed" in str(pose.reason)
     assert pose.rotation is not None
     assert not pose.valid
 

@@ -7,9 +7,8 @@ from datetime import UTC, datetime
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.pose.beam_hold.beam_hold_limits import BeamHoldLimits
-from compute.pose.beam_hold.beam_hold_state import BeamHoldTiming
-from compute.pose.tool_pose import PoseStatus, ToolPose
+from compute.pose.beam_hold import BeamHoldLimits, BeamHoldTiming
+from compute.pose.rigid_body import PoseStatus, ToolPose
 from compute.pose.transform import Transform
 from compute.reconstruction.point_batch import PointBatch
 from compute.signal.peaks import PeakBatch

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from compute.pose.tool_pose import PoseStatus
+from compute.pose.rigid_body import PoseStatus
 from compute.tracking.track_batch import TrackState
 from service.api.exports.motion_table import MotionTable, PointRows, PoseRows, TrackRows
 

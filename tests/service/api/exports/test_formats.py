@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from compute.errors import InvalidParameter
-from compute.pose.tool_pose import PoseStatus
+from compute.pose.rigid_body import PoseStatus
 from compute.tracking.track_batch import TrackState
 from hardware.errors import MissingLibrary
 from service.api.exports.c3d_file import MAX_FRAMES, RESIDUAL_STEP_MM, TIME_CHANNEL

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.spatial.distance import pdist
 
 from compute.camera.rotation import rotation_matrix
-from compute.quality.point_to_point import MarkerTrack
+from compute.quality.accuracy import MarkerTrack
 from hardware.simulated.driver import SimulatedDriver
 from hardware.simulated.scenes import MovingTool, MovingTools
 from hardware.simulated.settings import SimulationSettings

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from compute.camera.rotation import rotation_matrix, rotation_vector
-from compute.pose.tool_pose import PoseStatus, ToolPose
+from compute.pose.rigid_body import PoseStatus, ToolPose
 from compute.pose.transform import Transform
 from service.api.tools.frame_conversion import pose_in_frame
 

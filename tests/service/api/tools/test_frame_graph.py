@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from compute.camera.rotation import rotation_matrix
-from compute.pose.tool_pose import PoseStatus, ToolPose
+from compute.pose.rigid_body import PoseStatus, ToolPose
 from compute.pose.transform import Transform
 from service.pipeline.device_status import DeviceStatus
 from tests.service.api.tools.batches import COVARIANCE, pose

@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial import ConvexHull
 
 from compute.camera.rotation import rotation_matrix, rotation_vector
-from compute.pose.tool_pose import PoseStatus, ToolPose
+from compute.pose.rigid_body import PoseStatus, ToolPose
 from hardware.simulated.driver import SimulatedDriver
 from hardware.simulated.scenes import MovingTool, MovingTools
 from hardware.simulated.settings import SimulationSettings

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from compute.pose.tool_pose import PoseStatus, ToolPose
+from compute.pose.rigid_body import PoseStatus, ToolPose
 from service.pipeline.latest_poses import LatestPoses, PoseEntry
 from service.protocols.ndi.pose_feed import PoseFeed
 from service.protocols.ndi.server import NdiOptions, NdiServer

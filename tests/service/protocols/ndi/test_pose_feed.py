@@ -4,7 +4,7 @@ import asyncio
 
 import numpy as np
 
-from compute.pose.tool_pose import PoseStatus
+from compute.pose.rigid_body import PoseStatus
 from service.api.tools.frame_conversion import pose_in_frame
 from service.api.tools.tip_limit import TipLimit
 from service.pipeline.latest_poses import LatestPoses

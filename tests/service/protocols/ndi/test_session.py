@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from compute.pose.tool_pose import PoseStatus
+from compute.pose.rigid_body import PoseStatus
 from service.protocols.ndi.command import BREAK, Command, CommandReader
 from service.protocols.ndi.identity import Identity
 from service.protocols.ndi.pose_view import PoseView

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from compute.pose.tool_pose import PoseStatus, ToolPose
+from compute.pose.rigid_body import PoseStatus, ToolPose
 from service.protocols.ndi.fixed_point import MAX_MM, MAX_UNIT
 from service.protocols.ndi.port_handles import PortHandle
 from service.protocols.ndi.reply_options import ReplyOption

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from compute.pose.beam_hold.beam_hold_state import BeamHoldCause
+from compute.pose.beam_hold import BeamHoldCause
 from service.pipeline.beam_hold_registry import BeamHoldRegistry
 from service.protocols.openigtlink.beam_hold_status import _CODES, BeamHoldStatusSender
 from service.protocols.openigtlink.message import Message

@@ -12,7 +12,7 @@ import uvloop
 
 from compute.camera.rotation import rotation_matrix
 from compute.errors import LumilineError
-from compute.pose.tool_pose import PoseStatus, ToolPose
+from compute.pose.rigid_body import PoseStatus, ToolPose
 from service.pipeline.beam_hold_registry import BeamHoldRegistry
 from service.pipeline.latest_poses import LatestPoses, PoseEntry
 from service.protocols.openigtlink.decoder import Damaged, Decoder, Skipped

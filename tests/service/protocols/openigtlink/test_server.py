@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from compute.pose.tool_pose import PoseStatus
+from compute.pose.rigid_body import PoseStatus
 from service.api.tools.provenance import Provenance
 from service.protocols.openigtlink.host import Landmark, WireTool
 from service.protocols.openigtlink.message import Message

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from compute.pose.beam_hold.beam_hold_state import BeamHoldTiming
+from compute.pose.beam_hold import BeamHoldTiming
 from service.pipeline.beam_hold_registry import BeamHoldRegistry
 from service.protocols.stream.hub import Hub
 from service.protocols.stream.subscription import StreamRequest, Subscription

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from compute.errors import InvalidParameter
-from compute.pose.tool_pose import PoseStatus, ToolPose
+from compute.pose.rigid_body import PoseStatus, ToolPose
 from compute.tracking.track_batch import TrackBatch, TrackFlag, TrackState
 from service.pipeline.frame_batch import FrameBatch, TrackingResult
 from service.protocols.stream.encoding import CONTENTS, Content, Encoding, encode, frame_messages

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from compute.pose.tool_tracking.pose_report import ExposureResiduals, chi2_test
+from compute.pose.tool_tracking.tool_track import ExposureResiduals, chi2_test
 from compute.reconstruction.triangulation import chi2_limit
 from tests.compute.pose.motions import check_mean
 

@@ -8,8 +8,7 @@ import pytest
 from compute.errors import InvalidParameter
 from compute.measurement.measurement_model import MeasurementModel
 from compute.pose.filtering.association import common_jacobian
-from compute.pose.filtering.imm_model import IMM_STATES, ImmModel
-from compute.pose.filtering.imm_state import ImmState
+from compute.pose.filtering.imm import IMM_STATES, ImmModel, ImmState
 from compute.pose.filtering.pose_filter import (
     STATES,
     MeasurementPrediction,
@@ -18,9 +17,8 @@ from compute.pose.filtering.pose_filter import (
     predict_measurement,
     update,
 )
-from compute.pose.rigid_body import CentredMarkers
+from compute.pose.rigid_body import CentredMarkers, PoseStatus
 from compute.pose.settings import ImmSettings, MotionMode, MotionSettings, ToolTrackerSettings
-from compute.pose.tool_pose import PoseStatus
 from compute.pose.tool_tracking.tool_tracker import ToolTracker
 from tests.compute.pose.scene import (
     CALIBRATION,

@@ -1,1 +1,0 @@
-"""Beam hold: monitors of a pose or markers against limits, and the state machine of the hold."""

@@ -88,8 +88,8 @@ def select_terms(
                 errors = _prediction_errors(observed, fitted, folds, blocks)
                 scored.append(_ScoredTerms(name, terms, reduced_terms, errors))
                 fits = fitted
-            except (DegeneratePoints, NoConvergence, TooFewPoints) as error:
-                note = error.detail
+            except (DegeneratePoints, NoConvergence, TooFewPoints) as refusal:
+                note = refusal.detail
         full = preset_terms(name)
         rows.append(CandidateTerms(name, full, free_parameters(full), None, None, None, None, note))
     if not scored:

@@ -85,7 +85,8 @@ class MultiScanInitiator:
                     self._associator.model, self._associator.motion, self._associator.settings, one
                 )
                 if begun is not None:
-                    self._candidates.begin(*begun, last.position_mm, last.choice, time_ns)
+                    peaks_of_last = last.choice.astype(np.int32)
+                    self._candidates.begin(*begun, last.position_mm, peaks_of_last, time_ns)
         found = self._candidates.decide()
         if found is not None:
             self._fruitless = self._pauses = 0

@@ -349,7 +349,7 @@ def metric_cameras(
     point = (first[:, :3] * second[:, :3]).sum(axis=1)
     along = first - point[:, None] * second
     distance = np.sqrt((along[:, :3] ** 2).sum(axis=1))
-    for column in np.flatnonzero(~(distance > 1e-12 * np.maximum(1.0, np.abs(point)))):
+    for column in np.flatnonzero(~(distance > 1e-12 * np.maximum(1.0, np.abs(point)))).tolist():
         raise DegeneratePoints(
             f"sensor {sensors[column].name} reads the same of all its control points, as far as a "
             "camera can tell; spread them across the sensor",

@@ -388,7 +388,7 @@ def _minimise(
     else:
         ended = minimise_with_distortion(*problem, lens_offsets.prior, multi_start=multi_start)
     models = ended.cameras.models(starts)
-    for column in np.flatnonzero(~ended.converged):
+    for column in np.flatnonzero(~ended.converged).tolist():
         # Undetermined parameters explain the failure better than "did not converge".
         used = np.where(weights > 0.0, observed.weights, 0.0)
         sigma = None if lens_offsets is None else lens_offsets.prior.sigma_mm

@@ -254,13 +254,12 @@ class _Search:
         A moving tool that only two sensors see is often not found although its readings are right:
         its motion between the exposures is large compared with what they determine.
         """
-        seen = np.isfinite(self.readings_px).any(axis=0)
-        which = np.flatnonzero(seen) + 1
+        which = np.flatnonzero(np.isfinite(self.readings_px).any(axis=0)) + 1
         if len(which) >= MIN_SENSORS:
             return None
         names = " and ".join(str(one) for one in which)
         return (
-            f"only sensor{'' if len(which) == 1 else 's'} {names} of {len(seen)} saw it; its "
+            f"only sensor{'' if len(which) == 1 else 's'} {names} of {self.readings_px.shape[1]} saw it; its "
             f"readings do not tell where it is, {MIN_SENSORS} sensors are needed to find it"
         )
 

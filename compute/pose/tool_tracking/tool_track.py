@@ -170,8 +170,9 @@ class ToolTrack:
             imm_model=self.imm_model,
             step=self.step,
             backoff=self.backoff,
-            **{name: deque(getattr(before, name)) for name in _HISTORIES},
         )
+        for name in _HISTORIES:
+            setattr(track, name, deque(getattr(before, name)))
         if before.imm is not None and before.imm.model is not self.imm_model:
             track.imm = track._initial_imm(before.imm.combined)
         return track
@@ -262,7 +263,10 @@ class ToolTrack:
     @property
     def used(self) -> NDArray[np.bool_]:
         """Readings that the pose is based on: which sensor read which marker, shape (M, S)."""
-        return np.logical_or.reduce([sensors for _, _, sensors in self.recent_updates])
+        used: NDArray[np.bool_] = np.logical_or.reduce(
+            [sensors for _, _, sensors in self.recent_updates]
+        )
+        return used
 
     @property
     def residual_sigma(self) -> float | None:

@@ -259,8 +259,8 @@ class _Search:
             return None
         names = " and ".join(str(one) for one in which)
         return (
-            f"only sensor{'' if len(which) == 1 else 's'} {names} of {self.readings_px.shape[1]} saw it; its "
-            f"readings do not tell where it is, {MIN_SENSORS} sensors are needed to find it"
+            f"only sensor{'' if len(which) == 1 else 's'} {names} of {self.readings_px.shape[1]} "
+            f"saw it; its readings do not tell where it is, {MIN_SENSORS} sensors are needed to find it"
         )
 
     def latest_per_marker(self) -> tuple[Array, Array, Array]:

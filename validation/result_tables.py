@@ -2,9 +2,13 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from inspect import signature
 from pathlib import Path
 
 Cell = str | float | None
+
+OPTIONS = ("seed", "trials")
+"""Options of random cases."""
 
 
 @dataclass(frozen=True)
@@ -63,17 +67,27 @@ class TablesCase:
         name: name on the command line.
         title: what it is.
         source: where the published figures stand.
-        compute_tables: returns the tables and the findings.
+        compute_tables: returns the tables and the findings; with a ``seed`` or ``trials`` as
+            parameters where it draws random numbers.
         picture: draws it as a PNG; None: there is nothing to draw.
     """
 
     name: str
     title: str
     source: str
-    compute_tables: Callable[[], tuple[tuple[ResultTable, ...], tuple[str, ...]]]
+    compute_tables: Callable[..., tuple[tuple[ResultTable, ...], tuple[str, ...]]]
     picture: Callable[[Path], None] | None = None
 
-    def run(self) -> TablesResult:
-        """Work it out."""
-        tables, findings = self.compute_tables()
+    @property
+    def options(self) -> tuple[str, ...]:
+        """Names of what may be given to ``run``: "seed", "trials", both or neither."""
+        return tuple(name for name in OPTIONS if name in signature(self.compute_tables).parameters)
+
+    def run(self, **options: int) -> TablesResult:
+        """Compute the tables.
+
+        Args:
+            options: some of ``options``; the case's own values stand for those left out.
+        """
+        tables, findings = self.compute_tables(**options)
         return TablesResult(self.name, self.title, self.source, tables, findings)

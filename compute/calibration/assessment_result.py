@@ -1,54 +1,32 @@
-"""Assessment documents of a calibration: distortion selection and diagnosis."""
+"""Assessment documents of a calibration: distortion and diagnosis."""
 
 from dataclasses import dataclass
 
-from compute.camera.field_distortion import Term
 from compute.camera.model import Vector3
 
 
 @dataclass(frozen=True)
-class CandidateTerms:
-    """One candidate set of distortion terms in the cross-validation.
+class DistortionEstimate:
+    """The distortion terms of a calibration, their size, and the reason for them.
 
     Args:
-        name: the set's name, "none" without terms.
-        terms: its terms.
-        parameters: number of parameters fitted for each sensor.
-        left_out_rms_px: RMS of readings predicted by fits without their block [px]; None: not
-            fitted.
-        loss: mean squared prediction error over its variance, all sensors together; None likewise.
-        loss_excess: difference to the loss of the best set; None likewise.
-        loss_excess_error: standard error of that difference, over the blocks; None likewise.
-        note: why it was not fitted; empty if it was.
-    """
-
-    name: str
-    terms: tuple[Term, ...]
-    parameters: int
-    left_out_rms_px: float | None
-    loss: float | None
-    loss_excess: float | None
-    loss_excess_error: float | None
-    note: str = ""
-
-
-@dataclass(frozen=True)
-class DistortionSelection:
-    """The distortion terms of a calibration and the reason for them.
-
-    Args:
-        chosen: the set's name; "terms" for terms that the request listed.
+        chosen: "auto", the name of the set that was requested, or "terms" for terms that the
+            request listed.
         reason: why, for people.
-        candidates: the sets that were compared; empty without a comparison.
-        blocks: number of blocks of space in the cross-validation; 0 without one.
-        reduced_terms: sensors with too few points for the set, and the set that they have instead.
+        scale: standard deviation of the coefficients' effect, as a share of half the field at its
+            edge, common to the device's lenses; None: not estimated, the terms were requested.
+        scale_range: its 5 % and 95 % points; None likewise.
+        edge_px: the same scale at the edge of the pixels [px]; None likewise.
+        log_evidence_ratio: natural logarithm of how many times as probable the readings are with
+            distortion as without; None likewise.
     """
 
     chosen: str
     reason: str
-    candidates: tuple[CandidateTerms, ...] = ()
-    blocks: int = 0
-    reduced_terms: tuple[tuple[str, str], ...] = ()
+    scale: float | None = None
+    scale_range: tuple[float, float] | None = None
+    edge_px: float | None = None
+    log_evidence_ratio: float | None = None
 
 
 @dataclass(frozen=True)

@@ -7,24 +7,30 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.calibration.assessment_result import DistortionSelection
+from compute.calibration.assessment_result import DistortionEstimate
 from compute.calibration.bundle_adjustment.control_point_adjustment import (
     MIN_REDUNDANCY,
     JointFit,
     adjust_control_points,
 )
-from compute.calibration.distortion_selection import select_terms
 from compute.calibration.mislabels.detector import find_label_errors
 from compute.calibration.mislabels.repair import CORRECTIONS, LabelFinding
 from compute.calibration.result import Calibration, SensorFit, nested_rows
 from compute.calibration.settings import DEFAULTS, CalibrationSettings, preset_terms
-from compute.calibration.single_sensor.camera_fit import LensOffsets, equation_groups
+from compute.calibration.single_sensor.camera_fit import (
+    EquationGroup,
+    LensPrior,
+    effective_parameters,
+    equation_groups,
+)
+from compute.calibration.single_sensor.distortion_scale import fit_distortion_scale
 from compute.calibration.single_sensor.sensor_fits import (
     SIGMA_FLOOR_PX,
     ControlObservations,
     SensorFits,
     fit_distorted,
     fit_undistorted,
+    moderated_variance,
     projected_point_sigma,
 )
 from compute.camera.model import PARAMETER_COUNT, SensorGeometry, SensorModel, vector3
@@ -39,6 +45,8 @@ Array = NDArray[np.float64]
 QUANTISATION_PX: Final = 1.0 / np.sqrt(12.0)
 MAX_NOISE_ITERATIONS: Final = 12
 NOISE_TOLERANCE: Final = 0.02
+MIN_NOISE_DOF: Final = 2.0
+"""Degrees of freedom of all sensors above which their common noise is estimated."""
 
 
 def calibrate(
@@ -137,21 +145,26 @@ def _fit_distortion(
     weights: Array,
     settings: CalibrationSettings,
     progress: Progress,
-) -> tuple[SensorFits, DistortionSelection | None]:
+) -> tuple[SensorFits, DistortionEstimate | None]:
     requested = settings.distortion
-    lens_offsets = LensOffsets.of(models, observed.pitch_um, observed.points_mm, observed.seen)
-    fits = SensorFits(models, weights, lens_offsets)
+    prior = LensPrior.of(models, observed.pitch_um, observed.points_mm, observed.seen)
+    fits = SensorFits(models, weights, prior)
     if requested == "none":
         return fits, None
     if requested == "auto":
-        search = partial_progress(progress, 0.1, 0.7)
-        terms, selection = select_terms(observed, fits, settings.loss, search)
-    elif isinstance(requested, str):
+        search = partial_progress(progress, 0.1, 0.8)
+        point_sigma = None
+        if not observed.sigma_known and settings.control_sigma_mm is not None:
+            point_sigma = projected_point_sigma(
+                models, observed.points_mm, settings.control_sigma_mm
+            )
+        return fit_distortion_scale(observed, fits, settings.loss, point_sigma, search)
+    if isinstance(requested, str):
         terms = (preset_terms(requested),) * len(models)
-        selection = DistortionSelection(requested, "as asked")
+        selection = DistortionEstimate(requested, "as asked")
     else:
         terms = (requested,) * len(models)
-        selection = DistortionSelection("terms", "as asked")
+        selection = DistortionEstimate("terms", "as asked")
     progress(0.7, f"distortion {selection.chosen}")
     return fit_distorted(observed, fits, terms, settings.loss), selection
 
@@ -160,6 +173,7 @@ def _fit_statistics(
     model: SensorModel,
     seen: int,
     residuals_px: Array,
+    parameters: float,
     sigma_px: Array | None,
     chi2_terms: Array | None = None,
 ) -> tuple[SensorFit, float]:
@@ -169,11 +183,11 @@ def _fit_statistics(
         model: the fitted camera.
         seen: number of control points that the sensor read.
         residuals_px: fitted minus measured readings, those with weight only, shape (N,) [px].
+        parameters: effective number of parameters that the residuals have fitted.
         sigma_px: their standard deviations, shape (N,) [px]; None: not known.
         chi2_terms: residuals over sigma for the chi-square test, shape (N,); None: of these.
     """
-    # The offset along the slit is a parameter and its prior an observation: they cancel.
-    dof = len(residuals_px) - PARAMETER_COUNT - len(model.terms)
+    dof = len(residuals_px) - parameters
     square_sum = float((residuals_px**2).sum())
     chi2_per_dof, factor = None, 1.0
     source: Literal["given", "residuals", "assumed"]
@@ -212,24 +226,69 @@ def assemble_with_exact_points(
     """
     residuals = observed.residuals_px(fits.models)
     first = np.cumsum([0, *(model.parameter_count for model in fits.models)])
+    groups = _equation_groups(observed, fits)
+    parameters = _effective_parameters(groups)
     found, factors = [], []
     for column, (model, rows) in enumerate(zip(fits.models, fits.used(observed).T, strict=True)):
         sigma = observed.sigma_px[rows, column] if observed.sigma_known else None
         seen = int(observed.seen[:, column].sum())
-        fit, factor = _fit_statistics(model, seen, residuals[rows, column], sigma)
+        fit, factor = _fit_statistics(
+            model, seen, residuals[rows, column], parameters[column], sigma
+        )
         found.append(fit)
         factors.append(factor * (EFFICIENCY_LOSS if settings.loss == "robust" else 1.0))
+    if not observed.sigma_known and settings.distortion == "auto":
+        found, factors = _pool_noise(found, factors, residuals, fits, observed, parameters)
     covariance = np.zeros((first[-1], first[-1]))
-    for group in equation_groups(
-        fits.models,
-        observed.points_mm,
-        fits.known_weights(observed),
-        fits.lens_offsets.prior.sigma_mm,
-    ):
+    for group in groups:
         for sensor, inverse in zip(group.sensors, group.cofactors, strict=True):
             columns = first[sensor] + group.columns
             covariance[columns[:, None], columns] = inverse * factors[sensor]
     return _calibration(observed, fits, settings, found, covariance, residuals)
+
+
+def _equation_groups(observed: ControlObservations, fits: SensorFits) -> list[EquationGroup]:
+    weights = fits.known_weights(observed)
+    return equation_groups(fits.models, observed.points_mm, weights, fits.scaled_prior)
+
+
+def _effective_parameters(groups: list[EquationGroup]) -> list[float]:
+    """Return each sensor's number of parameters that the readings determine."""
+    found = {
+        sensor: count
+        for group in groups
+        for sensor, count in zip(
+            group.sensors.tolist(),
+            effective_parameters(group.cofactors, group.information).tolist(),
+            strict=True,
+        )
+    }
+    return [found[sensor] for sensor in range(len(found))]
+
+
+def _pool_noise(
+    found: list[SensorFit],
+    factors: list[float],
+    residuals_px: Array,
+    fits: SensorFits,
+    observed: ControlObservations,
+    parameters: list[float],
+) -> tuple[list[SensorFit], list[float]]:
+    """Estimate each sensor's noise from its own residuals and the device's."""
+    used = fits.used(observed)
+    dof = np.maximum(used.sum(axis=0) - np.array(parameters), 0.5)
+    squares = np.where(used, residuals_px**2, 0.0).sum(axis=0)
+    variance, total = moderated_variance(squares / dof, dof)
+    if total.min() <= MIN_NOISE_DOF:
+        return found, factors
+    # As in ``_fit_statistics``: the estimate's own uncertainty.
+    variance *= total / (total - 2.0)
+    source: Literal["residuals"] = "residuals"
+    pooled = [
+        replace(fit, sigma_px=sigma, sigma_source=source)
+        for fit, sigma in zip(found, np.sqrt(variance).tolist(), strict=True)
+    ]
+    return pooled, variance.tolist()
 
 
 def _assemble_with_uncertain_points(
@@ -245,14 +304,22 @@ def _assemble_with_uncertain_points(
         sigma = observed.sigma_px
         joint = adjust_control_points(observed, fits, sigma, control_sigma_mm, progress)
     else:
-        joint, sigma = _estimate_noise(observed, fits, point_sigma, control_sigma_mm, progress)
-    chi2_terms = observed.residuals_px(joint.models) / np.hypot(sigma, point_sigma)
+        pooled = settings.distortion == "auto"
+        joint, sigma = _estimate_noise(
+            observed, fits, point_sigma, control_sigma_mm, pooled, progress
+        )
+    total = np.hypot(sigma, point_sigma)
+    chi2_terms = observed.residuals_px(joint.models) / total
+    as_known = replace(observed, sigma_px=total, sigma_known=True)
+    adjusted = replace(fits, models=joint.models, unit_px=None)
+    parameters = _effective_parameters(_equation_groups(as_known, adjusted))
     found, factors = [], []
     for column, (model, rows) in enumerate(zip(joint.models, fits.used(observed).T, strict=True)):
         fit, factor = _fit_statistics(
             model,
             int(observed.seen[:, column].sum()),
             joint.residuals_px[rows, column],
+            parameters[column],
             sigma[rows, column],
             chi2_terms[rows, column],
         )
@@ -271,6 +338,7 @@ def _estimate_noise(
     fits: SensorFits,
     point_sigma_px: Array,
     control_sigma_mm: float,
+    pooled: bool,
     progress: Progress,
 ) -> tuple[JointFit, Array]:
     """Adjust, and estimate the readings' noise by variance components (Helmert's method).
@@ -282,16 +350,21 @@ def _estimate_noise(
         The adjustment, and the readings' standard deviations, shape (N, S) [px].
     """
     first = _noise_without_points(observed, fits, point_sigma_px)
+    if pooled and fits.unit_px is not None:
+        first = fits.unit_px
     sigma = first
     for _ in range(MAX_NOISE_ITERATIONS):
-        scaled = replace(fits, lens_offsets=fits.lens_offsets.scaled(1.0 / sigma))
         wide = np.broadcast_to(sigma, point_sigma_px.shape)
-        joint = adjust_control_points(observed, scaled, wide, control_sigma_mm, progress)
-        checked = joint.redundancy > MIN_REDUNDANCY
-        # redundancy - 2: as in ``fit_statistics``.
-        wider = np.sqrt(joint.redundancy / np.maximum(joint.redundancy - 2.0, 1.0))
-        estimated = np.maximum(sigma * joint.sigma_ratio * wider, SIGMA_FLOOR_PX)
-        new = np.where(checked, estimated, first)
+        joint = adjust_control_points(observed, fits, wide, control_sigma_mm, progress)
+        variance, dof = (sigma * joint.sigma_ratio) ** 2, joint.redundancy
+        if pooled:
+            # ``sigma_ratio`` has MIN_REDUNDANCY for less of it.
+            variance = variance * np.maximum(dof, MIN_REDUNDANCY) / np.maximum(dof, MIN_NOISE_DOF)
+            variance, dof = moderated_variance(variance, np.maximum(dof, MIN_NOISE_DOF))
+        # dof - 2: as in ``_fit_statistics``.
+        estimated = np.sqrt(variance * dof / np.maximum(dof - 2.0, 1.0))
+        estimated = np.maximum(estimated, SIGMA_FLOOR_PX)
+        new = np.where(dof > MIN_REDUNDANCY, estimated, first)
         converged = np.abs(new / sigma - 1.0).max() < NOISE_TOLERANCE
         sigma = new
         if converged:
@@ -306,7 +379,8 @@ def _noise_without_points(
     sigma = []
     residuals = observed.residuals_px(fits.models)
     for column, (model, rows) in enumerate(zip(fits.models, fits.used(observed).T, strict=True)):
-        fit, _ = _fit_statistics(model, int(rows.sum()), residuals[rows, column], None)
+        count = PARAMETER_COUNT + len(model.terms)
+        fit, _ = _fit_statistics(model, int(rows.sum()), residuals[rows, column], count, None)
         if fit.sigma_source == "assumed":
             sigma.append(float(QUANTISATION_PX))
             continue

@@ -6,7 +6,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.calibration.assessment_result import Diagnosis, DistortionSelection
+from compute.calibration.assessment_result import Diagnosis, DistortionEstimate
 from compute.calibration.mislabels.repair import CORRECTIONS, LabelFinding
 from compute.calibration.settings import CalibrationSettings
 from compute.camera.model import SensorModel, Vector3, vector3
@@ -123,7 +123,7 @@ class Calibration:
     covariance: tuple[tuple[float, ...], ...]
     residuals_px: tuple[tuple[float | None, ...], ...]
     settings: CalibrationSettings | None = None
-    distortion: DistortionSelection | None = None
+    distortion: DistortionEstimate | None = None
     reading_weights: tuple[tuple[float | None, ...], ...] | None = None
     point_shifts_mm: tuple[Vector3, ...] | None = None
     labels: tuple[LabelFinding, ...] = ()

@@ -65,17 +65,6 @@ MAX_ORDER: Final = 9
 Half the field of view is below 0.5 (a wide lens), and 0.5^9 = 0.002.
 """
 
-AUTO_CANDIDATES: Final[tuple[Preset, ...]] = (
-    "odd-powers",
-    "symmetric-3",
-    "all-3",
-    "symmetric-5",
-    "symmetric-7",
-    "factory-19",
-    "all-5",
-)
-"""What "auto" chooses among, besides no distortion, in the order of their parameters."""
-
 Loss = Literal["linear", "robust"]
 LabelPolicy = Literal["off", "report", "exclude", "repair"]
 Distortion = Literal["none", "auto"] | Preset | tuple[Term, ...]
@@ -128,8 +117,8 @@ class CalibrationSettings:
     """How a device is calibrated.
 
     Args:
-        distortion: "none"; "auto": selected by cross-validation
-            (``compute.calibration.distortion_selection``); the name of one of PRESETS; or the
+        distortion: "none"; "auto": all terms of the fifth order, their scale
+            estimated (``compute.calibration.single_sensor.distortion_scale``); the name of one of PRESETS; or the
             terms themselves.
         control_sigma_mm: standard deviation of each coordinate of the control points [mm]; None:
             exact. With it the points are unknowns too, and the covariance of the sensors is joint.

@@ -8,7 +8,6 @@ import typer
 from rich.table import Table
 
 from compute.calibration.assessment.assess import calibrate_and_assess, control_errors
-from compute.calibration.distortion_selection import refusals
 from compute.calibration.mislabels.repair import LabelFinding
 from compute.calibration.result import (
     AxisErrors,
@@ -44,7 +43,7 @@ def calibrate(
     distortion: Annotated[
         str,
         typer.Option(
-            help="none, auto (by cross-validation), a set's name, or terms u^i v^j as '3,0 1,2'."
+            help="none, auto (its scale estimated), a set's name, or terms u^i v^j as '3,0 1,2'."
         ),
     ] = "auto",
     control_sigma: Annotated[
@@ -76,8 +75,6 @@ def calibrate(
     console.print(fit_table(result, f"{observations}: {len(table.points_mm)} points"))
     if result.distortion is not None:
         say(f"distortion: {result.distortion.chosen} ({result.distortion.reason})")
-        for reason, names in refusals(result.distortion.candidates).items():
-            say(f"not judged: {', '.join(names)}: {reason}")
     for finding in result.labels:
         say(f"[yellow]label:[/yellow] {label_message(finding)}")
     if result.labels and settings.labels == "report":

@@ -21,7 +21,7 @@ from service.cli.output import (
 from validation.all_cases import ALL_CASES
 from validation.progress import Listener, progress_listener
 from validation.result_tables import Cell, ResultTable, TablesCase, TablesResult
-from validation.tests_5_1_to_5_8 import CaseResult
+from validation.tests_5_1_to_5_8 import Case, CaseResult
 
 SETTLED_PX = 0.01
 
@@ -30,6 +30,12 @@ def reproduce(
     case: Annotated[str | None, typer.Argument(help="A case's name, or all.")] = None,
     as_json: AsJson = False,
     output: Annotated[Path | None, typer.Option(help="Draw the case's picture: a PNG.")] = None,
+    seed: Annotated[
+        int | None, typer.Option(min=0, help="Seed of a case that draws random numbers.")
+    ] = None,
+    trials: Annotated[
+        int | None, typer.Option(min=1, help="Number of random trials of a case that has them.")
+    ] = None,
 ) -> None:
     """List the cases, or run one of them, or all; draw the picture of one where it is wanted."""
     if output is not None:
@@ -40,11 +46,23 @@ def reproduce(
     if case != "all" and case not in ALL_CASES:
         raise fail(f'there is no case "{case}"; the cases are {", ".join(ALL_CASES)} and all')
     chosen = list(ALL_CASES.values()) if case == "all" else [ALL_CASES[case]]
-    results = []
+    given = {
+        name: value for name, value in (("seed", seed), ("trials", trials)) if value is not None
+    }
+    if len(chosen) == 1:
+        for name in given:
+            if name not in _options(chosen[0]):
+                takers = [one.name for one in ALL_CASES.values() if name in _options(one)]
+                raise fail(f"{case} has no --{name}; the cases that have one: {', '.join(takers)}")
+    results: list[CaseResult | TablesResult] = []
     with progress("reproducing", float(len(chosen)), quiet=as_json) as done:
         for index, one in enumerate(chosen):
             with progress_listener(_from(index, done)):
-                results.append(one.run())
+                if isinstance(one, TablesCase):
+                    own = {name: given[name] for name in one.options if name in given}
+                    results.append(one.run(**own))
+                else:
+                    results.append(one.run())
             done(index + 1.0)
     if as_json:
         print_json(results if case == "all" else results[0])
@@ -54,6 +72,10 @@ def reproduce(
             _print_tables(result)
         else:
             _print(result)
+
+
+def _options(case: Case | TablesCase) -> tuple[str, ...]:
+    return case.options if isinstance(case, TablesCase) else ()
 
 
 def _from(index: int, done: Callable[[float], None]) -> Listener:
@@ -75,13 +97,21 @@ def _draw(name: str | None, output: Path) -> None:
 
 
 def _list(*, as_json: bool) -> None:
-    rows = [{"name": c.name, "title": c.title, "source": c.source} for c in ALL_CASES.values()]
+    rows = [
+        {
+            "name": case.name,
+            "title": case.title,
+            "source": case.source,
+            "options": " ".join(f"--{option}" for option in _options(case)),
+        }
+        for case in ALL_CASES.values()
+    ]
     if as_json:
         print_json(rows)
         return
     title = "cases: lumiline reproduce NAME, or all"
     table = make_table(
-        ("name", "title", "source"), (row.values() for row in rows), title, texts=None
+        ("name", "title", "source", "options"), (row.values() for row in rows), title, texts=None
     )
     table.columns[0].no_wrap = True
     console.print(table)

@@ -20,7 +20,8 @@ from compute.calibration.result import (
 )
 from compute.calibration.settings import DEFAULTS, CalibrationSettings
 from compute.calibration.single_sensor.camera_fit import (
-    LensOffsets,
+    WEAK_STRENGTH,
+    LensPrior,
     fitted_columns,
     undetermined_sensors,
 )
@@ -197,16 +198,20 @@ def _rms(values: Array) -> float | None:
 
 def _stored_fits(calibration: Calibration, observed: ControlObservations) -> SensorFits:
     """Return the fits of a calibration to its control points."""
-    lens_offsets = LensOffsets.of(
-        calibration.models, observed.pitch_um, observed.points_mm, observed.seen
+    strength = WEAK_STRENGTH
+    if calibration.distortion is not None and calibration.distortion.scale is not None:
+        strength = calibration.distortion.scale
+    prior = LensPrior.of(
+        calibration.models, observed.pitch_um, observed.points_mm, observed.seen, strength
     )
+    unit = None
     if not observed.sigma_known:
-        lens_offsets = lens_offsets.scaled(np.array([fit.sigma_px for fit in calibration.sensors]))
+        unit = np.array([fit.sigma_px for fit in calibration.sensors])
     weights = np.ones(observed.readings_px.shape)
     if calibration.reading_weights is not None:
         weights = np.array(calibration.reading_weights, dtype=np.float64)
         weights = np.where(np.isnan(weights), 1.0, weights)
-    return SensorFits(calibration.models, weights, lens_offsets)
+    return SensorFits(calibration.models, weights, prior, unit)
 
 
 def _refits(
@@ -228,7 +233,7 @@ def _refits(
             sigma_px=observed.sigma_px[rest],
         )
         part_models = models[number * sensors : (number + 1) * sensors]
-        refit = SensorFits(part_models, fits.weights[rest], fits.lens_offsets)
+        refit = SensorFits(part_models, fits.weights[rest], fits.prior, fits.unit_px)
         usable = bool(converged[number]) and _is_determined(part, refit)
         yield assemble_with_exact_points(part, refit, settings) if usable else None
 
@@ -239,5 +244,5 @@ def _is_determined(observed: ControlObservations, fits: SensorFits) -> bool:
         count < len(fitted_columns(model)) for count, model in zip(used, fits.models, strict=True)
     ):
         return False
-    weights, prior = fits.known_weights(observed), fits.lens_offsets.prior
-    return not undetermined_sensors(fits.models, observed.points_mm, weights, prior.sigma_mm)
+    weights = fits.known_weights(observed)
+    return not undetermined_sensors(fits.models, observed.points_mm, weights, fits.scaled_prior)

@@ -12,7 +12,7 @@ from compute.calibration.bundle_adjustment.sensor_prior import SensorPrior
 from compute.calibration.bundle_adjustment.solver import adjust
 from compute.calibration.single_sensor.camera_fit import fitted_columns
 from compute.calibration.single_sensor.sensor_fits import ControlObservations, SensorFits
-from compute.camera.model import SensorModel
+from compute.camera.model import PARAMETER_COUNT, SensorModel
 from compute.camera.stack import CameraStack
 from compute.progress import Progress, no_progress
 
@@ -58,7 +58,7 @@ def adjust_control_points(
 
     Args:
         observed: control points and readings.
-        fits: starting cameras, with the readings' weights and the offsets' prior.
+        fits: starting cameras, with the readings' weights and the lenses' prior.
         sigma_px: standard deviations of the readings, shape (N, S) [px].
         control_sigma_mm: standard deviation of each coordinate of the points [mm].
         progress: called with the fraction done and the stage.
@@ -95,12 +95,24 @@ def adjust_control_points(
 
 
 def _prior(fits: SensorFits) -> SensorPrior | None:
-    """Return the prior of the lens offsets along the slits; None without distortion."""
-    prior = fits.lens_offsets.prior
-    at_means = [
-        model
-        if model.distortion is None
-        else replace(model, distortion=replace(model.distortion, offset_y_mm=mean))
-        for model, mean in zip(fits.models, prior.mean_mm.tolist(), strict=True)
-    ]
-    return SensorPrior.of_lens_offsets(at_means, prior.sigma_mm)
+    """Return the prior of the lenses; None without distortion."""
+    stack = CameraStack.of(fits.models)
+    if not stack.has_distortion:
+        return None
+    mean, information = fits.prior.gaussian(stack)
+    means = []
+    for model, values in zip(fits.models, mean, strict=True):
+        distortion = model.distortion
+        if distortion is None:
+            means.append(model)
+            continue
+        distortion = replace(
+            distortion,
+            coefficients=(0.0,) * len(distortion.terms),
+            offset_y_mm=float(values[PARAMETER_COUNT]),
+        )
+        means.append(replace(model, principal_point_px=float(values[1]), distortion=distortion))
+    diagonal = np.zeros(sum(model.parameter_count for model in fits.models))
+    here = stack.parameter_mask
+    diagonal[stack.parameter_index[here]] = information[here]
+    return SensorPrior(tuple(means), np.diag(diagonal))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from compute.calibration.mislabels.evaluation import SensorReadings
 from compute.calibration.mislabels.hypothesis import Hypothesis
 from compute.calibration.settings import Preset, preset_terms
-from compute.calibration.single_sensor.camera_fit import LensOffsets
+from compute.calibration.single_sensor.camera_fit import LensPrior
 from compute.calibration.single_sensor.sensor_fits import (
     ControlObservations,
     SensorFits,
@@ -105,8 +105,8 @@ def _fits(observed: ControlObservations) -> Iterator[_RobustFit]:
     except NOT_FITTED:
         return
     yield _fit(observed, plain[0], PARAMETER_COUNT)
-    lens_offsets = LensOffsets.of(plain, observed.pitch_um, observed.points_mm, observed.seen)
-    undistorted = SensorFits(plain, weights, lens_offsets)
+    prior = LensPrior.of(plain, observed.pitch_um, observed.points_mm, observed.seen)
+    undistorted = SensorFits(plain, weights, prior)
     for name in CANDIDATES:
         terms = preset_terms(name)
         # The offset along the slit has a prior: it is not counted.

@@ -8,7 +8,7 @@ are those of the prior.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Final
 
 import numpy as np
@@ -28,10 +28,23 @@ DECREASE_TOLERANCE: Final = 1e-9
 3e-5 standard deviations of the parameters."""
 ROUNDING_TOLERANCE: Final = 2e-15
 """Rounding error of a residual, relative to the reading: smaller decreases are not resolved."""
+RELATIVE_OFFSET_TOLERANCE: Final = 1e-6
+"""Decrease that the undamped linear model predicts, over the mean square, below which a search has
+converged though damping still shortens its steps: the minimum is less than 1e-3 standard deviations
+away (relative offset criterion of Bates and Watts, doi:10.2307/1268140)."""
 MAX_DAMPING: Final = 1e12
 OFFSET_SIGMA_V: Final = 0.1
 """Standard deviation of the field angle v (tangent) of the centroid: six degrees. Operators aim a
 lens at the centre of its volume at least as well; its field is three times as wide."""
+PRINCIPAL_POINT_SIGMA: Final = 0.25
+"""Standard deviation of a distorting lens's principal point about the sensor's middle, relative to
+its length."""
+WEAK_STRENGTH: Final = 0.1
+"""Strength of ``LensPrior`` for terms that the user asked for: 10 % of half the field at its edge is
+more than lenses have; it holds only what the readings leave open."""
+HIGHER_TERM_SCALE: Final = 0.3
+"""Expected size of terms of the next two orders, and of terms that a centred lens has not got,
+relative to those of the order below and to those that it has."""
 START_FIELD_ANGLES_V: Final = (0.0, -0.1, 0.1)
 """Field angles v of the centroid from which the search starts."""
 MIN_SINGULAR_RATIO: Final = 1e-5
@@ -44,20 +57,133 @@ equations hold nothing but rounding of the least combination."""
 
 
 @dataclass(frozen=True, eq=False)
-class OffsetPrior:
-    """Gaussian prior of the lens offsets along the slits.
+class LensPrior:
+    """Gaussian prior of what readings determine weakly where a lens distorts.
+
+    Independent normal distributions: the offset along the slit, the principal point, and each
+    coefficient about 0. The standard deviation of a coefficient is what makes its term
+    ``strength * relative_term_scale`` of half the field at the field's edge.
 
     Args:
-        mean_mm: means, shape (B,) [mm].
-        sigma_mm: standard deviations, shape (B,) [mm]; infinite: no prior.
+        row_behind_mm: see ``FieldDistortion``, shape (S,) [mm]; known.
+        offset_mm: mean offset along the slit, shape (S,) [mm].
+        offset_sigma_mm: its standard deviation, shape (S,) [mm]; infinite: no prior.
+        principal_point_px: mean principal point, shape (S,) [px].
+        principal_point_sigma_px: its standard deviation, shape (S,) [px].
+        half_field_u: tangent of half the field of view, shape (S,).
+        strength: share of half the field, shape (S,); infinite: no prior.
     """
 
-    mean_mm: Array
-    sigma_mm: Array
+    row_behind_mm: Array
+    offset_mm: Array
+    offset_sigma_mm: Array
+    principal_point_px: Array
+    principal_point_sigma_px: Array
+    half_field_u: Array
+    strength: Array
 
-    def rows(self, index: NDArray[np.intp]) -> "OffsetPrior":
+    @classmethod
+    def of(
+        cls,
+        models: Sequence[SensorModel],
+        pitch_um: Sequence[float | None],
+        points_mm: Array,
+        seen: NDArray[np.bool_],
+        strength: float = WEAK_STRENGTH,
+    ) -> "LensPrior":
+        """Derive the prior from cameras and the control points that they saw.
+
+        Args:
+            models: S cameras, without distortion or with that of an earlier fit.
+            pitch_um: the sensors' pixel pitches [um]; None: not known.
+            points_mm: control points, shape (N, 3) [mm].
+            seen: which of them each sensor saw, shape (N, S).
+            strength: see the class.
+        """
+        centre_mm = (seen.T @ points_mm) / seen.sum(axis=0)[:, None]
+        behind, mean, sigma = [], [], []
+        for model, pitch, centre in zip(models, pitch_um, centre_mm, strict=True):
+            _, y, z = (model.rotation @ centre).tolist()
+            distortion = model.distortion
+            if distortion is not None:
+                behind.append(distortion.row_behind_mm)
+            else:
+                behind.append(0.0 if pitch is None else 1e-3 * pitch * model.principal_distance_px)
+            mean.append(-y)
+            sigma.append(OFFSET_SIGMA_V * (z + model.offset_z_mm + behind[-1]))
+        pixels = np.array([model.pixels for model in models], dtype=np.float64)
+        distance = np.array([model.principal_distance_px for model in models])
+        return cls(
+            np.array(behind),
+            np.array(mean),
+            np.array(sigma),
+            0.5 * (pixels - 1.0),
+            PRINCIPAL_POINT_SIGMA * pixels,
+            0.5 * pixels / distance,
+            np.full(len(models), strength),
+        )
+
+    def rows(self, index: NDArray[np.intp]) -> "LensPrior":
         """Return the prior of the cameras with these indices."""
-        return OffsetPrior(self.mean_mm[index], self.sigma_mm[index])
+        return LensPrior(*(getattr(self, field.name)[index] for field in fields(self)))
+
+    def at(self, models: Sequence[SensorModel], pitch_um: Sequence[float | None]) -> "LensPrior":
+        """Return the prior with the pixel rows at the fitted principal distances.
+
+        Args:
+            models: the S fitted cameras.
+            pitch_um: the sensors' pixel pitches [um]; None: not known, the row stays.
+        """
+        behind = self.row_behind_mm.copy()
+        for row, (model, pitch) in enumerate(zip(models, pitch_um, strict=True)):
+            if pitch is not None:
+                behind[row] = 1e-3 * pitch * model.principal_distance_px
+        return replace(self, row_behind_mm=behind)
+
+    def scaled(self, sigma_px: Array) -> "LensPrior":
+        """Return the prior in units for weights of 1, where noise is ``sigma_px`` (S,) [px]."""
+        return replace(
+            self,
+            offset_sigma_mm=self.offset_sigma_mm / sigma_px,
+            principal_point_sigma_px=self.principal_point_sigma_px / sigma_px,
+            strength=self.strength / sigma_px,
+        )
+
+    def with_strength(self, strength: float | Array) -> "LensPrior":
+        """Return the prior with another strength, one for all or shape (S,)."""
+        return replace(self, strength=np.broadcast_to(strength, self.strength.shape).copy())
+
+    def gaussian(self, cameras: CameraStack) -> tuple[Array, Array]:
+        """Return means and information (1 / variance) by the stack's columns, both (S, width).
+
+        Args:
+            cameras: the S cameras; those without distortion have no prior, nor do parameters that
+                a camera has not got.
+        """
+        mean = np.zeros((len(cameras), cameras.width))
+        information = np.zeros_like(mean)
+        if not cameras.has_distortion:
+            return mean, information
+        mean[:, 1], mean[:, PARAMETER_COUNT] = self.principal_point_px, self.offset_mm
+        information[:, 1] = self.principal_point_sigma_px**-2.0
+        information[:, PARAMETER_COUNT] = self.offset_sigma_mm**-2.0
+        for column, (i, j) in enumerate(cameras.terms, start=PARAMETER_COUNT + 1):
+            edge = self.half_field_u ** (i + j - 1)
+            information[:, column] = (edge / (self.strength * relative_term_scale((i, j)))) ** 2
+        information *= cameras.parameter_mask
+        information[~cameras.parameter_mask[:, PARAMETER_COUNT]] = 0.0
+        return mean, information
+
+
+def relative_term_scale(term: Term) -> float:
+    """Return a term's expected size at the field's edge, relative to the symmetric cubic ones.
+
+    Args:
+        term: powers (i, j).
+    """
+    i, j = term
+    symmetric = i % 2 == 1 and j % 2 == 0
+    return HIGHER_TERM_SCALE ** ((i + j - 2) // 2) * (1.0 if symmetric else HIGHER_TERM_SCALE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,11 +195,13 @@ class MinimisationResult:
         squares: sum of squared residuals over sigma, with the prior's, shape (B,); infinite where
             the start had a point behind the lens.
         converged: whether the search converged, shape (B,).
+        normal: matrices of the normal equations, with the prior's, shape (B, width, width).
     """
 
     cameras: CameraStack
     squares: Array
     converged: NDArray[np.bool_]
+    normal: Array
 
 
 def minimise(
@@ -81,7 +209,7 @@ def minimise(
     points_mm: Array,
     readings_px: Array,
     weights: Array,
-    prior: OffsetPrior | None = None,
+    prior: LensPrior | None = None,
     iterations: int = MAX_ITERATIONS,
 ) -> MinimisationResult:
     """Minimise the weighted sums of squares of B cameras by Levenberg-Marquardt.
@@ -94,7 +222,7 @@ def minimise(
         points_mm: control points, common to all cameras, shape (N, 3) [mm].
         readings_px: shape (N, B) [px]; any value where the weight is 0.
         weights: 1 / standard deviation, shape (N, B) [1/px]; 0: not seen.
-        prior: of the lens offsets; None: no prior, or no distortion.
+        prior: of the lenses; None: no prior, or no distortion.
         iterations: largest number of trial steps.
     """
     count = len(cameras)
@@ -102,7 +230,10 @@ def minimise(
     readings = np.where(used, readings_px, 0.0)
     rounding = ROUNDING_TOLERANCE * np.sqrt(((readings * weights) ** 2).sum(axis=0))
     state = cameras
-    equations = _NormalEquations.of(state, points_mm, readings, weights, used, prior)
+    mean_and_information = None
+    if prior is not None and cameras.has_distortion:
+        mean_and_information = prior.gaussian(cameras)
+    equations = _NormalEquations.of(state, points_mm, readings, weights, used, mean_and_information)
     damping = np.full(count, 1e-4)
     tolerance = DECREASE_TOLERANCE / np.maximum(used.sum(axis=0), 1)
     converged = np.zeros(count, dtype=np.bool_)
@@ -115,9 +246,13 @@ def minimise(
         step, predicted = active.steps(damping[index])
         trial = (state if every else state.rows(index)).retract(step)
         if every:
-            new = _NormalEquations.of(trial, points_mm, readings, weights, used, prior)
+            new = _NormalEquations.of(
+                trial, points_mm, readings, weights, used, mean_and_information
+            )
         else:
-            active_prior = prior.rows(index) if prior is not None else None
+            active_prior = None
+            if mean_and_information is not None:
+                active_prior = mean_and_information[0][index], mean_and_information[1][index]
             part = readings[:, index], weights[:, index], used[:, index]
             new = _NormalEquations.of(trial, points_mm, *part, active_prior)
         old = active.squares.copy()
@@ -131,9 +266,19 @@ def minimise(
         unresolved = rounding[index] * (2.0 * np.sqrt(old) + rounding[index])
         done = (predicted <= tolerance[index] * old + unresolved) & (damping[index] <= 1e-3)
         damping[index] = np.maximum(damping[index] * np.where(better, 0.1, 10.0), 1e-14)
+        if cameras.has_distortion:
+            # Curved valleys need damping to the end: what counts is the distance to the minimum.
+            tolerated = RELATIVE_OFFSET_TOLERANCE / DECREASE_TOLERANCE * tolerance[index] * old
+            done |= active.undamped_decrease() <= tolerated + unresolved
         converged[index[done]] = True
         index = index[~done & (damping[index] < MAX_DAMPING)]
-    return MinimisationResult(state, equations.squares, converged)
+    rest = np.flatnonzero(~converged & np.isfinite(equations.squares))
+    if len(rest):
+        left = equations.rows(rest)
+        tolerated = RELATIVE_OFFSET_TOLERANCE / DECREASE_TOLERANCE * tolerance[rest] * left.squares
+        tolerated += rounding[rest] * (2.0 * np.sqrt(left.squares) + rounding[rest])
+        converged[rest] = left.undamped_decrease() <= tolerated
+    return MinimisationResult(state, equations.squares, converged, equations.normal)
 
 
 @dataclass(eq=False)
@@ -152,7 +297,7 @@ class _NormalEquations:
         readings_px: Array,
         weights: Array,
         used: NDArray[np.bool_],
-        prior: OffsetPrior | None,
+        prior: tuple[Array, Array] | None,
     ) -> "_NormalEquations":
         fitted, jacobian = cameras.project_with_parameter_jacobian(points_mm)
         missing = np.isnan(fitted)
@@ -166,12 +311,17 @@ class _NormalEquations:
         normal = transposed @ design
         gradient = (transposed @ residuals[..., None])[..., 0]
         squares = (residuals**2).sum(axis=1)
-        if prior is not None and cameras.has_distortion:
-            prior_weight = cameras.parameter_mask[:, PARAMETER_COUNT] / prior.sigma_mm
-            prior_residual = (cameras.offset_mm[:, 1] - prior.mean_mm) * prior_weight
-            normal[:, PARAMETER_COUNT, PARAMETER_COUNT] += prior_weight**2
-            gradient[:, PARAMETER_COUNT] += prior_residual * prior_weight
-            squares = squares + prior_residual**2
+        if prior is not None:
+            mean, information = prior
+            difference = np.zeros_like(mean)
+            difference[:, 1] = cameras.principal_point_px
+            difference[:, PARAMETER_COUNT] = cameras.offset_mm[:, 1]
+            difference[:, PARAMETER_COUNT + 1 :] = cameras.coefficients
+            difference -= mean
+            diagonal = np.arange(mean.shape[1])
+            normal[:, diagonal, diagonal] += information
+            gradient += information * difference
+            squares = squares + (information * difference**2).sum(axis=1)
         squares[behind] = np.inf
         return cls(normal, gradient, squares)
 
@@ -197,6 +347,10 @@ class _NormalEquations:
         predicted = (step * right).sum(axis=1) + damping * (step**2).sum(axis=1)
         return step * scale, predicted
 
+    def undamped_decrease(self) -> Array:
+        """Return the decrease of r'r that the linear model predicts for full steps, (B,)."""
+        return self.steps(np.full(len(self.squares), 1e-13))[1]
+
 
 def _replace_cameras(
     state: CameraStack, index: NDArray[np.intp], other: CameraStack
@@ -216,74 +370,15 @@ def _replace_cameras(
     return result
 
 
-@dataclass(frozen=True, eq=False)
-class LensOffsets:
-    """Positions of the lenses along their slits, which the readings determine weakly.
-
-    Args:
-        row_behind_mm: see ``FieldDistortion``, shape (S,) [mm].
-        prior: of the offsets along the slits.
-    """
-
-    row_behind_mm: Array
-    prior: OffsetPrior
-
-    @classmethod
-    def of(
-        cls,
-        models: Sequence[SensorModel],
-        pitch_um: Sequence[float | None],
-        points_mm: Array,
-        seen: NDArray[np.bool_],
-    ) -> "LensOffsets":
-        """Derive the prior from cameras and the control points that they saw.
-
-        Args:
-            models: S cameras, without distortion or with that of an earlier fit.
-            pitch_um: the sensors' pixel pitches [um]; None: not known.
-            points_mm: control points, shape (N, 3) [mm].
-            seen: which of them each sensor saw, shape (N, S).
-        """
-        centre_mm = (seen.T @ points_mm) / seen.sum(axis=0)[:, None]
-        behind, mean, sigma = [], [], []
-        for model, pitch, centre in zip(models, pitch_um, centre_mm, strict=True):
-            _, y, z = (model.rotation @ centre).tolist()
-            distortion = model.distortion
-            if distortion is not None:
-                behind.append(distortion.row_behind_mm)
-            else:
-                behind.append(0.0 if pitch is None else 1e-3 * pitch * model.principal_distance_px)
-            mean.append(-y)
-            sigma.append(OFFSET_SIGMA_V * (z + model.offset_z_mm + behind[-1]))
-        return cls(np.array(behind), OffsetPrior(np.array(mean), np.array(sigma)))
-
-    def at(self, models: Sequence[SensorModel], pitch_um: Sequence[float | None]) -> "LensOffsets":
-        """Return the offsets with the pixel rows at the fitted principal distances.
-
-        Args:
-            models: the S fitted cameras.
-            pitch_um: the sensors' pixel pitches [um]; None: not known, the row stays.
-        """
-        behind = self.row_behind_mm.copy()
-        for row, (model, pitch) in enumerate(zip(models, pitch_um, strict=True)):
-            if pitch is not None:
-                behind[row] = 1e-3 * pitch * model.principal_distance_px
-        return replace(self, row_behind_mm=behind)
-
-    def scaled(self, sigma_px: Array) -> "LensOffsets":
-        """Return the prior in units for weights of 1, where noise is ``sigma_px`` (S,) [px]."""
-        return replace(self, prior=replace(self.prior, sigma_mm=self.prior.sigma_mm / sigma_px))
-
-
 def start_with_terms(
-    models: Sequence[SensorModel], terms: Sequence[tuple[Term, ...]], lens_offsets: LensOffsets
+    models: Sequence[SensorModel], terms: Sequence[tuple[Term, ...]], prior: LensPrior
 ) -> tuple[SensorModel, ...]:
     """Return starting cameras with distortion terms; coefficients that they have are kept.
 
     Args:
         models: S cameras.
         terms: the terms of each; an empty tuple: no distortion.
-        lens_offsets: the offsets at which cameras without distortion start.
+        prior: its mean offsets, at which cameras without distortion start.
     """
     starts = []
     for row, (model, own_terms) in enumerate(zip(models, terms, strict=True)):
@@ -294,8 +389,8 @@ def start_with_terms(
             distortion = FieldDistortion(
                 own_terms,
                 tuple(known.get(term, 0.0) for term in own_terms),
-                float(lens_offsets.prior.mean_mm[row]) if old is None else old.offset_y_mm,
-                float(lens_offsets.row_behind_mm[row]),
+                float(prior.offset_mm[row]) if old is None else old.offset_y_mm,
+                float(prior.row_behind_mm[row]),
             )
         starts.append(replace(model, distortion=distortion))
     return tuple(starts)
@@ -306,7 +401,7 @@ def minimise_with_distortion(
     points_mm: Array,
     readings_px: Array,
     weights: Array,
-    prior: OffsetPrior,
+    prior: LensPrior,
     multi_start: bool = True,
 ) -> MinimisationResult:
     """Minimise from several offsets along the slit and keep each camera's lowest minimum.
@@ -316,7 +411,7 @@ def minimise_with_distortion(
         points_mm: shape (N, 3) [mm].
         readings_px: shape (N, B) [px].
         weights: 1 / standard deviation, shape (N, B) [1/px]; 0: not used.
-        prior: of the lens offsets.
+        prior: of the lenses.
         multi_start: False: start from the cameras only, which are close to their minima.
     """
     if not multi_start or not depends_on_v(cameras.terms):
@@ -327,13 +422,28 @@ def minimise_with_distortion(
     step = np.zeros((len(index), cameras.width))
     deviation = np.repeat(np.array(START_FIELD_ANGLES_V) / OFFSET_SIGMA_V, count)
     step[:, PARAMETER_COUNT] = (
-        deviation * prior.sigma_mm[index] * stack.parameter_mask[:, PARAMETER_COUNT]
+        deviation * prior.offset_sigma_mm[index] * stack.parameter_mask[:, PARAMETER_COUNT]
     )
     ended = minimise(
         stack.retract(step), points_mm, readings_px[:, index], weights[:, index], prior.rows(index)
     )
     best = np.argmin(ended.squares.reshape(starts, count), axis=0) * count + np.arange(count)
-    return MinimisationResult(ended.cameras.rows(best), ended.squares[best], ended.converged[best])
+    return MinimisationResult(
+        ended.cameras.rows(best), ended.squares[best], ended.converged[best], ended.normal[best]
+    )
+
+
+def effective_parameters(cofactors: Array, information: Array) -> Array:
+    """Return the number of parameters that the readings determine and not the prior, (B,).
+
+    The trace of N^-1 (N - P), with P the prior's (MacKay, doi:10.1162/neco.1992.4.3.415).
+
+    Args:
+        cofactors: N^-1, shape (B, F, F).
+        information: diagonals of P, shape (B, F).
+    """
+    by_prior = np.diagonal(cofactors, axis1=1, axis2=2) * information
+    return np.asarray(cofactors.shape[1] - by_prior.sum(axis=1))
 
 
 def fitted_columns(model: SensorModel) -> NDArray[np.intp]:
@@ -353,12 +463,14 @@ class EquationGroup:
         columns: their fitted parameters, shape (F,).
         scale: lengths of the columns, shape (G, F).
         triangles: R of the columns scaled to length 1, shape (G, F, F).
+        information: diagonals of the priors' inverse covariances, shape (G, F).
     """
 
     sensors: NDArray[np.intp]
     columns: NDArray[np.intp]
     scale: Array
     triangles: Array
+    information: Array
 
     @property
     def ratios(self) -> Array:
@@ -377,7 +489,7 @@ def equation_groups(
     models: Sequence[SensorModel],
     points_mm: Array,
     weights: Array,
-    offset_sigma_mm: Array | None = None,
+    prior: LensPrior | None = None,
     centre_mm: Array | None = None,
     stack: CameraStack | None = None,
 ) -> list[EquationGroup]:
@@ -387,7 +499,7 @@ def equation_groups(
         models: the S cameras.
         points_mm: control points, shape (N, 3) [mm].
         weights: 1 / standard deviation, shape (N, S) [1/px]; 0: not read.
-        offset_sigma_mm: standard deviations of the priors of the lens offsets, shape (S,) [mm].
+        prior: of the lenses; None: none.
         centre_mm: origin, shape (3,) [mm]; None: the world's.
         stack: the same cameras as a stack; None: made here.
     """
@@ -399,6 +511,9 @@ def equation_groups(
     jacobian = stack.parameter_jacobian(points_mm).swapaxes(0, 1)
     used = weights.T[..., None]
     rows = np.where(used > 0.0, jacobian, 0.0) * used
+    information = None
+    if prior is not None and stack.has_distortion:
+        information = prior.gaussian(stack)[1]
     groups: dict[tuple[int, ...], list[int]] = {}
     for sensor, model in enumerate(models):
         columns = fitted_columns(model)
@@ -411,15 +526,16 @@ def equation_groups(
         stack_columns, columns = np.array(key[:split]), np.array(key[split + 1 :])
         sensors = np.array(members)
         matrix = rows[sensors][:, :, stack_columns]
-        if offset_sigma_mm is not None and PARAMETER_COUNT in key[:split]:
-            prior = np.zeros((len(sensors), 1, len(stack_columns)))
-            prior[:, 0, key.index(PARAMETER_COUNT)] = 1.0 / offset_sigma_mm[sensors]
-            matrix = np.concatenate([matrix, prior], axis=1)
+        own = np.zeros((len(sensors), len(stack_columns)))
+        if information is not None:
+            own = information[np.ix_(sensors, stack_columns)]
+            of_prior = np.sqrt(own)[:, :, None] * np.eye(len(stack_columns))
+            matrix = np.concatenate([matrix, of_prior], axis=1)
         scale = np.sqrt((matrix**2).sum(axis=1))
         scale = np.where(scale > 0.0, scale, 1.0)
         scaled = matrix / scale[:, None, :]
         triangles = np.asarray(np.linalg.qr(scaled, mode="r"), dtype=np.float64)
-        found.append(EquationGroup(sensors, columns, scale, triangles))
+        found.append(EquationGroup(sensors, columns, scale, triangles, own))
     return found
 
 
@@ -427,7 +543,7 @@ def check_determined(
     models: Sequence[SensorModel],
     points_mm: Array,
     weights: Array,
-    offset_sigma_mm: Array | None = None,
+    prior: LensPrior | None = None,
     stack: CameraStack | None = None,
 ) -> None:
     """Check that the readings determine all parameters of each sensor.
@@ -436,13 +552,13 @@ def check_determined(
         models: the S cameras.
         points_mm: control points, shape (N, 3) [mm].
         weights: 1 / standard deviation, shape (N, S) [1/px]; 0: not read.
-        offset_sigma_mm: standard deviations of the priors of the lens offsets, shape (S,) [mm].
+        prior: of the lenses; None: none.
         stack: the same cameras as a stack; None: made here.
 
     Raises:
         DegeneratePoints: the first sensor with an undetermined combination of parameters.
     """
-    for sensor, ratio in undetermined_sensors(models, points_mm, weights, offset_sigma_mm, stack):
+    for sensor, ratio in undetermined_sensors(models, points_mm, weights, prior, stack):
         model = models[sensor]
         terms = "" if model.distortion is None else " or take fewer distortion terms"
         raise DegeneratePoints(
@@ -459,7 +575,7 @@ def undetermined_sensors(
     models: Sequence[SensorModel],
     points_mm: Array,
     weights: Array,
-    offset_sigma_mm: Array | None = None,
+    prior: LensPrior | None = None,
     stack: CameraStack | None = None,
 ) -> list[tuple[int, float]]:
     """Return the sensors with an undetermined combination of parameters.
@@ -468,7 +584,7 @@ def undetermined_sensors(
         models: the S cameras.
         points_mm: control points, shape (N, 3) [mm].
         weights: 1 / standard deviation, shape (N, S) [1/px]; 0: not read.
-        offset_sigma_mm: standard deviations of the priors of the lens offsets, shape (S,) [mm].
+        prior: of the lenses; None: none.
         stack: the same cameras as a stack; None: made here.
 
     Returns:
@@ -477,7 +593,7 @@ def undetermined_sensors(
     centre = points_mm.mean(axis=0)
     return [
         (sensor, ratio)
-        for group in equation_groups(models, points_mm, weights, offset_sigma_mm, centre, stack)
+        for group in equation_groups(models, points_mm, weights, prior, centre, stack)
         for sensor, ratio in zip(group.sensors.tolist(), group.ratios.tolist(), strict=True)
         if not ratio >= _min_ratio(models[sensor])
     ]

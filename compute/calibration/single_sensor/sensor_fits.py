@@ -6,10 +6,12 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import brentq
+from scipy.special import digamma, polygamma
 
 from compute.calibration.settings import Loss, free_parameters
 from compute.calibration.single_sensor.camera_fit import (
-    LensOffsets,
+    LensPrior,
     MinimisationResult,
     check_determined,
     minimise,
@@ -41,6 +43,8 @@ MAX_REWEIGHTINGS: Final = 60
 WEIGHT_TOLERANCE: Final = 1e-6
 HUBER_ITERATIONS: Final = 8
 STEPS_PER_REWEIGHTING: Final = 4
+MAX_DEVICE_DOF: Final = 1e4
+"""Degrees of freedom of a device's variance from which its sensors' are one and the same."""
 MAX_BLOCKS: Final = 16
 MIN_BLOCKS: Final = 5
 POINTS_PER_BLOCK: Final = 3
@@ -123,12 +127,20 @@ class SensorFits:
     Args:
         models: the S cameras.
         weights: of the readings by a robust loss, shape (N, S); ones with a linear loss.
-        lens_offsets: where the lenses lie along the slits.
+        prior: of the lenses; without effect on cameras without distortion.
+        unit_px: the noise that a weight of 1 stands for, where the readings' standard deviations
+            are not known, shape (S,) [px]; None: 1.
     """
 
     models: tuple[SensorModel, ...]
     weights: Array
-    lens_offsets: LensOffsets
+    prior: LensPrior
+    unit_px: Array | None = None
+
+    @property
+    def scaled_prior(self) -> LensPrior:
+        """The prior in the units of the readings' weights."""
+        return self.prior if self.unit_px is None else self.prior.scaled(self.unit_px)
 
     def used(self, observed: ControlObservations) -> NDArray[np.bool_]:
         """Return which readings count, shape (N, S)."""
@@ -158,7 +170,7 @@ class SensorFits:
             observed.points_mm,
             observed.readings_px[:, index],
             weights * np.repeat(kept, sensors, axis=0).T,
-            self.lens_offsets.prior.rows(index),
+            self.scaled_prior.rows(index),
             multi_start=False,
         )
 
@@ -280,25 +292,79 @@ def fit_distorted(
                 sensor=sensor.name,
                 points=int(rows.sum()),
             )
-    models, weights, offsets = undistorted.models, undistorted.weights, undistorted.lens_offsets
+    models, weights, prior = undistorted.models, undistorted.weights, undistorted.prior
+    unit = None
     for first in (True, False):
-        models = start_with_terms(models, terms, offsets)
-        scaled = offsets
+        models = start_with_terms(models, terms, prior)
         if not observed.sigma_known:
             unknown = np.full(len(models), INITIAL_SIGMA_PX)
-            sigma = unknown if first else residual_sigma(observed, models, weights)
-            scaled = offsets.scaled(sigma)
-        if loss == "robust":
-            models, weights = _reweight(observed, models, scaled, multi_start=first)
-        else:
-            models = _minimise(observed, models, scaled, observed.weights, multi_start=first)
+            unit = unknown if first else residual_sigma(observed, models, weights)
+        scaled = prior if unit is None else prior.scaled(unit)
+        models, weights = fit_lenses(observed, models, scaled, loss, multi_start=first)
         # The first fit gives the principal distance with distortion, and the noise.
-        offsets = offsets.at(models, observed.pitch_um)
-    fits = SensorFits(models, weights, scaled)
-    check_determined(
-        models, observed.points_mm, fits.known_weights(observed), scaled.prior.sigma_mm
-    )
+        prior = prior.at(models, observed.pitch_um)
+    fits = SensorFits(models, weights, prior, unit)
+    check_determined(models, observed.points_mm, fits.known_weights(observed), fits.scaled_prior)
     return fits
+
+
+def fit_lenses(
+    observed: ControlObservations,
+    starts: Sequence[SensorModel],
+    prior: LensPrior,
+    loss: Loss,
+    multi_start: bool = True,
+) -> tuple[tuple[SensorModel, ...], Array]:
+    """Fit cameras with distortion from starting ones.
+
+    Args:
+        observed: control points and readings.
+        starts: S cameras with their terms.
+        prior: of the lenses, in units of the readings' weights.
+        loss: "linear" or "robust".
+        multi_start: see ``minimise_with_distortion``.
+
+    Returns:
+        The cameras, and the weights of the readings by a robust loss, shape (N, S).
+
+    Raises:
+        DegeneratePoints, NoConvergence: see ``fit_distorted``.
+    """
+    if loss == "robust":
+        return _reweight(observed, starts, prior, multi_start=multi_start)
+    models = _minimise(observed, starts, prior, observed.weights, multi_start=multi_start)
+    return models, np.ones(observed.readings_px.shape)
+
+
+def moderated_variance(variance: Array, dof: Array) -> tuple[Array, Array]:
+    """Estimate variances of sensors that are alike, each from its own and from the others'.
+
+    Each is the mean of its own and the device's, weighted by their degrees of freedom; those of the
+    device's follow from the variances' own scatter (Smyth, doi:10.2202/1544-6115.1027).
+
+    Args:
+        variance: each sensor's own, shape (S,).
+        dof: their degrees of freedom, positive, shape (S,).
+
+    Returns:
+        The estimates and their degrees of freedom, both shape (S,).
+    """
+    if len(variance) < 2:
+        return variance, dof
+    variance = np.maximum(variance, SIGMA_FLOOR_PX**2)
+    half = 0.5 * dof
+    logarithm = np.log(variance) - digamma(half) + np.log(half)
+    own = polygamma(1, half)
+    share = (1.0 / own) / (1.0 / own).sum()
+    mean = float(share @ logarithm)
+    excess = float(share @ (logarithm - mean) ** 2) * len(dof) / (len(dof) - 1) - float(share @ own)
+    pooled = float((dof * variance).sum() / dof.sum())
+    if excess <= polygamma(1, 0.5 * MAX_DEVICE_DOF):
+        return np.full(len(variance), pooled), np.full(len(variance), dof.sum())
+    device_dof = 2.0 * float(brentq(lambda x: polygamma(1, x) - excess, 1e-6, 0.5 * MAX_DEVICE_DOF))
+    device = float(np.exp(mean + digamma(0.5 * device_dof) - np.log(0.5 * device_dof)))
+    total = device_dof + dof
+    return (device_dof * device + dof * variance) / total, total
 
 
 def residual_sigma(
@@ -377,36 +443,49 @@ def spatial_block_index(points_mm: Array, count: int) -> NDArray[np.intp]:
 def _minimise(
     observed: ControlObservations,
     starts: Sequence[SensorModel],
-    lens_offsets: LensOffsets | None,
+    prior: LensPrior | None,
     weights: Array,
     multi_start: bool = True,
 ) -> tuple[SensorModel, ...]:
     stack = CameraStack.of(starts)
     problem = stack, observed.points_mm, observed.readings_px, weights
-    if lens_offsets is None or not stack.has_distortion:
+    if prior is None or not stack.has_distortion:
         ended = minimise(*problem)
     else:
-        ended = minimise_with_distortion(*problem, lens_offsets.prior, multi_start=multi_start)
+        ended = minimise_with_distortion(*problem, prior, multi_start=multi_start)
     models = ended.cameras.models(starts)
     for column in np.flatnonzero(~ended.converged).tolist():
         # Undetermined parameters explain the failure better than "did not converge".
         used = np.where(weights > 0.0, observed.weights, 0.0)
-        sigma = None if lens_offsets is None else lens_offsets.prior.sigma_mm
-        check_determined(models, observed.points_mm, used, sigma)
-        name = observed.sensors[column].name
-        raise NoConvergence(
-            f"sensor {name}: the search for its {PARAMETER_COUNT} parameters and "
-            f"{len(starts[column].terms)} distortion terms did not converge; look for wrong "
-            "labels, spread the points over the field, or take fewer terms",
-            sensor=name,
-        )
+        check_determined(models, observed.points_mm, used, prior)
+        raise unconverged(observed, starts, column)
     return models
+
+
+def unconverged(
+    observed: ControlObservations, starts: Sequence[SensorModel], column: int
+) -> NoConvergence:
+    """Return the error of a search with distortion that did not converge.
+
+    Args:
+        observed: control points and readings.
+        starts: the S starting cameras with their terms.
+        column: the sensor.
+    """
+    name = observed.sensors[column].name
+    return NoConvergence(
+        f"sensor {name}: the search for its {PARAMETER_COUNT} parameters and "
+        f"{len(starts[column].terms)} distortion terms did not converge with its "
+        f"{int(observed.seen[:, column].sum())} readings; spread the points over the field and in "
+        "depth, take fewer terms, or look for wrong labels",
+        sensor=name,
+    )
 
 
 def _reweight(
     observed: ControlObservations,
     starts: Sequence[SensorModel],
-    lens_offsets: LensOffsets | None,
+    prior: LensPrior | None,
     multi_start: bool = True,
 ) -> tuple[tuple[SensorModel, ...], Array]:
     """Iteratively reweighted least squares with Tukey's biweight, until the weights settle.
@@ -417,7 +496,7 @@ def _reweight(
     stack = CameraStack.of(starts)
     weights = np.zeros(observed.readings_px.shape)
     free = max(model.parameter_count for model in starts)
-    prior = lens_offsets.prior if lens_offsets is not None and stack.has_distortion else None
+    prior = prior if stack.has_distortion else None
     huber_iterations = 0 if prior is None or not multi_start else HUBER_ITERATIONS
     for iteration in range(MAX_REWEIGHTINGS):
         residuals = stack.project(observed.points_mm) - observed.readings_px
@@ -440,7 +519,7 @@ def _reweight(
             break
     models = stack.models(starts)
     models = _minimise(
-        observed, models, lens_offsets, observed.weights * np.sqrt(weights), multi_start=False
+        observed, models, prior, observed.weights * np.sqrt(weights), multi_start=False
     )
     return models, np.where(observed.seen, weights, 1.0)
 

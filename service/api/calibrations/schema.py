@@ -86,8 +86,8 @@ class CalibrationOptions(RequestModel):
 
     distortion: GivenDistortion = Field(
         default="none",
-        description="Terms of the lens's distortion: `none`, `auto` (chosen by cross-validation "
-        "over blocks of space), the name of a set, or the terms themselves as pairs of powers of "
+        description="Terms of the lens's distortion: `none`, `auto` (all terms up to the "
+        "fifth order, their scale estimated from the readings of all sensors), the name of a set, or the terms themselves as pairs of powers of "
         "the two field angles.",
     )
     control_sigma_mm: Annotated[float, Field(ge=1e-6, le=1e3)] | None = Field(

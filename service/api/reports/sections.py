@@ -169,23 +169,18 @@ def uncertainty(content: ReportContent, draw: Draw) -> str:
 
 
 def distortion(content: ReportContent, _draw: Draw) -> str:
-    """Return how the terms were chosen."""
-    chosen = content.calibration.distortion
-    if chosen is None:
+    """Return the distortion's terms, their size and the reason."""
+    found = content.calibration.distortion
+    if found is None:
         return ""
-    parts = [f"<p>Chosen: <b>{escape(chosen.chosen)}</b>. {escape(chosen.reason)}</p>"]
-    if chosen.candidates:
-        rows = [
-            (one.name, one.parameters, one.left_out_rms_px, one.loss, one.loss_excess,
-             one.loss_excess_error, one.note)
-            for one in chosen.candidates
-        ]  # fmt: skip
-        headings = ("set", "parameters a sensor", "left out RMS, px", "loss", "above the best",
-                    "its error", "")  # fmt: skip
-        parts.append(table(headings, rows))
-    for sensor, reason in chosen.reduced_terms:
-        parts.append(f'<p class="warn">{escape(sensor)}: {escape(reason)}</p>')
-    return "".join(parts)
+    text = f"<p>Requested: <b>{escape(found.chosen)}</b>; {escape(found.reason)}.</p>"
+    if found.scale is None or found.scale_range is None:
+        return text
+    low, high = found.scale_range
+    shares = [100.0 * share for share in (found.scale, low, high)]
+    headings = ("scale at the field's edge, % of half the field", "5 %", "95 %",
+                "at the last pixel, px", "log evidence over no distortion")  # fmt: skip
+    return text + table(headings, [(*shares, found.edge_px, found.log_evidence_ratio)])
 
 
 def parameters(content: ReportContent, _draw: Draw) -> str:

@@ -76,7 +76,7 @@ class NewCalibrationRun(PointsRequest, CalibrationOptions):
 
     distortion: GivenDistortion = Field(
         default="auto",
-        description="As of a calibration; a run chooses the terms by cross-validation by default.",
+        description="As of a calibration; a run estimates the distortion by default.",
     )
     labels: LabelPolicy = Field(
         default="report", description="As of a calibration; a run reports them by default."

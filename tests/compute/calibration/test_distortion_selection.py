@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from compute.calibration.assessment.assess import cross_validate
 from compute.calibration.calibrate import calibrate
-from compute.calibration.distortion_selection import first_within_standard_error
+
 from compute.calibration.settings import PRESETS, CalibrationSettings
 from compute.camera.field_distortion import all_terms, symmetric_terms
 from compute.camera.model import SensorModel

@@ -1,0 +1,235 @@
+"""Distortion of a device's lenses when its size is not known: a hierarchical fit.
+
+The lenses of one device are alike: their coefficients share one scale, the strength of
+``LensPrior``. Its posterior follows from the evidence of all sensors' readings together; terms that
+the readings do not determine stay near 0, with the prior's own variance in the covariance. No set
+of terms is chosen, so that few readings need no other method than many.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.calibration.assessment_result import DistortionEstimate
+from compute.calibration.settings import Loss, preset_terms
+from compute.calibration.single_sensor.camera_fit import (
+    LensPrior,
+    MinimisationResult,
+    effective_parameters,
+    minimise,
+    start_with_terms,
+)
+from compute.calibration.single_sensor.sensor_fits import (
+    ControlObservations,
+    SensorFits,
+    fit_lenses,
+    moderated_variance,
+    unconverged,
+)
+from compute.camera.model import PARAMETER_COUNT, SensorModel
+from compute.camera.stack import CameraStack
+from compute.progress import Progress, no_progress
+
+Array = NDArray[np.float64]
+
+AUTO_TERMS: Final = preset_terms("all-5")
+"""Terms of a lens about which nothing is known."""
+STRENGTHS: Final = np.array([1e-5, 3e-4, 1e-3, 2e-3, 4e-3, 8e-3, 1.6e-2, 3.2e-2])
+"""Strengths of the prior, equally probable beforehand: from no distortion, 0.01 px at the edge of
+2048 pixels, to a wide lens's."""
+NOISE_ITERATIONS: Final = 3
+MAX_VARIANCE_ITERATIONS: Final = 30
+NO_DISTORTION_LOG_RATIO: Final = 3.0
+"""Natural logarithm of the ratio of evidence from which distortion counts as shown: 20 to 1."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Grid:
+    """Fits of S sensors with each of G strengths, and the strengths' posterior.
+
+    Args:
+        ended: G S cameras, the first strength's first.
+        log_evidence: of all sensors together, shape (G,), up to a constant.
+        information: the priors', shape (G S, W).
+    """
+
+    ended: MinimisationResult
+    log_evidence: Array
+    information: Array
+
+    @property
+    def probability(self) -> Array:
+        """Posterior of the strengths, shape (G,)."""
+        weight = np.exp(self.log_evidence - self.log_evidence.max())
+        return np.asarray(weight / weight.sum())
+
+
+def fit_distortion_scale(
+    observed: ControlObservations,
+    undistorted: SensorFits,
+    loss: Loss,
+    point_sigma_px: Array | None = None,
+    progress: Progress = no_progress,
+) -> tuple[SensorFits, DistortionEstimate]:
+    """Fit distortion whose scale is common to all lenses and estimated from the readings.
+
+    The evidence of each strength is Laplace's approximation (MacKay,
+    doi:10.1162/neco.1992.4.3.415), summed over the sensors. The cameras are those of the posterior
+    mean of the strength's square, which averages the prior's variance over the posterior.
+
+    Args:
+        observed: control points and readings.
+        undistorted: the seven-parameter cameras.
+        loss: "linear" or "robust".
+        point_sigma_px: what the control points' uncertainty adds to the readings, shape (N, S)
+            [px], where the readings' standard deviations are not known; None: nothing.
+        progress: called with the fraction done and the stage.
+
+    Returns:
+        The fits, and the distortion's scale in figures and words.
+
+    Raises:
+        DegeneratePoints: a combination of the seven parameters is undetermined.
+        NoConvergence: a search did not converge.
+    """
+    sensors = len(undistorted.models)
+    terms = (AUTO_TERMS,) * sensors
+    prior = undistorted.prior
+    models, weights = start_with_terms(undistorted.models, terms, prior), undistorted.weights
+    if loss == "robust":
+        wide = prior.with_strength(STRENGTHS[-1])
+        scaled = wide if observed.sigma_known else wide.scaled(_first_noise(observed, undistorted))
+        models, weights = fit_lenses(observed, models, scaled, loss)
+    noise = None if observed.sigma_known else _first_noise(observed, undistorted)
+    sigma = _total_sigma(observed, noise, point_sigma_px)
+    cameras = CameraStack.of(models).rows(np.tile(np.arange(sensors), len(STRENGTHS)))
+    for iteration in range(NOISE_ITERATIONS if noise is not None else 1):
+        progress(iteration / (NOISE_ITERATIONS + 1), "scale of the distortion")
+        grid = _fit_grid(observed, cameras, prior, np.sqrt(weights) / sigma)
+        cameras = grid.ended.cameras
+        if noise is not None:
+            noise = _estimate_noise(observed, grid, weights, sigma, point_sigma_px)
+            sigma = _total_sigma(observed, noise, point_sigma_px)
+    probability = grid.probability
+    strength = float(np.sqrt(probability @ STRENGTHS**2))
+    nearest = int(np.abs(np.log(STRENGTHS / strength)).argmin())
+    rows = np.arange(nearest * sensors, (nearest + 1) * sensors)
+    found = cameras.rows(rows).models(models)
+    prior = prior.with_strength(strength).at(found, observed.pitch_um)
+    starts = start_with_terms(found, terms, prior)
+    ended = minimise(
+        CameraStack.of(starts),
+        observed.points_mm,
+        observed.readings_px,
+        np.where(observed.seen, np.sqrt(weights) / sigma, 0.0),
+        prior,
+    )
+    final = ended.cameras.models(starts)
+    if not ended.converged.all():
+        raise unconverged(observed, starts, int(np.flatnonzero(~ended.converged)[0]))
+    progress(1.0, "scale of the distortion")
+    return (
+        SensorFits(final, weights, prior, noise),
+        _describe(grid, strength, undistorted.models),
+    )
+
+
+def _first_noise(observed: ControlObservations, undistorted: SensorFits) -> Array:
+    """Return the noise to begin with, shape (S,) [px]: residuals of cameras without distortion."""
+    residuals = np.abs(np.where(observed.seen, observed.residuals_px(undistorted.models), np.nan))
+    return np.maximum(np.nanmedian(residuals, axis=0), 0.05)
+
+
+def _total_sigma(
+    observed: ControlObservations, noise: Array | None, point_sigma_px: Array | None
+) -> Array:
+    if noise is None:
+        return observed.sigma_px
+    total = np.broadcast_to(noise, observed.sigma_px.shape)
+    return np.asarray(total if point_sigma_px is None else np.hypot(total, point_sigma_px))
+
+
+def _fit_grid(
+    observed: ControlObservations, cameras: CameraStack, prior: LensPrior, weights: Array
+) -> _Grid:
+    sensors, count = len(prior.strength), len(STRENGTHS)
+    index = np.tile(np.arange(sensors), count)
+    priors = prior.rows(index).with_strength(np.repeat(STRENGTHS, sensors))
+    ended = minimise(
+        cameras,
+        observed.points_mm,
+        observed.readings_px[:, index],
+        np.where(observed.seen, weights, 0.0)[:, index],
+        priors,
+    )
+    information = priors.gaussian(cameras)[1]
+    diagonal = np.arange(cameras.width)
+    scale = np.sqrt(ended.normal[:, diagonal, diagonal])
+    unit = ended.normal / (scale[:, :, None] * scale[:, None, :])
+    log_determinant = np.linalg.slogdet(unit)[1] + 2.0 * np.log(scale).sum(axis=1)
+    log_prior = np.log(information[:, PARAMETER_COUNT + 1 :]).sum(axis=1)
+    log_evidence = 0.5 * (log_prior - ended.squares - log_determinant)
+    log_evidence = np.where(np.isfinite(log_evidence), log_evidence, -np.inf)
+    return _Grid(ended, log_evidence.reshape(count, sensors).sum(axis=1), information)
+
+
+def _estimate_noise(
+    observed: ControlObservations,
+    grid: _Grid,
+    weights: Array,
+    sigma: Array,
+    point_sigma_px: Array | None,
+) -> Array:
+    """Estimate the readings' noise at the most probable strength, shape (S,) [px]."""
+    sensors = observed.readings_px.shape[1]
+    first = int(grid.log_evidence.argmax()) * sensors
+    rows = np.arange(first, first + sensors)
+    residuals = grid.ended.cameras.rows(rows).project(observed.points_mm) - observed.readings_px
+    used = observed.seen & (weights > 0.0)
+    residuals = np.where(used, residuals * np.sqrt(weights), 0.0)
+    diagonal = np.arange(grid.information.shape[1])
+    scale = 1.0 / np.sqrt(grid.ended.normal[rows][:, diagonal, diagonal])
+    scale = scale[:, :, None] * scale[:, None, :]
+    cofactors = np.linalg.inv(grid.ended.normal[rows] * scale) * scale
+    parameters = effective_parameters(cofactors, grid.information[rows])
+    dof = np.maximum(used.sum(axis=0) - parameters, 0.5)
+    variance = (sigma**2).mean(axis=0)
+    for _ in range(MAX_VARIANCE_ITERATIONS):
+        total = np.broadcast_to(variance, used.shape)
+        if point_sigma_px is not None:
+            total = total + point_sigma_px**2
+        # The noise's share of the residuals, by the ratio of what was found to what is expected.
+        ratio = (residuals**2 / total).sum(axis=0) / dof
+        new = moderated_variance(variance * ratio, dof)[0]
+        if np.abs(new / variance - 1.0).max() < 1e-3:
+            break
+        variance = new
+    return np.sqrt(new)
+
+
+def _describe(grid: _Grid, strength: float, models: tuple[SensorModel, ...]) -> DistortionEstimate:
+    """Return the scale of the distortion, in figures and words."""
+    cumulative = np.cumsum(grid.probability)
+    low = float(STRENGTHS[np.searchsorted(cumulative, 0.05)])
+    high = float(STRENGTHS[min(int(np.searchsorted(cumulative, 0.95)), len(STRENGTHS) - 1)])
+    ratio = float(grid.log_evidence.max() - grid.log_evidence[0])
+    edge_px = strength * 0.5 * float(np.mean([model.pixels for model in models]))
+    size = (
+        f"{100.0 * strength:.2g} % of half the field at its edge, {edge_px:.2g} px "
+        f"(90 %: {100.0 * low:.2g} to {100.0 * high:.2g} %)"
+    )
+    if ratio > NO_DISTORTION_LOG_RATIO:
+        reason = (
+            f"the lenses distort by about {size}; the readings are e^{ratio:.3g} times as probable "
+            "as without distortion"
+        )
+    elif strength <= STRENGTHS[2]:
+        reason = f"the readings show no distortion; what there may be is {size}"
+    else:
+        reason = (
+            f"the readings do not tell whether the lenses distort; {size} may be there, and the "
+            "covariance allows for it; more control points near the field's edges would tell"
+        )
+    return DistortionEstimate("auto", reason, strength, (low, high), edge_px, ratio)

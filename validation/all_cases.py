@@ -19,6 +19,7 @@ from validation.partial_view.case import CASE as PARTIAL_VIEW
 from validation.passive_detection.case import CASE as PASSIVE_DETECTION
 from validation.peak_efficiency.case import CASE as PEAK_EFFICIENCY
 from validation.pointer_tip.case import CASE as POINTER_TIP
+from validation.random_rigs.case import CASE as RANDOM_RIGS
 from validation.result_tables import TablesCase
 from validation.section_6_1.two_active_markers import CASE as SECTION_6_1
 from validation.section_6_2.three_passive_markers import CASE as SECTION_6_2
@@ -99,6 +100,7 @@ _TABLES: Final[tuple[TablesCase, ...]] = (
     TABLE_4_5,
     TABLE_C,
     CONVERGENCE,
+    RANDOM_RIGS,
     WAND,
     PARTIAL_VIEW,
     POINTER_TIP,

@@ -45,6 +45,9 @@ Array = NDArray[np.float64]
 QUANTISATION_PX: Final = 1.0 / np.sqrt(12.0)
 MAX_NOISE_ITERATIONS: Final = 12
 NOISE_TOLERANCE: Final = 0.02
+MIN_NOISE_SHARE: Final = 0.1
+"""Standard deviation of readings, relative to what the control points' uncertainty does to them,
+below which "auto" does not estimate it: the residuals do not tell them apart."""
 MIN_NOISE_DOF: Final = 2.0
 """Degrees of freedom of all sensors above which their common noise is estimated."""
 
@@ -352,6 +355,10 @@ def _estimate_noise(
     first = _noise_without_points(observed, fits, point_sigma_px)
     if pooled and fits.unit_px is not None:
         first = fits.unit_px
+    used = fits.used(observed)
+    resolved = np.sqrt((np.where(used, point_sigma_px, 0.0) ** 2).sum(axis=0) / used.sum(axis=0))
+    lowest = np.maximum(MIN_NOISE_SHARE * resolved if pooled else 0.0, SIGMA_FLOOR_PX)
+    first = np.maximum(first, lowest)
     sigma = first
     for _ in range(MAX_NOISE_ITERATIONS):
         wide = np.broadcast_to(sigma, point_sigma_px.shape)
@@ -363,7 +370,7 @@ def _estimate_noise(
             variance, dof = moderated_variance(variance, np.maximum(dof, MIN_NOISE_DOF))
         # dof - 2: as in ``_fit_statistics``.
         estimated = np.sqrt(variance * dof / np.maximum(dof - 2.0, 1.0))
-        estimated = np.maximum(estimated, SIGMA_FLOOR_PX)
+        estimated = np.maximum(estimated, lowest)
         new = np.where(dof > MIN_REDUNDANCY, estimated, first)
         converged = np.abs(new / sigma - 1.0).max() < NOISE_TOLERANCE
         sigma = new

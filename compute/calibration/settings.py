@@ -117,9 +117,9 @@ class CalibrationSettings:
     """How a device is calibrated.
 
     Args:
-        distortion: "none"; "auto": all terms of the fifth order, their scale
-            estimated (``compute.calibration.single_sensor.distortion_scale``); the name of one of PRESETS; or the
-            terms themselves.
+        distortion: "none"; "auto": all terms up to the fifth order, their scale estimated
+            (``compute.calibration.single_sensor.distortion_scale``); the name of one of PRESETS;
+            or the terms themselves.
         control_sigma_mm: standard deviation of each coordinate of the control points [mm]; None:
             exact. With it the points are unknowns too, and the covariance of the sensors is joint.
         loss: "linear": least squares. "robust": outliers lose their weight

@@ -11,15 +11,24 @@ from compute.calibration.bundle_adjustment.pose_set import PoseSet
 from compute.calibration.bundle_adjustment.sensor_prior import SensorPrior
 from compute.calibration.bundle_adjustment.solver import adjust
 from compute.calibration.single_sensor.camera_fit import fitted_columns
-from compute.calibration.single_sensor.sensor_fits import ControlObservations, SensorFits
+from compute.calibration.single_sensor.sensor_fits import (
+    ControlObservations,
+    SensorFits,
+    projected_point_sigma,
+)
 from compute.camera.model import PARAMETER_COUNT, SensorModel
 from compute.camera.stack import CameraStack
+from compute.errors import NoConvergence, UndeterminedParameters
 from compute.progress import Progress, no_progress
 
 Array = NDArray[np.float64]
 
 MIN_REDUNDANCY: Final = 4.0
 """Smallest redundancy of a sensor from which its noise is estimated."""
+
+MIN_NOISE_SHARES: Final = (0.0, 0.1, 0.3, 1.0)
+"""Standard deviations of readings, relative to what the control points' uncertainty does to them,
+that are tried one after the other as lower bounds."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +63,9 @@ def adjust_control_points(
     """Adjust all sensors and the control points jointly; each coordinate has a prior.
 
     An error of a control point shifts the readings of all sensors that see it, so that their
-    parameters are correlated.
+    parameters are correlated. Where readings are so much more precise than the points that the
+    search does not converge, they count for the next larger of MIN_NOISE_SHARES of the points'
+    uncertainty: the covariance is then too large rather than too small.
 
     Args:
         observed: control points and readings.
@@ -66,6 +77,30 @@ def adjust_control_points(
     Raises:
         NoConvergence, UndeterminedParameters: see ``adjust``.
     """
+    point_sigma = projected_point_sigma(fits.models, observed.points_mm, control_sigma_mm)
+    used = fits.used(observed)
+    for share in MIN_NOISE_SHARES:
+        # Readings much more precise than the points make a valley too narrow to follow.
+        wide = np.maximum(sigma_px, share * np.nan_to_num(point_sigma))
+        try:
+            found = _adjust(observed, fits, wide, control_sigma_mm, progress)
+        except (NoConvergence, UndeterminedParameters):
+            if share == MIN_NOISE_SHARES[-1]:
+                raise
+            continue
+        break
+    squares = np.where(used, wide / sigma_px, 0.0) ** 2
+    widening = np.sqrt(squares.sum(axis=0) / used.sum(axis=0))
+    return replace(found, sigma_ratio=found.sigma_ratio * widening)
+
+
+def _adjust(
+    observed: ControlObservations,
+    fits: SensorFits,
+    sigma_px: Array,
+    control_sigma_mm: float,
+    progress: Progress,
+) -> JointFit:
     points = observed.points_mm
     counts = fits.used(observed)
     poses = PoseSet.points(

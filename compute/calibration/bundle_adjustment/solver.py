@@ -16,6 +16,7 @@ from compute.calibration.bundle_adjustment.gauge import orthogonal_complement, r
 from compute.calibration.bundle_adjustment.normal_equations import (
     HUBER_LIMIT,
     AdjustmentState,
+    NormalEquations,
     build_normal_equations,
     loss_weights,
     robust_scale,
@@ -42,6 +43,9 @@ ROBUST_TOLERANCE: Final = 1e-6
 """The same for its own limit: reweighting ends slowly where poses hold several wrong readings."""
 COARSE_TOLERANCE: Final = 1e-2
 COARSE_STEPS: Final = 60
+RELATIVE_OFFSET_TOLERANCE: Final = 1e-4
+"""Decrease of chi2 for each global parameter that an undamped step predicts, below which a search
+that comes no further has converged: a hundredth of a standard deviation."""
 UNDAMPED_THRESHOLD: Final = 1e-3
 """Largest damping at which the predicted decrease measures the distance to the minimum."""
 MAX_DAMPING: Final = 1e14
@@ -198,6 +202,8 @@ class _Search:
             while True:
                 self.progress(min(self.iterations / self.max_iterations, 1.0), "adjustment")
                 if self.iterations >= self.max_iterations:
+                    if self._is_near_minimum(equations, motion):
+                        return
                     raise NoConvergence(
                         f"the adjustment has not converged after {self.iterations} steps "
                         f"(chi2 {loss:.6g}); start nearer, or look for wrong readings"
@@ -237,12 +243,26 @@ class _Search:
                     break
                 damping *= 10.0
                 if damping > MAX_DAMPING:
+                    if self._is_near_minimum(equations, motion):
+                        return
                     raise NoConvergence(
                         f"the adjustment is stuck at chi2 {loss:.6g}: no step makes it smaller; "
                         "start nearer, or look for wrong readings"
                     )
             if ending:
                 return
+
+    def _is_near_minimum(self, equations: NormalEquations, motion: Array | None) -> bool:
+        """Return whether the undamped step is negligible (Bates and Watts, doi:10.2307/1268140)."""
+        free = self.adjusted_parameters
+        reduced = equations.reduced()
+        gradient = reduced.gradient[free]
+        step = _solve_damped(reduced.normal[np.ix_(free, free)], -gradient, motion)
+        poses = sum(
+            float(np.einsum("bi,bij,bj->", block.gradient, inverse, block.gradient))
+            for block, inverse in zip(equations.blocks, reduced.inverses, strict=True)
+        )
+        return 0.0 <= poses - float(gradient @ step) <= RELATIVE_OFFSET_TOLERANCE * len(gradient)
 
 
 def _check_inputs(

@@ -1,10 +1,9 @@
 """Least-squares fit of many cameras to readings of the same points, and what determines them.
 
-The lens offset along the slit, on which the field angle v depends, is fitted where a distortion
-term contains v. The readings determine it weakly: it shifts v in proportion to depth, and nearly
-all of that acts like tilt and the lower terms. A prior therefore holds it: the lens sees the
-control points' centroid at v = 0 +- OFFSET_SIGMA_V. Without terms in v, the offset and its variance
-are those of the prior.
+Readings determine a lens's distortion weakly: in a narrow field the principal distance and the
+depth, the principal point and a rotation, and the terms of high order act nearly alike. So does the
+offset along the slit, on which the field angle v depends. ``LensPrior`` holds what they leave open;
+cameras without distortion have no prior.
 """
 
 from collections.abc import Sequence
@@ -32,6 +31,10 @@ RELATIVE_OFFSET_TOLERANCE: Final = 1e-6
 """Decrease that the undamped linear model predicts, over the mean square, below which a search has
 converged though damping still shortens its steps: the minimum is less than 1e-3 standard deviations
 away (relative offset criterion of Bates and Watts, doi:10.2307/1268140)."""
+FINAL_OFFSET_TOLERANCE: Final = 1e-4
+"""The same for each parameter when all iterations are spent: a hundredth of a standard deviation.
+Where residuals times second derivatives outweigh what little the readings say of a combination of
+parameters, steps shrink without end."""
 MAX_DAMPING: Final = 1e12
 OFFSET_SIGMA_V: Final = 0.1
 """Standard deviation of the field angle v (tangent) of the centroid: six degrees. Operators aim a
@@ -39,9 +42,9 @@ lens at the centre of its volume at least as well; its field is three times as w
 PRINCIPAL_POINT_SIGMA: Final = 0.25
 """Standard deviation of a distorting lens's principal point about the sensor's middle, relative to
 its length."""
-WEAK_STRENGTH: Final = 0.1
-"""Strength of ``LensPrior`` for terms that the user asked for: 10 % of half the field at its edge is
-more than lenses have; it holds only what the readings leave open."""
+WEAK_STRENGTH: Final = 0.3
+"""Strength of ``LensPrior`` for terms that the user asked for: 30 % of half the field at its edge
+is several times what lenses have; it holds only what the readings leave open."""
 HIGHER_TERM_SCALE: Final = 0.3
 """Expected size of terms of the next two orders, and of terms that a centred lens has not got,
 relative to those of the order below and to those that it has."""
@@ -243,18 +246,15 @@ def minimise(
             break
         every = len(index) == count  # No indexing needed.
         active = equations if every else equations.rows(index)
-        step, predicted = active.steps(damping[index])
-        trial = (state if every else state.rows(index)).retract(step)
-        if every:
-            new = _NormalEquations.of(
-                trial, points_mm, readings, weights, used, mean_and_information
-            )
-        else:
-            active_prior = None
+        active_prior = mean_and_information
+        part = readings, weights, used
+        if not every:
+            part = readings[:, index], weights[:, index], used[:, index]
             if mean_and_information is not None:
                 active_prior = mean_and_information[0][index], mean_and_information[1][index]
-            part = readings[:, index], weights[:, index], used[:, index]
-            new = _NormalEquations.of(trial, points_mm, *part, active_prior)
+        step, predicted = active.steps(damping[index])
+        trial = (state if every else state.rows(index)).retract(step)
+        new = _NormalEquations.of(trial, points_mm, *part, active_prior)
         old = active.squares.copy()
         better = new.squares <= old
         if every and better.all():
@@ -275,7 +275,8 @@ def minimise(
     rest = np.flatnonzero(~converged & np.isfinite(equations.squares))
     if len(rest):
         left = equations.rows(rest)
-        tolerated = RELATIVE_OFFSET_TOLERANCE / DECREASE_TOLERANCE * tolerance[rest] * left.squares
+        per_reading = left.squares / np.maximum(used.sum(axis=0)[rest], 1)
+        tolerated = cameras.width * FINAL_OFFSET_TOLERANCE * per_reading
         tolerated += rounding[rest] * (2.0 * np.sqrt(left.squares) + rounding[rest])
         converged[rest] = left.undamped_decrease() <= tolerated
     return MinimisationResult(state, equations.squares, converged, equations.normal)
@@ -283,7 +284,7 @@ def minimise(
 
 @dataclass(eq=False)
 class _NormalEquations:
-    """Normal equations of B cameras: J'J (B, W, W), J'r (B, W), r'r (B,)."""
+    """Normal equations of B cameras: J'J (B, W, W), J'r (B, W), r'r (B,), with the prior's."""
 
     normal: Array
     gradient: Array
@@ -326,12 +327,11 @@ class _NormalEquations:
         return cls(normal, gradient, squares)
 
     def rows(self, index: NDArray[np.intp]) -> "_NormalEquations":
-        return _NormalEquations(self.normal[index], self.gradient[index], self.squares[index])
+        return _NormalEquations(*(getattr(self, field.name)[index] for field in fields(self)))
 
     def replace_rows(self, index: NDArray[np.intp], other: "_NormalEquations") -> None:
-        self.normal[index] = other.normal
-        self.gradient[index] = other.gradient
-        self.squares[index] = other.squares
+        for field in fields(self):
+            getattr(self, field.name)[index] = getattr(other, field.name)
 
     def steps(self, damping: Array) -> tuple[Array, Array]:
         """Return damped steps (B, W) and the decrease that the linear model predicts (B,)."""

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from compute.calibration.single_sensor.camera_fit import OffsetPrior, minimise
+from compute.calibration.single_sensor.camera_fit import LensPrior, minimise
 from compute.camera.stack import CameraStack
 from tests.compute.distorted_rig import distorted_rig, field_points, seen_readings
 from tests.compute.rig import control_points, project, rig
@@ -17,7 +17,15 @@ def test_as_scipy_finds_it_with_distortion_and_prior() -> None:
     weights = np.where(np.isnan(readings), 0.0, 1.0 / rng.uniform(0.2, 0.4, (60, 4)))
     stack = CameraStack.of(models)
     start = stack.retract(1e-3 * rng.standard_normal((4, stack.width)) * [100.0] + 0.0)
-    prior = OffsetPrior(stack.offset_mm[:, 1] + 20.0, np.full(4, 30.0))
+    prior = LensPrior(
+        np.zeros(4),
+        stack.offset_mm[:, 1] + 20.0,
+        np.full(4, 30.0),
+        stack.principal_point_px + 3.0,
+        np.full(4, 5.0),
+        np.full(4, 0.4),
+        np.full(4, 0.01),
+    )
     ended = minimise(start, points, readings, weights, prior)
     assert ended.converged.all()
     scale = np.array([10.0, 10.0, 0.01, 0.01, 0.01, 10.0, 10.0, 10.0, 0.1, 0.1, 0.1])
@@ -27,7 +35,12 @@ def test_as_scipy_finds_it_with_distortion_and_prior() -> None:
         def residuals(step: np.ndarray, row: int = row, one: CameraStack = one) -> np.ndarray:
             moved = one.retract((step * scale)[None])
             misfit = (moved.project(points)[:, 0] - readings[:, row]) * weights[:, row]
-            away = (moved.offset_mm[0, 1] - prior.mean_mm[row]) / prior.sigma_mm[row]
+            away = [
+                (moved.offset_mm[0, 1] - prior.offset_mm[row]) / 30.0,
+                (moved.principal_point_px[0] - prior.principal_point_px[row]) / 5.0,
+            ]
+            # 1 % of half the field at u = 0.4: both cubic terms, and 0.3 of it for v^2.
+            away += (moved.coefficients[0] / [0.01 / 0.16, 0.01 / 0.16, 0.003 / 0.4]).tolist()
             return np.append(np.nan_to_num(misfit), away)
 
         found = least_squares(residuals, np.zeros(11), xtol=1e-14, ftol=1e-14, gtol=1e-14)

@@ -97,7 +97,7 @@ def test_errors_rest_on_the_readings_that_the_calibration_used(
         assert max(found["statistics"]["max_absolute_mm"]) < 0.5
 
 
-def test_distortion_that_cannot_be_judged_is_not_taken_with_the_reasons(sqlite_client: Any):
+def test_distortion_of_few_points_is_estimated_with_a_reason(sqlite_client: Any):
     corners = np.array(np.meshgrid(*[[-150.0, 150.0]] * 3)).reshape(3, 8).T
     points = simulated_points(corners)
     noise = np.random.default_rng(0)
@@ -107,11 +107,11 @@ def test_distortion_that_cannot_be_judged_is_not_taken_with_the_reasons(sqlite_c
         }
     made = sqlite_client.post(URL, json=body(points=points, distortion="auto"))
     assert made.status_code == 201, made.text
-    chosen = made.json()["result"]["distortion"]
-    assert chosen["chosen"] == "none"
-    assert "no candidate could be judged" in chosen["reason"]
-    assert all(one["note"] for one in chosen["candidates"])
-    assert chosen["candidates"][1]["note"] == "too few points for it"
+    found = made.json()["result"]["distortion"]
+    assert found["chosen"] == "auto"
+    low, high = found["scale_range"]
+    assert 0.0 < low < found["scale"] < high
+    assert "do not tell whether the lenses distort" in found["reason"]
 
 
 def test_more_than_a_hundred_points_are_not_left_out_one_by_one(client: Any):

@@ -16,11 +16,10 @@ from rich.table import Table
 
 from compute.pose.tool_pose import PoseStatus, ToolPose
 from service.cli.output import console, fail, print_json, progress
-from service.pipeline.latest_poses import LatestPoses, PoseEntry
+from service.pipeline.frame_batch import LatestPoses, PoseEntry
 from service.protocols.openigtlink.counters import Counters
-from service.protocols.openigtlink.host import Caller, Landmark, WireTool
+from service.protocols.openigtlink.host import Caller, Landmark, ServerSettings, WireTool
 from service.protocols.openigtlink.server import OpenIGTLinkServer
-from service.protocols.openigtlink.settings import ServerSettings
 
 TITLE: Final = "ten tools at 200 Hz to pyigtl, while another client connects, stalls and leaves"
 TOOLS: Final = tuple(f"tool-{number}" for number in range(10))

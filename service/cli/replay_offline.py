@@ -30,8 +30,7 @@ def run_replay(
     from hardware.recording.reader import RecordingReader
     from service.api.recordings.reprocessing import reprocess
     from service.pipeline.frame_processor import FrameProcessor
-    from service.protocols.stream.encoding import encode, frame_messages
-    from service.protocols.stream.stream_batch import StreamBatch
+    from service.protocols.stream.messages import StreamBatch, encode, frame_messages
 
     try:
         with RecordingReader(path) as reader, _output(output) as target:
@@ -44,7 +43,7 @@ def run_replay(
             count = 0
             with progress("replaying", reader.info.frames) as done:
                 for batch in reprocess(reader, processor, given=given):
-                    for message in frame_messages(StreamBatch.of(batch), frozenset({"points"})):
+                    for message in frame_messages(StreamBatch(batch), frozenset({"points"})):
                         target.write(f"{encode(message, 'json')!s}\n")
                     count += len(batch.frames)
                     done(count)

@@ -17,9 +17,14 @@ from hardware.line_frame import LineFrame
 from hardware.simulated.driver import SimulatedDriver
 from hardware.simulated.settings import SimulationSettings
 from service.pipeline.active_calibration import ActiveCalibration
-from service.pipeline.beam_hold_spec import BeamHoldConfig, HoldReference, WatchedTool
 from service.pipeline.pipeline_manager import PipelineManager
-from service.pipeline.tracking_config import NO_TRACKING, TrackingConfig
+from service.pipeline.tracking_config import (
+    NO_TRACKING,
+    BeamHoldConfig,
+    HoldReference,
+    TrackingConfig,
+    WatchedTool,
+)
 from service.protocols.stream import router
 from service.protocols.stream.hub import Hub
 from service.protocols.stream.query import parse_stream_request

@@ -1,8 +1,9 @@
-"""Metrics: the Prometheus registry of one application."""
+"""Metrics: the Prometheus registry of one application, and GET /metrics."""
 
 import platform
 from typing import Final
 
+from fastapi import APIRouter, Request
 from prometheus_client import (
     CollectorRegistry,
     Counter,
@@ -14,6 +15,7 @@ from prometheus_client import (
 from prometheus_client.core import InfoMetricFamily
 from prometheus_client.exposition import choose_encoder
 from prometheus_client.registry import Collector
+from starlette.responses import Response
 
 from service.logs.context import RequestRecord
 from service.version import package_version
@@ -93,3 +95,30 @@ class RequestMetrics:
         status = f"{(record.status or _CLIENT_GONE) // 100}xx"
         self._requests.labels(method, route, status).inc()
         self._durations.labels(method, route).observe(record.duration_s)
+
+
+router = APIRouter(tags=["server"])
+
+
+@router.get(
+    "/metrics",
+    operation_id="get-metrics",
+    summary="Figures for Prometheus",
+    response_class=Response,
+    responses={
+        200: {
+            "content": {
+                "text/plain": {"schema": {"type": "string"}},
+                "application/openmetrics-text": {"schema": {"type": "string"}},
+            }
+        }
+    },
+)
+def get_metrics(request: Request) -> Response:
+    """All figures in Prometheus's text format, or OpenMetrics where `Accept` asks for it.
+
+    docs/how-to/operation.md says which to watch.
+    """
+    metrics: Metrics = request.app.state.metrics
+    content, media_type = metrics.text(request.headers.get("accept", ""))
+    return Response(content, media_type=media_type)

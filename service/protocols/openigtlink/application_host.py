@@ -1,13 +1,15 @@
-"""ApplicationHost: tools, landmarks and recordings of this application for OpenIGTLink."""
+"""The OpenIGTLink server in the application: its host, its start and its end."""
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import AsyncIterator, Callable, Sequence
+from contextlib import asynccontextmanager
 from functools import partial
 from typing import Final, Literal, TypeVar
 
 import numpy as np
 from anyio import CapacityLimiter
 from anyio.to_thread import run_sync
+from fastapi import FastAPI
 from sqlalchemy import select
 from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
@@ -26,9 +28,12 @@ from service.pipeline.pipeline_manager import PipelineManager
 from service.pipeline.transform_names import frame_name
 from service.principal import Act, Principal, current_act
 from service.problems.errors import UnknownRecording
-from service.protocols.openigtlink.host import Caller, Landmark, WireTool
+from service.protocols.openigtlink.counters import OpenIGTLinkCollector
+from service.protocols.openigtlink.host import Caller, Landmark, WireTool, server_settings
+from service.protocols.openigtlink.server import OpenIGTLinkServer
 from service.security.audit_entry import record_repeats
 from service.security.refusal_aggregation import RefusalAggregator
+from service.settings import Settings
 
 _log = logging.getLogger(__name__)
 
@@ -143,3 +148,38 @@ def _tool(session: Session, row: ToolRow) -> WireTool:
     tip = None if body.tip_mm is None else np.array(body.tip_mm)
     limit = tip_limit_of(session, row)
     return WireTool(row.id, row.device_id, row.reference_id, body.markers_mm, tip, limit)
+
+
+@asynccontextmanager
+async def openigtlink_running(
+    app: FastAPI, settings: Settings, recordings: RecordingManager
+) -> AsyncIterator[None]:
+    """Run it; with no port set, do nothing.
+
+    Args:
+        app: with the database, the live side and the metrics in its state; gets ``openigtlink``.
+        settings: of the service.
+        recordings: of this server.
+
+    Raises:
+        OSError: the port is taken, or the address is none of this machine.
+    """
+    found = server_settings(settings)
+    if found is None:
+        yield
+        return
+    live = app.state.live
+    host = ApplicationHost(app.state.database, live, recordings)
+    server = OpenIGTLinkServer(live.poses, host, found, live.holds)
+    try:
+        await server.start()
+    except OSError as error:
+        _log.critical("OpenIGTLink on %s port %d: %s", found.host, found.port, error)
+        raise
+    app.state.metrics.add(OpenIGTLinkCollector(server.counters, lambda: server.clients))
+    app.state.openigtlink = server
+    try:
+        yield
+    finally:
+        await server.close()
+        await host.close()

@@ -10,13 +10,13 @@ from typing import Final
 
 from compute.pose.beam_hold.beam_hold_state import BeamHoldCause
 from service.pipeline.beam_hold_registry import BeamHoldRegistry
-from service.pipeline.beam_hold_state import BeamHoldState
+from service.pipeline.frame_batch import BeamHoldState
 from service.pipeline.transform_names import NAME_BYTES
+from service.protocols.openigtlink.bodies import StatusCode
 from service.protocols.openigtlink.connection import ClientConnection
 from service.protocols.openigtlink.message import Message
 from service.protocols.openigtlink.session import Session
 from service.protocols.openigtlink.snapshot import FULL_NAME
-from service.protocols.openigtlink.text_bodies import StatusCode
 
 _log = logging.getLogger(__name__)
 

@@ -7,15 +7,22 @@ import time
 from collections.abc import Callable, Coroutine, Iterable
 from typing import Final, cast
 
+from service.protocols.openigtlink.bodies import StatusCode
 from service.protocols.openigtlink.counters import Counters
-from service.protocols.openigtlink.decoder import Damaged, Decoder, Event, Skipped
-from service.protocols.openigtlink.errors import BadMessage, WrongChecksum
 from service.protocols.openigtlink.handlers import KNOWN, MessageHandlers
-from service.protocols.openigtlink.message import Message, write_message
+from service.protocols.openigtlink.host import ServerSettings
+from service.protocols.openigtlink.message import (
+    BadMessage,
+    Damaged,
+    Decoder,
+    Event,
+    Message,
+    Skipped,
+    WrongChecksum,
+    write_message,
+)
 from service.protocols.openigtlink.session import Session
-from service.protocols.openigtlink.settings import ServerSettings
 from service.protocols.openigtlink.snapshot import Snapshot
-from service.protocols.openigtlink.text_bodies import StatusCode
 
 _log = logging.getLogger(__name__)
 

@@ -1,4 +1,4 @@
-"""Host: interface of the server to the application: tools, landmarks, recordings."""
+"""ServerSettings; Host: what the application gives to the server: tools, landmarks, recordings."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,6 +9,55 @@ from numpy.typing import NDArray
 
 from service.api.tools.provenance import Provenance
 from service.api.tools.tip_limit import TipLimit
+from service.settings import Settings
+
+
+@dataclass(frozen=True)
+class ServerSettings:
+    """Settings of one server.
+
+    Args:
+        host: address that it listens on.
+        port: TCP port; 0: any that is free.
+        allow: networks whose clients are let in, besides this machine's own.
+        device: the device whose tools are sent; None: the first that has any.
+        rate_hz: most frames that one client gets a second.
+        clients: most clients at the same time.
+        stall_s: how long a client may read nothing before it is disconnected [s].
+        message_s: how long a client's message may take to arrive [s].
+        send_invalid: send poses that are not OK, too, to clients of header version 2.
+        changes: clients may change things by commands.
+    """
+
+    host: str = "127.0.0.1"
+    port: int = 18944
+    allow: tuple[str, ...] = ()
+    device: str | None = None
+    rate_hz: float = 250.0
+    clients: int = 16
+    stall_s: float = 10.0
+    message_s: float = 30.0
+    send_invalid: bool = False
+    changes: bool = False
+
+
+def server_settings(settings: Settings) -> ServerSettings | None:
+    """Return the OpenIGTLink server's part of the service's settings; None: it is off."""
+    if settings.openigtlink_port is None:
+        return None
+    return ServerSettings(
+        settings.openigtlink_host,
+        settings.openigtlink_port,
+        settings.openigtlink_allow,
+        settings.openigtlink_device,
+        settings.openigtlink_rate_hz,
+        settings.openigtlink_clients,
+        settings.openigtlink_stall_s,
+        settings.openigtlink_message_s,
+        settings.openigtlink_send_invalid,
+        settings.openigtlink_changes,
+    )
+
 
 Array = NDArray[np.float64]
 

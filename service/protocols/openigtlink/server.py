@@ -11,16 +11,15 @@ from typing import TYPE_CHECKING, Final
 from compute.errors import LumilineError
 from service.allow_list import AllowList
 from service.pipeline.beam_hold_registry import BeamHoldRegistry
-from service.pipeline.latest_poses import LatestPoses, PoseEntry
+from service.pipeline.frame_batch import LatestPoses, PoseEntry
 from service.protocols.openigtlink.beam_hold_status import BeamHoldStatusSender
+from service.protocols.openigtlink.bodies import StatusCode
 from service.protocols.openigtlink.connection import ClientConnection
 from service.protocols.openigtlink.counters import Counters
 from service.protocols.openigtlink.handlers import MessageHandlers
-from service.protocols.openigtlink.host import Host, WireTool
-from service.protocols.openigtlink.settings import ServerSettings
+from service.protocols.openigtlink.host import Host, ServerSettings, WireTool
 from service.protocols.openigtlink.snapshot import Snapshot
-from service.protocols.openigtlink.text_bodies import StatusCode
-from service.protocols.openigtlink.transform_names import ToolNames, name_tools
+from service.protocols.openigtlink.transforms import ToolNames, name_tools
 
 if TYPE_CHECKING:
     from service.api.tools.tip_limit import TipLimit

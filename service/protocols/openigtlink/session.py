@@ -4,11 +4,9 @@ from dataclasses import dataclass, field
 from typing import Final, Literal
 
 from compute.pose.tool_pose import PoseStatus
-from service.protocols.openigtlink.errors import BadMessage
-from service.protocols.openigtlink.header import Header
-from service.protocols.openigtlink.message import Message, write_message
+from service.protocols.openigtlink.bodies import Status, StatusCode, write_status
+from service.protocols.openigtlink.message import BadMessage, Header, Message, write_message
 from service.protocols.openigtlink.snapshot import Snapshot
-from service.protocols.openigtlink.text_bodies import Status, StatusCode, write_status
 
 Kind = Literal["TRANSFORM", "POSITION", "TDATA", "QTDATA"]
 SERVER: Final = "Lumiline"

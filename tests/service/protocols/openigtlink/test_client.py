@@ -14,12 +14,10 @@ from compute.camera.rotation import rotation_matrix
 from compute.errors import LumilineError
 from compute.pose.tool_pose import PoseStatus, ToolPose
 from service.pipeline.beam_hold_registry import BeamHoldRegistry
-from service.pipeline.latest_poses import LatestPoses, PoseEntry
-from service.protocols.openigtlink.decoder import Damaged, Decoder, Skipped
-from service.protocols.openigtlink.host import Caller, Landmark, WireTool
-from service.protocols.openigtlink.message import Message, write_message
+from service.pipeline.frame_batch import LatestPoses, PoseEntry
+from service.protocols.openigtlink.host import Caller, Landmark, ServerSettings, WireTool
+from service.protocols.openigtlink.message import Damaged, Decoder, Message, Skipped, write_message
 from service.protocols.openigtlink.server import OpenIGTLinkServer
-from service.protocols.openigtlink.settings import ServerSettings
 
 LOOPS = {"asyncio": asyncio.new_event_loop, "uvloop": uvloop.new_event_loop}
 START_NS = time.time_ns()

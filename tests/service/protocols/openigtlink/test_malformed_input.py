@@ -7,16 +7,16 @@ from itertools import pairwise
 
 import pytest
 
-from service.protocols.openigtlink.connection import ClientConnection
-from service.protocols.openigtlink.message import Message, write_message
-from service.protocols.openigtlink.server import OpenIGTLinkServer
-from service.protocols.openigtlink.text_bodies import (
+from service.protocols.openigtlink.bodies import (
     Command,
     StatusCode,
     read_status,
     write_command,
     write_string,
 )
+from service.protocols.openigtlink.connection import ClientConnection
+from service.protocols.openigtlink.message import Message, write_message
+from service.protocols.openigtlink.server import OpenIGTLinkServer
 from tests.service.protocols.openigtlink.test_client import (
     LOOPS,
     Peer,

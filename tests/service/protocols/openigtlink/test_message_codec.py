@@ -11,37 +11,43 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from compute.camera.rotation import rotation_matrix
-from service.protocols.openigtlink.decoder import Damaged, Decoder, Skipped
-from service.protocols.openigtlink.errors import BadMessage, WrongChecksum
-from service.protocols.openigtlink.header import HEADER_BYTES, read_header
-from service.protocols.openigtlink.message import Message, read_body, write_message
-from service.protocols.openigtlink.pose_bodies import (
+from service.protocols.openigtlink.bodies import (
+    Command,
     Point,
     StartStream,
+    Status,
     ToolTransform,
+    read_capability,
+    read_command,
     read_points,
     read_position,
     read_qtdata,
     read_start,
+    read_status,
+    read_string,
     read_tdata,
     read_transform,
+    write_capability,
+    write_command,
     write_points,
     write_position,
     write_start,
+    write_status,
+    write_string,
     write_tracking,
     write_transform,
 )
-from service.protocols.openigtlink.text_bodies import (
-    Command,
-    Status,
-    read_capability,
-    read_command,
-    read_status,
-    read_string,
-    write_capability,
-    write_command,
-    write_status,
-    write_string,
+from service.protocols.openigtlink.message import (
+    HEADER_BYTES,
+    BadMessage,
+    Damaged,
+    Decoder,
+    Message,
+    Skipped,
+    WrongChecksum,
+    read_body,
+    read_header,
+    write_message,
 )
 from tests.service.protocols.openigtlink.test_client import Everything
 

@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from threading import Thread
-from typing import Any, Final, Literal
+from typing import Any, Final
 
 import numpy as np
 from rich.table import Table
@@ -18,7 +18,7 @@ from compute.pose.tool_pose import PoseStatus, ToolPose
 from service.cli.output import console, fail, print_json, progress
 from service.pipeline.frame_batch import LatestPoses, PoseEntry
 from service.protocols.openigtlink.counters import Counters
-from service.protocols.openigtlink.host import Caller, Landmark, ServerSettings, WireTool
+from service.protocols.openigtlink.host import Landmark, Outcome, ServerSettings, WireTool
 from service.protocols.openigtlink.server import OpenIGTLinkServer
 
 TITLE: Final = "ten tools at 200 Hz to pyigtl, while another client connects, stalls and leaves"
@@ -48,7 +48,7 @@ class _Tools:
         raise NotImplementedError
 
     async def audit(
-        self, caller: Caller, outcome: Literal["done", "refused"], detail: str | None
+        self, operation: str, address: str, outcome: Outcome, detail: str | None
     ) -> None:
         raise NotImplementedError
 

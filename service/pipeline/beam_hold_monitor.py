@@ -78,12 +78,7 @@ class ToolObserver:
 
 
 class StrobedMarkerObserver:
-    """Positions of strobed markers, each from its newest strobe cycle.
-
-    Args:
-        spec: the markers.
-        max_age_ns: age at which a position is too old in any case [ns].
-    """
+    """Positions of strobed markers, each from its newest strobe cycle."""
 
     def __init__(self, spec: WatchedStrobedMarkers, max_age_ns: int) -> None:
         self._row = {marker: row for row, marker in enumerate(spec.markers)}
@@ -312,12 +307,7 @@ class BeamHoldMonitor:
         )
 
     def fail(self, why: str, time_ns: int) -> BeamHoldState:
-        """Hold the beam now.
-
-        Args:
-            why: for a person.
-            time_ns: now, on the host's clock [ns].
-        """
+        """Hold the beam now."""
         self.measured_ns = None
         if self._monitor is not None:
             decision = self._monitor.fail(why)

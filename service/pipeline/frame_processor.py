@@ -34,8 +34,7 @@ from service.pipeline.active_calibration import (
     ActiveCalibration,
     PreparedCalibration,
 )
-from service.pipeline.detection_stage import DetectionStage
-from service.pipeline.expected_scans import ExpectedScans, expected_scans
+from service.pipeline.detection_stage import DetectionStage, ExpectedScans, expected_scans
 from service.pipeline.frame_batch import FrameBatch
 from service.pipeline.threads import limit_blas_threads
 from service.pipeline.tracking_config import TrackingConfig

@@ -1,7 +1,6 @@
 """PipelineManager: starts and stops devices and their threads; the API's door to the pipeline."""
 
 import logging
-import time
 from collections.abc import Callable
 from threading import RLock
 
@@ -13,6 +12,12 @@ from hardware.driver import DeviceDescription, Driver
 from hardware.link import LinkedDriver, LinkState
 from service.pipeline.active_calibration import NO_ACTIVE_CALIBRATION, ActiveCalibration
 from service.pipeline.beam_hold_registry import BeamHoldRegistry, BeamHoldWatchdog
+from service.pipeline.detection_stage import (
+    ExpectedScans,
+    FindProfile,
+    built_in_profile,
+    expected_scans,
+)
 from service.pipeline.device_connector import DeviceConnector
 from service.pipeline.device_session import (
     DeviceSession,
@@ -20,15 +25,9 @@ from service.pipeline.device_session import (
     ToolCounts,
 )
 from service.pipeline.device_status import DeviceStatus
-from service.pipeline.expected_scans import (
-    ExpectedScans,
-    FindProfile,
-    built_in_profile,
-    expected_scans,
-)
 from service.pipeline.frame_batch import LatestPoses
 from service.pipeline.frame_processor import FrameProcessor
-from service.pipeline.taps import PeakTap, Tap
+from service.pipeline.taps import PeakTap, Tap, looks
 from service.pipeline.threads import ComputeThread, FrameRing, ReaderThread
 from service.pipeline.tracking_config import NO_TRACKING, TrackingConfig
 from service.problems.errors import DeviceNotRunning
@@ -39,7 +38,6 @@ RING_SECONDS = 2.0
 MIN_RING_FRAMES = 256
 FIRST_ATTEMPT_S = 3.0
 """How long a start waits for a device that may not be there; then it goes on by itself."""
-_LOOK_S = 0.1
 STOPPED = "the device is stopped"
 NOT_AS_STORED = (
     "what is stored of it could not be taken over (the log says why); change the hold, or start "
@@ -327,7 +325,7 @@ class PipelineManager:
             timeout_s: how long they are waited for; then there are fewer.
 
         Returns:
-            Positions and their deviations [px], shape (F, S); NaN where a sensor saw no clear
+            Positions and their sigmas [px], shape (F, S); NaN where a sensor saw no clear
             peak.
 
         Raises:
@@ -337,14 +335,11 @@ class PipelineManager:
         if session is None or not session.connected:
             raise self._not_running(device_id)
         tap = PeakTap(session.ring.last_sequence, frames, marker)
-        end = time.monotonic() + timeout_s
         self.attach(session, tap)
         try:
-            while not tap.wait(max(0.0, min(_LOOK_S, end - time.monotonic()))):
+            for _ in looks(tap.ended, timeout_s):
                 if not session.connected:
                     raise self._not_running(device_id)
-                if time.monotonic() >= end:
-                    break
         finally:
             self.detach(session, tap)
         return tap.readings(len(session.description.sensors))

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from datetime import datetime
-from typing import TYPE_CHECKING, Final, Literal
+from typing import TYPE_CHECKING, ClassVar, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,11 +33,7 @@ class WatchedTool:
     tool: str
     target_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
     axes: tuple[tuple[float, float, float], ...] | None = None
-
-    @property
-    def count(self) -> int:
-        """Number of targets that are watched."""
-        return 1
+    count: ClassVar[int] = 1
 
 
 @dataclass(frozen=True)

@@ -136,9 +136,9 @@ def config(illumination: Illumination) -> TrackingConfig:
 @pytest.mark.parametrize(
     ("illumination", "content", "headings", "most"),
     [
-        ("strobed", "points", ["Points"], 19),
-        ("simultaneous", "points", ["Points", "Points of markers that are lit together"], 23),
-        ("strobed", EVERYTHING, ["Points", "Tracks, tools and holds"], 52),
+        ("strobed", "points", ["Points"], 15),
+        ("simultaneous", "points", ["Points", "Points of markers that are lit together"], 19),
+        ("strobed", EVERYTHING, ["Points", "Tracks, tools and holds"], 44),
     ],
 )
 def test_walk_of_a_frame_runs_the_modules_of_the_table(

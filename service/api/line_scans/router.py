@@ -16,7 +16,7 @@ from service.api.line_scans.peak_search import find_peaks
 from service.api.line_scans.request_arrays import Scans, request_noise, request_scans
 from service.api.line_scans.schema import MAX_SCANS, LineScanRequest, LineScans
 from service.api.openapi import problems
-from service.pipeline.expected_scans import FindProfile
+from service.pipeline.detection_stage import FindProfile
 from service.problems.errors import Busy
 
 router = APIRouter(prefix="/api/v1", tags=["line-scans"], route_class=JsonRoute)

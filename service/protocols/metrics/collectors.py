@@ -139,15 +139,7 @@ def histogram(
     bounds: tuple[float, ...],
     values: Mapping[tuple[str, ...], tuple[tuple[int, ...], float]],
 ) -> HistogramMetricFamily:
-    """Return a histogram.
-
-    Args:
-        name: of it, with its unit.
-        text: what it is of.
-        labels: their names.
-        bounds: upper bounds of the classes but the last, which has none.
-        values: by labels, the counts of each class and the sum of all.
-    """
+    """Return a histogram of values by labels: counts of each class and behind it, and the sum."""
     family = HistogramMetricFamily(f"lumiline_{name}", text, labels=labels)
     edges = (*map(repr, bounds), "+Inf")
     for label, (counts, total) in values.items():
@@ -161,12 +153,7 @@ def _by_device(objects: Mapping[str, Any]) -> dict[tuple[str, ...], Any]:
 
 
 class LiveCollector(Collector):
-    """Reads the pipeline's counters, which begin anew with a device's start.
-
-    Args:
-        live: the running devices.
-        hub: their streams.
-    """
+    """Reads the pipeline's counters, which begin anew with a device's start."""
 
     def __init__(self, live: PipelineManager, hub: Hub) -> None:
         self._live = live
@@ -257,12 +244,7 @@ class LiveCollector(Collector):
 
 
 class DatabaseCollector(Collector):
-    """Whether the database answers, and the runs in it.
-
-    Args:
-        database: the database.
-        durations: of the runs of this server.
-    """
+    """Whether the database answers, and the runs in it."""
 
     def __init__(self, database: Database, durations: duration_histogram.DurationHistogram) -> None:
         self._database = database
@@ -296,11 +278,7 @@ class DatabaseCollector(Collector):
 
 
 class RecordingsCollector(Collector):
-    """Recordings that are being written, and the disk that they lie on.
-
-    Args:
-        recordings: of this server.
-    """
+    """Recordings that are being written, and the disk that they lie on."""
 
     def __init__(self, recordings: RecordingManager) -> None:
         self._recordings = recordings

@@ -126,11 +126,6 @@ class Mode(Enum):
 class ClientState:
     """Every client has its own: its handles, its mode, its parameters.
 
-    Args:
-        identity: what to say of ourselves.
-        look: where poses come from.
-        part_numbers: tools by what uploaded definitions call them.
-
     Attributes:
         mode: where the client is.
         ports: its handles.

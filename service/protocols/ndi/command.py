@@ -39,11 +39,7 @@ class ErrorCode(IntEnum):
 
 
 class CommandError(Exception):
-    """A command is not carried out; its reply is the error.
-
-    Args:
-        code: what the client is told.
-    """
+    """A command is not carried out; its reply is the error."""
 
     def __init__(self, code: ErrorCode) -> None:
         super().__init__(code.name)

@@ -31,11 +31,7 @@ _COUNTS: Final[Members] = (
 
 
 class NdiCollector(Collector):
-    """Clients, and what was answered.
-
-    Args:
-        server: whose counters are read.
-    """
+    """Clients, and what was answered."""
 
     def __init__(self, server: NdiServer) -> None:
         self._server = server
@@ -52,10 +48,6 @@ _log = logging.getLogger(__name__)
 @asynccontextmanager
 async def ndi_running(app: FastAPI, settings: Settings) -> AsyncIterator[None]:
     """Run it; with no port set, do nothing.
-
-    Args:
-        app: with the database, the live side and the metrics in its state; gets ``ndi``.
-        settings: of the service.
 
     Raises:
         OSError: the port is taken, or the address is none of this machine.

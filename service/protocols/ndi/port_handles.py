@@ -35,13 +35,7 @@ def names_in_definition(image: bytes) -> tuple[str, ...]:
 def match_tool(
     names: Sequence[str], tools: Sequence[str], part_numbers: Mapping[str, str]
 ) -> str | None:
-    """Return the tool that one of these names means; None: none does, or more than one.
-
-    Args:
-        names: as of ``names_in_definition``.
-        tools: our tools.
-        part_numbers: names of tools by what definitions call them.
-    """
+    """Return the tool that one of these names means; None: none does, or more than one."""
     known = {number.casefold(): tool for number, tool in part_numbers.items()}
     meant = {tool for name in names for tool in _tools_called(name.casefold(), tools, known)}
     return meant.pop() if len(meant) == 1 else None

@@ -85,11 +85,7 @@ ASK_S: Final = 2.0
 
 
 class ToolCache:
-    """Made and used in the event loop. While the database does not answer, what is known stays.
-
-    Args:
-        database: with the tools.
-    """
+    """Made and used in the event loop. While the database does not answer, what is known stays."""
 
     def __init__(self, database: Database) -> None:
         self._database = database

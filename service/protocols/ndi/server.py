@@ -27,13 +27,6 @@ POSE_WAIT_S: Final = 0.02
 class ClientConnection:
     """Serves a connection.
 
-    Args:
-        name: for the log.
-        session: its conversation.
-        feed: the poses.
-        reader: what it sends.
-        writer: what it gets.
-
     Attributes:
         session: its conversation.
         leaving: whether it was told to go.
@@ -96,17 +89,7 @@ class ClientConnection:
 
 @dataclass(frozen=True)
 class NdiOptions:
-    """What an administrator sets.
-
-    Args:
-        port: to listen on; 0: a free one.
-        host: address to listen on.
-        allowed: who may connect.
-        clients: at the same time.
-        model: what clients are told that they speak to.
-        version: ours.
-        part_numbers: tools by what uploaded tool definitions call them.
-    """
+    """What an administrator sets; see the settings of the service that begin with ndi."""
 
     port: int
     host: str = "127.0.0.1"
@@ -119,14 +102,7 @@ class NdiOptions:
 
 @dataclass
 class NdiCounts:
-    """What happened since the start.
-
-    Args:
-        connections: that were taken.
-        turned_away: that were not: not allowed, or too many.
-        commands: carried out.
-        refused: commands that were not, and what was none.
-    """
+    """What happened since the start."""
 
     connections: int = 0
     rejected_connections: int = 0

@@ -24,11 +24,6 @@ _Carry = Callable[[ClientState, str], str | None]
 class Session:
     """Answers one client.
 
-    Args:
-        identity: what to say of ourselves.
-        look: where poses come from.
-        part_numbers: tools by what uploaded definitions call them.
-
     Attributes:
         state: what the client has done so far.
         answered: commands that were carried out.

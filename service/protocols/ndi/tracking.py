@@ -176,13 +176,7 @@ def error_mm(pose: ToolPose) -> float:
 
 
 def tracking_text(reports: Sequence[ToolReport], system_status: int, options: ReplyOption) -> str:
-    """Return the text of a reply to TX, without its checksum.
-
-    Args:
-        reports: of all tools.
-        system_status: bits.
-        options: what the client asked for.
-    """
+    """Return the text of a reply to TX, without its checksum."""
     tools = "".join(f"{one.handle:02X}{_text_record(one, options)}\n" for one in reports)
     strays = "00" if ReplyOption.STRAYS in options else ""
     return f"{len(reports):02X}{tools}{strays}{system_status:04X}"
@@ -220,13 +214,7 @@ def _text_markers(one: ToolReport) -> str:
 def tracking_binary(
     reports: Sequence[ToolReport], system_status: int, options: ReplyOption
 ) -> bytes:
-    """Return the body of a reply to BX, without start and checksums.
-
-    Args:
-        reports: of all tools.
-        system_status: bits.
-        options: what the client asked for.
-    """
+    """Return the body of a reply to BX, without start and checksums."""
     body = bytearray([len(reports)])
     for one in reports:
         body += bytes((one.handle, one.state))

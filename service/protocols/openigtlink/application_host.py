@@ -4,7 +4,7 @@ import logging
 from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import asynccontextmanager
 from functools import partial
-from typing import Final, Literal, TypeVar
+from typing import Final, TypeVar
 
 import numpy as np
 from anyio import CapacityLimiter
@@ -29,7 +29,7 @@ from service.pipeline.transform_names import frame_name
 from service.principal import Act, Principal, current_act
 from service.problems.errors import UnknownRecording
 from service.protocols.openigtlink.counters import OpenIGTLinkCollector
-from service.protocols.openigtlink.host import Caller, Landmark, WireTool, server_settings
+from service.protocols.openigtlink.host import Landmark, Outcome, WireTool, server_settings
 from service.protocols.openigtlink.server import OpenIGTLinkServer
 from service.security.audit_entry import record_repeats
 from service.security.refusal_aggregation import RefusalAggregator
@@ -45,13 +45,7 @@ _CLIENT: Final = Principal("service", "openigtlink", "OpenIGTLink client", froze
 
 
 class ApplicationHost:
-    """The application as the OpenIGTLink server knows it; used in one event loop.
-
-    Args:
-        database: with tools, registrations and the audit log.
-        live: the running devices.
-        recordings: of this server.
-    """
+    """The application as the OpenIGTLink server knows it; used in one event loop."""
 
     def __init__(
         self, database: Database, live: PipelineManager, recordings: RecordingManager
@@ -86,16 +80,16 @@ class ApplicationHost:
         return await self._in_thread(partial(self._stop, device_id))
 
     async def audit(
-        self, caller: Caller, outcome: Literal["done", "refused"], detail: str | None
+        self, operation: str, address: str, outcome: Outcome, detail: str | None
     ) -> None:
         """Write an entry; refusals that repeat within a minute are counted, and told of later."""
-        act = Act(_CLIENT, caller.operation, None, caller.address)
+        act = Act(_CLIENT, operation, None, address)
         if outcome == "refused" and not self._refusals.is_first(act):
             return
         try:
             await self._in_thread(partial(self._write, act, outcome, detail))
         except (LumilineError, SQLAlchemyError):
-            _log.exception("audit: %s of %s: %s", caller.operation, caller.address, outcome)
+            _log.exception("audit: %s of %s: %s", operation, address, outcome)
 
     async def close(self) -> None:
         """Tell of all refusals that were counted."""
@@ -155,11 +149,6 @@ async def openigtlink_running(
     app: FastAPI, settings: Settings, recordings: RecordingManager
 ) -> AsyncIterator[None]:
     """Run it; with no port set, do nothing.
-
-    Args:
-        app: with the database, the live side and the metrics in its state; gets ``openigtlink``.
-        settings: of the service.
-        recordings: of this server.
 
     Raises:
         OSError: the port is taken, or the address is none of this machine.

@@ -14,7 +14,7 @@ from defusedxml.ElementTree import fromstring
 from numpy.typing import NDArray
 
 from compute.errors import LumilineError
-from service.protocols.openigtlink.host import Caller, Host
+from service.protocols.openigtlink.host import Host, Outcome
 from service.protocols.openigtlink.message import CommandRefused
 from service.protocols.openigtlink.snapshot import Snapshot
 from service.protocols.openigtlink.transforms import (
@@ -34,12 +34,7 @@ _NOT_XML: Final = re.compile("[^\t\n\r -\ud7ff\ue000-\ufffd\U00010000-\U0010ffff
 
 @dataclass(frozen=True)
 class CommandRequest:
-    """A command.
-
-    Args:
-        name: what is to be done.
-        attributes: of the element.
-    """
+    """A command."""
 
     name: str
     attributes: Mapping[str, str]
@@ -90,12 +85,7 @@ def read_command_request(name: str, text: str) -> CommandRequest:
 
 
 def write_reply(name: str | None, reply: CommandReply) -> str:
-    """Return the answer as PLUS writes it.
-
-    Args:
-        name: of the command, for RTS_COMMAND; None: for STRING, whose form is older.
-        reply: the answer.
-    """
+    """Return the answer as PLUS writes it."""
     shown = _clean(reply.message)
     parts = ["<CommandReply"]
     if name is not None:
@@ -135,13 +125,7 @@ _Do = Callable[[CommandRequest], Awaitable[CommandReply]]
 
 
 class Commands:
-    """Runs commands, one at a time for each client.
-
-    Args:
-        host: the application.
-        newest: returns the newest poses.
-        changes: whether clients may change anything.
-    """
+    """Runs commands, one at a time for each client."""
 
     def __init__(self, host: Host, newest: Callable[[], Snapshot | None], *, changes: bool) -> None:
         self._host = host
@@ -164,12 +148,7 @@ class Commands:
         }
 
     async def run(self, request: CommandRequest, address: str) -> CommandReply:
-        """Do what is asked, and write changes and refusals into the audit log; never raises.
-
-        Args:
-            asked: the command.
-            address: of the client.
-        """
+        """Do what is asked, and write changes and refusals into the audit log; never raises."""
         name = request.name.lower()
         reading = self._reading.get(name)
         if reading is not None:
@@ -183,12 +162,12 @@ class Commands:
                 "StartRecording, StopRecording and UpdateTransform",
             )
         operation, do = changing
-        caller = Caller(address, operation)
         if not self._changes:
-            await self._host.audit(caller, "refused", _NOT_ALLOWED)
+            await self._host.audit(operation, address, "refused", _NOT_ALLOWED)
             return CommandReply(done=False, message=_NOT_ALLOWED)
         reply = await _tried(do, request)
-        await self._host.audit(caller, "done" if reply.done else "refused", reply.message)
+        outcome: Outcome = "done" if reply.done else "refused"
+        await self._host.audit(operation, address, outcome, reply.message)
         return reply
 
     async def _version(self, _: CommandRequest) -> CommandReply:

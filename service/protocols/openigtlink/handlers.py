@@ -1,7 +1,7 @@
 """MessageHandlers: the answer to each type of message."""
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -43,27 +43,12 @@ _TIP = (255, 0, 0, 255)
 _LANDMARK = (0, 255, 0, 255)
 
 
-@dataclass(frozen=True)
-class PointReply:
-    """What there is of what was asked for.
-
-    Args:
-        points: that can be given.
-        void: why landmarks are not given any more, each registration once.
-        bound: whether landmarks are given that hold only as long as nothing else is active.
-    """
-
-    points: tuple[Point, ...]
-    withheld: tuple[str, ...] = ()
-    has_landmarks: bool = False
-
-
 def find_points(
     name: str,
     snapshot: Snapshot,
     tools: Sequence[WireTool],
     landmarks: Sequence[Landmark],
-) -> PointReply:
+) -> tuple[list[Point], list[str], bool]:
     """Return the points of a name, in the frame that poses of their tool are given in.
 
     Args:
@@ -71,6 +56,10 @@ def find_points(
         snapshot: the newest poses; markers of tools that are not seen have no place.
         tools: of the device.
         landmarks: likewise; those that were measured with what is not active are withheld.
+
+    Returns:
+        The points; why landmarks are withheld, each registration once; and whether there are
+        landmarks that hold only as long as nothing else is active.
     """
     points: list[Point] = []
     by_id = {tool.id: tool for tool in tools}
@@ -79,19 +68,19 @@ def find_points(
         names = (pose.name.short, pose.name.full, pose.source.tool, "Markers", "")
         if tool is not None and pose.valid and pose.placed is not None and name in names:
             points += _of_tool(tool, pose, pose.placed)
-    in_force = snapshot.entry.calibration_id, snapshot.entry.table_id
+    active = snapshot.entry.calibration_id, snapshot.entry.table_id
     withheld: dict[str, None] = {}
     has_landmarks = False
     for one in landmarks:
         if name not in ("", "Landmarks", one.owner, one.name):
             continue
-        why = None if one.provenance is None else one.provenance.invalid_reason(*in_force)
+        why = None if one.provenance is None else one.provenance.invalid_reason(*active)
         if why is not None:
             withheld[why] = None
             continue
         has_landmarks = has_landmarks or one.provenance is not None
         points.append(Point(one.name, "Landmark", one.position_mm, _LANDMARK, owner=one.owner))
-    return PointReply(tuple(points), tuple(withheld), has_landmarks)
+    return points, list(withheld), has_landmarks
 
 
 def _of_tool(tool: WireTool, pose: WirePose, placed: tuple[Array, Array]) -> Iterable[Point]:
@@ -287,20 +276,17 @@ class MessageHandlers:
             landmarks = await self._host.landmarks(device)
         except LumilineError as error:
             return [session.status(StatusCode.UNKNOWN_ERROR, "NoPoints", error.detail)]
-        # What came into force while they were read counts.
+        # What became active while they were read counts.
         snapshot = self._newest() or snapshot
         tools = [tool for tool in self._tools() if tool.device_id == device]
-        found = find_points(message.device, snapshot, tools, landmarks)
-        answers = [_answer(session, message, "POINT", write_points(found.points))]
-        if found.has_landmarks:
+        points, withheld, has_landmarks = find_points(message.device, snapshot, tools, landmarks)
+        answers = [_answer(session, message, "POINT", write_points(points))]
+        if has_landmarks:
             session.landmarks_sent(snapshot)
-        if found.withheld:
-            more = len(found.withheld) - _MAX_WITHHELD_NAMED
-            told = [
-                *found.withheld[:_MAX_WITHHELD_NAMED],
-                *([f"and {more} more"] if more > 0 else []),
-            ]
-            text = f"landmarks are withheld: {'; '.join(told)}"
+        if withheld:
+            more = len(withheld) - _MAX_WITHHELD_NAMED
+            reasons = withheld[:_MAX_WITHHELD_NAMED] + [f"and {more} more"] * (more > 0)
+            text = f"landmarks are withheld: {'; '.join(reasons)}"
             answers.append(session.status(StatusCode.UNKNOWN_ERROR, "INVALID", text, LANDMARKS))
         return answers
 

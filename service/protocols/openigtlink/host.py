@@ -1,7 +1,7 @@
 """ServerSettings; Host: what the application gives to the server: tools, landmarks, recordings."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Literal, Protocol
 
 import numpy as np
@@ -14,20 +14,7 @@ from service.settings import Settings
 
 @dataclass(frozen=True)
 class ServerSettings:
-    """Settings of one server.
-
-    Args:
-        host: address that it listens on.
-        port: TCP port; 0: any that is free.
-        allow: networks whose clients are let in, besides this machine's own.
-        device: the device whose tools are sent; None: the first that has any.
-        rate_hz: most frames that one client gets a second.
-        clients: most clients at the same time.
-        stall_s: how long a client may read nothing before it is disconnected [s].
-        message_s: how long a client's message may take to arrive [s].
-        send_invalid: send poses that are not OK, too, to clients of header version 2.
-        changes: clients may change things by commands.
-    """
+    """Settings of one server; see those of the service that begin with openigtlink."""
 
     host: str = "127.0.0.1"
     port: int = 18944
@@ -45,18 +32,8 @@ def server_settings(settings: Settings) -> ServerSettings | None:
     """Return the OpenIGTLink server's part of the service's settings; None: it is off."""
     if settings.openigtlink_port is None:
         return None
-    return ServerSettings(
-        settings.openigtlink_host,
-        settings.openigtlink_port,
-        settings.openigtlink_allow,
-        settings.openigtlink_device,
-        settings.openigtlink_rate_hz,
-        settings.openigtlink_clients,
-        settings.openigtlink_stall_s,
-        settings.openigtlink_message_s,
-        settings.openigtlink_send_invalid,
-        settings.openigtlink_changes,
-    )
+    names = (field.name for field in fields(ServerSettings))
+    return ServerSettings(**{name: getattr(settings, f"openigtlink_{name}") for name in names})
 
 
 Array = NDArray[np.float64]
@@ -101,17 +78,7 @@ class Landmark:
     provenance: Provenance | None = None
 
 
-@dataclass(frozen=True)
-class Caller:
-    """Who wants something changed: there is no more to know of a client than its address.
-
-    Args:
-        address: of the client.
-        operation: ``openigtlink-start-recording``, ...
-    """
-
-    address: str
-    operation: str
+Outcome = Literal["done", "refused"]
 
 
 class Host(Protocol):
@@ -138,7 +105,7 @@ class Host(Protocol):
         ...
 
     async def audit(
-        self, caller: Caller, outcome: Literal["done", "refused"], detail: str | None
+        self, operation: str, address: str, outcome: Outcome, detail: str | None
     ) -> None:
-        """Write down what a client changed, or wanted to change; never raises."""
+        """Write down what the client at an address changed, or wanted to; never raises."""
         ...

@@ -62,25 +62,6 @@ class Header:
     checksum: int
 
 
-def write_header(header: Header) -> bytes:
-    """Return a header's bytes.
-
-    Raises:
-        BadMessage: a name is too long for its field, or the time does not fit.
-    """
-    kind, device = header.type.encode(), header.device.encode()
-    if len(kind) > TYPE_BYTES or len(device) > NAME_BYTES:
-        raise BadMessage(
-            f'the type "{header.type}" may have {TYPE_BYTES} bytes, the name "{header.device}" '
-            f"{NAME_BYTES}; they have {len(kind)} and {len(device)}"
-        )
-    if not 0 <= header.time_ns // _NS <= _LAST_SECOND:
-        raise BadMessage(f"the time {header.time_ns} ns is not between 1970 and 2106")
-    seconds, fraction = _seconds(header.time_ns)
-    size, checksum = header.body_bytes, header.checksum
-    return _HEADER.pack(header.version, kind, device, seconds, fraction, size, checksum)
-
-
 def read_header(data: bytes) -> Header:
     """Return the header that 58 bytes are.
 
@@ -147,20 +128,22 @@ def write_message(message: Message) -> bytes:
     Raises:
         BadMessage: a name, a value or the time is too long for its field.
     """
+    kind, device = message.type.encode(), message.device.encode()
+    if len(kind) > TYPE_BYTES or len(device) > NAME_BYTES:
+        raise BadMessage(
+            f'the type "{message.type}" may have {TYPE_BYTES} bytes, the name "{message.device}" '
+            f"{NAME_BYTES}; they have {len(kind)} and {len(device)}"
+        )
+    if not 0 <= message.time_ns // _NS <= _LAST_SECOND:
+        raise BadMessage(f"the time {message.time_ns} ns is not between 1970 and 2106")
     body = message.content
     if message.version > 1:
         head, values = _write_metadata(message.metadata)
         extended = _EXTENDED.pack(_EXTENDED.size, len(head), len(values), message.number)
         body = b"".join((extended, body, head, values))
-    header = Header(
-        message.version,
-        message.type,
-        message.device,
-        message.time_ns,
-        len(body),
-        crc64.ecma_182(body),
-    )
-    return write_header(header) + body
+    time = _seconds(message.time_ns)
+    checksum = crc64.ecma_182(body)
+    return _HEADER.pack(message.version, kind, device, *time, len(body), checksum) + body
 
 
 def read_body(header: Header, body: bytes) -> Message:
@@ -293,11 +276,6 @@ class Decoder:
     def partial(self) -> bool:
         """Whether a message has begun and its end is not there."""
         return bool(self._buffer) or self._header is not None or self._skip > 0
-
-    @property
-    def held_bytes(self) -> int:
-        """What is held of messages that are not complete, or not taken."""
-        return len(self._buffer)
 
     def feed(self, data: bytes) -> None:
         """Take bytes as they came."""

@@ -16,7 +16,6 @@ from service.api.tools.tip_limit import TipLimit, exceeded_reason, tip_sd_mm
 from service.pipeline.frame_batch import PoseEntry
 from service.pipeline.transform_names import TRACKER, TransformName, frame_name
 from service.protocols.openigtlink.bodies import (
-    ToolTransform,
     Tracking,
     write_position,
     write_tracking,
@@ -185,7 +184,7 @@ class Snapshot:
         """
         poses = self.poses_in(frame)
         tools = [
-            ToolTransform(pose.name.short, *pose.placed)
+            (pose.name.short, *pose.placed)
             for pose in poses
             if pose.valid and pose.placed is not None
         ]

@@ -29,11 +29,7 @@ class ToolNames:
 
 
 def name_tools(tools: Sequence[WireTool]) -> ToolNames:
-    """Name all tools; those whose name would be another's too are all refused.
-
-    Args:
-        tools: of one device.
-    """
+    """Name all tools; those whose name would be another's too are all refused."""
     known = {tool.id for tool in tools}
     names: dict[str, TransformName] = {}
     refused: dict[str, str] = {}

@@ -63,11 +63,6 @@ class Subscription:
     """One client's position and pace in a log; made and used in one event loop.
 
     It begins with the next message, or after the one that the client has.
-
-    Args:
-        request: what the client asked for.
-        log: the device's.
-        lag_s: how far a client that is not lossless may fall behind.
     """
 
     def __init__(self, request: StreamRequest, log: StreamLog, lag_s: float) -> None:
@@ -139,12 +134,7 @@ class Subscription:
 
 
 class Hub:
-    """StreamPublisher of the service: appends to the device's log, and never waits for a client.
-
-    Args:
-        kept_messages: see KEPT_MESSAGES.
-        lag_s: see LAG_S.
-    """
+    """StreamPublisher of the service: appends to the device's log, and never waits for a client."""
 
     def __init__(self, kept_messages: int = KEPT_MESSAGES, lag_s: float = LAG_S) -> None:
         self._kept_messages = kept_messages

@@ -324,13 +324,7 @@ class SequentialCursor:
 
 
 class LatestCursor:
-    """The newest frame whenever one is due, and every message that is no frame.
-
-    Args:
-        log: the device's.
-        variant: of the messages; without content there are no frames.
-        start: number from which on messages that are no frames are wanted.
-    """
+    """The newest frame whenever one is due, and every message that is no frame."""
 
     def __init__(self, log: StreamLog, variant: Variant, start: int) -> None:
         self._log = log

@@ -28,8 +28,13 @@ from hardware.simulated.scenes import StillPoints
 from hardware.simulated.settings import SimulationSettings
 from service.application.profile_device import nominal_calibration
 from service.pipeline.active_calibration import ActiveCalibration
-from service.pipeline.detection_stage import FREE_WIDTH_FIT, DetectionStage, peak_method
-from service.pipeline.expected_scans import ExpectedScans, expected_scans
+from service.pipeline.detection_stage import (
+    FREE_WIDTH_FIT,
+    DetectionStage,
+    ExpectedScans,
+    expected_scans,
+    peak_method,
+)
 from service.pipeline.frame_batch import FrameBatch
 from service.pipeline.frame_processor import MAX_FRAMES, FrameProcessor
 from service.protocols.stream.messages import (

@@ -19,8 +19,7 @@ from hardware.simulated.scenes import StillPoints
 from hardware.simulated.settings import SimulationSettings
 from service.application.profile_device import nominal_calibration
 from service.pipeline.active_calibration import ActiveCalibration
-from service.pipeline.detection_stage import DetectionStage
-from service.pipeline.expected_scans import ExpectedScans
+from service.pipeline.detection_stage import DetectionStage, ExpectedScans
 from service.pipeline.frame_processor import FrameProcessor
 
 Array = NDArray[np.float64]

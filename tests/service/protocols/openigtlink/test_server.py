@@ -12,21 +12,23 @@ from service.protocols.openigtlink.bodies import (
     Command,
     StartStream,
     StatusCode,
-    read_capability,
     read_command,
-    read_points,
-    read_position,
-    read_qtdata,
-    read_status,
     read_string,
-    read_tdata,
-    read_transform,
     write_command,
-    write_start,
     write_string,
 )
 from service.protocols.openigtlink.host import Landmark, WireTool
 from service.protocols.openigtlink.message import Message
+from tests.service.protocols.openigtlink.readers import (
+    read_capability,
+    read_points,
+    read_position,
+    read_qtdata,
+    read_status,
+    read_tdata,
+    read_transform,
+    write_start,
+)
 from tests.service.protocols.openigtlink.test_client import (
     LOOPS,
     FakeHost,

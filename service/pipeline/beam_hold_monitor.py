@@ -377,8 +377,8 @@ class BeamHoldMonitor:
             batch.peaks.position_px[scans],
             batch.peaks.sigma_px[scans].astype(np.float64),
         )
-        strobed = isinstance(spec, WatchedStrobedMarkers)
-        return self._stale_data.is_stale(spec.markers if strobed else None)
+        markers = spec.markers if isinstance(spec, WatchedStrobedMarkers) else None
+        return self._stale_data.is_stale(markers)
 
     def _decide(self, time_ns: int, observed: HoldObservation) -> BeamHoldDecision:
         if isinstance(self._monitor, PoseDeviationMonitor):

@@ -71,8 +71,9 @@ class BeamHoldRegistry:
                     before = None
                 if distrusted is not None and before is not None:
                     before.fail(distrusted, now_ns)
-                unchanged = before is not None and before.hold.key == hold.key
-                kept.append(before if unchanged else self._new_monitor(hold, before, now_ns))
+                if before is None or before.hold.key != hold.key:
+                    before = self._new_monitor(hold, before, now_ns)
+                kept.append(before)
             ids = {hold.id for hold in holds}
             for gone in self._devices.get(device_id, ()):
                 if gone.hold.id not in ids:

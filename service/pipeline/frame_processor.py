@@ -82,6 +82,8 @@ class FrameProcessor:
         """How peaks are found."""
         reads = self.detection.reads
         self._tracking = TrackingStage(device_id, len(self._names), reads=reads)
+        self.is_tracking = False
+        """Whether markers or tools are tracked."""
         self.tracking_s = 0.0
         """Time that tracking took in the newest batch [s]."""
         if reads:
@@ -106,10 +108,10 @@ class FrameProcessor:
             InvalidParameter: the calibration or the table is of other sensors; the active one
                 stays.
         """
-        models = active.calibration.models if active.calibration else None
+        models = active.calibration.models if active.calibration else ()
         for what, sensors in (
-            (f"calibration {active.calibration_id}", models and tuple(one.name for one in models)),
-            (f"correction table {active.table_id}", active.table and active.table.sensors),
+            (f"calibration {active.calibration_id}", tuple(model.name for model in models)),
+            (f"correction table {active.table_id}", active.table.sensors if active.table else ()),
         ):
             if sensors and sensors != self._names:
                 raise InvalidParameter(
@@ -122,12 +124,8 @@ class FrameProcessor:
 
     def set_tracking_config(self, tracked: TrackingConfig) -> None:
         """Switch what is tracked, between two batches; a tool that cannot be tracked says why."""
+        self.is_tracking = not tracked.nothing
         self._tracking.set_tracking_config(tracked)
-
-    @property
-    def is_tracking(self) -> bool:
-        """Whether markers or tools are tracked."""
-        return self._tracking.is_tracking
 
     def process(
         self, frames: Sequence[LineFrame], *, track: Sequence[bool] | None = None

@@ -146,11 +146,6 @@ class TrackingStage:
         self._first_number = 0  # added to the markers' numbers, which are never used again
         self._highest_number = 0
 
-    @property
-    def is_tracking(self) -> bool:
-        """Whether markers or tools are tracked."""
-        return not self._tracked.nothing
-
     def set_tracking_config(self, tracked: TrackingConfig) -> None:
         """Track other things from the next frame on; what is tracked already goes on."""
         before, self._tracked = self._tracked, tracked

@@ -15,13 +15,7 @@ API_REVISION: Final = "G.002.001"
 
 @dataclass(frozen=True)
 class Identity:
-    """What clients are told that they speak to.
-
-    Args:
-        model: the kind of tracker; some drivers look for a word in it.
-        version: ours.
-        serial: name of the device that is tracked.
-    """
+    """What clients are told that they speak to."""
 
     model: str
     version: str

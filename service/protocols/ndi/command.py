@@ -93,12 +93,7 @@ _HEX4: Final = re.compile(rb"[0-9A-Fa-f]{4}")
 
 @dataclass(frozen=True)
 class Command:
-    """A whole command.
-
-    Args:
-        name: in upper case, as ``TX``.
-        text: its parameters, without the checksum.
-    """
+    """A whole command."""
 
     name: str
     text: str

@@ -113,10 +113,6 @@ class NdiCounts:
 class NdiServer:
     """Answers many clients; each has a state of its own, and none can hold up another.
 
-    Args:
-        options: what an administrator sets.
-        feed: the poses; it is closed with the server.
-
     Attributes:
         counts: what happened since the start, of clients that have gone; see ``totals``.
         address: address and port where it listens.

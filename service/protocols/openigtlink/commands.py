@@ -42,13 +42,7 @@ class CommandRequest:
 
 @dataclass(frozen=True)
 class CommandReply:
-    """The answer to a command.
-
-    Args:
-        done: whether it was done.
-        message: what was, or why it was not.
-        values: single values, which clients of header version 2 get as metadata.
-    """
+    """The answer to a command."""
 
     done: bool
     message: str

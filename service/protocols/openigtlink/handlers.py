@@ -119,17 +119,7 @@ _MAX_WITHHELD_NAMED: Final = 5
 
 
 class MessageHandlers:
-    """Answers messages; what takes its time is awaited.
-
-    Args:
-        host: the application.
-        newest: returns the newest poses.
-        tools: returns the tools that are known.
-        counters: of the server.
-        holds: returns the STATUS of a beam hold by its name; None: there is none.
-        invalid: whether poses that are not OK are sent.
-        changes: whether clients may change anything.
-    """
+    """Answers messages; what takes its time is awaited."""
 
     def __init__(
         self,

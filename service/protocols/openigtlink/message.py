@@ -258,10 +258,6 @@ class Decoder:
 
     Holds no more than what was fed and not yet taken, and of one message at most
     ``max_body_bytes``.
-
-    Args:
-        known: types that are read; others are skipped.
-        max_body_bytes: largest body of a type that is read.
     """
 
     def __init__(self, known: Container[str], max_body_bytes: int = MAX_BODY_BYTES) -> None:

@@ -17,12 +17,7 @@ from service.protocols.openigtlink.message import CommandRefused
 
 @dataclass(frozen=True)
 class ToolNames:
-    """Names of all tools of a device.
-
-    Args:
-        names: by the tool's id.
-        refused: why others are not sent, by their id.
-    """
+    """Names of all tools of a device."""
 
     names: Mapping[str, TransformName]
     refused: Mapping[str, str]

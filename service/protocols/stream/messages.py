@@ -66,7 +66,9 @@ class StreamBatch:
         self._sensor_names = batch.sensor_names
         self._points, self._owner = batch.points, batch.owner
         self._motion, self._holds = batch.motion, batch.holds
-        self.releases = tuple({now.release for after in batch.holds for now in after} - {None})
+        self.releases = tuple(
+            {now.release for after in batch.holds for now in after if now.release}
+        )
         # Copied: the batch's arrays have room for more peaks than there are.
         peaks = batch.peaks
         self.peak_start = np.zeros(len(peaks.count) + 1, dtype=np.intp)

@@ -260,8 +260,8 @@ class _Search:
         names = " and ".join(str(one) for one in which)
         return (
             f"only sensor{'' if len(which) == 1 else 's'} {names} of {self.readings_px.shape[1]} "
-            f"saw it; its readings do not tell where it is, {MIN_SENSORS} sensors are needed to find "
-            "it"
+            f"saw it; its readings do not tell where it is, {MIN_SENSORS} sensors are needed to "
+            "find it"
         )
 
     def latest_per_marker(self) -> tuple[Array, Array, Array]:

@@ -18,7 +18,7 @@ from service.api.tools.provenance import active_ids, provenance
 from service.api.tools.registrations import REGISTRATIONS, frame_from_measured
 from service.api.tools.schema import TRACKER
 from service.api.tools.store import tools
-from service.pipeline.latest_poses import PoseEntry
+from service.pipeline.frame_batch import PoseEntry
 from service.pipeline.pipeline_manager import PipelineManager
 
 

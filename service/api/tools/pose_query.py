@@ -17,8 +17,7 @@ from service.api.tools.registrations import frame_from_measured
 from service.api.tools.rigid_bodies import tip_of
 from service.api.tools.schema import TRACKER, Pose
 from service.database.models import RegistrationRow, ToolRow
-from service.pipeline.frame_batch import pose_members
-from service.pipeline.latest_poses import PoseEntry
+from service.pipeline.frame_batch import PoseEntry, pose_members
 from service.pipeline.pipeline_manager import PipelineManager
 from service.problems.errors import UnknownTool
 

@@ -14,7 +14,8 @@ from compute.reconstruction.point_batch import PointBatch
 from compute.signal.peaks import PeakBatch
 from compute.tracking.track_batch import TrackBatch
 from hardware.line_frame import LineFrame
-from service.pipeline.beam_hold_spec import (
+from service.pipeline.frame_batch import FrameBatch, TrackingResult
+from service.pipeline.tracking_config import (
     BeamHoldConfig,
     HoldReference,
     Spec,
@@ -22,7 +23,6 @@ from service.pipeline.beam_hold_spec import (
     WatchedStrobedMarkers,
     WatchedTool,
 )
-from service.pipeline.frame_batch import FrameBatch, TrackingResult
 
 Array = NDArray[np.float64]
 MS = 1_000_000

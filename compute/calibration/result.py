@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from compute.calibration.assessment_result import Diagnosis, DistortionEstimate
 from compute.calibration.mislabels.repair import CORRECTIONS, LabelFinding
-from compute.calibration.settings import CalibrationSettings
+from compute.calibration.settings import WEAK_STRENGTH, CalibrationSettings
 from compute.camera.model import SensorModel, Vector3, vector3
 from compute.measurement.measurements import MeasurementNoise
 
@@ -134,6 +134,14 @@ class Calibration:
     def models(self) -> tuple[SensorModel, ...]:
         """The camera models in the device's order."""
         return tuple(fit.model for fit in self.sensors)
+
+
+def prior_strength(calibration: Calibration) -> float:
+    """Return the strength of the lenses' prior that a calibration was fitted with."""
+    distortion = calibration.distortion
+    if distortion is None or distortion.scale is None:
+        return WEAK_STRENGTH
+    return distortion.scale
 
 
 def measurement_noise(calibration: Calibration) -> MeasurementNoise:

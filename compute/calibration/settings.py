@@ -69,6 +69,10 @@ Loss = Literal["linear", "robust"]
 LabelPolicy = Literal["off", "report", "exclude", "repair"]
 Distortion = Literal["none", "auto"] | Preset | tuple[Term, ...]
 
+WEAK_STRENGTH: Final = 0.3
+"""Strength of the lenses' prior for terms that the user asked for: 30 % of half the field at its
+edge is several times what lenses have; it holds only what the readings leave open."""
+
 CONTROL_SIGMA_RANGE_MM: Final = (1e-6, 1e3)
 
 

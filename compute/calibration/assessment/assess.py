@@ -16,11 +16,11 @@ from compute.calibration.result import (
     count_readings,
     effective_readings,
     measurement_sigma,
+    prior_strength,
     repaired_readings,
 )
 from compute.calibration.settings import DEFAULTS, CalibrationSettings
 from compute.calibration.single_sensor.camera_fit import (
-    WEAK_STRENGTH,
     LensPrior,
     fitted_columns,
     undetermined_sensors,
@@ -198,11 +198,12 @@ def _rms(values: Array) -> float | None:
 
 def _stored_fits(calibration: Calibration, observed: ControlObservations) -> SensorFits:
     """Return the fits of a calibration to its control points."""
-    strength = WEAK_STRENGTH
-    if calibration.distortion is not None and calibration.distortion.scale is not None:
-        strength = calibration.distortion.scale
     prior = LensPrior.of(
-        calibration.models, observed.pitch_um, observed.points_mm, observed.seen, strength
+        calibration.models,
+        observed.pitch_um,
+        observed.points_mm,
+        observed.seen,
+        prior_strength(calibration),
     )
     unit = None
     if not observed.sigma_known:

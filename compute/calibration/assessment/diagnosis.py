@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.calibration.assessment_result import Diagnosis, SensorDiagnosis, Suggestion
-from compute.calibration.result import Calibration, SensorFit
-from compute.calibration.single_sensor.camera_fit import fitted_columns
+from compute.calibration.result import Calibration, SensorFit, prior_strength
+from compute.calibration.single_sensor.camera_fit import LensPrior, fitted_columns
 from compute.camera.model import vector3
 from compute.camera.stack import CameraStack
 from compute.progress import Progress, no_progress
@@ -61,7 +61,7 @@ def diagnose(
     points = np.asarray(points_mm, dtype=np.float64)
     readings = np.asarray(readings_px, dtype=np.float64)
     sensors = tuple(
-        _sensor(fit, points[rows], column[rows])
+        _sensor(fit, points[rows], column[rows], prior_strength(calibration))
         for fit, column, rows in zip(
             calibration.sensors, readings.T, np.isfinite(readings).T, strict=True
         )
@@ -71,7 +71,7 @@ def diagnose(
     return Diagnosis(sensors, mean, largest, suggestions, _remarks(calibration, sensors))
 
 
-def _sensor(fit: SensorFit, points: Array, readings: Array) -> SensorDiagnosis:
+def _sensor(fit: SensorFit, points: Array, readings: Array, strength: float) -> SensorDiagnosis:
     model = fit.model
     columns = fitted_columns(model)
     # Far from the origin, a rotation and a translation have nearly the same effect.
@@ -86,8 +86,14 @@ def _sensor(fit: SensorFit, points: Array, readings: Array) -> SensorDiagnosis:
         offset_z_mm=model.offset_z_mm + float(shift[2]),
         distortion=distortion,
     )
-    matrix = CameraStack.of([recentred]).parameter_jacobian(points - centre)[:, 0, columns]
+    stack = CameraStack.of([recentred])
+    matrix = stack.parameter_jacobian(points - centre)[:, 0, columns]
     matrix = matrix * (1.0 / fit.sigma_px)
+    if distortion is not None:
+        seen = np.ones((len(points), 1), dtype=np.bool_)
+        prior = LensPrior.of([recentred], [None], points - centre, seen, strength)
+        information = prior.gaussian(stack)[1][0, columns]
+        matrix = np.concatenate([matrix, np.diag(np.sqrt(information))])
     scale = np.linalg.norm(matrix, axis=0)
     scale = np.where(scale > 0.0, scale, 1.0)
     _, singular, right = np.linalg.svd(matrix / scale, full_matrices=False)

@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.calibration.settings import depends_on_v
+from compute.calibration.settings import WEAK_STRENGTH, depends_on_v
 from compute.camera.field_distortion import FieldDistortion, Term
 from compute.camera.model import PARAMETER_COUNT, SensorModel
 from compute.camera.stack import CameraStack
@@ -42,9 +42,6 @@ lens at the centre of its volume at least as well; its field is three times as w
 PRINCIPAL_POINT_SIGMA: Final = 0.25
 """Standard deviation of a distorting lens's principal point about the sensor's middle, relative to
 its length."""
-WEAK_STRENGTH: Final = 0.3
-"""Strength of ``LensPrior`` for terms that the user asked for: 30 % of half the field at its edge
-is several times what lenses have; it holds only what the readings leave open."""
 HIGHER_TERM_SCALE: Final = 0.3
 """Expected size of terms of the next two orders, and of terms that a centred lens has not got,
 relative to those of the order below and to those that it has."""

@@ -40,6 +40,7 @@ STRENGTHS: Final = np.array([1e-5, 3e-4, 1e-3, 2e-3, 4e-3, 8e-3, 1.6e-2, 3.2e-2]
 """Strengths of the prior, equally probable beforehand: from no distortion, 0.01 px at the edge of
 2048 pixels, to a wide lens's."""
 NOISE_ITERATIONS: Final = 3
+NOISE_TOLERANCE: Final = 0.05
 MAX_VARIANCE_ITERATIONS: Final = 30
 NO_DISTORTION_LOG_RATIO: Final = 3.0
 """Natural logarithm of the ratio of evidence from which distortion counts as shown: 20 to 1."""
@@ -110,8 +111,11 @@ def fit_distortion_scale(
         grid = _fit_grid(observed, cameras, prior, np.sqrt(weights) / sigma)
         cameras = grid.ended.cameras
         if noise is not None:
+            last = noise
             noise = _estimate_noise(observed, grid, weights, sigma, point_sigma_px)
             sigma = _total_sigma(observed, noise, point_sigma_px)
+            if np.abs(noise / last - 1.0).max() < NOISE_TOLERANCE:
+                break
     probability = grid.probability
     strength = float(np.sqrt(probability @ STRENGTHS**2))
     nearest = int(np.abs(np.log(STRENGTHS / strength)).argmin())

@@ -86,9 +86,9 @@ class CalibrationOptions(RequestModel):
 
     distortion: GivenDistortion = Field(
         default="none",
-        description="Terms of the lens's distortion: `none`, `auto` (all terms up to the fifth order, "
-        "their scale estimated from the readings of all sensors), the name of a set, or the terms "
-        "themselves as pairs of powers of the two field angles.",
+        description="Terms of the lens's distortion: `none`, `auto` (all terms up to the fifth "
+        "order, their scale estimated from the readings of all sensors), the name of a set, or the "
+        "terms themselves as pairs of powers of the two field angles.",
     )
     control_sigma_mm: Annotated[float, Field(ge=1e-6, le=1e3)] | None = Field(
         default=None,

@@ -41,7 +41,7 @@ NEW = (
 
 
 def outcome() -> Outcome:
-    """A calibration with a distortion chosen among sets, as it was once, a diagnosis and exchanged labels."""
+    """A calibration with a distortion as of a choice among sets, a diagnosis, exchanged labels."""
     rng = np.random.default_rng(4)
     points = rng.uniform((-300, -300, 1300), (300, 300, 1900), (60, 3))
     readings = CameraStack.of(nominal_calibration().models).project(points) + rng.normal(

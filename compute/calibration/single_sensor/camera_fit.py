@@ -8,6 +8,7 @@ cameras without distortion have no prior.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -269,6 +270,8 @@ def minimise(
             done |= active.undamped_decrease() <= tolerated + unresolved
         converged[index[done]] = True
         index = index[~done & (damping[index] < MAX_DAMPING)]
+    if converged.all():
+        return MinimisationResult(state, equations.squares, converged, equations.normal)
     rest = np.flatnonzero(~converged & np.isfinite(equations.squares))
     if len(rest):
         left = equations.rows(rest)
@@ -324,11 +327,12 @@ class _NormalEquations:
         return cls(normal, gradient, squares)
 
     def rows(self, index: NDArray[np.intp]) -> "_NormalEquations":
-        return _NormalEquations(*(getattr(self, field.name)[index] for field in fields(self)))
+        return _NormalEquations(self.normal[index], self.gradient[index], self.squares[index])
 
     def replace_rows(self, index: NDArray[np.intp], other: "_NormalEquations") -> None:
-        for field in fields(self):
-            getattr(self, field.name)[index] = getattr(other, field.name)
+        self.normal[index] = other.normal
+        self.gradient[index] = other.gradient
+        self.squares[index] = other.squares
 
     def steps(self, damping: Array) -> tuple[Array, Array]:
         """Return damped steps (B, W) and the decrease that the linear model predicts (B,)."""
@@ -475,7 +479,7 @@ class EquationGroup:
         singular = np.linalg.svd(self.triangles, compute_uv=False)
         return np.asarray(singular[:, -1] / np.maximum(singular[:, 0], 1e-300))
 
-    @property
+    @cached_property
     def cofactors(self) -> Array:
         """(A'A)^-1 of the design matrices A, shape (G, F, F)."""
         inverse = np.linalg.inv(self.triangles) / self.scale[:, :, None]

@@ -143,7 +143,7 @@ def fit_distortion_scale(
 def _first_noise(observed: ControlObservations, undistorted: SensorFits) -> Array:
     """Return the noise to begin with, shape (S,) [px]: residuals of cameras without distortion."""
     residuals = np.abs(np.where(observed.seen, observed.residuals_px(undistorted.models), np.nan))
-    return np.maximum(np.nanmedian(residuals, axis=0), 0.05)
+    return np.asarray(np.maximum(np.nanmedian(residuals, axis=0), 0.05))
 
 
 def _total_sigma(
@@ -210,7 +210,7 @@ def _estimate_noise(
         if np.abs(new / variance - 1.0).max() < 1e-3:
             break
         variance = new
-    return np.sqrt(new)
+    return np.asarray(np.sqrt(new))
 
 
 def _describe(grid: _Grid, strength: float, models: tuple[SensorModel, ...]) -> DistortionEstimate:

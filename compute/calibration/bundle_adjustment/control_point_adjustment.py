@@ -75,7 +75,8 @@ def adjust_control_points(
         progress: called with the fraction done and the stage.
 
     Raises:
-        NoConvergence, UndeterminedParameters: see ``adjust``.
+        NoConvergence: see ``adjust``.
+        UndeterminedParameters: see ``adjust``.
     """
     point_sigma = projected_point_sigma(fits.models, observed.points_mm, control_sigma_mm)
     used = fits.used(observed)

@@ -26,10 +26,11 @@ from compute.calibration.single_sensor.sensor_fits import (
     SensorFits,
     fit_lenses,
     moderated_variance,
-    unconverged,
+    unconverged_message,
 )
 from compute.camera.model import PARAMETER_COUNT, SensorModel
 from compute.camera.stack import CameraStack
+from compute.errors import NoConvergence
 from compute.progress import Progress, no_progress
 
 Array = NDArray[np.float64]
@@ -92,7 +93,6 @@ def fit_distortion_scale(
         The fits, and the distortion's scale in figures and words.
 
     Raises:
-        DegeneratePoints: a combination of the seven parameters is undetermined.
         NoConvergence: a search did not converge.
     """
     sensors = len(undistorted.models)
@@ -132,7 +132,10 @@ def fit_distortion_scale(
     )
     final = ended.cameras.models(starts)
     if not ended.converged.all():
-        raise unconverged(observed, starts, int(np.flatnonzero(~ended.converged)[0]))
+        column = int(np.flatnonzero(~ended.converged)[0])
+        raise NoConvergence(
+            unconverged_message(observed, starts, column), sensor=observed.sensors[column].name
+        )
     progress(1.0, "scale of the distortion")
     return (
         SensorFits(final, weights, prior, noise),

@@ -458,14 +458,16 @@ def _minimise(
         # Undetermined parameters explain the failure better than "did not converge".
         used = np.where(weights > 0.0, observed.weights, 0.0)
         check_determined(models, observed.points_mm, used, prior)
-        raise unconverged(observed, starts, column)
+        raise NoConvergence(
+            unconverged_message(observed, starts, column), sensor=observed.sensors[column].name
+        )
     return models
 
 
-def unconverged(
+def unconverged_message(
     observed: ControlObservations, starts: Sequence[SensorModel], column: int
-) -> NoConvergence:
-    """Return the error of a search with distortion that did not converge.
+) -> str:
+    """Return the message of a search with distortion that did not converge.
 
     Args:
         observed: control points and readings.
@@ -473,12 +475,11 @@ def unconverged(
         column: the sensor.
     """
     name = observed.sensors[column].name
-    return NoConvergence(
+    return (
         f"sensor {name}: the search for its {PARAMETER_COUNT} parameters and "
         f"{len(starts[column].terms)} distortion terms did not converge with its "
         f"{int(observed.seen[:, column].sum())} readings; spread the points over the field and in "
-        "depth, take fewer terms, or look for wrong labels",
-        sensor=name,
+        "depth, take fewer terms, or look for wrong labels"
     )
 
 

@@ -80,6 +80,9 @@ def metric_cameras(
         upgrade = np.eye(4)
         upgrade[:3, :3], upgrade[3, :3] = shape, plane
         cameras = reconstruction.cameras @ np.linalg.inv(upgrade @ space.homography)
+        moved = np.column_stack([space.position, np.ones(len(space.position))]) @ upgrade.T
+        depth = (moved[:, :3] / moved[:, 3:]) @ cameras[:, 1, :3].T + cameras[:, 1, 3]
+        cameras = cameras * np.sign(np.median(depth, axis=0))[:, None, None]
         found.append((cost, cameras))
     found.sort(key=lambda one: one[0])
     distinct: list[Array] = []

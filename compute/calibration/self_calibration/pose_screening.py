@@ -115,6 +115,55 @@ def find_outlier_readings(
     )
 
 
+def find_exchanges(
+    models: Sequence[SensorModel], poses: PoseSet
+) -> list[tuple[int, int, int, int]]:
+    """Find contradictory poses that agree once one sensor's readings of two markers are exchanged.
+
+    The exchange must make all readings agree, and clearly better than any other exchange.
+
+    Args:
+        models: the S cameras, held fixed.
+        poses: contradictory poses.
+
+    Returns:
+        Pose, two markers and sensor of each exchange, as indices.
+    """
+    seen = poses.seen
+    trials = [
+        (pose, first, second, sensor)
+        for pose in range(len(poses))
+        for first, second in zip(*np.triu_indices(len(poses.shape), 1), strict=True)
+        for sensor in np.flatnonzero(seen[pose, first] & seen[pose, second])
+    ]
+    if not trials:
+        return []
+    index = np.array(trials)
+    pose, first, second, sensor = index.T
+    tried = poses.select(pose)
+    row = np.arange(len(pose))
+    readings, sigma = tried.readings_px.copy(), tried.sigma_px.copy()
+    for values in (readings, sigma):
+        kept = values[row, first, sensor].copy()
+        values[row, first, sensor] = values[row, second, sensor]
+        values[row, second, sensor] = kept
+    _, chi2 = resect(models, replace(tried, readings_px=readings, sigma_px=sigma))
+    found = []
+    for number in range(len(poses)):
+        own = np.flatnonzero(pose == number)
+        dof = int(seen[number].sum()) - poses.unknowns
+        order = own[np.argsort(chi2[own], kind="stable")]
+        if len(own) == 0 or dof < 1:
+            continue
+        if chi2[order[0]] > chi2_limit(dof, CONTRADICTION_PROBABILITY):
+            continue
+        if len(order) > 1 and chi2[order[1]] - chi2[order[0]] < SINGLE_OUTLIER_RATIO_THRESHOLD:
+            continue
+        a, b, c, d = index[order[0]].tolist()
+        found.append((a, b, c, d))
+    return found
+
+
 def resect(models: Sequence[SensorModel], poses: PoseSet) -> tuple[PoseSet, Array]:
     """Fit each pose to its readings by Levenberg-Marquardt, with its own damping.
 

@@ -7,12 +7,15 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
-from scipy.stats import chi2 as chi2_distribution
 
 from compute.calibration.bundle_adjustment.data_snooping import SIGMA_FLOOR_PX
 from compute.calibration.bundle_adjustment.gauge import transform_world
 from compute.calibration.bundle_adjustment.solver import approximate_solution
-from compute.calibration.self_calibration.initial_poses import marker_distances, start_poses
+from compute.calibration.self_calibration.initial_poses import (
+    marker_distances,
+    start_poses,
+    triangulate,
+)
 from compute.calibration.self_calibration.metric_upgrade import metric_cameras
 from compute.calibration.self_calibration.pose_screening import resect, screen_poses
 from compute.calibration.self_calibration.projective_reconstruction import (
@@ -23,7 +26,9 @@ from compute.calibration.self_calibration.projective_reconstruction import (
     dual,
 )
 from compute.calibration.self_calibration.targets import Recording, Wand
+from compute.camera.field_distortion import FieldDistortion, Term
 from compute.camera.model import SensorGeometry, SensorModel, vector3
+from compute.camera.stack import CameraStack
 from compute.errors import LumilineError, NoConvergence, TooFewPoints
 from compute.robust_statistics import MAD_TO_SIGMA
 
@@ -36,6 +41,8 @@ OUTLIER_LIMIT: Final = 5.0
 """Misfit of a point over its sigma beyond which it has a wrong reading."""
 MISFIT_LIMIT: Final = 16.0
 """chi2 per reading beyond which a pose's misfit counts no more."""
+HANDEDNESS_LIMIT: Final = 0.5
+"""Smallest correlation with the described directions that settles the mirror image."""
 DIFFERENCE: Final = 0.02
 """Relative difference of inner parameters from which cameras are others."""
 
@@ -211,7 +218,9 @@ def _noise(models: tuple[SensorModel, ...], wands: Sequence[Recording]) -> float
     tested = (dof > 0) & (count > 0)
     if not tested.any():
         return float("inf")
-    ratio = squares[tested] / chi2_distribution.median(dof[tested])
+    # Median of chi-square (Wilson and Hilferty, doi:10.1073/pnas.17.12.684).
+    median = dof[tested] * (1.0 - 2.0 / (9.0 * dof[tested])) ** 3
+    ratio = squares[tested] / median
     return float(np.sqrt(np.median(ratio)))
 
 
@@ -269,6 +278,17 @@ def handedness(models: Sequence[SensorModel], pixel_directions: Array) -> float:
     return float((found * described).sum() / size) if size > 0.0 else 0.0
 
 
+def direction_vectors(angles_deg: Sequence[float]) -> Array:
+    """Return the directions of described pixels, (S, 2), for ``handedness``.
+
+    Args:
+        angles_deg: directions in which readings grow, clockwise from the right, seen from the
+            device towards the scene, shape (S,) [degrees].
+    """
+    angles = np.deg2rad(np.asarray(angles_deg, dtype=np.float64))
+    return np.stack([np.cos(angles), np.sin(angles)], axis=1)
+
+
 def pixel_directions(models: Sequence[SensorModel]) -> Array:
     """Return the directions in which readings grow, (S, 2), for ``handedness``.
 
@@ -277,6 +297,59 @@ def pixel_directions(models: Sequence[SensorModel]) -> Array:
     """
     frame = _device_rotation(models)
     return np.array([(frame @ model.rotation[0])[:2] for model in models])
+
+
+def settle_handedness(
+    models: Sequence[SensorModel], directions: Array | None
+) -> tuple[tuple[SensorModel, ...], str]:
+    """Return cameras or their mirror image, whichever agrees with a description, and a doubt.
+
+    Args:
+        models: S cameras in their own frame.
+        directions: described directions of the pixels, (S, 2), see ``handedness``; None: unknown.
+
+    Returns:
+        The cameras, and a warning where the description does not settle it, else "".
+    """
+    if directions is None:
+        return tuple(models), (
+            "The mirror image of these cameras fits the readings as well, and nothing says which "
+            "of them is right: give the directions of the sensors' pixels, or initial cameras."
+        )
+    agreement = handedness(models, directions)
+    doubt = ""
+    if abs(agreement) < HANDEDNESS_LIMIT:
+        doubt = (
+            "The described directions of the pixels do not settle which of two mirror images is "
+            f"right (correlation {agreement:.2f}, {HANDEDNESS_LIMIT} is wanted): check their "
+            "order, their signs, and that not all slits are parallel."
+        )
+    return (tuple(models) if agreement >= 0.0 else _device_frame(mirrored(models))), doubt
+
+
+def with_terms(
+    models: Sequence[SensorModel], recordings: Sequence[Recording], terms: Sequence[Term]
+) -> tuple[SensorModel, ...]:
+    """Return cameras with distortion terms of value 0, each looking at the middle of the markers.
+
+    Args:
+        models: S cameras without distortion.
+        recordings: the readings, whose markers' middle defines where v is 0.
+        terms: powers of the field angles.
+    """
+    cameras = CameraStack.of(models)
+    markers = [triangulate(cameras, one.readings_px).reshape(-1, 3) for one in recordings]
+    middle = np.nanmedian(np.concatenate(markers), axis=0)
+    coefficients = (0.0,) * len(terms)
+    return tuple(
+        replace(
+            model,
+            distortion=FieldDistortion(
+                tuple(terms), coefficients, offset_y_mm=-float(model.rotation[1] @ middle)
+            ),
+        )
+        for model in models
+    )
 
 
 def _device_rotation(models: Sequence[SensorModel]) -> Array:

@@ -41,7 +41,7 @@ from service.application.server import router as server
 from service.pipeline.pipeline_manager import PipelineManager
 from service.problems.handlers import install_problem_handlers, unknown_websocket
 from service.protocols.metrics.registry import Metrics
-from service.protocols.metrics.router import router as metrics
+from service.protocols.metrics.registry import router as metrics
 from service.protocols.stream.router import router as stream
 from service.security.guard import Guard, check_complete, confirm
 from service.security.stream_limit import StreamLimit

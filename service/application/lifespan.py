@@ -21,10 +21,13 @@ from service.database.server_lock import server_lock
 from service.jobs.run_manager import RunManager
 from service.jobs.store import running_runs
 from service.pipeline.pipeline_manager import PipelineManager
-from service.protocols.metrics.devices import LiveCollector
-from service.protocols.metrics.storage import DatabaseCollector, RecordingsCollector
+from service.protocols.metrics.collectors import (
+    DatabaseCollector,
+    LiveCollector,
+    RecordingsCollector,
+)
 from service.protocols.ndi.lifespan import ndi_running
-from service.protocols.openigtlink.lifespan import openigtlink_running
+from service.protocols.openigtlink.application_host import openigtlink_running
 from service.protocols.stream.hub import Hub
 from service.security.authenticator import Authenticator
 from service.settings import Settings

@@ -9,18 +9,17 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from threading import Thread
-from typing import Any, Final, Literal
+from typing import Any, Final
 
 import numpy as np
 
 from compute.pose.rigid_body import PoseStatus, ToolPose
 from service.cli.bench_service import Figures, run_benchmark
 from service.cli.output import console, make_table, progress, spec
-from service.pipeline.latest_poses import LatestPoses, PoseEntry
+from service.pipeline.frame_batch import LatestPoses, PoseEntry
 from service.protocols.openigtlink.counters import Counters
-from service.protocols.openigtlink.host import Caller, Landmark, WireTool
+from service.protocols.openigtlink.host import Landmark, Outcome, ServerSettings, WireTool
 from service.protocols.openigtlink.server import OpenIGTLinkServer
-from service.protocols.openigtlink.settings import ServerSettings
 
 TITLE: Final = "ten tools at 200 Hz to pyigtl, while another client connects, stalls and leaves"
 TOOLS: Final = tuple(f"tool-{number}" for number in range(10))
@@ -49,7 +48,7 @@ class _Tools:
         raise NotImplementedError
 
     async def audit(
-        self, caller: Caller, outcome: Literal["done", "refused"], detail: str | None
+        self, operation: str, address: str, outcome: Outcome, detail: str | None
     ) -> None:
         raise NotImplementedError
 

@@ -45,8 +45,7 @@ def _replay(path: Path, calibration: Path | None, table: Path | None, output: Pa
     from hardware.recording.reader import RecordingReader
     from service.api.recordings.reprocessing import reprocess
     from service.pipeline.frame_processor import FrameProcessor
-    from service.protocols.stream.encoding import encode, frame_messages
-    from service.protocols.stream.stream_batch import StreamBatch
+    from service.protocols.stream.messages import StreamBatch, encode, frame_messages
 
     with RecordingReader(path) as reader, ExitStack() as stack:
         target = typer.get_text_stream("stdout")
@@ -59,7 +58,7 @@ def _replay(path: Path, calibration: Path | None, table: Path | None, output: Pa
         done = stack.enter_context(progress("replaying", reader.info.frames))
         count = 0
         for batch in reprocess(reader, processor, given=active):
-            for message in frame_messages(StreamBatch.of(batch), frozenset({"points"})):
+            for message in frame_messages(StreamBatch(batch), frozenset({"points"})):
                 target.write(f"{encode(message, 'json')!s}\n")
             count += len(batch.frames)
             done(count)

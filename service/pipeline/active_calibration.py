@@ -57,24 +57,20 @@ class PreparedCalibration:
     """The measurement model, for frames with many markers; None: only small ones are grouped."""
 
     @classmethod
-    def of(
-        cls,
-        calibration_id: str,
-        calibration: Calibration,
-        table_id: str | None,
-        table: CorrectionTable | None,
-        compute_device: str | None,
-    ) -> Self:
-        """Prepare a calibration in milliseconds, in the thread that owns Warp.
+    def of(cls, active: ActiveCalibration, compute_device: str | None) -> Self | None:
+        """Prepare a calibration in milliseconds, in the thread that owns Warp; None: there is none.
 
         It takes longer when the calibration has more terms of distortion than any before.
         """
+        calibration, table = active.calibration, active.table
+        if active.calibration_id is None or calibration is None:
+            return None
         covariance = _covariance(calibration, table)
         models = calibration.models
         return cls(
-            calibration_id,
+            active.calibration_id,
             calibration,
-            None if table is None else table_id,
+            None if table is None else active.table_id,
             PointSolver(models, covariance, table, compute_device, threads=1),
             table,
             MeasurementModel.of(models, covariance, table),

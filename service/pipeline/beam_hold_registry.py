@@ -3,19 +3,19 @@
 import logging
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from threading import Condition, Thread
 from typing import Final
 
 from service.pipeline.beam_hold_monitor import BeamHoldMonitor
-from service.pipeline.beam_hold_spec import BeamHoldConfig
-from service.pipeline.beam_hold_state import BeamHoldState
-from service.pipeline.frame_batch import FrameBatch
+from service.pipeline.frame_batch import BeamHoldState, FrameBatch
+from service.pipeline.tracking_config import BeamHoldConfig
 
 _log = logging.getLogger(__name__)
 
 Publish = Callable[[str, BeamHoldState], None]
 """Tells the clients of a device."""
-Told = Callable[[str, BeamHoldState, bool], None]
+Listener = Callable[[str, BeamHoldState, bool], None]
 """Takes a device, one of its holds, and whether it is the last of that hold."""
 
 DELETED = "the hold was deleted"
@@ -50,7 +50,7 @@ class BeamHoldRegistry:
         self._devices: dict[str, tuple[BeamHoldMonitor, ...]] = {}
         self._told: dict[str, BeamHoldState] = {}
         self._due_s: dict[str, float] = {}
-        self._listeners: tuple[Told, ...] = ()
+        self._listeners: list[Listener] = []
         self.changed = Condition()
         """Its lock is the registry's; notified when there is another deadline to watch."""
 
@@ -72,11 +72,11 @@ class BeamHoldRegistry:
                 if distrusted is not None and before is not None:
                     before.fail(distrusted, now_ns)
                 if before is None or before.hold.key != hold.key:
-                    kept.append(self._made(hold, before, now_ns))
-                else:
-                    kept.append(before)
+                    before = self._new_monitor(hold, before, now_ns)
+                kept.append(before)
+            ids = {hold.id for hold in holds}
             for gone in self._devices.get(device_id, ()):
-                if gone.hold.id not in {hold.id for hold in holds}:
+                if gone.hold.id not in ids:
                     self._tell(gone, gone.end(DELETED, now_ns), last=True)
             self._devices[device_id] = tuple(kept)
             for watch in kept:
@@ -92,10 +92,10 @@ class BeamHoldRegistry:
         """Hold all beams of a device until ``set`` is called: its holds could not be taken over."""
         with self.changed:
             self._distrusted[device_id] = why
-            self._fail(device_id, why)
+            self.fail(device_id, why)
 
-    def listen(self, told: Told) -> Callable[[], None]:
-        """Call ``told`` with every hold now, and from now on with every change, in order.
+    def listen(self, listener: Listener) -> Callable[[], None]:
+        """Call with every hold now, and from now on with every change, in order.
 
         It is called with the registry's lock held, so it must return at once.
 
@@ -106,12 +106,12 @@ class BeamHoldRegistry:
             self._check(self._monotonic_s())
             for device_id, watches in self._devices.items():
                 for watch in watches:
-                    told(device_id, watch.now, False)
-            self._listeners = (*self._listeners, told)
+                    listener(device_id, watch.now, False)
+            self._listeners.append(listener)
 
         def end() -> None:
-            with self.changed:
-                self._listeners = tuple(one for one in self._listeners if one is not told)
+            with self.changed, suppress(ValueError):
+                self._listeners.remove(listener)
 
         return end
 
@@ -143,11 +143,8 @@ class BeamHoldRegistry:
     def fail(self, device_id: str, why: str) -> None:
         """Hold all beams of a device: it was stopped, is disconnected, or was restarted."""
         with self.changed:
-            self._fail(device_id, why)
-
-    def _fail(self, device_id: str, why: str) -> None:
-        for watch in self._devices.get(device_id, ()):
-            self._tell(watch, watch.fail(why, self._wall_ns()), anew=True)
+            for watch in self._devices.get(device_id, ()):
+                self._tell(watch, watch.fail(why, self._wall_ns()), anew=True)
 
     def forget(self, device_id: str) -> None:
         """Hold all beams of a device and forget its holds: it was deleted."""
@@ -199,7 +196,7 @@ class BeamHoldRegistry:
                 why = f"{why}; {watch.why}"
             self._tell(watch, watch.fail(why, self._wall_ns()), anew=True)
 
-    def _made(
+    def _new_monitor(
         self, hold: BeamHoldConfig, before: BeamHoldMonitor | None, now_ns: int
     ) -> BeamHoldMonitor:
         reference = hold.reference
@@ -264,9 +261,10 @@ class BeamHoldRegistry:
         if now.superseded:
             return
         told = self._told.get(hold_id)
-        if now.differs(told) or last or (anew and told is not None and told.reason != now.reason):
+        changed = told is None or (told.held, told.cause) != (now.held, now.cause)
+        if changed or last or (anew and told is not None and told.reason != now.reason):
             self._told[hold_id] = now
-            for listener in self._listeners:
+            for listener in tuple(self._listeners):
                 listener(device_id, now, last)
             self._publish(device_id, now)
         if last:
@@ -282,7 +280,7 @@ _AGAIN_S: Final = 0.05
 
 
 class BeamHoldWatchdog:
-    """Thread that checks a registry at each deadline, from ``start`` to ``close``.
+    """Thread that checks a registry at each deadline, until ``close``.
 
     The compute thread runs on frames, and the event loop may be busy with requests; this thread
     has nothing else to do, and sleeps while all beams are held.
@@ -292,9 +290,6 @@ class BeamHoldWatchdog:
         self._registry = registry
         self._closing = False
         self._thread = Thread(target=self._run, name="hold-watchdog", daemon=True)
-
-    def start(self) -> None:
-        """Start the thread."""
         self._thread.start()
 
     def close(self) -> None:

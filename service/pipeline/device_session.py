@@ -1,34 +1,191 @@
-"""DeviceSession: one running device; hands its batches to holds, poses, taps and streams."""
+"""DeviceSession: one running device; hands its batches to holds, poses, taps and streams.
+
+A computer that is too slow for all frames tracks in as many as it can, evenly, instead of in all
+for a while and then in none: tracks lose some of their readings, and no pose is late.
+"""
 
 import logging
+import math
 import time
 from bisect import bisect_left
-from collections.abc import Iterable
+from collections import Counter, deque
+from collections.abc import Iterable, Sequence
+from copy import deepcopy
 from dataclasses import dataclass, field, replace
+from statistics import median
 from threading import Lock
-from typing import Final
+from typing import Final, Protocol
 
 from compute.pose.rigid_body import PoseStatus, ToolPose
 from hardware.driver import DeviceDescription
 from hardware.line_frame import LineFrame
 from hardware.link import LinkState
-from service.pipeline.active_calibration import NO_ACTIVE_CALIBRATION
 from service.pipeline.beam_hold_registry import BeamHoldRegistry
 from service.pipeline.device_status import DeviceState, DeviceStatus
-from service.pipeline.frame_batch import FrameBatch, TrackingResult
+from service.pipeline.frame_batch import (
+    BeamHoldState,
+    FrameBatch,
+    LatestPoses,
+    PoseEntry,
+    TrackingResult,
+)
 from service.pipeline.frame_processor import MAX_FRAMES, FrameProcessor
-from service.pipeline.latest_poses import LatestPoses, PoseEntry
-from service.pipeline.load_shedding import LoadShedding
-from service.pipeline.reader_thread import FrameRing, ReaderThread
-from service.pipeline.stream_publisher import StreamPublisher
 from service.pipeline.taps import Tap
+from service.pipeline.threads import FrameRing, ReaderThread
 from service.pipeline.tracking_config import TrackingConfig
+
+SLICE_S: Final = 0.004
+"""Time for a batch when tracking skips frames: poses are late by twice that at most, and the
+devices that share the thread wait for as long."""
+BEGIN_S: Final = 0.02
+"""When frames of more time wait, tracking begins to skip frames."""
+END_S: Final = 0.25
+"""When there was time for all frames for this long, all are tracked again."""
+BEHIND_S: Final = 0.1
+"""When frames of more time wait, none is tracked: its pose would be as old."""
+CAUGHT_UP_S: Final = 0.02
+"""When no more than that waits, some are again."""
+
+_COSTS: Final = 9
+"""Batches of which the median cost counts: a search now and then, or a hiccup, does not."""
+
+
+class LoadShedding:
+    """Decides in which frames of one device tracking runs, from how many wait and what they cost.
+
+    It has no clock: times are given. All frames are tracked until frames of BEGIN_S wait. Then a
+    batch has SLICE_S, however many frames it holds, or the time of one: batches grow until that is
+    enough, and the devices of a thread get the same time each. Tracked are the frames whose strobe
+    slot was left out for the longest time, so that no marker is neglected, and of equals the
+    newest. Every n-th frame would never show some markers of a strobe whose number has a divisor
+    in common with n; whole strobe cycles with gaps between would leave longer gaps.
+
+    Args:
+        rate_hz: of the device's frames; 0: not known, then all are tracked.
+    """
+
+    def __init__(self, rate_hz: float) -> None:
+        self._period_s = 1.0 / rate_hz if rate_hz > 0.0 else 0.0
+        self.sheds = False
+        """Whether tracking may skip frames."""
+        self.behind = False
+        """Whether tracking skips all frames until it has caught up."""
+        self._tracking_s: deque[float] = deque(maxlen=_COSTS)  # of a frame
+        self._rest_s: deque[float] = deque(maxlen=_COSTS)  # of a batch
+        self._enough = 0  # frames in a row for which there was time
+        self._count = 0
+        self._last: dict[int | None, int] = {}  # newest tracked frame of each slot
+
+    def choose(self, slots: Sequence[int | None], waiting: int) -> tuple[bool, ...]:
+        """Return in which of the next frames markers and tools are tracked.
+
+        Frames behind the last tracked one are left for the next batch, so that the newest frame
+        of a batch has poses: there may be fewer answers than frames, but at least one.
+
+        Args:
+            slots: strobe slot of each frame, oldest first; None: all markers are lit.
+            waiting: frames that wait behind them.
+        """
+        later_s = (len(slots) + waiting - 1) * self._period_s
+        self.behind = later_s > (CAUGHT_UP_S if self.behind else BEHIND_S)
+        self.sheds = self.sheds or later_s > BEGIN_S
+        if self.behind:
+            self._enough = 0
+            chosen = [False] * len(slots)
+        elif self.sheds:
+            chosen = self._choose(slots, self._affordable(len(slots)))
+        else:
+            chosen = [True] * len(slots)
+        if True in chosen:
+            while not chosen[-1]:
+                chosen.pop()
+        for index, tracked in enumerate(chosen):
+            if tracked:
+                self._last[slots[index]] = self._count + index
+        self._count += len(chosen)
+        return tuple(chosen)
+
+    def count(self, tracked: int, tracking_s: float, rest_s: float) -> None:
+        """Learn what a batch cost.
+
+        Args:
+            tracked: in how many of its frames markers and tools were tracked.
+            tracking_s: how long that took [s].
+            rest_s: how long all else took [s].
+        """
+        self._rest_s.append(rest_s)
+        if tracked:
+            self._tracking_s.append(tracking_s / tracked)
+
+    def _affordable(self, frames: int) -> int:
+        """Return in how many of the frames there is time to track: in one at least."""
+        rest_s = median(self._rest_s) if self._rest_s else 0.0
+        frame_s = max(median(self._tracking_s) if self._tracking_s else 0.0, 1e-6)
+        count = min(max(1, int((SLICE_S - rest_s) / frame_s)), frames)
+        self._enough = self._enough + frames if count == frames else 0
+        if self._enough * self._period_s > END_S:
+            self.sheds, self._enough = False, 0
+        return count
+
+    def _choose(self, slots: Sequence[int | None], count: int) -> list[bool]:
+        """Choose the frame farthest from all tracked ones of its strobe slot, and so on."""
+        if count == len(slots):
+            return [True] * len(slots)
+        far = [
+            self._count + index - self._last.get(slot, -math.inf)
+            for index, slot in enumerate(slots)
+        ]
+        chosen = [False] * len(slots)
+        for _ in range(count):
+            best = max(range(len(slots)), key=lambda index: (far[index], index))
+            chosen[best] = True
+            for index, slot in enumerate(slots):
+                if slot == slots[best]:
+                    far[index] = min(far[index], abs(index - best))
+        return chosen
+
+
+class StreamPublisher(Protocol):
+    """Takes batches and changes of state; all methods may be called from any thread.
+
+    None of them waits for a client. ``service.protocols.stream.hub.Hub`` is the one of the service.
+    """
+
+    closed: str | None
+    """Why all streams have ended; None: they have not."""
+
+    def publish_batch(self, batch: FrameBatch) -> None:
+        """Send a batch of frames to the clients of its device."""
+        ...
+
+    def publish_status(
+        self,
+        device_id: str,
+        state: str,
+        reason: str | None = None,
+        link: str | None = None,
+        description: DeviceDescription | None = None,
+    ) -> None:
+        """Tell the clients of a device its state, with the description of one that runs."""
+        ...
+
+    def publish_hold(self, device_id: str, now: BeamHoldState) -> None:
+        """Tell the clients of a device, who asked for beam holds, of a change of one."""
+        ...
+
+    def subscribers(self, device_id: str) -> int:
+        """Return the number of clients of a device."""
+        ...
+
+    def end(self, device_id: str) -> None:
+        """Tell the clients of a device that it was deleted, and end their streams."""
+        ...
+
 
 _log = logging.getLogger(__name__)
 
-BOARD_SECONDS = 0.001
-"""Least time between two entries of the board: of faster devices not every frame is put up."""
-
+MIN_POSE_INTERVAL_S = 0.001
+"""Least time between two entries of the newest poses: of faster devices frames are left out."""
 BATCH_SECONDS = 0.02
 """How long the frames of one device may keep those of the others waiting."""
 
@@ -53,18 +210,16 @@ class DeviceSession:
         self.streams = streams
         self.poses = LatestPoses() if poses is None else poses
         """Where the newest poses are published."""
-        self.holds = holds
-        """The beam holds of all devices; None: there are none."""
+        self.holds = BeamHoldRegistry(streams.publish_hold) if holds is None else holds
+        """The beam holds of all devices."""
         self.pose_counts = PoseCounters()
-        self._board_s = -BOARD_SECONDS
+        self._published_s = -MIN_POSE_INTERVAL_S
         self.frames_not_tracked_count = 0
         self.load_shedding = LoadShedding(description.frame_rate_hz)
         self.reader: ReaderThread | None = None
         self._taps_lock = Lock()
         self.taps: tuple[Tap, ...] = ()
         """Who takes batches beside the streams; replaced as a whole, so that it may be read."""
-        self.active_calibration = NO_ACTIVE_CALIBRATION
-        """What batches are processed with; changed in the compute thread, as they are."""
         self.processed = 0
         self.latency = LatencyHistogram()
         """From the exposure of a batch's oldest frame until its streams have it."""
@@ -83,7 +238,7 @@ class DeviceSession:
             if not frames:
                 return False
             batch = self.processor.process(frames, track=track)
-            if self.holds is not None and self._watches_holds:
+            if self._watches_holds:
                 # Before all others: whoever holds a beam waits for nothing else.
                 batch = replace(batch, holds=self.holds.take(batch))
             if batch.motion is not None and batch.motion.poses:
@@ -116,8 +271,8 @@ class DeviceSession:
             return self.ring.take(self._batch), None
         frames, track = self.ring.take_chosen(
             self._batch,
-            lambda frames, waiting: self.load_shedding.choose(
-                [frame.marker for frame in frames], waiting
+            lambda shown, waiting: self.load_shedding.choose(
+                [one.marker for one in shown], waiting
             ),
         )
         self.frames_not_tracked_count += track.count(False)
@@ -135,20 +290,21 @@ class DeviceSession:
         """Count the poses of a batch, and put those of its newest frame up."""
         self.pose_counts.count(motion.poses)
         now = time.monotonic()
-        if self.stopped or now - self._board_s < BOARD_SECONDS:
+        if self.stopped or now - self._published_s < MIN_POSE_INTERVAL_S:
             return
-        self._board_s = now
+        self._published_s = now
         newest = batch.frames[-1]
-        entry = PoseEntry(
-            self.device_id,
-            newest.sequence,
-            newest.exposure_host_ns,
-            {pose.tool: pose for pose in motion.poses_of(len(batch.frames) - 1)},
-            batch.calibration_id,
-            self.description.frame_rate_hz,
-            batch.table_id,
+        self.poses.put(
+            PoseEntry(
+                self.device_id,
+                newest.sequence,
+                newest.exposure_host_ns,
+                {pose.tool: pose for pose in motion.poses_of(len(batch.frames) - 1)},
+                batch.calibration_id,
+                self.description.frame_rate_hz,
+                batch.table_id,
+            )
         )
-        self.poses.put(entry)
 
     def attach(self, tap: Tap) -> None:
         """Give a tap all batches from now on."""
@@ -183,8 +339,7 @@ class DeviceSession:
         if self.reader is not None:
             self.reader.close_driver()
         self.poses.remove(self.device_id)
-        if self.holds is not None:
-            self.holds.fail(self.device_id, f"the device failed: {self.failure}")
+        self.holds.fail(self.device_id, f"the device failed: {self.failure}")
         self.streams.publish_status(self.device_id, "failed", self.failure)
 
     @property
@@ -230,7 +385,7 @@ class DeviceSession:
             pass
         if not self.connected:
             self.poses.remove(self.device_id)
-            if self.holds is not None and not self.stopped:
+            if not self.stopped:
                 status = self.status()
                 why = "" if status.reason is None else f": {status.reason}"
                 self.holds.fail(self.device_id, f"the device is {status.state}{why}")
@@ -243,8 +398,7 @@ class DeviceSession:
         return DeviceStatus(
             state,
             reason,
-            self.processor.calibration_id,
-            self.processor.table_id,
+            *self.processor.calibration_ids,
             self.ring.received,
             self.ring.lost,
             self.ring.dropped,
@@ -257,19 +411,6 @@ class DeviceSession:
 
 BOUNDS_S: Final = (0.0005, 0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0)
 """Upper bounds of the classes [s]; one more, without a bound, follows."""
-
-
-@dataclass(frozen=True)
-class LatencyCounts:
-    """Numbers of batches by class of latency.
-
-    Args:
-        counts: batches in each class of BOUNDS_S, and in the one behind it.
-        sum_s: of all latencies [s].
-    """
-
-    counts: tuple[int, ...] = (0,) * (len(BOUNDS_S) + 1)
-    sum_s: float = 0.0
 
 
 class LatencyHistogram:
@@ -285,12 +426,12 @@ class LatencyHistogram:
         self._counts[bisect_left(BOUNDS_S, latency_s)] += 1
         self._sum_s += latency_s
 
-    def counts(self) -> LatencyCounts:
-        """Return the counts so far."""
-        return LatencyCounts(tuple(self._counts), self._sum_s)
+    def counts(self) -> tuple[tuple[int, ...], float]:
+        """Return the batches in each class of BOUNDS_S and behind it, and the sum [s]."""
+        return tuple(self._counts), self._sum_s
 
 
-@dataclass(frozen=True)
+@dataclass
 class ToolCounts:
     """Counts of one tool.
 
@@ -300,7 +441,7 @@ class ToolCounts:
             [ns]; None: there was none.
     """
 
-    frames: dict[PoseStatus, int] = field(default_factory=dict)
+    frames: Counter[PoseStatus] = field(default_factory=Counter)
     newest_ns: int | None = None
 
 
@@ -309,29 +450,23 @@ class PoseCounters:
 
     def __init__(self) -> None:
         self._lock = Lock()
-        self._frames: dict[str, dict[PoseStatus, int]] = {}
-        self._newest_ns: dict[str, int] = {}
+        self._tools: dict[str, ToolCounts] = {}
 
     def count(self, poses: Iterable[ToolPose]) -> None:
         """Count the poses of a batch."""
         with self._lock:
             for pose in poses:
-                frames = self._frames.setdefault(pose.tool, {})
-                frames[pose.status] = frames.get(pose.status, 0) + 1
+                tool = self._tools.setdefault(pose.tool, ToolCounts())
+                tool.frames[pose.status] += 1
                 if pose.valid:
-                    self._newest_ns[pose.tool] = pose.exposure_ns
+                    tool.newest_ns = pose.exposure_ns
 
     def keep(self, tools: Iterable[str]) -> None:
         """Forget all tools but these."""
         with self._lock:
-            kept = set(tools)
-            self._frames = {name: one for name, one in self._frames.items() if name in kept}
-            self._newest_ns = {name: at for name, at in self._newest_ns.items() if name in kept}
+            self._tools = {name: self._tools[name] for name in tools if name in self._tools}
 
     def counts(self) -> dict[str, ToolCounts]:
         """Return the counts so far, by tool."""
         with self._lock:
-            return {
-                name: ToolCounts(dict(frames), self._newest_ns.get(name))
-                for name, frames in self._frames.items()
-            }
+            return deepcopy(self._tools)

@@ -1,22 +1,107 @@
-"""FrameBatch: what the stages make of a batch of frames; TrackingResult: its tracks and poses."""
+"""FrameBatch: results of a batch of frames; LatestPoses: the newest poses of all devices."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
+import asyncio
+import math
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, fields, replace
+from functools import partial
 from math import isfinite
+from threading import Lock
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.camera.rotation import rotation_quaternion
+from compute.pose.beam_hold import BeamHoldCause
 from compute.pose.rigid_body import ToolPose
 from compute.reconstruction.point_batch import PointBatch
 from compute.signal.peaks import PeakBatch
 from compute.tracking.track_batch import TrackBatch
+from compute.transform import rotation_quaternion
 from hardware.line_frame import LineFrame
-from service.pipeline.beam_hold_state import BeamHoldState
+from service.pipeline.threads import call_in_loop
 
 Array = NDArray[np.float64]
+Vector = tuple[float, float, float]
+
+
+class BeamEnableToken:
+    """Validity of "the beam is enabled": shared by all states that say so, ended by the next hold.
+
+    Once it is over, whatever said that the beam may go on says so no more, however long it waits
+    until it is sent. Ended by whoever holds the beam, and by itself at its deadline.
+
+    Args:
+        monotonic_s: a clock that does not go back [s].
+    """
+
+    __slots__ = ("_monotonic_s", "due_s", "ended")
+
+    def __init__(self, monotonic_s: Callable[[], float]) -> None:
+        self._monotonic_s = monotonic_s
+        self.ended: BeamHoldState | None = None
+        """The state that ended it; None: none did, though its deadline may have passed."""
+        self.due_s = -math.inf
+        """When its newest measurement is too old, by that clock [s]."""
+
+    @property
+    def over(self) -> bool:
+        """Whether the beam was held since, or the deadline has passed."""
+        return self.ended is not None or self._monotonic_s() >= self.due_s
+
+
+@dataclass(frozen=True, slots=True)
+class BeamHoldState:
+    """State of a beam hold after a frame, or after an event between two frames.
+
+    Args:
+        hold_id: the hold.
+        held: whether the beam is held.
+        cause: why.
+        reason: the same for a person; None while it is not held.
+        since_ns: when it began to be, or not to be, held, on the host's clock [ns].
+        exposure_ns: middle of the exposure of the newest frame that was looked at, on the host's
+            clock [ns]; None: none was yet.
+        sequence: number of that frame.
+        shift_mm: of the target, or of the marker that is nearest to its limit [mm]; None: not
+            measured in this frame.
+        rotation_rad: rotation vector from the reference [rad]; None: not measured, or of markers.
+        probability: of being beyond the limit that is nearest to it.
+        release: while it is not held: what says whether that is still so.
+    """
+
+    hold_id: str
+    held: bool
+    cause: BeamHoldCause
+    reason: str | None
+    since_ns: int
+    exposure_ns: int | None = None
+    sequence: int | None = None
+    shift_mm: Vector | None = None
+    rotation_rad: Vector | None = None
+    probability: float | None = None
+    release: BeamEnableToken | None = field(default=None, compare=False, repr=False)
+
+    @property
+    def superseded(self) -> bool:
+        """Whether it says "enabled", and the beam was held since."""
+        return not self.held and self.release is not None and self.release.over
+
+    @property
+    def standing(self) -> "BeamHoldState":
+        """The state as it is to be reported now: held, where the beam was held since."""
+        if not self.superseded:
+            return self
+        assert self.release is not None
+        by = self.release.ended
+        if by is None:
+            why = "nothing was measured since for longer than is allowed"
+            return replace(self, held=True, cause=BeamHoldCause.NO_DATA, reason=why, release=None)
+        return replace(
+            self, held=True, cause=by.cause, reason=by.reason, since_ns=by.since_ns, release=None
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,6 +178,10 @@ class FrameBatch:
     motion: TrackingResult | None = None
     holds: tuple[tuple[BeamHoldState, ...], ...] = ()
 
+    def points_of(self, frame: int) -> PointBatch:
+        """Return the points of the frame with this index."""
+        return self.points.part(*self.owner.searchsorted((frame, frame + 1)).tolist())
+
 
 def pose_members(pose: ToolPose) -> dict[str, Any]:
     """Return a pose as JSON values: the members of ToolPose, and its rotation as a quaternion."""
@@ -123,3 +212,70 @@ def _values(array: Array | None) -> list[Any] | None:
         return None
     found: list[Any] = array.tolist()
     return found
+
+
+@dataclass(frozen=True, eq=False)
+class PoseEntry:
+    """All poses of one device at one instant.
+
+    Args:
+        device_id: the device.
+        sequence: number of the frame.
+        exposure_ns: middle of its exposure on the host's clock [ns].
+        poses: of all tools of the device, by name; those that are not seen too.
+        calibration_id: the active calibration.
+        frame_rate_hz: frames of the device per second; 0 when not known.
+        table_id: the active correction table; None: none.
+        arrived_s: when it was made, as time.monotonic() counts [s]: the wall clock may be set.
+    """
+
+    device_id: str
+    sequence: int
+    exposure_ns: int
+    poses: Mapping[str, ToolPose]
+    calibration_id: str | None
+    frame_rate_hz: float = 0.0
+    table_id: str | None = None
+    arrived_s: float = field(default_factory=time.monotonic)
+
+
+class LatestPoses:
+    """Newest poses of all devices; the compute thread writes, and never waits for a reader."""
+
+    def __init__(self) -> None:
+        """Begin without any entry."""
+        self._lock = Lock()
+        self._newest: dict[str, PoseEntry] = {}
+        self._listeners: list[Callable[[PoseEntry], None]] = []
+
+    def put(self, entry: PoseEntry) -> None:
+        """Replace the entry of a device, and call the listeners in their loops."""
+        with self._lock:
+            self._newest[entry.device_id] = entry
+        for listener in tuple(self._listeners):
+            listener(entry)
+
+    def newest(self) -> dict[str, PoseEntry]:
+        """Return the newest entry of every device that has tools."""
+        with self._lock:
+            return dict(self._newest)
+
+    def remove(self, device_id: str) -> None:
+        """Remove the entry of a device: it has stopped, or has no tools any more."""
+        with self._lock:
+            self._newest.pop(device_id, None)
+
+    def listen(self, call: Callable[[PoseEntry], None]) -> Callable[[], None]:
+        """Call in the running event loop with every newer entry.
+
+        Returns:
+            What ends it; may be called again.
+        """
+        listener = partial(call_in_loop, asyncio.get_running_loop(), call)
+        self._listeners.append(listener)
+
+        def end() -> None:
+            with suppress(ValueError):
+                self._listeners.remove(listener)
+
+        return end

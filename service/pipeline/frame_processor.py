@@ -3,41 +3,48 @@
 A batch of frames of one device goes through these stages; each takes what the ones before it made:
 
 1. ``detection_stage``: pixels to peaks (position, sigma, width, flags).
-2. ``point_stage.weigh_peaks``: peaks to measurements, by the one policy for their flags.
-3. ``point_stage.solve_points``: measurements to points: correspondence, then triangulation.
+2. ``weigh_peaks``: peaks to measurements, by the one policy for their flags.
+3. ``solve_points``: measurements to points: correspondence, then triangulation.
 4. ``tracking_stage``: measurements to tracks of markers, then to poses of tools.
 
-Before them stand the reader thread and its ring (``reader_thread``), and the thread that calls them
-(``compute_thread``, ``device_session``). Behind them ``device_session`` steps the beam holds
-(``beam_hold_registry``), puts up the newest poses (``latest_poses``), offers the batch to taps
-(``taps``), and hands it to the streams (``stream_publisher``).
+Before them stand the threads and the ring between them (``threads``); ``device_session`` takes
+frames from it. Behind them ``device_session`` steps the beam holds (``beam_hold_registry``),
+publishes the newest poses, offers the batch to taps (``taps``), and hands it to the streams.
 """
 
 import time
 from collections.abc import Sequence
+from dataclasses import replace
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from compute.calibration.result import Calibration
 from compute.errors import InvalidParameter
-from compute.mapping.table import CorrectionTable
-from compute.reconstruction.point_batch import PointBatch
+from compute.measurement.flag_policy import FlagPolicy
+from compute.measurement.measurements import Measurements
+from compute.reconstruction.correspondence.grouping import group_peaks
+from compute.reconstruction.point_batch import PointBatch, PointFlag
 from compute.reconstruction.solver import load_kernels
 from compute.signal.peaks import PeakBatch
 from hardware.driver import DeviceDescription
 from hardware.line_frame import LineFrame
-from service.pipeline.active_calibration import PreparedCalibration
-from service.pipeline.compute_thread import limit_blas_threads
-from service.pipeline.detection_stage import DetectionStage
-from service.pipeline.expected_scans import ExpectedScans, expected_scans
+from service.pipeline.active_calibration import (
+    NO_ACTIVE_CALIBRATION,
+    ActiveCalibration,
+    PreparedCalibration,
+)
+from service.pipeline.detection_stage import DetectionStage, ExpectedScans, expected_scans
 from service.pipeline.frame_batch import FrameBatch
-from service.pipeline.point_stage import solve_points, weigh_peaks
-from service.pipeline.tracker_factory import TrackerFactory
+from service.pipeline.threads import limit_blas_threads
 from service.pipeline.tracking_config import TrackingConfig
 from service.pipeline.tracking_stage import TrackingStage
 
 MAX_FRAMES = 64
 """Most frames that are processed together."""
+MAX_SIMULTANEOUS_MARKERS: Final = 12
+"""Peaks of a sensor up to which markers lit together are told apart, in some milliseconds a frame.
+On four sensors more of them are mostly ambiguous, and take longer than frames come."""
 
 
 class FrameProcessor:
@@ -53,7 +60,6 @@ class FrameProcessor:
         description: DeviceDescription,
         compute_device: str | None = None,
         model: ExpectedScans | None = None,
-        make: TrackerFactory | None = None,
     ) -> None:
         """Load the kernels.
 
@@ -63,19 +69,23 @@ class FrameProcessor:
             compute_device: as of FitFinder.
             model: what is known of its scans; None: that of the built-in profile which the
                 description names.
-            make: makes the trackers of markers and tools; None: those of compute.
         """
         limit_blas_threads()
         self._device_id = device_id
         self._names = tuple(sensor.name for sensor in description.sensors)
-        self._active: PreparedCalibration | None = None
-        model = expected_scans(description) if model is None else model
-        self._detection = DetectionStage(description, MAX_FRAMES, model, compute_device)
         self._compute_device = compute_device
-        reads = self._detection.reads
-        self._tracking = TrackingStage(device_id, len(self._names), reads=reads, make=make)
-        self._is_tracking = False
-        self._tracking_s = 0.0
+        self.active_calibration = NO_ACTIVE_CALIBRATION
+        """What batches are processed with."""
+        self._prepared: PreparedCalibration | None = None
+        model = expected_scans(description) if model is None else model
+        self.detection = DetectionStage(description, MAX_FRAMES, model, compute_device)
+        """How peaks are found."""
+        reads = self.detection.reads
+        self._tracking = TrackingStage(device_id, len(self._names), reads=reads)
+        self.is_tracking = False
+        """Whether markers or tools are tracked."""
+        self.tracking_s = 0.0
+        """Time that tracking took in the newest batch [s]."""
         if reads:
             # Here: what tracks tools loads only where frames are processed.
             from compute.pose.filtering.native.strobed_step import load_kernels as load_steps
@@ -84,29 +94,12 @@ class FrameProcessor:
             load_steps(len(self._names))
 
     @property
-    def detection(self) -> DetectionStage:
-        """How peaks are found."""
-        return self._detection
+    def calibration_ids(self) -> tuple[str | None, str | None]:
+        """The active calibration and its correction table."""
+        prepared = self._prepared
+        return (prepared.calibration_id, prepared.table_id) if prepared else (None, None)
 
-    @property
-    def calibration_id(self) -> str | None:
-        """The active calibration."""
-        active = self._active
-        return active.calibration_id if active else None
-
-    @property
-    def table_id(self) -> str | None:
-        """The active correction table."""
-        active = self._active
-        return active.table_id if active else None
-
-    def set_calibration(
-        self,
-        calibration_id: str | None,
-        calibration: Calibration | None,
-        table_id: str | None = None,
-        table: CorrectionTable | None = None,
-    ) -> None:
+    def set_calibration(self, active: ActiveCalibration) -> None:
         """Switch the calibration and its correction table, between two batches.
 
         Takes milliseconds, unless the calibration has more terms of distortion than any before.
@@ -115,39 +108,24 @@ class FrameProcessor:
             InvalidParameter: the calibration or the table is of other sensors; the active one
                 stays.
         """
-        if calibration_id is None or calibration is None:
-            self._active = None
-            self._tracking.set_calibration(None)
-            return
-        names = tuple(model.name for model in calibration.models)
-        for what, own in (
-            (f"calibration {calibration_id}", names),
-            (f"correction table {table_id}", table.sensors if table else self._names),
+        models = active.calibration.models if active.calibration else ()
+        for what, sensors in (
+            (f"calibration {active.calibration_id}", tuple(model.name for model in models)),
+            (f"correction table {active.table_id}", active.table.sensors if active.table else ()),
         ):
-            if own != self._names:
+            if sensors and sensors != self._names:
                 raise InvalidParameter(
-                    f"{what} is of the sensors {', '.join(own)}; the device has "
+                    f"{what} is of the sensors {', '.join(sensors)}; the device has "
                     f"{', '.join(self._names)}"
                 )
-        self._active = PreparedCalibration.of(
-            calibration_id, calibration, table_id, table, self._compute_device
-        )
-        self._tracking.set_calibration(self._active)
+        self._prepared = PreparedCalibration.of(active, self._compute_device)
+        self.active_calibration = active
+        self._tracking.set_calibration(self._prepared)
 
     def set_tracking_config(self, tracked: TrackingConfig) -> None:
         """Switch what is tracked, between two batches; a tool that cannot be tracked says why."""
-        self._is_tracking = not tracked.nothing
+        self.is_tracking = not tracked.nothing
         self._tracking.set_tracking_config(tracked)
-
-    @property
-    def is_tracking(self) -> bool:
-        """Whether markers or tools are tracked."""
-        return self._is_tracking
-
-    @property
-    def tracking_s(self) -> float:
-        """Time that tracking took in the newest batch [s]."""
-        return self._tracking_s
 
     def process(
         self, frames: Sequence[LineFrame], *, track: Sequence[bool] | None = None
@@ -161,11 +139,9 @@ class FrameProcessor:
             track: of each frame, whether markers and tools are tracked in it; None: in all. The
                 poses of others say that the frame was skipped.
         """
-        if len(frames) == 1:
-            lines = frames[0].lines
-        else:
-            lines = np.concatenate([frame.lines for frame in frames])
-        return self.process_peaks(frames, self._detection.find(lines), track=track)
+        one = len(frames) == 1
+        lines = frames[0].lines if one else np.concatenate([frame.lines for frame in frames])
+        return self.process_peaks(frames, self.detection.find(lines), track=track)
 
     def process_peaks(
         self,
@@ -175,26 +151,123 @@ class FrameProcessor:
         track: Sequence[bool] | None = None,
     ) -> FrameBatch:
         """Run the stages behind detection; arguments as of ``process``, with the frames' peaks."""
-        active = self._active
+        active = self._prepared
         measurements = None
-        if active is None or not self._detection.reads:
+        if active is None or not self.detection.reads:
             points, owner = PointBatch.empty(len(self._names)), np.empty(0, dtype=np.intp)
         else:
-            measurements = weigh_peaks(active, frames, peaks, self._detection.flag_policy)
+            measurements = weigh_peaks(active, frames, peaks, self.detection.flag_policy)
             points, owner = solve_points(active, frames, measurements)
         motion = None
-        if self._is_tracking:
+        if self.is_tracking:
             begin = time.perf_counter()
             motion = self._tracking.find(frames, measurements, points, owner, track)
-            self._tracking_s = time.perf_counter() - begin
+            self.tracking_s = time.perf_counter() - begin
         return FrameBatch(
             self._device_id,
             self._names,
-            active.calibration_id if active else None,
-            active.table_id if active else None,
+            *self.calibration_ids,
             tuple(frames),
             peaks,
             points,
             owner,
             motion,
         )
+
+
+def weigh_peaks(
+    active: PreparedCalibration, frames: Sequence[LineFrame], peaks: PeakBatch, policy: FlagPolicy
+) -> Measurements:
+    """Return the measurements of F frames, by which points, tracks and tools are found.
+
+    The calibration's misfit is in the standard deviations, where no correction table takes it
+    away.
+
+    Args:
+        active: the active calibration, of S sensors.
+        frames: F frames.
+        peaks: peaks of their F x S scans, K a scan at most.
+        policy: what the peaks' flags mean.
+
+    Returns:
+        Measurements of shape (F, S, K).
+    """
+    noise = active.measurement_noise
+    shape = (len(frames), len(noise.sensor_sigma_px), -1)
+    position, flags = peaks.position_px.reshape(shape), peaks.flags.reshape(shape)
+    # By frame, peak and sensor for the calibration's figures, which are by sensor.
+    own = peaks.sigma_px.reshape(shape).astype(np.float64).transpose(0, 2, 1)
+    sigma = noise.sigma(own)
+    if active.table_id is not None:
+        # The calibration's misfit, which would widen them, is what the table takes away.
+        sigma = np.where(np.isfinite(own), own, sigma)
+    amplitude = peaks.amplitude.reshape(shape)
+    return Measurements.weigh(position, sigma.transpose(0, 2, 1), flags, amplitude, policy)
+
+
+def solve_points(
+    active: PreparedCalibration, frames: Sequence[LineFrame], measurements: Measurements
+) -> tuple[PointBatch, NDArray[np.intp]]:
+    """Return the points of F frames, and the index of the frame that each belongs to.
+
+    Args:
+        active: the active calibration, of S sensors.
+        frames: F frames.
+        measurements: of the frames, shape (F, S, K).
+    """
+    strobed = [index for index, frame in enumerate(frames) if frame.marker is not None]
+    parts: list[tuple[int, PointBatch]] = []
+    if len(strobed) == len(frames):
+        points = _solve_strobed(active, measurements)
+        return points, np.arange(len(frames), dtype=np.intp)
+    if strobed:
+        points = _solve_strobed(active, measurements.exposure(np.array(strobed)))
+        parts += [(frame, points.part(row, row + 1)) for row, frame in enumerate(strobed)]
+    for index, frame in enumerate(frames):
+        if frame.marker is None:
+            parts.append((index, _solve_simultaneous(active, measurements.exposure(index))))
+    parts.sort(key=lambda part: part[0])
+    owner = np.repeat([index for index, _ in parts], [len(points) for _, points in parts])
+    return PointBatch.concatenate([points for _, points in parts]), owner.astype(np.intp)
+
+
+def _solve_strobed(active: PreparedCalibration, measurements: Measurements) -> PointBatch:
+    """Return one point for each of the frames, which are all strobed.
+
+    A strobed exposure shows one marker: the brightest peak is it, weaker ones are reflections.
+    """
+    position = measurements.position_px
+    frames, sensors, peaks = position.shape
+    # Indices into the flattened arrays: only the chosen peaks are read.
+    at = np.arange(0, position.size, peaks).reshape(frames, sensors)
+    if peaks > 1:
+        light = np.where(measurements.usable, measurements.amplitude, -1.0)
+        at += light.argmax(axis=2)
+    points = active.solver.solve(position.take(at), np.sqrt(measurements.variance_px2.take(at)))
+    if not np.count_nonzero(measurements.suspect):
+        return points
+    return _flag_points(points, None, measurements.suspect.take(at))
+
+
+def _solve_simultaneous(active: PreparedCalibration, measurements: Measurements) -> PointBatch:
+    """Return the points of a frame in which all markers are lit."""
+    few = int(measurements.count.max(initial=0)) <= MAX_SIMULTANEOUS_MARKERS
+    groups = group_peaks(active.solver.solve, measurements, model=active.model if few else None)
+    suspect = measurements.suspect
+    if not np.count_nonzero(suspect):
+        return _flag_points(groups.points, groups.ambiguous, None)
+    sensor = np.arange(len(measurements))
+    chosen = suspect[sensor, groups.peaks] & (groups.peaks >= 0)
+    return _flag_points(groups.points, groups.ambiguous, chosen)
+
+
+def _flag_points(
+    points: PointBatch, ambiguous: NDArray[np.bool_] | None, suspect: NDArray[np.bool_] | None
+) -> PointBatch:
+    """Return the points with the flags of ambiguous groups (N,) and suspect peaks (N, S)."""
+    flags = points.flags
+    if ambiguous is not None and ambiguous.any():
+        flags = flags | np.where(ambiguous, int(PointFlag.AMBIGUOUS), 0)
+    if suspect is not None and suspect.any():
+        flags = flags | np.where(suspect.any(axis=1), int(PointFlag.SUSPECT_PEAK), 0)
+    return points if flags is points.flags else replace(points, flags=flags.astype(np.int32))

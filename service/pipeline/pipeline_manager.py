@@ -1,7 +1,6 @@
 """PipelineManager: starts and stops devices and their threads; the API's door to the pipeline."""
 
 import logging
-import time
 from collections.abc import Callable
 from threading import RLock
 
@@ -13,21 +12,23 @@ from hardware.driver import DeviceDescription, Driver
 from hardware.link import LinkedDriver, LinkState
 from service.pipeline.active_calibration import NO_ACTIVE_CALIBRATION, ActiveCalibration
 from service.pipeline.beam_hold_registry import BeamHoldRegistry, BeamHoldWatchdog
-from service.pipeline.compute_thread import ComputeThread
-from service.pipeline.device_connector import DeviceConnector
-from service.pipeline.device_session import DeviceSession, LatencyCounts, ToolCounts
-from service.pipeline.device_status import DeviceStatus
-from service.pipeline.expected_scans import (
+from service.pipeline.detection_stage import (
     ExpectedScans,
     FindProfile,
     built_in_profile,
     expected_scans,
 )
+from service.pipeline.device_connector import DeviceConnector
+from service.pipeline.device_session import (
+    DeviceSession,
+    StreamPublisher,
+    ToolCounts,
+)
+from service.pipeline.device_status import DeviceStatus
+from service.pipeline.frame_batch import LatestPoses
 from service.pipeline.frame_processor import FrameProcessor
-from service.pipeline.latest_poses import LatestPoses
-from service.pipeline.reader_thread import FrameRing, ReaderThread
-from service.pipeline.stream_publisher import StreamPublisher
-from service.pipeline.taps import PeakTap, Tap
+from service.pipeline.taps import PeakTap, Tap, looks
+from service.pipeline.threads import ComputeThread, FrameRing, ReaderThread
 from service.pipeline.tracking_config import NO_TRACKING, TrackingConfig
 from service.problems.errors import DeviceNotRunning
 
@@ -37,7 +38,6 @@ RING_SECONDS = 2.0
 MIN_RING_FRAMES = 256
 FIRST_ATTEMPT_S = 3.0
 """How long a start waits for a device that may not be there; then it goes on by itself."""
-_LOOK_S = 0.1
 STOPPED = "the device is stopped"
 NOT_AS_STORED = (
     "what is stored of it could not be taken over (the log says why); change the hold, or start "
@@ -74,11 +74,9 @@ class PipelineManager:
         self.holds = BeamHoldRegistry(streams.publish_hold)
         """Whether beams are held."""
         self._watchdog = BeamHoldWatchdog(self.holds)
-        self._watchdog.start()
         self._compute_device = compute_device
         self._find_profile = find_profile
         self._compute = ComputeThread()
-        self._compute.start()
         # Read without the lock, which may be held while a driver is opened or closed.
         self._sessions: dict[str, DeviceSession] = {}
         self._openings: dict[str, DeviceConnector] = {}
@@ -166,7 +164,6 @@ class PipelineManager:
                 device_id,
                 driver,
                 session.ring,
-                lambda: self._compute.submit(session.publish_change),
                 lambda: self._compute.submit(session.publish_change),
             )
             self._compute.submit(lambda: self._compute.add(device_id, session.work)).result()
@@ -259,17 +256,11 @@ class PipelineManager:
         """Return what is tracked of a device, or will be once it is started."""
         return self._tracked.get(device_id, NO_TRACKING)
 
-    def _set(self, session: DeviceSession, found: ActiveCalibration) -> None:
+    def _set(self, session: DeviceSession, active: ActiveCalibration) -> None:
         """Hand calibration and table to the processor, between two batches in its own thread."""
-        given = found.calibration_id, found.calibration, found.table_id, found.table
         for tap in session.taps:
-            tap.prepare(found)
-
-        def switch() -> None:
-            session.processor.set_calibration(*given)
-            session.active_calibration = found
-
-        self._compute.submit(switch).result()
+            tap.prepare(active)
+        self._compute.submit(lambda: session.processor.set_calibration(active)).result()
 
     def status(self, device_id: str) -> DeviceStatus:
         """Return the device's status; "stopped" for one never started. Never waits."""
@@ -286,8 +277,8 @@ class PipelineManager:
         reason = self._refused.get(device_id)
         return DeviceStatus("failed" if reason else "stopped", reason, subscribers=subscribers)
 
-    def latencies(self) -> dict[str, LatencyCounts]:
-        """Return the latencies of every device that was started. Never waits."""
+    def latencies(self) -> dict[str, tuple[tuple[int, ...], float]]:
+        """Return the latencies of batches by class, and their sum [s], by device. Never waits."""
         return {name: session.latency.counts() for name, session in tuple(self._sessions.items())}
 
     def pose_counts(self) -> dict[str, dict[str, ToolCounts]]:
@@ -315,7 +306,7 @@ class PipelineManager:
 
     def attach(self, session: DeviceSession, tap: Tap) -> None:
         """Give a tap all batches of a session from now on."""
-        tap.prepare(session.active_calibration)
+        tap.prepare(session.processor.active_calibration)
         session.attach(tap)
 
     def detach(self, session: DeviceSession, tap: Tap) -> None:
@@ -334,7 +325,7 @@ class PipelineManager:
             timeout_s: how long they are waited for; then there are fewer.
 
         Returns:
-            Positions and their deviations [px], shape (F, S); NaN where a sensor saw no clear
+            Positions and their sigmas [px], shape (F, S); NaN where a sensor saw no clear
             peak.
 
         Raises:
@@ -344,14 +335,11 @@ class PipelineManager:
         if session is None or not session.connected:
             raise self._not_running(device_id)
         tap = PeakTap(session.ring.last_sequence, frames, marker)
-        end = time.monotonic() + timeout_s
         self.attach(session, tap)
         try:
-            while not tap.wait(max(0.0, min(_LOOK_S, end - time.monotonic()))):
+            for _ in looks(tap.ended, timeout_s):
                 if not session.connected:
                     raise self._not_running(device_id)
-                if time.monotonic() >= end:
-                    break
         finally:
             self.detach(session, tap)
         return tap.readings(len(session.description.sensors))

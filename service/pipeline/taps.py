@@ -1,8 +1,8 @@
 """Taps: consumers of a running device's batches beside the streams."""
 
 import time
-from collections.abc import Callable
-from threading import Condition, Event
+from collections.abc import Callable, Iterator
+from threading import Event
 from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
@@ -55,7 +55,8 @@ class PeakTap:
         self._wanted = frames
         self._marker = marker
         self._rows: list[tuple[Array, Array]] = []
-        self._changed = Condition()
+        self.ended = Event()
+        """Set when all frames are there."""
 
     def prepare(self, found: ActiveCalibration) -> None:
         """Do nothing: readings do not depend on it."""
@@ -69,23 +70,14 @@ class PeakTap:
                 continue
             lines = slice(index * sensors, (index + 1) * sensors)
             taken.append(_readings(batch, lines, strobed=frame.marker is not None))
-        if taken:
-            with self._changed:
-                self._rows += taken[: self._wanted - len(self._rows)]
-                self._changed.notify_all()
-
-    def wait(self, timeout_s: float) -> bool:
-        """Return whether all frames are there, after at most so long."""
-        with self._changed:
-            return self._changed.wait_for(lambda: len(self._rows) >= self._wanted, timeout_s)
+        self._rows += taken[: self._wanted - len(self._rows)]
+        if len(self._rows) >= self._wanted:
+            self.ended.set()
 
     def readings(self, sensors: int) -> tuple[Array, Array]:
-        """Return positions and their deviations [px], shape (frames, sensors), NaN: not seen."""
-        with self._changed:
-            rows = list(self._rows)
-        if not rows:
-            return np.empty((0, sensors)), np.empty((0, sensors))
-        return np.array([row[0] for row in rows]), np.array([row[1] for row in rows])
+        """Return positions and their sigmas [px], shape (frames, sensors), NaN: not seen."""
+        position, sigma = np.array(list(self._rows)).reshape(-1, 2, sensors).swapaxes(0, 1)
+        return position, sigma
 
 
 def _readings(batch: FrameBatch, lines: slice, *, strobed: bool) -> tuple[Array, Array]:
@@ -159,6 +151,13 @@ class SingleCalibrationTap:
 _LOOK_S: Final = 0.1
 
 
+def looks(ended: Event, seconds: float) -> Iterator[None]:
+    """Yield several times a second, for some seconds, or until an event is set."""
+    end = time.monotonic() + seconds
+    while (left := end - time.monotonic()) > 0 and not ended.wait(min(_LOOK_S, left)):
+        yield
+
+
 def collect(
     live: "PipelineManager",
     session: "DeviceSession",
@@ -177,8 +176,7 @@ def collect(
     """
     live.attach(session, tap)
     try:
-        end = time.monotonic() + seconds
-        while (left := end - time.monotonic()) > 0 and not ended.wait(min(_LOOK_S, left)):
+        for _ in looks(ended, seconds):
             if live.streams.closed is not None:
                 raise NotReady(
                     f"{live.streams.closed}; what was measured so far is not kept, do it again "

@@ -2,12 +2,13 @@
 
 import logging
 from collections.abc import Sequence
-from dataclasses import replace
-from typing import Final
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.camera.stack import CameraStack
 from compute.errors import LumilineError
 from compute.measurement.measurements import Measurements
 from compute.pose.rigid_body import PoseStatus, RigidBody, ToolPose
@@ -17,13 +18,11 @@ from compute.tracking.track_batch import TrackBatch
 from hardware.line_frame import LineFrame
 from service.pipeline.active_calibration import PreparedCalibration
 from service.pipeline.frame_batch import TrackingResult
-from service.pipeline.tracker_factory import (
-    DefaultTrackerFactory,
-    MarkerTrackerProtocol,
-    ToolTrackerProtocol,
-    TrackerFactory,
-)
 from service.pipeline.tracking_config import NO_TRACKING, TrackingConfig
+
+if TYPE_CHECKING:
+    from compute.pose.tool_tracking.tool_tracker import ToolTracker
+    from compute.tracking.tracker import Tracker
 
 _log = logging.getLogger(__name__)
 
@@ -36,21 +35,71 @@ MAX_BACKOFF_S: Final = 30.0
 """Of these: a tool that always fails costs next to nothing, and a line of the log now and then."""
 
 
-class _Group:
-    """Tools that are tracked together; a fault in one of them is a fault of its group."""
+class TrackerFactory:
+    """Makes the trackers of compute, which load when a device first needs them."""
 
-    def __init__(
+    def markers(self, active: PreparedCalibration, tracked: TrackingConfig) -> "Tracker":
+        """Return the marker tracker."""
+        from compute.tracking.settings import TrackerSettings
+        from compute.tracking.tracker import Tracker
+
+        models = active.calibration.models
+        return Tracker(
+            CameraStack.of(models),
+            tracked.tracker or TrackerSettings(),
+            active.covariance,
+            active.table,
+            tuple(model.pixels for model in models),
+        )
+
+    def tools(
         self,
+        active: PreparedCalibration,
+        tracked: TrackingConfig,
         tools: Sequence[RigidBody],
-        tracker: ToolTrackerProtocol | None,
-        reason: str,
-        faults: int = 0,
-    ):
-        self.tools = tuple(tools)
-        self.tracker = tracker
-        self.reason = reason  # why there is no tracker
-        self.faults = faults  # of its trackers so far
-        self.failed_ns: int | None = None  # on the device's clock; None: it never began
+        before: "ToolTracker | None",
+    ) -> "ToolTracker":
+        """Return the tracker of these tools.
+
+        It adopts the state that ``before``, of the same calibration, has of the same tools.
+
+        Raises:
+            LumilineError: one of them cannot be tracked.
+        """
+        from compute.pose.settings import ToolTrackerSettings
+        from compute.pose.tool_tracking.tool_tracker import ToolTracker
+
+        models = active.calibration.models
+        tracker = ToolTracker(
+            CameraStack.of(models),
+            tools,
+            tracked.tool_tracker or ToolTrackerSettings(),
+            active.covariance,
+            active.table,
+            tuple(model.pixels for model in models),
+        )
+        if before is not None:
+            tracker.adopt_state(before)
+        return tracker
+
+
+@dataclass(eq=False)
+class _Group:
+    """Tools that are tracked together; a fault in one of them is a fault of its group.
+
+    Args:
+        tools: the tools.
+        tracker: their tracker; None: there is none.
+        reason: why there is none.
+        faults: of its trackers so far.
+        failed_ns: when it failed, on the device's clock [ns]; None: it never began.
+    """
+
+    tools: Sequence[RigidBody]
+    tracker: "ToolTracker | None"
+    reason: str = ""
+    faults: int = 0
+    failed_ns: int | None = None
 
     def may_restart(self, now_ns: int) -> bool:
         """Whether what failed is to be tried again: after twice the time of the time before."""
@@ -85,10 +134,10 @@ class TrackingStage:
         self._device_id = device_id
         self._sensors = sensors
         self._reads = reads
-        self._make: TrackerFactory = DefaultTrackerFactory() if make is None else make
+        self._make = make or TrackerFactory()
         self._tracked = NO_TRACKING
         self._active: PreparedCalibration | None = None
-        self._markers: MarkerTrackerProtocol | None = None
+        self._markers: Tracker | None = None
         self._names: BlinkIdentifier | None = None
         self._groups: list[_Group] = []
         self._restarts = 0
@@ -96,41 +145,28 @@ class TrackingStage:
         self._first_number = 0  # added to the markers' numbers, which are never used again
         self._highest_number = 0
 
-    @property
-    def is_enabled(self) -> bool:
-        """Whether markers or tools are tracked."""
-        return not self._tracked.nothing
-
     def set_tracking_config(self, tracked: TrackingConfig) -> None:
         """Track other things from the next frame on; what is tracked already goes on."""
         before, self._tracked = self._tracked, tracked
-        active = self._is_tracking
+        active = self._active
         if active is None:
             return
         blinking = tracked.blinking != before.blinking
         if not tracked.tracks:
             self._markers = None
         elif self._markers is None or tracked.tracker != before.tracker or blinking:
-            self._start_marker_tracker(active)
+            self._restarts = 0
+            self._markers = self._marker_tracker(active)
         known = self._groups[0].tracker if len(self._groups) == 1 else None
         same = tracked.tool_tracker == before.tool_tracker
         self._groups = self._tool_groups(active, tracked.tools, known if same else None)
 
     def set_calibration(self, active: PreparedCalibration | None) -> None:
         """Track with another calibration; tracks and tools are acquired anew."""
-        self._active = active
+        self._active = active if self._reads else None
         self._markers, self._groups = None, []
-        active = self._is_tracking
-        if active is None:
-            return
-        if self._tracked.tracks:
-            self._start_marker_tracker(active)
-        self._groups = self._tool_groups(active, self._tracked.tools, None)
-
-    @property
-    def _is_tracking(self) -> PreparedCalibration | None:
-        """The calibration, where there is one and lines are read."""
-        return self._active if self._reads else None
+        tracked, self._tracked = self._tracked, NO_TRACKING
+        self.set_tracking_config(tracked)
 
     def find(
         self,
@@ -152,34 +188,30 @@ class TrackingStage:
                 are MISSING, as the computer does not keep up, and there are no tracks.
         """
         tracks: list[TrackBatch] = []
-        poses: list[tuple[ToolPose, ...]] = []
+        poses: list[Sequence[ToolPose]] = []
         starts = owner.searchsorted(range(len(frames) + 1)).tolist()
         none = TrackBatch.empty(self._sensors)
+        unavailable = NO_CALIBRATION if self._reads else NO_DETECTION_METHOD
+        tools = self._tracked.tools
         for index, frame in enumerate(frames):
             if measurements is None:
                 tracks.append(none)
-                poses.append(self._poses_unavailable(frame))
+                poses.append(_without(tools, frame, PoseStatus.UNKNOWN, unavailable))
                 continue
             self._check_clock(frame)
             if track is not None and not track[index]:
                 tracks.append(none)
-                missing = _without(self._tracked.tools, frame, PoseStatus.MISSING, FRAME_SKIPPED)
-                poses.append(tuple(missing))
+                poses.append(_without(tools, frame, PoseStatus.MISSING, FRAME_SKIPPED))
                 continue
             exposure = measurements.exposure(index)
             tracks.append(self._track_markers(frame, exposure) or none)
-            own = (
-                None if frame.marker is not None else points.part(starts[index], starts[index + 1])
-            )
+            lit = frame.marker is None
+            own = points.part(starts[index], starts[index + 1]) if lit else None
             poses.append(self._track_tools(frame, exposure, own))
         return TrackingResult.of(tracks, poses, self._sensors)
 
-    def _start_marker_tracker(self, active: PreparedCalibration) -> None:
-        """Start the marker tracker; its track numbers go on where those before ended."""
-        self._restarts = 0
-        self._markers = self._marker_tracker(active)
-
-    def _marker_tracker(self, active: PreparedCalibration) -> MarkerTrackerProtocol | None:
+    def _marker_tracker(self, active: PreparedCalibration) -> "Tracker | None":
+        """Return a marker tracker; its track numbers go on where those before ended."""
         self._first_number = self._highest_number
         blinking = self._tracked.blinking
         self._names = None if blinking is None else BlinkIdentifier(*blinking)
@@ -193,13 +225,13 @@ class TrackingStage:
         self,
         active: PreparedCalibration,
         tools: Sequence[RigidBody],
-        before: ToolTrackerProtocol | None,
+        before: "ToolTracker | None",
     ) -> list[_Group]:
         """Return all tools in one group; where that cannot be, each in its own."""
         if not tools:
             return []
         try:
-            return [_Group(tools, self._make.tools(active, self._tracked, tools, before), "")]
+            return [_Group(tools, self._make.tools(active, self._tracked, tools, before))]
         except Exception:  # noqa: BLE001 - logged
             self._log("its tools cannot be tracked together; each is by itself")
             return [self._single_tool_group(active, tool) for tool in tools]
@@ -209,7 +241,7 @@ class TrackingStage:
     ) -> _Group:
         try:
             tracker = self._make.tools(active, self._tracked, [tool], None)
-            return _Group([tool], tracker, "", faults)
+            return _Group([tool], tracker, faults=faults)
         except Exception as error:  # noqa: BLE001 - becomes the tool's status
             self._log(f"its tool {tool.name} cannot be tracked")
             return _Group([tool], None, f"the tool cannot be tracked: {_error_message(error)}")
@@ -229,10 +261,10 @@ class TrackingStage:
         # The device's clock: the host's has the jitter of the way to it.
         time_ns = frame.exposure_device_ns
         try:
-            found = self._markers.step(time_ns, measurements, frame.marker)
+            tracks = self._markers.step(time_ns, measurements, frame.marker)
             if self._names is not None:
                 lit = frame.marker is None
-                found = self._names.name(frame.sequence, found, measurements.amplitude, lit=lit)
+                tracks = self._names.name(frame.sequence, tracks, measurements.amplitude, lit=lit)
         except Exception:  # noqa: BLE001 - logged
             self._restarts += 1
             again = self._restarts <= self.MAX_RESTARTS
@@ -240,12 +272,12 @@ class TrackingStage:
             assert self._active is not None
             self._markers = self._marker_tracker(self._active) if again else None
             return None
-        if not len(found):
+        if not len(tracks):
             return None
         if self._first_number:
-            found = replace(found, identity=found.identity + self._first_number)
-        self._highest_number = max(self._highest_number, int(found.identity.max()))
-        return found
+            tracks = replace(tracks, identity=tracks.identity + self._first_number)
+        self._highest_number = max(self._highest_number, int(tracks.identity.max()))
+        return tracks
 
     def _track_tools(
         self,
@@ -253,34 +285,30 @@ class TrackingStage:
         measurements: Measurements,
         points: PointBatch | None,
     ) -> tuple[ToolPose, ...]:
-        found: list[ToolPose] = []
+        poses: list[ToolPose] = []
         groups: list[_Group] = []
         for group in self._groups:
             if group.may_restart(frame.exposure_device_ns):
                 assert self._active is not None
                 group = self._single_tool_group(self._active, group.tools[0], group.faults)
             if group.tracker is None:
-                found += _without(group.tools, frame, PoseStatus.INVALID, group.reason)
+                poses += _without(group.tools, frame, PoseStatus.INVALID, group.reason)
                 groups.append(group)
                 continue
             try:
-                found += group.tracker.step(
-                    frame.exposure_device_ns,
-                    frame.sequence,
-                    measurements,
-                    frame.marker,
-                    points,
+                poses += group.tracker.step(
+                    frame.exposure_device_ns, frame.sequence, measurements, frame.marker, points
                 )
                 groups.append(group)
             except Exception as error:  # noqa: BLE001 - becomes the tools' status
                 reason = f"its tracking failed: {_error_message(error)}"
-                found += _without(group.tools, frame, PoseStatus.INVALID, reason)
+                poses += _without(group.tools, frame, PoseStatus.INVALID, reason)
                 groups += self._failed(group, reason, frame.exposure_device_ns)
         self._groups = groups
         host_ns = frame.exposure_host_ns
         return tuple(
             pose if pose.exposure_ns == host_ns else replace(pose, exposure_ns=host_ns)
-            for pose in found
+            for pose in poses
         )
 
     def _failed(self, group: _Group, reason: str, now_ns: int) -> list[_Group]:
@@ -289,13 +317,7 @@ class TrackingStage:
         assert self._active is not None
         if len(group.tools) > 1:
             return [self._single_tool_group(self._active, tool) for tool in group.tools]
-        failed = _Group(group.tools, None, reason, group.faults + 1)
-        failed.failed_ns = now_ns
-        return [failed]
-
-    def _poses_unavailable(self, frame: LineFrame) -> tuple[ToolPose, ...]:
-        reason = NO_CALIBRATION if self._reads else NO_DETECTION_METHOD
-        return tuple(_without(self._tracked.tools, frame, PoseStatus.UNKNOWN, reason))
+        return [_Group(group.tools, None, reason, group.faults + 1, now_ns)]
 
     def _log(self, what: str) -> None:
         device = {"device": self._device_id}

@@ -11,14 +11,19 @@ from typing import TYPE_CHECKING, Any, Literal, cast
 import pytest
 
 from compute.pose.beam_hold import BeamHoldLimits, BeamHoldTiming
-from compute.pose.transform import Transform
+from compute.transform import Transform
 from hardware.line_frame import LineFrame
 from hardware.simulated.driver import SimulatedDriver
 from hardware.simulated.settings import SimulationSettings
 from service.pipeline.active_calibration import ActiveCalibration
-from service.pipeline.beam_hold_spec import BeamHoldConfig, HoldReference, WatchedTool
 from service.pipeline.pipeline_manager import PipelineManager
-from service.pipeline.tracking_config import NO_TRACKING, TrackingConfig
+from service.pipeline.tracking_config import (
+    NO_TRACKING,
+    BeamHoldConfig,
+    HoldReference,
+    TrackingConfig,
+    WatchedTool,
+)
 from service.protocols.stream import router
 from service.protocols.stream.hub import Hub
 from service.protocols.stream.query import parse_stream_request
@@ -130,9 +135,9 @@ def config(illumination: Illumination) -> TrackingConfig:
 @pytest.mark.parametrize(
     ("illumination", "content", "headings", "most"),
     [
-        ("strobed", "points", ["Points"], 18),
-        ("simultaneous", "points", ["Points", "Points of markers that are lit together"], 20),
-        ("strobed", EVERYTHING, ["Points", "Tracks, tools and holds"], 49),
+        ("strobed", "points", ["Points"], 12),
+        ("simultaneous", "points", ["Points", "Points of markers that are lit together"], 14),
+        ("strobed", EVERYTHING, ["Points", "Tracks, tools and holds"], 32),
     ],
 )
 def test_walk_of_a_frame_runs_the_modules_of_the_table(

@@ -8,8 +8,7 @@ import pytest
 
 from benchmarks.baseline_transforms import running_baseline_transforms
 from benchmarks.navigation import Received, _crc, _question, _taken, summed, transforms
-from service.protocols.openigtlink.decoder import Decoder
-from service.protocols.openigtlink.message import Message, write_message
+from service.protocols.openigtlink.message import Decoder, Message, write_message
 
 
 def transform(time_ns: int, version: int, number: int) -> bytes:

@@ -27,7 +27,7 @@ from lumiline.client.messages import (
 from lumiline.client.server import Server
 from lumiline.client.stream_state import StreamRequest, StreamState
 from service.pipeline.frame_batch import pose_members
-from service.protocols.stream.encoding import bundle, encode, missed_message, status_message
+from service.protocols.stream.messages import bundle, encode, missed_message, status_message
 
 HEAD: dict[str, Any] = {
     "type": "frame", "device": "sim", "sequence": 7, "exposure_ns": 1, "device_ns": 2,

@@ -15,13 +15,13 @@ from service.api.tools.pose_taps import PoseTap, TipTap
 from service.pipeline.active_calibration import NO_ACTIVE_CALIBRATION, ActiveCalibration
 from service.pipeline.beam_hold_registry import BeamHoldRegistry
 from service.pipeline.detection_stage import DetectionStage
-from service.pipeline.device_session import DeviceSession, LatencyCounts, ToolCounts
+from service.pipeline.device_session import DeviceSession, ToolCounts
 from service.pipeline.device_status import DeviceStatus
+from service.pipeline.frame_batch import LatestPoses
 from service.pipeline.frame_processor import FrameProcessor
-from service.pipeline.latest_poses import LatestPoses
 from service.pipeline.pipeline_manager import Accept, PipelineManager, any_device
-from service.pipeline.reader_thread import FrameRing
 from service.pipeline.taps import Tap
+from service.pipeline.threads import FrameRing
 from service.pipeline.tracking_config import TrackingConfig
 from service.problems.errors import DeviceNotRunning
 from service.protocols.stream.hub import Hub
@@ -56,9 +56,10 @@ class _Processor(FrameProcessor):
     """Processes nothing."""
 
     def __init__(self) -> None:
-        self._detection = DetectionStage.__new__(DetectionStage)
-        self._detection.method = self._detection.error_px = None
-        self._detection.unfitted_error_px = 0.0
+        self.detection = DetectionStage.__new__(DetectionStage)
+        self.detection.method = self.detection.error_px = None
+        self.detection.unfitted_error_px = 0.0
+        self.active_calibration = NO_ACTIVE_CALIBRATION
 
 
 class _Running(DeviceSession):
@@ -100,7 +101,7 @@ class FakePipeline(PipelineManager):
     def busy_s(self) -> float:
         return self.busy
 
-    def latencies(self) -> dict[str, LatencyCounts]:
+    def latencies(self) -> dict[str, tuple[tuple[int, ...], float]]:
         return {}
 
     def statuses(self) -> dict[str, DeviceStatus]:

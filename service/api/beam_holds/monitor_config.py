@@ -12,7 +12,7 @@ from sqlalchemy.orm import Session
 
 from compute.errors import InvalidParameter
 from compute.pose.beam_hold import BeamHoldLimits, BeamHoldTiming
-from compute.pose.transform import Transform
+from compute.transform import Transform
 from service.api.beam_holds.schema import (
     Limits,
     ReferenceInput,
@@ -24,15 +24,15 @@ from service.api.beam_holds.schema import (
 from service.api.devices.store import tracking_of
 from service.api.tools.rigid_bodies import tools_of
 from service.database.models import DeviceRow, HoldRow
-from service.pipeline.beam_hold_spec import (
+from service.pipeline.tracking_config import (
     BeamHoldConfig,
     HoldReference,
     Spec,
+    TrackingConfig,
     WatchedLitMarkers,
     WatchedStrobedMarkers,
     WatchedTool,
 )
-from service.pipeline.tracking_config import TrackingConfig
 
 MIN_APART_MM: Final = 1.0
 """Of markers: two lights that are nearer to each other are seen as one."""

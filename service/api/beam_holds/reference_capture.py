@@ -13,25 +13,25 @@ from compute.pose.tool_calibration.digitising import (
     average_stationary_tip,
     positive_semidefinite_part,
 )
-from compute.pose.transform import Transform, nearest_rotation
+from compute.transform import Transform, nearest_rotation
 from service.api.beam_holds.monitor_config import REFERENCE_ARRAYS
 from service.api.beam_holds.schema import NewReference
-from service.pipeline.beam_hold_observer import (
+from service.pipeline.beam_hold_monitor import (
     HoldObserver,
     LitMarkerObserver,
     StrobedMarkerObserver,
     ToolObserver,
     lit_places,
 )
-from service.pipeline.beam_hold_spec import (
+from service.pipeline.frame_batch import FrameBatch
+from service.pipeline.pipeline_manager import PipelineManager
+from service.pipeline.taps import SingleCalibrationTap, collect
+from service.pipeline.tracking_config import (
     Spec,
     WatchedLitMarkers,
     WatchedStrobedMarkers,
     WatchedTool,
 )
-from service.pipeline.frame_batch import FrameBatch
-from service.pipeline.pipeline_manager import PipelineManager
-from service.pipeline.taps import SingleCalibrationTap, collect
 from service.problems.errors import CalibrationSwitched, NoActiveCalibration, NoObservation
 
 Array = NDArray[np.float64]

@@ -32,7 +32,7 @@ from service.api.inputs import (
 from service.api.openapi import problems
 from service.api.tools import concurrency_limits
 from service.database.models import HoldRow
-from service.pipeline.beam_hold_state import BeamHoldState
+from service.pipeline.frame_batch import BeamHoldState
 from service.pipeline.pipeline_manager import PipelineManager
 from service.problems.errors import (
     BeamHoldExists,

@@ -15,7 +15,7 @@ from hardware.recording.reader import RecordingReader
 from service.api.devices.tracking_settings import Tracking
 from service.api.exports.motion_table import MotionTable
 from service.api.exports.table_builder import TableBuilder
-from service.api.recordings.reprocessing import calibration_intervals, reprocess, use
+from service.api.recordings.reprocessing import calibration_intervals, reprocess
 from service.pipeline.active_calibration import ActiveCalibration
 from service.pipeline.frame_batch import FrameBatch
 from service.pipeline.frame_processor import MAX_FRAMES, FrameProcessor
@@ -89,7 +89,7 @@ def _from_peaks(
     reader: RecordingReader, processor: FrameProcessor, given: ActiveCalibration | None
 ) -> Iterator[FrameBatch]:
     for first, end, found in calibration_intervals(reader, given):
-        use(processor, found)
+        processor.set_calibration(found)
         for start in range(first, end, MAX_FRAMES):
             block = reader.block(start, min(start + MAX_FRAMES, end))
             frames = _frames(block, reader.info.description.name)

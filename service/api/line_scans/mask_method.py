@@ -15,7 +15,7 @@ from compute.signal.coded_aperture.shadow_fit import ShadowSettings
 from compute.signal.coded_aperture.shadow_template import ShadowTemplate
 from service.api.devices.schema import PROFILE_PATTERN
 from service.api.line_scans.chain_steps import STRICT
-from service.pipeline.expected_scans import FindProfile
+from service.pipeline.detection_stage import FindProfile
 from service.problems.errors import UnknownDeviceProfile
 
 MAX_CELLS: Final = 65536

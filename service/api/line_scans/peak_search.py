@@ -40,7 +40,7 @@ from service.api.line_scans.schema import (
     Stage,
 )
 from service.api.line_scans.shadow_search import read_shadow
-from service.pipeline.expected_scans import FindProfile, built_in_profile
+from service.pipeline.detection_stage import FindProfile, built_in_profile
 
 Scans = NDArray[np.uint16]
 

@@ -28,7 +28,7 @@ from service.api.line_scans.schema import (
     PixelNoise,
 )
 from service.api.openapi import problems
-from service.pipeline.expected_scans import FindProfile
+from service.pipeline.detection_stage import FindProfile
 from service.problems.errors import Busy
 
 router = APIRouter(prefix="/api/v1", tags=["line-scans"], route_class=JsonRoute)

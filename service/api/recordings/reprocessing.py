@@ -79,7 +79,7 @@ def reprocess(
         raise InvalidRecording("the recording holds results only; it has no lines to process")
     waiting = reader.frames()
     for first, end, found in calibration_intervals(reader, given):
-        use(processor, found)
+        processor.set_calibration(found)
         for start in range(first, end, batch_frames):
             yield processor.process(list(islice(waiting, min(batch_frames, end - start))))
 
@@ -147,11 +147,6 @@ def compare(
     changed = tuple(f"{name} was {then.get(name)}, is {now[name]}"
                     for name in now if name in then and then[name] != now[name])  # fmt: skip
     return Comparison(frames, peaks, points, peaks_differ, points_differ, first_difference, changed)
-
-
-def use(processor: FrameProcessor, found: ActiveCalibration) -> None:
-    """Have a processor reconstruct with this from its next batch on."""
-    processor.set_calibration(found.calibration_id, found.calibration, found.table_id, found.table)
 
 
 def _differences(

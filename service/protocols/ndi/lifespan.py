@@ -1,24 +1,46 @@
-"""Runs the NDI server as long as the application, where settings ask for it."""
+"""Runs the NDI server as long as the application, where settings ask for it; its metrics."""
 
 import logging
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from fastapi import FastAPI
 from numpy.typing import NDArray
+from prometheus_client import Metric
+from prometheus_client.registry import Collector
 
 from service.allow_list import AllowList
-from service.protocols.ndi.metrics_collector import NdiCollector
-from service.protocols.ndi.pose_feed import PoseFeed
+from service.protocols.metrics.collectors import Members, members_of, single
+from service.protocols.ndi.pose_feed import PoseFeed, ToolCache
 from service.protocols.ndi.server import NdiOptions, NdiServer
-from service.protocols.ndi.tool_cache import ToolCache
 from service.settings import Settings
 from service.version import package_version
 
 if TYPE_CHECKING:
     from service.pipeline.pipeline_manager import PipelineManager
+
+
+_COUNTS: Final[Members] = (
+    ("connections", "Connections of NDI clients that were taken.", "connections"),
+    ("connections_refused", "Those that were turned away.", "rejected_connections"),
+    ("commands", "Commands of NDI clients that were carried out.", "commands"),
+    ("commands_refused", "Those that were refused, and what was none.", "refused"),
+)
+
+
+class NdiCollector(Collector):
+    """Clients, and what was answered."""
+
+    def __init__(self, server: NdiServer) -> None:
+        self._server = server
+
+    def collect(self) -> Iterator[Metric]:
+        """Yield what there is."""
+        yield single("ndi_clients", "Connected NDI clients.", self._server.clients)
+        yield from members_of(_COUNTS, {(): self._server.totals()}, (), "ndi_")
+
 
 _log = logging.getLogger(__name__)
 
@@ -26,10 +48,6 @@ _log = logging.getLogger(__name__)
 @asynccontextmanager
 async def ndi_running(app: FastAPI, settings: Settings) -> AsyncIterator[None]:
     """Run it; with no port set, do nothing.
-
-    Args:
-        app: with the database, the live side and the metrics in its state; gets ``ndi``.
-        settings: of the service.
 
     Raises:
         OSError: the port is taken, or the address is none of this machine.

@@ -1,11 +1,54 @@
-"""Port handles: which tool is behind which number, and whether the client wants it."""
+"""Port handles: tools by number, their uploaded definitions, and replies about them."""
 
-from collections.abc import Iterator, Sequence
+import re
+import zlib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import count
 from typing import Final
 
-from service.protocols.ndi.errors import CommandError, ErrorCode
-from service.protocols.ndi.tool_definition import MAX_BYTES
+from service.protocols.ndi.command import ErrorCode, require
+
+MAX_DEFINITION_BYTES: Final = 2048
+"""What a handle has room for."""
+BLOCK_BYTES: Final = 64
+"""What one command uploads."""
+NAME_CHARACTERS: Final = 20
+"""Of part numbers."""
+
+_MAGIC: Final = b"NDI"
+_PART_NUMBER: Final = slice(592, 592 + NAME_CHARACTERS)
+_TEXT: Final = re.compile(rb"[\x20-\x7e]+")
+
+
+def names_in_definition(image: bytes) -> tuple[str, ...]:
+    """Return the names that a tool definition could mean a tool by, at most 100.
+
+    Of a definition file (``.rom``) it is the part number. Of anything else, all text in it: a
+    file that holds a tool's name and nothing more will do.
+    """
+    searched = image[_PART_NUMBER] if image.startswith(_MAGIC) else image
+    found = (part.strip().decode() for part in _TEXT.findall(searched))
+    return tuple(dict.fromkeys(name for name in found if name))[:100]
+
+
+def match_tool(
+    names: Sequence[str], tools: Sequence[str], part_numbers: Mapping[str, str]
+) -> str | None:
+    """Return the tool that one of these names means; None: none does, or more than one."""
+    known = {number.casefold(): tool for number, tool in part_numbers.items()}
+    meant = {tool for name in names for tool in _tools_called(name.casefold(), tools, known)}
+    return meant.pop() if len(meant) == 1 else None
+
+
+def _tools_called(name: str, tools: Sequence[str], known: Mapping[str, str]) -> Iterator[str]:
+    if name in known:
+        yield known[name]
+        return
+    whole = [tool for tool in tools if tool.casefold() == name]
+    cut = [tool for tool in tools if tool.casefold()[:NAME_CHARACTERS] == name]
+    yield from whole or cut
+
 
 MAX_HANDLES: Final = 24
 """Number of tools that drivers have room for; some drivers do not count."""
@@ -52,13 +95,11 @@ class PortHandle:
         """Keep a part of a tool's definition; what was initialised is so no longer.
 
         Raises:
-            Refused: the tool came plugged in, or the part lies beyond the end.
+            CommandError: the tool came plugged in, or the part lies beyond the end.
         """
-        if self.location:
-            raise CommandError(ErrorCode.NO_SUCH_FEATURE)
+        require(not self.location, ErrorCode.NO_SUCH_FEATURE)
         end = address + len(block)
-        if end > MAX_BYTES:
-            raise CommandError(ErrorCode.OUT_OF_RANGE)
+        require(end <= MAX_DEFINITION_BYTES, ErrorCode.OUT_OF_RANGE)
         self.image.extend(bytes(max(0, end - len(self.image))))
         self.image[address:end] = block
         self.tool, self.initialised, self.enabled = None, False, False
@@ -79,11 +120,9 @@ class PortHandles:
         return len(self._ports)
 
     def find(self, handle: int) -> PortHandle:
-        """Return a handle; raises Refused."""
-        port = self._ports.get(handle)
-        if port is None:
-            raise CommandError(ErrorCode.NOT_ALLOCATED)
-        return port
+        """Return a handle; raises CommandError."""
+        require(handle in self._ports, ErrorCode.NOT_ALLOCATED)
+        return self._ports[handle]
 
     def look(self, tools: Sequence[str]) -> None:
         """Note which tools came and went, for the system status."""
@@ -104,23 +143,81 @@ class PortHandles:
         for tool in tools:
             if tool not in plugged and len(self._ports) < MAX_HANDLES:
                 used = {port.location for port in self._ports.values()}
-                location = next(
-                    number for number in range(1, MAX_HANDLES + 2) if number not in used
-                )
-                self._add(location, tool)
+                self._add(next(number for number in count(1) if number not in used), tool)
 
     def request(self) -> PortHandle:
-        """Return a new handle, for a tool whose definition is uploaded; raises Refused."""
-        if len(self._ports) >= MAX_HANDLES:
-            raise CommandError(ErrorCode.ALL_ALLOCATED)
+        """Return a new handle, for a tool whose definition is uploaded; raises CommandError."""
+        require(len(self._ports) < MAX_HANDLES, ErrorCode.ALL_ALLOCATED)
         return self._add(0, None)
 
     def free(self, handle: int) -> None:
-        """Take a handle back; raises Refused."""
+        """Take a handle back; raises CommandError."""
         self.find(handle)
         del self._ports[handle]
 
     def _add(self, location: int, tool: str | None) -> PortHandle:
-        handle = next(number for number in range(1, MAX_HANDLES + 1) if number not in self._ports)
+        handle = next(number for number in count(1) if number not in self._ports)
         port = self._ports[handle] = PortHandle(handle, location, tool)
         return port
+
+
+UNOCCUPIED: Final = "UNOCCUPIED"
+_TOOL_TYPE: Final = "02000000"
+"""A probe without switches and lights."""
+_MANUFACTURER: Final = "Lumiline".ljust(12)
+_REVISION: Final = "001"
+_OPTIONS: Final = 0x7F
+
+
+def select_handles(ports: Iterable[PortHandle], option: int) -> list[PortHandle]:
+    """Return the handles that PHSR lists.
+
+    Args:
+        ports: all of them.
+        option: 0: all, 1: whose tool is gone, 2: to be initialised, 3: to be enabled, 4: enabled.
+
+    Raises:
+        CommandError: there is no such option.
+    """
+    require(option in range(5), ErrorCode.OUT_OF_RANGE)
+    return [
+        one
+        for one in ports
+        if (
+            True,
+            one.gone,
+            one.occupied and not one.initialised,
+            one.occupied and one.initialised and not one.enabled,
+            one.occupied and one.enabled,
+        )[option]
+    ]
+
+
+def describe_handle(port: PortHandle, options: int) -> str:
+    """Return what PHINF tells of a handle.
+
+    Args:
+        port: the handle.
+        options: bits: 1: kind, maker, revision, serial number and status; 2: test of currents;
+            4: part number, which is the tool's id; 8: accessories; 0x10: markers; 0x20: where it
+            is plugged in; 0x40: switches of another kind.
+
+    Raises:
+        CommandError: there is no such option.
+    """
+    require(not options & ~_OPTIONS, ErrorCode.OUT_OF_RANGE)
+    if not port.occupied:
+        return UNOCCUPIED
+    name = port.tool or ""
+    serial = f"{zlib.crc32(name.encode()):08X}"
+    parts = (
+        f"{_TOOL_TYPE}{_MANUFACTURER}{_REVISION}{serial}{port.status:02X}",
+        "00000000",
+        name[:NAME_CHARACTERS].ljust(NAME_CHARACTERS),
+        "00",
+        "00",
+        # Device, system, wired or not, socket and channel:
+        f"{0:08d}0{0 if port.location else 1}{port.location:02d}00",
+        "00",
+    )
+    return "".join(part for bit, part in enumerate(parts) if options >> bit & 1)

@@ -1,17 +1,137 @@
-"""PoseFeed: the newest poses for sessions, and waiting for newer ones."""
+"""PoseFeed: the newest poses as sessions get them, and waiting for newer ones."""
 
 import asyncio
+import logging
 import time
 from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Final
 
 import numpy as np
+from anyio.to_thread import run_sync
 from numpy.typing import NDArray
+from sqlalchemy import select
+from sqlalchemy.exc import SQLAlchemyError
 
-from service.api.tools.tip_limit import TipLimit
-from service.pipeline.latest_poses import LatestPoses, PoseEntry
-from service.protocols.ndi.pose_view import PoseView
+from compute.errors import LumilineError
+from compute.pose.rigid_body import PoseStatus, ToolPose
+from service.api.tools.tip_limit import TipLimit, tip_limit_of
+from service.database.engine import Database
+from service.database.models import ToolRow
+from service.pipeline.frame_batch import LatestPoses, PoseEntry
+
+_GIVEN: Final = (PoseStatus.OK, PoseStatus.OUT_OF_VOLUME)
+"""What a client can have, the latter if it asks for it."""
+Markers = Callable[[str], NDArray[np.float64] | None]
+
+
+@dataclass(frozen=True, eq=False)
+class PoseView:
+    """The tools of one device.
+
+    Args:
+        device_id: the device; None: there is none with tools yet, or it is not clear which.
+        several: whether that is because several have tools, and no setting says which.
+        tools: names of its tools, in order.
+        poses: the newest poses by name; empty where they are old.
+        sequence: number of the frame that they are of; -1: there is none.
+        fresh: whether they are new.
+        frame_rate_hz: of the device; 0: not known.
+        markers: returns a tool's markers in its own coordinates, shape (M, 3) [mm]; None: they
+            are not known.
+        limits: on the error of poses, by the tool's name; tools without one are judged by the
+            tracker only.
+    """
+
+    device_id: str | None = None
+    several: bool = False
+    tools: tuple[str, ...] = ()
+    poses: Mapping[str, ToolPose] = field(default_factory=dict)
+    sequence: int = -1
+    fresh: bool = False
+    frame_rate_hz: float = 0.0
+    markers: Markers = lambda _: None
+    limits: Mapping[str, TipLimit] = field(default_factory=dict)
+
+    def pose(self, tool: str) -> ToolPose | None:
+        """Return a tool's pose with the status that it has for a client; None: there is none.
+
+        Besides the pose itself, the one relative to the tool's reference is judged: drivers are
+        given both in the world, and form it from them. A reference of another status is
+        not given, so that nothing can be formed with it.
+        """
+        pose, limit = self.poses.get(tool), self.limits.get(tool)
+        if pose is None or limit is None:
+            return pose
+        if pose.status not in _GIVEN:
+            return pose
+        why = limit.exceeded_reason(pose)
+        reference = None if limit.reference is None else self.poses.get(limit.reference)
+        if why is None and reference is not None and reference.status in _GIVEN:
+            why = limit.exceeded_reason(pose, reference)
+        return pose if why is None else replace(pose, status=PoseStatus.HIGH_ERROR, reason=why)
+
+
+GetPoseView = Callable[[str | None], PoseView]
+"""Returns the view of a device; None: of the one that has tools."""
+
+
+_log = logging.getLogger(__name__)
+
+ASK_S: Final = 2.0
+"""How often; which tools a device that runs has is known from its poses at once."""
+
+
+class ToolCache:
+    """Made and used in the event loop. While the database does not answer, what is known stays."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+        self._tools: Mapping[str, Mapping[str, TipLimit]] = {}
+        self._failing = False
+        self._asking: asyncio.Task[None] | None = None
+
+    def __call__(self) -> Mapping[str, Mapping[str, TipLimit]]:
+        """Return the limits of tools by device and id, of devices that have any."""
+        return self._tools
+
+    async def start(self) -> None:
+        """Ask, and go on asking."""
+        await self.refresh()
+        self._asking = asyncio.get_running_loop().create_task(self._ask())
+
+    async def close(self) -> None:
+        """Ask no longer."""
+        if self._asking is not None:
+            self._asking.cancel()
+            with suppress(asyncio.CancelledError):
+                await self._asking
+
+    async def refresh(self) -> None:
+        """Ask once."""
+        try:
+            self._tools = await run_sync(self._read)
+        except (LumilineError, SQLAlchemyError) as error:
+            if not self._failing:
+                _log.warning("NDI clients: the tools are not known: %s", error)
+            self._failing = True
+            return
+        self._failing = False
+
+    async def _ask(self) -> None:
+        while True:
+            await asyncio.sleep(ASK_S)
+            await self.refresh()
+
+    def _read(self) -> Mapping[str, Mapping[str, TipLimit]]:
+        found: dict[str, dict[str, TipLimit]] = {}
+        with self._database.read() as session:
+            for tool in session.scalars(select(ToolRow)):
+                found.setdefault(tool.device_id, {})[tool.id] = tip_limit_of(session, tool)
+        return found
+
 
 AGE_S: Final = 0.5
 """Poses are not given any more when nothing has come for so long, nor for AGE_FRAMES frames; nor
@@ -24,14 +144,6 @@ MarkersOf = Callable[[str, str], NDArray[np.float64] | None]
 
 GetTipLimits = Callable[[], Mapping[str, Mapping[str, TipLimit]]]
 """Returns the limits of all tools, by device, running or not, and the tool's id."""
-
-
-def _none() -> Mapping[str, Mapping[str, TipLimit]]:
-    return {}
-
-
-def _unknown(_device: str, _tool: str) -> None:
-    return None
 
 
 class PoseFeed:
@@ -51,11 +163,11 @@ class PoseFeed:
         self,
         board: LatestPoses,
         device: str | None = None,
-        markers: MarkersOf = _unknown,
+        markers: MarkersOf = lambda *_: None,
         age_s: float = AGE_S,
         now: Callable[[], float] = time.monotonic,
         wall_ns: Callable[[], int] = time.time_ns,
-        known: GetTipLimits = _none,
+        known: GetTipLimits = dict,
     ) -> None:
         self._board = board
         self._chosen = device

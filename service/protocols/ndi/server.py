@@ -5,29 +5,91 @@ import logging
 import socket
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Final
 
 from service.allow_list import AllowList
-from service.protocols.ndi.connection import READ_BYTES, ClientConnection
-from service.protocols.ndi.identity import Identity
+from service.protocols.ndi.client_state import Identity
+from service.protocols.ndi.command import CommandReader
 from service.protocols.ndi.pose_feed import PoseFeed
 from service.protocols.ndi.session import Session
 
 _log = logging.getLogger(__name__)
 
+READ_BYTES: Final = 4096
+WRITE_BUFFER_BYTES: Final = 16_384
+"""Replies that may wait for the client to read them; then its commands wait."""
+STALLED_S: Final = 10.0
+"""How long they wait until the connection is ended."""
+POSE_WAIT_S: Final = 0.02
+"""How long who asks again for the frame that it has waits for another, before it gets it again."""
+
+
+class ClientConnection:
+    """Serves a connection.
+
+    Attributes:
+        session: its conversation.
+        leaving: whether it was told to go.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        session: Session,
+        feed: PoseFeed,
+        reader: asyncio.StreamReader,
+        writer: asyncio.StreamWriter,
+    ) -> None:
+        self.session = session
+        self.leaving = False
+        self._name = name
+        self._feed = feed
+        self._reader = reader
+        self._writer = writer
+        self._logged = 0
+        writer.transport.set_write_buffer_limits(high=WRITE_BUFFER_BYTES)
+
+    async def serve(self) -> str:
+        """Answer until the connection ends; return why it did."""
+        lines = CommandReader()
+        try:
+            while data := await self._reader.read(READ_BYTES):
+                for received in lines.feed(data):
+                    if self.session.repeats(received):
+                        state = self.session.state
+                        await self._feed.newer(state.device, state.reported, POSE_WAIT_S)
+                    self._writer.write(self.session.answer(received))
+                    async with asyncio.timeout(STALLED_S):
+                        await self._writer.drain()
+                self._log_problems()
+                # A client that never lets its commands run out lets others have their turn.
+                await asyncio.sleep(0)
+            # What it asked for last is still sent.
+            self._writer.close()
+            async with asyncio.timeout(STALLED_S):
+                await self._writer.wait_closed()
+        except TimeoutError:
+            return f"read none of its replies for {STALLED_S:g} s"
+        except OSError as error:
+            return f"gone ({error})"
+        finally:
+            self.end()
+        return "disconnected"
+
+    def end(self) -> None:
+        """End the connection at once; what the client has not read is thrown away."""
+        self.leaving = True
+        self._writer.transport.abort()
+
+    def _log_problems(self) -> None:
+        for text in self.session.state.problems[self._logged :]:
+            _log.warning("NDI client %s: %s", self._name, text)
+        self._logged = len(self.session.state.problems)
+
 
 @dataclass(frozen=True)
 class NdiOptions:
-    """What an administrator sets.
-
-    Args:
-        port: to listen on; 0: a free one.
-        host: address to listen on.
-        allowed: who may connect.
-        clients: at the same time.
-        model: what clients are told that they speak to.
-        version: ours.
-        part_numbers: tools by what uploaded tool definitions call them.
-    """
+    """What an administrator sets; see the settings of the service that begin with ndi."""
 
     port: int
     host: str = "127.0.0.1"
@@ -40,14 +102,7 @@ class NdiOptions:
 
 @dataclass
 class NdiCounts:
-    """What happened since the start.
-
-    Args:
-        connections: that were taken.
-        turned_away: that were not: not allowed, or too many.
-        commands: carried out.
-        refused: commands that were not, and what was none.
-    """
+    """What happened since the start."""
 
     connections: int = 0
     rejected_connections: int = 0
@@ -57,10 +112,6 @@ class NdiCounts:
 
 class NdiServer:
     """Answers many clients; each has a state of its own, and none can hold up another.
-
-    Args:
-        options: what an administrator sets.
-        feed: the poses; it is closed with the server.
 
     Attributes:
         counts: what happened since the start, of clients that have gone; see ``totals``.

@@ -3,25 +3,26 @@
 from collections.abc import Callable, Mapping
 from typing import Final
 
-from service.protocols.ndi import handle_commands, system_commands
-from service.protocols.ndi.client_state import ClientState, Mode
-from service.protocols.ndi.command import Command, Received
-from service.protocols.ndi.errors import CommandError, ErrorCode
-from service.protocols.ndi.identity import Identity
-from service.protocols.ndi.pose_view import GetPoseView
-from service.protocols.ndi.reply import RESET, error_reply, text_reply
-from service.protocols.ndi.tracking_commands import tracking
+from service.protocols.ndi import commands
+from service.protocols.ndi.client_state import ClientState, Identity, Mode
+from service.protocols.ndi.command import (
+    OKAY,
+    RESET,
+    Command,
+    CommandError,
+    ErrorCode,
+    Received,
+    error_reply,
+    text_reply,
+)
+from service.protocols.ndi.pose_feed import GetPoseView
+from service.protocols.ndi.tracking import tracking
 
-_Carry = Callable[[ClientState, str], str]
+_Carry = Callable[[ClientState, str], str | None]
 
 
 class Session:
     """Answers one client.
-
-    Args:
-        identity: what to say of ourselves.
-        look: where poses come from.
-        part_numbers: tools by what uploaded definitions call them.
 
     Attributes:
         state: what the client has done so far.
@@ -72,7 +73,8 @@ class Session:
             )
         if carry is None:
             return tracking(self.state, command.text, binary=command.name == "BX")
-        return text_reply(carry(self.state, command.text))
+        reply = carry(self.state, command.text)
+        return text_reply(OKAY if reply is None else reply)
 
 
 _ANY: Final = frozenset(Mode)
@@ -81,29 +83,29 @@ _IN_SETUP: Final = frozenset((Mode.SETUP,))
 _IN_TRACKING: Final = frozenset((Mode.TRACKING,))
 _TRACKING: Final = ("TX", "BX")
 _COMMANDS: Final[dict[str, tuple[frozenset[Mode], _Carry]]] = {
-    "INIT": (_ANY, system_commands.initialise),
-    "RESET": (_ANY, system_commands.reset),
-    "COMM": (_ANY, system_commands.communication),
-    "ECHO": (_ANY, system_commands.echo),
-    "VER": (_ANY, system_commands.version),
-    "APIREV": (_ANY, system_commands.api_revision),
-    "SFLIST": (_ANY, system_commands.features),
-    "GET": (_ANY, system_commands.get),
-    "SET": (_ANY, system_commands.assign),
-    "BEEP": (_ANY, system_commands.beep),
-    "SSTAT": (_READY, system_commands.system_status),
-    "LED": (_READY, handle_commands.led),
-    "PHSR": (_READY, handle_commands.handles),
-    "PHINF": (_READY, handle_commands.handle_information),
-    "PHRQ": (_IN_SETUP, handle_commands.request_handle),
-    "PVWR": (_IN_SETUP, handle_commands.upload),
-    "PINIT": (_IN_SETUP, handle_commands.initialise_handle),
-    "PENA": (_IN_SETUP, handle_commands.enable),
-    "PDIS": (_IN_SETUP, handle_commands.disable),
-    "PHF": (_IN_SETUP, handle_commands.free),
-    "IRATE": (_IN_SETUP, system_commands.illumination_rate),
-    "VSEL": (_IN_SETUP, system_commands.select_volume),
-    "TSTART": (_IN_SETUP, system_commands.start_tracking),
-    "TSTOP": (_IN_TRACKING, system_commands.stop_tracking),
+    "INIT": (_ANY, commands.initialise),
+    "RESET": (_ANY, commands.reset),
+    "COMM": (_ANY, commands.communication),
+    "ECHO": (_ANY, commands.echo),
+    "VER": (_ANY, commands.version),
+    "APIREV": (_ANY, commands.api_revision),
+    "SFLIST": (_ANY, commands.features),
+    "GET": (_ANY, commands.get),
+    "SET": (_ANY, commands.assign),
+    "BEEP": (_ANY, commands.beep),
+    "SSTAT": (_READY, commands.system_status),
+    "LED": (_READY, commands.led),
+    "PHSR": (_READY, commands.handles),
+    "PHINF": (_READY, commands.handle_information),
+    "PHRQ": (_IN_SETUP, commands.request_handle),
+    "PVWR": (_IN_SETUP, commands.upload),
+    "PINIT": (_IN_SETUP, commands.initialise_handle),
+    "PENA": (_IN_SETUP, commands.enable),
+    "PDIS": (_IN_SETUP, commands.disable),
+    "PHF": (_IN_SETUP, commands.free),
+    "IRATE": (_IN_SETUP, commands.illumination_rate),
+    "VSEL": (_IN_SETUP, commands.select_volume),
+    "TSTART": (_IN_SETUP, commands.start_tracking),
+    "TSTOP": (_IN_TRACKING, commands.stop_tracking),
 }
 """In which modes a command is carried out, and by what; all others are refused."""

@@ -1,13 +1,15 @@
-"""ApplicationHost: tools, landmarks and recordings of this application for OpenIGTLink."""
+"""The OpenIGTLink server in the application: its host, its start and its end."""
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import AsyncIterator, Callable, Sequence
+from contextlib import asynccontextmanager
 from functools import partial
-from typing import Final, Literal, TypeVar
+from typing import Final, TypeVar
 
 import numpy as np
 from anyio import CapacityLimiter
 from anyio.to_thread import run_sync
+from fastapi import FastAPI
 from sqlalchemy import select
 from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
@@ -26,9 +28,12 @@ from service.pipeline.pipeline_manager import PipelineManager
 from service.pipeline.transform_names import frame_name
 from service.principal import Act, Principal, current_act
 from service.problems.errors import UnknownRecording
-from service.protocols.openigtlink.host import Caller, Landmark, WireTool
+from service.protocols.openigtlink.counters import OpenIGTLinkCollector
+from service.protocols.openigtlink.host import Landmark, Outcome, WireTool, server_settings
+from service.protocols.openigtlink.server import OpenIGTLinkServer
 from service.security.audit_entry import record_repeats
 from service.security.refusal_aggregation import RefusalAggregator
+from service.settings import Settings
 
 _log = logging.getLogger(__name__)
 
@@ -40,13 +45,7 @@ _CLIENT: Final = Principal("service", "openigtlink", "OpenIGTLink client", froze
 
 
 class ApplicationHost:
-    """The application as the OpenIGTLink server knows it; used in one event loop.
-
-    Args:
-        database: with tools, registrations and the audit log.
-        live: the running devices.
-        recordings: of this server.
-    """
+    """The application as the OpenIGTLink server knows it; used in one event loop."""
 
     def __init__(
         self, database: Database, live: PipelineManager, recordings: RecordingManager
@@ -81,16 +80,16 @@ class ApplicationHost:
         return await self._in_thread(partial(self._stop, device_id))
 
     async def audit(
-        self, caller: Caller, outcome: Literal["done", "refused"], detail: str | None
+        self, operation: str, address: str, outcome: Outcome, detail: str | None
     ) -> None:
         """Write an entry; refusals that repeat within a minute are counted, and told of later."""
-        act = Act(_CLIENT, caller.operation, None, caller.address)
+        act = Act(_CLIENT, operation, None, address)
         if outcome == "refused" and not self._refusals.is_first(act):
             return
         try:
             await self._in_thread(partial(self._write, act, outcome, detail))
         except (LumilineError, SQLAlchemyError):
-            _log.exception("audit: %s of %s: %s", caller.operation, caller.address, outcome)
+            _log.exception("audit: %s of %s: %s", operation, address, outcome)
 
     async def close(self) -> None:
         """Tell of all refusals that were counted."""
@@ -143,3 +142,33 @@ def _tool(session: Session, row: ToolRow) -> WireTool:
     tip = None if body.tip_mm is None else np.array(body.tip_mm)
     limit = tip_limit_of(session, row)
     return WireTool(row.id, row.device_id, row.reference_id, body.markers_mm, tip, limit)
+
+
+@asynccontextmanager
+async def openigtlink_running(
+    app: FastAPI, settings: Settings, recordings: RecordingManager
+) -> AsyncIterator[None]:
+    """Run it; with no port set, do nothing.
+
+    Raises:
+        OSError: the port is taken, or the address is none of this machine.
+    """
+    found = server_settings(settings)
+    if found is None:
+        yield
+        return
+    live = app.state.live
+    host = ApplicationHost(app.state.database, live, recordings)
+    server = OpenIGTLinkServer(live.poses, host, found, live.holds)
+    try:
+        await server.start()
+    except OSError as error:
+        _log.critical("OpenIGTLink on %s port %d: %s", found.host, found.port, error)
+        raise
+    app.state.metrics.add(OpenIGTLinkCollector(server.counters, lambda: server.clients))
+    app.state.openigtlink = server
+    try:
+        yield
+    finally:
+        await server.close()
+        await host.close()

@@ -10,13 +10,14 @@ from typing import Final
 
 from compute.pose.beam_hold import BeamHoldCause
 from service.pipeline.beam_hold_registry import BeamHoldRegistry
-from service.pipeline.beam_hold_state import BeamHoldState
+from service.pipeline.frame_batch import BeamHoldState
+from service.pipeline.threads import call_in_loop
 from service.pipeline.transform_names import NAME_BYTES
+from service.protocols.openigtlink.bodies import StatusCode
 from service.protocols.openigtlink.connection import ClientConnection
 from service.protocols.openigtlink.message import Message
 from service.protocols.openigtlink.session import Session
 from service.protocols.openigtlink.snapshot import FULL_NAME
-from service.protocols.openigtlink.text_bodies import StatusCode
 
 _log = logging.getLogger(__name__)
 
@@ -31,13 +32,7 @@ _CODES: Final = {
 
 
 class BeamHoldStatusSender:
-    """Beam holds as clients see them; used in one event loop, but for what the board calls.
-
-    Args:
-        board: of all holds.
-        device: whose holds are told; None: those of all.
-        clients: who is connected.
-    """
+    """Beam holds as clients see them; used in one event loop, but for what the board calls."""
 
     def __init__(
         self,
@@ -86,11 +81,7 @@ class BeamHoldStatusSender:
         if self._device not in (None, device_id):
             return
         self._changes.append((now, last))
-        try:
-            self._loop.call_soon_threadsafe(self._look)
-        except RuntimeError:
-            # The loop is closed: the service is ending, and its clients are gone.
-            return
+        call_in_loop(self._loop, self._look)
 
     def _tell_changes(self) -> None:
         taken = []

@@ -1,18 +1,23 @@
-"""Commands of clients as PLUS defines them: versions, names, recordings, transforms."""
+"""Commands of clients as PLUS defines them, in XML: versions, names, recordings, transforms."""
 
 import logging
 import re
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Mapping
+from dataclasses import dataclass, field
 from typing import Final
+from xml.etree.ElementTree import ParseError
+from xml.sax.saxutils import quoteattr
 
 import numpy as np
+from defusedxml import DefusedXmlException
+from defusedxml.ElementTree import fromstring
 from numpy.typing import NDArray
 
 from compute.errors import LumilineError
-from service.protocols.openigtlink.command_xml import CommandReply, CommandRequest
-from service.protocols.openigtlink.errors import CommandRefused
-from service.protocols.openigtlink.host import Caller, Host
-from service.protocols.openigtlink.named_transforms import (
+from service.protocols.openigtlink.host import Host, Outcome
+from service.protocols.openigtlink.message import CommandRefused
+from service.protocols.openigtlink.snapshot import Snapshot
+from service.protocols.openigtlink.transforms import (
     NamedTransform,
     Transforms,
     read_date,
@@ -21,8 +26,84 @@ from service.protocols.openigtlink.named_transforms import (
     read_name,
     write_matrix,
 )
-from service.protocols.openigtlink.snapshot import Snapshot
 from service.version import package_version
+
+_SHOWN: Final = 200
+_NOT_XML: Final = re.compile("[^\t\n\r -\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+
+
+@dataclass(frozen=True)
+class CommandRequest:
+    """A command."""
+
+    name: str
+    attributes: Mapping[str, str]
+
+
+@dataclass(frozen=True)
+class CommandReply:
+    """The answer to a command."""
+
+    done: bool
+    message: str
+    values: Mapping[str, str] = field(default_factory=dict)
+
+
+def read_command_request(name: str, text: str) -> CommandRequest:
+    """Return the command that a text is.
+
+    Args:
+        name: what is to be done, where the message says so; else the element's ``Name`` does.
+        text: ``<Command Name="..." .../>``; empty: no attributes.
+
+    Raises:
+        CommandRefused: it is no XML, declares entities or a document type, or is another element.
+    """
+    if not text.strip("\0 \t\r\n"):
+        if not name:
+            raise CommandRefused("a command without a name")
+        return CommandRequest(name, {})
+    try:
+        element = fromstring(text.rstrip("\0"), forbid_dtd=True)
+    except (ParseError, DefusedXmlException, ValueError) as error:
+        raise CommandRefused(
+            f"the command is not XML that is read here: {error}"[:_SHOWN]
+        ) from None
+    if element.tag.lower() != "command":
+        raise CommandRefused(f"the element is <{element.tag[:_SHOWN]}>; it must be <Command>")
+    attributes = {str(key): str(value) for key, value in element.attrib.items()}
+    found = name or attributes.get("Name", "")
+    if not found:
+        raise CommandRefused("a command without a name; give <Command Name=...>")
+    return CommandRequest(found, attributes)
+
+
+def write_reply(name: str | None, reply: CommandReply) -> str:
+    """Return the answer as PLUS writes it."""
+    shown = _clean(reply.message)
+    parts = ["<CommandReply"]
+    if name is not None:
+        parts.append(f" Name={quoteattr(_clean(name))}")
+    parts.append(f' Status="{"SUCCESS" if reply.done else "FAIL"}"')
+    if name is not None and not reply.done:
+        parts.append(f" Error={quoteattr(shown)}")
+    parts.append(f" Message={quoteattr(shown)}")
+    parts.append("></CommandReply>" if name is not None else " />")
+    return "".join(parts)
+
+
+def reply_metadata(reply: CommandReply) -> dict[str, str]:
+    """Return what PLUS says of an answer in metadata, too."""
+    found = {"Status": "SUCCESS" if reply.done else "FAIL", "Message": reply.message}
+    if not reply.done:
+        found["Error"] = reply.message
+    return found | dict(reply.values)
+
+
+def _clean(text: str) -> str:
+    """Return a text without what XML cannot have."""
+    return _NOT_XML.sub("?", text)
+
 
 _log = logging.getLogger(__name__)
 
@@ -38,13 +119,7 @@ _Do = Callable[[CommandRequest], Awaitable[CommandReply]]
 
 
 class Commands:
-    """Runs commands, one at a time for each client.
-
-    Args:
-        host: the application.
-        newest: returns the newest poses.
-        changes: whether clients may change anything.
-    """
+    """Runs commands, one at a time for each client."""
 
     def __init__(self, host: Host, newest: Callable[[], Snapshot | None], *, changes: bool) -> None:
         self._host = host
@@ -67,12 +142,7 @@ class Commands:
         }
 
     async def run(self, request: CommandRequest, address: str) -> CommandReply:
-        """Do what is asked, and write changes and refusals into the audit log; never raises.
-
-        Args:
-            asked: the command.
-            address: of the client.
-        """
+        """Do what is asked, and write changes and refusals into the audit log; never raises."""
         name = request.name.lower()
         reading = self._reading.get(name)
         if reading is not None:
@@ -86,12 +156,12 @@ class Commands:
                 "StartRecording, StopRecording and UpdateTransform",
             )
         operation, do = changing
-        caller = Caller(address, operation)
         if not self._changes:
-            await self._host.audit(caller, "refused", _NOT_ALLOWED)
+            await self._host.audit(operation, address, "refused", _NOT_ALLOWED)
             return CommandReply(done=False, message=_NOT_ALLOWED)
         reply = await _tried(do, request)
-        await self._host.audit(caller, "done" if reply.done else "refused", reply.message)
+        outcome: Outcome = "done" if reply.done else "refused"
+        await self._host.audit(operation, address, outcome, reply.message)
         return reply
 
     async def _version(self, _: CommandRequest) -> CommandReply:

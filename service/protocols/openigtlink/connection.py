@@ -4,18 +4,26 @@ import asyncio
 import logging
 import socket
 import time
-from collections.abc import Callable, Coroutine, Iterable
-from typing import Final, cast
+from collections.abc import Callable, Iterable
+from typing import TYPE_CHECKING, Final, cast
 
-from service.protocols.openigtlink.counters import Counters
-from service.protocols.openigtlink.decoder import Damaged, Decoder, Event, Skipped
-from service.protocols.openigtlink.errors import BadMessage, WrongChecksum
-from service.protocols.openigtlink.handlers import KNOWN, MessageHandlers
-from service.protocols.openigtlink.message import Message, write_message
+from service.protocols.openigtlink.bodies import StatusCode
+from service.protocols.openigtlink.handlers import KNOWN
+from service.protocols.openigtlink.message import (
+    BadMessage,
+    Damaged,
+    Decoder,
+    Event,
+    Message,
+    Skipped,
+    WrongChecksum,
+    write_message,
+)
 from service.protocols.openigtlink.session import Session
-from service.protocols.openigtlink.settings import ServerSettings
 from service.protocols.openigtlink.snapshot import Snapshot
-from service.protocols.openigtlink.text_bodies import StatusCode
+
+if TYPE_CHECKING:
+    from service.protocols.openigtlink.server import OpenIGTLinkServer
 
 _log = logging.getLogger(__name__)
 
@@ -38,33 +46,13 @@ class ClientConnection(asyncio.Protocol):
     A frame that it cannot take now waits, and is replaced by a newer one: nothing queues up.
 
     Args:
-        settings: of the server.
-        answers: to what it asks.
-        counters: of the server.
-        made: called when it is connected; returns why it is not let in.
-        lost: called when the connection has ended.
-        spawn: begins a task, and keeps it: what was commanded is done, and written down, also if
-            the client has gone.
-        missed: called when it reads again and has not been told of changes of beam holds.
+        server: lets it in, answers it, and is told when it reads again and when it has ended.
     """
 
-    def __init__(
-        self,
-        settings: ServerSettings,
-        answers: MessageHandlers,
-        counters: Counters,
-        made: Callable[["ClientConnection"], tuple[str, StatusCode | None] | None],
-        lost: Callable[["ClientConnection"], None],
-        spawn: Callable[[Coroutine[None, None, None]], None],
-        missed: Callable[["ClientConnection"], None],
-    ) -> None:
-        self._settings = settings
-        self._answers = answers
-        self._counters = counters
-        self._made = made
-        self._lost = lost
-        self._spawn = spawn
-        self._missed = missed
+    def __init__(self, server: "OpenIGTLinkServer") -> None:
+        self._server = server
+        self._settings = server.settings
+        self._counters = server.counters
         self._misses_holds = False
         self._loop = asyncio.get_running_loop()
         self._decoder = Decoder(KNOWN)
@@ -89,7 +77,7 @@ class ClientConnection(asyncio.Protocol):
         link.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SOCKET_BYTES)
         link.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
         link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        refused = self._made(self)
+        refused = self._server.admit(self)
         if refused is None:
             return
         reason, code = refused
@@ -120,7 +108,7 @@ class ClientConnection(asyncio.Protocol):
         self._cancel("stall")
         if self._misses_holds:
             self._misses_holds = False
-            self._missed(self)
+            self._server.holds.greet(self)
         self._send_frame()
         self._work()
 
@@ -132,7 +120,7 @@ class ClientConnection(asyncio.Protocol):
         self._waiting = None
         reason = self._ending or ("closed by the client" if exc is None else "connection lost")
         self._ending = reason
-        self._lost(self)
+        self._server.forget(self)
 
     @property
     def ending(self) -> str:
@@ -187,11 +175,8 @@ class ClientConnection(asyncio.Protocol):
         self._transport.abort()
 
     def _slow(self) -> None:
-        self.end(
-            f"a message has not come to its end within {self._settings.message_s:g} s",
-            StatusCode.TIME_OUT,
-            "slow",
-        )
+        text = f"a message has not come to its end within {self._settings.message_s:g} s"
+        self.end(text, StatusCode.TIME_OUT, "slow")
 
     def _send_frame(self) -> None:
         if self._waiting is None or not self._writable or self._ending is not None:
@@ -255,13 +240,13 @@ class ClientConnection(asyncio.Protocol):
             self._skip(header.type)
             return
         try:
-            found = self._answers.handle(self.session, event)
+            found = self._server.handlers.handle(self.session, event)
         except BadMessage as error:
             self._refuse(error)
             return
         if found is None:
             self._busy = True
-            self._spawn(self._later(event))
+            self._server.spawn(self._later(event))
         else:
             self._send(found)
 
@@ -274,7 +259,7 @@ class ClientConnection(asyncio.Protocol):
 
     async def _later(self, message: Message) -> None:
         try:
-            self._send(await self._answers.handle_slow(self.session, message))
+            self._send(await self._server.handlers.handle_slow(self.session, message))
         except BadMessage as error:
             self._refuse(error)
         except Exception:  # noqa: BLE001 - one message ends no connection, and no others'

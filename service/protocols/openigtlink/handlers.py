@@ -1,36 +1,103 @@
 """MessageHandlers: the answer to each type of message."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from typing import Final
 
+import numpy as np
+from numpy.typing import NDArray
+
 from compute.errors import LumilineError
-from service.protocols.openigtlink.command_xml import (
+from service.pipeline.transform_names import frame_name
+from service.protocols.openigtlink.bodies import (
+    Command,
+    Point,
+    StatusCode,
+    read_command,
+    read_start,
+    read_string,
+    write_capability,
+    write_command,
+    write_points,
+    write_result,
+    write_string,
+)
+from service.protocols.openigtlink.commands import (
     CommandReply,
     CommandRequest,
+    Commands,
     read_command_request,
     reply_metadata,
     write_reply,
 )
-from service.protocols.openigtlink.commands import Commands
 from service.protocols.openigtlink.counters import Counters
-from service.protocols.openigtlink.errors import BadMessage, CommandRefused
-from service.protocols.openigtlink.get_point import find_points
-from service.protocols.openigtlink.host import Host, WireTool
-from service.protocols.openigtlink.message import Message
-from service.protocols.openigtlink.pose_bodies import read_start, write_points
+from service.protocols.openigtlink.host import Host, Landmark, WireTool
+from service.protocols.openigtlink.message import BadMessage, CommandRefused, Message
 from service.protocols.openigtlink.session import LANDMARKS, SERVER, Kind, Session, Subscription
-from service.protocols.openigtlink.snapshot import Snapshot
-from service.protocols.openigtlink.text_bodies import (
-    Command,
-    StatusCode,
-    read_command,
-    read_string,
-    write_capability,
-    write_command,
-    write_result,
-    write_string,
-)
+from service.protocols.openigtlink.snapshot import Snapshot, WirePose
+
+Array = NDArray[np.float64]
+
+_MARKER = (255, 255, 0, 255)
+_TIP = (255, 0, 0, 255)
+_LANDMARK = (0, 255, 0, 255)
+
+
+def find_points(
+    name: str,
+    snapshot: Snapshot,
+    tools: Sequence[WireTool],
+    landmarks: Sequence[Landmark],
+) -> tuple[list[Point], list[str], bool]:
+    """Return the points of a name, in the frame that poses of their tool are given in.
+
+    Args:
+        name: of a tool, its transform, ``Landmarks``, ``Markers``; empty: all.
+        snapshot: the newest poses; markers of tools that are not seen have no place.
+        tools: of the device.
+        landmarks: likewise; those that were measured with what is not active are withheld.
+
+    Returns:
+        The points; why landmarks are withheld, each registration once; and whether there are
+        landmarks that hold only as long as nothing else is active.
+    """
+    points: list[Point] = []
+    by_id = {tool.id: tool for tool in tools}
+    for pose in snapshot.poses:
+        tool = by_id.get(pose.source.tool)
+        names = (pose.name.short, pose.name.full, pose.source.tool, "Markers", "")
+        if tool is not None and pose.valid and pose.placed is not None and name in names:
+            points += _of_tool(tool, pose, pose.placed)
+    active = snapshot.entry.calibration_id, snapshot.entry.table_id
+    withheld: dict[str, None] = {}
+    has_landmarks = False
+    for one in landmarks:
+        if name not in ("", "Landmarks", one.owner, one.name):
+            continue
+        why = None if one.provenance is None else one.provenance.invalid_reason(*active)
+        if why is not None:
+            withheld[why] = None
+            continue
+        has_landmarks = has_landmarks or one.provenance is not None
+        points.append(Point(one.name, "Landmark", one.position_mm, _LANDMARK, owner=one.owner))
+    return points, list(withheld), has_landmarks
+
+
+def _of_tool(tool: WireTool, pose: WirePose, placed: tuple[Array, Array]) -> Iterable[Point]:
+    owner = frame_name(pose.name.frame)
+    if tool.markers_mm is not None:
+        for number, marker in enumerate(tool.markers_mm):
+            place = _transform(placed, marker)
+            yield Point(f"{tool.id} marker {number}", "Marker", place, _MARKER, owner=owner)
+    if tool.tip_mm is not None:
+        yield Point(f"{tool.id} tip", "Tip", _transform(placed, tool.tip_mm), _TIP, owner=owner)
+
+
+def _transform(placed: tuple[Array, Array], point_mm: Array) -> tuple[float, float, float]:
+    rotation, translation = placed
+    x, y, z = rotation @ point_mm + translation
+    return float(x), float(y), float(z)
+
 
 _KINDS: Final[dict[str, Kind]] = {
     "TRANS": "TRANSFORM",
@@ -52,17 +119,7 @@ _MAX_WITHHELD_NAMED: Final = 5
 
 
 class MessageHandlers:
-    """Answers messages; what takes its time is awaited.
-
-    Args:
-        host: the application.
-        newest: returns the newest poses.
-        tools: returns the tools that are known.
-        counters: of the server.
-        holds: returns the STATUS of a beam hold by its name; None: there is none.
-        invalid: whether poses that are not OK are sent.
-        changes: whether clients may change anything.
-    """
+    """Answers messages; what takes its time is awaited."""
 
     def __init__(
         self,
@@ -209,20 +266,17 @@ class MessageHandlers:
             landmarks = await self._host.landmarks(device)
         except LumilineError as error:
             return [session.status(StatusCode.UNKNOWN_ERROR, "NoPoints", error.detail)]
-        # What came into force while they were read counts.
+        # What became active while they were read counts.
         snapshot = self._newest() or snapshot
         tools = [tool for tool in self._tools() if tool.device_id == device]
-        found = find_points(message.device, snapshot, tools, landmarks)
-        answers = [_answer(session, message, "POINT", write_points(found.points))]
-        if found.has_landmarks:
+        points, withheld, has_landmarks = find_points(message.device, snapshot, tools, landmarks)
+        answers = [_answer(session, message, "POINT", write_points(points))]
+        if has_landmarks:
             session.landmarks_sent(snapshot)
-        if found.withheld:
-            more = len(found.withheld) - _MAX_WITHHELD_NAMED
-            told = [
-                *found.withheld[:_MAX_WITHHELD_NAMED],
-                *([f"and {more} more"] if more > 0 else []),
-            ]
-            text = f"landmarks are withheld: {'; '.join(told)}"
+        if withheld:
+            more = len(withheld) - _MAX_WITHHELD_NAMED
+            reasons = withheld[:_MAX_WITHHELD_NAMED] + [f"and {more} more"] * (more > 0)
+            text = f"landmarks are withheld: {'; '.join(reasons)}"
             answers.append(session.status(StatusCode.UNKNOWN_ERROR, "INVALID", text, LANDMARKS))
         return answers
 

@@ -1,7 +1,7 @@
-"""Host: interface of the server to the application: tools, landmarks, recordings."""
+"""ServerSettings; Host: what the application gives to the server: tools, landmarks, recordings."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Literal, Protocol
 
 import numpy as np
@@ -9,6 +9,32 @@ from numpy.typing import NDArray
 
 from service.api.tools.provenance import Provenance
 from service.api.tools.tip_limit import TipLimit
+from service.settings import Settings
+
+
+@dataclass(frozen=True)
+class ServerSettings:
+    """Settings of one server; see those of the service that begin with openigtlink."""
+
+    host: str = "127.0.0.1"
+    port: int = 18944
+    allow: tuple[str, ...] = ()
+    device: str | None = None
+    rate_hz: float = 250.0
+    clients: int = 16
+    stall_s: float = 10.0
+    message_s: float = 30.0
+    send_invalid: bool = False
+    changes: bool = False
+
+
+def server_settings(settings: Settings) -> ServerSettings | None:
+    """Return the OpenIGTLink server's part of the service's settings; None: it is off."""
+    if settings.openigtlink_port is None:
+        return None
+    names = (field.name for field in fields(ServerSettings))
+    return ServerSettings(**{name: getattr(settings, f"openigtlink_{name}") for name in names})
+
 
 Array = NDArray[np.float64]
 
@@ -52,17 +78,7 @@ class Landmark:
     provenance: Provenance | None = None
 
 
-@dataclass(frozen=True)
-class Caller:
-    """Who wants something changed: there is no more to know of a client than its address.
-
-    Args:
-        address: of the client.
-        operation: ``openigtlink-start-recording``, ...
-    """
-
-    address: str
-    operation: str
+Outcome = Literal["done", "refused"]
 
 
 class Host(Protocol):
@@ -89,7 +105,7 @@ class Host(Protocol):
         ...
 
     async def audit(
-        self, caller: Caller, outcome: Literal["done", "refused"], detail: str | None
+        self, operation: str, address: str, outcome: Outcome, detail: str | None
     ) -> None:
-        """Write down what a client changed, or wanted to change; never raises."""
+        """Write down what the client at an address changed, or wanted to; never raises."""
         ...

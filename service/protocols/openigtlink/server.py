@@ -11,16 +11,15 @@ from typing import TYPE_CHECKING, Final
 from compute.errors import LumilineError
 from service.allow_list import AllowList
 from service.pipeline.beam_hold_registry import BeamHoldRegistry
-from service.pipeline.latest_poses import LatestPoses, PoseEntry
+from service.pipeline.frame_batch import LatestPoses, PoseEntry
 from service.protocols.openigtlink.beam_hold_status import BeamHoldStatusSender
+from service.protocols.openigtlink.bodies import StatusCode
 from service.protocols.openigtlink.connection import ClientConnection
 from service.protocols.openigtlink.counters import Counters
 from service.protocols.openigtlink.handlers import MessageHandlers
-from service.protocols.openigtlink.host import Host, WireTool
-from service.protocols.openigtlink.settings import ServerSettings
+from service.protocols.openigtlink.host import Host, ServerSettings, WireTool
 from service.protocols.openigtlink.snapshot import Snapshot
-from service.protocols.openigtlink.text_bodies import StatusCode
-from service.protocols.openigtlink.transform_names import ToolNames, name_tools
+from service.protocols.openigtlink.transforms import ToolNames, name_tools
 
 if TYPE_CHECKING:
     from service.api.tools.tip_limit import TipLimit
@@ -36,14 +35,7 @@ _BACKLOG: Final = 64
 
 
 class OpenIGTLinkServer:
-    """Serves clients from a pose board; made and used in one event loop.
-
-    Args:
-        board: where the newest poses are.
-        host: the application.
-        settings: of the server.
-        holds: beam holds, of which clients are told; None: there are none.
-    """
+    """Serves clients from a pose board; made and used in one event loop."""
 
     def __init__(
         self,
@@ -55,16 +47,16 @@ class OpenIGTLinkServer:
         self.counters = Counters()
         if holds is None:
             holds = BeamHoldRegistry(lambda *_: None)
-        self._holds = BeamHoldStatusSender(holds, settings.device, lambda: self._clients)
+        self.holds = BeamHoldStatusSender(holds, settings.device, lambda: self._clients)
         self._board = board
         self._host = host
-        self._settings = settings
-        self._answers = MessageHandlers(
+        self.settings = settings
+        self.handlers = MessageHandlers(
             host,
             self._fresh,
             lambda: self._tools,
             self.counters,
-            self._holds.answer,
+            self.holds.answer,
             invalid=settings.send_invalid,
             changes=settings.changes,
         )
@@ -100,18 +92,18 @@ class OpenIGTLinkServer:
         """
         loop = asyncio.get_running_loop()
         self._server = await loop.create_server(
-            self._client,
-            self._settings.host,
-            self._settings.port,
+            lambda: ClientConnection(self),
+            self.settings.host,
+            self.settings.port,
             family=socket.AF_UNSPEC,
             backlog=_BACKLOG,
         )
         await self.refresh()
         self._end = self._board.listen(self._told)
-        self._holds.start()
+        self.holds.start()
         self._watcher = loop.create_task(self._watch())
         host, port = self.address
-        others = ", ".join(self._settings.allow)
+        others = ", ".join(self.settings.allow)
         _log.info(
             "OpenIGTLink on %s:%d, for %s",
             host,
@@ -122,7 +114,7 @@ class OpenIGTLinkServer:
     async def close(self) -> None:
         """Tell all clients, and close; those that do not read are cut off."""
         self._end()
-        self._holds.close()
+        self.holds.close()
         self._watcher.cancel()
         self._server.close()
         for client in list(self._clients):
@@ -131,18 +123,8 @@ class OpenIGTLinkServer:
         while (self._clients or self._tasks) and time.monotonic() < end:
             await asyncio.sleep(0.01)
 
-    def _client(self) -> ClientConnection:
-        return ClientConnection(
-            self._settings,
-            self._answers,
-            self.counters,
-            self._made,
-            self._lost,
-            self._spawn,
-            self._holds.greet,
-        )
-
-    def _spawn(self, work: Coroutine[None, None, None]) -> None:
+    def spawn(self, work: Coroutine[None, None, None]) -> None:
+        """Begin a task and keep it: what was commanded is done also if the client has gone."""
         task = asyncio.get_running_loop().create_task(work)
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
@@ -152,16 +134,16 @@ class OpenIGTLinkServer:
         found = self._newest
         return found if found is not None and found.fresh else None
 
-    def _made(self, client: ClientConnection) -> tuple[str, StatusCode | None] | None:
+    def admit(self, client: ClientConnection) -> tuple[str, StatusCode | None] | None:
         """Let a client in, or say why not; who is not allowed is told nothing."""
         address = client.session.address
         if not self._allowed.permits(address):
             self.counters.refused["address"] += 1
             self._tell_refused(f"{address} is in no network that may connect")
             return "address", None
-        if len(self._clients) >= self._settings.clients:
+        if len(self._clients) >= self.settings.clients:
             self.counters.refused["full"] += 1
-            reason = f"{self._settings.clients} clients are connected, and no more are let in"
+            reason = f"{self.settings.clients} clients are connected, and no more are let in"
             self._tell_refused(f"{address}: {reason}")
             return reason, StatusCode.NOT_ENOUGH_RESOURCE
         self._clients.add(client)
@@ -169,7 +151,7 @@ class OpenIGTLinkServer:
         newest = self._fresh()
         if newest is not None:
             client.offer(newest)
-        self._holds.greet(client)
+        self.holds.greet(client)
         return None
 
     def _tell_refused(self, text: str) -> None:
@@ -179,7 +161,8 @@ class OpenIGTLinkServer:
             self._refusal_told_s = now + _REFUSALS_S
             _log.warning("OpenIGTLink: %s", text)
 
-    def _lost(self, client: ClientConnection) -> None:
+    def forget(self, client: ClientConnection) -> None:
+        """Note that a connection has ended."""
         if client in self._clients:
             self._clients.discard(client)
             self.counters.ended[client.ending] += 1
@@ -211,8 +194,8 @@ class OpenIGTLinkServer:
 
     def _device(self) -> str | None:
         """Return the device whose tools are sent: as set, or the first that had any."""
-        if self._settings.device is not None:
-            return self._settings.device
+        if self.settings.device is not None:
+            return self.settings.device
         if self._newest is None:
             return None
         device = self._newest.entry.device_id
@@ -239,7 +222,7 @@ class OpenIGTLinkServer:
                 self._wake.clear()
                 await self.refresh()
                 asked = time.monotonic()
-            self._holds.repeat()
+            self.holds.repeat()
             if self._newest is not None and not self._newest.fresh:
                 age_s = self._newest.age_s
                 for client in list(self._clients):
@@ -249,14 +232,12 @@ class OpenIGTLinkServer:
         """Take the application's tools; while it cannot tell, those that are known stay."""
         try:
             found = tuple(await self._host.tools())
-        except LumilineError as error:
+        except Exception as error:  # noqa: BLE001 - the poses of known tools go on
             if not self._failing:
-                _log.warning("OpenIGTLink: the tools are not known: %s", error.detail)
-            self._failing = True
-            return
-        except Exception:  # noqa: BLE001 - the poses of known tools go on
-            if not self._failing:
-                _log.exception("OpenIGTLink: the tools are not known")
+                expected = isinstance(error, LumilineError)
+                level = logging.WARNING if expected else logging.ERROR
+                text = "OpenIGTLink: the tools are not known: %s"
+                _log.log(level, text, error, exc_info=not expected)
             self._failing = True
             return
         self._failing = False

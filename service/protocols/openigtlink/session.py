@@ -4,11 +4,9 @@ from dataclasses import dataclass, field
 from typing import Final, Literal
 
 from compute.pose.rigid_body import PoseStatus
-from service.protocols.openigtlink.errors import BadMessage
-from service.protocols.openigtlink.header import Header
-from service.protocols.openigtlink.message import Message, write_message
+from service.protocols.openigtlink.bodies import StatusCode, write_status
+from service.protocols.openigtlink.message import BadMessage, Header, Message, write_message
 from service.protocols.openigtlink.snapshot import Snapshot
-from service.protocols.openigtlink.text_bodies import Status, StatusCode, write_status
 
 Kind = Literal["TRANSFORM", "POSITION", "TDATA", "QTDATA"]
 SERVER: Final = "Lumiline"
@@ -72,13 +70,7 @@ class Session:
         self.version = max(self.version, header.version)
 
     def frame(self, snapshot: Snapshot, now_s: float, *, invalid: bool) -> bytes:
-        """Return all that the client is to get of a frame.
-
-        Args:
-            snapshot: the frame.
-            now_s: the loop's time [s].
-            invalid: also poses that are not OK.
-        """
+        """Return all that the client is to get of a frame."""
         parts = [write_message(message) for message in self._statuses(snapshot)]
         for kind, wanted in list(self.wanted.items()):
             if now_s + _EARLY < wanted.due_s:
@@ -116,7 +108,7 @@ class Session:
 
     def status(self, code: StatusCode, name: str, text: str, device: str = SERVER) -> Message:
         """Return a STATUS as a message."""
-        content = write_status(Status(code, name, text))
+        content = write_status(code, name, text)
         return Message("STATUS", device, content, version=self.version)
 
     def pose_status(self, snapshot: Snapshot, name: str) -> Message | None:

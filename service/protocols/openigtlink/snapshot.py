@@ -13,19 +13,16 @@ from numpy.typing import NDArray
 from compute.pose.rigid_body import PoseStatus, ToolPose
 from service.api.tools.frame_conversion import POSE_STATUSES, status_rank
 from service.api.tools.tip_limit import TipLimit, exceeded_reason, tip_sd_mm
-from service.pipeline.latest_poses import PoseEntry
+from service.pipeline.frame_batch import PoseEntry
 from service.pipeline.transform_names import TRACKER, TransformName, frame_name
-from service.protocols.openigtlink.errors import BadMessage
-from service.protocols.openigtlink.message import Message, write_message
-from service.protocols.openigtlink.named_transforms import inverse_of
-from service.protocols.openigtlink.pose_bodies import (
-    ToolTransform,
+from service.protocols.openigtlink.bodies import (
     Tracking,
     write_position,
     write_tracking,
     write_transform,
 )
-from service.protocols.openigtlink.transform_names import ToolNames
+from service.protocols.openigtlink.message import BadMessage, Message, write_message
+from service.protocols.openigtlink.transforms import ToolNames, inverse_of
 
 Array = NDArray[np.float64]
 
@@ -187,7 +184,7 @@ class Snapshot:
         """
         poses = self.poses_in(frame)
         tools = [
-            ToolTransform(pose.name.short, *pose.placed)
+            (pose.name.short, *pose.placed)
             for pose in poses
             if pose.valid and pose.placed is not None
         ]

@@ -1,21 +1,26 @@
-"""Hub: publishes to the streams; one message log for each device, and the clients that read it."""
+"""Hub: publishes to the streams; Subscription: one client of a stream."""
 
+import asyncio
+from collections import defaultdict
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 from threading import Lock
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from hardware.driver import DeviceDescription
-from service.pipeline.beam_hold_state import BeamHoldState
-from service.pipeline.detection_stage import peak_method
-from service.pipeline.frame_batch import FrameBatch
-from service.protocols.stream.encoding import Content, status_message
-from service.protocols.stream.message_log import BeamHoldMessage, StreamLog
-from service.protocols.stream.stream_batch import StreamBatch
-from service.protocols.stream.subscription import StreamRequest, Subscription
-
-if TYPE_CHECKING:
-    import asyncio
+from service.pipeline.frame_batch import BeamHoldState, FrameBatch
+from service.pipeline.threads import call_in_loop
+from service.protocols.stream.message_log import LatestCursor, SequentialCursor, StreamLog
+from service.protocols.stream.messages import (
+    Content,
+    Encoding,
+    Payload,
+    StreamBatch,
+    describe_message,
+    hold_message,
+    status_message,
+)
 
 KEPT_MESSAGES = 10_000
 """Messages of each device that are kept for clients which are behind or come back."""
@@ -23,11 +28,115 @@ LAG_S = 1.0
 """How far a client that is not lossless may fall behind."""
 
 
+class StreamEnded(Exception):
+    """There will be no more messages; its text says why."""
+
+
+@dataclass(frozen=True)
+class StreamRequest:
+    """What a client asked for.
+
+    Args:
+        device_id: the device.
+        content: what a frame's message holds; empty: no frames are sent.
+        encoding: how messages are written.
+        lossless: every message in order for as long as it is kept; otherwise a client that falls
+            behind goes on with the newest.
+        rate_hz: largest rate of frames [Hz], the newest each time; None: every frame.
+        bundle_s: shortest time between messages of several frames [s]; None: each in a message
+            of its own.
+        stream: the log that ``after`` is of.
+        after: number of the last message that the client has; None: it begins with the next.
+    """
+
+    device_id: str
+    content: frozenset[Content]
+    encoding: Encoding
+    lossless: bool = False
+    rate_hz: float | None = None
+    bundle_s: float | None = None
+    stream: str | None = None
+    after: int | None = None
+
+
+class Subscription:
+    """One client's position and pace in a log; made and used in one event loop.
+
+    It begins with the next message, or after the one that the client has.
+    """
+
+    def __init__(self, request: StreamRequest, log: StreamLog, lag_s: float) -> None:
+        self.request = request
+        self.loop = asyncio.get_running_loop()
+        self.log = log
+        self.resumed = request.after is not None and request.stream == log.id
+        """Whether it goes on behind the message that the client has."""
+        self.start = log.next
+        """Number of the first message that it is to get."""
+        if request.after is not None:
+            # The numbers of another log mean nothing here: all that there is, then.
+            self.start = min(request.after + 1, log.next) if self.resumed else log.oldest
+        variant = (request.content, request.encoding)
+        self._cursor: LatestCursor | SequentialCursor
+        if request.rate_hz is not None or not request.content:
+            self._cursor = LatestCursor(log, variant, self.start)
+        else:
+            self._cursor = SequentialCursor(
+                log,
+                variant,
+                request.device_id,
+                self.start,
+                None if request.lossless else lag_s,
+                bundled=request.bundle_s is not None,
+            )
+        self._pace_s = 1.0 / request.rate_hz if request.rate_hz else request.bundle_s or 0.0
+        self._due_s = self.loop.time()
+        self._ready = asyncio.Event()
+        self._ended: str | None = None
+        self._at_once = False
+
+    def wake(self, *, frames: bool) -> None:
+        """Wake the client for a new message; frames wake it only when they are due."""
+        if not frames or not self._pace_s or self.loop.time() >= self._due_s:
+            self._ready.set()
+
+    def end(self, reason: str, *, at_once: bool) -> None:
+        """Let ``next`` raise StreamEnded: at once, or after what is there."""
+        self._ended, self._at_once = reason, at_once
+        self._ready.set()
+
+    async def next(self) -> Payload:
+        """Return the next payload; waits for it.
+
+        Raises:
+            StreamEnded: ``end`` was called.
+        """
+        while True:
+            if self._ended is not None and self._at_once:
+                raise StreamEnded(self._ended)
+            self._ready.clear()
+            now = self.loop.time()
+            due = now >= self._due_s or self._ended is not None
+            item = self._cursor.take(due=due)
+            if item is not None:
+                if item.frames and self._pace_s:
+                    # Counted from when it was due, so that the rate is the one asked for; after a
+                    # pause from now, which is not made up for.
+                    self._due_s = max(self._due_s + self._pace_s, now)
+                return item.payload
+            if self._ended is not None:
+                raise StreamEnded(self._ended)
+            try:
+                async with asyncio.timeout(None if due else self._due_s - now):
+                    await self._ready.wait()
+            except TimeoutError:
+                continue
+
+
 class Hub:
     """StreamPublisher of the service: appends to the device's log, and never waits for a client."""
 
     def __init__(self, kept_messages: int = KEPT_MESSAGES, lag_s: float = LAG_S) -> None:
-        """Make a hub; see KEPT_MESSAGES and LAG_S."""
         self._kept_messages = kept_messages
         self._lag_s = lag_s
         self._logs: dict[str, StreamLog] = {}
@@ -39,10 +148,14 @@ class Hub:
     def log(self, device_id: str) -> StreamLog:
         """Return the device's log, made when it is first asked for."""
         with self._lock:
-            found = self._logs.get(device_id)
-            if found is None:
-                found = self._logs[device_id] = StreamLog(self._kept_messages)
-            return found
+            if device_id not in self._logs:
+                self._logs[device_id] = StreamLog(self._kept_messages)
+            return self._logs[device_id]
+
+    def logs(self) -> dict[str, StreamLog]:
+        """Return the logs of all devices that have one."""
+        with self._lock:
+            return dict(self._logs)
 
     def subscribe(self, request: StreamRequest) -> Subscription:
         """Add a client; called in the event loop that takes its messages."""
@@ -63,20 +176,20 @@ class Hub:
         """Return the number of clients of a device."""
         return len(self._clients.get(device_id, ()))
 
+    @property
+    def clients(self) -> int:
+        """How many clients there are."""
+        return sum(len(here) for here in tuple(self._clients.values()))
+
     def publish_batch(self, batch: FrameBatch) -> None:
         """Put a batch of frames into the device's log; callable from any thread."""
-        self.log(batch.device_id).append_batch(StreamBatch.of(batch))
-        self._tell(batch.device_id, _wake_for_frames)
+        self.log(batch.device_id).append_batch(StreamBatch(batch))
+        self._call_clients(batch.device_id, partial(Subscription.wake, frames=True))
 
-    def publish(
-        self, device_id: str, message: dict[str, Any], content: Content | None = None
-    ) -> None:
-        """Put a message that is no frame into the device's log; callable from any thread.
-
-        ``content``: only clients who asked for it get it; None: all.
-        """
-        self.log(device_id).append(message, content)
-        self._tell(device_id, _wake)
+    def publish(self, device_id: str, message: dict[str, Any]) -> None:
+        """Put a message that is no frame into the device's log; callable from any thread."""
+        self.log(device_id).append(lambda: message)
+        self._call_clients(device_id, partial(Subscription.wake, frames=False))
 
     def publish_status(
         self,
@@ -88,18 +201,19 @@ class Hub:
     ) -> None:
         """Tell all clients of a device its state, with the description of one that runs."""
         message = status_message(device_id, state, reason, link)
-        if description is not None:
-            message |= describe_message(description)
-        self.publish(device_id, message)
+        self.publish(device_id, message | (describe_message(description) if description else {}))
 
     def publish_hold(self, device_id: str, now: BeamHoldState) -> None:
         """Tell the clients who asked for beam holds of a change of one."""
-        self.publish(device_id, BeamHoldMessage(device_id, now), "holds")
+        releases = (now.release,) if now.release else ()
+        self.log(device_id).append(partial(hold_message, device_id, now), "holds", releases)
+        self._call_clients(device_id, partial(Subscription.wake, frames=False))
 
     def end(self, device_id: str) -> None:
         """Tell all clients of a device that it was deleted, end their streams, forget the log."""
         self.publish_status(device_id, "deleted")
-        self._tell(device_id, partial(_end, "the device was deleted", False))
+        end = partial(Subscription.end, reason="the device was deleted", at_once=False)
+        self._call_clients(device_id, end)
         with self._lock:
             self._logs.pop(device_id, None)
 
@@ -107,52 +221,17 @@ class Hub:
         """End all streams at once, though their devices go on."""
         self.closed = reason
         for device_id in tuple(self._clients):
-            self._tell(device_id, partial(_end, reason, True))
+            self._call_clients(device_id, partial(Subscription.end, reason=reason, at_once=True))
 
-    @property
-    def clients(self) -> int:
-        """How many clients there are."""
-        return sum(len(here) for here in tuple(self._clients.values()))
-
-    def logs(self) -> dict[str, StreamLog]:
-        """Return the logs of all devices that have one."""
-        with self._lock:
-            return dict(self._logs)
-
-    def _tell(self, device_id: str, action: Callable[[tuple[Subscription, ...]], None]) -> None:
-        """Call an action with the device's clients in their loop, once for all of them."""
-        loops: dict[asyncio.AbstractEventLoop, list[Subscription]] = {}
+    def _call_clients(self, device_id: str, action: Callable[[Subscription], None]) -> None:
+        """Call an action with each of the device's clients in its loop, once for each loop."""
+        loops: dict[asyncio.AbstractEventLoop, list[Subscription]] = defaultdict(list)
         for client in self._clients.get(device_id, ()):
-            loops.setdefault(client.loop, []).append(client)
+            loops[client.loop].append(client)
         for loop, clients in loops.items():
-            try:
-                loop.call_soon_threadsafe(action, tuple(clients))
-            except RuntimeError:
-                # The loop is closed: the service is ending and its clients are gone.
-                continue
+            call_in_loop(loop, _call_each, action, clients)
 
 
-def describe_message(description: DeviceDescription) -> dict[str, Any]:
-    """Return what a client needs to know of a running device, for hello and status messages."""
-    return {
-        "sensors": [sensor.name for sensor in description.sensors],
-        "frame_rate_hz": description.frame_rate_hz,
-        "markers": description.markers,
-        "readout": description.readout,
-        "method": peak_method(description),
-    }
-
-
-def _wake_for_frames(clients: tuple[Subscription, ...]) -> None:
+def _call_each(action: Callable[[Subscription], None], clients: list[Subscription]) -> None:
     for client in clients:
-        client.wake(frames=True)
-
-
-def _wake(clients: tuple[Subscription, ...]) -> None:
-    for client in clients:
-        client.wake(frames=False)
-
-
-def _end(reason: str, at_once: bool, clients: tuple[Subscription, ...]) -> None:
-    for client in clients:
-        client.end(reason, at_once=at_once)
+        action(client)

@@ -1,42 +1,35 @@
-"""StreamLog: the newest messages of one device, numbered, for clients that read at their pace."""
+"""StreamLog: the newest messages of one device, numbered; cursors: where a client reads in it."""
 
 import math
 import secrets
 import time
 from bisect import bisect_right
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from itertools import islice
 from threading import Lock
-from typing import Any
+from typing import Final, NamedTuple
 
-from service.pipeline.beam_hold_state import BeamEnableToken, BeamHoldState
-from service.protocols.stream.encoding import Content, Encoding, Payload, encode, frame_messages
-from service.protocols.stream.stream_batch import StreamBatch, hold_members
+from service.pipeline.frame_batch import BeamEnableToken
+from service.protocols.stream.messages import (
+    Content,
+    Encoding,
+    Payload,
+    Rows,
+    StreamBatch,
+    bundle,
+    encode,
+    frame_messages,
+    missed_message,
+)
+
+BUNDLE_FRAMES: Final = 512
+"""Most frames in one message."""
+_ENTRIES: Final = 64  # that are looked at in one go
 
 Variant = tuple[frozenset[Content], Encoding]
 """What messages hold, and how they are written: clients of the same variant share the work."""
-
-
-class BeamHoldMessage(dict[str, Any]):
-    """Message about a change of a beam hold; ``sent`` is what it says at the time of sending."""
-
-    def __init__(self, device_id: str, now: BeamHoldState) -> None:
-        super().__init__(
-            {
-                "type": "hold",
-                "device": device_id,
-                **hold_members(now),
-                "exposure_ns": now.exposure_ns,
-                "sequence": now.sequence,
-            }
-        )
-        self.now = now
-
-    @property
-    def sent(self) -> dict[str, Any]:
-        """Its members; held, where the beam was held since the change."""
-        return {**self, **hold_members(self.now)}
 
 
 @dataclass(eq=False, slots=True)
@@ -50,16 +43,18 @@ class LogEntry:
         first: number of the first message.
         count: how many.
         at_s: when they came (``time.monotonic``).
-        batch: the frames; None: ``message`` is the one message.
-        message: a status message.
+        messages: returns those of a content, from an index to before another.
+        frames: whether they are frames.
+        releases: tokens of the holds whose beam they say is enabled.
         content: that of clients who are to get the message; None: all are.
     """
 
     first: int
     count: int
     at_s: float
-    batch: StreamBatch | None = None
-    message: dict[str, Any] | None = None
+    messages: Callable[[frozenset[Content], int, int], Rows]
+    frames: bool
+    releases: tuple[BeamEnableToken, ...] = ()
     content: Content | None = None
     _all: dict[Variant, tuple[int, list[Payload]]] = field(default_factory=dict)
     _single: dict[tuple[Variant, int], tuple[int, Payload]] = field(default_factory=dict)
@@ -86,40 +81,27 @@ class LogEntry:
         """Return one message, encoded; the others of a batch are not touched."""
         index = number - self.first
         over = self._over
-        known = self._all.get(variant)
-        if known is not None and known[0] == over:
-            return known[1][index]
-        single = self._single.get((variant, index))
-        if single is not None and single[0] == over:
-            return single[1]
-        (found,) = self._encoded(variant, index, index + 1)
-        self._single[variant, index] = over, found
-        return found
+        known, found = self._all.get(variant, (-1, []))
+        if known == over:
+            return found[index]
+        known, single = self._single.get((variant, index), (-1, b""))
+        if known != over:
+            (single,) = self._encoded(variant, index, index + 1)
+            self._single[variant, index] = over, single
+        return single
 
     @property
     def _over(self) -> int:
-        """How many of the releases that it tells of are over."""
-        return sum(one.over for one in self._releases)
-
-    @property
-    def _releases(self) -> tuple[BeamEnableToken, ...]:
-        if self.batch is not None:
-            return self.batch.releases
-        if isinstance(self.message, BeamHoldMessage) and self.message.now.release is not None:
-            return (self.message.now.release,)
-        return ()
+        """How many of its releases are over."""
+        return sum(one.over for one in self.releases)
 
     def _encoded(self, variant: Variant, first: int, last: int) -> list[Payload]:
         content, encoding = variant
-        if self.batch is None:
-            assert self.message is not None
-            own = self.message
-            messages = [own.sent if isinstance(own, BeamHoldMessage) else dict(own)]
-        else:
-            messages = frame_messages(self.batch, content, first, last)
-        for number, message in enumerate(messages, self.first + first):
-            message["n"] = number
-        return [encode(message, encoding) for message in messages]
+        messages = self.messages(content, first, last)
+        return [
+            encode(message | {"n": number}, encoding)
+            for number, message in enumerate(messages, self.first + first)
+        ]
 
 
 class StreamLog:
@@ -137,12 +119,13 @@ class StreamLog:
         """The newest frames."""
         self.newest_s = -math.inf
         """When the newest message came (``time.monotonic``)."""
-        self._capacity = capacity
-        self._entries: deque[LogEntry] = deque()
-        self._messages: deque[LogEntry] = deque()
-        self._held = 0
+        self.held = 0
+        """How many messages are kept now."""
         self.missed = 0
         """Messages that clients were told to have missed, of all clients together."""
+        self._capacity = capacity
+        self._entries: deque[LogEntry] = deque()
+        self._others: deque[LogEntry] = deque()  # those that are no frames
         self._lock = Lock()
 
     @property
@@ -159,11 +142,6 @@ class StreamLog:
             return entries[len(entries) // 2].first if entries else self.next
 
     @property
-    def held(self) -> int:
-        """How many messages are kept now."""
-        return self._held
-
-    @property
     def newest_frame(self) -> int:
         """Number of the newest frame; -1 before the first."""
         newest = self.newest
@@ -171,40 +149,58 @@ class StreamLog:
 
     def append_batch(self, batch: StreamBatch) -> None:
         """Add one message for each frame of a batch."""
-        if batch.frames:
-            self._append(len(batch.frames), batch, None)
 
-    def append(self, message: dict[str, Any], content: Content | None = None) -> None:
-        """Add a message that is no frame, for all clients, or those of a content."""
-        own = message if isinstance(message, BeamHoldMessage) else dict(message)
-        self._append(1, None, own, content)
+        def messages(content: frozenset[Content], first: int, last: int) -> Rows:
+            return frame_messages(batch, content, first, last)
+
+        if batch.frames:
+            self._append(len(batch.frames), messages, frames=True, releases=batch.releases)
+
+    def append(
+        self,
+        message: Callable[[], dict[str, object]],
+        content: Content | None = None,
+        releases: tuple[BeamEnableToken, ...] = (),
+    ) -> None:
+        """Add a message that is no frame.
+
+        Args:
+            message: returns what it says when it is sent.
+            content: that of clients who are to get it; None: all are.
+            releases: tokens of the holds whose beam it says is enabled.
+        """
+        self._append(1, lambda *_: [message()], frames=False, releases=releases, content=content)
 
     def _append(
         self,
         count: int,
-        batch: StreamBatch | None,
-        message: dict[str, Any] | None,
+        messages: Callable[[frozenset[Content], int, int], Rows],
+        *,
+        frames: bool,
+        releases: tuple[BeamEnableToken, ...],
         content: Content | None = None,
     ) -> None:
         with self._lock:
-            entry = LogEntry(self.next, count, time.monotonic(), batch, message, content)
+            entry = LogEntry(
+                self.next, count, time.monotonic(), messages, frames, releases, content
+            )
             self._entries.append(entry)
-            if batch is None:
-                self._messages.append(entry)
-            else:
+            if frames:
                 self.newest = entry
+            else:
+                self._others.append(entry)
             self.newest_s = entry.at_s
             self.next = entry.end
-            self._held += count
+            self.held += count
             # The newest stays, however large it is.
-            while self._held > self._capacity and len(self._entries) > 1:
+            while self.held > self._capacity and len(self._entries) > 1:
                 gone = self._entries.popleft()
-                self._held -= gone.count
-                if gone.batch is None:
-                    self._messages.popleft()
+                self.held -= gone.count
+                if not gone.frames:
+                    self._others.popleft()
 
-    def since(self, number: int, most: int) -> list[LogEntry]:
-        """Return the oldest ``most`` entries of those that end behind this message's number."""
+    def since(self, number: int, limit: int) -> list[LogEntry]:
+        """Return the oldest ``limit`` entries of those that end behind this message's number."""
         with self._lock:
             if number >= self.next:
                 return []
@@ -213,13 +209,140 @@ class StreamLog:
             start = len(entries) - 1
             if entries[start].first > number:
                 start = bisect_right(entries, number, key=lambda entry: entry.end)
-            return list(islice(entries, start, start + most))
+            return list(islice(entries, start, start + limit))
 
-    def message_since(self, number: int, variant: Variant) -> LogEntry | None:
+    def other_since(self, number: int, variant: Variant) -> LogEntry | None:
         """Return the oldest message for a variant that is no frame, from this number on."""
-        if not self._messages or self._messages[-1].first < number:
+        if not self._others or self._others[-1].first < number:
             return None
         with self._lock:
             return next(
-                (one for one in self._messages if one.first >= number and one.is_for(variant)), None
+                (one for one in self._others if one.first >= number and one.is_for(variant)), None
             )
+
+
+class CursorItem(NamedTuple):
+    """A payload, and whether it holds frames: other messages are not paced."""
+
+    payload: Payload
+    frames: bool
+
+
+class SequentialCursor:
+    """Every message in order; too far behind, it skips to the newest and says what was missed.
+
+    Args:
+        log: the device's.
+        variant: of the messages.
+        device_id: for what it says was missed.
+        start: number of the first message wanted.
+        lag_s: how much older than the newest the next message may be; None: only the length of
+            the log limits it.
+        bundled: whether frames that wait are sent together.
+    """
+
+    def __init__(
+        self,
+        log: StreamLog,
+        variant: Variant,
+        device_id: str,
+        start: int,
+        lag_s: float | None,
+        *,
+        bundled: bool,
+    ) -> None:
+        self._log = log
+        self._variant = variant
+        self._device_id = device_id
+        self._next = start
+        self._lag_s = lag_s
+        self._bundled = bundled
+        self._max_frames, self._entries = (
+            (BUNDLE_FRAMES, BUNDLE_FRAMES) if bundled else (1, _ENTRIES)
+        )
+        self._missed = 0
+        # A client that comes back gets all that there is, if it has the time.
+        self._skipped = start >= log.oldest
+
+    def take(self, *, due: bool) -> CursorItem | None:
+        """Return what is sent now, if anything; nothing overtakes frames that are not due."""
+        if not due:
+            return None
+        frames: list[Payload] = []
+        while not frames and (entries := self._log.since(self._next, self._entries)):
+            if entries[0].first > self._next and self._skip_to(entries[0].first):
+                continue
+            behind = self._lag_s is not None and self._log.newest_s - entries[0].at_s > self._lag_s
+            resume_at = self._log.newest_frame if behind else 0
+            for entry in entries:
+                if entry.frames:
+                    self._pass(min(resume_at, entry.end))
+                    if self._next == entry.end:
+                        continue
+                if self._missed:
+                    return self._missed_message()
+                if not entry.is_for(self._variant):
+                    self._next = entry.end
+                    continue
+                if not entry.frames:
+                    if frames:
+                        return self._join(frames)
+                    self._next = entry.end
+                    return CursorItem(entry.payload(self._variant, entry.first), frames=False)
+                begin = self._next - entry.first
+                part = entry.payloads(self._variant)[begin : begin + self._max_frames - len(frames)]
+                frames += part
+                self._next += len(part)
+                if len(frames) == self._max_frames:
+                    return self._join(frames)
+        return self._join(frames) if frames else None
+
+    def _skip_to(self, oldest: int) -> bool:
+        """Go on behind messages that are not kept any more; whether what is there has changed.
+
+        From the log's very end a client that is a little too slow would fall off at every message
+        and get nothing else: a lossless one goes on from the middle.
+        """
+        again = self._skipped and self._lag_s is None
+        self._skipped = True
+        self._pass(max(oldest, self._log.middle) if again else oldest)
+        return again
+
+    def _pass(self, number: int) -> None:
+        self._missed += max(0, number - self._next)
+        self._next = max(number, self._next)
+
+    def _missed_message(self) -> CursorItem:
+        message = missed_message(self._device_id, self._missed, self._next - self._missed)
+        self._log.missed += self._missed
+        self._missed = 0
+        return CursorItem(encode(message, self._variant[1]), frames=False)
+
+    def _join(self, frames: list[Payload]) -> CursorItem:
+        payload = bundle(self._device_id, frames, self._variant[1]) if self._bundled else frames[0]
+        return CursorItem(payload, frames=True)
+
+
+class LatestCursor:
+    """The newest frame whenever one is due, and every message that is no frame."""
+
+    def __init__(self, log: StreamLog, variant: Variant, start: int) -> None:
+        self._log = log
+        self._variant = variant
+        self._other = start
+        self._frame = log.next
+
+    def take(self, *, due: bool) -> CursorItem | None:
+        """Return what is sent now, if anything; ``due``: whether it is time for frames."""
+        other = self._log.other_since(self._other, self._variant)
+        if other is not None:
+            self._other = other.end
+            if other.content is not None:
+                # What it tells of has changed: frames before it are not of now.
+                self._frame = max(self._frame, other.end)
+            return CursorItem(other.payload(self._variant, other.first), frames=False)
+        newest = self._log.newest
+        if not due or not self._variant[0] or newest is None or newest.end <= self._frame:
+            return None
+        self._frame = newest.end
+        return CursorItem(newest.payload(self._variant, newest.end - 1), frames=True)

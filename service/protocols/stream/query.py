@@ -1,13 +1,13 @@
 """Query of the websocket: parameters of a stream, parsed and checked."""
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import Final, TypeVar
 
 from compute.errors import InvalidParameter
 from service.api.base_models import checked_slug
-from service.protocols.stream.encoding import CONTENTS, ENCODINGS, Content
-from service.protocols.stream.subscription import StreamRequest
+from service.protocols.stream.hub import StreamRequest
+from service.protocols.stream.messages import CONTENTS, ENCODINGS, Content
 
 STATUS: Final = "status"
 """The content that every client gets; by itself, without frames."""
@@ -37,7 +37,7 @@ def parse_stream_request(query: Mapping[str, str]) -> StreamRequest:
     unknown = sorted(set(query) - set(PARAMETERS))
     if unknown:
         raise InvalidParameter(
-            f'the query has "{unknown[0]}"; it may have {_listed(PARAMETERS)}',
+            f'the query has "{unknown[0]}"; it may have {", ".join(PARAMETERS)}',
             parameter=unknown[0],
         )
     if not query.get("device"):
@@ -80,7 +80,7 @@ def _content(text: str) -> frozenset[Content]:
     for word in words:
         if word != STATUS and word not in known:
             raise InvalidParameter(
-                f'content has "{word}"; it must be one or more of {_listed((*CONTENTS, STATUS))}'
+                f'content has "{word}"; it must be one or more of ' + ", ".join((*CONTENTS, STATUS))
             )
     return frozenset(known[word] for word in words if word != STATUS)
 
@@ -117,7 +117,3 @@ def _whole(given: str) -> int:
             f'after is "{given}"; it must be the number n of the last message that you have'
         )
     return int(given)
-
-
-def _listed(words: Iterable[str]) -> str:
-    return ", ".join(words)

@@ -14,11 +14,9 @@ from service.principal import Principal
 from service.problems.catalogue import problem_type_of
 from service.problems.errors import NotReady, UpgradeRequired
 from service.problems.handlers import problem_response
-from service.protocols.stream.encoding import encode
-from service.protocols.stream.hub import Hub, describe_message
+from service.protocols.stream.hub import Hub, StreamEnded, StreamRequest, Subscription
+from service.protocols.stream.messages import describe_message, encode, hold_members
 from service.protocols.stream.query import parse_stream_request
-from service.protocols.stream.stream_batch import hold_members
-from service.protocols.stream.subscription import StreamEnded, StreamRequest, Subscription
 from service.security.credential import SUBPROTOCOL, subprotocols
 from service.security.guard import ACT
 
@@ -87,16 +85,8 @@ def stream_by_http() -> None:
 def _greeting(live: PipelineManager, subscription: Subscription) -> dict[str, Any]:
     """Return the first message: what will come, and how things stand."""
     request = subscription.request
-    description = live.describe(request.device_id)
     status = live.status(request.device_id)
-    unknown: dict[str, Any] = {
-        "sensors": [],
-        "frame_rate_hz": None,
-        "markers": None,
-        "readout": None,
-        "method": None,
-    }
-    return {
+    greeting = {
         "type": "hello",
         "version": 1,
         "device": request.device_id,
@@ -105,20 +95,16 @@ def _greeting(live: PipelineManager, subscription: Subscription) -> dict[str, An
         "stream": subscription.log.id,
         "next": subscription.start,
         "resumed": subscription.resumed,
-        **(describe_message(description) if description else unknown),
+        **describe_message(live.describe(request.device_id)),
         "state": status.state,
         "reason": status.reason,
         "link": status.link.state if status.link else None,
         "calibration": status.calibration_id,
-        **_holds(live, request),
     }
-
-
-def _holds(live: PipelineManager, request: StreamRequest) -> dict[str, Any]:
-    """Return how beam holds stand, for who asked for them: frames may never come."""
-    if "holds" not in request.content:
-        return {}
-    return {"holds": [hold_members(now) for now in live.holds.of_device(request.device_id)]}
+    if "holds" in request.content:  # frames, which tell of them too, may never come
+        holds = live.holds.of_device(request.device_id)
+        greeting["holds"] = [hold_members(now) for now in holds]
+    return greeting
 
 
 async def _forward(websocket: WebSocket, subscription: Subscription) -> None:

@@ -9,8 +9,8 @@ from sqlalchemy import text
 
 from service.application.app import create_app
 from service.application.server import MIN_FREE_BYTES, STUCK_AFTER_S
-from service.pipeline.compute_thread import ComputeThread
 from service.pipeline.device_status import DeviceStatus
+from service.pipeline.threads import ComputeThread
 from service.settings import Settings
 from tests.service.fake_pipeline import FakePipeline, TestClient
 
@@ -32,13 +32,13 @@ def test_a_compute_thread_that_is_stuck(sqlite_client: Any, live: FakePipeline):
 
 def test_a_compute_thread_tells_how_long_it_is_at_something():
     thread = ComputeThread()
-    thread.start()
     assert thread.submit(lambda: thread.busy_s).result() >= 0.0
     began = thread.submit(lambda: (thread.busy_s, thread.busy_s)).result()
     assert began[1] >= began[0] > 0.0
     thread.close()
     waiting = ComputeThread()
     assert waiting.busy_s == 0.0
+    waiting.close()
 
 
 def test_runs_that_nobody_takes(sqlite_client: Any):

@@ -25,8 +25,12 @@ from service.api.line_scans.noise import line_noise
 from service.api.line_scans.peak_search import find_peaks
 from service.cli import app
 from service.cli.peaks import recorded_method
-from service.pipeline.detection_stage import FREE_WIDTH_FIT, DetectionStage
-from service.pipeline.expected_scans import ExpectedScans, expected_scans
+from service.pipeline.detection_stage import (
+    FREE_WIDTH_FIT,
+    DetectionStage,
+    ExpectedScans,
+    expected_scans,
+)
 from tests.service.api.line_scans.scan_lines import NOISE, WIDTH, scenes
 
 GIVEN = ("--gain", "10", "--read-noise", "20", "--offset", "100", "--full-scale", "4095")

@@ -13,7 +13,6 @@ from compute.pose.rigid_body import PoseStatus, RigidBody, ToolPose
 from compute.reconstruction.point_batch import PointBatch
 from compute.tracking.track_batch import TrackBatch, TrackState
 from service.pipeline.active_calibration import PreparedCalibration
-from service.pipeline.tracker_factory import ToolTrackerProtocol
 from service.pipeline.tracking_config import TrackingConfig
 
 Array = NDArray[np.float64]
@@ -100,7 +99,7 @@ class Making:
     fails_at: int | None = None
     made_markers: list[Markers] = field(default_factory=list)
     made_tools: list[Tools] = field(default_factory=list)
-    before: list[ToolTrackerProtocol | None] = field(default_factory=list)
+    before: list[Any] = field(default_factory=list)
 
     def markers(self, active: PreparedCalibration, tracked: TrackingConfig) -> Markers:
         self.made_markers.append(Markers(self.fails_at))
@@ -111,7 +110,7 @@ class Making:
         active: PreparedCalibration,
         tracked: TrackingConfig,
         tools: Sequence[RigidBody],
-        before: ToolTrackerProtocol | None,
+        before: Any,
     ) -> Tools:
         if any(tool.name == "wrong" for tool in tools):
             raise DegenerateTool("its markers are on a line")

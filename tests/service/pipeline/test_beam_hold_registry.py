@@ -16,9 +16,9 @@ from compute.pose.rigid_body import PoseStatus
 from compute.reconstruction.point_batch import PointFlag
 from compute.signal.peaks import PeakBatch
 from service.pipeline.beam_hold_registry import BeamHoldRegistry, BeamHoldWatchdog
-from service.pipeline.beam_hold_spec import Spec
-from service.pipeline.beam_hold_state import BeamHoldState
-from service.protocols.stream.message_log import BeamHoldMessage
+from service.pipeline.frame_batch import BeamHoldState
+from service.pipeline.tracking_config import Spec
+from service.protocols.stream.messages import hold_message
 from tests.service.api.beam_holds.batches import (
     CHEST,
     HEAD,
@@ -60,7 +60,7 @@ class Bench:
         self.clock = Clock()
         self.told: list[dict[str, Any]] = []
         self.board = BeamHoldRegistry(
-            lambda device, now: self.told.append(BeamHoldMessage(device, now) | {"to": device}),
+            lambda device, now: self.told.append(hold_message(device, now) | {"to": device}),
             self.clock.monotonic_s,
             self.clock.wall_ns,
         )
@@ -413,7 +413,7 @@ def test_a_fault_of_a_monitor_holds_and_does_not_stop_the_device(
     def broken(*_: Any) -> None:
         raise ZeroDivisionError("of the sight")
 
-    monkeypatch.setattr(released.board._watches["watch"]._sight, "of", broken)
+    monkeypatch.setattr(released.board._watches["watch"]._observer, "of", broken)
     now = released.run(150 * MS, 110 * MS)
     assert (now.held, now.cause) == (True, BeamHoldCause.NO_DATA)
     assert "ZeroDivisionError" in str(now.reason)
@@ -554,7 +554,6 @@ def watchdog() -> Iterator[Callable[[BeamHoldRegistry], BeamHoldWatchdog]]:
 
     def start(board: BeamHoldRegistry) -> BeamHoldWatchdog:
         made.append(BeamHoldWatchdog(board))
-        made[-1].start()
         return made[-1]
 
     yield start

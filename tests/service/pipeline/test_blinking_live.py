@@ -12,6 +12,7 @@ from hardware.simulated.driver import SimulatedDriver
 from hardware.simulated.scenes import MovingTool, MovingTools
 from hardware.simulated.settings import SimulationSettings
 from service.api.devices.tracking_settings import Blinking
+from service.pipeline.active_calibration import ActiveCalibration
 from service.pipeline.frame_processor import FrameProcessor
 from service.pipeline.tracking_config import TrackingConfig
 from tests.service.pipeline.test_pipeline_manager import nominal
@@ -33,7 +34,7 @@ def test_tracks_of_blinking_markers_have_their_numbers() -> None:
     driver = SimulatedDriver("sim", SETTINGS)
     driver.open()
     processor = FrameProcessor("sim", driver.description, "cpu")
-    processor.set_calibration("c1", nominal())
+    processor.set_calibration(ActiveCalibration("c1", nominal()))
     codes = Blinking(words=list(CODES.words)).codes()
     processor.set_tracking_config(TrackingConfig(tracks=True, blinking=codes))
     frames = list(islice(driver.frames(), 48))

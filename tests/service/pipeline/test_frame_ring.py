@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hardware.line_frame import LineFrame
-from service.pipeline.reader_thread import FrameRing
+from service.pipeline.threads import FrameRing
 
 LINES = np.zeros((1, 64), np.uint16)
 

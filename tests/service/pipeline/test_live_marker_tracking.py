@@ -18,11 +18,11 @@ from hardware.simulated.settings import SimulationSettings
 from service.api.devices.tracking_settings import Tracking
 from service.api.exports.from_recording import table_from_recording
 from service.api.exports.table_builder import TableBuilder
+from service.pipeline.active_calibration import ActiveCalibration
 from service.pipeline.frame_batch import FrameBatch, TrackingResult
 from service.pipeline.frame_processor import FrameProcessor
 from service.pipeline.tracking_config import TrackingConfig
-from service.protocols.stream.encoding import encode, frame_messages
-from service.protocols.stream.stream_batch import StreamBatch
+from service.protocols.stream.messages import StreamBatch, encode, frame_messages
 from tests.service.api.exports.test_from_stream_and_recording import (
     FRAMES,
     Taken,
@@ -56,7 +56,7 @@ def exposures(seconds: float, scene: RotatingBar) -> tuple[FrameProcessor, list[
     driver = SimulatedDriver("sim", settings)
     driver.open()
     processor = FrameProcessor("sim", driver.description, "cpu")
-    processor.set_calibration("c1", nominal())
+    processor.set_calibration(ActiveCalibration("c1", nominal()))
     return processor, list(driver.frames())
 
 
@@ -111,7 +111,7 @@ def test_both_ends_of_the_bar_keep_their_numbers(motion_model: MotionModel) -> N
     ends = ends_at(batches, BAR)
     assert sorted(ends[BEGUN].values()) == [0, 1]
     assert all(frame == ends[BEGUN] for frame in ends[BEGUN:])
-    messages = frame_messages(StreamBatch.of(batches[-1]), content=frozenset({"tracks"}))
+    messages = frame_messages(StreamBatch(batches[-1]), content=frozenset({"tracks"}))
     assert messages
     for message in messages:
         told = json.loads(encode(message, "json"), parse_constant=refuse)
@@ -153,7 +153,7 @@ def test_a_recording_is_tracked_again_with_the_settings_given(taken: Taken, tmp_
     """As live, bit by bit; and otherwise than by default, or nothing would be shown."""
     how = Tracking(motion="velocity")
     processor = FrameProcessor("sim", taken.description, "cpu")
-    processor.set_calibration("c1", taken.calibration.calibration)
+    processor.set_calibration(ActiveCalibration("c1", taken.calibration.calibration))
     processor.set_tracking_config(TrackingConfig(True, (), how.tracker(), how.tool_tracker()))
     builder = TableBuilder("sim", 400.0, [])
     for first in range(0, FRAMES, 10):

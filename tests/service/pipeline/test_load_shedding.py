@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from service.pipeline.load_shedding import (
+from service.pipeline.device_session import (
     BEGIN_S,
     BEHIND_S,
     CAUGHT_UP_S,

@@ -27,13 +27,22 @@ from hardware.simulated.profile_settings import ProfileSettings
 from hardware.simulated.scenes import StillPoints
 from hardware.simulated.settings import SimulationSettings
 from service.application.profile_device import nominal_calibration
-from service.pipeline.detection_stage import FREE_WIDTH_FIT, DetectionStage, peak_method
-from service.pipeline.expected_scans import ExpectedScans, expected_scans
+from service.pipeline.active_calibration import ActiveCalibration
+from service.pipeline.detection_stage import (
+    FREE_WIDTH_FIT,
+    DetectionStage,
+    ExpectedScans,
+    expected_scans,
+    peak_method,
+)
 from service.pipeline.frame_batch import FrameBatch
 from service.pipeline.frame_processor import MAX_FRAMES, FrameProcessor
-from service.protocols.stream.encoding import encode, frame_messages
-from service.protocols.stream.hub import describe_message
-from service.protocols.stream.stream_batch import StreamBatch
+from service.protocols.stream.messages import (
+    StreamBatch,
+    describe_message,
+    encode,
+    frame_messages,
+)
 from tests.service.pipeline.test_pipeline_manager import nominal
 
 Array = NDArray[np.float64]
@@ -60,7 +69,7 @@ def bar_errors(method: PeakMethod) -> tuple[Array, Array]:
     """Errors of the points of the rotating bar, (N, 3) [mm], and their normalised squares."""
     driver = SimulatedDriver("sim", replace(SIMULATION, peaks=method))
     processor = FrameProcessor("sim", driver.description, "cpu")
-    processor.set_calibration("c", nominal())
+    processor.set_calibration(ActiveCalibration("c", nominal()))
     errors, squares = [], []
     for batch in processed(driver, processor):
         estimates = zip(batch.points.position_mm, batch.points.covariance_mm2, strict=True)
@@ -206,9 +215,9 @@ def test_points_of_shadows() -> None:
     )
     driver = ProfileDriver("one", profile, settings)
     processor = FrameProcessor("one", driver.description, "cpu")
-    processor.set_calibration("c", nominal_calibration(profile))
+    processor.set_calibration(ActiveCalibration("c", nominal_calibration(profile)))
     (batch,) = processed(driver, processor)
-    messages = list(frame_messages(StreamBatch.of(batch), frozenset({"points", "peaks"})))
+    messages = list(frame_messages(StreamBatch(batch), frozenset({"points", "peaks"})))
     for message in messages:
         (point,) = message["points"]
         error = np.subtract(point["position_mm"], points[message["marker"]])
@@ -250,7 +259,7 @@ def test_lines_beyond_the_fits_widths_are_measured(sigma_px: float) -> None:
     (batch,) = processed(driver, FrameProcessor("sim", driver.description, "cpu"))
     assert not (batch.peaks.flags & PeakFlag.UNFITTED).any()
     assert np.isnan(batch.peaks.reduced_chi2).all()
-    (message, *_) = frame_messages(StreamBatch.of(batch), frozenset({"peaks"}))
+    (message, *_) = frame_messages(StreamBatch(batch), frozenset({"peaks"}))
     assert all(peak["reduced_chi2"] is None for peak in message["peaks"])
     encode(message, "json")
 

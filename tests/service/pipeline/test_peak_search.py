@@ -18,8 +18,8 @@ from hardware.simulated.profile_settings import ProfileSettings
 from hardware.simulated.scenes import StillPoints
 from hardware.simulated.settings import SimulationSettings
 from service.application.profile_device import nominal_calibration
-from service.pipeline.detection_stage import DetectionStage
-from service.pipeline.expected_scans import ExpectedScans
+from service.pipeline.active_calibration import ActiveCalibration
+from service.pipeline.detection_stage import DetectionStage, ExpectedScans
 from service.pipeline.frame_processor import FrameProcessor
 
 Array = NDArray[np.float64]
@@ -125,7 +125,7 @@ def test_a_hot_pixel_is_no_marker(name: str) -> None:
     frames = list(islice(driver.frames(), 4))
     driver.close()
     processor = FrameProcessor(name, driver.description, "cpu")
-    processor.set_calibration("c", nominal_calibration(profile))
+    processor.set_calibration(ActiveCalibration("c", nominal_calibration(profile)))
     hot = [frame.lines.copy() for frame in frames]
     for lines in hot:
         lines[0, 150] = 0.9 * (2**driver.description.bits - 1)

@@ -27,9 +27,8 @@ from service.pipeline.device_status import DeviceStatus
 from service.pipeline.frame_batch import FrameBatch
 from service.pipeline.frame_processor import FrameProcessor
 from service.pipeline.pipeline_manager import PipelineManager
-from service.protocols.stream.encoding import frame_messages
 from service.protocols.stream.hub import Hub
-from service.protocols.stream.stream_batch import StreamBatch
+from service.protocols.stream.messages import StreamBatch, frame_messages
 
 
 class RecordingHub(Hub):
@@ -101,7 +100,7 @@ def run_to_the_end(
     return [
         message
         for batch in hub.batches
-        for message in frame_messages(StreamBatch.of(batch), frozenset({"points", "peaks"}))
+        for message in frame_messages(StreamBatch(batch), frozenset({"points", "peaks"}))
     ]
 
 
@@ -167,7 +166,7 @@ def test_a_replay_gives_the_same_bits(live: PipelineManager, tmp_path: Path) -> 
     replayed = [
         message
         for batch in hub.batches
-        for message in frame_messages(StreamBatch.of(batch), frozenset({"points", "peaks"}))
+        for message in frame_messages(StreamBatch(batch), frozenset({"points", "peaks"}))
     ]
     assert len(replayed) == 100
     for message in (*direct, *replayed):
@@ -277,7 +276,7 @@ def test_calibrations_are_switched_between_two_frames(live: PipelineManager) -> 
         wait_for(lambda seen=seen: len(hub.batches) > seen + 1)  # type: ignore[misc]
     live.stop_device("sim")
     messages = [
-        m for b in hub.batches for m in frame_messages(StreamBatch.of(b), frozenset({"points"}))
+        m for b in hub.batches for m in frame_messages(StreamBatch(b), frozenset({"points"}))
     ]
     sequences = [message["sequence"] for message in messages]
     assert sequences == list(range(sequences[0], sequences[0] + len(sequences)))

@@ -27,10 +27,10 @@ from hardware.simulated.driver import SimulatedDriver
 from hardware.simulated.scenes import StillPoints
 from hardware.simulated.settings import SimulationSettings
 from service.application.initial_content import nominal_calibration
-from service.pipeline.active_calibration import PreparedCalibration
-from service.pipeline.frame_processor import FrameProcessor
-from service.pipeline.point_stage import (
+from service.pipeline.active_calibration import ActiveCalibration, PreparedCalibration
+from service.pipeline.frame_processor import (
     MAX_SIMULTANEOUS_MARKERS,
+    FrameProcessor,
     solve_points,
     weigh_peaks,
 )
@@ -190,25 +190,30 @@ def test_switches_name_what_is_in_force_and_compile_nothing() -> None:
     made, frames, description = processor()
     names = tuple(sensor.name for sensor in description.sensors)
     before = native_kernel.cache_info().misses
-    made.set_calibration("c1", nominal(description))
-    assert (made.process(frames[:1]).calibration_id, made.table_id) == ("c1", None)
-    made.set_calibration("c1", nominal(description), "t1", flat_table(1.0, names))
+    made.set_calibration(ActiveCalibration("c1", nominal(description)))
+    batch = made.process(frames[:1])
+    assert (batch.calibration_id, batch.table_id) == made.calibration_ids == ("c1", None)
+    made.set_calibration(
+        ActiveCalibration("c1", nominal(description), "t1", flat_table(1.0, names))
+    )
     batch = made.process(frames[:1])
     assert (batch.calibration_id, batch.table_id) == ("c1", "t1")
-    made.set_calibration("c2", nominal(description, 3.0))
+    made.set_calibration(ActiveCalibration("c2", nominal(description, 3.0)))
     batch = made.process(frames[:1])
     assert (batch.calibration_id, batch.table_id) == ("c2", None)
     assert native_kernel.cache_info().misses == before
-    made.set_calibration(None, None)
+    made.set_calibration(ActiveCalibration())
     assert len(made.process(frames[:1]).points) == 0
 
 
 def test_a_table_of_other_sensors_leaves_all_as_it_was() -> None:
     made, frames, description = processor()
-    made.set_calibration("c1", nominal(description))
+    made.set_calibration(ActiveCalibration("c1", nominal(description)))
     with pytest.raises(InvalidParameter, match="correction table t1 is of the sensors a, b"):
         made.set_calibration(
-            "c2", nominal(description), "t1", flat_table(1.0, ("a", "b", "c", "d"))
+            ActiveCalibration(
+                "c2", nominal(description), "t1", flat_table(1.0, ("a", "b", "c", "d"))
+            )
         )
     assert made.process(frames[:1]).calibration_id == "c1"
 
@@ -218,7 +223,7 @@ def test_frames_give_the_same_bits_again_alone_and_together() -> None:
     other, _, _ = processor()
     known = nominal(description)
     for each in (made, other):
-        each.set_calibration("c", known)
+        each.set_calibration(ActiveCalibration("c", known))
     together = made.process(frames).points
     alone = [other.process([frame]).points for frame in frames]
     assert len(together) == len(frames)
@@ -257,7 +262,7 @@ def test_markers_lit_together_are_told_apart_up_to_what_time_allows(
     driver = SimulatedDriver("sim", settings)
     driver.open()
     processor = FrameProcessor("sim", driver.description, "cpu")
-    processor.set_calibration("nominal", nominal_calibration())
+    processor.set_calibration(ActiveCalibration("nominal", nominal_calibration()))
     batch = processor.process(list(driver.frames()))
     assert len(batch.points) == found
     for place in places if found else ():

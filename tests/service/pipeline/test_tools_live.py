@@ -10,10 +10,10 @@ import pytest
 from scipy.stats import chi2
 
 from compute.calibration.result import Calibration
-from compute.camera.rotation import rotation_vector
 from compute.pose.rigid_body import RigidBody, ToolPose
 from compute.pose.settings import MotionSettings, ToolTrackerSettings
 from compute.tracking.track_batch import TrackState
+from compute.transform import rotation_vector
 from hardware.line_frame import LineFrame
 from hardware.simulated.driver import SimulatedDriver
 from hardware.simulated.scenes import MovingTool, MovingTools
@@ -21,13 +21,11 @@ from hardware.simulated.settings import SimulationSettings
 from service.application.initial_content import nominal_calibration
 from service.pipeline import device_session
 from service.pipeline.active_calibration import ActiveCalibration
-from service.pipeline.device_session import DeviceSession
-from service.pipeline.frame_batch import FrameBatch, TrackingResult
+from service.pipeline.device_session import DeviceSession, LoadShedding
+from service.pipeline.frame_batch import FrameBatch, PoseEntry, TrackingResult
 from service.pipeline.frame_processor import FrameProcessor
-from service.pipeline.latest_poses import PoseEntry
-from service.pipeline.load_shedding import LoadShedding
 from service.pipeline.pipeline_manager import PipelineManager
-from service.pipeline.reader_thread import FrameRing, ReaderThread
+from service.pipeline.threads import FrameRing, ReaderThread
 from service.pipeline.tracking_config import NO_TRACKING, TrackingConfig
 from service.pipeline.tracking_stage import FRAME_SKIPPED
 from service.protocols.stream.hub import Hub
@@ -80,7 +78,7 @@ def processed(illumination: Illumination, seconds: float) -> list[FrameBatch]:
     driver.open()
     processor = FrameProcessor("sim", driver.description, "cpu")
     processor.set_tracking_config(TrackingConfig(True, tools(illumination)))
-    processor.set_calibration("nominal", exact())
+    processor.set_calibration(ActiveCalibration("nominal", exact()))
     frames = list(driver.frames())
     return [processor.process(frames[first : first + 16]) for first in range(0, len(frames), 16)]
 
@@ -151,7 +149,7 @@ def test_a_tool_goes_on_when_another_is_added():
     processor = FrameProcessor("sim", driver.description, "cpu")
     first, second = tools("strobed")
     processor.set_tracking_config(TrackingConfig(False, (first,)))
-    processor.set_calibration("nominal", exact())
+    processor.set_calibration(ActiveCalibration("nominal", exact()))
     frames = list(driver.frames())
     before = motion(processor.process(frames[:40])).poses[-1]
     assert before.valid
@@ -168,7 +166,7 @@ def test_a_device_that_follows_nothing_makes_no_motion():
     driver = SimulatedDriver("sim", simulation("strobed", 0.02))
     driver.open()
     processor = FrameProcessor("sim", driver.description, "cpu")
-    processor.set_calibration("nominal", exact())
+    processor.set_calibration(ActiveCalibration("nominal", exact()))
     frames = list(driver.frames())
     assert processor.process(frames[:10]).motion is None
     processor.set_tracking_config(TrackingConfig(True))
@@ -263,10 +261,10 @@ class Bench:
         driver.open()
         processor = FrameProcessor("sim", driver.description, "cpu")
         processor.set_tracking_config(TrackingConfig(True, tools("strobed")))
-        processor.set_calibration("nominal", exact())
+        processor.set_calibration(ActiveCalibration("nominal", exact()))
         self.ring = FrameRing(1000, lambda: None)
         self.device_session = DeviceSession("sim", driver.description, processor, self.ring, Hub())
-        self.reader = ReaderThread("sim", driver, self.ring, lambda: None, lambda: None)
+        self.reader = ReaderThread("sim", driver, self.ring, lambda: None)
         self.device_session.reader = self.reader
         self.device_session.load_shedding = self.costs = Costs(driver.description.frame_rate_hz)
         self.device_session.attach(self)
@@ -367,18 +365,15 @@ class Costly(FrameProcessor):
 
     clock: Clock
     follow_s = rest_s = 0.0
-    _spent_s = 0.0
 
     def process(
         self, frames: Sequence[LineFrame], *, track: Sequence[bool] | None = None
     ) -> FrameBatch:
-        self._spent_s = self.follow_s * sum((True,) * len(frames) if track is None else track)
-        self.clock.now_s += self._spent_s + self.rest_s * len(frames)
-        return super().process(frames, track=track)
-
-    @property
-    def tracking_s(self) -> float:
-        return self._spent_s
+        spent_s = self.follow_s * sum((True,) * len(frames) if track is None else track)
+        self.clock.now_s += spent_s + self.rest_s * len(frames)
+        batch = super().process(frames, track=track)
+        self.tracking_s = spent_s
+        return batch
 
 
 @pytest.mark.parametrize(
@@ -398,7 +393,7 @@ def test_batches_are_as_long_as_other_devices_can_wait(
     description = bench.device_session.description
     slow = Costly("sim", description, "cpu")
     slow.set_tracking_config(TrackingConfig(True, tools("strobed")))
-    slow.set_calibration("nominal", exact())
+    slow.set_calibration(ActiveCalibration("nominal", exact()))
     slow.clock, slow.follow_s, slow.rest_s = clock, follow_s, 0.5e-3
     bench.device_session.processor = slow
     bench.device_session.load_shedding = load_shedding = LoadShedding(description.frame_rate_hz)

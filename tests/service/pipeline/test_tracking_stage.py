@@ -200,7 +200,8 @@ def test_other_tools_are_followed_from_the_next_batch_on(active: PreparedCalibra
     motion = found(finding, frames(1, 2))
     assert (set(statuses(motion, 0)), len(motion.tracks)) == ({"b"}, 0)
     finding.set_tracking_config(NO_TRACKING)
-    assert not finding.is_enabled
+    motion = found(finding, frames(1, 3))
+    assert (len(motion.poses), len(motion.tracks)) == (0, 0)
 
 
 def test_numbers_of_tracks_are_not_used_again(active: PreparedCalibration):

@@ -30,8 +30,7 @@ from service.pipeline.active_calibration import ActiveCalibration
 from service.pipeline.frame_batch import FrameBatch
 from service.pipeline.frame_processor import FrameProcessor
 from service.pipeline.tracking_config import TrackingConfig
-from service.protocols.stream.encoding import encode, frame_messages
-from service.protocols.stream.stream_batch import StreamBatch
+from service.protocols.stream.messages import StreamBatch, encode, frame_messages
 from tests.service.api.exports.readers import read_sequence, read_trc
 from tests.service.cli.test_commands import here, nominal_document
 from tests.service.pipeline.test_pipeline_manager import nominal
@@ -55,7 +54,7 @@ class Taken:
         self.frames = list(islice(driver.frames(), FRAMES))
         self.calibration = ActiveCalibration("c1", nominal())
         processor = FrameProcessor("sim", self.description, "cpu")
-        processor.set_calibration("c1", self.calibration.calibration)
+        processor.set_calibration(ActiveCalibration("c1", self.calibration.calibration))
         processor.set_tracking_config(TrackingConfig(tracks=True, tools=(PROBE,)))
         self.batches = [
             processor.process(self.frames[first : first + 10]) for first in range(0, FRAMES, 10)
@@ -129,7 +128,7 @@ def test_tracking_and_limits_that_are_not_the_defaults(taken: Taken, tmp_path: P
     tracking = Tracking(tracks="always", tool_coast_s=0.02, volume_mm=((0, 0, 0), (1, 1, 1)))
     strict = replace(PROBE, max_tip_sd_mm=1e-4)
     processor = FrameProcessor("sim", taken.description, "cpu")
-    processor.set_calibration("c1", taken.calibration.calibration)
+    processor.set_calibration(ActiveCalibration("c1", taken.calibration.calibration))
     live = TrackingConfig(True, (strict,), tracking.tracker(), tracking.tool_tracker())
     processor.set_tracking_config(live)
     builder = TableBuilder("sim", 400.0, ["probe"])
@@ -195,9 +194,7 @@ def test_no_calibration(taken: Taken, tmp_path: Path) -> None:
 def captured(taken: Taken, path: Path, *, bundled: bool = False) -> Path:
     wanted = frozenset({"points", "tracks", "tools"})
     messages = [
-        message
-        for batch in taken.batches
-        for message in frame_messages(StreamBatch.of(batch), wanted)
+        message for batch in taken.batches for message in frame_messages(StreamBatch(batch), wanted)
     ]
     lines = [json.dumps({"type": "hello", "device": "sim"})]
     if bundled:

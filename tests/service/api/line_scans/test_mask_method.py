@@ -20,7 +20,7 @@ from service.api.line_scans.noise import line_noise
 from service.api.line_scans.peak_search import find_peaks
 from service.api.line_scans.plot import draw_scan
 from service.api.line_scans.schema import LineScanRequest
-from service.pipeline.expected_scans import built_in_profile
+from service.pipeline.detection_stage import built_in_profile
 from tests.compute.signal.coded_aperture.coded_aperture_scenes import (
     PIXELS,
     shadows,

@@ -224,7 +224,7 @@ def test_a_calibration_that_cannot_be_kept_fails_the_recording_only(
 ) -> None:
     recordings.start("sim", NewRecording(name="r.h5"))
     wait_for(lambda: (recordings.get("r.h5").frames or 0) > 0)
-    good = live.session("sim").active_calibration
+    good = live.session("sim").processor.active_calibration
     content = {"result": float("nan")}
     live.set_calibration("sim", replace(good, calibration_content=content, calibration_hash="h"))
     wait_for(lambda: recordings.get("r.h5").state == "failed")

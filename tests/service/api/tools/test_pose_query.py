@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from compute.camera.rotation import rotation_matrix
 from compute.pose.rigid_body import PoseStatus, ToolPose
+from compute.transform import rotation_matrix
 from service.api.correction_tables import upload_process
 from service.database.models import RegistrationRow
 from service.pipeline.device_status import DeviceStatus
-from service.pipeline.latest_poses import PoseEntry
+from service.pipeline.frame_batch import PoseEntry
 from tests.service.api.correction_tables.tables import content
 from tests.service.api.correction_tables.test_correction_tables import nominal_hash, send
 from tests.service.api.tools.batches import pose

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from compute.pose.rigid_body import PoseStatus, ToolPose
-from service.pipeline.latest_poses import LatestPoses, PoseEntry
+from service.pipeline.frame_batch import LatestPoses, PoseEntry
 from service.protocols.ndi.pose_feed import PoseFeed
 from service.protocols.ndi.server import NdiOptions, NdiServer
 

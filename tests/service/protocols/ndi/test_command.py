@@ -7,9 +7,18 @@ from fastcrc import crc16
 from hypothesis import given
 from hypothesis import strategies as st
 
-from service.protocols.ndi.command import BREAK, MAX_BYTES, Command, CommandReader, Received, parse
-from service.protocols.ndi.errors import CommandError, ErrorCode
-from service.protocols.ndi.reply import binary_reply, text_reply
+from service.protocols.ndi.command import (
+    BREAK,
+    MAX_BYTES,
+    Command,
+    CommandError,
+    CommandReader,
+    ErrorCode,
+    Received,
+    binary_reply,
+    parse,
+    text_reply,
+)
 
 NAMES = st.from_regex(r"[A-Z0-9]{1,10}", fullmatch=True)
 TEXTS = st.text(st.characters(min_codepoint=0x20, max_codepoint=0x7E), max_size=60)

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from service.protocols.ndi.fixed_point import TooLarge, millimetres, unit
+from service.protocols.ndi.tracking import TooLarge, millimetres, unit
 
 
 @given(st.floats(-9.99994, 9.99994))

@@ -7,9 +7,9 @@ import numpy as np
 from compute.pose.rigid_body import PoseStatus
 from service.api.tools.frame_conversion import pose_in_frame
 from service.api.tools.tip_limit import TipLimit
-from service.pipeline.latest_poses import LatestPoses
+from service.pipeline.frame_batch import LatestPoses
+from service.protocols.ndi.client_state import Identity
 from service.protocols.ndi.command import Command
-from service.protocols.ndi.identity import Identity
 from service.protocols.ndi.pose_feed import AGE_S, PoseFeed
 from service.protocols.ndi.session import Session
 from tests.service.protocols.ndi.fake_poses import PATIENT_S, entry, pose

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from compute.pose.rigid_body import PoseStatus, ToolPose
 from service.application.app import create_app
-from service.pipeline.latest_poses import LatestPoses
+from service.pipeline.frame_batch import LatestPoses
 from service.settings import Settings
 from tests.service.fake_pipeline import TestClient
 from tests.service.protocols.ndi.fake_poses import PATIENT_S, answering, entry, pose

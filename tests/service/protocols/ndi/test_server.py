@@ -7,8 +7,8 @@ from collections.abc import Awaitable, Callable
 import pytest
 
 from service.allow_list import AllowList
-from service.pipeline.latest_poses import LatestPoses
-from service.protocols.ndi import connection as client_module
+from service.pipeline.frame_batch import LatestPoses
+from service.protocols.ndi import server as client_module
 from service.protocols.ndi.server import NdiServer
 from tests.service.protocols.ndi.fake_poses import Talker, answering, entry, pose
 

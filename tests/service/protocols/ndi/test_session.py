@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from compute.pose.rigid_body import PoseStatus
+from service.protocols.ndi.client_state import Identity
 from service.protocols.ndi.command import BREAK, Command, CommandReader
-from service.protocols.ndi.identity import Identity
-from service.protocols.ndi.pose_view import PoseView
+from service.protocols.ndi.pose_feed import PoseView
 from service.protocols.ndi.session import Session
 from tests.service.protocols.ndi.fake_poses import pose
 from tests.service.protocols.ndi.test_command import with_crc

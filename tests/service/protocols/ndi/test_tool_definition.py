@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from service.protocols.ndi.tool_definition import MAX_BYTES, match_tool, names_in_definition
+from service.protocols.ndi.port_handles import MAX_DEFINITION_BYTES, match_tool, names_in_definition
 
 TOOLS = ("probe", "ref", "a-tool-with-a-rather-long-name")
 
@@ -43,7 +43,7 @@ def test_a_part_number_wins_over_a_name():
     assert match_tool(("probe",), TOOLS, {"Probe": "ref"}) == "ref"
 
 
-@given(st.binary(max_size=MAX_BYTES))
+@given(st.binary(max_size=MAX_DEFINITION_BYTES))
 def test_no_upload_does_harm(image: bytes):
     assert len(names_in_definition(image)) <= 100
     assert match_tool(names_in_definition(image), TOOLS, {}) in (*TOOLS, None)

@@ -10,12 +10,17 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from compute.pose.rigid_body import PoseStatus, ToolPose
-from service.protocols.ndi.fixed_point import MAX_MM, MAX_UNIT
+from service.protocols.ndi.command import ReplyOption
 from service.protocols.ndi.port_handles import PortHandle
-from service.protocols.ndi.reply_options import ReplyOption
-from service.protocols.ndi.tool_report import HandleState, ToolReport, report
-from service.protocols.ndi.tracking_binary import tracking_binary
-from service.protocols.ndi.tracking_text import tracking_text
+from service.protocols.ndi.tracking import (
+    MAX_MM,
+    MAX_UNIT,
+    HandleState,
+    ToolReport,
+    report,
+    tracking_binary,
+    tracking_text,
+)
 from tests.service.protocols.ndi.fake_poses import pose
 
 OPTIONS = st.sets(st.sampled_from(list(ReplyOption))).map(

@@ -11,17 +11,11 @@ import pytest
 from pydantic import ValidationError
 
 from service.application.app import create_app
-from service.protocols.openigtlink.decoder import Decoder
-from service.protocols.openigtlink.message import Message, write_message
-from service.protocols.openigtlink.pose_bodies import read_points
-from service.protocols.openigtlink.text_bodies import (
-    Command,
-    read_command,
-    read_status,
-    write_command,
-)
+from service.protocols.openigtlink.bodies import Command, read_command, write_command
+from service.protocols.openigtlink.message import Decoder, Message, write_message
 from service.settings import Settings
 from tests.service.fake_pipeline import FakePipeline, TestClient
+from tests.service.protocols.openigtlink.readers import read_points, read_status
 from tests.service.protocols.openigtlink.test_client import Everything, entry, pose
 
 

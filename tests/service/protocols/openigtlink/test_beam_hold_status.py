@@ -10,9 +10,10 @@ import pytest
 from compute.pose.beam_hold import BeamHoldCause
 from service.pipeline.beam_hold_registry import BeamHoldRegistry
 from service.protocols.openigtlink.beam_hold_status import _CODES, BeamHoldStatusSender
+from service.protocols.openigtlink.bodies import StatusCode
 from service.protocols.openigtlink.message import Message
-from service.protocols.openigtlink.text_bodies import Status, StatusCode, read_status
 from tests.service.api.beam_holds.batches import MS, RULES, WALL_NS, hold, tool_frame
+from tests.service.protocols.openigtlink.readers import Status, read_status
 from tests.service.protocols.openigtlink.test_application_host import running
 from tests.service.protocols.openigtlink.test_client import (
     LOOPS,

@@ -5,21 +5,19 @@ import time
 from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import uvloop
 
-from compute.camera.rotation import rotation_matrix
 from compute.errors import LumilineError
 from compute.pose.rigid_body import PoseStatus, ToolPose
+from compute.transform import rotation_matrix
 from service.pipeline.beam_hold_registry import BeamHoldRegistry
-from service.pipeline.latest_poses import LatestPoses, PoseEntry
-from service.protocols.openigtlink.decoder import Damaged, Decoder, Skipped
-from service.protocols.openigtlink.host import Caller, Landmark, WireTool
-from service.protocols.openigtlink.message import Message, write_message
+from service.pipeline.frame_batch import LatestPoses, PoseEntry
+from service.protocols.openigtlink.host import Landmark, Outcome, ServerSettings, WireTool
+from service.protocols.openigtlink.message import Damaged, Decoder, Message, Skipped, write_message
 from service.protocols.openigtlink.server import OpenIGTLinkServer
-from service.protocols.openigtlink.settings import ServerSettings
 
 LOOPS = {"asyncio": asyncio.new_event_loop, "uvloop": uvloop.new_event_loop}
 START_NS = time.time_ns()
@@ -66,9 +64,9 @@ class FakeHost:
         return name
 
     async def audit(
-        self, caller: Caller, outcome: Literal["done", "refused"], detail: str | None
+        self, operation: str, address: str, outcome: Outcome, detail: str | None
     ) -> None:
-        self.audited.append((caller.operation, outcome))
+        self.audited.append((operation, outcome))
 
 
 def pose(tool: str, number: int = 0, status: PoseStatus = PoseStatus.OK, **more: Any) -> ToolPose:

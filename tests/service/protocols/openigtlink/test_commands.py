@@ -8,18 +8,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from service.protocols.openigtlink.command_xml import (
+from service.protocols.openigtlink.commands import (
     CommandReply,
     CommandRequest,
+    Commands,
+    file_name,
     read_command_request,
     reply_metadata,
     write_reply,
 )
-from service.protocols.openigtlink.commands import Commands, file_name
-from service.protocols.openigtlink.errors import CommandRefused
-from service.protocols.openigtlink.named_transforms import MAX_TRANSFORMS, inverse_of
+from service.protocols.openigtlink.message import CommandRefused
 from service.protocols.openigtlink.snapshot import Snapshot
-from service.protocols.openigtlink.transform_names import name_tools
+from service.protocols.openigtlink.transforms import MAX_TRANSFORMS, inverse_of, name_tools
 from tests.service.protocols.openigtlink.test_client import FakeHost, entry
 
 BOMB = '<!DOCTYPE x [<!ENTITY a "ha"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a;">]><Command Name="&b;"/>'

@@ -7,16 +7,11 @@ from itertools import pairwise
 
 import pytest
 
+from service.protocols.openigtlink.bodies import Command, StatusCode, write_command, write_string
 from service.protocols.openigtlink.connection import ClientConnection
 from service.protocols.openigtlink.message import Message, write_message
 from service.protocols.openigtlink.server import OpenIGTLinkServer
-from service.protocols.openigtlink.text_bodies import (
-    Command,
-    StatusCode,
-    read_status,
-    write_command,
-    write_string,
-)
+from tests.service.protocols.openigtlink.readers import read_status
 from tests.service.protocols.openigtlink.test_client import (
     LOOPS,
     Peer,
@@ -40,7 +35,7 @@ def clients_of(server: OpenIGTLinkServer) -> set[ClientConnection]:
 def waiting_bytes(server: OpenIGTLinkServer) -> int:
     """What the server holds for clients that do not read, and of what they have sent."""
     return sum(
-        client._transport.get_write_buffer_size() + client._decoder.held_bytes
+        client._transport.get_write_buffer_size() + len(client._decoder._buffer)
         for client in clients_of(server)
         if client._transport is not None
     )
@@ -287,7 +282,7 @@ def test_who_is_in_no_network_that_may_connect_is_told_nothing(monkeypatch: pyte
 def test_a_rate_keeps_the_newest():
     async def test() -> None:
         async with serving() as served:
-            served.server._settings.__dict__["rate_hz"] = 4.0
+            served.server.settings.__dict__["rate_hz"] = 4.0
             peer = await served.joined()
             for number in range(100):
                 served.put(number)

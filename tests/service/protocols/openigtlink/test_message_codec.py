@@ -10,38 +10,44 @@ from fastcrc import crc64
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from compute.camera.rotation import rotation_matrix
-from service.protocols.openigtlink.decoder import Damaged, Decoder, Skipped
-from service.protocols.openigtlink.errors import BadMessage, WrongChecksum
-from service.protocols.openigtlink.header import HEADER_BYTES, read_header
-from service.protocols.openigtlink.message import Message, read_body, write_message
-from service.protocols.openigtlink.pose_bodies import (
+from compute.transform import rotation_matrix
+from service.protocols.openigtlink.bodies import (
+    Command,
     Point,
     StartStream,
-    ToolTransform,
-    read_points,
-    read_position,
-    read_qtdata,
-    read_start,
-    read_tdata,
-    read_transform,
-    write_points,
-    write_position,
-    write_start,
-    write_tracking,
-    write_transform,
-)
-from service.protocols.openigtlink.text_bodies import (
-    Command,
-    Status,
-    read_capability,
     read_command,
-    read_status,
+    read_start,
     read_string,
     write_capability,
     write_command,
+    write_points,
+    write_position,
     write_status,
     write_string,
+    write_tracking,
+    write_transform,
+)
+from service.protocols.openigtlink.message import (
+    HEADER_BYTES,
+    BadMessage,
+    Damaged,
+    Decoder,
+    Message,
+    Skipped,
+    WrongChecksum,
+    read_body,
+    read_header,
+    write_message,
+)
+from tests.service.protocols.openigtlink.readers import (
+    read_capability,
+    read_points,
+    read_position,
+    read_qtdata,
+    read_status,
+    read_tdata,
+    read_transform,
+    write_start,
 )
 from tests.service.protocols.openigtlink.test_client import Everything
 
@@ -54,7 +60,7 @@ COLUMNS = np.frombuffer(
 ).astype(float)
 ROTATION, TRANSLATION = COLUMNS[:9].reshape(3, 3).T, COLUMNS[9:]
 AGES = {"First patient age": "22", "Second patient age": "25"}
-TOOLS = [ToolTransform(f"Tracker{number}", ROTATION, TRANSLATION) for number in range(3)]
+TOOLS = [(f"Tracker{number}", ROTATION, TRANSLATION) for number in range(3)]
 TRANSFORM = write_transform(ROTATION, TRANSLATION)
 COMMAND = write_command(Command(5, "This is a test command", "Start the tracking machine"))
 POSITION = struct.pack(">7f", *TRANSLATION, 0.0, *np.float32([0.5773502691] * 2), np.float32(1 / 3))
@@ -69,7 +75,7 @@ def checksum(data: bytes) -> int:
     [
         (TRANSFORM, 1, 0xF6DD2B8EB4DF6DD2),
         (TRANSFORM, 2, 0xF698F64FDAE266DD),
-        (write_status(Status(15, "ACTUATOR_DISABLED", "Actuator A is disabled.", 10)), 1,
+        (write_status(15, "ACTUATOR_DISABLED", "Actuator A is disabled.", 10), 1,
          0x98EE43EED8E431CF),
         (write_string("Welcome to OpenIGTLink"), 1, 0xCEF1B42A701104D4),
         (write_tracking("TDATA", TOOLS), 1, 0x5C7CEBFD27676877),
@@ -190,7 +196,7 @@ def test_random_bytes(data):
     decoder.feed(data)
     with contextlib.suppress(BadMessage):
         all_of(decoder)
-    assert decoder.held_bytes <= len(data)
+    assert len(decoder._buffer) <= len(data)
 
 
 @given(st.integers(1, 255), st.binary(max_size=400))
@@ -263,7 +269,7 @@ def test_skipped_bodies_are_not_kept():
     for at in range(0, len(data), 10_000):
         decoder.feed(data[at : at + 10_000])
         found += all_of(decoder)
-        most = max(most, decoder.held_bytes)
+        most = max(most, len(decoder._buffer))
     assert most <= 10_000
     skipped, status = found
     assert isinstance(skipped, Skipped)
@@ -278,7 +284,7 @@ def test_too_large_a_body_of_a_type_that_is_read():
         decoder.take()
     with pytest.raises(BadMessage):
         decoder.take()
-    assert decoder.held_bytes == 0
+    assert len(decoder._buffer) == 0
 
 
 @pytest.mark.parametrize("wrong", [
@@ -302,12 +308,10 @@ def test_poses_keep_what_float32_holds(turn, translation):
     found, moved = read_transform(write_transform(rotation, np.array(translation)))
     assert np.array_equal(found, rotation.astype(np.float32))
     assert moved.tolist() == list(translation)
-    (tool,) = read_tdata(
-        write_tracking("TDATA", [ToolTransform("a", rotation, np.array(translation))])
-    )
+    (tool,) = read_tdata(write_tracking("TDATA", [("a", rotation, np.array(translation))]))
     assert np.array_equal(tool.rotation, found)
     ((name, place, quaternion),) = read_qtdata(
-        write_tracking("QTDATA", [ToolTransform("a", rotation, np.array(translation))])
+        write_tracking("QTDATA", [("a", rotation, np.array(translation))])
     )
     assert (name, place.tolist()) == ("a", list(translation))
     x, y, z, w = quaternion
@@ -325,7 +329,7 @@ def test_texts(name, text):
     command = read_command(write_command(Command(7, "Version", text)))
     assert command == Command(7, "Version", text)
     clean = name.replace("\0", "")
-    status = read_status(write_status(Status(3, "x", clean)))
+    status = read_status(write_status(3, "x", clean))
     assert status.text == clean
 
 

@@ -8,26 +8,26 @@ import pytest
 
 from compute.pose.rigid_body import PoseStatus
 from service.api.tools.provenance import Provenance
-from service.protocols.openigtlink.host import Landmark, WireTool
-from service.protocols.openigtlink.message import Message
-from service.protocols.openigtlink.pose_bodies import (
-    StartStream,
-    read_points,
-    read_position,
-    read_qtdata,
-    read_tdata,
-    read_transform,
-    write_start,
-)
-from service.protocols.openigtlink.text_bodies import (
+from service.protocols.openigtlink.bodies import (
     Command,
+    StartStream,
     StatusCode,
-    read_capability,
     read_command,
-    read_status,
     read_string,
     write_command,
     write_string,
+)
+from service.protocols.openigtlink.host import Landmark, WireTool
+from service.protocols.openigtlink.message import Message
+from tests.service.protocols.openigtlink.readers import (
+    read_capability,
+    read_points,
+    read_position,
+    read_qtdata,
+    read_status,
+    read_tdata,
+    read_transform,
+    write_start,
 )
 from tests.service.protocols.openigtlink.test_client import (
     LOOPS,

@@ -7,15 +7,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from compute.camera.rotation import rotation_matrix
 from compute.pose.rigid_body import PoseStatus, ToolPose
+from compute.transform import rotation_matrix
 from service.api.tools.frame_conversion import pose_in_frame
 from service.api.tools.tip_limit import TipLimit
-from service.protocols.openigtlink.errors import BadMessage
 from service.protocols.openigtlink.host import WireTool
-from service.protocols.openigtlink.pose_bodies import read_tdata, read_transform
+from service.protocols.openigtlink.message import BadMessage
 from service.protocols.openigtlink.snapshot import FULL_NAME, Snapshot
-from service.protocols.openigtlink.transform_names import name_tools
+from service.protocols.openigtlink.transforms import name_tools
+from tests.service.protocols.openigtlink.readers import read_tdata, read_transform
 from tests.service.protocols.openigtlink.test_client import entry, pose
 
 REFERENCED = name_tools([WireTool("probe", "sim", "ref"), WireTool("ref", "sim")])

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from service.pipeline.transform_names import TO, wire_name
 from service.protocols.openigtlink.host import WireTool
-from service.protocols.openigtlink.transform_names import name_tools
+from service.protocols.openigtlink.transforms import name_tools
 
 SLUGS = st.from_regex(r"[a-z0-9]([a-z0-9-]{0,61}[a-z0-9])?", fullmatch=True)
 

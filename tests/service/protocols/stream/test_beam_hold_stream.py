@@ -10,8 +10,7 @@ import pytest
 
 from compute.pose.beam_hold import BeamHoldTiming
 from service.pipeline.beam_hold_registry import BeamHoldRegistry
-from service.protocols.stream.hub import Hub
-from service.protocols.stream.subscription import StreamRequest, Subscription
+from service.protocols.stream.hub import Hub, StreamRequest, Subscription
 from tests.service.api.beam_holds.batches import MS, RULES, WALL_NS, batch, hold, tool_frame
 
 HOLDS = frozenset({"holds"})

@@ -18,10 +18,8 @@ from compute.reconstruction.point_batch import PointBatch
 from compute.signal.peaks import PeakBatch
 from hardware.line_frame import LineFrame
 from service.pipeline.frame_batch import FrameBatch
-from service.protocols.stream.encoding import encode, frame_messages
-from service.protocols.stream.hub import Hub
-from service.protocols.stream.stream_batch import StreamBatch
-from service.protocols.stream.subscription import StreamEnded, StreamRequest, Subscription
+from service.protocols.stream.hub import Hub, StreamEnded, StreamRequest, Subscription
+from service.protocols.stream.messages import StreamBatch, encode, frame_messages
 
 POINTS = frozenset({"points"})
 
@@ -364,7 +362,7 @@ def test_whatever_comes_what_a_client_gets_and_what_it_missed_add_up(
 
 
 def test_messages_of_a_part_of_a_batch_are_those_of_the_whole() -> None:
-    batch = StreamBatch.of(frames_of(range(5), peaks_a_line=2))
+    batch = StreamBatch(frames_of(range(5), peaks_a_line=2))
     content = frozenset({"points", "peaks"})
     whole = frame_messages(batch, content)
     assert [message["sequence"] for message in whole] == list(range(5))
@@ -378,9 +376,9 @@ def test_messages_of_a_part_of_a_batch_are_those_of_the_whole() -> None:
 
 def test_nothing_that_is_kept_holds_on_to_the_pixels() -> None:
     batch = frames_of(range(2))
-    kept = StreamBatch.of(batch)
+    kept = StreamBatch(batch)
     assert not any(hasattr(frame, "lines") for frame in kept.frames)
-    assert not np.shares_memory(kept.peaks.values, batch.peaks.position_px)
+    assert not np.shares_memory(kept.peak_values, batch.peaks.position_px)
 
 
 def test_json_never_holds_nan() -> None:

@@ -12,10 +12,16 @@ from compute.errors import InvalidParameter
 from compute.pose.rigid_body import PoseStatus, ToolPose
 from compute.tracking.track_batch import TrackBatch, TrackFlag, TrackState
 from service.pipeline.frame_batch import FrameBatch, TrackingResult
-from service.protocols.stream.encoding import CONTENTS, Content, Encoding, encode, frame_messages
 from service.protocols.stream.message_log import StreamLog
+from service.protocols.stream.messages import (
+    CONTENTS,
+    Content,
+    Encoding,
+    StreamBatch,
+    encode,
+    frame_messages,
+)
 from service.protocols.stream.query import parse_stream_request
-from service.protocols.stream.stream_batch import StreamBatch
 from tests.service.api.quality.batches import strobed_batch
 from tests.service.api.tools.batches import pose
 from tests.service.pipeline.fake_trackers import some_tracks
@@ -46,7 +52,7 @@ def batch() -> FrameBatch:
 
 
 def messages(content: set[Content], first: int = 0, last: int | None = None) -> list[Any]:
-    return frame_messages(StreamBatch.of(batch()), frozenset(content), first, last)
+    return frame_messages(StreamBatch(batch()), frozenset(content), first, last)
 
 
 def test_each_frame_has_its_own():
@@ -106,14 +112,14 @@ def test_what_is_no_number_is_null():
     wrong = replace(pose("pointer", 0, TURN, np.zeros(3)), velocity_mm_s=np.full(3, np.nan))
     wrong = replace(wrong, residual_sigma=float("inf"))
     motion = TrackingResult.of([TrackBatch.empty(4)], [[wrong]], 4)
-    given = StreamBatch.of(replace(strobed_batch(range(1)), motion=motion))
+    given = StreamBatch(replace(strobed_batch(range(1)), motion=motion))
     (found,) = frame_messages(given, frozenset({"tools"}))
     assert found["tools"][0]["velocity_mm_s"] is found["tools"][0]["residual_sigma"] is None
     encode(found, "json")
 
 
 def test_a_device_that_is_not_tracked_has_none():
-    given = StreamBatch.of(strobed_batch(range(2)))
+    given = StreamBatch(strobed_batch(range(2)))
     for message in frame_messages(given, frozenset({"tracks", "tools", "points"})):
         assert message["tracks"] == message["tools"] == []
         assert len(message["points"]) == 1
@@ -121,7 +127,7 @@ def test_a_device_that_is_not_tracked_has_none():
 
 def test_single_frames_and_batches_of_the_log_agree():
     log = StreamLog(100)
-    log.append_batch(StreamBatch.of(batch()))
+    log.append_batch(StreamBatch(batch()))
     variant = (frozenset[Content]({"tracks", "tools"}), "json")
     (entry,) = log.since(0, 10)
     single = [entry.payload(variant, number) for number in range(5)]  # type: ignore[arg-type]

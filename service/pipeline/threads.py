@@ -1,9 +1,15 @@
-"""ReaderThread: puts a driver's frames into a FrameRing, from which the compute thread takes."""
+"""ReaderThread, ComputeThread: threads of the pipeline; FrameRing: the frames between them."""
 
+import asyncio
 import logging
+import time
 from collections import deque
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future
+from contextlib import suppress
+from functools import cache
 from itertools import islice
+from queue import Empty, SimpleQueue
 from threading import Event, Lock, Thread
 from typing import Final, Literal, TypeVar
 
@@ -70,30 +76,23 @@ class FrameRing:
         last = self._last
         return -1 if last is None else last
 
-    def take(self, most: int) -> list[LineFrame]:
-        """Remove and return up to ``most`` frames, oldest first."""
-        with self._lock:
-            if len(self._frames) <= most:
-                taken = list(self._frames)
-                self._frames.clear()
-            else:
-                taken = [self._frames.popleft() for _ in range(most)]
-        self._taken.set()
-        return taken
+    def take(self, limit: int) -> list[LineFrame]:
+        """Remove and return up to ``limit`` frames, oldest first."""
+        return self.take_chosen(limit, lambda frames, _: frames)[0]
 
     def take_chosen(
-        self, most: int, choose: Callable[[Sequence[LineFrame], int], Sequence[T]]
+        self, limit: int, choose: Callable[[Sequence[LineFrame], int], Sequence[T]]
     ) -> tuple[list[LineFrame], list[T]]:
         """Remove and return the oldest frames for which ``choose`` has an answer, and the answers.
 
         Args:
-            most: how many frames ``choose`` is shown at most.
+            limit: how many frames ``choose`` is shown at most.
             choose: gets frames, oldest first, and how many more wait; returns an answer for the
                 first of them, or for all. It is called with the ring locked, and not without a
                 frame.
         """
         with self._lock:
-            shown = list(islice(self._frames, most))
+            shown = list(islice(self._frames, limit))
             chosen = list(choose(shown, len(self._frames) - len(shown))) if shown else []
             for _ in chosen:
                 self._frames.popleft()
@@ -113,41 +112,38 @@ class ReaderThread:
         device_id: str,
         driver: Driver,
         ring: FrameRing,
-        ended: Callable[[], object],
-        link_changed: Callable[[], object],
+        changed: Callable[[], object],
     ) -> None:
         """Prepare the thread.
 
-        From it ``ended`` is called when the frames end by themselves, and ``link_changed`` when
-        the device was lost, came back, or sends nothing of use.
+        From it ``changed`` is called when the frames end by themselves, and when the device was
+        lost, came back, or sends nothing of use.
         """
         self.state: ReaderState = "running"
         self.reason: str | None = None
         self._device_id = device_id
         self._driver = driver
         self._ring = ring
-        self._ended = ended
+        self._changed = changed
         self._stopping = False
         self.lossless = driver.lossless
         """Whether the source waits for the pipeline: a replay as fast as frames are consumed."""
         self._thread = Thread(target=self._run, name=f"reader-{device_id}", daemon=True)
-
-        self._link_changed = link_changed
         self._linked = driver if isinstance(driver, LinkedDriver) else None
 
     def start(self) -> None:
         """Start to read; the driver is open."""
         if self._linked is not None:
-            self._linked.listen(self._told)
+            self._linked.listen(self._link_changed)
         self._thread.start()
 
     def link(self) -> LinkState | None:
         """Return how the link to the device stands; None of a device that cannot be unplugged."""
         return None if self._linked is None else self._linked.link()
 
-    def _told(self, _: LinkState) -> None:
+    def _link_changed(self, _: LinkState) -> None:
         if not self._stopping:
-            self._link_changed()
+            self._changed()
 
     def close_driver(self) -> None:
         """End the frames without waiting for the thread."""
@@ -182,4 +178,119 @@ class ReaderThread:
         finally:
             if not self._stopping:
                 self._driver.close()
-                self._ended()
+                self._changed()
+
+
+class ComputeThread:
+    """Calls every registered worker whenever frames wait, and jobs that need this thread.
+
+    A worker takes what is there and returns whether it did anything; the thread sleeps when
+    none of them did and no frame has come since. It runs from the beginning until ``close``.
+    """
+
+    def __init__(self) -> None:
+        self._wake = Event()
+        self._jobs: SimpleQueue[Callable[[], None]] = SimpleQueue()
+        self._workers: dict[str, Callable[[], bool]] = {}
+        self._closing = False
+        self._since_s: float | None = None
+        self._thread = Thread(target=self._run, name="compute", daemon=True)
+        self._thread.start()
+
+    @property
+    def alive(self) -> bool:
+        """Whether the thread runs."""
+        return self._thread.is_alive()
+
+    @property
+    def busy_s(self) -> float:
+        """Time spent so far on the current batch or job [s]; 0 when idle."""
+        since = self._since_s
+        return 0.0 if since is None else time.monotonic() - since
+
+    def wake(self) -> None:
+        """Wake the thread: frames wait; callable from any thread, never blocks."""
+        self._wake.set()
+
+    def submit(self, job: Callable[[], T]) -> "Future[T]":
+        """Run a job in the thread, between two batches; it fails once the thread is closed."""
+        future: Future[T] = Future()
+
+        def run() -> None:
+            try:
+                if self._closing:
+                    raise RuntimeError("the live pipeline is closed")
+                future.set_result(job())
+            except BaseException as error:  # noqa: BLE001 - the waiter gets it
+                future.set_exception(error)
+
+        self._jobs.put(run)
+        self._wake.set()
+        if self._closing and not self._thread.is_alive():
+            self._run_jobs()
+        return future
+
+    def add(self, name: str, worker: Callable[[], bool]) -> None:
+        """Register a worker; call in the thread, by ``submit``."""
+        self._workers[name] = worker
+
+    def remove(self, name: str) -> None:
+        """Remove a worker; call in the thread, by ``submit``."""
+        self._workers.pop(name, None)
+
+    def close(self) -> None:
+        """End the thread after the batch in hand."""
+        self._closing = True
+        self._wake.set()
+        self._thread.join(10.0)
+
+    def _run(self) -> None:
+        while not self._closing:
+            self._since_s = None
+            self._wake.wait()
+            # Cleared before the work is looked at: what comes meanwhile wakes the next round.
+            self._wake.clear()
+            busy = True
+            while busy and not self._closing:
+                busy = False
+                self._run_jobs()
+                for name, worker in list(self._workers.items()):
+                    self._since_s = time.monotonic()
+                    try:
+                        busy = worker() or busy
+                    except Exception:  # noqa: BLE001
+                        # A worker reports its own failure; this is the last line of defence.
+                        _log.exception("worker %s failed and is removed", name)
+                        self.remove(name)
+                    # A start or stop waits for one device's batch, not for a round of all.
+                    self._run_jobs()
+        self._run_jobs()
+
+    def _run_jobs(self) -> None:
+        with suppress(Empty):
+            while True:
+                job = self._jobs.get_nowait()
+                self._since_s = time.monotonic()
+                job()
+
+
+def call_in_loop(
+    loop: asyncio.AbstractEventLoop, call: Callable[..., object], *args: object
+) -> None:
+    """Call in an event loop, from any thread; nothing happens in one that has ended."""
+    with suppress(RuntimeError):  # it is closed: the service is ending
+        loop.call_soon_threadsafe(call, *args)
+
+
+@cache
+def limit_blas_threads() -> None:
+    """Let BLAS use the calling thread alone, in the whole process, from now on.
+
+    For a triangle of four by four its own threads wait for each other for milliseconds when the
+    cores are busy; for the few hundred unknowns of a calibration they gain next to nothing.
+    """
+    # What is not loaded yet cannot be told: NumPy and SciPy have a BLAS each.
+    import scipy.linalg  # noqa: F401
+    from threadpoolctl import threadpool_limits
+
+    threadpool_limits(limits=1, user_api="blas")

@@ -1,0 +1,339 @@
+"""Messages of the stream: frames as the streams keep them, as plain values, and encoded."""
+
+import json
+from collections.abc import Iterable, Iterator
+from functools import lru_cache
+from itertools import pairwise
+from math import isfinite
+from operator import attrgetter
+from typing import Any, Final, Literal, NamedTuple, cast, get_args
+
+import msgpack
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.flags import flag_names
+from compute.reconstruction.point_batch import PointFlag
+from compute.signal.peaks import PeakFlag
+from compute.tracking.track_batch import TrackFlag, TrackState
+from hardware.driver import DeviceDescription
+from hardware.line_frame import FrameFlag
+from service.pipeline.detection_stage import peak_method
+from service.pipeline.frame_batch import BeamHoldState, FrameBatch, pose_members
+
+Content = Literal["points", "peaks", "tracks", "tools", "holds"]
+Encoding = Literal["msgpack", "json"]
+CONTENTS: Final[tuple[Content, ...]] = get_args(Content)
+ENCODINGS: Final[tuple[Encoding, ...]] = get_args(Encoding)
+
+Payload = bytes | str
+Rows = list[dict[str, Any]]
+"""The points, peaks, tracks, ... of one frame, as a message has them."""
+
+_TRACK_STATES: Final = {int(state): state.name.lower() for state in TrackState}
+
+
+class FrameHeader(NamedTuple):
+    """A frame without its pixels; see LineFrame."""
+
+    sequence: int
+    exposure_device_ns: int
+    exposure_host_ns: int
+    marker: int | None
+    flags: FrameFlag
+
+
+_HEADER: Final = attrgetter(*FrameHeader._fields)
+
+
+class StreamBatch:
+    """Frames of one device as the streams keep them: a FrameBatch without pixels.
+
+    Attributes:
+        frames: headers of F frames.
+        peak_start: index of the first of the P peaks of each scan, and P at the end, shape
+            (F x S + 1,).
+        peak_values: position [px], sigma [px], amplitude [counts], width [px] and reduced
+            chi-square of each peak, shape (5, P).
+        peak_flags: PeakFlag values, shape (P,).
+        releases: tokens of all holds whose beam is enabled, each once.
+    """
+
+    def __init__(self, batch: FrameBatch) -> None:
+        self.device_id = batch.device_id
+        self.calibration_id, self.table_id = batch.calibration_id, batch.table_id
+        self.frames = tuple(FrameHeader._make(_HEADER(frame)) for frame in batch.frames)
+        self._sensor_names = batch.sensor_names
+        self._points, self._owner = batch.points, batch.owner
+        self._motion, self._holds = batch.motion, batch.holds
+        self.releases = tuple(
+            {now.release for after in batch.holds for now in after if now.release}
+        )
+        # Copied: the batch's arrays have room for more peaks than there are.
+        peaks = batch.peaks
+        self.peak_start = np.zeros(len(peaks.count) + 1, dtype=np.intp)
+        np.cumsum(peaks.count, out=self.peak_start[1:])
+        there = np.arange(peaks.position_px.shape[1]) < peaks.count[:, None]
+        values = (
+            peaks.position_px,
+            peaks.sigma_px,
+            peaks.amplitude,
+            peaks.width_px,
+            peaks.reduced_chi2,
+        )
+        self.peak_values = np.stack([column[there] for column in values]).astype(np.float64)
+        self.peak_flags = peaks.flags[there]
+
+    def headers(self, first: int, last: int | None) -> Rows:
+        """Return the members that each message has, of the frames from ``first`` to ``last``."""
+        return [
+            {
+                "type": "frame",
+                "device": self.device_id,
+                "sequence": frame.sequence,
+                "exposure_ns": frame.exposure_host_ns,
+                "device_ns": frame.exposure_device_ns,
+                "marker": frame.marker,
+                "calibration": self.calibration_id,
+                "table": self.table_id,
+                "flags": flag_names(frame.flags),
+            }
+            for frame in self.frames[first:last]
+        ]
+
+    def rows(self, content: Content, first: int, count: int) -> Iterator[Rows]:
+        """Yield the rows of a content of each of ``count`` frames, from ``first`` on."""
+        members = {
+            "points": self._point_rows,
+            "peaks": self._peak_rows,
+            "tracks": self._track_rows,
+            "tools": self._tool_rows,
+            "holds": self._hold_rows,
+        }
+        return members[content](first, count)
+
+    def _point_rows(self, first: int, count: int) -> Iterator[Rows]:
+        """Yield the points: members of PointEstimate and the marker."""
+        starts, part = _parts(self._owner, first, count)
+        own = self._points.part(part.start, part.stop)
+        names = self._sensor_names
+        # Straight from the arrays: objects in between cost too much at thousands of frames.
+        rows = [
+            {
+                "marker": self.frames[frame].marker,
+                "position_mm": position if isfinite(position[0]) else None,
+                "covariance_mm2": covariance if isfinite(position[0]) else None,
+                "residual_sigma": residual if isfinite(residual) else None,
+                "sensors": _used(names, tuple(used)),
+                "flags": _flag_names(PointFlag, flags),
+            }
+            for frame, position, covariance, residual, used, flags in _zip_lists(
+                self._owner[part],
+                own.position_mm,
+                own.covariance_mm2,
+                own.residual_sigma(),
+                own.used,
+                own.flags,
+            )
+        ]
+        return _split(rows, starts)
+
+    def _peak_rows(self, first: int, count: int) -> Iterator[Rows]:
+        """Yield the peaks: members of Peak."""
+        names = self._sensor_names
+        scans = self.peak_start[first * len(names) : (first + count) * len(names) + 1]
+        part = slice(scans[0], scans[-1]) if len(scans) else slice(0)
+        sensors = np.repeat(np.arange(len(scans) - 1) % len(names), np.diff(scans))
+        rows = [
+            {
+                "sensor": names[sensor],
+                "position_px": position,
+                "sigma_px": sigma,
+                "amplitude": amplitude,
+                "width_px": width,
+                "reduced_chi2": chi2 if isfinite(chi2) else None,
+                "flags": _flag_names(PeakFlag, flags),
+            }
+            for sensor, position, sigma, amplitude, width, chi2, flags in _zip_lists(
+                sensors, *self.peak_values[:, part], self.peak_flags[part]
+            )
+        ]
+        return _split(rows, scans[:: len(names)].tolist())
+
+    def _track_rows(self, first: int, count: int) -> Iterator[Rows]:
+        """Yield the tracks; none where nothing is tracked."""
+        if self._motion is None:
+            return iter([[]] * count)
+        starts, part = _parts(self._motion.track_owner, first, count)
+        tracks = self._motion.tracks
+        rows = [
+            {
+                "id": identity,
+                "marker": None if marker < 0 else marker,
+                "state": _TRACK_STATES[state],
+                "flags": _flag_names(TrackFlag, flags),
+                "position_mm": position,
+                "covariance_mm2": covariance,
+                "velocity_mm_s": velocity,
+                "velocity_covariance_mm2_s2": velocity_covariance,
+                "acceleration_mm_s2": acceleration if isfinite(acceleration[0]) else None,
+                "peaks": [None if peak < 0 else peak for peak in peaks],
+                "nis": nis if isfinite(nis) else None,
+                "dof": dof,
+            }
+            for (
+                identity,
+                marker,
+                state,
+                flags,
+                position,
+                covariance,
+                velocity,
+                velocity_covariance,
+                acceleration,
+                peaks,
+                nis,
+                dof,
+            ) in _zip_lists(
+                tracks.identity[part],
+                tracks.marker[part],
+                tracks.state[part],
+                tracks.flags[part],
+                tracks.position_mm[part],
+                tracks.covariance[part, :3, :3],
+                tracks.velocity_mm_s[part],
+                tracks.covariance[part, 3:6, 3:6],
+                tracks.acceleration_mm_s2[part],
+                tracks.peaks[part],
+                tracks.nis[part],
+                tracks.dof[part],
+            )
+        ]
+        return _split(rows, starts)
+
+    def _tool_rows(self, first: int, count: int) -> Iterator[Rows]:
+        """Yield the tool poses; none where nothing is tracked."""
+        motion = self._motion
+        for frame in range(first, first + count):
+            yield [] if motion is None else [pose_members(pose) for pose in motion.poses_of(frame)]
+
+    def _hold_rows(self, first: int, count: int) -> Iterator[Rows]:
+        """Yield the beam holds after each frame, as they stand now."""
+        for frame in range(first, first + count):
+            yield [hold_members(now) for now in self._holds[frame]] if self._holds else []
+
+
+def _parts(owner: NDArray[np.intp], first: int, count: int) -> tuple[list[int], slice]:
+    """Return where the rows of each of ``count`` frames begin and end, and all of them."""
+    starts: list[int] = owner.searchsorted(range(first, first + count + 1)).tolist()
+    return starts, slice(starts[0], starts[-1])
+
+
+def _zip_lists(*columns: NDArray[Any]) -> Iterable[tuple[Any, ...]]:
+    return zip(*(column.tolist() for column in columns), strict=True)
+
+
+def _split(rows: Rows, starts: list[int]) -> Iterator[Rows]:
+    return (rows[begin - starts[0] : end - starts[0]] for begin, end in pairwise(starts))
+
+
+@lru_cache(maxsize=4096)
+def _used(names: tuple[str, ...], used: tuple[bool, ...]) -> tuple[str, ...]:
+    return tuple(name for name, use in zip(names, used, strict=True) if use)
+
+
+@lru_cache(maxsize=1024)
+def _flag_names(
+    kind: type[PointFlag] | type[PeakFlag] | type[TrackFlag], flags: int
+) -> tuple[str, ...]:
+    return flag_names(kind(flags))
+
+
+def frame_messages(
+    batch: StreamBatch, content: frozenset[Content], first: int = 0, last: int | None = None
+) -> Rows:
+    """Return one message for each frame of a batch, with the chosen content.
+
+    Args:
+        batch: F frames.
+        content: what each message holds beside the frame itself.
+        first: the first frame wanted, from 0.
+        last: the frame after the last one wanted; None: to the end.
+    """
+    messages = batch.headers(first, last)
+    for name in CONTENTS:
+        if name in content:
+            rows_by_frame = batch.rows(name, first, len(messages))
+            for message, rows in zip(messages, rows_by_frame, strict=True):
+                message[name] = rows
+    return messages
+
+
+def hold_members(now: BeamHoldState) -> dict[str, Any]:
+    """Return a beam hold as a message has it: held, where it was held since."""
+    now = now.standing
+    return {
+        "hold": now.hold_id,
+        "held": now.held,
+        "cause": now.cause.value,
+        "reason": now.reason,
+        "since_ns": now.since_ns,
+        "shift_mm": now.shift_mm,
+        "rotation_rad": now.rotation_rad,
+        "probability": now.probability,
+    }
+
+
+def hold_message(device_id: str, now: BeamHoldState) -> dict[str, Any]:
+    """Return the message about a change of a beam hold: held, where it was held since."""
+    return {
+        "type": "hold",
+        "device": device_id,
+        **hold_members(now),
+        "exposure_ns": now.exposure_ns,
+        "sequence": now.sequence,
+    }
+
+
+def status_message(
+    device_id: str, state: str, reason: str | None = None, link: str | None = None
+) -> dict[str, Any]:
+    """Return the message about a change of the device's state, or of its link's."""
+    return {"type": "status", "device": device_id, "state": state, "reason": reason, "link": link}
+
+
+def missed_message(device_id: str, messages: int, first: int) -> dict[str, Any]:
+    """Return the message to a slow client: how many messages it lacks, and from which on."""
+    return {"type": "missed", "device": device_id, "messages": messages, "first": first}
+
+
+def describe_message(known: DeviceDescription | None) -> dict[str, Any]:
+    """Return what hello and status messages say of a device; None: it was never started."""
+    return {
+        "sensors": [sensor.name for sensor in known.sensors] if known else [],
+        "frame_rate_hz": known.frame_rate_hz if known else None,
+        "markers": known.markers if known else None,
+        "readout": known.readout if known else None,
+        "method": peak_method(known) if known else None,
+    }
+
+
+def encode(message: dict[str, Any], encoding: Encoding) -> Payload:
+    """Encode one message: a binary frame of MessagePack, or a text frame of JSON."""
+    if encoding == "msgpack":
+        packed: bytes = msgpack.packb(message)
+        return packed
+    return json.dumps(message, allow_nan=False, separators=(",", ":"))
+
+
+def bundle(device_id: str, frames: list[Payload], encoding: Encoding) -> Payload:
+    """Return one message with many frames, which are encoded already."""
+    if encoding == "msgpack":
+        packer = msgpack.Packer(autoreset=False)
+        packer.pack_map_header(3)
+        for word in ("type", "frames", "device", device_id, "frames"):
+            packer.pack(word)
+        packer.pack_array_header(len(frames))
+        return b"".join((packer.bytes(), *cast("list[bytes]", frames)))
+    head = json.dumps({"type": "frames", "device": device_id}, separators=(",", ":"))
+    return f'{head[:-1]},"frames":[{",".join(cast("list[str]", frames))}]}}'

@@ -211,8 +211,8 @@ def _begin(
     given = tuple(model for model in models if isinstance(model, SensorModel))
     if given and (directions_deg is not None or terms):
         raise InvalidParameter(
-            "directions_deg and distortion are for sensors without initial cameras, which have both; "
-            "leave them out"
+            "directions_deg and distortion are for sensors without initial cameras, which have "
+            "both; leave them out"
         )
     if given and initial == "start":
         return _Begin(given, None, True)
@@ -227,6 +227,11 @@ def _begin(
     directions = None if directions_deg is None else direction_vectors(directions_deg)
     if given:
         directions = pixel_directions(given)
+    elif directions is not None and len(directions) != len(models):
+        raise InvalidParameter(
+            f"directions_deg has {len(directions)} angles; give one for each of {len(models)} "
+            "sensors"
+        )
     cameras, doubt = settle_handedness(found.models, directions)
     if doubt:
         warnings.append(doubt)

@@ -13,8 +13,9 @@ from compute.calibration.bundle_adjustment.normal_equations import (
     build_normal_equations,
 )
 from compute.calibration.bundle_adjustment.pose_set import PoseSet
-from compute.calibration.self_calibration.initial_poses import InitialPoses
+from compute.calibration.self_calibration.initial_poses import InitialPoses, fit_poses, triangulate
 from compute.camera.model import SensorModel
+from compute.camera.stack import CameraStack
 from compute.reconstruction.triangulation import chi2_limit
 
 Array = NDArray[np.float64]
@@ -147,7 +148,22 @@ def find_exchanges(
         kept = values[row, first, sensor].copy()
         values[row, first, sensor] = values[row, second, sensor]
         values[row, second, sensor] = kept
-    _, chi2 = resect(models, replace(tried, readings_px=readings, sigma_px=sigma))
+    # The pose of exchanged readings may be stuck: begin anew from the markers.
+    marker = triangulate(CameraStack.of(models), readings)
+    placed = np.isfinite(marker[..., 0]).sum(axis=1) >= (3 if poses.unknowns == 6 else 2)
+    rotation, translation = tried.rotation.copy(), tried.translation_mm.copy()
+    rotation[placed], translation[placed] = fit_poses(poses.shape, marker[placed])
+    _, chi2 = resect(
+        models,
+        replace(
+            tried,
+            rotation=rotation,
+            translation_mm=translation,
+            readings_px=readings,
+            sigma_px=sigma,
+        ),
+    )
+    chi2 = np.where(np.isfinite(chi2), chi2, np.inf)
     found = []
     for number in range(len(poses)):
         own = np.flatnonzero(pose == number)
@@ -155,7 +171,7 @@ def find_exchanges(
         order = own[np.argsort(chi2[own], kind="stable")]
         if len(own) == 0 or dof < 1:
             continue
-        if chi2[order[0]] > chi2_limit(dof, CONTRADICTION_PROBABILITY):
+        if not chi2[order[0]] <= chi2_limit(dof, CONTRADICTION_PROBABILITY):
             continue
         if len(order) > 1 and chi2[order[1]] - chi2[order[0]] < SINGLE_OUTLIER_RATIO_THRESHOLD:
             continue

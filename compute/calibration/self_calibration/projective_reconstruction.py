@@ -12,6 +12,8 @@ Array = NDArray[np.float64]
 
 SUBSETS: Final = 64
 """Random subsets of points, one of which is free of wrong readings."""
+HALVES: Final = 16
+"""Random halves of the points that are tried with four sensors."""
 SUBSET_POINTS: Final = 14
 SUBSET_ITERATIONS: Final = 15
 SEED: Final = 1
@@ -75,6 +77,30 @@ class ProjectiveReconstruction:
         rows = read * self.cameras[:, 1] - self.cameras[:, 0]
         rows = rows * (seen / np.linalg.norm(self.cameras[:, 1], axis=1))[..., None]
         return np.asarray(np.linalg.svd(rows)[2][:, 3])
+
+
+def reconstruct_projective(readings: Array) -> ProjectiveReconstruction:
+    """Reconstruct projective cameras and points, whatever wrong readings there are.
+
+    With four sensors a point has one redundant reading, which a wrong one may bend the cameras to
+    agree with: random halves of the points are tried, of which some are free of wrong readings.
+
+    Args:
+        readings: shape (N, S), at least four seen of each point; NaN where not seen.
+    """
+    whole = adjust_projective(affine_start(readings))
+    if readings.shape[1] > MIN_READINGS:
+        return whole
+    rng = np.random.default_rng(SEED)
+    candidates = [whole]
+    for _ in range(HALVES):
+        half = readings[rng.permutation(len(readings))[: max(len(readings) // 2, SUBSET_POINTS)]]
+        part = adjust_projective(affine_start(half))
+        candidates.append(
+            ProjectiveReconstruction(part.cameras, part.triangulated(readings), readings)
+        )
+    best = min(candidates, key=lambda one: float(np.median(one.point_misfits())))
+    return whole if best is whole else adjust_projective(best)
 
 
 def affine_start(readings: Array) -> ProjectiveReconstruction:

@@ -21,9 +21,8 @@ from compute.calibration.self_calibration.pose_screening import resect, screen_p
 from compute.calibration.self_calibration.projective_reconstruction import (
     MIN_READINGS,
     ProjectiveReconstruction,
-    adjust_projective,
-    affine_start,
     dual,
+    reconstruct_projective,
 )
 from compute.calibration.self_calibration.targets import Recording, Wand
 from compute.camera.field_distortion import FieldDistortion, Term
@@ -79,14 +78,8 @@ def uncalibrated_start(
         TooFewPoints: fewer than four sensors, no wand, or too few markers read by four.
         NoConvergence: no cameras fit.
     """
+    check_uncalibrated(len(sensors), recordings)
     wands = [one for one in recordings if isinstance(one.target, Wand)]
-    if len(sensors) < MIN_READINGS or not wands:
-        what = f"{len(sensors)} sensors" if wands else "no wand"
-        raise TooFewPoints(
-            f"{what}; cameras without initial values need four sensors and a wand's readings; "
-            "give initial cameras",
-            sensors=len(sensors),
-        )
     candidates = []
     for models in _metric_candidates(sensors, wands):
         adjusted = _adjust(models, wands)
@@ -109,6 +102,26 @@ def uncalibrated_start(
     return UncalibratedStart(_device_frame(best), min(others, default=float("inf")))
 
 
+def check_uncalibrated(sensors: int, recordings: Sequence[Recording]) -> None:
+    """Check that cameras without initial values are possible.
+
+    Args:
+        sensors: number of sensors.
+        recordings: the readings.
+
+    Raises:
+        TooFewPoints: fewer than four sensors, or no wand.
+    """
+    wands = any(isinstance(one.target, Wand) for one in recordings)
+    if sensors < MIN_READINGS or not wands:
+        what = f"{sensors} sensors" if wands else "no wand"
+        raise TooFewPoints(
+            f"{what}; cameras without initial values need four sensors and a wand's readings; "
+            "give initial cameras",
+            sensors=sensors,
+        )
+
+
 def _metric_candidates(
     sensors: Sequence[SensorGeometry], wands: Sequence[Recording]
 ) -> list[tuple[SensorModel, ...]]:
@@ -127,10 +140,8 @@ def _metric_candidates(
     # Readings about their mean, in units of their scatter.
     centre, scale = np.nanmean(readings, axis=0), float(np.nanmean(np.nanstd(readings, axis=0)))
     normalised = (readings - centre) / scale
-    start = adjust_projective(affine_start(normalised[fit]))
-    starts = [start]
-    if len(sensors) == MIN_READINGS:
-        starts.append(dual(start))
+    start = reconstruct_projective(normalised[fit])
+    starts = [start, dual(start)] if len(sensors) == MIN_READINGS else [start]
     to_pixels = np.zeros((len(sensors), 2, 2))
     to_pixels[:, 0, 0], to_pixels[:, 0, 1], to_pixels[:, 1, 1] = scale, centre, 1.0
     found = []

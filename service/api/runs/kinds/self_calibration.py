@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from compute.calibration.result import Calibration
 from compute.camera.model import SensorGeometry, SensorModel
+from compute.errors import InvalidParameter
 from compute.progress import Progress
 from service.api.base_models import ResponseModel
 from service.api.calibrations.calibration_content import Outcome, calibration_content, result_of
@@ -45,13 +46,21 @@ def request_of(request: Request, start: "CalibrationRow | None") -> dict[str, An
         LumilineError: what is wrong with the recordings.
     """
     from compute.calibration.self_calibration.recording_checks import check_recordings
+    from compute.calibration.self_calibration.uncalibrated_start import check_uncalibrated
 
     models = _initial(request, None if start is None else result_of(start.content).models)
     if start is not None:
         check_sensors(start.device_id, request.sensors, models)
     directions_of(request.directions_deg, list(request.sensors))
+    if start is not None and (request.directions_deg is not None or request.distortion != "none"):
+        raise InvalidParameter(
+            "directions_deg and distortion are for a run without a start, which has both; leave "
+            "them out, or give initial as readings without a start"
+        )
     recordings = [recording_of(given, list(request.sensors)) for given in request.recordings]
     check_recordings(models, recordings)
+    if request.initial == "readings":
+        check_uncalibrated(len(models), recordings)
     return request.model_dump(mode="json")
 
 

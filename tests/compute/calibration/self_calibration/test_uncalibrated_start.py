@@ -144,7 +144,8 @@ def test_a_scale_that_differs_from_the_start_is_warned_of() -> None:
     longer = replace(read, target=Wand((0.0, 1.05 * WAND_MM)))
     found = self_calibrate(rig(), [longer])
     assert len(found.warnings) == 1
-    assert "1.05 times as large" in found.warnings[0]
+    assert found.device_scale == pytest.approx(1.05, abs=0.02)
+    assert f"{found.device_scale:.4g} times as large" in found.warnings[0]
     assert found.calibration.diagnosis is not None
     assert found.calibration.diagnosis.remarks == found.warnings
     assert self_calibrate(rig(), [read]).warnings == ()

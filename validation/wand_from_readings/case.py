@@ -211,9 +211,9 @@ def compute_tables(
 _ASSUMED: Final = (
     "Assumed: bars of 0.6 to 1.2 m with sensors of 2048 to 4096 pixels and 15 to 35 degrees half a "
     "field, slits at mixed angles, 1.5 to 2.5 m before the volume; noise of 0.1 to 0.5 px, 0 to "
-    "20 % of the readings missing, 1 % anywhere on the pixels; two markers 200 to 500 mm apart. Known "
-    "are the readings, the length, the pixels, and the directions of the pixels to 11 degrees "
-    "(standard deviation), which settle the mirror image. Same: chi2 per degree of freedom at most "
+    "20 % of the readings missing, 1 % anywhere on the pixels; two markers 200 to 500 mm apart. "
+    "Known are the readings, the length, the pixels, and the directions of the pixels to 11 "
+    "degrees (standard deviation), which settle the mirror image. Same: chi2 per degree of freedom at most "
     "2 % above that of a start from the true cameras and errors within 10 %."
 )
 

@@ -217,13 +217,6 @@ def _begin(
     if given and initial == "start":
         return _Begin(given, None, True)
     sensors = [SensorGeometry(model.name, model.pixels) for model in models]
-    found = uncalibrated_start(sensors, recordings)
-    warnings = []
-    if found.alternative_chi2 < ALTERNATIVE_CHI2:
-        warnings.append(
-            f"Other cameras fit nearly as well (chi2 larger by {found.alternative_chi2:.1f}); "
-            "wave the wand at more poses, in all directions, near and far."
-        )
     directions = None if directions_deg is None else direction_vectors(directions_deg)
     if given:
         directions = pixel_directions(given)
@@ -231,6 +224,13 @@ def _begin(
         raise InvalidParameter(
             f"directions_deg has {len(directions)} angles; give one for each of {len(models)} "
             "sensors"
+        )
+    found = uncalibrated_start(sensors, recordings)
+    warnings = []
+    if found.alternative_chi2 < ALTERNATIVE_CHI2:
+        warnings.append(
+            f"Other cameras fit nearly as well (chi2 larger by {found.alternative_chi2:.1f}); "
+            "wave the wand at more poses, in all directions, near and far."
         )
     cameras, doubt = settle_handedness(found.models, directions)
     if doubt:

@@ -370,7 +370,11 @@ class _SelfCalibrationState:
             )
 
     def check_share(self, starts: Sequence[InitialPoses]) -> None:
-        """Raise NoConvergence if too large a share of the readings was rejected."""
+        """Check that enough of the readings agree with one another.
+
+        Raises:
+            NoConvergence: too large a share of them was rejected.
+        """
         total = 0
         for one in self.recordings:
             # Poses with too few readings can be placed by no cameras; they contradict nothing.

@@ -116,8 +116,8 @@ def judge(wave: Wave) -> Outcome:
             directions_deg=wave.directions_deg,
             distortion=TERMS if distorted else "none",
         )
-    except LumilineError as error:
-        return Outcome("refused", False, None, error.detail)
+    except LumilineError as problem:
+        return Outcome("refused", False, None, problem.detail)
     error, mirrored = marker_error(found.calibration.models, wave)
     try:
         right = self_calibrate(true_models(bar), [recording])
@@ -213,8 +213,8 @@ _ASSUMED: Final = (
     "field, slits at mixed angles, 1.5 to 2.5 m before the volume; noise of 0.1 to 0.5 px, 0 to "
     "20 % of the readings missing, 1 % anywhere on the pixels; two markers 200 to 500 mm apart. "
     "Known are the readings, the length, the pixels, and the directions of the pixels to 11 "
-    "degrees (standard deviation), which settle the mirror image. Same: chi2 per degree of freedom at most "
-    "2 % above that of a start from the true cameras and errors within 10 %."
+    "degrees (standard deviation), which settle the mirror image. Same: chi2 per degree of freedom "
+    "at most 2 % above that of a start from the true cameras and errors within 10 %."
 )
 
 

@@ -131,8 +131,8 @@ def self_calibrate(
     scales = tuple(observed_scale(begin.reference, recording) for recording in recordings)
     progress(0.1, "search")
     if begin.initial is None:
-        for scale in scales:
-            check_observed_scale(scale)
+        for observed in scales:
+            check_observed_scale(observed)
         check_count(begin.reference, [start.poses for start in work.starts(False)])
         work.models = coarse_solution(begin.reference, work.kept_recordings(), work.sigma)
     else:

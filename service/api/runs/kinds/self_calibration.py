@@ -47,9 +47,10 @@ def request_of(request: Request, start: "CalibrationRow | None") -> dict[str, An
     from compute.calibration.self_calibration.recording_checks import check_recordings
     from compute.calibration.self_calibration.uncalibrated_start import check_uncalibrated
 
-    models = _initial(request, None if start is None else result_of(start.content).models)
-    if start is not None:
-        check_sensors(start.device_id, request.sensors, models)
+    given = None if start is None else result_of(start.content).models
+    if start is not None and given is not None:
+        check_sensors(start.device_id, request.sensors, given)
+    models = _initial(request, given)
     directions_of(request.directions_deg, list(request.sensors))
     if start is not None and (request.directions_deg is not None or request.distortion != "none"):
         raise InvalidParameter(

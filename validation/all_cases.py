@@ -45,6 +45,7 @@ from validation.table_6.table_6_1 import TABLE_6_1
 from validation.table_6.table_6_2 import TABLE_6_2
 from validation.tests_5_1_to_5_8 import CASES, Case
 from validation.wand.case import CASE as WAND
+from validation.wand_from_readings.case import CASE as WAND_FROM_READINGS
 
 
 def _with_picture(case: TablesCase, module: str) -> TablesCase:
@@ -102,6 +103,7 @@ _TABLES: Final[tuple[TablesCase, ...]] = (
     CONVERGENCE,
     RANDOM_RIGS,
     WAND,
+    WAND_FROM_READINGS,
     PARTIAL_VIEW,
     POINTER_TIP,
     STROBED_TOOLS,

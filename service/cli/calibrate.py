@@ -62,7 +62,7 @@ def calibrate(
 ) -> None:
     """Calibrate from a CSV file; print the fit, write the calibration as JSON, and a report."""
     settings = CalibrationSettings(
-        _distortion(distortion), control_sigma, cast("Loss", loss), cast("LabelPolicy", labels)
+        parse_distortion(distortion), control_sigma, cast("Loss", loss), cast("LabelPolicy", labels)
     )
     table = read_observations(observations)
     sensors = [SensorGeometry(name, pixels, pitch) for name in table.sensors]
@@ -166,7 +166,7 @@ def label_message(finding: LabelFinding) -> str:
     return f"{where}: the readings of points {' and '.join(points)} are exchanged ({sure})"
 
 
-def _distortion(text: str) -> Distortion:
+def parse_distortion(text: str) -> Distortion:
     """Return a named set, or terms written as ``3,0 1,2``; raises InvalidParameter."""
     if not text[:1].isdigit():
         return cast("Distortion", text)

@@ -8,8 +8,9 @@ import typer
 
 from compute.calibration.self_calibration.self_calibrate import self_calibrate
 from compute.calibration.self_calibration.targets import Recording, Wand
+from compute.camera.model import SensorGeometry, SensorModel
 from compute.errors import InvalidParameter
-from service.cli.calibrate import fit_table, write_calibration
+from service.cli.calibrate import fit_table, parse_distortion, write_calibration
 from service.cli.json_files import read_calibration
 from service.cli.observations_csv import read_wand
 from service.cli.output import console, make_table, progress, say
@@ -20,12 +21,41 @@ MAX_LISTED = 20
 
 def wand(
     readings: Annotated[Path, typer.Argument(help="CSV: pose,marker,NAME_px,...")],
-    start: Annotated[
-        Path, typer.Option(help="Nearly right cameras: a calibration as JSON, a design's or old.")
-    ],
     positions: Annotated[
         str, typer.Option(help=r"Where the markers are along the wand \[mm], as '0 300'.")
     ],
+    start: Annotated[
+        Path | None,
+        typer.Option(
+            help="Initial cameras: a calibration as JSON, a design's or old. Left out: from the "
+            "readings, of four sensors or more."
+        ),
+    ] = None,
+    from_readings: Annotated[
+        bool,
+        typer.Option(
+            help="Compute the initial cameras from the readings; --start gives the frame, and "
+            "which of two mirror images is right."
+        ),
+    ] = False,
+    pixels: Annotated[
+        int | None, typer.Option(min=8, help="Without --start: pixels of each sensor.")
+    ] = None,
+    directions: Annotated[
+        str | None,
+        typer.Option(
+            help="Without --start: for each sensor, in the order of its column, the direction in "
+            r"which its readings grow \[degrees, clockwise from the right, seen from the device "
+            "towards the scene], to 20 degrees, as '90 0 45 135'; it settles the mirror image."
+        ),
+    ] = None,
+    distortion: Annotated[
+        str,
+        typer.Option(
+            help="Without --start: none, a set's name, or terms u^i v^j as '3,0 1,2'. With it: "
+            "those of the start."
+        ),
+    ] = "none",
     sigma: Annotated[
         float,
         typer.Option(min=0.0, help=r"Standard deviation of these positions \[mm]; 0: exact."),
@@ -34,20 +64,45 @@ def wand(
 ) -> None:
     """Calibrate from a wand; print the fit and what was left out, write it as JSON."""
     target = Wand(_positions(positions), sigma)
-    initial = read_calibration(start).calibration.models
-    table = read_wand(readings, len(target)).in_order_of(initial, str(start))
+    table = read_wand(readings, len(target))
+    initial: tuple[SensorModel, ...] | tuple[SensorGeometry, ...]
+    if start is not None:
+        if pixels is not None:
+            raise InvalidParameter("--pixels is given with --start, whose cameras have theirs")
+        initial = read_calibration(start).calibration.models
+        table = table.in_order_of(initial, str(start))
+    elif pixels is None:
+        raise InvalidParameter(
+            "no initial cameras: give --start with a calibration, or --pixels of each sensor and "
+            "--directions to calibrate from the readings alone"
+        )
+    else:
+        initial = tuple(SensorGeometry(name, pixels) for name in table.sensors)
     recording = Recording(target, table.readings_px, table.sigma_px)
     with progress("calibrating", 1.0) as done:
-        result = self_calibrate(initial, [recording], progress=lambda share, _stage: done(share))
+        result = self_calibrate(
+            initial,
+            [recording],
+            initial="readings" if from_readings or start is None else "start",
+            directions_deg=None if directions is None else _directions(directions, table.sensors),
+            distortion=parse_distortion(distortion),
+            progress=lambda share, _stage: done(share),
+        )
     fit = result.targets[0]
     console.print(fit_table(result.calibration, f"{readings}: {fit.used} of {fit.poses} poses"))
     if fit.length_error_mm is not None:
         span = float(np.ptp(np.array(target.position_mm)))
         say(f"the wand of {span:g} mm, marker by marker: {fit.length_error_mm:.3g} mm RMS off")
-    say(
-        f"the device is {result.device_scale:.4g} times as large as in {start}; "
-        f"chi2 {result.chi2_per_dof:.3g} a degree of freedom"
-    )
+    say(f"chi2 {result.chi2_per_dof:.3g} a degree of freedom")
+    if result.device_scale is not None:
+        say(f"the device is {result.device_scale:.4g} times as large as in {start}")
+    for warning in result.warnings:
+        console.print(f"WARNING: {warning}", style="bold red", markup=False, highlight=False)
+    for one in result.exchanged:
+        say(
+            f"pose {one.pose}: the readings of markers {one.first} and {one.second} of "
+            f"{one.sensor} were exchanged; they were exchanged back"
+        )
     if result.rejected:
         rows = (
             (one.pose, one.marker, one.sensor, f"{one.normalised_residual:.1f}")
@@ -58,6 +113,21 @@ def wand(
         console.print(make_table(headings, rows, title, texts=None))
     if output is not None:
         write_calibration(output, result.calibration)
+
+
+def _directions(text: str, sensors: tuple[str, ...]) -> list[float]:
+    """Return an angle [degrees] for each sensor; raises InvalidParameter."""
+    try:
+        angles = [float(part) for part in text.replace(",", " ").split()]
+    except ValueError:
+        angles = []
+    if len(angles) != len(sensors):
+        raise InvalidParameter(
+            f'directions is "{text}"; it must be an angle in degrees for each of '
+            f"{', '.join(sensors)}, in this order",
+            directions=text,
+        )
+    return angles
 
 
 def _positions(text: str) -> tuple[float, ...]:

@@ -92,7 +92,7 @@ def start_poses(
         marker = _limit_distances(models, marker, _scale(shape, marker))
     fit = np.isfinite(marker[..., 0]).sum(axis=1) >= (3 if len(shape.rotation_axes) == 3 else 2)
     if fit.any():
-        rotation, translation = _fit_poses(shape, marker[fit])
+        rotation, translation = fit_poses(shape, marker[fit])
         poses = PoseSet(shape, translation, rotation, recording.readings_px[fit], sigma_px[fit])
         # Fitted to the shape, a marker may have come to lie behind a lens.
         projected = cameras.project(poses.marker_positions().reshape(-1, 3))
@@ -177,8 +177,16 @@ def _scale(shape: TargetShape, marker_mm: Array) -> float:
     return float(np.median(ratio[np.isfinite(ratio)])) if np.isfinite(ratio).any() else np.nan
 
 
-def _fit_poses(shape: TargetShape, marker_mm: Array) -> tuple[Array, Array]:
-    """Fit rotations (B, 3, 3) and translations (B, 3) to markers (B, K, 3), NaN where missing."""
+def fit_poses(shape: TargetShape, marker_mm: Array) -> tuple[Array, Array]:
+    """Fit poses to markers.
+
+    Args:
+        shape: the target.
+        marker_mm: shape (B, K, 3) [mm]; NaN where missing.
+
+    Returns:
+        Rotations (B, 3, 3) and translations (B, 3) [mm].
+    """
     known = np.isfinite(marker_mm[..., :1])
     count = known.sum(axis=1)
     seen = np.where(known, marker_mm, 0.0)

@@ -13,8 +13,9 @@ from compute.calibration.bundle_adjustment.normal_equations import (
     build_normal_equations,
 )
 from compute.calibration.bundle_adjustment.pose_set import PoseSet
-from compute.calibration.self_calibration.initial_poses import InitialPoses
+from compute.calibration.self_calibration.initial_poses import InitialPoses, fit_poses, triangulate
 from compute.camera.model import SensorModel
+from compute.camera.stack import CameraStack
 from compute.reconstruction.triangulation import chi2_limit
 
 Array = NDArray[np.float64]
@@ -113,6 +114,70 @@ def find_outlier_readings(
         np.array(marker_and_sensor, dtype=np.intp).reshape(-1, 2),
         np.array(sizes),
     )
+
+
+def find_exchanges(
+    models: Sequence[SensorModel], poses: PoseSet
+) -> list[tuple[int, int, int, int]]:
+    """Find contradictory poses that agree once one sensor's readings of two markers are exchanged.
+
+    The exchange must make all readings agree, and clearly better than any other exchange.
+
+    Args:
+        models: the S cameras, held fixed.
+        poses: contradictory poses.
+
+    Returns:
+        Pose, two markers and sensor of each exchange, as indices.
+    """
+    seen = poses.seen
+    trials = [
+        (pose, first, second, sensor)
+        for pose in range(len(poses))
+        for first, second in zip(*np.triu_indices(len(poses.shape), 1), strict=True)
+        for sensor in np.flatnonzero(seen[pose, first] & seen[pose, second])
+    ]
+    if not trials:
+        return []
+    index = np.array(trials)
+    pose, first, second, sensor = index.T
+    tried = poses.select(pose)
+    row = np.arange(len(pose))
+    readings, sigma = tried.readings_px.copy(), tried.sigma_px.copy()
+    for values in (readings, sigma):
+        kept = values[row, first, sensor].copy()
+        values[row, first, sensor] = values[row, second, sensor]
+        values[row, second, sensor] = kept
+    # The pose of exchanged readings may be stuck: begin anew from the markers.
+    marker = triangulate(CameraStack.of(models), readings)
+    placed = np.isfinite(marker[..., 0]).sum(axis=1) >= (3 if poses.unknowns == 6 else 2)
+    rotation, translation = tried.rotation.copy(), tried.translation_mm.copy()
+    rotation[placed], translation[placed] = fit_poses(poses.shape, marker[placed])
+    _, chi2 = resect(
+        models,
+        replace(
+            tried,
+            rotation=rotation,
+            translation_mm=translation,
+            readings_px=readings,
+            sigma_px=sigma,
+        ),
+    )
+    chi2 = np.where(np.isfinite(chi2), chi2, np.inf)
+    found = []
+    for number in range(len(poses)):
+        own = np.flatnonzero(pose == number)
+        dof = int(seen[number].sum()) - poses.unknowns
+        order = own[np.argsort(chi2[own], kind="stable")]
+        if len(own) == 0 or dof < 1:
+            continue
+        if not chi2[order[0]] <= chi2_limit(dof, CONTRADICTION_PROBABILITY):
+            continue
+        if len(order) > 1 and chi2[order[1]] - chi2[order[0]] < SINGLE_OUTLIER_RATIO_THRESHOLD:
+            continue
+        a, b, c, d = index[order[0]].tolist()
+        found.append((a, b, c, d))
+    return found
 
 
 def resect(models: Sequence[SensorModel], poses: PoseSet) -> tuple[PoseSet, Array]:

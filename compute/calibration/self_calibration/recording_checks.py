@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from compute.calibration.bundle_adjustment.pose_set import PoseSet
 from compute.calibration.self_calibration.datum import rotation_between
 from compute.calibration.self_calibration.targets import Recording
-from compute.camera.model import SensorModel
+from compute.camera.model import SensorGeometry, SensorModel
 from compute.camera.observation_checks import FLATNESS_LIMIT, check_inside
 from compute.errors import DegeneratePoints, InvalidParameter, TooFewPoints
 
@@ -27,11 +27,13 @@ CONIC_LIMIT: Final = 0.01
 lengths: directions in a plane or on a cone have 0, 200 random ones 0.3."""
 
 
-def check_recordings(models: Sequence[SensorModel], recordings: Sequence[Recording]) -> None:
+def check_recordings(
+    models: Sequence[SensorModel] | Sequence[SensorGeometry], recordings: Sequence[Recording]
+) -> None:
     """Check number of sensors, shapes, and that readings lie on the sensors.
 
     Args:
-        models: the starting cameras.
+        models: the starting cameras, or names and pixels.
         recordings: the readings.
 
     Raises:
@@ -73,6 +75,19 @@ def check_scale(start: Sequence[SensorModel], found: Sequence[SensorModel]) -> N
         f"the given lengths make the device {scale:.4g} times as large as the cameras to start "
         f"from; {_unit_hint(1.0 / scale)}",
         scale=scale,
+    )
+
+
+def scale_warning(scale: float) -> str:
+    """Return the warning of lengths that disagree with the size of the starting device.
+
+    Args:
+        scale: size of the solved device over that of the start.
+    """
+    return (
+        f"The known lengths make the device {scale:.4g} times as large as the initial cameras: all "
+        f"distances will measure {100.0 * (scale - 1.0):+.1f} % different from before. Check the "
+        "length of what was moved; keep the result only if the initial cameras were approximate."
     )
 
 

@@ -7,6 +7,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.calibration.assessment_result import Diagnosis
 from compute.calibration.bundle_adjustment.adjustment_result import AdjustmentResult
 from compute.calibration.bundle_adjustment.pose_set import PoseSet
 from compute.calibration.result import Calibration, SensorFit, nested_rows
@@ -46,6 +47,25 @@ class RejectedMeasurement:
 
 
 @dataclass(frozen=True)
+class ExchangedReadings:
+    """Readings of two markers that one sensor had exchanged; they were exchanged back.
+
+    Args:
+        recording: counted from 1.
+        pose: counted from 1.
+        first: a marker, counted from 1.
+        second: the other.
+        sensor: its name.
+    """
+
+    recording: int
+    pose: int
+    first: int
+    second: int
+    sensor: str
+
+
+@dataclass(frozen=True)
 class TargetFit:
     """Fit of one recording's target.
 
@@ -74,20 +94,24 @@ class SelfCalibration:
             marker of each pose of each recording, in this order.
         datum: which frame is the world's.
         device_scale: size of the device, from the known lengths, over that of the start: far from 1
-            where either is wrong.
+            where either is wrong; None without a start.
         targets: one for each recording.
         rejected: readings that were rejected.
         chi2_per_dof: weighted sum of squares per degree of freedom of the readings used.
         dof: number of readings minus unknowns.
+        exchanged: readings that were exchanged between two markers.
+        warnings: what the user must know, in sentences.
     """
 
     calibration: Calibration
     datum: Datum
-    device_scale: float
+    device_scale: float | None
     targets: tuple[TargetFit, ...]
     rejected: tuple[RejectedMeasurement, ...]
     chi2_per_dof: float
     dof: int
+    exchanged: tuple[ExchangedReadings, ...] = ()
+    warnings: tuple[str, ...] = ()
 
 
 def summarise(
@@ -98,8 +122,10 @@ def summarise(
     *,
     datum: Datum,
     start_scales: Sequence[float],
-    device_scale: float,
+    device_scale: float | None,
     rejected: Sequence[RejectedMeasurement],
+    exchanged: Sequence[ExchangedReadings],
+    warnings: Sequence[str],
     sigma_given: bool,
 ) -> SelfCalibration:
     """Summarise a run as a SelfCalibration.
@@ -114,8 +140,10 @@ def summarise(
         recordings: the readings.
         datum: which frame is the world's.
         start_scales: lengths seen by the start over the known ones, for each recording.
-        device_scale: size of the solved device over that of the start.
+        device_scale: size of the solved device over that of the start; None without one.
         rejected: readings that were rejected.
+        exchanged: readings that were exchanged.
+        warnings: in sentences.
         sigma_given: whether the readings came with standard deviations.
     """
     dof = adjusted.dof
@@ -145,6 +173,7 @@ def summarise(
         fits,
         tuple(tuple(row) for row in (placed.covariance * factor).tolist()),
         nested_rows(residuals),
+        diagnosis=Diagnosis((), None, None, (), tuple(warnings)) if warnings else None,
     )
     targets = tuple(
         TargetFit(
@@ -157,7 +186,15 @@ def summarise(
         for poses, scale, recording in zip(placed.pose_sets, start_scales, recordings, strict=True)
     )
     return SelfCalibration(
-        calibration, datum, device_scale, targets, tuple(rejected), chi2_per_dof, dof
+        calibration,
+        datum,
+        device_scale,
+        targets,
+        tuple(rejected),
+        chi2_per_dof,
+        dof,
+        tuple(exchanged),
+        tuple(warnings),
     )
 
 

@@ -1,8 +1,8 @@
 """self_calibrate: sensors from readings of a target at unknown poses, and one known length."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Final
+from dataclasses import dataclass, replace
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +29,11 @@ from compute.calibration.self_calibration.initial_poses import (
     observed_scale,
     start_poses,
 )
-from compute.calibration.self_calibration.pose_screening import find_outlier_readings, screen_poses
+from compute.calibration.self_calibration.pose_screening import (
+    find_exchanges,
+    find_outlier_readings,
+    screen_poses,
+)
 from compute.calibration.self_calibration.recording_checks import (
     check_count,
     check_observed_scale,
@@ -37,15 +41,26 @@ from compute.calibration.self_calibration.recording_checks import (
     check_scale,
     check_volume_coverage,
     device_scale,
+    scale_warning,
 )
 from compute.calibration.self_calibration.result import (
     Datum,
+    ExchangedReadings,
     RejectedMeasurement,
     SelfCalibration,
     summarise,
 )
-from compute.calibration.self_calibration.targets import Recording, RigidBody
-from compute.camera.model import SensorModel
+from compute.calibration.self_calibration.targets import Recording, RigidBody, Wand
+from compute.calibration.self_calibration.uncalibrated_start import (
+    direction_vectors,
+    pixel_directions,
+    settle_handedness,
+    uncalibrated_start,
+    with_terms,
+)
+from compute.calibration.settings import CalibrationSettings, Distortion, preset_terms
+from compute.camera.field_distortion import Term
+from compute.camera.model import SensorGeometry, SensorModel
 from compute.errors import InvalidParameter, NoConvergence
 from compute.progress import Progress, no_progress
 
@@ -55,27 +70,43 @@ REJECTION_ROUNDS: Final = 20
 MIN_SHARE: Final = 0.6
 """Smallest share of the readings that must agree."""
 NOISE_ROUNDS: Final = 2
+SCALE_WARNING: Final = 0.02
+"""Difference of the device's size to that of the start from which the lengths are in doubt."""
+ALTERNATIVE_CHI2: Final = 10.0
+"""Difference of chi2 to other cameras below which these are possible, too."""
+Initial = Literal["start", "readings"]
 SCREENING_ROUNDS: Final = 3
 
 
 def self_calibrate(
-    models: Sequence[SensorModel],
+    models: Sequence[SensorModel] | Sequence[SensorGeometry],
     recordings: Sequence[Recording],
     *,
+    initial: Initial = "start",
+    directions_deg: Sequence[float] | None = None,
+    distortion: Distortion = "none",
     datum: Datum = "start",
     progress: Progress = no_progress,
 ) -> SelfCalibration:
-    """Calibrate S sensors without known coordinates, from approximate cameras.
+    """Calibrate S sensors without known coordinates, from approximate cameras or from none.
 
     The start is the nominal geometry or an earlier calibration; it may be wrong by 20 % in every
-    parameter (``lumiline reproduce wand`` gives the success rates). All poses and all sensors are
-    adjusted jointly, with a robust loss and rejection of outliers. Distortion terms of the start
-    are adjusted, too.
+    parameter (``lumiline reproduce wand`` gives the success rates). Without one, or with
+    ``initial="readings"``, the initial cameras come from a wand's readings (``lumiline reproduce
+    wand-from-readings``). All poses and all sensors are adjusted jointly, with a robust loss and
+    rejection of outliers. Distortion terms of the start are adjusted, too.
 
     Args:
-        models: the start, one for each sensor of the device.
+        models: the start, one for each sensor of the device; or their names and pixels alone.
         recordings: readings of wands, rigid bodies or frames, all with standard deviations or
             all without: then each sensor's comes from its residuals.
+        initial: "start": begin at the given cameras. "readings": compute the initial cameras from
+            a wand's readings; given cameras settle the frame and which of two mirror images counts.
+        directions_deg: without given cameras, the directions in which readings grow, clockwise
+            from the right, seen from the device towards the scene, shape (S,) [degrees]; to 20
+            degrees they settle the mirror image.
+        distortion: without given cameras, a named set of distortion terms, or the terms, to be
+            adjusted; "none".
         datum: the world frame. "start": where the starting cameras fit the readings best.
             "first-pose": the frame of the rigid body of the first recording at its first pose.
         progress: called with the fraction done and the stage.
@@ -95,14 +126,20 @@ def self_calibrate(
             'datum is "first-pose", but the first recording is not of a rigid body of known shape'
         )
     progress(0.0, "start")
-    work = _SelfCalibrationState(tuple(models), tuple(recordings), sigma_given == {True})
-    scales = tuple(observed_scale(models, recording) for recording in recordings)
-    for scale in scales:
-        check_observed_scale(scale)
-    check_count(models, [start.poses for start in work.starts(False)])
+    begin = _begin(models, recordings, initial, directions_deg, distortion)
+    work = _SelfCalibrationState(begin.reference, tuple(recordings), sigma_given == {True})
+    scales = tuple(observed_scale(begin.reference, recording) for recording in recordings)
     progress(0.1, "search")
-    work.models = coarse_solution(models, work.kept_recordings(), work.sigma)
-    check_scale(models, work.models)
+    if begin.initial is None:
+        for observed in scales:
+            check_observed_scale(observed)
+        check_count(begin.reference, [start.poses for start in work.starts(False)])
+        work.models = coarse_solution(begin.reference, work.kept_recordings(), work.sigma)
+    else:
+        work.models = begin.initial
+        check_count(work.models, [start.poses for start in work.starts(True)])
+    if begin.given:
+        check_scale(begin.reference, work.models)
     progress(0.5, "adjustment")
     check_volume_coverage([start.poses for start in work.starts(True)])
     for _ in range(SCREENING_ROUNDS):
@@ -111,6 +148,7 @@ def self_calibrate(
             work.scale_sigma(sensor_sigma(adjusted, robust=True))
     progress(0.7, "outliers")
     work.reject_single_outliers()
+    work.repair_exchanges()
     for _ in range(REJECTION_ROUNDS):
         starts = work.screen_poses()
         adjusted = work.adjusted(starts)
@@ -123,7 +161,11 @@ def self_calibrate(
             adjusted = work.adjusted(starts)
     work.check_share(starts)
     progress(0.95, "world frame")
-    placed = _apply_datum(adjusted, models, starts, recordings, datum)
+    placed = _apply_datum(adjusted, begin.reference, starts, recordings, datum)
+    scale = device_scale(begin.reference, placed.models) if begin.given else None
+    warnings = begin.warnings
+    if scale is not None and abs(scale - 1.0) > SCALE_WARNING:
+        warnings += (scale_warning(scale),)
     result = summarise(
         adjusted,
         placed,
@@ -131,12 +173,88 @@ def self_calibrate(
         recordings,
         datum=datum,
         start_scales=scales,
-        device_scale=device_scale(models, placed.models),
+        device_scale=scale,
         rejected=work.rejected,
+        exchanged=work.exchanged,
+        warnings=warnings,
         sigma_given=work.sigma_given,
     )
     progress(1.0, "done")
     return result
+
+
+@dataclass(frozen=True)
+class _Begin:
+    """How a run begins.
+
+    Args:
+        reference: cameras that define the frame; those given, or those from the readings.
+        initial: cameras near the solution; None: the search begins at the reference.
+        given: whether the reference was given.
+        warnings: in sentences.
+    """
+
+    reference: tuple[SensorModel, ...]
+    initial: tuple[SensorModel, ...] | None
+    given: bool
+    warnings: tuple[str, ...] = ()
+
+
+def _begin(
+    models: Sequence[SensorModel] | Sequence[SensorGeometry],
+    recordings: Sequence[Recording],
+    initial: Initial,
+    directions_deg: Sequence[float] | None,
+    distortion: Distortion,
+) -> _Begin:
+    terms = _distortion_terms(distortion)
+    given = tuple(model for model in models if isinstance(model, SensorModel))
+    if given and (directions_deg is not None or terms):
+        raise InvalidParameter(
+            "directions_deg and distortion are for sensors without initial cameras, which have "
+            "both; leave them out"
+        )
+    if given and initial == "start":
+        return _Begin(given, None, True)
+    sensors = [SensorGeometry(model.name, model.pixels) for model in models]
+    directions = None if directions_deg is None else direction_vectors(directions_deg)
+    if given:
+        directions = pixel_directions(given)
+    elif directions is not None and len(directions) != len(models):
+        raise InvalidParameter(
+            f"directions_deg has {len(directions)} angles; give one for each of {len(models)} "
+            "sensors"
+        )
+    found = uncalibrated_start(sensors, recordings)
+    warnings = []
+    if found.alternative_chi2 < ALTERNATIVE_CHI2:
+        warnings.append(
+            f"Other cameras fit nearly as well (chi2 larger by {found.alternative_chi2:.1f}); "
+            "wave the wand at more poses, in all directions, near and far."
+        )
+    cameras, doubt = settle_handedness(found.models, directions)
+    if doubt:
+        warnings.append(doubt)
+    if given:
+        cameras = tuple(
+            replace(camera, distortion=model.distortion)
+            for camera, model in zip(align_to_start(cameras, given), given, strict=True)
+        )
+        return _Begin(given, cameras, True, tuple(warnings))
+    if terms:
+        cameras = with_terms(cameras, recordings, terms)
+    return _Begin(cameras, cameras, False, tuple(warnings))
+
+
+def _distortion_terms(distortion: Distortion) -> tuple[Term, ...]:
+    if distortion == "auto":
+        raise InvalidParameter(
+            'distortion is "auto", which needs control points; name a set of terms, such as '
+            '"symmetric-3", and compare chi2 per degree of freedom with "none"',
+            distortion=distortion,
+        )
+    CalibrationSettings(distortion=distortion)
+    return preset_terms(distortion) if isinstance(distortion, str) else distortion
 
 
 def _apply_datum(
@@ -169,10 +287,11 @@ class _SelfCalibrationState:
         self.start = self.models
         self.readings = [recording.readings_px.copy() for recording in self.recordings]
         self.sigma = [
-            np.ones(one.readings_px.shape) if one.sigma_px is None else one.sigma_px
+            np.ones(one.readings_px.shape) if one.sigma_px is None else one.sigma_px.copy()
             for one in self.recordings
         ]
         self.rejected: list[RejectedMeasurement] = []
+        self.exchanged: list[ExchangedReadings] = []
 
     def kept_recordings(self) -> list[Recording]:
         """Return the recordings without rejected readings."""
@@ -202,6 +321,20 @@ class _SelfCalibrationState:
                 poses, indices, residuals = find_outlier_readings(self.models, bad)
                 pose_index = start.pose_index[~fitted.good][poses]
                 self._reject_readings(number, np.column_stack([pose_index, indices]), residuals)
+
+    def repair_exchanges(self) -> None:
+        """Exchange two markers' readings of one sensor where that alone explains a pose."""
+        for number, start in enumerate(self.starts(True)):
+            fitted = screen_poses(self.models, start)
+            found = find_exchanges(self.models, start.poses.select(~fitted.good))
+            for pose, first, second, sensor in found:
+                index = int(start.pose_index[~fitted.good][pose])
+                for values in (self.readings[number], self.sigma[number]):
+                    values[index, [first, second], sensor] = values[index, [second, first], sensor]
+                name = self.models[sensor].name
+                self.exchanged.append(
+                    ExchangedReadings(number + 1, index + 1, first + 1, second + 1, name)
+                )
 
     def adjusted(self, starts: Sequence[InitialPoses]) -> AdjustmentResult:
         """Adjust all sensors and poses, and keep the cameras."""
@@ -242,12 +375,17 @@ class _SelfCalibrationState:
         Raises:
             NoConvergence: too large a share of them was rejected.
         """
-        total = sum(int(np.isfinite(one.readings_px).sum()) for one in self.recordings)
+        total = 0
+        for one in self.recordings:
+            # Poses with too few readings can be placed by no cameras; they contradict nothing.
+            seen = np.isfinite(one.readings_px).sum(axis=2)
+            markers = 2 if isinstance(one.target, Wand) else 3
+            total += int(seen[(seen >= 3).sum(axis=1) >= markers].sum())
         used = sum(int(start.poses.seen.sum()) for start in starts)
         if used < MIN_SHARE * total:
             raise NoConvergence(
-                f"only {used} of {total} readings agree with one another; the start is too "
-                "wrong, the lengths do not belong to what was moved, or the standard deviations "
-                "are far too small",
+                f"only {used} of {total} readings of poses that show enough markers agree with "
+                "one another; the start is too wrong, the lengths do not belong to what was "
+                "moved, or the standard deviations are far too small",
                 used=used,
             )

@@ -129,7 +129,7 @@ def coverage(content: ReportContent, draw: Draw) -> str:
     """Return how much of each sensor and of its field the points reach."""
     parts = [figure("coverage", draw)]
     diagnosis = content.calibration.diagnosis
-    if diagnosis is not None:
+    if diagnosis is not None and diagnosis.sensors:
         rows = [
             (one.sensor, f"{one.pixel_share:.0%}", one.condition, *one.depth_mm,
              one.weakest_description)

@@ -15,7 +15,7 @@ from compute.calibration.self_calibration.targets import (
 from compute.errors import InvalidParameter, ReadingOutsideSensor, UnknownSensor
 from hardware.driver import SensorDescription
 from service.api.base_models import Note, Position, RequestModel, Slug
-from service.api.calibrations.schema import SensorName
+from service.api.calibrations.schema import GivenDistortion, SensorName
 
 MAX_POSES = 5_000
 MAX_MARKERS = 64
@@ -80,7 +80,25 @@ class NewSelfCalibrationRun(RequestModel):
     start: Slug | None = Field(
         default=None,
         description="A calibration that is near, with whose terms of distortion; left out: the "
-        "active one.",
+        "active one, or none with `initial` `readings`.",
+    )
+    initial: Literal["start", "readings"] = Field(
+        default="start",
+        description="`readings`: initial cameras are computed from a wand's readings, of four "
+        "sensors or more; a `start` then gives the frame, and which of two mirror images is right.",
+    )
+    directions_deg: (
+        Annotated[dict[SensorName, Annotated[float, Field(ge=-360, le=360)]], Field(max_length=64)]
+        | None
+    ) = Field(
+        default=None,
+        description="Without a start: the direction in which each sensor's readings grow, clockwise"
+        " from the right, seen from the device towards the scene, to 20 degrees. It settles which "
+        "of two mirror images is right.",
+    )
+    distortion: GivenDistortion = Field(
+        default="none",
+        description="Without a start: the name of a set of terms, or the terms; not `auto`.",
     )
     result_id: Slug | None = Field(
         default=None, description="Of the calibration to be made; left out: the server's choice."
@@ -92,6 +110,34 @@ class NewSelfCalibrationRun(RequestModel):
         "was first seen.",
     )
     note: Note = ""
+
+
+def directions_of(
+    given: dict[str, float] | None, sensors: list[SensorDescription]
+) -> list[float] | None:
+    """Return the directions of the sensors' pixels in their order [degrees]; None: not given.
+
+    Raises:
+        UnknownSensor: a direction is of a sensor that the device has not got.
+        InvalidParameter: a sensor has no direction.
+    """
+    if given is None:
+        return None
+    names = [sensor.name for sensor in sensors]
+    for name in given:
+        if name not in names:
+            raise UnknownSensor(
+                f'directions_deg has sensor "{name}", which the device does not have; its sensors '
+                f"are {', '.join(names)}",
+                sensor=name,
+            )
+    for name in names:
+        if name not in given:
+            raise InvalidParameter(
+                f'directions_deg has no sensor "{name}"; give one for each of {", ".join(names)}',
+                sensor=name,
+            )
+    return [given[name] for name in names]
 
 
 def recording_of(given: NewRecording, sensors: list[SensorDescription]) -> Recording:

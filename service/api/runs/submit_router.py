@@ -185,16 +185,22 @@ def create_self_calibration_run(
 ) -> Run:
     """Calibrate from a wand, a rigid body or a frame at unknown places, in a process of its own.
 
-    It starts from a calibration that is near; the scale comes from the lengths given. The new
-    calibration is stored when it is done, under the run's `result_id`, and not activated.
+    It starts from a calibration that is near, or, with `initial` `readings`, from nothing; the
+    scale comes from the lengths given. The new calibration is stored when it is done, under the
+    run's `result_id`, and not activated; warnings stand in its note and in its report.
     """
 
     def stored(session: Session, device: DeviceRow) -> dict[str, Any]:
         CALIBRATIONS.check_unused(session, request.result_id)
-        start = resolve_calibration(session, request.device, request.start)
+        start = None
+        if request.initial == "start" or request.start is not None:
+            start = resolve_calibration(session, request.device, request.start)
         return self_calibration.request_of(
             from_attributes(
-                SelfCalibrationRequest, request, start=start.id, sensors=sensors_of_row(device)
+                SelfCalibrationRequest,
+                request,
+                start=None if start is None else start.id,
+                sensors=sensors_of_row(device),
             ),
             start,
         )

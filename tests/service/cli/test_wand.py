@@ -8,6 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 from compute.calibration.calibrate import calibrate
+from compute.calibration.self_calibration.uncalibrated_start import pixel_directions
 from compute.camera.stack import CameraStack
 from compute.reconstruction.triangulation import reconstruct
 from service.cli import app
@@ -85,3 +86,38 @@ def test_a_wand_is_refused_with_a_reason(waved: tuple[Path, Path], tmp_path: Pat
         path = tmp_path / name
         path.write_text("\n".join(lines), encoding="utf-8")
         assert reason in run("wand", path, *start, "0 300", code=2), name
+
+
+@pytest.mark.slow
+def test_a_waved_bar_needs_no_initial_cameras(waved: tuple[Path, Path], tmp_path: Path) -> None:
+    output = tmp_path / "wand.json"
+    degrees = np.rad2deg(np.arctan2(*pixel_directions(rig()).T[::-1]))
+    directions = " ".join(f"{angle:.0f}" for angle in degrees)
+    options = ("--positions", "0 300", "--pixels", 2048, "--directions", directions)
+    shown = run("wand", waved[0], *options, "--output", output)
+    assert f"{POSES} of {POSES} poses" in shown
+    assert "WARNING" not in shown
+    models = read_calibration(output).calibration.models
+    ends = _bar_ends()
+    found = reconstruct(models, CameraStack.of(rig()).project(ends.reshape(-1, 3)), np.full(4, 1.0))
+    lengths = np.linalg.norm(np.diff(found.position_mm.reshape(-1, 2, 3), axis=1)[:, 0], axis=1)
+    assert abs(lengths.mean() - LENGTH_MM) < 0.1
+
+
+def test_a_wand_of_the_wrong_length_is_warned_of(waved: tuple[Path, Path]) -> None:
+    readings, near = waved
+    assert "WARNING: The known lengths make the device" in run(
+        "wand", readings, "--start", near, "--positions", "0 330"
+    )
+
+
+def test_a_wand_without_initial_cameras_wants_a_description(waved: tuple[Path, Path]) -> None:
+    options = ("wand", waved[0], "--positions", "0 300")
+    assert "give --start with a calibration, or --pixels" in run(*options, code=2)
+    for directions in ("90 0 45", "up right left down"):
+        shown = run(*options, "--pixels", 2048, "--directions", directions, code=2)
+        assert "an angle in degrees for each of s1, s2, s3, s4" in shown
+    shown = run(*options, "--pixels", 2048, "--distortion", "auto", code=2)
+    assert "needs control points" in shown
+    shown = run(*options, "--start", waved[1], "--pixels", 2048, code=2)
+    assert "--pixels is given with --start" in shown

@@ -4,14 +4,19 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Literal
 
 from compute.calibration.result import Calibration
-from compute.camera.model import SensorModel
+from compute.camera.model import SensorGeometry, SensorModel
+from compute.errors import InvalidParameter
 from compute.progress import Progress
 from service.api.base_models import ResponseModel
 from service.api.calibrations.calibration_content import Outcome, calibration_content, result_of
-from service.api.calibrations.schema import ControlPointErrors
+from service.api.calibrations.schema import ControlPointErrors, GivenDistortion
 from service.api.devices.schema import Sensor, check_sensors
 from service.api.runs.kinds.calibration import add_outcome
-from service.api.runs.self_calibration_schema import NewRecording, recording_of
+from service.api.runs.self_calibration_schema import (
+    NewRecording,
+    directions_of,
+    recording_of,
+)
 
 if TYPE_CHECKING:
     from sqlalchemy.orm import Session
@@ -22,7 +27,10 @@ if TYPE_CHECKING:
 class Request(ResponseModel):
     """What a run keeps of its request."""
 
-    start: str
+    start: str | None
+    initial: Literal["start", "readings"] = "start"
+    directions_deg: dict[str, float] | None = None
+    distortion: GivenDistortion = "none"
     recordings: list[NewRecording]
     sensors: list[Sensor]
     datum: Literal["start", "first-pose"]
@@ -30,18 +38,29 @@ class Request(ResponseModel):
     note: str
 
 
-def request_of(request: Request, start: "CalibrationRow") -> dict[str, Any]:
+def request_of(request: Request, start: "CalibrationRow | None") -> dict[str, Any]:
     """Return the request as it is stored, checked as far as that takes no time.
 
     Raises:
         LumilineError: what is wrong with the recordings.
     """
     from compute.calibration.self_calibration.recording_checks import check_recordings
+    from compute.calibration.self_calibration.uncalibrated_start import check_uncalibrated
 
-    models = result_of(start.content).models
-    check_sensors(start.device_id, request.sensors, models)
+    given = None if start is None else result_of(start.content).models
+    if start is not None and given is not None:
+        check_sensors(start.device_id, request.sensors, given)
+    models = _initial(request, given)
+    directions_of(request.directions_deg, list(request.sensors))
+    if start is not None and (request.directions_deg is not None or request.distortion != "none"):
+        raise InvalidParameter(
+            "directions_deg and distortion are for a run without a start, which has both; leave "
+            "them out, or give initial as readings without a start"
+        )
     recordings = [recording_of(given, list(request.sensors)) for given in request.recordings]
     check_recordings(models, recordings)
+    if request.initial == "readings":
+        check_uncalibrated(len(models), recordings)
     return request.model_dump(mode="json")
 
 
@@ -50,8 +69,8 @@ def task(session: "Session", row: "RunRow") -> tuple[Callable[..., Any], tuple[A
     from service.api.calibrations.store import get_calibration
 
     request = Request.model_validate(row.request)
-    start = get_calibration(session, request.start)
-    return compute, (request, result_of(start.content).models)
+    start = None if request.start is None else get_calibration(session, request.start)
+    return compute, (request, None if start is None else result_of(start.content).models)
 
 
 def store(session: "Session", row: "RunRow", result: Calibration) -> str:
@@ -60,15 +79,33 @@ def store(session: "Session", row: "RunRow", result: Calibration) -> str:
     content = calibration_content(row.device_id, "self-calibrated", [], result)
     errors = ControlPointErrors(fitted=None, leave_one_out=None)
     outcome = Outcome(result, content, errors.model_dump(mode="json"))
-    return add_outcome(session, row, outcome, request.note, request.result_id)
+    remarks = () if result.diagnosis is None else result.diagnosis.remarks
+    note = "\n".join([*filter(None, [request.note]), *(f"WARNING: {one}" for one in remarks)])
+    return add_outcome(session, row, outcome, note, request.result_id)
 
 
 def compute(
-    report_progress: Progress, request: Request, start: tuple[SensorModel, ...]
+    report_progress: Progress, request: Request, start: tuple[SensorModel, ...] | None
 ) -> Calibration:
     """Calibrate; raises what ``self_calibrate`` does."""
     from compute.calibration.self_calibration.self_calibrate import self_calibrate
 
     recordings = [recording_of(given, list(request.sensors)) for given in request.recordings]
-    found = self_calibrate(start, recordings, datum=request.datum, progress=report_progress)
+    found = self_calibrate(
+        _initial(request, start),
+        recordings,
+        initial=request.initial,
+        directions_deg=directions_of(request.directions_deg, list(request.sensors)),
+        distortion=request.distortion,
+        datum=request.datum,
+        progress=report_progress,
+    )
     return found.calibration
+
+
+def _initial(
+    request: Request, start: tuple[SensorModel, ...] | None
+) -> tuple[SensorModel, ...] | tuple[SensorGeometry, ...]:
+    if start is not None:
+        return start
+    return tuple(SensorGeometry(sensor.name, sensor.pixels) for sensor in request.sensors)

@@ -1,0 +1,381 @@
+"""Starting cameras from a wand's readings and its length alone."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from compute.calibration.bundle_adjustment.data_snooping import SIGMA_FLOOR_PX
+from compute.calibration.bundle_adjustment.gauge import transform_world
+from compute.calibration.bundle_adjustment.solver import approximate_solution
+from compute.calibration.self_calibration.initial_poses import (
+    marker_distances,
+    start_poses,
+    triangulate,
+)
+from compute.calibration.self_calibration.metric_upgrade import metric_cameras
+from compute.calibration.self_calibration.pose_screening import resect, screen_poses
+from compute.calibration.self_calibration.projective_reconstruction import (
+    MIN_READINGS,
+    ProjectiveReconstruction,
+    dual,
+    reconstruct_projective,
+)
+from compute.calibration.self_calibration.targets import Recording, Wand
+from compute.camera.field_distortion import FieldDistortion, Term
+from compute.camera.model import SensorGeometry, SensorModel, vector3
+from compute.camera.stack import CameraStack
+from compute.errors import LumilineError, NoConvergence, TooFewPoints
+from compute.robust_statistics import MAD_TO_SIGMA
+
+Array = NDArray[np.float64]
+
+MAX_CANDIDATES: Final = 6
+"""Metric solutions of one projective reconstruction that are adjusted."""
+ROUNDS: Final = 6
+OUTLIER_LIMIT: Final = 5.0
+"""Misfit of a point over its sigma beyond which it has a wrong reading."""
+MISFIT_LIMIT: Final = 16.0
+"""chi2 per reading beyond which a pose's misfit counts no more."""
+HANDEDNESS_LIMIT: Final = 0.5
+"""Smallest correlation with the described directions that settles the mirror image."""
+DIFFERENCE: Final = 0.02
+"""Relative difference of inner parameters from which cameras are others."""
+
+
+@dataclass(frozen=True)
+class UncalibratedStart:
+    """Cameras from readings alone, or their mirror image.
+
+    Args:
+        models: the S cameras; the world's origin is the point nearest to the slits, z the mean
+            optical axis, and x the first sensor's pixels, perpendicular to z.
+        alternative_chi2: robust chi2 of the next best solution with other cameras minus this
+            one's; inf where there is none.
+    """
+
+    models: tuple[SensorModel, ...]
+    alternative_chi2: float
+
+
+def uncalibrated_start(
+    sensors: Sequence[SensorGeometry], recordings: Sequence[Recording]
+) -> UncalibratedStart:
+    """Compute S cameras without any initial values, for sensors that look the same way roughly.
+
+    Affine factorisation, projective bundle adjustment, the dual of four cameras, a metric upgrade
+    by the wand's length and metric adjustment; the solution with the lowest cost counts. The mirror
+    image fits as well; which one is returned is arbitrary, see ``handedness``.
+
+    Args:
+        sensors: names and pixels.
+        recordings: of wands; others are not used.
+
+    Raises:
+        TooFewPoints: fewer than four sensors, no wand, or too few markers read by four.
+        NoConvergence: no cameras fit.
+    """
+    check_uncalibrated(len(sensors), recordings)
+    wands = [one for one in recordings if isinstance(one.target, Wand)]
+    candidates = []
+    for models in _metric_candidates(sensors, wands):
+        adjusted = _adjust(models, wands)
+        if adjusted is not None:
+            candidates.append(adjusted)
+    if not candidates:
+        raise NoConvergence(
+            "no cameras fit the readings and the wand's length; wave it in all directions, "
+            "near and far, and check that its markers are told apart"
+        )
+    sigma = min((one[1] for one in candidates), default=1.0)
+    costs = [_cost(models, wands, sigma) for models, _ in candidates]
+    order = np.argsort(costs, kind="stable")
+    best = candidates[order[0]][0]
+    others = [
+        costs[index] - costs[order[0]]
+        for index in order[1:]
+        if _different(candidates[index][0], best)
+    ]
+    return UncalibratedStart(_device_frame(best), min(others, default=float("inf")))
+
+
+def check_uncalibrated(sensors: int, recordings: Sequence[Recording]) -> None:
+    """Check that cameras without initial values are possible.
+
+    Args:
+        sensors: number of sensors.
+        recordings: the readings.
+
+    Raises:
+        TooFewPoints: fewer than four sensors, or no wand.
+    """
+    wands = any(isinstance(one.target, Wand) for one in recordings)
+    if sensors < MIN_READINGS or not wands:
+        what = f"{sensors} sensors" if wands else "no wand"
+        raise TooFewPoints(
+            f"{what}; cameras without initial values need four sensors and a wand's readings; "
+            "give initial cameras",
+            sensors=sensors,
+        )
+
+
+def _metric_candidates(
+    sensors: Sequence[SensorGeometry], wands: Sequence[Recording]
+) -> list[tuple[SensorModel, ...]]:
+    readings = np.concatenate([one.readings_px.reshape(-1, len(sensors)) for one in wands])
+    count = np.isfinite(readings).sum(axis=1)
+    fit = count >= MIN_READINGS
+    unknowns = 8 * len(sensors) - 15 - len(sensors)
+    constraints = int((count[fit] - 3).sum())
+    if constraints <= unknowns or (np.isfinite(readings[fit]).sum(axis=0) < MIN_READINGS).any():
+        raise TooFewPoints(
+            f"{int(fit.sum())} markers were read by four sensors or more, {constraints} readings "
+            f"more than their positions need; {unknowns} is the least without initial cameras, "
+            "and three times that is good",
+            points=int(fit.sum()),
+        )
+    # Readings about their mean, in units of their scatter.
+    centre, scale = np.nanmean(readings, axis=0), float(np.nanmean(np.nanstd(readings, axis=0)))
+    normalised = (readings - centre) / scale
+    start = reconstruct_projective(normalised[fit])
+    starts = [start, dual(start)] if len(sensors) == MIN_READINGS else [start]
+    to_pixels = np.zeros((len(sensors), 2, 2))
+    to_pixels[:, 0, 0], to_pixels[:, 0, 1], to_pixels[:, 1, 1] = scale, centre, 1.0
+    found = []
+    misfit = start.point_misfits()
+    usable = count >= 3
+    usable[fit] = misfit <= OUTLIER_LIMIT * MAD_TO_SIGMA * np.median(misfit)
+    pairs, lengths = _known_lengths(wands, usable)
+    for one in starts:
+        points = np.full((len(readings), 4), np.nan)
+        points[usable] = one.triangulated(normalised[usable])
+        cameras = to_pixels @ one.cameras
+        number = np.cumsum(usable) - 1
+        whole = ProjectiveReconstruction(cameras, points[usable], readings[usable])
+        found += metric_cameras(whole, number[pairs], lengths, sensors)[:MAX_CANDIDATES]
+    return found
+
+
+def _known_lengths(
+    wands: Sequence[Recording], usable: NDArray[np.bool_]
+) -> tuple[NDArray[np.intp], Array]:
+    """Return pairs of markers of known distance (M, 2) and the distances (M,)."""
+    pairs, lengths = [], []
+    first = 0
+    for one in wands:
+        poses, markers, _ = one.readings_px.shape
+        ends = np.stack(np.triu_indices(markers, 1), axis=1)
+        every = first + (markers * np.arange(poses))[:, None, None] + ends
+        shape = one.target.shape() if isinstance(one.target, Wand) else None
+        if shape is not None:
+            pairs.append(every.reshape(-1, 2))
+            lengths.append(np.tile(marker_distances(shape.marker_mm), poses))
+        first += poses * markers
+    pair, length = np.concatenate(pairs), np.concatenate(lengths)
+    known = usable[pair].all(axis=1)
+    return pair[known], length[known]
+
+
+def _adjust(
+    models: tuple[SensorModel, ...], wands: Sequence[Recording]
+) -> tuple[tuple[SensorModel, ...], float] | None:
+    """Return cameras adjusted until the noise no longer falls, and its sigma [px].
+
+    Poses start anew every time: a few stuck ones look like a minimum of the cameras.
+    """
+    sigma = 1.0
+    try:
+        for _ in range(ROUNDS):
+            sets = []
+            for one in wands:
+                spread = np.full(one.readings_px.shape, sigma)
+                start = screen_poses(models, start_poses(models, one, spread)).consistent
+                if len(start.poses):
+                    sets.append(start.poses)
+            if not sets:
+                return None
+            models = approximate_solution(models, sets, free_datum=True, loss="robust").models
+            previous, sigma = sigma, max(_noise(models, wands), SIGMA_FLOOR_PX)
+            if abs(sigma - previous) < 0.02 * sigma:
+                break
+    except (LumilineError, np.linalg.LinAlgError):
+        return None
+    return (models, sigma) if np.isfinite(sigma) else None
+
+
+def _pose_misfits(
+    models: tuple[SensorModel, ...], wands: Sequence[Recording]
+) -> tuple[Array, Array, Array]:
+    """Return squared residuals [px^2], degrees of freedom and readings of every pose."""
+    squares, dof, count = [], [], []
+    for one in wands:
+        start = start_poses(models, one, np.ones(one.readings_px.shape))
+        poses, chi2 = resect(models, start.poses)
+        whole = np.full(len(one.readings_px), np.inf)
+        whole[start.pose_index] = np.where(np.isfinite(chi2), chi2, np.inf)
+        seen = np.isfinite(one.readings_px).sum(axis=2)
+        squares.append(whole)
+        dof.append(seen.sum(axis=1) - poses.unknowns)
+        count.append(np.where((seen >= 3).sum(axis=1) >= 2, seen.sum(axis=1), 0))
+    return np.concatenate(squares), np.concatenate(dof), np.concatenate(count)
+
+
+def _noise(models: tuple[SensorModel, ...], wands: Sequence[Recording]) -> float:
+    """Return a robust estimate of the readings' noise over all poses [px]."""
+    squares, dof, count = _pose_misfits(models, wands)
+    tested = (dof > 0) & (count > 0)
+    if not tested.any():
+        return float("inf")
+    # Median of chi-square (Wilson and Hilferty, doi:10.1073/pnas.17.12.684).
+    median = dof[tested] * (1.0 - 2.0 / (9.0 * dof[tested])) ** 3
+    ratio = squares[tested] / median
+    return float(np.sqrt(np.median(ratio)))
+
+
+def _cost(models: tuple[SensorModel, ...], wands: Sequence[Recording], sigma: float) -> float:
+    squares, _, count = _pose_misfits(models, wands)
+    return float(np.minimum(squares / sigma**2, MISFIT_LIMIT * count)[count > 0].sum())
+
+
+def _different(models: Sequence[SensorModel], others: Sequence[SensorModel]) -> bool:
+    """Return whether inner parameters differ by more than a few per cent."""
+    return any(
+        abs(one.principal_distance_px / other.principal_distance_px - 1.0) > DIFFERENCE
+        or abs(one.principal_point_px - other.principal_point_px)
+        > DIFFERENCE * other.principal_distance_px
+        for one, other in zip(models, others, strict=True)
+    )
+
+
+def mirrored(models: Sequence[SensorModel]) -> tuple[SensorModel, ...]:
+    """Return the mirror image of cameras, which fits readings as well.
+
+    Args:
+        models: S cameras; the world is reflected in its plane x = 0.
+    """
+    images = []
+    for model in models:
+        right, _, forward = model.rotation * [-1.0, 1.0, 1.0]
+        rotation = np.stack([right, np.cross(forward, right), forward])
+        vector = vector3(Rotation.from_matrix(rotation).as_rotvec())
+        images.append(replace(model, rotation_vector_rad=vector))
+    return tuple(images)
+
+
+def handedness(models: Sequence[SensorModel], pixel_directions: Array) -> float:
+    """Return whether cameras or their mirror image agree with the directions of their pixels.
+
+    The signed angles between slits change their sign in the mirror; each pair counts by
+    ``[x_i, x_j, z]``, the volume spanned by the pixels' directions and the mean optical axis.
+
+    Args:
+        models: S cameras.
+        pixel_directions: directions in which readings grow, seen along the optical axes: the
+            components to the right and downwards, shape (S, 2).
+
+    Returns:
+        The correlation of the volumes, 1: the same; -1: the mirror image; near 0: the description
+        does not tell, or is of another device.
+    """
+    axes = np.array([model.rotation[0] for model in models])
+    forward = np.mean([model.rotation[2] for model in models], axis=0)
+    found = np.einsum("k,ijk->ij", forward, np.cross(axes[:, None], axes))
+    x, y = pixel_directions.T
+    described = np.outer(x, y) - np.outer(y, x)
+    size = np.linalg.norm(found) * np.linalg.norm(described)
+    return float((found * described).sum() / size) if size > 0.0 else 0.0
+
+
+def direction_vectors(angles_deg: Sequence[float]) -> Array:
+    """Return the directions of described pixels, (S, 2), for ``handedness``.
+
+    Args:
+        angles_deg: directions in which readings grow, clockwise from the right, seen from the
+            device towards the scene, shape (S,) [degrees].
+    """
+    angles = np.deg2rad(np.asarray(angles_deg, dtype=np.float64))
+    return np.stack([np.cos(angles), np.sin(angles)], axis=1)
+
+
+def pixel_directions(models: Sequence[SensorModel]) -> Array:
+    """Return the directions in which readings grow, (S, 2), for ``handedness``.
+
+    Args:
+        models: S cameras, an initial calibration or nominal ones.
+    """
+    frame = _device_rotation(models)
+    return np.array([(frame @ model.rotation[0])[:2] for model in models])
+
+
+def settle_handedness(
+    models: Sequence[SensorModel], directions: Array | None
+) -> tuple[tuple[SensorModel, ...], str]:
+    """Return cameras or their mirror image, whichever agrees with a description, and a doubt.
+
+    Args:
+        models: S cameras in their own frame.
+        directions: described directions of the pixels, (S, 2), see ``handedness``; None: unknown.
+
+    Returns:
+        The cameras, and a warning where the description does not settle it, else "".
+    """
+    if directions is None:
+        return tuple(models), (
+            "The mirror image of these cameras fits the readings as well, and nothing says which "
+            "of them is right: give the directions of the sensors' pixels, or initial cameras."
+        )
+    agreement = handedness(models, directions)
+    doubt = ""
+    if abs(agreement) < HANDEDNESS_LIMIT:
+        doubt = (
+            "The described directions of the pixels do not settle which of two mirror images is "
+            f"right (correlation {agreement:.2f}, {HANDEDNESS_LIMIT} is wanted): check their "
+            "order, their signs, and that not all slits are parallel."
+        )
+    return (tuple(models) if agreement >= 0.0 else _device_frame(mirrored(models))), doubt
+
+
+def with_terms(
+    models: Sequence[SensorModel], recordings: Sequence[Recording], terms: Sequence[Term]
+) -> tuple[SensorModel, ...]:
+    """Return cameras with distortion terms of value 0, each looking at the middle of the markers.
+
+    Args:
+        models: S cameras without distortion.
+        recordings: the readings, whose markers' middle defines where v is 0.
+        terms: powers of the field angles.
+    """
+    cameras = CameraStack.of(models)
+    markers = [triangulate(cameras, one.readings_px).reshape(-1, 3) for one in recordings]
+    middle = np.nanmedian(np.concatenate(markers), axis=0)
+    coefficients = (0.0,) * len(terms)
+    return tuple(
+        replace(
+            model,
+            distortion=FieldDistortion(
+                tuple(terms), coefficients, offset_y_mm=-float(model.rotation[1] @ middle)
+            ),
+        )
+        for model in models
+    )
+
+
+def _device_rotation(models: Sequence[SensorModel]) -> Array:
+    """Return the world's rotation to a frame with z the mean axis, x by the first pixels."""
+    forward = np.mean([model.rotation[2] for model in models], axis=0)
+    forward /= np.linalg.norm(forward)
+    right = models[0].rotation[0] - (models[0].rotation[0] @ forward) * forward
+    right /= np.linalg.norm(right)
+    return np.stack([right, np.cross(forward, right), forward])
+
+
+def _device_frame(models: Sequence[SensorModel]) -> tuple[SensorModel, ...]:
+    # A lens is anywhere along its slit: the point nearest to all slits is the origin.
+    rows = np.concatenate([model.rotation[[0, 2]] for model in models])
+    right = np.concatenate([[-model.offset_x_mm, -model.offset_z_mm] for model in models])
+    origin = np.linalg.lstsq(rows, right, rcond=None)[0]
+    rotation = _device_rotation(models)
+    return tuple(transform_world(model, rotation, -rotation @ origin) for model in models)

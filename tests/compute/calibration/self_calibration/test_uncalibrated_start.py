@@ -1,0 +1,180 @@
+"""Cameras from readings alone: projective steps, mirror image, exchanged ends, warnings."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from compute.calibration.self_calibration.initial_poses import start_poses
+from compute.calibration.self_calibration.pose_screening import find_exchanges
+from compute.calibration.self_calibration.projective_reconstruction import (
+    adjust_projective,
+    affine_start,
+    dual,
+)
+from compute.calibration.self_calibration.self_calibrate import self_calibrate
+from compute.calibration.self_calibration.targets import Recording, Wand
+from compute.calibration.self_calibration.uncalibrated_start import (
+    direction_vectors,
+    handedness,
+    mirrored,
+    pixel_directions,
+    settle_handedness,
+    uncalibrated_start,
+)
+from compute.camera.model import SensorGeometry
+from compute.camera.stack import CameraStack
+from compute.errors import DegeneratePoints, InvalidParameter, TooFewPoints
+from tests.compute.calibration.self_calibration.scenes import (
+    MIDDLE,
+    SIGMA_PX,
+    WAND_MM,
+    bars,
+    noisy,
+    wand_markers,
+)
+from tests.compute.rig import rig
+
+WAND = Wand((0.0, WAND_MM))
+
+
+def _geometry(count: int = 4) -> list[SensorGeometry]:
+    return [SensorGeometry(model.name, model.pixels) for model in rig()[:count]]
+
+
+def _recording(seed: int = 1, poses: int = 60) -> Recording:
+    rng = np.random.default_rng(seed)
+    read = noisy(rig(), wand_markers(poses, rng), rng)
+    return Recording(WAND, read, np.full(read.shape, SIGMA_PX))
+
+
+def test_projective_adjustment_reaches_the_noise_despite_wrong_readings() -> None:
+    readings = _recording().readings_px.reshape(-1, 4).copy()
+    readings[[3, 40], [1, 2]] += 300.0
+    normalised = (readings - readings.mean(axis=0)) / 300.0
+    found = adjust_projective(affine_start(normalised))
+    misfit = found.point_misfits() * 300.0
+    assert np.median(misfit) < 1.2 * SIGMA_PX
+    assert (misfit[[3, 40]] > 20.0 * SIGMA_PX).all()
+
+
+def test_dual_of_four_cameras_fits_as_well() -> None:
+    readings = _recording().readings_px.reshape(-1, 4)
+    normalised = (readings - readings.mean(axis=0)) / 300.0
+    found = adjust_projective(affine_start(normalised))
+    other = dual(found)
+    assert np.median(other.point_misfits()) < 2.0 * np.median(found.point_misfits())
+
+
+def test_mirror_image_reads_the_same() -> None:
+    points = wand_markers(20, np.random.default_rng(2)).reshape(-1, 3)
+    read = CameraStack.of(rig()).project(points)
+    image = CameraStack.of(mirrored(rig())).project(points * [-1.0, 1.0, 1.0])
+    assert image == pytest.approx(read, abs=1e-9)
+
+
+def test_described_directions_settle_the_mirror_image() -> None:
+    described = pixel_directions(rig())
+    assert handedness(rig(), described) > 0.9
+    assert handedness(mirrored(rig()), described) < -0.9
+    for models in (rig(), mirrored(rig())):
+        settled, doubt = settle_handedness(models, described)
+        assert handedness(settled, described) > 0.9
+        assert doubt == ""
+    assert "mirror image" in settle_handedness(rig(), None)[1]
+    alike = direction_vectors([30.0] * 4)
+    assert "not all slits are parallel" in settle_handedness(rig(), alike)[1]
+
+
+@pytest.mark.slow
+def test_calibration_without_initial_cameras_equals_one_from_the_truth() -> None:
+    recording = _recording(3, 100)
+    degrees = np.rad2deg(np.arctan2(*pixel_directions(rig()).T[::-1])).tolist()
+    found = self_calibrate(_geometry(), [recording], directions_deg=degrees)
+    right = self_calibrate(rig(), [recording])
+    assert found.chi2_per_dof == pytest.approx(right.chi2_per_dof, rel=1e-3)
+    assert found.device_scale is None
+    assert found.warnings == ()
+    for one, other in zip(found.calibration.models, right.calibration.models, strict=True):
+        assert one.principal_distance_px == pytest.approx(other.principal_distance_px, rel=1e-3)
+    described = self_calibrate(rig(), [recording], initial="readings")
+    assert described.chi2_per_dof == pytest.approx(right.chi2_per_dof, rel=1e-3)
+    assert described.device_scale == pytest.approx(right.device_scale, rel=1e-3)
+    unsettled = self_calibrate(_geometry(), [recording])
+    assert "mirror image" in unsettled.warnings[0]
+
+
+def test_exchanged_ends_of_one_sensor_are_found() -> None:
+    recording = _recording(4, 12)
+    readings = recording.readings_px.copy()
+    readings[5, :, 2] = readings[5, ::-1, 2]
+    changed = replace(recording, readings_px=readings)
+    assert changed.sigma_px is not None
+    start = start_poses(rig(), changed, changed.sigma_px)
+    bad = start.poses.select(np.arange(12) == 5)
+    assert find_exchanges(rig(), bad) == [(0, 0, 1, 2)]
+    readings[5, 0, 2] += 15.0
+    bad = replace(bad, readings_px=readings[5:6])
+    assert find_exchanges(rig(), bad) == []
+
+
+def test_exchanged_ends_are_exchanged_back_and_named() -> None:
+    recording = _recording(5, 40)
+    readings = recording.readings_px.copy()
+    readings[[5, 20], :, 2] = readings[[5, 20], ::-1, 2]
+    found = self_calibrate(rig(), [replace(recording, readings_px=readings)])
+    assert {(one.pose, one.sensor) for one in found.exchanged} == {
+        (6, rig()[2].name),
+        (21, rig()[2].name),
+    }
+    assert found.targets[0].used == 40
+
+
+def test_missing_readings_do_not_contradict_the_rest() -> None:
+    recording = _recording(6, 100)
+    rng = np.random.default_rng(7)
+    readings = np.where(rng.random((100, 2, 4)) < 0.3, np.nan, recording.readings_px)
+    found = self_calibrate(rig(), [replace(recording, readings_px=readings)])
+    complete = (np.isfinite(readings).sum(axis=2) >= 3).all(axis=1)
+    assert found.targets[0].used == complete.sum() < 60
+
+
+def test_a_scale_that_differs_from_the_start_is_warned_of() -> None:
+    read = _recording(8, 40)
+    longer = replace(read, target=Wand((0.0, 1.05 * WAND_MM)))
+    found = self_calibrate(rig(), [longer])
+    assert len(found.warnings) == 1
+    assert found.device_scale == pytest.approx(1.05, abs=0.02)
+    assert f"{found.device_scale:.4g} times as large" in found.warnings[0]
+    assert found.calibration.diagnosis is not None
+    assert found.calibration.diagnosis.remarks == found.warnings
+    assert self_calibrate(rig(), [read]).warnings == ()
+
+
+def test_what_cannot_start_from_readings_is_refused() -> None:
+    recording = _recording(9, 40)
+    three = Recording(WAND, recording.readings_px[..., :3])
+    with pytest.raises(TooFewPoints, match="3 sensors; cameras without initial values need four"):
+        uncalibrated_start(_geometry(3), [three])
+    few = recording.readings_px.copy()
+    few[5:, :, 0] = np.nan
+    with pytest.raises(TooFewPoints, match="10 markers were read by four sensors"):
+        uncalibrated_start(_geometry(), [Recording(WAND, few)])
+    with pytest.raises(InvalidParameter, match="leave them out"):
+        self_calibrate(rig(), [recording], directions_deg=[0.0] * 4)
+    with pytest.raises(InvalidParameter, match="has 3 angles"):
+        self_calibrate(_geometry(), [recording], directions_deg=[0.0] * 3)
+    with pytest.raises(InvalidParameter, match='"auto", which needs control points'):
+        self_calibrate(_geometry(), [recording], distortion="auto")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("axes", "reason"), [((1.0, 0.0, 0.0), "all parallel"), ((1.0, 1.0, 0.0), "all in one plane")]
+)
+def test_degenerate_waves_are_named(axes: tuple[float, ...], reason: str) -> None:
+    rng = np.random.default_rng(10)
+    middles, along = rng.uniform(-150.0, 150.0, (80, 3)), rng.standard_normal((80, 3)) * axes
+    read = noisy(rig(), bars(MIDDLE + middles, along), rng)
+    with pytest.raises(DegeneratePoints, match=reason):
+        self_calibrate(_geometry(), [Recording(WAND, read)])

@@ -1,0 +1,1 @@
+"""Case wand-from-readings: calibration from a waved wand without initial cameras."""

@@ -35,6 +35,9 @@ _CALIBRATION: Final[Names] = {
 }
 """Members of ``content.result`` of a calibration."""
 
+_LABEL_KINDS: Final[Names] = {"wrong": "outlier", "missing": "wrong-label"}
+"""Kinds of ``content.result.labels`` of a calibration."""
+
 _REMOVED: Final = frozenset({"iteration_change_px", "derived"})
 """Members of ``content.result`` that were removed, and so was ``settings.method``: the thesis's
 methods are no setting any more. All had defaults: a downgrade need not restore them."""
@@ -148,7 +151,7 @@ def _rename(direction: Callable[[Names], Names]) -> None:
     with _unguarded(bind):
         for (table, column), (members, values) in _DOCUMENTS.items():
             _rename_column(bind, tables, table, column, direction(members), direction(values))
-        _rename_calibrations(bind, tables, direction(_CALIBRATION))
+        _rename_calibrations(bind, tables, direction(_CALIBRATION), direction(_LABEL_KINDS))
         _remove_method_of_runs(bind, tables)
 
 
@@ -162,12 +165,16 @@ def _rename_column(
             bind.execute(rows.update().where(rows.c.id == key).values({column: renamed}))
 
 
-def _rename_calibrations(bind: sa.Connection, tables: sa.MetaData, members: Names) -> None:
+def _rename_calibrations(
+    bind: sa.Connection, tables: sa.MetaData, members: Names, kinds: Names
+) -> None:
     rows = sa.Table("calibrations", tables, autoload_with=bind)
     for key, content in bind.execute(sa.select(rows.c.id, rows.c.content)).all():
         if not isinstance(content, dict) or "result" not in content:
             continue
         result = _without_removed(_renamed(content["result"], members, {}))
+        for finding in result.get("labels", []):
+            finding["kind"] = kinds.get(finding["kind"], finding["kind"])
         if result == content["result"]:
             continue
         changed = content | {"result": result}

@@ -1,0 +1,64 @@
+"""The noise's tail: its density against quadrature, its estimate against drawn errors."""
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.stats import norm
+
+from compute.calibration.mislabels.hypothesis import (
+    GROSS_ERROR_PROBABILITY,
+    NORMAL_TAIL,
+    OUTLIER_SIGMA,
+    TAIL_SIGMA,
+    NoiseTail,
+    estimate_tail,
+)
+
+GROSS = 1e-5
+
+
+def test_tail_holds_its_share_of_the_errors() -> None:
+    tail = NoiseTail(0.07, 2.5)
+    share = 2.0 * quad(lambda e: float(tail.density(np.array(e))), TAIL_SIGMA, np.inf)[0]
+    assert share == pytest.approx(0.07, rel=1e-6)
+
+
+@pytest.mark.parametrize("error", [3.5, -6.0, 40.0])
+@pytest.mark.parametrize("width", [0.3, 2.0])
+def test_density_is_that_of_the_error_as_the_others_predict_it(error: float, width: float) -> None:
+    tail, sigma_px, pixels = NoiseTail(0.05, 3.0), 0.2, 2048
+
+    def predicted(true: float) -> float:
+        return float(tail.density(np.array(true)) * norm.pdf(error, true, width))
+
+    def integral(first: float) -> float:
+        last = max(abs(error), first) + 12.0 * width
+        near = [x for x in (abs(error),) if first < x < last] or None
+        up = quad(predicted, first, last, points=near)[0]
+        return up + quad(predicted, -last, -first, points=near and [-near[0]])[0]
+
+    gross = GROSS_ERROR_PROBABILITY / pixels * sigma_px
+    log_density, large = tail.log_density(
+        np.array([error]), np.array([width]), np.array([sigma_px]), pixels
+    )
+    total = gross + integral(TAIL_SIGMA)
+    assert np.exp(log_density[0]) * sigma_px == pytest.approx(total, rel=0.05)
+    assert large[0] == pytest.approx((gross + integral(OUTLIER_SIGMA)) / total, abs=0.06)
+
+
+@pytest.mark.parametrize("dof", [2.0, 3.0, 5.0])
+def test_tail_of_students_noise_is_found(dof: float) -> None:
+    errors = np.random.default_rng(4).standard_t(dof, 20_000)
+    tail = estimate_tail(errors, np.full(errors.shape, GROSS))
+    true_share = np.mean(np.abs(errors) > 4.0)
+    found = tail.share * (TAIL_SIGMA / 4.0) ** tail.exponent
+    assert found == pytest.approx(true_share, rel=0.15)
+    assert 0.6 * dof < tail.exponent < 1.1 * dof
+
+
+def test_normal_noise_with_gross_errors_has_no_tail() -> None:
+    errors = np.random.default_rng(5).standard_normal(300)
+    errors[:4] = [900.0, -300.0, 1500.0, 600.0]
+    tail = estimate_tail(errors, np.full(errors.shape, GROSS))
+    assert tail.share < 0.005
+    assert estimate_tail(np.zeros(0), np.zeros(0)) == NORMAL_TAIL

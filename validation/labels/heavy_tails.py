@@ -5,7 +5,7 @@ Rigs, projection and noise are this module's own: nothing here is shared with wh
 
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final, Literal
 
 import numpy as np
@@ -18,6 +18,7 @@ from validation.result_tables import Cell, ResultTable, TablesCase
 
 Array = NDArray[np.float64]
 GivenSigma = Literal["core", "rms", "none"]
+LabelError = Literal["none", "exchanged", "wrong-label"]
 
 SEED: Final = 1908
 TRIALS: Final = 300
@@ -25,9 +26,10 @@ TRIALS: Final = 300
 STUDENT_DOF: Final = 3.0
 MIN_READINGS: Final = 12
 """Smallest number of readings of a sensor."""
-EXCHANGE_SIGMA: Final = 10.0
-"""Smallest distance of exchanged readings, in standard deviations of the noise's core."""
+LABEL_ERROR_SIGMA: Final = 10.0
+"""Smallest distance of a label's own reading from the other, in sigma of the noise's core."""
 OUTLIER_SIGMA: Final = 5.0
+"""Error from which a reading is an outlier, in the same unit."""
 FAR_SIGMA: Final = 10.0
 """Error of a reading that must be found, in standard deviations of the noise's core."""
 BINS: Final = (0.0, 0.5, 0.9, 0.99, 1.0)
@@ -44,7 +46,8 @@ class Rig:
         sensors: the sensors.
         core_px: standard deviation of the noise's core.
         error_px: error of each reading at its own point, shape (N, S).
-        exchanged: sensor and points, counted from 1, of an exchanged pair; None: labels are right.
+        label_error: kind, sensor and points, counted from 1, as a finding has them; None: labels
+            are right.
     """
 
     points_mm: Array
@@ -52,11 +55,11 @@ class Rig:
     sensors: tuple[SensorGeometry, ...]
     core_px: float
     error_px: Array
-    exchanged: tuple[str, tuple[int, int]] | None = None
+    label_error: tuple[str, str, tuple[int, int]] | None = None
 
 
 def random_rigs(
-    rng: np.random.Generator, count: int, dof: float, *, exchange: bool
+    rng: np.random.Generator, count: int, dof: float, label_error: LabelError
 ) -> Iterator[Rig]:
     """Yield rigs of 3 to 6 sensors that read 14 to 40 points, with Student's noise.
 
@@ -64,13 +67,13 @@ def random_rigs(
         rng: draws everything.
         count: rigs wanted.
         dof: degrees of freedom of the noise; infinite: normal.
-        exchange: whether one sensor has one exchanged pair.
+        label_error: error of one sensor.
     """
     made = 0
     while made < count:
         rig = _random_rig(rng, dof)
-        if exchange and rig is not None:
-            rig = _exchange(rng, rig)
+        if label_error != "none" and rig is not None:
+            rig = _with_label_error(rng, rig, label_error)
         if rig is not None:
             made += 1
             yield rig
@@ -104,16 +107,22 @@ def _random_rig(rng: np.random.Generator, dof: float) -> Rig | None:
     return Rig(points, readings, names, core, core * drawn)
 
 
-def _exchange(rng: np.random.Generator, rig: Rig) -> Rig | None:
+def _with_label_error(rng: np.random.Generator, rig: Rig, kind: LabelError) -> Rig | None:
+    """Return the rig with exchanged readings, or one under the label of another; None: too near."""
     column = int(rng.integers(len(rig.sensors)))
     readings = rig.readings_px.copy()
     seen = np.flatnonzero(np.isfinite(readings[:, column]))
-    pair = np.sort(rng.choice(seen, 2, replace=False))
-    if abs(np.diff(readings[pair, column])[0]) < EXCHANGE_SIGMA * rig.core_px:
+    label, own = rng.choice(seen, 2, replace=False).tolist()
+    here, there = readings[[label, own], column]
+    if abs(here - there) < LABEL_ERROR_SIGMA * rig.core_px:
         return None
-    readings[pair, column] = readings[pair[::-1], column]
-    named = (rig.sensors[column].name, (int(pair[0]) + 1, int(pair[1]) + 1))
-    return Rig(rig.points_mm, readings, rig.sensors, rig.core_px, rig.error_px, named)
+    if kind == "exchanged":
+        label, own = sorted((label, own))
+    readings[[label, own], column] = readings[[own, label], column]
+    if kind == "wrong-label":
+        readings[own, column] = np.nan
+    error = kind, rig.sensors[column].name, (label + 1, own + 1)
+    return replace(rig, readings_px=readings, label_error=error)
 
 
 @dataclass
@@ -123,7 +132,7 @@ class Outcome:
     Args:
         rigs: number of rigs.
         exact: rigs with just the label errors that they have.
-        false_labels: rigs with an exchanged or wrong label that is none.
+        false_labels: rigs in which a label error was found that is none.
         with_outliers: rigs with an outlier found.
         far: readings with an error of ``FAR_SIGMA`` or more, right labels.
         far_found: those named as outliers.
@@ -148,20 +157,21 @@ class Outcome:
                 outliers.add(at)
                 true = self._is_outlier(rig, report, at)
             else:
-                labels.add((finding.sensor, finding.points))
-                true = (finding.sensor, finding.points) == rig.exchanged
+                named = finding.kind, finding.sensor, finding.points
+                labels.add(named)
+                true = named == rig.label_error
             kind = "outlier" if finding.kind == "outlier" else "label"
             place = min(int(np.searchsorted(BINS, finding.probability)), len(BINS) - 1)
             self.stated[kind, place, "count"] += 1
             self.stated[kind, place, "true"] += int(true)
-        expected = set() if rig.exchanged is None else {rig.exchanged}
+        expected = set() if rig.label_error is None else {rig.label_error}
         self.exact += labels == expected
         self.false_labels += bool(labels - expected)
         self.with_outliers += bool(outliers)
         sigma = np.array(report.sigma_px)
         far = (np.abs(rig.error_px) >= FAR_SIGMA * sigma) & np.isfinite(rig.readings_px)
-        if rig.exchanged is not None:
-            far[:, [s.name for s in rig.sensors].index(rig.exchanged[0])] = False
+        if rig.label_error is not None:
+            far[:, [s.name for s in rig.sensors].index(rig.label_error[1])] = False
         self.far += int(far.sum())
         self.far_found += sum((int(i), int(j)) in outliers for i, j in np.argwhere(far))
 
@@ -169,13 +179,13 @@ class Outcome:
     def _is_outlier(rig: Rig, report: LabelReport, at: tuple[int, int]) -> bool:
         point, column = at
         sensor = rig.sensors[column].name
-        label = rig.exchanged
-        if label is not None and label[0] == sensor and point + 1 in label[1]:
+        error = rig.label_error
+        if error is not None and error[1] == sensor and point + 1 in error[2]:
             return True
         return bool(abs(rig.error_px[at]) >= OUTLIER_SIGMA * report.sigma_px[column])
 
 
-def judge(seed: int, rigs: int, dof: float, given: GivenSigma, *, exchange: bool) -> Outcome:
+def judge(seed: int, rigs: int, dof: float, given: GivenSigma, label_error: LabelError) -> Outcome:
     """Search random rigs for label errors and judge what is found.
 
     Args:
@@ -183,10 +193,10 @@ def judge(seed: int, rigs: int, dof: float, given: GivenSigma, *, exchange: bool
         rigs: number of rigs.
         dof: degrees of freedom of Student's noise; infinite: normal.
         given: standard deviation that the search is given: the core's, the noise's or none.
-        exchange: whether one sensor of each rig has an exchanged pair.
+        label_error: error of one sensor of each rig.
     """
     outcome = Outcome()
-    for rig in random_rigs(np.random.default_rng(seed), rigs, dof, exchange=exchange):
+    for rig in random_rigs(np.random.default_rng(seed), rigs, dof, label_error):
         sigma = None
         if given != "none":
             factor = 1.0 if given == "core" or np.isinf(dof) else np.sqrt(dof / (dof - 2.0))
@@ -195,23 +205,23 @@ def judge(seed: int, rigs: int, dof: float, given: GivenSigma, *, exchange: bool
     return outcome
 
 
-QUESTIONS: Final[tuple[tuple[float, GivenSigma, bool], ...]] = (
-    (np.inf, "core", False),
-    (np.inf, "none", False),
-    (STUDENT_DOF, "core", False),
-    (STUDENT_DOF, "rms", False),
-    (STUDENT_DOF, "none", False),
-    (np.inf, "core", True),
-    (STUDENT_DOF, "core", True),
-    (STUDENT_DOF, "none", True),
+QUESTIONS: Final[tuple[tuple[float, GivenSigma, LabelError], ...]] = (
+    (np.inf, "core", "none"),
+    (np.inf, "none", "none"),
+    (STUDENT_DOF, "core", "none"),
+    (STUDENT_DOF, "rms", "none"),
+    (STUDENT_DOF, "none", "none"),
+    (np.inf, "core", "exchanged"),
+    (STUDENT_DOF, "core", "exchanged"),
+    (STUDENT_DOF, "core", "wrong-label"),
 )
-"""Degrees of freedom of the noise, the sigma that is given, and whether a pair is exchanged."""
+"""Degrees of freedom of the noise, the sigma that is given, and the label error."""
 
 
 def compute_tables(
     seed: int = SEED, trials: int = TRIALS
 ) -> tuple[tuple[ResultTable, ...], tuple[str, ...]]:
-    """Judge clean rigs and rigs with an exchanged pair, of normal and of Student's noise.
+    """Judge clean rigs and rigs with a label error, of normal and of Student's noise.
 
     Args:
         seed: of the rigs.
@@ -220,22 +230,22 @@ def compute_tables(
     rows: list[tuple[Cell, ...]] = []
     stated: Counter[tuple[str, int, str]] = Counter()
     clean = false = 0
-    for k, (dof, given, exchange) in enumerate(QUESTIONS):
+    for k, (dof, given, error) in enumerate(QUESTIONS):
         noise = "normal" if np.isinf(dof) else f"Student's, {dof:g} dof"
         report_progress(k / len(QUESTIONS), f"{noise} noise, sigma given: {given}")
-        found = judge(seed + k, trials, dof, given, exchange=exchange)
+        found = judge(seed + k, trials, dof, given, error)
         rows.append(
             (
-                noise, given, "one pair" if exchange else "none", found.rigs, found.exact,
+                noise, given, error, found.rigs, found.exact,
                 found.false_labels, found.with_outliers, found.far, found.far_found,
             )
         )  # fmt: skip
         if np.isfinite(dof):
             stated += found.stated
-            if not exchange:
+            if error == "none":
                 clean, false = clean + found.rigs, false + found.false_labels
     headings = (
-        "noise", "sigma given", "exchanged", "rigs", "labels exact", "false label",
+        "noise", "sigma given", "label error", "rigs", "labels exact", "false label",
         "with outliers", "errors > 10 sigma", "of them outliers",
     )  # fmt: skip
     share = 100.0 * false / max(clean, 1)
@@ -249,7 +259,7 @@ def compute_tables(
         ),
         (
             "An outlier is true where its error is five standard deviations of the noise's core "
-            "or more, as the search estimates the core, or where its label is exchanged."
+            "or more, as the search estimates the core, or where its label is wrong."
         ),
     )
 

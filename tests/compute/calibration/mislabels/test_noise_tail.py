@@ -5,14 +5,19 @@ import pytest
 from scipy.integrate import quad
 from scipy.stats import norm
 
+from compute.calibration.mislabels.evaluation import SensorReadings
 from compute.calibration.mislabels.hypothesis import (
     GROSS_ERROR_PROBABILITY,
+    KNOWN_SIGMA,
     NORMAL_TAIL,
     OUTLIER_SIGMA,
     TAIL_SIGMA,
+    Hypothesis,
     NoiseTail,
     estimate_tail,
 )
+from compute.calibration.mislabels.sensor_search import search_sensor_labels
+from tests.compute.rig import control_points, geometry, project, rig
 
 GROSS = 1e-5
 
@@ -62,3 +67,32 @@ def test_normal_noise_with_gross_errors_has_no_tail() -> None:
     tail = estimate_tail(errors, np.full(errors.shape, GROSS))
     assert tail.share < 0.005
     assert estimate_tail(np.zeros(0), np.zeros(0)) == NORMAL_TAIL
+
+
+@pytest.mark.parametrize(
+    ("gap_sigma", "tail", "exchanged"),
+    [
+        (6.0, NORMAL_TAIL, True),
+        (6.0, NoiseTail(0.06, 2.5), False),
+        (200.0, NoiseTail(0.06, 2.5), True),
+    ],
+)
+def test_an_exchange_must_explain_its_readings_better_than_the_tail(
+    gap_sigma: float, tail: NoiseTail, *, exchanged: bool
+) -> None:
+    points = control_points(40)
+    exact = project(rig(), points)[:, 0]
+    readings = exact + np.random.default_rng(3).standard_normal(40)
+    gaps = np.abs(exact[:, None] - exact)
+    low, high = divmod(int(np.abs(gaps - gap_sigma).argmin()), 40)
+    # What an exchange leaves over is 1.5 sigma in both.
+    readings[[low, high]] = exact[[high, low]] - 1.5
+    data = SensorReadings(points, readings, np.ones(40), geometry(rig())[0], KNOWN_SIGMA, tail)
+    found = search_sensor_labels(data)
+    pair = Hypothesis().with_cycle(sorted((low, high)))
+    if exchanged:
+        assert found.best.hypothesis.cycles == pair.cycles
+        assert found.probability(pair) > 0.9
+    else:
+        assert {low, high} <= found.best.hypothesis.outliers
+        assert found.probability(pair) < 0.3

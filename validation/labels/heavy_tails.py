@@ -21,8 +21,8 @@ GivenSigma = Literal["core", "rms", "none"]
 LabelError = Literal["none", "exchanged", "wrong-label"]
 
 SEED: Final = 1908
-TRIALS: Final = 300
-"""Rigs of each row of the first table."""
+TRIALS: Final = 100
+"""Rigs of each kind."""
 STUDENT_DOF: Final = 3.0
 MIN_READINGS: Final = 12
 """Smallest number of readings of a sensor."""

@@ -47,7 +47,7 @@ COMMON_EXCHANGE_PROBABILITY: Final = 0.02
 SEARCH_MARGIN: Final = 12.0
 """Log posterior below what is needed at which an exchange of points is not searched for."""
 MIN_OUTLIER_PROBABILITY: Final = 0.5
-"""Probability of a large error below which a reading in the tail is not reported."""
+"""Probability below which a reading is not reported as an outlier."""
 SUSPICIOUS_P_VALUE: Final = 1e-4
 """p-value of the best hypothesis's sum of squares below which these are tried."""
 
@@ -292,12 +292,13 @@ def _report(
         errors = reading_errors(one, labels.best)
         large = dict(zip(errors.points, errors.large.tolist(), strict=True))
         for kind, points, error in _errors(labels.best.hypothesis):
-            size = large[points[0]] if kind == "outlier" else 1.0
-            if size < MIN_OUTLIER_PROBABILITY:
-                continue
+            probability = labels.probability(error)
+            if kind == "outlier":
+                probability *= large[points[0]]
+                if probability < MIN_OUTLIER_PROBABILITY:
+                    continue
             residual = _label_residuals(one, labels, one.readings_px, points)
             counted = tuple(point + 1 for point in points)
-            probability = labels.probability(error) * size
             findings.append(LabelFinding(kind, one.sensor.name, counted, probability, *residual))
     sigma = tuple(
         float(np.sqrt((one.sigma_px[one.seen] ** 2).mean())) * labels.factor

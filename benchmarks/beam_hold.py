@@ -96,7 +96,7 @@ def step_us() -> dict[str, float]:
         MarkerDeviationMonitor,
         PoseDeviationMonitor,
     )
-    from compute.pose.transform import Transform
+    from compute.transform import Transform
 
     spread = np.diag([1e-8] * 3 + [1e-3] * 3)
     pose = Transform(np.eye(3), np.array([0.1, 0.0, 1500.0]), spread)

@@ -12,7 +12,7 @@ import numpy as np
 
 from compute.pose.registration.icp import IcpSettings, register_surface
 from compute.pose.registration.surface import TriangleMesh
-from compute.pose.transform import Transform
+from compute.transform import Transform
 
 POINTS: Final = 500
 AROUND, ALONG = 100, 101

@@ -31,7 +31,6 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from benchmarks.triangulation import rig
-from compute.camera.rotation import rotation_matrix
 from compute.camera.stack import CameraStack
 from compute.measurement.measurement_model import MeasurementModel
 from compute.measurement.measurements import Measurements
@@ -39,8 +38,8 @@ from compute.pose.estimation.pose_fit import fit_pose
 from compute.pose.rigid_body import PoseStatus, RigidBody, ToolPose
 from compute.pose.settings import ImmSettings, MotionMode, ToolTrackerSettings
 from compute.pose.tool_tracking.tool_tracker import ToolTracker
-from compute.pose.transform import Transform
 from compute.reconstruction.triangulation import reconstruct
+from compute.transform import Transform, rotation_matrix
 
 Array = NDArray[np.float64]
 Row = dict[str, str | float]

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from compute.camera.field_distortion import FieldDistortion, Term
-from compute.camera.rotation import rotation_matrix
+from compute.transform import rotation_matrix
 
 Vector3 = tuple[float, float, float]
 

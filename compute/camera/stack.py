@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from compute.camera.field_distortion import Term, term_derivatives, term_values
 from compute.camera.model import PARAMETER_COUNT, SensorModel, vector3
-from compute.camera.rotation import rotation_matrix, rotation_vector
+from compute.transform import rotation_matrix, rotation_vector
 
 Array = NDArray[np.float64]
 

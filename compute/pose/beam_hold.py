@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from compute.camera.model import Vector3
-from compute.camera.rotation import rotation_vector
 from compute.errors import InvalidParameter
-from compute.pose.transform import Transform
+from compute.transform import Transform, rotation_vector
 
 Array = NDArray[np.float64]
 

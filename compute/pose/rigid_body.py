@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.camera.model import Vector3
-from compute.camera.rotation import hat_so3
+from compute.errors import InvalidParameter
+from compute.transform import Transform, hat_so3
 
 Array = NDArray[np.float64]
 
@@ -185,3 +186,16 @@ class ToolPose:
     def valid(self) -> bool:
         """Whether it may be used for navigation: its status is OK."""
         return self.status is PoseStatus.OK
+
+    def transform(self) -> Transform:
+        """Return T_world_tool.
+
+        Raises:
+            InvalidParameter: the pose is not known.
+        """
+        if self.rotation is None or self.translation_mm is None:
+            raise InvalidParameter(
+                f'tool "{self.tool}" has no pose in frame {self.sequence}: it is '
+                f"{self.status.value} ({self.reason})"
+            )
+        return Transform(self.rotation, self.translation_mm, self.covariance)

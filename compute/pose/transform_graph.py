@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 from compute.errors import FrameConflict, InvalidParameter, UnknownFrame
-from compute.pose.transform import Transform
+from compute.transform import Transform
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,8 +22,15 @@ def first_line(path: Path) -> str:
     return text.replace("``", "`")
 
 
+def first_sentence(header: Path) -> str:
+    """Return the first sentence of the comment at the head of a C++ header."""
+    head = header.read_text().partition("#pragma once")[0]
+    text = " ".join(line.removeprefix("//").strip() for line in head.splitlines())
+    return text.partition(". ")[0].rstrip(". ") + "."
+
+
 def module_list() -> str:
-    """Return all packages as headings, with their modules and first lines as lists."""
+    """Return all packages as headings, with their modules and headers and first lines as lists."""
     lines: list[str] = []
     for package in PACKAGES:
         for folder in sorted({path.parent for path in (ROOT / package).rglob("*.py")}):
@@ -34,6 +41,8 @@ def module_list() -> str:
             if about:
                 lines += [about, ""]
             lines += [f"- `{path.stem}`: {first_line(path)}" for path in modules if path != own]
+            headers = sorted(folder.glob("*.h"))
+            lines += [f"- `{path.name}`: {first_sentence(path)}" for path in headers]
     return "\n".join(lines).strip() + "\n"
 
 

@@ -15,9 +15,9 @@ from compute.pose.beam_hold import (
     PoseDeviationMonitor,
 )
 from compute.pose.tool_tracking.exposure_history import StaleDataDetector
-from compute.pose.transform import Transform
 from compute.reconstruction.point_batch import PointFlag
 from compute.tracking.track_batch import TrackFlag, TrackState
+from compute.transform import Transform
 from service.pipeline.frame_batch import BeamEnableToken, BeamHoldState, FrameBatch, Vector
 from service.pipeline.tracking_config import (
     BeamHoldConfig,
@@ -74,7 +74,7 @@ class ToolObserver:
         if pose.unseen_ns > 0:
             # A prediction is no measurement: what moves unseen is not where it was heading.
             return HoldObservation(why=f'nothing is seen of tool "{self._tool}"')
-        return HoldObservation(Transform.from_pose(pose))
+        return HoldObservation(pose.transform())
 
 
 class StrobedMarkerObserver:

@@ -14,12 +14,12 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.camera.rotation import rotation_quaternion
 from compute.pose.beam_hold import BeamHoldCause
 from compute.pose.rigid_body import ToolPose
 from compute.reconstruction.point_batch import PointBatch
 from compute.signal.peaks import PeakBatch
 from compute.tracking.track_batch import TrackBatch
+from compute.transform import rotation_quaternion
 from hardware.line_frame import LineFrame
 from service.pipeline.threads import call_in_loop
 

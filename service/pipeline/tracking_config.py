@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.pose.beam_hold import BeamHoldLimits
-from compute.pose.transform import Transform
+from compute.transform import Transform
 
 if TYPE_CHECKING:
     from compute.pose.rigid_body import RigidBody

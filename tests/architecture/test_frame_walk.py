@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, cast
 import pytest
 
 from compute.pose.beam_hold import BeamHoldLimits, BeamHoldTiming
-from compute.pose.transform import Transform
+from compute.transform import Transform
 from hardware.line_frame import LineFrame
 from hardware.simulated.driver import SimulatedDriver
 from hardware.simulated.settings import SimulationSettings
@@ -135,9 +135,9 @@ def config(illumination: Illumination) -> TrackingConfig:
 @pytest.mark.parametrize(
     ("illumination", "content", "headings", "most"),
     [
-        ("strobed", "points", ["Points"], 15),
-        ("simultaneous", "points", ["Points", "Points of markers that are lit together"], 19),
-        ("strobed", EVERYTHING, ["Points", "Tracks, tools and holds"], 44),
+        ("strobed", "points", ["Points"], 12),
+        ("simultaneous", "points", ["Points", "Points of markers that are lit together"], 14),
+        ("strobed", EVERYTHING, ["Points", "Tracks, tools and holds"], 32),
     ],
 )
 def test_walk_of_a_frame_runs_the_modules_of_the_table(

@@ -8,12 +8,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.camera.rotation import rotation_matrix, rotation_vector
 from compute.measurement.measurement_model import MeasurementModel
 from compute.pose.estimation.pose_fit import PoseFit, fit_pose
 from compute.pose.rigid_body import PoseStatus, RigidBody
-from compute.pose.transform import point_jacobian
 from compute.reconstruction.triangulation import reconstruct
+from compute.transform import point_jacobian, rotation_matrix, rotation_vector
 from validation.partial_view.scene import (
     CENTRE_MM,
     COVARIANCE,

@@ -7,11 +7,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.camera.rotation import rotation_matrix
 from compute.measurement.measurement_model import MeasurementModel
 from compute.optics.profiles.profile_loader import load_profile
 from compute.planning.coverage import is_visible
 from compute.signal.cramer_rao import position_bound
+from compute.transform import rotation_matrix
 from validation.map_bound.optotrak import CONTROL, RESOLUTION_MM, fit_scale
 from validation.map_bound.point_errors import fit, mapped
 from validation.map_bound.scene import Readings, Scene, random_points_in_box

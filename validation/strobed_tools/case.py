@@ -6,10 +6,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.camera.rotation import rotation_vector
 from compute.measurement.measurements import Measurements
 from compute.pose.settings import ImmSettings, MotionMode, ToolTrackerSettings
 from compute.pose.tool_tracking.tool_tracker import ToolTracker
+from compute.transform import rotation_vector
 from validation.partial_view.scene import COVARIANCE, SIGMA_PX, rig
 from validation.progress import report_progress
 from validation.result_tables import Cell, ResultTable, TablesCase

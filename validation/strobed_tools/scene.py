@@ -7,9 +7,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.camera.rotation import rotation_matrix
 from compute.camera.stack import CameraStack
 from compute.pose.rigid_body import RigidBody
+from compute.transform import rotation_matrix
 from validation.partial_view.scene import CENTRE_MM, COVARIANCE, SIGMA_PX, TIP_MM
 
 Array = NDArray[np.float64]

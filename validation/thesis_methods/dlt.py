@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.camera.model import SensorGeometry, SensorModel, Vector3, vector3
-from compute.camera.rotation import rotation_vector
 from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter
+from compute.transform import rotation_vector
 
 Array = NDArray[np.float64]
 

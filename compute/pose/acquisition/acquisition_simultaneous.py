@@ -20,9 +20,9 @@ from compute.pose.filtering.association import (
 from compute.pose.filtering.pose_filter import PoseState, initial_state
 from compute.pose.rigid_body import CentredMarkers, PoseStatus, RigidBody
 from compute.pose.settings import ToolTrackerSettings
-from compute.pose.transform import Transform
 from compute.reconstruction.point_batch import PointBatch
 from compute.reconstruction.triangulation import chi2_limit
+from compute.transform import Transform
 
 Array = NDArray[np.float64]
 

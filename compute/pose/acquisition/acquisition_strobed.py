@@ -14,7 +14,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.camera.rotation import exp_so3
 from compute.measurement.measurement_model import MeasurementModel
 from compute.pose.estimation.observability import missing_readings
 from compute.pose.estimation.pose_equations import PoseCandidates, PoseEquations
@@ -33,6 +32,7 @@ from compute.pose.filtering.pose_filter import (
 from compute.pose.rigid_body import CentredMarkers
 from compute.pose.settings import ToolTrackerSettings
 from compute.reconstruction.triangulation import chi2_limit
+from compute.transform import exp_so3
 
 Array = NDArray[np.float64]
 

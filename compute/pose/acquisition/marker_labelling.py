@@ -7,12 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
-from compute.camera.rotation import rotation_matrix
 from compute.pose.estimation.pose_initialisation import initial_pose_from_points
 from compute.pose.rigid_body import CentredMarkers, RigidBody
 from compute.pose.settings import LabellingSettings
-from compute.pose.transform import point_jacobian
 from compute.reconstruction.triangulation import chi2_limit
+from compute.transform import point_jacobian, rotation_matrix
 
 Array = NDArray[np.float64]
 

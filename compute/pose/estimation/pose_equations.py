@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dposv
 
-from compute.camera.rotation import exp_so3, rotation_matrix
 from compute.measurement.measurement_model import MeasurementModel
 from compute.pose.rigid_body import CentredMarkers
+from compute.transform import exp_so3, rotation_matrix
 
 Array = NDArray[np.float64]
 

@@ -20,8 +20,8 @@ from compute.pose.estimation.pose_initialisation import (
 )
 from compute.pose.rigid_body import CentredMarkers, PoseStatus, RigidBody
 from compute.pose.settings import POSE_PARAMETERS, PoseFitSettings
-from compute.pose.transform import Transform
 from compute.reconstruction.triangulation import chi2_limit
+from compute.transform import Transform
 
 Array = NDArray[np.float64]
 

@@ -6,10 +6,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.camera.rotation import rotation_matrix
 from compute.measurement.measurement_model import MeasurementModel
 from compute.pose.rigid_body import CentredMarkers, are_collinear
-from compute.pose.transform import cross_matrix, nearest_rotation
+from compute.transform import cross_matrix, nearest_rotation, rotation_matrix
 
 Array = NDArray[np.float64]
 

@@ -16,7 +16,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.camera.rotation import exp_so3
 from compute.pose.filtering.pose_filter import (
     ANGULAR_VELOCITY,
     POSITION,
@@ -29,6 +28,7 @@ from compute.pose.filtering.pose_filter import (
     retract,
 )
 from compute.pose.settings import ImmSettings, MotionSettings
+from compute.transform import exp_so3
 
 Array = NDArray[np.float64]
 

@@ -18,11 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dpotrf, dtrtrs
 
-from compute.camera.rotation import exp_so3
 from compute.measurement.measurement_model import PredictedMeasurements
 from compute.pose.estimation.pose_equations import rotation_jacobian
 from compute.pose.rigid_body import CentredMarkers
 from compute.pose.settings import MotionSettings
+from compute.transform import exp_so3
 
 Array = NDArray[np.float64]
 

@@ -13,10 +13,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.camera.rotation import rotation_matrix
 from compute.measurement.measurement_model import MeasurementModel
 from compute.pose.filtering.pose_filter import MeasurementPrediction, PoseState
 from compute.pose.rigid_body import CentredMarkers
+from compute.transform import rotation_matrix
 
 Array = NDArray[np.float64]
 

@@ -7,9 +7,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.camera.rotation import rotation_matrix
 from compute.errors import NoConvergence
-from compute.pose.transform import cross_matrix, nearest_rotation, point_jacobian
+from compute.transform import cross_matrix, nearest_rotation, point_jacobian, rotation_matrix
 
 Array = NDArray[np.float64]
 

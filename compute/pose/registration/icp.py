@@ -7,7 +7,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.camera.rotation import rotation_matrix, rotation_vector
 from compute.errors import (
     HighError,
     InvalidParameter,
@@ -17,8 +16,15 @@ from compute.errors import (
 )
 from compute.pose.registration.absolute_orientation import fit_isotropic_similarity
 from compute.pose.registration.surface import Surface
-from compute.pose.transform import Transform, cross_matrix, finite_points, nearest_rotation
 from compute.robust_statistics import MAD_OF_NORMAL
+from compute.transform import (
+    Transform,
+    cross_matrix,
+    finite_points,
+    nearest_rotation,
+    rotation_matrix,
+    rotation_vector,
+)
 
 Array = NDArray[np.float64]
 

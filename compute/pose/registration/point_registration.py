@@ -25,7 +25,7 @@ from compute.pose.registration.correspondence_errors import (
     CorrespondenceErrors,
     find_correspondence_errors,
 )
-from compute.pose.transform import Transform, finite_points
+from compute.transform import Transform, finite_points
 
 Array = NDArray[np.float64]
 

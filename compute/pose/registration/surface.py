@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from compute.errors import InvalidParameter, TooFewPoints
-from compute.pose.transform import finite_points
+from compute.transform import finite_points
 
 Array = NDArray[np.float64]
 

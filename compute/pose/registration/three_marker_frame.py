@@ -13,7 +13,7 @@ from compute.errors import (
     NonFiniteValue,
     UndeterminedParameters,
 )
-from compute.pose.transform import Transform, cross_matrix
+from compute.transform import Transform, cross_matrix
 
 Array = NDArray[np.float64]
 

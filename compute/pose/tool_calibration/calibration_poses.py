@@ -6,8 +6,8 @@ from typing import Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.camera.rotation import rotation_matrix, rotation_vector
 from compute.errors import HighError, InvalidParameter, NonFiniteValue
+from compute.transform import rotation_matrix, rotation_vector
 
 Array = NDArray[np.float64]
 

@@ -13,8 +13,8 @@ from compute.pose.tool_calibration.calibration_poses import (
     OrientationCoverage,
     check_agreement,
 )
-from compute.pose.transform import point_jacobian
 from compute.robust_statistics import biweight
+from compute.transform import point_jacobian
 
 Array = NDArray[np.float64]
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.pose.tool_calibration.calibration_poses import CalibrationPoses
-from compute.pose.transform import cross_matrix
+from compute.transform import cross_matrix
 
 Array = NDArray[np.float64]
 

@@ -12,7 +12,7 @@ from sqlalchemy.orm import Session
 
 from compute.errors import InvalidParameter
 from compute.pose.beam_hold import BeamHoldLimits, BeamHoldTiming
-from compute.pose.transform import Transform
+from compute.transform import Transform
 from service.api.beam_holds.schema import (
     Limits,
     ReferenceInput,

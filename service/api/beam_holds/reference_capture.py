@@ -13,7 +13,7 @@ from compute.pose.tool_calibration.digitising import (
     average_stationary_tip,
     positive_semidefinite_part,
 )
-from compute.pose.transform import Transform, nearest_rotation
+from compute.transform import Transform, nearest_rotation
 from service.api.beam_holds.monitor_config import REFERENCE_ARRAYS
 from service.api.beam_holds.schema import NewReference
 from service.pipeline.beam_hold_monitor import (

@@ -9,10 +9,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.camera.rotation import rotation_quaternion
 from compute.flags import flag_names
 from compute.reconstruction.point_batch import PointFlag
 from compute.tracking.track_batch import TrackFlag, TrackState
+from compute.transform import rotation_quaternion
 from service.api.exports.motion_table import NO_MARKER, MotionTable
 from service.api.exports.optional_dependencies import import_optional
 

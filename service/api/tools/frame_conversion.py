@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.pose.rigid_body import PoseStatus, ToolPose
-from compute.pose.transform import Transform
+from compute.transform import Transform
 from service.api.tools.tip_limit import exceeded_reason
 
 Array = NDArray[np.float64]
@@ -47,10 +47,10 @@ def pose_in_frame(
     if reference is not None and reference.rotation is None:
         why = reference.reason or "it has no pose"
         return _nothing(pose, reference.status, f'its reference "{reference.tool}": {why}')
-    own = Transform.from_pose(pose)
+    own = pose.transform()
     found = own
     if reference is not None:
-        found = Transform.from_pose(reference).inverse() @ found
+        found = reference.transform().inverse() @ found
     if frame_from is not None:
         found = frame_from @ found
     status, reason = pose.status, pose.reason

@@ -7,11 +7,10 @@ from typing import Any, Literal
 import numpy as np
 from sqlalchemy.orm import Session
 
-from compute.camera.rotation import rotation_quaternion
 from compute.errors import UnknownFrame
 from compute.pose.rigid_body import PoseStatus
-from compute.pose.transform import Transform
 from compute.pose.transform_graph import TransformGraph
+from compute.transform import Transform, rotation_quaternion
 from service.api.tools.frame_conversion import POSE_STATUSES
 from service.api.tools.pose_query import board_pose
 from service.api.tools.provenance import active_ids, provenance
@@ -150,7 +149,7 @@ def device_frames(session: Session, live: PipelineManager, device_id: str) -> De
     nodes = [Node(TRACKER, "tracker", None)]
     for tool in session.scalars(tools(device_id)):
         pose = board_pose(live, tool.id, device_id, entry, now_ns)
-        known = Transform.from_pose(pose) if pose.rotation is not None else None
+        known = pose.transform() if pose.rotation is not None else None
         nodes.append(Node(tool.id, "tool", TRACKER, pose.status, pose.reason, known))
     for row in session.scalars(REGISTRATIONS.newest_first(device_id=device_id)):
         to = row.reference_id or TRACKER

@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.pose.rigid_body import ToolPose
-from compute.pose.transform import Transform
 from compute.reconstruction.point_batch import PointFlag
 from service.pipeline.frame_batch import FrameBatch
 from service.pipeline.taps import SingleCalibrationTap
@@ -38,7 +37,7 @@ class MarkerObservation:
         """Return position and covariance in the frame of the reference, else of the tracker."""
         if self.reference is None:
             return self.position_mm, self.covariance_mm2
-        back = Transform.from_pose(self.reference).inverse()
+        back = self.reference.transform().inverse()
         return (
             back.apply(self.position_mm),
             back.point_covariance(self.position_mm, self.covariance_mm2),

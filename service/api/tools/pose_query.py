@@ -7,10 +7,9 @@ from typing import Any, Final
 import numpy as np
 from sqlalchemy.orm import Session
 
-from compute.camera.rotation import rotation_quaternion
 from compute.errors import InvalidParameter
 from compute.pose.rigid_body import PoseStatus, ToolPose
-from compute.pose.transform import Transform
+from compute.transform import Transform, rotation_quaternion
 from service.api.tools.frame_conversion import pose_in_frame
 from service.api.tools.provenance import Provenance, provenance
 from service.api.tools.registrations import frame_from_measured

@@ -15,7 +15,7 @@ from compute.pose.registration.icp import (
     register_surface,
 )
 from compute.pose.registration.surface import PointCloud, Surface, TriangleMesh
-from compute.pose.transform import Transform
+from compute.transform import Transform
 from service.api.tools.registration_schema import NewSurface
 from service.api.tools.registrations import target_errors
 from service.api.tools.surface_schema import MeshInput, PointCloudInput

@@ -10,7 +10,7 @@ from pydantic import TypeAdapter
 from sqlalchemy.orm import Session
 
 from compute.errors import InvalidParameter
-from compute.pose.transform import Transform
+from compute.transform import Transform
 from service.api.base_models import Position, from_attributes
 from service.api.tools.dependency_check import Dependencies
 from service.api.tools.provenance import active_ids, provenance

@@ -10,8 +10,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.camera.rotation import rotation_quaternion
 from compute.pose.rigid_body import PoseStatus, ToolPose
+from compute.transform import rotation_quaternion
 from service.protocols.ndi.client_state import ClientState
 from service.protocols.ndi.command import ReplyOption, binary_reply, reply_option, text_reply
 from service.protocols.ndi.port_handles import PortHandle

@@ -9,7 +9,7 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.camera.rotation import rotation_quaternion
+from compute.transform import rotation_quaternion
 from service.protocols.openigtlink.message import TYPE_BYTES, BadMessage, decoded, encoded
 
 Array = NDArray[np.float64]

@@ -11,7 +11,6 @@ from scipy.stats import f as f_distribution
 from compute.calibration.assessment.assess import cross_validate, fitted_errors
 from compute.calibration.calibrate import calibrate
 from compute.camera.model import SensorModel
-from compute.camera.rotation import rotation_matrix
 from compute.camera.stack import CameraStack
 from compute.errors import (
     DegeneratePoints,
@@ -21,6 +20,7 @@ from compute.errors import (
     ReadingOutsideSensor,
     TooFewPoints,
 )
+from compute.transform import rotation_matrix
 from tests.compute.rig import control_points, geometry, project, rig
 
 Array = NDArray[np.float64]

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from compute.camera.rotation import exp_so3
 from compute.camera.stack import CameraStack
 from compute.optics.tracing.intersection import intersect, normal
 from compute.optics.tracing.surface_records import Form, pack
@@ -20,6 +19,7 @@ from compute.signal.fit.window_model import WindowModel
 from compute.tracking.joint_events import ClusterTrack, event_marginals, merge_probability
 from compute.tracking.native.definitions import ASSOCIATION
 from compute.tracking.settings import TrackerSettings
+from compute.transform import exp_so3
 from tests.compute.native.host import FUNCTIONS, compiler, run, write_generated
 from tests.compute.reconstruction.distorted_rig import distorted_rig, field_points, table
 

@@ -5,8 +5,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from compute.camera.rotation import rotation_matrix
-from compute.pose.transform import Transform
+from compute.transform import Transform, rotation_matrix
 
 Array = NDArray[np.float64]
 

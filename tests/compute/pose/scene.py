@@ -5,13 +5,13 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.camera.rotation import rotation_matrix
 from compute.camera.stack import CameraStack
 from compute.measurement.measurements import Measurements
 from compute.pose.rigid_body import RigidBody, ToolPose
 from compute.pose.tool_tracking.tool_tracker import ToolTracker
 from compute.reconstruction.point_batch import PointBatch
 from compute.reconstruction.triangulation import reconstruct
+from compute.transform import rotation_matrix
 from tests.compute.rig import PIXELS, rig
 
 Array = NDArray[np.float64]
@@ -196,7 +196,7 @@ def normalised(pose: ToolPose, true: Body) -> tuple[float, float]:
 
 def pose_square(rotation: Array, translation_mm: Array, covariance: Array, true: Body) -> float:
     """Normalised error squared of a pose."""
-    from compute.camera.rotation import rotation_vector
+    from compute.transform import rotation_vector
 
     turn = rotation_vector(true.rotation @ rotation.T)
     off = np.concatenate([turn, true.translation_mm - translation_mm])

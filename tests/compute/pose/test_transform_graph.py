@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from compute.errors import FrameConflict, InvalidParameter, UnknownFrame
-from compute.pose.transform import Transform
 from compute.pose.transform_graph import TransformGraph
+from compute.transform import Transform
 from tests.compute.pose.motions import pose_covariance, transforms
 
 

@@ -10,10 +10,10 @@ import pytest
 from scipy.stats import chi2
 
 from compute.calibration.result import Calibration
-from compute.camera.rotation import rotation_vector
 from compute.pose.rigid_body import RigidBody, ToolPose
 from compute.pose.settings import MotionSettings, ToolTrackerSettings
 from compute.tracking.track_batch import TrackState
+from compute.transform import rotation_vector
 from hardware.line_frame import LineFrame
 from hardware.simulated.driver import SimulatedDriver
 from hardware.simulated.scenes import MovingTool, MovingTools

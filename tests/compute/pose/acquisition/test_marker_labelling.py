@@ -65,7 +65,7 @@ def test_the_covariance_of_a_found_pose_is_right() -> None:
         true = body(pointer(), seed)
         points, _ = seen([true], rng)
         (found,) = identify_tools([true.tool], points, covariances(4), EXACT)
-        from compute.camera.rotation import rotation_vector
+        from compute.transform import rotation_vector
 
         off = np.concatenate(
             [

@@ -5,7 +5,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from compute.camera.rotation import rotation_matrix
 from compute.errors import InvalidParameter
 from compute.pose.beam_hold import (
     BeamHoldCause,
@@ -17,7 +16,7 @@ from compute.pose.beam_hold import (
     norm_exceedance_probability,
     scalar_exceedance_probability,
 )
-from compute.pose.transform import Transform
+from compute.transform import Transform, rotation_matrix
 from tests.compute.pose.motions import Array, point_covariance, transforms
 
 MS = 1_000_000

@@ -17,7 +17,7 @@ from compute.measurement.measurement_model import MeasurementModel
 from compute.pose.estimation.pose_fit import fit_pose
 from compute.pose.estimation.pose_initialisation import initial_pose_from_points
 from compute.pose.rigid_body import PoseStatus
-from compute.pose.transform import Transform
+from compute.transform import Transform
 from tests.compute.distorted_rig import distorted_rig
 from tests.compute.pose.scene import (
     CALIBRATION,

@@ -6,7 +6,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
 
-from compute.camera.rotation import rotation_matrix
 from compute.errors import (
     HighError,
     InvalidParameter,
@@ -21,7 +20,7 @@ from compute.pose.registration.surface import (
     _Nearest,
     nearest_on_triangles,
 )
-from compute.pose.transform import Transform
+from compute.transform import Transform, rotation_matrix
 from tests.compute.pose.motions import Array
 
 ALONE = IcpSettings(trim=0.0, start_turn_rad=0.0, start_shift_mm=0.0)

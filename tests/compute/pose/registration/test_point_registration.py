@@ -5,7 +5,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from compute.camera.rotation import rotation_matrix
 from compute.errors import (
     CollinearPoints,
     DuplicatePoint,
@@ -15,7 +14,7 @@ from compute.errors import (
 )
 from compute.pose.registration.correspondence_errors import find_correspondence_errors
 from compute.pose.registration.point_registration import Registration, register_points
-from compute.pose.transform import Transform
+from compute.transform import Transform, rotation_matrix
 from tests.compute.pose.motions import Array, check_mean, drawn, point_covariance, transforms
 
 TARGETS = np.array([[10.0, 20.0, 130.0], [0.0, 0.0, 0.0], [-200.0, 50.0, 10.0]])

@@ -16,7 +16,7 @@ from compute.pose.registration.three_marker_frame import (
     MIN_HEIGHT,
     three_marker_frame,
 )
-from compute.pose.transform import Transform
+from compute.transform import Transform
 from tests.compute.pose.motions import (
     Array,
     check_mean,

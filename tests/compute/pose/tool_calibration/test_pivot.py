@@ -5,7 +5,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from compute.camera.rotation import rotation_matrix
 from compute.errors import (
     HighError,
     InvalidParameter,
@@ -14,7 +13,7 @@ from compute.errors import (
     TooLittleRotation,
 )
 from compute.pose.tool_calibration.pivot import PivotSettings, pivot_calibration
-from compute.pose.transform import Transform
+from compute.transform import Transform, rotation_matrix
 from tests.compute.pose.motions import (
     Array,
     check_mean,

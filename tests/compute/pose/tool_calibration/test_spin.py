@@ -5,10 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from compute.camera.rotation import rotation_matrix
 from compute.errors import HighError, InvalidParameter, TooFewPoses, TooLittleRotation
 from compute.pose.tool_calibration.spin import spin_calibration
-from compute.pose.transform import Transform
+from compute.transform import Transform, rotation_matrix
 from tests.compute.pose.motions import (
     Array,
     check_mean,

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from compute.camera.rotation import rotation_matrix, rotation_vector
 from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter
 from compute.mapping.grid import VoxelGrid
@@ -17,6 +16,7 @@ from compute.pose.rigid_body import PoseStatus, RigidBody, ToolPose
 from compute.pose.settings import MotionSettings, ToolTrackerSettings
 from compute.pose.tool_tracking.tool_tracker import ToolTracker
 from compute.signal.peaks import PeakFlag
+from compute.transform import rotation_matrix, rotation_vector
 from tests.compute.pose.scene import (
     CALIBRATION,
     CAMERAS,

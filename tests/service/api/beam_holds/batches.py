@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from compute.pose.beam_hold import BeamHoldLimits, BeamHoldTiming
 from compute.pose.rigid_body import PoseStatus, ToolPose
-from compute.pose.transform import Transform
 from compute.reconstruction.point_batch import PointBatch
 from compute.signal.peaks import PeakBatch
 from compute.tracking.track_batch import TrackBatch
+from compute.transform import Transform
 from hardware.line_frame import LineFrame
 from service.pipeline.frame_batch import FrameBatch, TrackingResult
 from service.pipeline.tracking_config import (

@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from compute.camera.rotation import rotation_matrix
-from compute.pose.transform import Transform
+from compute.transform import Transform, rotation_matrix
 from hardware.simulated.driver import SimulatedDriver
 from hardware.simulated.scenes import MovingTool, MovingTools
 from hardware.simulated.settings import SimulationSettings

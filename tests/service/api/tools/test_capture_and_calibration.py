@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.distance import pdist
 
-from compute.camera.rotation import rotation_matrix
 from compute.quality.accuracy import MarkerTrack
+from compute.transform import rotation_matrix
 from hardware.simulated.driver import SimulatedDriver
 from hardware.simulated.scenes import MovingTool, MovingTools
 from hardware.simulated.settings import SimulationSettings

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from compute.camera.rotation import rotation_matrix
 from compute.pose.rigid_body import PoseStatus, ToolPose
+from compute.transform import rotation_matrix
 from hardware.simulated.driver import SimulatedDriver
 from hardware.simulated.settings import SimulationSettings
 from service.api.tools import concurrency_limits

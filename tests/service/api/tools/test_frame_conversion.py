@@ -5,9 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from compute.camera.rotation import rotation_matrix, rotation_vector
 from compute.pose.rigid_body import PoseStatus, ToolPose
-from compute.pose.transform import Transform
+from compute.transform import Transform, rotation_matrix, rotation_vector
 from service.api.tools.frame_conversion import pose_in_frame
 
 vector = st.tuples(*[st.floats(-2.0, 2.0)] * 3).map(np.array)
@@ -32,7 +31,7 @@ def pose(
 
 
 def matrix(one: ToolPose) -> np.ndarray:
-    return Transform.from_pose(one).matrix
+    return one.transform().matrix
 
 
 @given(turn=vector, at=place, ref_turn=vector, ref_at=place, frame_turn=vector, frame_at=place)

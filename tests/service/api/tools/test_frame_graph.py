@@ -5,9 +5,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from compute.camera.rotation import rotation_matrix
 from compute.pose.rigid_body import PoseStatus, ToolPose
-from compute.pose.transform import Transform
+from compute.transform import Transform, rotation_matrix
 from service.pipeline.device_status import DeviceStatus
 from tests.service.api.tools.batches import COVARIANCE, pose
 from tests.service.api.tools.test_pose_query import AT, TURN, put, registered

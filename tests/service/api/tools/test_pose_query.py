@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from compute.camera.rotation import rotation_matrix
 from compute.pose.rigid_body import PoseStatus, ToolPose
+from compute.transform import rotation_matrix
 from service.api.correction_tables import upload_process
 from service.database.models import RegistrationRow
 from service.pipeline.device_status import DeviceStatus

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
 
-from compute.camera.rotation import rotation_matrix, rotation_vector
 from compute.pose.rigid_body import PoseStatus, ToolPose
+from compute.transform import rotation_matrix, rotation_vector
 from hardware.simulated.driver import SimulatedDriver
 from hardware.simulated.scenes import MovingTool, MovingTools
 from hardware.simulated.settings import SimulationSettings

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import uvloop
 
-from compute.camera.rotation import rotation_matrix
 from compute.errors import LumilineError
 from compute.pose.rigid_body import PoseStatus, ToolPose
+from compute.transform import rotation_matrix
 from service.pipeline.beam_hold_registry import BeamHoldRegistry
 from service.pipeline.frame_batch import LatestPoses, PoseEntry
 from service.protocols.openigtlink.host import Landmark, Outcome, ServerSettings, WireTool

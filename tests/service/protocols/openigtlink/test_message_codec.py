@@ -10,7 +10,7 @@ from fastcrc import crc64
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from compute.camera.rotation import rotation_matrix
+from compute.transform import rotation_matrix
 from service.protocols.openigtlink.bodies import (
     Command,
     Point,

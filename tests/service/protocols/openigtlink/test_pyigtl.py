@@ -8,7 +8,7 @@ import numpy as np
 import pyigtl
 import pytest
 
-from compute.camera.rotation import rotation_matrix
+from compute.transform import rotation_matrix
 from service.protocols.openigtlink.host import WireTool
 from tests.service.protocols.openigtlink.test_client import (
     LOOPS,

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from compute.camera.rotation import rotation_matrix
 from compute.pose.rigid_body import PoseStatus, ToolPose
+from compute.transform import rotation_matrix
 from service.api.tools.frame_conversion import pose_in_frame
 from service.api.tools.tip_limit import TipLimit
 from service.protocols.openigtlink.host import WireTool

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
-from compute.camera.rotation import rotation_matrix
 from compute.errors import InvalidParameter, NonFiniteValue
 from compute.pose.rigid_body import PoseStatus, ToolPose
-from compute.pose.transform import Transform, cross_matrix, nearest_rotation
+from compute.transform import Transform, cross_matrix, nearest_rotation, rotation_matrix
 from tests.compute.pose.motions import Array, pose_covariance, transforms, vectors
 
 
@@ -125,6 +124,6 @@ def test_what_is_no_transform_is_refused() -> None:
 def test_a_pose_that_is_not_known_is_no_transform() -> None:
     lost = ToolPose("probe", PoseStatus.MISSING, "nothing was seen of it", 0, 17)
     with pytest.raises(InvalidParameter, match=r'"probe".*frame 17.*MISSING'):
-        Transform.from_pose(lost)
+        lost.transform()
     seen = ToolPose("probe", PoseStatus.OK, None, 0, 1, np.eye(3), np.ones(3), np.eye(6))
-    assert np.array_equal(Transform.from_pose(seen).translation_mm, np.ones(3))
+    assert np.array_equal(seen.transform().translation_mm, np.ones(3))

@@ -5,8 +5,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from compute.camera.rotation import rotation_matrix, rotation_quaternion, rotation_vector
 from compute.camera.stack import CameraStack
+from compute.transform import rotation_matrix, rotation_quaternion, rotation_vector
 from tests.compute.distorted_rig import distorted_rig, field_points
 
 

@@ -5,6 +5,7 @@ import pytest
 from scipy.integrate import quad
 from scipy.stats import norm
 
+from compute.calibration.mislabels.detector import _tails
 from compute.calibration.mislabels.evaluation import SensorReadings
 from compute.calibration.mislabels.hypothesis import (
     GROSS_ERROR_PROBABILITY,
@@ -96,3 +97,18 @@ def test_an_exchange_must_explain_its_readings_better_than_the_tail(
     else:
         assert {low, high} <= found.best.hypothesis.outliers
         assert found.probability(pair) < 0.3
+
+
+def test_a_sensors_tail_is_that_of_the_others() -> None:
+    points, sensors = control_points(60), geometry(rig())
+    exact = project(rig(), points)
+    rng = np.random.default_rng(6)
+    noise = np.stack([rng.standard_normal(60), rng.standard_t(2.0, 60)], axis=1)
+    data = [
+        SensorReadings(points, exact[:, k] + noise[:, k], np.ones(60), sensors[k], KNOWN_SIGMA)
+        for k in range(2)
+    ]
+    normal, heavy = _tails(data, [search_sensor_labels(one) for one in data])
+    drawn = float(np.mean(np.abs(noise[:, 1]) > TAIL_SIGMA))
+    assert 0.4 * drawn < normal.share < 1.5 * drawn
+    assert heavy.share < 0.1 * drawn

@@ -70,7 +70,9 @@ def calibrate(
         progress: called with the fraction done and the stage.
 
     Raises:
-        TooFewPoints, DegeneratePoints, UndeterminedParameters: the points leave parameters open.
+        TooFewPoints, UndeterminedParameters: the points leave parameters open.
+        DegeneratePoints: the points that a sensor saw lie in one plane, or coincide or line up
+            seen along its slit.
         NonFiniteValue, DuplicatePoint, ReadingOutsideSensor, InvalidParameter: a value is wrong.
         NoConvergence: no camera was found.
     """

@@ -102,7 +102,11 @@ def preset_terms(name: str) -> tuple[Term, ...]:
 
 
 def check_order(terms: Sequence[Term]) -> None:
-    """Check that no term has an order so high that its values vanish over any field of view."""
+    """Check that no term has an order so high that its values vanish over any field of view.
+
+    Raises:
+        InvalidParameter: a term's powers add up to more than ``MAX_ORDER``.
+    """
     for term in terms:
         if sum(term) > MAX_ORDER:
             raise InvalidParameter(

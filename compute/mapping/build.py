@@ -85,8 +85,10 @@ def build_table(
         progress: called with the fraction done and the stage.
 
     Raises:
-        InvalidParameter, NonFiniteValue, DuplicatePoint, ReadingOutsideSensor, TooFewPoints,
-        DegeneratePoints: the measurements are not fit for it.
+        InvalidParameter: a value is wrong, a point lies behind the lens of a sensor that read it,
+            or the settings do not suit the measurements.
+        NonFiniteValue, DuplicatePoint, ReadingOutsideSensor, TooFewPoints, DegeneratePoints: the
+            measurements are not fit for it.
     """
     settings = settings or MappingSettings()
     check_measurements(measured, models)
@@ -187,7 +189,11 @@ def _interpolate(
     settings: MappingSettings,
     sample_grid: SampleGrid,
 ) -> list[_SensorPart]:
-    """Interpolate the values themselves, sensor by sensor."""
+    """Interpolate the values themselves, sensor by sensor.
+
+    Raises:
+        InvalidParameter: the measurements have no standard deviations of the readings.
+    """
     if measured.sigma_px is None:
         raise InvalidParameter(
             f'the method "{settings.method}" goes through every value and cannot tell their '

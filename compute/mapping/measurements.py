@@ -64,7 +64,9 @@ def check_measurements(measured: MappingMeasurements, models: Sequence[SensorMod
         models: the S cameras.
 
     Raises:
-        InvalidParameter, NonFiniteValue, DuplicatePoint, ReadingOutsideSensor: see
+        InvalidParameter: ``point_sigma_mm`` is not zero or positive, or an array is of a wrong
+            shape or has a wrong value.
+        NonFiniteValue, DuplicatePoint, ReadingOutsideSensor: see
             ``compute.camera.observation_checks``.
         TooFewPoints, DegeneratePoints: a sensor's points are too few, or flat.
     """
@@ -79,7 +81,12 @@ def check_measurements(measured: MappingMeasurements, models: Sequence[SensorMod
 
 
 def _check_sensor(seen: Array, model: SensorModel, whole: Array | None) -> None:
-    """Check the points (n, 3) that one sensor saw against the extents of all."""
+    """Check the points (n, 3) that one sensor saw against the extents of all.
+
+    Raises:
+        TooFewPoints: fewer than ``MIN_POINTS``.
+        DegeneratePoints: they lie in one plane or line, or on one side of the volume only.
+    """
     count = len(seen)
     if count < MIN_POINTS or whole is None:
         raise TooFewPoints(

@@ -77,7 +77,11 @@ class SampleGrid:
 
 
 def _steps(values: Array, axis: str) -> tuple[float, float, int]:
-    """Return the first coordinate, the step and the number of cells along an axis."""
+    """Return the first coordinate, the step and the number of cells along an axis.
+
+    Raises:
+        InvalidParameter: the coordinates are all the same, or not equally spaced.
+    """
     found = np.unique(values)
     extent = float(found[-1] - found[0])
     # Coordinates that differ by rounding are one.

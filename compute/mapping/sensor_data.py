@@ -67,7 +67,13 @@ class CorrectionFunctions:
         return np.concatenate([self.functions.values(points_mm), of_camera], axis=1)
 
     def in_chunks(self, points_mm: Array, reduce: Callable[[Array], Array]) -> Array:
-        """Evaluate at points (N, 3) in chunks and reduce each chunk's rows (n, R + Q) to (n,)."""
+        """Evaluate all functions at points in chunks, and reduce them to one value a point, (N,).
+
+        Args:
+            points_mm: shape (N, 3) [mm].
+            reduce: takes the functions at a chunk's points, shape (n, R + Q), and returns shape
+                (n,).
+        """
         starts = range(0, len(points_mm), CHUNK)
         return np.concatenate(
             [reduce(self.values(points_mm[start : start + CHUNK])) for start in starts]

@@ -194,7 +194,12 @@ def summarise_fit(data: SensorData, fitted: FittedCorrection, valid_share: float
 
 
 def _parameter_drift(data: SensorData) -> tuple[Array, Array]:
-    """Return the transform of the camera's parameters to functions, and their prior precisions."""
+    """Return the transform of the camera's parameters to functions, and their prior precisions.
+
+    Raises:
+        TooFewPoints: no more points than parameters, of which no covariance is given.
+        DegeneratePoints: the points leave a combination of the parameters open.
+    """
     parameter_jacobian = data.parameter_jacobian(data.points_mm)
     if data.parameter_covariance is not None:
         values, vectors = np.linalg.eigh(data.parameter_covariance)

@@ -172,7 +172,11 @@ class Detector:
 
 
 def check_signal(signal_electrons: NDArray[np.float64]) -> None:
-    """Raise InvalidParameter for mean electrons that are negative, NaN or too large."""
+    """Check mean electrons, of any shape.
+
+    Raises:
+        InvalidParameter: a value is negative, NaN or above ``MAX_ELECTRONS``.
+    """
     wrong = ~((signal_electrons >= 0.0) & (signal_electrons <= MAX_ELECTRONS))
     if wrong.any():
         value = float(signal_electrons[wrong][0])

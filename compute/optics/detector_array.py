@@ -217,6 +217,7 @@ class DetectorArray:
         Args:
             index: ascending indices among all pixels, shape (M,).
             charge: electrons collected there, shape (M,).
+            rng: source of the noise.
 
         Returns:
             The indices of all pixels with charge, and what they keep, both of shape (N,).

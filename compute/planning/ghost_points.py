@@ -179,7 +179,11 @@ def ghost_probabilities(
 def _markers(
     cameras: CameraStack, pixels: int, box: Box, count: int, rng: np.random.Generator
 ) -> tuple[Array, float]:
-    """Draw markers that all sensors see, shape (count, 3), and the share of draws that they are."""
+    """Draw markers that all sensors see, shape (count, 3), and the share of draws that they are.
+
+    Raises:
+        InvalidParameter: the sensors see too little of the box together.
+    """
     kept: list[Array] = []
     found = drawn = 0
     while found < count:

@@ -118,7 +118,11 @@ def propagated_sigma(gradient_px_per_mm: Array, sigma_px: Array, error_px: Array
 
 
 def _weighted(gradient_px_per_mm: Array, sigma_px: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Return gradients over standard deviations, 0 for unusable readings, and the usable ones."""
+    """Return gradients over standard deviations, 0 for unusable readings, and the usable ones.
+
+    Raises:
+        InvalidParameter: standard deviations of another shape, or not positive.
+    """
     shape = gradient_px_per_mm.shape[:2]
     given = np.asarray(sigma_px, dtype=np.float64)
     if given.shape not in (shape, shape[1:]):

@@ -184,7 +184,12 @@ class _Search:
         self.run(HUBER_LIMIT, max(tolerance, ROBUST_TOLERANCE))
 
     def run(self, limit: float, tolerance: float) -> None:
-        """Iterate until a step predicts a relative decrease of less than ``tolerance``."""
+        """Iterate until a step predicts a relative decrease of less than ``tolerance``.
+
+        Raises:
+            NoConvergence: ``max_iterations`` steps did not get there, or no step makes the loss
+                smaller.
+        """
         damping = 1e-4
         loss = total_loss(self.state, self.residuals, self.prior, limit)
         while True:
@@ -248,7 +253,12 @@ class _Search:
 def _check_inputs(
     models: Sequence[SensorModel], pose_sets: Sequence[PoseSet]
 ) -> tuple[AdjustmentState, NDArray[np.bool_]]:
-    """Return the starting state, and a mask that adjusts all its globals."""
+    """Return the starting state, and a mask that adjusts all its globals.
+
+    Raises:
+        InvalidParameter: a camera has a cubic term, or a set has readings of another number of
+            sensors.
+    """
     for model in models:
         if model.cubic_per_px2 != 0.0:
             raise InvalidParameter(

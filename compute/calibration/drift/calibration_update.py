@@ -112,7 +112,9 @@ def check_update(
         allowance: standard deviation of the change by parameter name; None: ALLOWANCE.
 
     Raises:
-        UnknownSensor, InvalidParameter: as ``update_calibration``.
+        UnknownSensor: the device has no sensor of this name.
+        InvalidParameter: no parameter of this name, a standard deviation that is not positive, or
+            a camera with a cubic term.
     """
     for model in calibration.models:
         if model.cubic_per_px2 != 0.0:
@@ -126,7 +128,12 @@ def check_update(
 def _changes(
     calibration: Calibration, sensors: Sequence[str] | None, allowance: dict[str, float]
 ) -> Array:
-    """Return the standard deviation of every parameter's change, shape (P,)."""
+    """Return the standard deviation of every parameter's change, shape (P,).
+
+    Raises:
+        UnknownSensor: the device has no sensor of this name.
+        InvalidParameter: no parameter of this name, or a standard deviation that is not positive.
+    """
     names = [model.name for model in calibration.models]
     for name in sensors or ():
         if name not in names:

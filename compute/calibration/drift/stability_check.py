@@ -64,7 +64,8 @@ def prediction_residuals(
         stationary: the readings, with known positions or earlier readings.
 
     Raises:
-        InvalidParameter, NonFiniteValue, TooFewPoints: as ``check_drift``.
+        InvalidParameter: neither or both of positions and earlier readings, or wrong shapes.
+        NonFiniteValue, TooFewPoints: as ``check_drift``.
     """
     models = calibration.models
     readings = np.asarray(stationary.readings_px, dtype=np.float64)

@@ -237,7 +237,11 @@ class _SelfCalibrationState:
             )
 
     def check_share(self, starts: Sequence[InitialPoses]) -> None:
-        """Raise NoConvergence if too large a share of the readings was rejected."""
+        """Check that enough of the readings agree with one another.
+
+        Raises:
+            NoConvergence: too large a share of them was rejected.
+        """
         total = sum(int(np.isfinite(one.readings_px).sum()) for one in self.recordings)
         used = sum(int(start.poses.seen.sum()) for start in starts)
         if used < MIN_SHARE * total:

@@ -111,7 +111,11 @@ class DiffractedShadow:
         """Return the light on stretches relative to that without a mask.
 
         Args:
-            centre_mm, width_mm, blur_mm, curvature_per_mm: as of ``Shadow``.
+            centre_mm: middles of the stretches, along the readings from the middle of the code
+                [mm].
+            width_mm: their widths, of the same shape [mm].
+            blur_mm: widths of the penumbra, of the same shape [mm].
+            curvature_per_mm: curvatures of the optical paths, of the same shape [1/mm].
         """
         # Beyond the grid is frame, and the fringes there are too faint to count.
         half = self._count * self._step_mm / 2.0

@@ -53,7 +53,11 @@ class GeometricShadow:
         """Return the light on stretches relative to that without a mask.
 
         Args:
-            centre_mm, width_mm, blur_mm, curvature_per_mm: as of ``Shadow``.
+            centre_mm: middles of the stretches, along the readings from the middle of the code
+                [mm].
+            width_mm: their widths, of the same shape [mm].
+            blur_mm: widths of the penumbra, of the same shape [mm].
+            curvature_per_mm: curvatures of the optical paths [1/mm]; without effect here.
         """
         del curvature_per_mm
         centre = self._bar(centre_mm)

@@ -98,7 +98,12 @@ def _reading(optics: MaskOptics, point: Array, sensor: int) -> float:
 def _displaced(
     optics: MaskOptics, point: Array, direction: Array, sensor: int, shifts_px: Array
 ) -> Array:
-    """Return points whose readings differ by these shifts, shape (K, 3) [mm]."""
+    """Return points whose readings differ by these shifts, shape (K, 3) [mm].
+
+    Raises:
+        InvalidParameter: the readings do not change along the direction, or no point along it has
+            its shadow as far as a shift reaches.
+    """
     length = float(np.linalg.norm(direction))
     probe = point + direction * (_PROBE_MM / length) if length > 0.0 else point
     start, moved = (float(optics.readings(one[None])[0, sensor]) for one in (point, probe))

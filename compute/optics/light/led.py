@@ -64,7 +64,11 @@ class Led:
         """Return the photons towards each lens, shape (N, S) [1/sr].
 
         Args:
-            points_mm, facing, lens_positions_mm, exposure_s: as of ``LightSource``.
+            points_mm: positions of N markers in the world, shape (N, 3) [mm].
+            facing: directions in which they face, any length, shape (N, 3); None: each towards
+                every lens.
+            lens_positions_mm: centres of S lenses, shape (S, 3) [mm].
+            exposure_s: length of the exposure [s].
         """
         check_exposure(exposure_s)
         lit_s = exposure_s if self.pulse_s is None else min(self.pulse_s, exposure_s)

@@ -169,7 +169,11 @@ class RetroDisc:
         They fall with the square of the distance to the illuminator.
 
         Args:
-            points_mm, facing, lens_positions_mm, exposure_s: as of ``LightSource``.
+            points_mm: positions of N markers in the world, shape (N, 3) [mm].
+            facing: directions in which they face, any length, shape (N, 3); None: each towards
+                every lens.
+            lens_positions_mm: centres of S lenses, shape (S, 3) [mm].
+            exposure_s: length of the exposure [s].
         """
         towards = towards_lenses(points_mm, lens_positions_mm)
         sent = self.reflected_photons(points_mm, towards, exposure_s)

@@ -137,7 +137,11 @@ class ProfileDeserialiser:
     def _each(
         self, parts: Iterable[tuple[Any, object, str]], unit: Unit | None = None
     ) -> list[Any]:
-        """Build every part, so that all that is wrong is found."""
+        """Build every part, so that all that is wrong is found.
+
+        Raises:
+            _InvalidField: a part cannot be built; ``problems`` says why.
+        """
         built, wrong = [], False
         for expected, value, path in parts:
             try:

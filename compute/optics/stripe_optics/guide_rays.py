@@ -29,7 +29,12 @@ _CORNERS: Final = np.meshgrid([-1.0, 0.0, 1.0], [-1.0, 0.0, 1.0])
 
 
 def hits_row(rays: TracedRays, aim: "RayTargets") -> NDArray[np.bool_]:
-    """Return whether rays meet the row at their heights, shape (R,)."""
+    """Return whether rays meet the row at their heights, shape (R,).
+
+    Args:
+        rays: R traced rays, in the sensor's frame.
+        aim: the R rays as they were aimed.
+    """
     return np.asarray(np.abs(rays.position_mm[:, 1] - aim.height_mm) <= _HIT_MM)
 
 

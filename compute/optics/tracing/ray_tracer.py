@@ -76,7 +76,8 @@ class RayTracer:
         """Copy rays to the device; ``trace`` is upload, launch and download.
 
         Args:
-            origins_mm, directions: as of ``trace``.
+            origins_mm: where the rays start, in the stack's frame, shape (N, 3) [mm].
+            directions: their directions, of any length, shape (N, 3).
         """
         origins, vectors = validate_rays(origins_mm, directions)
         count = len(origins)

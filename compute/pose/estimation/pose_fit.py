@@ -147,7 +147,11 @@ def fit_pose(
 def _validate(
     model: MeasurementModel, tool: RigidBody, readings_px: Array, sigma_px: Array
 ) -> tuple[Array, Array]:
-    """Return readings and standard deviations (M, S), both NaN where either is unusable."""
+    """Return readings and standard deviations (M, S), both NaN where either is unusable.
+
+    Raises:
+        InvalidParameter: an array is of another shape.
+    """
     readings = np.asarray(readings_px, dtype=np.float64)
     shape = (len(tool), len(model))
     if readings.shape != shape:

@@ -197,7 +197,11 @@ class _Icp:
     settings: IcpSettings
 
     def iterate(self, points: Array, rotation: Array, translation: Array) -> _Alignment:
-        """Return where steps end that bring the points nearer, whole or halved."""
+        """Return where steps end that bring the points nearer, whole or halved.
+
+        Raises:
+            NoConvergence: they do not end within ``settings.max_steps``.
+        """
         spread = float(np.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=1).mean()))
         here = self.align(points, rotation, translation)
         steps = 0

@@ -127,7 +127,9 @@ def register_points(
         TooFewPoints: fewer than three fiducials.
         DuplicatePoint: two fiducials coincide.
         CollinearPoints: they are collinear within their errors.
-        InvalidParameter, NonFiniteValue: an array is of a wrong shape, or not finite.
+        InvalidParameter: an array is of a wrong shape, the numbers of points or names differ, or a
+            covariance is not positive.
+        NonFiniteValue: a value is not finite.
         NoConvergence: the weighted fit did not converge.
     """
     source, target = finite_points(source_mm, "the source"), finite_points(target_mm, "the target")

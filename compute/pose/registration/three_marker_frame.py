@@ -44,7 +44,8 @@ def three_marker_frame(markers_mm: Array, covariance_mm2: Array | None = None) -
         DuplicatePoint: two markers are at one place.
         CollinearPoints: they lie on one line.
         UndeterminedParameters: they are so near one another that their noise leaves a turn open.
-        InvalidParameter, NonFiniteValue: an array is not what it should be.
+        InvalidParameter: an array is of another shape.
+        NonFiniteValue: a marker's coordinate is not finite.
     """
     markers = np.asarray(markers_mm, dtype=np.float64)
     if markers.shape != (3, 3):

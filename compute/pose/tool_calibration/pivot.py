@@ -247,7 +247,11 @@ def _robust_fit(poses: CalibrationPoses, unknowns: Array) -> Array:
 
 
 def _least_squares(poses: CalibrationPoses, unknowns: Array) -> Array:
-    """Return tip and pivot by weighted least squares."""
+    """Return tip and pivot by weighted least squares.
+
+    Raises:
+        NoConvergence: the steps do not become small within ``_MAX_ITERATIONS``.
+    """
     for _ in range(_MAX_ITERATIONS):
         step = _gauss_newton_step(poses, unknowns, np.ones(len(poses)))
         unknowns = unknowns + step

@@ -246,7 +246,11 @@ def _weights(poses: CalibrationPoses, axis: SpinAxis, used: NDArray[np.bool_]) -
 def _least_squares(
     poses: CalibrationPoses, axis: SpinAxis, used: NDArray[np.bool_]
 ) -> tuple[SpinAxis, Array]:
-    """Return the axis by weighted least squares of the used poses, and the weights of all."""
+    """Return the axis by weighted least squares of the used poses, and the weights of all.
+
+    Raises:
+        NoConvergence: the steps do not become small within ``_MAX_ITERATIONS``.
+    """
     some = poses.of(used)
     for _ in range(_MAX_ITERATIONS):
         information = _weights(poses, axis, used)[used]

@@ -18,7 +18,7 @@ from compute.signal.detection.peak_detector import DetectionSettings
     ],
 )
 def test_what_is_no_whole_number_in_range_is_refused(kind, name, value):
-    with pytest.raises(InvalidParameter, match=f"{name} is {value}; it must be a whole number"):
+    with pytest.raises(InvalidParameter, match=f"{name} is {value!r}; it must be a whole number"):
         kind(**{name: value})
 
 

@@ -78,7 +78,11 @@ class PackedPose(PoseState):
         return state
 
     def __getattr__(self, name: str) -> Array:
-        """Return a member of PoseState, and keep it."""
+        """Return a member of PoseState, and keep it.
+
+        Raises:
+            AttributeError: PoseState has no such member.
+        """
         if name not in PoseState.__dataclass_fields__:
             raise AttributeError(name)
         first, row, common_errors = self.__dict__["_at"]
@@ -135,7 +139,11 @@ class PackedImmState(ImmState):
         return state
 
     def __getattr__(self, name: str) -> Any:
-        """Return a member of ImmState, and keep it."""
+        """Return a member of ImmState, and keep it.
+
+        Raises:
+            AttributeError: ImmState has no such member.
+        """
         if name not in ImmState.__dataclass_fields__:
             raise AttributeError(name)
         time_ns, common_errors = self.__dict__["_at"]

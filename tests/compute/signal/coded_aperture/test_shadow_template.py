@@ -127,7 +127,7 @@ def test_what_cells_as_coarse_as_pixels_cost() -> None:
             lambda: interleave_scans(
                 np.ones((1, 9)), [0.3], reading_px=0, per_px=2, dark_beyond=True
             ),
-            "shifts_px has 0.3",
+            "shift_px is 0.3",
         ),
         (
             lambda: interleave_scans(

@@ -129,7 +129,7 @@ def evaluate(
     sign, log_determinant = np.linalg.slogdet(normal)
     count = kept.sum(axis=1)
     log_outliers = np.zeros(len(hypotheses))
-    for row in np.flatnonzero([bool(h.outliers) for h in hypotheses] & (sign > 0.0)):
+    for row in np.flatnonzero([bool(h.outliers) for h in hypotheses] & (sign > 0.0)).tolist():
         outliers = sorted(hypotheses[row].outliers)
         factor = data.evidence.factor(float(chi2[row]), int(count[row]))
         error, variance = _predict(data, outliers, fitted[row], jacobian[row], normal[row])

@@ -37,8 +37,9 @@ TAIL_PRIOR_COUNT: Final = 3.0
 """Weight of that exponent, in readings in the tail."""
 TAIL_ITERATIONS: Final = 30
 PREDICTION_NODES: Final = np.linspace(-5.0, 5.0, 241)
-PREDICTION_WEIGHTS: Final = np.exp(-0.5 * PREDICTION_NODES**2)
-PREDICTION_WEIGHTS /= PREDICTION_WEIGHTS.sum()
+PREDICTION_WEIGHTS: Final = (
+    np.exp(-0.5 * PREDICTION_NODES**2) / np.exp(-0.5 * PREDICTION_NODES**2).sum()
+)
 LOG_TWO_PI: Final = float(np.log(2.0 * np.pi))
 
 

@@ -13,6 +13,7 @@ from validation.calibration_convergence.case import CASE as CONVERGENCE
 from validation.close_peaks.case import CASE as CLOSE_PEAKS
 from validation.interpolators.case import CASE as INTERPOLATORS
 from validation.labels.case import CASE as LABELS
+from validation.labels.heavy_tails import CASE as LABEL_TAILS
 from validation.map_bound.case import CASE as MAP_BOUND
 from validation.marker_capacity.case import CASE as MARKER_CAPACITY
 from validation.partial_view.case import CASE as PARTIAL_VIEW
@@ -81,6 +82,7 @@ _TABLES: Final[tuple[TablesCase, ...]] = (
     TABLE_6_1,
     TABLE_6_2,
     LABELS,
+    LABEL_TAILS,
     TABLE_A1,
     TABLE_A2,
     SEIDEL,

@@ -109,7 +109,7 @@ def calibrate(
         named = "; ".join(_describe(finding) for finding in labels)
         advice = "" if settings.labels != "report" else '; set labels to "repair" or "exclude"'
         raise type(error)(
-            f"{error.detail}; labels that look wrong: {named}{advice}", **error.context
+            f"{error.detail}; labels and readings that look wrong: {named}{advice}", **error.context
         ) from error
     return replace(result, labels=labels)
 

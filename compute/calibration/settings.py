@@ -132,8 +132,8 @@ class CalibrationSettings:
             exact. With it the points are unknowns too, and the covariance of the sensors is joint.
         loss: "linear": least squares. "robust": outliers lose their weight
             (``compute.robust_statistics``).
-        labels: policy for wrong and exchanged labels: "off" (no search), "report", "exclude" or
-            "repair".
+        labels: policy for exchanged and wrong labels and outliers: "off" (no search), "report",
+            "exclude" or "repair", which leaves outliers out.
 
     Raises:
         InvalidParameter: a value is out of range or unknown.

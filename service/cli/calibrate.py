@@ -76,7 +76,8 @@ def calibrate(
     if result.distortion is not None:
         say(f"distortion: {result.distortion.chosen} ({result.distortion.reason})")
     for finding in result.labels:
-        say(f"[yellow]label:[/yellow] {label_message(finding)}")
+        kind = "outlier" if finding.kind == "outlier" else "label"
+        say(f"[yellow]{kind}:[/yellow] {label_message(finding)}")
     if result.labels and settings.labels == "report":
         console.print("look at them; --labels exclude or --labels repair takes them as they are")
     if rows:
@@ -157,12 +158,13 @@ def label_message(finding: LabelFinding) -> str:
     where = "all sensors" if finding.sensor is None else f"sensor {finding.sensor}"
     points = [str(point) for point in finding.points]
     sure = f"probability {finding.probability:.3g}"
-    if finding.kind == "wrong":
-        off = finding.residual_px[0] if finding.residual_px else None
+    if finding.kind == "outlier":
+        off, size = finding.residual_px[0], finding.normalised_residual[0]
         by = "" if off is None else f", off by {off:.4g} px"
-        return f"{where}: the reading of point {points[0]} is wrong{by} ({sure})"
-    if finding.kind == "missing":
-        return f"{where}: the reading of point {points[0]} is point {points[1]}'s ({sure})"
+        by += "" if size is None else f" or {abs(size):.3g} sigma"
+        return f"{where}: the reading of point {points[0]} is an outlier{by} ({sure})"
+    if finding.kind == "wrong-label":
+        return f"{where}: the reading labelled {points[0]} is point {points[1]}'s ({sure})"
     return f"{where}: the readings of points {' and '.join(points)} are exchanged ({sure})"
 
 

@@ -69,7 +69,7 @@ class Question:
         what = {
             "none": "no error",
             "exchanged": "exchanged pairs of a sensor",
-            "wrong": "gross errors of just 10 sigma" if self.min_only else "gross errors",
+            "outlier": "gross errors of just 10 sigma" if self.min_only else "gross errors",
             "points": "exchanged points",
         }[self.errors]
         return what if self.errors == "none" else f"{self.number} {what}"
@@ -96,9 +96,9 @@ class Outcome:
 _KINDS: Final[tuple[tuple[Errors, int], ...]] = (
     ("exchanged", 1),
     ("exchanged", 2),
-    ("wrong", 1),
-    ("wrong", 2),
-    ("wrong", 3),
+    ("outlier", 1),
+    ("outlier", 2),
+    ("outlier", 3),
 )
 _FRAMES: Final[tuple[Frame, ...]] = ("thesis", "random")
 
@@ -114,8 +114,8 @@ CLEAN: Final = tuple(
 BESIDE: Final = (
     *(Question(frame, "points", number) for frame in _FRAMES for number in (1, 2)),
     Question("random", "exchanged", 2, sigma_given=False),
-    Question("random", "wrong", 3, sigma_given=False),
-    *(Question(frame, "wrong", 3, min_only=True) for frame in _FRAMES),
+    Question("random", "outlier", 3, sigma_given=False),
+    *(Question(frame, "outlier", 3, min_only=True) for frame in _FRAMES),
 )
 """What else is worth knowing."""
 
@@ -153,8 +153,8 @@ def _likelier(frame: LabelFrame) -> bool:
     for column, sensor in enumerate(frame.sensors):
         truth = Hypothesis()
         for kind, name, points in sorted(frame.errors, key=str):
-            if name == sensor.name and kind == "wrong":
-                truth = truth.with_wrong(points[0] - 1)
+            if name == sensor.name and kind == "outlier":
+                truth = truth.with_outlier(points[0] - 1)
             elif name == sensor.name:
                 truth = truth.with_cycle(point - 1 for point in points)
         sigma = np.full(len(frame.points_mm), SIGMA_PX)
@@ -278,7 +278,7 @@ def _measured_table() -> ResultTable:
 
 CASE: Final = TablesCase(
     "labels",
-    "wrong and exchanged labels in 1,000 simulated frames and in the measured ones",
+    "exchanged labels and outliers in 1,000 simulated frames and in the measured ones",
     "section 5.5, Appendix G (Tests 5.3 and 5.4)",
     compute_tables,
 )

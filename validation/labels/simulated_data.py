@@ -31,7 +31,7 @@ WIDE_HALF_MM: Final = (600.0, 600.0, 200.0)
 WIDE_SIGMA_PX: Final = (0.02, 1.0)
 
 Frame = Literal["thesis", "random"]
-Errors = Literal["none", "exchanged", "wrong", "points"]
+Errors = Literal["none", "exchanged", "outlier", "points"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,16 +68,16 @@ def random_frames(
     """Yield frames with ``number`` errors each.
 
     In half of the frames all errors are in one sensor, in the others each in any. Exchanged
-    readings lie ten standard deviations apart or more; wrong ones are off by ten to 300, evenly
+    readings lie ten standard deviations apart or more; outliers are off by ten to 300, evenly
     in the logarithm, or all by ten.
 
     Args:
         rng: draws everything.
         count: frames wanted.
         frame: "thesis": the 19 points of its frame (Appendix G). "random": 19 to 40 points.
-        errors: none; exchanged pairs of a sensor; wrong readings; points with each other's labels.
+        errors: none; exchanged pairs of a sensor; outliers; points with each other's labels.
         number: of errors.
-        min_only: whether wrong readings are off by ten standard deviations, no more.
+        min_only: whether outliers are off by ten standard deviations, no more.
     """
     made = 0
     while made < count:
@@ -144,7 +144,7 @@ def _put(
         column = int(rng.integers(SENSORS)) if common is None else common
         seen = np.isfinite(readings[:, column])
         free = [k for k in range(len(readings)) if seen[k] and (k, column) not in used]
-        if errors == "wrong":
+        if errors == "outlier":
             point = int(rng.choice(free))
             size = np.exp(rng.uniform(np.log(MIN_SIGMAS), np.log(most))) * sigma
             moved = readings[point, column] + size * rng.choice([-1.0, 1.0])
@@ -152,7 +152,7 @@ def _put(
                 return None
             readings[point, column] = moved
             used.add((point, column))
-            made.add(("wrong", f"s{column + 1}", (point + 1,)))
+            made.add(("outlier", f"s{column + 1}", (point + 1,)))
             continue
         first, second = sorted(map(int, rng.choice(free, 2, replace=False)))
         columns = list(range(SENSORS)) if errors == "points" else [column]

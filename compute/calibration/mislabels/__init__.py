@@ -1,1 +1,1 @@
-"""Detection and repair of wrong, missing and exchanged labels in control data."""
+"""Detection and repair of exchanged and wrong labels and of outliers in control data."""

@@ -3,14 +3,12 @@
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from math import log
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from compute.calibration.mislabels.hypothesis import (
-    WRONG_LABEL_PROBABILITY,
     Evidence,
     Hypothesis,
     log_exchange_prior,
@@ -145,6 +143,10 @@ def evaluate_hypotheses(
     )
 
 
+def _outlier_counts(hypotheses: Sequence[Hypothesis]) -> Array:
+    return np.array([float(len(h.outliers)) for h in hypotheses])
+
+
 def _log_priors(camera: LinearisedCamera, hypotheses: Sequence[Hypothesis]) -> Array:
     return np.array([h.log_prior(len(camera.readings), 0) for h in hypotheses])
 
@@ -161,7 +163,7 @@ def log_posteriors(camera: LinearisedCamera, states: EvaluatedHypotheses) -> Arr
         states.kept,
         states.log_determinant,
         states.log_sigma,
-        np.array([len(h.wrong) for h in states.hypotheses]),
+        camera.evidence.log_outlier * _outlier_counts(states.hypotheses),
     )
     score = likelihood + _log_priors(camera, states.hypotheses)
     return np.where(states.kept > camera.evidence.parameters, score, -np.inf)
@@ -172,10 +174,10 @@ def beam_search(
 ) -> list[tuple[float, Hypothesis]]:
     """Return the ``count`` best hypotheses with their unnormalised log posterior.
 
-    A beam over sets of wrong readings and exchanged pairs. From each explanation: one reading
-    more wrong, one pair more exchanged (squares by the residuals r and the redundancy matrix
+    A beam over sets of outliers and exchanged pairs. From each explanation: one outlier
+    more, one exchanged pair more (squares by the residuals r and the redundancy matrix
     Q = I - H: leaving out i gains r_i^2 / Q_ii, exchanging changes the readings by v and adds
-    2 v'r + v'Qv), one error fewer, two wrong readings as one exchanged pair.
+    2 v'r + v'Qv), one error fewer, two outliers as one exchanged pair.
 
     Args:
         camera: the linearised camera; points are counted within its readings.
@@ -221,13 +223,13 @@ def _record(known: dict[Hypothesis, float], entries: Iterable[tuple[float, Hypot
 def _extend(
     camera: LinearisedCamera, states: EvaluatedHypotheses, count: int
 ) -> list[tuple[float, Hypothesis]]:
-    """Return the best hypotheses with one more wrong reading or exchanged pair."""
+    """Return the best hypotheses with one more outlier or exchanged pair."""
     n = len(camera.readings)
     own = states.used - np.einsum("bnw,bnw->bn", states.gain, states.basis)
     free = np.ones(own.shape, dtype=bool)
     for row, hypothesis in enumerate(states.hypotheses):
         free[row, list(hypothesis.affected_points)] = False
-    wrong = np.array([len(h.wrong) for h in states.hypotheses])[:, None]
+    outliers = camera.evidence.log_outlier * _outlier_counts(states.hypotheses)[:, None]
     prior = _log_priors(camera, states.hypotheses)[:, None]
     usable = free & (own > TIE_TOLERANCE) & (states.kept[:, None] - 1 > camera.evidence.parameters)
     safe = np.where(usable, own, 1.0)
@@ -236,9 +238,9 @@ def _extend(
         states.kept[:, None] - 1,
         states.log_determinant[:, None] + np.log(safe),
         states.log_sigma[:, None] - np.log(camera.sigma),
-        wrong + 1,
+        outliers + camera.evidence.log_outlier,
     )
-    left_out = np.where(usable, left_out + prior + log(WRONG_LABEL_PROBABILITY), -np.inf)
+    left_out = np.where(usable, left_out + prior, -np.inf)
 
     parts = [
         _best_exchanges(camera, states, own, free, count, slice(row, row + camera.batch_size))
@@ -250,7 +252,7 @@ def _extend(
         states.kept[:, None],
         states.log_determinant[:, None],
         states.log_sigma[:, None],
-        wrong,
+        outliers,
     )
     exchanged = np.where(np.isfinite(squares), exchanged + prior + log_exchange_prior(n), -np.inf)
 
@@ -259,7 +261,7 @@ def _extend(
     for row, column in _best(scores, count):
         base = states.hypotheses[row]
         if column < n:
-            extended = base.with_wrong(column)
+            extended = base.with_outlier(column)
         else:
             place = pair[row, column - n]
             extended = base.with_cycle((int(camera.pairs[0][place]), int(camera.pairs[1][place])))
@@ -304,7 +306,7 @@ def _best(scores: Array, count: int) -> list[tuple[int, int]]:
 def _reduce(
     camera: LinearisedCamera, states: EvaluatedHypotheses, count: int
 ) -> list[tuple[float, Hypothesis]]:
-    """Return hypotheses with one error fewer, or two wrong readings as an exchanged pair."""
+    """Return hypotheses with one error fewer, or two outliers as an exchanged pair."""
     found: list[tuple[float, Hypothesis]] = []
     undone: dict[Hypothesis, None] = {}
     for row, hypothesis in enumerate(states.hypotheses[:MAX_SHRUNK]):
@@ -320,42 +322,42 @@ def _reduce(
 def _put_back(
     camera: LinearisedCamera, states: EvaluatedHypotheses, row: int, count: int
 ) -> list[tuple[float, Hypothesis]]:
-    """Return the best hypotheses with one wrong reading fewer, or two of them exchanged."""
+    """Return the best hypotheses with one outlier fewer, or two of them exchanged."""
     base = states.hypotheses[row]
-    wrong = np.array(sorted(base.wrong), dtype=np.intp)
-    if len(wrong) == 0:
+    outliers = np.array(sorted(base.outliers), dtype=np.intp)
+    if len(outliers) == 0:
         return []
-    basis = camera.basis[wrong]
+    basis = camera.basis[outliers]
     gain = basis @ states.inverse[row] @ basis.T
     # Of the reading labelled with the second at the place of the first, off by:
-    fitted = camera.fitted[wrong] + camera.sigma[wrong] * (basis @ states.theta[row])
-    off = (camera.readings[wrong] - fitted[:, None]) / camera.sigma[wrong, None]
+    fitted = camera.fitted[outliers] + camera.sigma[outliers] * (basis @ states.theta[row])
+    off = (camera.readings[outliers] - fitted[:, None]) / camera.sigma[outliers, None]
     own = 1.0 + gain.diagonal()
-    first, second = np.triu_indices(len(wrong), 1)
+    first, second = np.triu_indices(len(outliers), 1)
     across = gain[first, second]
     determinant = own[first] * own[second] - across**2
     here, there = off[first, second], off[second, first]
     added = (own[second] * here**2 - 2.0 * across * here * there + own[first] * there**2) / (
         determinant
     )
-    log_sigma = np.log(camera.sigma[wrong])
+    log_sigma = np.log(camera.sigma[outliers])
     pairs = len(first)
     likelihood = camera.evidence.log_likelihood(
         states.chi2[row] + np.concatenate([off.diagonal() ** 2 / own, added]),
-        states.kept[row] + np.repeat([1, 2], [len(wrong), pairs]),
+        states.kept[row] + np.repeat([1, 2], [len(outliers), pairs]),
         states.log_determinant[row] + np.log(np.concatenate([own, determinant])),
         states.log_sigma[row] + np.concatenate([log_sigma, log_sigma[first] + log_sigma[second]]),
-        len(wrong) - np.repeat([1, 2], [len(wrong), pairs]),
+        camera.evidence.log_outlier * (len(outliers) - np.repeat([1, 2], [len(outliers), pairs])),
     )
-    prior = base.log_prior(len(camera.readings), 0) - log(WRONG_LABEL_PROBABILITY)
-    as_pair = log_exchange_prior(len(camera.readings)) - log(WRONG_LABEL_PROBABILITY)
-    scores = likelihood + prior + np.repeat([0.0, as_pair], [len(wrong), pairs])
+    prior = base.log_prior(len(camera.readings), 0)
+    as_pair = log_exchange_prior(len(camera.readings))
+    scores = likelihood + prior + np.repeat([0.0, as_pair], [len(outliers), pairs])
     found = []
     for _, index in _best(scores[None], count):
-        if index < len(wrong):
-            extended = base.without(int(wrong[index]))
+        if index < len(outliers):
+            extended = base.without(int(outliers[index]))
         else:
-            place = index - len(wrong)
-            extended = base.with_cycle((int(wrong[first[place]]), int(wrong[second[place]])))
+            place = index - len(outliers)
+            extended = base.with_cycle((int(outliers[first[place]]), int(outliers[second[place]])))
         found.append((float(scores[index]), extended))
     return found

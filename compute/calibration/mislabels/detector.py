@@ -11,11 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2 as chi2_distribution
 
-from compute.calibration.mislabels.evaluation import SensorReadings, evaluate
+from compute.calibration.mislabels.evaluation import SensorReadings, evaluate, reading_errors
 from compute.calibration.mislabels.hypothesis import (
     KNOWN_SIGMA,
     Hypothesis,
+    NoiseTail,
     ScalePrior,
+    estimate_tail,
     log_exchange_prior,
 )
 from compute.calibration.mislabels.lens_fit import with_lens
@@ -44,16 +46,18 @@ COMMON_EXCHANGE_PROBABILITY: Final = 0.02
 """Prior probability that two points have each other's labels in all sensors."""
 SEARCH_MARGIN: Final = 12.0
 """Log posterior below what is needed at which an exchange of points is not searched for."""
+MIN_OUTLIER_PROBABILITY: Final = 0.5
+"""Probability below which a reading is not reported as an outlier."""
 SUSPICIOUS_P_VALUE: Final = 1e-4
 """p-value of the best hypothesis's sum of squares below which these are tried."""
 
 
 @dataclass(frozen=True)
 class LabelReport:
-    """The label errors of a device's control data.
+    """Label errors and outliers of a device's control data.
 
     Args:
-        findings: the errors, those of all sensors first, then sensor by sensor.
+        findings: what was found, those of all sensors first, then sensor by sensor.
         sigma_px: estimated standard deviation of a reading, one for each sensor [px].
     """
 
@@ -68,17 +72,20 @@ def find_label_errors(
     sigma_px: Array | None = None,
     progress: Progress = no_progress,
 ) -> LabelReport:
-    """Find wrong, missing and exchanged labels; the data are not changed.
+    """Find exchanged and wrong labels, and outliers; the data are not changed.
 
-    For each sensor, hypotheses (sets of wrong readings and of exchanged labels) are compared by
-    their posterior probability under a seven-parameter camera: right readings are normally
-    distributed, wrong ones uniformly over the sensor. The search starts from least trimmed squares,
-    continues in the linearised camera, where leaving out or exchanging readings changes the sum of
-    squares in closed form, and ends with fits of the camera itself. An exchange that is likelier
-    for all sensors together is one of the points.
+    For each sensor, hypotheses (sets of label errors and of outliers) are compared by their
+    posterior probability under a seven-parameter camera. The core of the noise is normal; outliers
+    are gross errors anywhere on the sensor, or lie in the noise's tail, a power law that the
+    readings of the other sensors determine. A label error must explain its readings better than
+    that tail does; an error of five standard deviations or more that only the tail explains is an
+    outlier. The search starts from least trimmed squares, continues in the linearised camera,
+    where leaving out or exchanging readings changes the sum of squares in closed form, and ends
+    with fits of the camera itself. An exchange that is likelier for all sensors together is one
+    of the points.
 
-    Not detectable: exchanged readings within a few standard deviations of each other, and a wrong
-    reading of a point that the others hardly predict.
+    Not detectable: exchanged readings within a few standard deviations of each other, and an
+    outlier at a point that the other readings hardly predict.
 
     Args:
         points_mm: control points, shape (N, 3) [mm].
@@ -109,11 +116,32 @@ def find_label_errors(
         progress(column / len(data), f"labels of {one.sensor.name}")
         data[column], labels = _search_sensor(one)
         found.append(labels)
+    tails = _tails(data, found)
     if known_sigma is None:
         usual = ScalePrior(POOLED_READINGS, median(labels.factor for labels in found))
-        data = [replace(one, scale=usual) for one in data]
+        data = [replace(one, scale=usual, tail=tail) for one, tail in zip(data, tails, strict=True)]
         found = [search_sensor_labels(one) for one in data]
+    else:
+        for column, labels in enumerate(found):
+            if labels.best.hypothesis.size > 0:
+                data[column] = replace(data[column], tail=tails[column])
+                found[column] = search_sensor_labels(data[column])
     return _report(*_search_device(data, found), readings)
+
+
+def _tails(data: list[SensorReadings], found: list[SensorExplanation]) -> list[NoiseTail]:
+    """Return the noise's tail for each sensor, estimated from the readings of the others.
+
+    A sensor's own readings are left out: exchanged ones would speak for a tail that explains them.
+    """
+    errors = [reading_errors(one, labels.best) for one, labels in zip(data, found, strict=True)]
+    tails = []
+    for column in range(len(data)):
+        others = [one for k, one in enumerate(errors) if k != column]
+        normalised = np.concatenate([np.zeros(0), *(one.normalised for one in others)])
+        gross = np.concatenate([np.zeros(0), *(one.gross_density for one in others)])
+        tails.append(estimate_tail(normalised, gross))
+    return tails
 
 
 def _search_sensor(data: SensorReadings) -> tuple[SensorReadings, SensorExplanation]:
@@ -121,7 +149,7 @@ def _search_sensor(data: SensorReadings) -> tuple[SensorReadings, SensorExplanat
 
     A camera without distortion where that leaves nothing to explain. Otherwise a lens with
     distortion is tried, and where neither agrees with the given standard deviations, a common
-    factor of these: where distortion is many standard deviations, no number of wrong readings
+    factor of these: where distortion is many standard deviations, no number of outliers
     explains it well.
     """
     stated = data.scale is KNOWN_SIGMA
@@ -261,10 +289,16 @@ def _report(
         counted = tuple(point + 1 for point in pair)
         findings.append(LabelFinding("exchanged", None, counted, probability, *largest))
     for one, labels in sensors:
+        errors = reading_errors(one, labels.best)
+        large = dict(zip(errors.points, errors.large.tolist(), strict=True))
         for kind, points, error in _errors(labels.best.hypothesis):
+            probability = labels.probability(error)
+            if kind == "outlier":
+                probability *= large[points[0]]
+                if probability < MIN_OUTLIER_PROBABILITY:
+                    continue
             residual = _label_residuals(one, labels, one.readings_px, points)
             counted = tuple(point + 1 for point in points)
-            probability = labels.probability(error)
             findings.append(LabelFinding(kind, one.sensor.name, counted, probability, *residual))
     sigma = tuple(
         float(np.sqrt((one.sigma_px[one.seen] ** 2).mean())) * labels.factor
@@ -279,9 +313,9 @@ def _errors(
     for cycle in sorted(hypothesis.cycles):
         yield "exchanged", cycle, Hypothesis(cycles=frozenset({cycle}))
     for reassigned in sorted(hypothesis.reassigned):
-        yield "missing", reassigned, Hypothesis(reassigned=frozenset({reassigned}))
-    for point in sorted(hypothesis.wrong):
-        yield "wrong", (point,), Hypothesis(wrong=frozenset({point}))
+        yield "wrong-label", reassigned, Hypothesis(reassigned=frozenset({reassigned}))
+    for point in sorted(hypothesis.outliers):
+        yield "outlier", (point,), Hypothesis(outliers=frozenset({point}))
 
 
 def _label_residuals(

@@ -8,7 +8,15 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.calibration.mislabels.hypothesis import Evidence, Hypothesis, ScalePrior
+from compute.calibration.mislabels.hypothesis import (
+    GROSS_ERROR_PROBABILITY,
+    NORMAL_TAIL,
+    TYPICAL_OUTLIER_SIGMA,
+    Evidence,
+    Hypothesis,
+    NoiseTail,
+    ScalePrior,
+)
 from compute.calibration.single_sensor.projective_camera import ProjectiveCamera
 from compute.calibration.single_sensor.trimmed_least_squares import robust_starts
 from compute.camera.model import SensorGeometry
@@ -29,6 +37,7 @@ class SensorReadings:
         sigma_px: standard deviations, shape (N,) [px]; any value where not seen.
         sensor: the sensor.
         scale: prior of a common factor of the standard deviations.
+        tail: tail of the noise.
         extra: linear distortion columns, see ``ProjectiveCamera``.
         offset_px: fixed offsets of the readings, see ``ProjectiveCamera``.
     """
@@ -38,6 +47,7 @@ class SensorReadings:
     sigma_px: Array
     sensor: SensorGeometry
     scale: ScalePrior
+    tail: NoiseTail = NORMAL_TAIL
     extra: Array | None = None
     offset_px: Array | None = None
 
@@ -60,7 +70,10 @@ class SensorReadings:
     @cached_property
     def evidence(self) -> Evidence:
         """Marginal likelihood of hypotheses."""
-        return Evidence(self.sensor.pixels, self.scale, self.camera.width)
+        sigma = np.sqrt((self.sigma_px[self.seen] ** 2).mean(keepdims=True)) * self.scale.factor
+        typical = np.array([TYPICAL_OUTLIER_SIGMA])
+        density, _ = self.tail.log_density(typical, np.zeros(1), sigma, self.sensor.pixels)
+        return Evidence(float(density[0]), self.scale, self.camera.width)
 
     def exchanged(self, first: int, second: int) -> "SensorReadings":
         """Return the readings with those of two points exchanged.
@@ -112,15 +125,25 @@ def evaluate(
     fitted, jacobian = data.camera.linearise(found)
     chi2 = (((fitted - readings) * weights) ** 2).sum(axis=1)
     weighted = jacobian * weights[..., None]
-    sign, log_determinant = np.linalg.slogdet(weighted.swapaxes(1, 2) @ weighted)
+    normal = weighted.swapaxes(1, 2) @ weighted
+    sign, log_determinant = np.linalg.slogdet(normal)
     count = kept.sum(axis=1)
+    log_outliers = np.zeros(len(hypotheses))
+    for row in np.flatnonzero([bool(h.outliers) for h in hypotheses] & (sign > 0.0)).tolist():
+        outliers = sorted(hypotheses[row].outliers)
+        factor = data.evidence.factor(float(chi2[row]), int(count[row]))
+        error, variance = _predict(data, outliers, fitted[row], jacobian[row], normal[row])
+        density, _ = data.tail.log_density(
+            error / factor, np.sqrt(variance), factor * data.sigma_px[outliers], data.sensor.pixels
+        )
+        log_outliers[row] = density.sum()
     unseen = len(data.readings_px) - len(data.seen)
     log_posterior = data.evidence.log_likelihood(
         chi2,
         count,
         log_determinant,
         np.log(sigma).sum(axis=1),
-        np.array([len(h.wrong) for h in hypotheses]),
+        log_outliers,
     ) + np.array([h.log_prior(len(data.seen), unseen) for h in hypotheses])
     return [
         EvaluatedHypothesis(
@@ -129,3 +152,54 @@ def evaluate(
         for row, hypothesis in enumerate(hypotheses)
         if sign[row] > 0.0 and count[row] > data.camera.width
     ]
+
+
+def _predict(
+    data: SensorReadings, rows: Sequence[int], fitted: Array, jacobian: Array, normal: Array
+) -> tuple[Array, Array]:
+    """Return readings minus fitted ones over sigma, and the fit's variance in sigma^2, (K,)."""
+    sigma = data.sigma_px[rows]
+    gradient = jacobian[rows] / sigma[:, None]
+    variance = (gradient * np.linalg.solve(normal, gradient.T).T).sum(axis=1)
+    return (data.readings_px[rows] - fitted[rows]) / sigma, np.maximum(variance, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class ReadingErrors:
+    """Errors of a sensor's readings at their points, as the other readings predict these.
+
+    Args:
+        points: points with a reading, counted from 0.
+        normalised: errors over sigma; those of kept readings over the residual's own, (n,).
+        gross_density: density of a gross error times its probability, per sigma, shape (n,).
+        large: of outliers, the probability of an error of ``OUTLIER_SIGMA`` or more; else 0, (n,).
+    """
+
+    points: tuple[int, ...]
+    normalised: Array
+    gross_density: Array
+    large: Array
+
+
+def reading_errors(data: SensorReadings, best: EvaluatedHypothesis) -> ReadingErrors:
+    """Return the errors of the readings that a hypothesis leaves with their own labels.
+
+    Args:
+        data: the sensor's readings.
+        best: the hypothesis.
+    """
+    hypothesis = best.hypothesis
+    moved = set[int]().union(*hypothesis.cycles, *hypothesis.reassigned)
+    rows = [point for point in data.seen.tolist() if point not in moved]
+    fitted, jacobian = data.camera.linearise(best.theta[None])
+    repaired, sigma_px = hypothesis.repair(data.readings_px, data.sigma_px)
+    kept = np.isfinite(repaired)
+    weighted = jacobian[0, kept] / sigma_px[kept, None]
+    factor = data.evidence.factor(best.chi2, best.kept)
+    error, variance = _predict(data, rows, fitted[0], jacobian[0], weighted.T @ weighted)
+    left_out = np.array([point in hypothesis.outliers for point in rows], dtype=bool)
+    normalised = error / factor / np.sqrt(np.where(left_out, 1.0, np.maximum(1.0 - variance, 1e-3)))
+    sigma = factor * data.sigma_px[rows]
+    _, large = data.tail.log_density(error / factor, np.sqrt(variance), sigma, data.sensor.pixels)
+    gross = GROSS_ERROR_PROBABILITY / data.sensor.pixels * sigma
+    return ReadingErrors(tuple(rows), normalised, gross, np.where(left_out, large, 0.0))

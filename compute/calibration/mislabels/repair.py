@@ -12,21 +12,22 @@ from compute.camera.observation_checks import Sensor
 from compute.errors import InvalidParameter
 
 Array = NDArray[np.float64]
-LabelErrorKind = Literal["wrong", "exchanged", "missing"]
+LabelErrorKind = Literal["outlier", "exchanged", "wrong-label"]
 
 
 @dataclass(frozen=True)
 class LabelFinding:
-    """One label error.
+    """One label error, or one outlier.
 
     Args:
-        kind: "wrong": the reading belongs to no point. "exchanged": readings carry each other's
-            labels. "missing": the reading belongs to another point, which has none.
+        kind: "exchanged": readings carry each other's labels. "wrong-label": the reading belongs
+            to another point, which has none. "outlier": the reading's error is in the tail of the
+            noise, five standard deviations or more, or gross; no label explains it.
         sensor: the sensor's name; None: all sensors, the points themselves carry each other's
             labels.
-        points: counted from 1. "wrong": the point. "exchanged": the reading labelled with each
-            of these belongs to the next, the last one's to the first. "missing": the label that
-            the reading carries, and the point that it belongs to.
+        points: counted from 1. "outlier": the point. "exchanged": the reading labelled with each
+            of these belongs to the next, the last one's to the first. "wrong-label": the label
+            that the reading carries, and the point that it belongs to.
         probability: posterior probability, among all hypotheses examined, 0 to 1.
         residual_px: residuals of the readings labelled ``points`` from the sensor calibrated
             without the error [px]; for all sensors, from the one with the largest; None without a
@@ -78,7 +79,7 @@ def repair(
     readings_px: Array,
     sigma_px: Array | None = None,
 ) -> tuple[Array, Array | None]:
-    """Return readings assigned to their own points; wrong ones are NaN.
+    """Return readings assigned to their own points; outliers are NaN.
 
     Args:
         findings: of ``find_label_errors``, those of all sensors first: findings of single sensors
@@ -97,7 +98,7 @@ def repair(
     sigma = None if sigma_px is None else np.array(sigma_px, dtype=np.float64)
     for finding in findings:
         columns, points = _where(finding, sensors, readings)
-        if finding.kind == "wrong":
+        if finding.kind == "outlier":
             readings[np.ix_(points, columns)] = np.nan
             continue
         there, here = [*points[1:], points[0]], points

@@ -1,7 +1,7 @@
 """Search for one sensor's label errors: candidates in the linearised camera, tests in the full."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import combinations, permutations, product
 from typing import Final
 
@@ -35,7 +35,7 @@ SIGMA_RATIO_THRESHOLD: Final = 3.0
 """Noise of the better-fitting half over the given sigma from which sigma is rejected."""
 MANY_OUTLIERS_COUNT_THRESHOLD: Final = 8
 MANY_OUTLIERS_SHARE_THRESHOLD: Final = 0.2
-"""More outliers than this number and share cannot be a few wrong labels."""
+"""More outliers than this number and share cannot be a few label errors."""
 MAX_REASSIGNMENTS: Final = 200
 
 
@@ -96,7 +96,7 @@ class SensorExplanation:
         """Return the posterior probability of these errors."""
         weights = np.exp([one.log_posterior - self.best.log_posterior for one in self.evaluated])
         holds = [
-            error.wrong <= one.hypothesis.wrong
+            error.outliers <= one.hypothesis.outliers
             and error.cycles <= one.hypothesis.cycles
             and error.reassigned <= one.hypothesis.reassigned
             for one in self.evaluated
@@ -129,6 +129,7 @@ def search_sensor_labels(data: SensorReadings) -> SensorExplanation:
         last_searched = best.hypothesis
         pool.search_nearby(best.theta, [best.hypothesis], EVALUATED_IN_LAST_SEARCH)
         pool.evaluate(_reassignments(data, pool.best), pool.best.theta)
+        pool.evaluate(_as_outliers(pool.best.hypothesis), pool.best.theta)
     best = pool.best
     return SensorExplanation(
         best, tuple(pool.evaluated.values()), data.evidence.factor(best.chi2, best.kept)
@@ -139,7 +140,7 @@ def contradicts_sigma(data: SensorReadings) -> bool:
     """Return whether the readings contradict their standard deviations or the camera model.
 
     Either the best-fitting half of the readings contradicts sigma, or it agrees and many of the
-    others are outliers: more than a few wrong labels.
+    others are outliers: more than a few label errors.
     """
     if _is_clean(_without_errors(data)):
         return False
@@ -194,18 +195,18 @@ def _residuals(data: SensorReadings, theta: Array) -> tuple[Array, float]:
 
 
 def _reassignments(data: SensorReadings, best: EvaluatedHypothesis) -> list[Hypothesis]:
-    """Return hypotheses in which wrong readings belong to other points.
+    """Return hypotheses in which outliers belong to other points.
 
     In cycles of two or three, or to points without a reading; the most likely first.
     """
-    wrong = sorted(best.hypothesis.wrong)
+    outliers = sorted(best.hypothesis.outliers)
     fitted = data.camera.project(best.theta[None])[0]
     residuals = np.abs(data.readings_px[:, None] - fitted)  # reading labelled i, at point j
     taken = {own for _, own in best.hypothesis.reassigned}
     unseen = np.flatnonzero(~np.isfinite(data.readings_px)).tolist()
-    cycles = [*permutations(wrong, 3), *combinations(wrong, 2)]
+    cycles = [*permutations(outliers, 3), *combinations(outliers, 2)]
     cycles = [cycle for cycle in cycles if cycle[0] == min(cycle)]
-    reassigned = [pair for pair in product(wrong, unseen) if pair[1] not in taken]
+    reassigned = [pair for pair in product(outliers, unseen) if pair[1] not in taken]
     worst = [max(map(residuals.item, cycle, cycle[1:] + cycle[:1])) for cycle in cycles]
     worst += [residuals.item(pair) for pair in reassigned]
     nearest = np.argsort(worst, kind="stable")[:MAX_REASSIGNMENTS].tolist()
@@ -217,11 +218,26 @@ def _reassignments(data: SensorReadings, best: EvaluatedHypothesis) -> list[Hypo
     ]
 
 
+def _as_outliers(best: Hypothesis) -> list[Hypothesis]:
+    """Return hypotheses in which the readings of one label error are outliers, all or all but one.
+
+    They are what an exchanged or wrong label competes with where the noise has a heavy tail.
+    """
+    found = []
+    for error in sorted(best.cycles | best.reassigned):
+        rest = best.without(error)
+        readings = error[:1] if error in best.reassigned else error
+        for left in range(len(readings) + 1):
+            chosen = frozenset(readings[:left] + readings[left + 1 :])
+            found.append(replace(rest, outliers=rest.outliers | chosen))
+    return found
+
+
 def _renamed(hypothesis: Hypothesis, names: dict[int, int]) -> Hypothesis | None:
     """Return the hypothesis with its points renumbered; None where one has no number."""
     if hypothesis.reassigned or not hypothesis.affected_points <= names.keys():
         return None
-    renamed = Hypothesis(frozenset(names[point] for point in hypothesis.wrong))
+    renamed = Hypothesis(frozenset(names[point] for point in hypothesis.outliers))
     for cycle in hypothesis.cycles:
         renamed = renamed.with_cycle(names[point] for point in cycle)
     return renamed

@@ -97,8 +97,8 @@ class CalibrationOptions(RequestModel):
     loss: Loss = Field(default="linear", description="`robust`: wrong readings lose their weight.")
     labels: LabelPolicy = Field(
         default="off",
-        description="What is done with wrong and exchanged labels: not looked for, reported, "
-        "left out, or repaired.",
+        description="What is done with exchanged and wrong labels and with outliers: not looked "
+        "for, reported, left out, or repaired (outliers: left out).",
     )
 
     def settings(self) -> CalibrationSettings:

@@ -46,7 +46,11 @@ def warnings(content: ReportContent, _draw: Draw) -> str:
         if fit.chi2_per_dof is not None and fit.chi2_per_dof > 2.0
     ]
     if calibration.labels:
-        said.append(f"Labels look wrong ({len(calibration.labels)} findings): see below.")
+        outliers = sum(one.kind == "outlier" for one in calibration.labels)
+        said.append(
+            f"Labels that look wrong: {len(calibration.labels) - outliers}; outliers: {outliers}. "
+            "See below."
+        )
     if content.suspicious:
         said.append(
             f"{len(content.suspicious)} residuals exceed {SUSPICIOUS_SIGMA} deviations: see below."
@@ -86,8 +90,8 @@ def outliers(content: ReportContent, _draw: Draw) -> str:
              ", ".join(map(plain, one.residual_px)), ", ".join(map(plain, one.normalised_residual)))
             for one in findings
         ]  # fmt: skip
-        headings = ("label", "sensor", "points", "probability", "off, px", "off, deviations")
-        parts.append("<p>Labels that do not fit:</p>" + table(headings, rows))
+        headings = ("finding", "sensor", "points", "probability", "off, px", "off, deviations")
+        parts.append("<p>Labels and readings that do not fit:</p>" + table(headings, rows))
     if content.suspicious:
         parts.append(
             f"<p>Residuals beyond {SUSPICIOUS_SIGMA} deviations:</p>"
@@ -98,7 +102,11 @@ def outliers(content: ReportContent, _draw: Draw) -> str:
     if not parts and len(content.points_mm):
         settings = content.calibration.settings
         looked = settings is not None and settings.labels != "off"
-        labels = "No label looks wrong. " if looked else "Labels were not looked at. "
+        labels = (
+            "No label looks wrong, no reading is an outlier. "
+            if looked
+            else "Labels were not looked at. "
+        )
         parts.append(f"<p>{labels}No residual exceeds {SUSPICIOUS_SIGMA} deviations.</p>")
     return "".join(parts)
 

@@ -189,7 +189,7 @@ def test_findings_are_told_in_words() -> None:
     assert label_message(exchanged) == (
         "sensor cam4: the readings of points 14 and 16 are exchanged (probability 0.999)"
     )
-    wrong = LabelFinding("wrong", "cam1", (3,), 1.0, (25.0,), (20.0,))
-    assert "point 3 is wrong, off by 25 px" in label_message(wrong)
-    missing = LabelFinding("missing", None, (4, 7), 0.9, (25.0, None), (20.0, None))
-    assert label_message(missing).startswith("all sensors: the reading of point 4 is point 7's")
+    outlier = LabelFinding("outlier", "cam1", (3,), 1.0, (25.0,), (-20.0,))
+    assert "point 3 is an outlier, off by 25 px or 20 sigma" in label_message(outlier)
+    wrong = LabelFinding("wrong-label", "cam2", (4, 7), 0.9, (25.0, None), (20.0, None))
+    assert label_message(wrong).startswith("sensor cam2: the reading labelled 4 is point 7's")

@@ -1,6 +1,7 @@
 """Documents stored before revision 0010 are read after it, and the chain of hashes holds."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from sqlalchemy import text
 from sqlalchemy.orm import Session
 
 from compute.calibration.assessment.assess import calibrate_and_assess
+from compute.calibration.mislabels.repair import LabelFinding
 from compute.calibration.settings import CalibrationSettings
 from compute.camera.model import SensorGeometry
 from compute.camera.stack import CameraStack
@@ -33,15 +35,16 @@ from tests.service.api.correction_tables.tables import SENSORS, content
 
 OLD = (
     '"smaller"', '"weakest_in_words"', '"off_px"', '"off_sigma"', '"white_jerk"', '"low"',
+    '"wrong"', '"missing"',
 )  # fmt: skip
 NEW = (
     '"reduced_terms"', '"weakest_description"', '"residual_px"', '"normalised_residual"',
-    '"jerk_psd"', '"off_level"',
+    '"jerk_psd"', '"off_level"', '"outlier"', '"wrong-label"',
 )  # fmt: skip
 
 
 def outcome() -> Outcome:
-    """A calibration with a distortion as of a choice among sets, a diagnosis, exchanged labels."""
+    """A calibration with a distortion as of a choice among sets, a diagnosis and all findings."""
     rng = np.random.default_rng(4)
     points = rng.uniform((-300, -300, 1300), (300, 300, 1900), (60, 3))
     readings = CameraStack.of(nominal_calibration().models).project(points) + rng.normal(
@@ -53,6 +56,11 @@ def outcome() -> Outcome:
     result = calibrate_and_assess(
         points, readings, sensors, np.full(readings.shape, 0.05), settings
     )
+    other = (
+        LabelFinding("outlier", "s1", (5,), 0.9, (3.0,), (8.0,)),
+        LabelFinding("wrong-label", "s3", (7, 8), 0.9, (3.0, None), (8.0, None)),
+    )
+    result = replace(result, labels=result.labels + other)
     document = calibration_content("sim", "fitted", [], result)
     document["result"]["distortion"]["reduced_terms"] = []
     return Outcome(result, document, {})

@@ -29,7 +29,8 @@ def camera(seed: int, count: int, scale: ScalePrior) -> LinearisedCamera:
     fitted = rng.uniform(0.0, 60.0, count)
     sigma = rng.uniform(0.5, 2.0, count)
     readings = fitted + sigma * rng.standard_normal(count)
-    return LinearisedCamera(basis, fitted, readings, sigma, Evidence(2048, scale, WIDTH))
+    evidence = Evidence(float(np.log(0.03 / 2048)), scale, WIDTH)
+    return LinearisedCamera(basis, fitted, readings, sigma, evidence)
 
 
 @pytest.mark.parametrize("scale", [KNOWN_SIGMA, ScalePrior(1.0, 0.3)], ids=["known", "unknown"])

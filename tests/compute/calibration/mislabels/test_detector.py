@@ -90,7 +90,7 @@ def test_a_cycle_of_three_labels() -> None:
     np.testing.assert_array_equal(repaired, readings)
 
 
-def test_a_missing_label() -> None:
+def test_a_wrong_label() -> None:
     points = control_points(24)
     readings = noisy(points)
     readings[9, 2] = np.nan
@@ -98,7 +98,7 @@ def test_a_missing_label() -> None:
     mixed[9, 2], mixed[3, 2] = readings[3, 2], np.nan
     sigma = ones(mixed)
     (finding,) = find_label_errors(points, mixed, SENSORS, sigma).findings
-    assert (finding.kind, finding.sensor, finding.points) == ("missing", "s3", (10, 4))
+    assert (finding.kind, finding.sensor, finding.points) == ("wrong-label", "s3", (10, 4))
     repaired, mended_sigma = repair([finding], SENSORS, mixed, sigma)
     np.testing.assert_array_equal(np.isnan(repaired), np.isnan(readings))
     assert np.nanmax(np.abs(repaired - readings)) == 0.0
@@ -123,7 +123,7 @@ def test_what_is_off_and_by_how_much() -> None:
     readings = noisy(points)
     readings[6, 3] += 50.0
     (finding,) = find_label_errors(points, readings, SENSORS, ones(readings)).findings
-    assert finding.kind == "wrong"
+    assert finding.kind == "outlier"
     residual_px, normalised_residual = finding.residual_px[0], finding.normalised_residual[0]
     assert residual_px is not None
     assert normalised_residual is not None
@@ -154,7 +154,7 @@ def test_excluding_and_repairing_leave_the_rest_alone(seed: int) -> None:
 
 def test_the_search_repeats_itself() -> None:
     rng = np.random.default_rng(8)
-    frame = next(iter(random_frames(rng, 1, "thesis", "wrong", 3)))
+    frame = next(iter(random_frames(rng, 1, "thesis", "outlier", 3)))
     assert findings_of(frame) == findings_of(frame)
 
 
@@ -216,7 +216,7 @@ def test_a_lens_with_distortion_is_no_label_error() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("kind", "number"), [("none", 0), ("exchanged", 1), ("wrong", 1)])
+@pytest.mark.parametrize(("kind", "number"), [("none", 0), ("exchanged", 1), ("outlier", 1)])
 def test_a_wide_field_of_strong_lenses(kind: Errors, number: int) -> None:
     """A distortion of tens of pixels at 0.02 to 1 px of noise: a lens of five fixed columns fails.
 

@@ -34,8 +34,10 @@ def _rename_kinds(kinds: Names) -> None:
         rows = sa.Table("calibrations", tables, autoload_with=bind)
         for key, content in bind.execute(sa.select(rows.c.id, rows.c.content)).all():
             result = content.get("result") if isinstance(content, dict) else None
-            labels = result.get("labels") if isinstance(result, dict) else None
-            if not labels or not any(finding["kind"] in kinds for finding in labels):
+            if not isinstance(result, dict):
+                continue
+            labels = result.get("labels", [])
+            if not any(finding["kind"] in kinds for finding in labels):
                 continue
             renamed = [
                 finding | {"kind": kinds.get(finding["kind"], finding["kind"])}

@@ -260,9 +260,15 @@ class _Search:
     def _is_near_minimum(self, equations: NormalEquations, motion: Array | None) -> bool:
         """Return whether the undamped step is negligible (Bates and Watts, doi:10.2307/1268140)."""
         free = self.adjusted_parameters
-        reduced = equations.reduced()
+        try:
+            reduced = equations.reduced()
+        except np.linalg.LinAlgError:  # a pose that nothing determines
+            return False
+        normal = reduced.normal[np.ix_(free, free)]
+        if not (np.diagonal(normal) > 0.0).all():  # a parameter that nothing determines
+            return False
         gradient = reduced.gradient[free]
-        step = _solve_damped(reduced.normal[np.ix_(free, free)], -gradient, motion)
+        step = _solve_damped(normal, -gradient, motion)
         poses = sum(
             float(np.einsum("bi,bij,bj->", block.gradient, inverse, block.gradient))
             for block, inverse in zip(equations.blocks, reduced.inverses, strict=True)

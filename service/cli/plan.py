@@ -124,7 +124,9 @@ def _sensors(plan: Plan) -> Table:
          _number(sensor.fixed_pattern_px, digits=2), _number(sensor.misfit_px, digits=2))
         for sensor, share in zip(plan.sensors, plan.coverage.by_sensor, strict=True)
     )  # fmt: skip
-    return make_table(headings, rows, "readings: medians over the volume")
+    table = make_table(headings, rows, "readings: medians over the volume")
+    table.columns[0].no_wrap = True
+    return table
 
 
 def _thousands(value: float | None) -> str | None:

@@ -31,7 +31,7 @@ from compute.calibration.single_sensor.sensor_fits import (
     block_count,
     spatial_block_index,
 )
-from compute.camera.model import SensorGeometry, vector3
+from compute.camera.model import PARAMETER_COUNT, SensorGeometry, vector3
 from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter
 from compute.progress import Progress, no_progress, partial_progress
@@ -240,9 +240,12 @@ def _refits(
 
 
 def _is_determined(observed: ControlObservations, fits: SensorFits) -> bool:
+    # With a prior the readings need to determine only the parameters that it says nothing of.
+    known = fits.scaled_prior is not None
     used = fits.used(observed).sum(axis=0)
     if any(
-        count < len(fitted_columns(model)) for count, model in zip(used, fits.models, strict=True)
+        count < (PARAMETER_COUNT if known else len(fitted_columns(model)))
+        for count, model in zip(used, fits.models, strict=True)
     ):
         return False
     weights = fits.known_weights(observed)

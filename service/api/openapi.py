@@ -8,7 +8,6 @@ from fastapi import APIRouter, FastAPI
 from fastapi.openapi.utils import get_openapi
 from pydantic.json_schema import models_json_schema
 
-from compute.errors import LumilineError
 from service.api.inputs import JsonRoute
 from service.principal import SCOPE_MEANINGS
 from service.problems.catalogue import (
@@ -127,11 +126,6 @@ def raises(*codes: str) -> Callable[[Endpoint], Endpoint]:
         return endpoint
 
     return add
-
-
-def problems(*errors: type[LumilineError]) -> Responses:
-    """Return the responses of an operation that raises these errors, for ``responses=``."""
-    return _responses([error.code for error in errors])
 
 
 def _responses(codes: Iterable[str]) -> Responses:

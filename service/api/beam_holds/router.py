@@ -3,10 +3,8 @@
 import time
 from typing import Annotated
 
-from fastapi import APIRouter, Body, Path, Response
-from starlette.status import HTTP_201_CREATED, HTTP_204_NO_CONTENT
+from fastapi import Body, Path, Response
 
-from compute.errors import InvalidParameter, NotStationary
 from compute.pose.beam_hold import BeamHoldCause
 from service.api.base_models import SLUG_PATTERN, Page
 from service.api.beam_holds import store
@@ -23,32 +21,18 @@ from service.api.devices.device_service import DeviceServiceDep
 from service.api.inputs import (
     DatabaseDep,
     DeviceFilter,
-    JsonRoute,
     JsonTypes,
     LiveDep,
     PagingDep,
     page_of,
 )
-from service.api.openapi import problems
+from service.api.openapi import ResourceRouter, raises
 from service.api.tools import concurrency_limits
 from service.database.models import HoldRow
 from service.pipeline.frame_batch import BeamHoldState
 from service.pipeline.pipeline_manager import PipelineManager
-from service.problems.errors import (
-    BeamHoldExists,
-    BeamHoldReplaced,
-    Busy,
-    CalibrationSwitched,
-    DeviceNotRunning,
-    NoActiveCalibration,
-    NoObservation,
-    TooManyBeamHolds,
-    UnknownBeamHold,
-    UnknownDevice,
-    UnknownTool,
-)
 
-router = APIRouter(prefix="/api/v1", tags=["beam-holds"], route_class=JsonRoute)
+router = ResourceRouter("/api/v1", "beam-holds")
 
 NewBeamHoldBody = Annotated[NewBeamHold, JsonTypes(), Body(openapi_examples=NEW_BEAM_HOLDS)]
 ChangeBody = Annotated[BeamHoldChange, JsonTypes(), Body(openapi_examples=CHANGES)]
@@ -58,7 +42,7 @@ BeamHoldPath = Annotated[
 ]
 
 
-@router.get("/beam-holds", operation_id="list-beam-holds", summary="List beam holds")
+@router.operation("GET /beam-holds", "list-beam-holds", "List beam holds")
 def list_beam_holds(
     database: DatabaseDep, paging: PagingDep, device: DeviceFilter = None
 ) -> Page[BeamHold]:
@@ -67,15 +51,9 @@ def list_beam_holds(
         return page_of(session, store.holds(device), paging, store.document)
 
 
-@router.post(
-    "/beam-holds",
-    operation_id="create-beam-hold",
-    summary="Create a beam hold",
-    status_code=HTTP_201_CREATED,
-    responses=problems(
-        UnknownDevice, UnknownTool, BeamHoldExists, TooManyBeamHolds, InvalidParameter
-    ),
-)
+@router.operation("POST /beam-holds", "create-beam-hold", "Create a beam hold", status_code=201)
+@raises("unknown-device", "unknown-tool", "beam-hold-exists", "too-many-beam-holds")
+@raises("invalid-parameter")
 def create_beam_hold(
     request: NewBeamHoldBody, live: LiveDep, device_service: DeviceServiceDep, response: Response
 ) -> BeamHold:
@@ -90,24 +68,18 @@ def create_beam_hold(
     return made
 
 
-@router.get(
-    "/beam-holds/{hold_id}",
-    operation_id="get-beam-hold",
-    summary="Read a beam hold",
-    responses=problems(UnknownBeamHold),
-)
+@router.operation("GET /beam-holds/{hold_id}", "get-beam-hold", "Read a beam hold")
+@raises("unknown-beam-hold")
 def get_beam_hold(hold_id: BeamHoldPath, database: DatabaseDep) -> BeamHold:
     """One hold."""
     with database.read() as session:
         return store.document(store.get_beam_hold(session, hold_id))
 
 
-@router.patch(
-    "/beam-holds/{hold_id}",
-    operation_id="change-beam-hold",
-    summary="Change a beam hold's limits, rules or title",
-    responses=problems(UnknownBeamHold, InvalidParameter),
+@router.operation(
+    "PATCH /beam-holds/{hold_id}", "change-beam-hold", "Change a beam hold's limits, rules or title"
 )
+@raises("unknown-beam-hold", "invalid-parameter")
 def change_beam_hold(
     hold_id: BeamHoldPath,
     request: ChangeBody,
@@ -123,13 +95,8 @@ def change_beam_hold(
         return store.document(store.change_beam_hold(session, row, request))
 
 
-@router.delete(
-    "/beam-holds/{hold_id}",
-    operation_id="delete-beam-hold",
-    summary="Delete a beam hold",
-    status_code=HTTP_204_NO_CONTENT,
-    responses=problems(UnknownBeamHold),
-)
+@router.operation("DELETE /beam-holds/{hold_id}", "delete-beam-hold", "Delete a beam hold")
+@raises("unknown-beam-hold")
 def delete_beam_hold(
     hold_id: BeamHoldPath, database: DatabaseDep, device_service: DeviceServiceDep
 ) -> None:
@@ -138,22 +105,14 @@ def delete_beam_hold(
         session.delete(store.get_beam_hold(session, hold_id))
 
 
-@router.post(
-    "/beam-holds/{hold_id}/reference",
-    operation_id="set-beam-hold-reference",
-    summary="Say that all is where it is to be",
-    responses=problems(
-        UnknownBeamHold,
-        BeamHoldReplaced,
-        Busy,
-        DeviceNotRunning,
-        NoActiveCalibration,
-        CalibrationSwitched,
-        NoObservation,
-        NotStationary,
-        InvalidParameter,
-    ),
+@router.operation(
+    "POST /beam-holds/{hold_id}/reference",
+    "set-beam-hold-reference",
+    "Say that all is where it is to be",
 )
+@raises("unknown-beam-hold", "beam-hold-replaced", "busy", "device-not-running")
+@raises("no-active-calibration", "calibration-switched", "nothing-seen", "not-stationary")
+@raises("invalid-parameter")
 def set_beam_hold_reference(
     hold_id: BeamHoldPath,
     request: ReferenceBody,
@@ -184,12 +143,12 @@ def set_beam_hold_reference(
         return _set_up(live, store.set_reference(session, row, reference))
 
 
-@router.delete(
-    "/beam-holds/{hold_id}/reference",
-    operation_id="remove-beam-hold-reference",
-    summary="Take a beam hold's reference away",
-    responses=problems(UnknownBeamHold),
+@router.operation(
+    "DELETE /beam-holds/{hold_id}/reference",
+    "remove-beam-hold-reference",
+    "Take a beam hold's reference away",
 )
+@raises("unknown-beam-hold")
 def delete_beam_hold_reference(
     hold_id: BeamHoldPath, database: DatabaseDep, device_service: DeviceServiceDep
 ) -> BeamHold:
@@ -199,12 +158,10 @@ def delete_beam_hold_reference(
         return store.document(store.set_reference(session, row, None))
 
 
-@router.post(
-    "/beam-holds/{hold_id}/acknowledge",
-    operation_id="acknowledge-beam-hold",
-    summary="Acknowledge a latched hold",
-    responses=problems(UnknownBeamHold),
+@router.operation(
+    "POST /beam-holds/{hold_id}/acknowledge", "acknowledge-beam-hold", "Acknowledge a latched hold"
 )
+@raises("unknown-beam-hold")
 def acknowledge_beam_hold(
     hold_id: BeamHoldPath, database: DatabaseDep, live: LiveDep, response: Response
 ) -> BeamHoldStatus:
@@ -215,12 +172,10 @@ def acknowledge_beam_hold(
     return state_of(live, device, hold_id)
 
 
-@router.get(
-    "/beam-holds/{hold_id}/state",
-    operation_id="get-beam-hold-state",
-    summary="Whether the beam is held now",
-    responses=problems(UnknownBeamHold),
+@router.operation(
+    "GET /beam-holds/{hold_id}/state", "get-beam-hold-state", "Whether the beam is held now"
 )
+@raises("unknown-beam-hold")
 def get_beam_hold_state(
     hold_id: BeamHoldPath, database: DatabaseDep, live: LiveDep, response: Response
 ) -> BeamHoldStatus:

@@ -2,24 +2,20 @@
 
 from typing import Annotated
 
-from fastapi import APIRouter, Depends, Path, Request
+from fastapi import Depends, Path, Request
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 from starlette.responses import FileResponse
-from starlette.status import HTTP_204_NO_CONTENT
 
 from service.api.base_models import SLUG_PATTERN, Page
 from service.api.exports.examples import EXPORT_IDS
 from service.api.exports.repository import MEDIA_TYPES, ExportRepository
 from service.api.exports.schema import Export, ExportFile
-from service.api.inputs import DatabaseDep, JsonRoute, Limit, Offset
-from service.api.openapi import problems
+from service.api.inputs import DatabaseDep, Limit, Offset
+from service.api.openapi import ResourceRouter, raises
 from service.database.models import RunRow
-from service.problems.errors import (
-    UnknownExport,
-)
 
-router = APIRouter(prefix="/api/v1", tags=["recordings"], route_class=JsonRoute)
+router = ResourceRouter("/api/v1", "recordings")
 
 _BINARY = {"schema": {"type": "string", "format": "binary"}}
 _FILE = dict.fromkeys(dict.fromkeys(MEDIA_TYPES.values()), _BINARY)
@@ -37,7 +33,7 @@ ExportPath = Annotated[
 ]
 
 
-@router.get("/exports", operation_id="list-exports", summary="List exports")
+@router.operation("GET /exports", "list-exports", "List exports")
 def list_exports(
     exports: ExportsDep, database: DatabaseDep, limit: Limit = 50, offset: Offset = 0
 ) -> Page[Export]:
@@ -48,12 +44,8 @@ def list_exports(
     return Page(items=items, total=len(found), limit=limit, offset=offset)
 
 
-@router.get(
-    "/exports/{export_id}",
-    operation_id="get-export",
-    summary="Read about an export",
-    responses=problems(UnknownExport),
-)
+@router.operation("GET /exports/{export_id}", "get-export", "Read about an export")
+@raises("unknown-export")
 def get_export(export_id: ExportPath, exports: ExportsDep, database: DatabaseDep) -> Export:
     """What an export is of, its format and its size."""
     _, found = exports.find(export_id)
@@ -61,30 +53,25 @@ def get_export(export_id: ExportPath, exports: ExportsDep, database: DatabaseDep
         return _with_run(session, found)
 
 
-@router.get(
-    "/exports/{export_id}/file",
-    operation_id="download-export",
-    summary="Download an export",
-    response_class=FileResponse,
-    responses=problems(UnknownExport)
-    | {
+@router.operation(
+    "GET /exports/{export_id}/file",
+    "download-export",
+    "Download an export",
+    responses={
         200: {"description": "The whole file.", "content": _FILE},
         206: {"description": "The part that the header `Range` asks for.", "content": _FILE},
     },
+    response_class=FileResponse,
 )
+@raises("unknown-export")
 def download_export(export_id: ExportPath, exports: ExportsDep) -> FileResponse:
     """The file, or the part of it that the header `Range` asks for."""
     path, found = exports.find(export_id)
     return FileResponse(path, media_type=found.media_type, filename=found.file_name)
 
 
-@router.delete(
-    "/exports/{export_id}",
-    operation_id="delete-export",
-    summary="Delete an export",
-    status_code=HTTP_204_NO_CONTENT,
-    responses=problems(UnknownExport),
-)
+@router.operation("DELETE /exports/{export_id}", "delete-export", "Delete an export")
+@raises("unknown-export")
 def delete_export(export_id: ExportPath, exports: ExportsDep) -> None:
     """Delete the file; the recording and the run stay."""
     exports.delete(export_id)

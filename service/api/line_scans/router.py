@@ -4,13 +4,13 @@ from functools import partial
 from typing import Annotated, Final
 
 import numpy as np
-from fastapi import APIRouter, Body, Depends, Query, Request
+from fastapi import Body, Depends, Query, Request
 from starlette.responses import Response
 
 from compute.errors import InvalidParameter
 from service.api.concurrency_limit import ConcurrencyLimit
 from service.api.devices.profiles import find_profile
-from service.api.inputs import JsonRoute, JsonTypes
+from service.api.inputs import JsonTypes
 from service.api.line_scans.chain_steps import ChainMethod
 from service.api.line_scans.examples import NEW_LINE_SCANS
 from service.api.line_scans.mask_method import MaskMethod
@@ -27,11 +27,10 @@ from service.api.line_scans.schema import (
     LineScans,
     PixelNoise,
 )
-from service.api.openapi import problems
+from service.api.openapi import ResourceRouter, raises
 from service.pipeline.detection_stage import FindProfile
-from service.problems.errors import Busy
 
-router = APIRouter(prefix="/api/v1", tags=["line-scans"], route_class=JsonRoute)
+router = ResourceRouter("/api/v1", "line-scans")
 
 MAX_CONCURRENT: Final = 2
 """Requests computed at the same time: long scans take seconds, and threads are for all."""
@@ -62,13 +61,10 @@ def _find_profile(request: Request) -> FindProfile:
 ProfileFinder = Annotated[FindProfile, Depends(_find_profile)]
 
 
-@router.post(
-    "/line-scans",
-    operation_id="find-peaks",
-    summary="Find the peaks of scans",
-    response_model=LineScans,
-    responses=problems(InvalidParameter, Busy),
+@router.operation(
+    "POST /line-scans", "find-peaks", "Find the peaks of scans", response_model=LineScans
 )
+@raises("invalid-parameter", "busy")
 def find_peaks_of_scans(request: NewLineScansBody, profile: ProfileFinder) -> Response:
     """Find the peaks of the scans that you post, by the method that you choose.
 
@@ -87,13 +83,14 @@ def find_peaks_of_scans(request: NewLineScansBody, profile: ProfileFinder) -> Re
     return Response(content, media_type="application/json")
 
 
-@router.post(
-    "/line-scans.png",
-    operation_id="draw-peaks",
-    summary="Draw a line and its peaks",
+@router.operation(
+    "POST /line-scans.png",
+    "draw-peaks",
+    "Draw a line and its peaks",
+    responses={200: _PNG},
     response_class=Response,
-    responses=problems(InvalidParameter, Busy) | {200: _PNG},
 )
+@raises("invalid-parameter", "busy")
 def draw_peaks_of_scan(
     request: NewLineScansBody, profile: ProfileFinder, scan: ScanQuery = 0
 ) -> Response:

@@ -3,13 +3,12 @@
 from pathlib import Path
 from typing import Annotated
 
-from fastapi import APIRouter, Depends, Request
+from fastapi import Depends, Request
 from starlette.responses import Response
 
-from compute.errors import InvalidParameter
 from compute.planning.plan_result import Plan
 from service.api.devices.profiles import all_profiles, find_profile, profile_text
-from service.api.openapi import problems
+from service.api.openapi import ResourceRouter, raises
 from service.api.planning.plan_cache import cached_plan, cached_plot
 from service.api.planning.schema import (
     DeviceProfileDocument,
@@ -19,9 +18,8 @@ from service.api.planning.schema import (
     document_of,
     summary_of,
 )
-from service.problems.errors import Busy, UnknownDeviceProfile
 
-router = APIRouter(prefix="/api/v1/device-profiles", tags=["device-profiles"])
+router = ResourceRouter("/api/v1/device-profiles", "device-profiles")
 
 _PNG = {"content": {"image/png": {"schema": {"type": "string", "format": "binary"}}}}
 
@@ -34,29 +32,21 @@ def _profiles_dir(request: Request) -> Path:
 ProfilesDir = Annotated[Path, Depends(_profiles_dir)]
 
 
-@router.get("", operation_id="list-device-profiles", summary="List device profiles")
+@router.operation("GET", "list-device-profiles", "List device profiles")
 def list_device_profiles(profiles_dir: ProfilesDir) -> list[DeviceProfileSummary]:
     """The built-in profiles of published devices and those in the data directory, by name."""
     return [summary_of(profile) for profile in all_profiles(profiles_dir)]
 
 
-@router.get(
-    "/{name}",
-    operation_id="get-device-profile",
-    summary="Read a device profile",
-    responses=problems(UnknownDeviceProfile, InvalidParameter),
-)
+@router.operation("GET /{name}", "get-device-profile", "Read a device profile")
+@raises("unknown-device-profile", "invalid-parameter")
 def get_device_profile(name: ProfilePath, profiles_dir: ProfilesDir) -> DeviceProfileDocument:
     """One device as published: geometry, detector, markers, rates, volume and figures."""
     return document_of(find_profile(name, profiles_dir), profile_text(name, profiles_dir))
 
 
-@router.get(
-    "/{name}/plan",
-    operation_id="get-plan",
-    summary="Plan a device",
-    responses=problems(UnknownDeviceProfile, InvalidParameter, Busy),
-)
+@router.operation("GET /{name}/plan", "get-plan", "Plan a device")
+@raises("unknown-device-profile", "invalid-parameter", "busy")
 def get_plan(name: ProfilePath, profiles_dir: ProfilesDir, grid: GridQuery = 3) -> Plan:
     """What the device reaches over its working volume: precision, coverage, rates, ghosts.
 
@@ -65,13 +55,14 @@ def get_plan(name: ProfilePath, profiles_dir: ProfilesDir, grid: GridQuery = 3) 
     return cached_plan(name, profiles_dir, grid)
 
 
-@router.get(
-    "/{name}/plan.png",
-    operation_id="get-plan-picture",
-    summary="Draw a plan",
+@router.operation(
+    "GET /{name}/plan.png",
+    "get-plan-picture",
+    "Draw a plan",
+    responses={200: _PNG},
     response_class=Response,
-    responses=problems(UnknownDeviceProfile, InvalidParameter, Busy) | {200: _PNG},
 )
+@raises("unknown-device-profile", "invalid-parameter", "busy")
 def get_plan_picture(name: ProfilePath, profiles_dir: ProfilesDir, grid: GridQuery = 3) -> Response:
     """The plan as a picture (PNG): maps of the deviations, error against distance, ghosts."""
     return Response(cached_plot(name, profiles_dir, grid), media_type="image/png")

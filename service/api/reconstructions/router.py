@@ -4,11 +4,9 @@ from collections.abc import Sequence
 from typing import Annotated
 
 import numpy as np
-from fastapi import APIRouter, Body, Path, Response
-from starlette.status import HTTP_201_CREATED, HTTP_204_NO_CONTENT
+from fastapi import Body, Path, Response
 
 from compute.calibration.result import Calibration, measurement_sigma
-from compute.errors import DuplicatePoint, ReadingOutsideSensor, UnknownSensor
 from compute.mapping.table import CorrectionTable
 from compute.reconstruction.triangulation import reconstruct
 from hardware.driver import SensorDescription
@@ -17,8 +15,8 @@ from service.api.calibrations.calibration_content import observations, result_of
 from service.api.correction_tables.store import content_of
 from service.api.devices.schema import check_sensors
 from service.api.devices.store import get_device, sensors_of_row
-from service.api.inputs import DatabaseDep, DeviceFilter, JsonRoute, JsonTypes, PagingDep, page_of
-from service.api.openapi import problems
+from service.api.inputs import DatabaseDep, DeviceFilter, JsonTypes, PagingDep, page_of
+from service.api.openapi import ResourceRouter, raises
 from service.api.reconstructions import store
 from service.api.reconstructions.examples import NEW_RECONSTRUCTIONS
 from service.api.reconstructions.schema import (
@@ -28,20 +26,8 @@ from service.api.reconstructions.schema import (
     Reconstruction,
     ReconstructionSummary,
 )
-from service.problems.errors import (
-    CalibrationOfAnotherDevice,
-    CalibrationRetired,
-    NoActiveCalibration,
-    ReconstructionExists,
-    SensorsChanged,
-    UnknownCalibration,
-    UnknownDevice,
-    UnknownReconstruction,
-)
 
-router = APIRouter(
-    prefix="/api/v1/reconstructions", tags=["reconstructions"], route_class=JsonRoute
-)
+router = ResourceRouter("/api/v1/reconstructions", "reconstructions")
 
 NewReconstructionBody = Annotated[
     NewReconstruction, JsonTypes(), Body(openapi_examples=NEW_RECONSTRUCTIONS)
@@ -56,7 +42,7 @@ ReconstructionPath = Annotated[
 ]
 
 
-@router.get("", operation_id="list-reconstructions", summary="List reconstructions")
+@router.operation("GET", "list-reconstructions", "List reconstructions")
 def list_reconstructions(
     database: DatabaseDep, paging: PagingDep, device: DeviceFilter = None
 ) -> Page[ReconstructionSummary]:
@@ -65,24 +51,10 @@ def list_reconstructions(
         return page_of(session, store.reconstructions(device), paging, store.summary)
 
 
-@router.post(
-    "",
-    operation_id="create-reconstruction",
-    summary="Reconstruct points",
-    status_code=HTTP_201_CREATED,
-    responses=problems(
-        UnknownDevice,
-        UnknownCalibration,
-        CalibrationOfAnotherDevice,
-        CalibrationRetired,
-        NoActiveCalibration,
-        ReconstructionExists,
-        SensorsChanged,
-        DuplicatePoint,
-        UnknownSensor,
-        ReadingOutsideSensor,
-    ),
-)
+@router.operation("POST", "create-reconstruction", "Reconstruct points", status_code=201)
+@raises("unknown-device", "unknown-calibration", "calibration-of-another-device")
+@raises("calibration-retired", "no-active-calibration", "reconstruction-exists", "sensors-changed")
+@raises("duplicate-point", "unknown-sensor", "reading-outside-sensor")
 def create_reconstruction(
     request: NewReconstructionBody, database: DatabaseDep, response: Response
 ) -> Reconstruction:
@@ -106,12 +78,8 @@ def create_reconstruction(
     return made
 
 
-@router.get(
-    "/{reconstruction_id}",
-    operation_id="get-reconstruction",
-    summary="Read a reconstruction",
-    responses=problems(UnknownReconstruction),
-)
+@router.operation("GET /{reconstruction_id}", "get-reconstruction", "Read a reconstruction")
+@raises("unknown-reconstruction")
 def get_reconstruction(
     reconstruction_id: ReconstructionPath, database: DatabaseDep
 ) -> Reconstruction:
@@ -120,13 +88,8 @@ def get_reconstruction(
         return store.document(store.get_reconstruction(session, reconstruction_id))
 
 
-@router.delete(
-    "/{reconstruction_id}",
-    operation_id="delete-reconstruction",
-    summary="Delete a reconstruction",
-    status_code=HTTP_204_NO_CONTENT,
-    responses=problems(UnknownReconstruction),
-)
+@router.operation("DELETE /{reconstruction_id}", "delete-reconstruction", "Delete a reconstruction")
+@raises("unknown-reconstruction")
 def delete_reconstruction(reconstruction_id: ReconstructionPath, database: DatabaseDep) -> None:
     """Delete a reconstruction."""
     with database.write() as session:

@@ -4,26 +4,23 @@ from collections.abc import Callable
 from functools import partial
 from typing import Annotated, Final, Literal
 
-from fastapi import APIRouter, Depends, Path, Query, Request
+from fastapi import Depends, Path, Query, Request
 from starlette.responses import HTMLResponse, Response
 
 from service.api.base_models import SLUG_PATTERN
 from service.api.concurrency_limit import ConcurrencyLimit
 from service.api.inputs import CalibrationPath, DatabaseDep
-from service.api.openapi import problems
+from service.api.openapi import ResourceRouter, raises
 from service.api.reports.assembly import assemble_report, report_key
 from service.api.reports.cache import ReportCache
 from service.api.reports.content import ReportContent
 from service.api.reports.render_process import render_figure, render_page
 from service.database.engine import Database
 from service.problems.errors import (
-    Busy,
-    CalibrationOfAnotherDevice,
     NoSuchFigure,
-    UnknownCalibration,
 )
 
-router = APIRouter(prefix="/api/v1/calibrations", tags=["calibrations"])
+router = ResourceRouter("/api/v1/calibrations", "calibrations")
 
 MAX_CONCURRENT: Final = 2
 """Reports made at the same time: each takes seconds, and threads are for all."""
@@ -72,13 +69,14 @@ PreviousQuery = Annotated[
 ]
 
 
-@router.get(
-    "/{calibration_id}/report.html",
-    operation_id="get-calibration-report",
-    summary="The report of a calibration",
+@router.operation(
+    "GET /{calibration_id}/report.html",
+    "get-calibration-report",
+    "The report of a calibration",
+    responses={200: _HTML},
     response_class=HTMLResponse,
-    responses=problems(UnknownCalibration, CalibrationOfAnotherDevice, Busy) | {200: _HTML},
 )
+@raises("unknown-calibration", "calibration-of-another-device", "busy")
 def get_report(
     calibration_id: CalibrationPath,
     database: DatabaseDep,
@@ -92,14 +90,14 @@ def get_report(
     return HTMLResponse(page)
 
 
-@router.get(
-    "/{calibration_id}/report/{figure}.png",
-    operation_id="get-calibration-figure",
-    summary="One figure of a calibration's report",
+@router.operation(
+    "GET /{calibration_id}/report/{figure}.png",
+    "get-calibration-figure",
+    "One figure of a calibration's report",
+    responses={200: _PNG},
     response_class=Response,
-    responses=problems(UnknownCalibration, CalibrationOfAnotherDevice, NoSuchFigure, Busy)
-    | {200: _PNG},
 )
+@raises("unknown-calibration", "calibration-of-another-device", "no-such-figure", "busy")
 def get_figure(
     calibration_id: FigurePath,
     figure: Annotated[

@@ -24,13 +24,12 @@ from compute.calibration.single_sensor.camera_fit import (
 from compute.calibration.single_sensor.sensor_fits import (
     ControlObservations,
     SensorFits,
+    check_converged,
     fit_lenses,
     moderated_variance,
-    unconverged_message,
 )
 from compute.camera.model import PARAMETER_COUNT, SensorModel
 from compute.camera.stack import CameraStack
-from compute.errors import NoConvergence
 from compute.progress import Progress, no_progress
 
 Array = NDArray[np.float64]
@@ -99,11 +98,11 @@ def fit_distortion_scale(
     terms = (AUTO_TERMS,) * sensors
     prior = undistorted.prior
     models, weights = start_with_terms(undistorted.models, terms, prior), undistorted.weights
+    noise = None if observed.sigma_known else _first_noise(observed, undistorted)
     if loss == "robust":
         wide = prior.with_strength(STRENGTHS[-1])
-        scaled = wide if observed.sigma_known else wide.scaled(_first_noise(observed, undistorted))
+        scaled = wide if noise is None else wide.scaled(noise)
         models, weights = fit_lenses(observed, models, scaled, loss)
-    noise = None if observed.sigma_known else _first_noise(observed, undistorted)
     sigma = _total_sigma(observed, noise, point_sigma_px)
     cameras = CameraStack.of(models).rows(np.tile(np.arange(sensors), len(STRENGTHS)))
     for iteration in range(NOISE_ITERATIONS if noise is not None else 1):
@@ -131,11 +130,7 @@ def fit_distortion_scale(
         prior,
     )
     final = ended.cameras.models(starts)
-    if not ended.converged.all():
-        column = int(np.flatnonzero(~ended.converged)[0])
-        raise NoConvergence(
-            unconverged_message(observed, starts, column), sensor=observed.sensors[column].name
-        )
+    check_converged(observed, starts, ended.converged)
     progress(1.0, "scale of the distortion")
     return (
         SensorFits(final, weights, prior, noise),

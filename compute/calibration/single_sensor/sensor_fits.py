@@ -454,33 +454,36 @@ def _minimise(
     else:
         ended = minimise_with_distortion(*problem, prior, multi_start=multi_start)
     models = ended.cameras.models(starts)
-    for column in np.flatnonzero(~ended.converged).tolist():
+    if not ended.converged.all():
         # Undetermined parameters explain the failure better than "did not converge".
         used = np.where(weights > 0.0, observed.weights, 0.0)
         check_determined(models, observed.points_mm, used, prior)
-        raise NoConvergence(
-            unconverged_message(observed, starts, column), sensor=observed.sensors[column].name
-        )
+    check_converged(observed, starts, ended.converged)
     return models
 
 
-def unconverged_message(
-    observed: ControlObservations, starts: Sequence[SensorModel], column: int
-) -> str:
-    """Return the message of a search with distortion that did not converge.
+def check_converged(
+    observed: ControlObservations, starts: Sequence[SensorModel], converged: NDArray[np.bool_]
+) -> None:
+    """Check that the search for each camera with distortion converged.
 
     Args:
         observed: control points and readings.
         starts: the S starting cameras with their terms.
-        column: the sensor.
+        converged: whether each search converged, shape (S,).
+
+    Raises:
+        NoConvergence: the first that did not.
     """
-    name = observed.sensors[column].name
-    return (
-        f"sensor {name}: the search for its {PARAMETER_COUNT} parameters and "
-        f"{len(starts[column].terms)} distortion terms did not converge with its "
-        f"{int(observed.seen[:, column].sum())} readings; spread the points over the field and in "
-        "depth, take fewer terms, or look for wrong labels"
-    )
+    for column in np.flatnonzero(~converged).tolist():
+        name = observed.sensors[column].name
+        raise NoConvergence(
+            f"sensor {name}: the search for its {PARAMETER_COUNT} parameters and "
+            f"{len(starts[column].terms)} distortion terms did not converge with its "
+            f"{int(observed.seen[:, column].sum())} readings; spread the points over the field and "
+            "in depth, take fewer terms, or look for wrong labels",
+            sensor=name,
+        )
 
 
 def _reweight(

@@ -26,6 +26,7 @@ from compute.tracking.motion_model import (
     ImmStates,
     MotionModels,
     combine_modes,
+    mean_positions,
     update_mode_probabilities,
 )
 from compute.tracking.settings import TrackerSettings
@@ -170,10 +171,9 @@ class _Work:
             updated = update_by_readings(
                 states, self.predicted, self.place, used, position, noise, self.bias
             )
-            place = (states.probability[..., None] * updated[0].mean[..., :3]).sum(axis=1)
-            far = used.any(axis=1) & ~(np.abs(place - self.place) < RELINEARISATION_STEP_MM).all(
-                axis=1
-            )
+            place = mean_positions(updated[0])
+            near = np.abs(place - self.place) < RELINEARISATION_STEP_MM
+            far = np.asarray(used.any(axis=1) & ~near.all(axis=1))
             if iteration + 1 == iterations or not far.any():
                 break
             self.place = np.where(far[:, None], place, self.place)

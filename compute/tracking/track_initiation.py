@@ -173,7 +173,7 @@ class TrackInitiator:
         seen.merged[rows] = found.merged.any(axis=1)
         sensor_counts = (found.peaks >= 0).sum(axis=1)
         hit = sensor_counts >= 3
-        predicted = self._model.predict(combine_modes(self._motion, found.states).mean[:, :3])
+        predicted = self._model.predict(mean_positions(found.states))
         tracks.supported_hits[rows] += hit & self._supported(predicted, found.peaks, exposure)
         tracks.hits[rows] += hit
         tracks.log_likelihood_ratio[rows] += found.log_likelihood_ratio

@@ -14,7 +14,6 @@ from compute.reconstruction.correspondence.candidates import MatchSettings
 from compute.reconstruction.solver import PointSolver
 from compute.tracking.motion_model import (
     MotionModels,
-    combine_modes,
     mean_positions,
     mix_and_predict,
 )
@@ -252,7 +251,7 @@ class Tracker:
         states = mix_and_predict(self.motion, tracks.states.rows(rows), step)
         tracks.time_ns[rows] = time_ns
         if not self.model.exact:
-            place = combine_modes(self.motion, states).mean[:, :3]
+            place = mean_positions(states)
             moved = np.abs(place - tracks.bias_mm[rows]).max(axis=1) > BIAS_UPDATE_DISTANCE_MM
             if moved.any():
                 # The errors there are about as large, and of the same cause.

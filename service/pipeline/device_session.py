@@ -10,7 +10,6 @@ import time
 from bisect import bisect_left
 from collections import Counter, deque
 from collections.abc import Iterable, Sequence
-from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from statistics import median
 from threading import Lock
@@ -469,4 +468,6 @@ class PoseCounters:
     def counts(self) -> dict[str, ToolCounts]:
         """Return the counts so far, by tool."""
         with self._lock:
-            return deepcopy(self._tools)
+            return {
+                name: replace(one, frames=one.frames.copy()) for name, one in self._tools.items()
+            }

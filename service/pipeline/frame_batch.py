@@ -5,7 +5,7 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from math import isfinite
 from threading import Lock
@@ -121,24 +121,15 @@ class TrackingResult:
     pose_owner: NDArray[np.intp]
 
     @classmethod
-    def of(
-        cls, tracks: Sequence[TrackBatch], poses: Sequence[Sequence[ToolPose]], sensors: int
-    ) -> Self:
+    def of(cls, tracks: Sequence[TrackBatch], poses: Sequence[Sequence[ToolPose]]) -> Self:
         """Concatenate the tracks and poses of F frames.
 
         Args:
-            tracks: of each frame, F of them.
+            tracks: of each frame, F of them, at least one.
             poses: of each frame, F lists of any length.
-            sensors: how many the device has.
         """
-        joined = TrackBatch.empty(sensors)
-        if any(map(len, tracks)):
-            columns = (field.name for field in fields(TrackBatch))
-            joined = TrackBatch(
-                *(np.concatenate([getattr(one, name) for one in tracks]) for name in columns)
-            )
         return cls(
-            joined,
+            TrackBatch.concatenate(tracks),
             np.repeat(np.arange(len(tracks)), [len(one) for one in tracks]),
             tuple(pose for found in poses for pose in found),
             np.repeat(np.arange(len(poses)), [len(found) for found in poses]),

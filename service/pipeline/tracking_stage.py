@@ -208,7 +208,7 @@ class TrackingStage:
             lit = frame.marker is None
             own = points.part(starts[index], starts[index + 1]) if lit else None
             poses.append(self._track_tools(frame, exposure, own))
-        return TrackingResult.of(tracks, poses, self._sensors)
+        return TrackingResult.of(tracks, poses)
 
     def _marker_tracker(self, active: PreparedCalibration) -> "Tracker | None":
         """Return a marker tracker; its track numbers go on where those before ended."""

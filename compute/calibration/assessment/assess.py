@@ -22,7 +22,6 @@ from compute.calibration.result import (
 from compute.calibration.settings import DEFAULTS, CalibrationSettings
 from compute.calibration.single_sensor.camera_fit import (
     LensPrior,
-    fitted_columns,
     undetermined_sensors,
 )
 from compute.calibration.single_sensor.sensor_fits import (
@@ -240,13 +239,8 @@ def _refits(
 
 
 def _is_determined(observed: ControlObservations, fits: SensorFits) -> bool:
-    # With a prior the readings need to determine only the parameters that it says nothing of.
-    known = fits.scaled_prior is not None
-    used = fits.used(observed).sum(axis=0)
-    if any(
-        count < (PARAMETER_COUNT if known else len(fitted_columns(model)))
-        for count, model in zip(used, fits.models, strict=True)
-    ):
+    # Of the other parameters the prior says enough.
+    if (fits.used(observed).sum(axis=0) < PARAMETER_COUNT).any():
         return False
     weights = fits.known_weights(observed)
     return not undetermined_sensors(fits.models, observed.points_mm, weights, fits.scaled_prior)

@@ -3,7 +3,7 @@
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from math import sqrt
 from typing import Final, TypeVar
 
@@ -77,15 +77,12 @@ def chi2_test(
     """
     sum_of_squares = sum(one.sum_of_squares for one in exposures)
     count = sum(one.count for one in exposures)
-    limit = _limit(count, probability)
+    limit = chi2_limit(count, probability)
     if sum_of_squares > limit:
         known = [one.whitened for one in exposures if one.whitened is not None]
         if known and known[0].shape[1] > 1:
             sum_of_squares = min(sum_of_squares, _jointly_whitened(sum_of_squares, known))
     return sum_of_squares, count, limit
-
-
-_limit: Final = lru_cache(maxsize=1024)(chi2_limit)
 
 
 def _jointly_whitened(sum_of_squares: float, whitened: Sequence[Array]) -> float:

@@ -116,7 +116,7 @@ def test_a_frame_without_tracks_is_none_of_another(active: PreparedCalibration):
     assert motion.tracks.peaks.shape == (0, SENSORS)
     assert motion.poses == ()
     joined = TrackingResult.of(
-        [some_tracks(0), some_tracks(2), some_tracks(0), some_tracks(1)], [[]] * 4, 4
+        [some_tracks(0), some_tracks(2), some_tracks(0), some_tracks(1)], [[]] * 4
     )
     assert joined.track_owner.tolist() == [1, 1, 3]
 

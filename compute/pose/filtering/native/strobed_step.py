@@ -382,21 +382,12 @@ def step_kernel(sensors: int, capacity: int) -> Any:
         sensors: number of sensors.
         capacity: largest number of distortion terms.
     """
-    import warp as wp
+    from compute.native.native_kernel import native_kernel
 
-    from compute.native.headers import module_options
-
-    def take_step(step_address: wp.uint64) -> None: ...
-
-    native = wp.func_native(f"lumiline::pose::take_step<{sensors}, {capacity}>(step_address);")(
-        take_step
+    return native_kernel(
+        "compute/pose/filtering/native/strobed_step.h",
+        f"lumiline::pose::take_step<{sensors}, {capacity}>(address);",
     )
-
-    def strobed_step(step_address: wp.uint64) -> None:
-        native(step_address)
-
-    options = module_options("compute/pose/filtering/native/strobed_step.h")
-    return wp.kernel(module="unique", module_options=options)(strobed_step)
 
 
 def has_kernel(model: MeasurementModel, imm: ImmModel) -> bool:

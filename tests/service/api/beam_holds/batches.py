@@ -53,7 +53,7 @@ def batch(
     motion = None
     if poses or tracks:
         none = [TrackBatch.empty(4)] * len(frames)
-        motion = TrackingResult.of(tracks or none, poses or [()] * len(frames), 4)
+        motion = TrackingResult.of(tracks or none, poses or [()] * len(frames))
     return FrameBatch(
         "sim", NAMES, calibration, table, tuple(frames), PeakBatch.empty(4 * len(frames), 1),
         PointBatch(

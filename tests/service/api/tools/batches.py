@@ -117,5 +117,5 @@ def tool_batch(
     none = [TrackBatch.empty(4)] * frames
     return FrameBatch(
         device, NAMES, calibration, None, exposures, PeakBatch.empty(4 * frames, 1), batch, owner,
-        TrackingResult.of(none, by_frame, 4),
+        TrackingResult.of(none, by_frame),
     )  # fmt: skip

@@ -46,7 +46,7 @@ def batch() -> FrameBatch:
     none = TrackBatch.empty(4)
     tools = [pose("pointer", 1, TURN, np.array([1.0, 2.0, 3.0])), MISSING]
     motion = TrackingResult.of(
-        [none, seen, none, some_tracks(1, first=9), none], [[], tools, [], [MISSING], []], 4
+        [none, seen, none, some_tracks(1, first=9), none], [[], tools, [], [MISSING], []]
     )
     return replace(strobed_batch(range(5)), motion=motion)
 
@@ -111,7 +111,7 @@ def test_both_encodings_hold_the_same(encoding: Encoding):
 def test_what_is_no_number_is_null():
     wrong = replace(pose("pointer", 0, TURN, np.zeros(3)), velocity_mm_s=np.full(3, np.nan))
     wrong = replace(wrong, residual_sigma=float("inf"))
-    motion = TrackingResult.of([TrackBatch.empty(4)], [[wrong]], 4)
+    motion = TrackingResult.of([TrackBatch.empty(4)], [[wrong]])
     given = StreamBatch(replace(strobed_batch(range(1)), motion=motion))
     (found,) = frame_messages(given, frozenset({"tools"}))
     assert found["tools"][0]["velocity_mm_s"] is found["tools"][0]["residual_sigma"] is None

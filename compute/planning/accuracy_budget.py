@@ -63,7 +63,7 @@ def accuracy_budget(
             one.kind,
             one.counted,
             inputs.assumed(one.inputs),
-            tuple(inputs.by_field[name].name for name in one.inputs if name in inputs.by_field),
+            tuple(inputs.label(name) for name in one.inputs),
             AxisSummary.of(one.sigma_mm, centre),
             rms(one.sigma_mm),
             by_distance(one.sigma_mm),

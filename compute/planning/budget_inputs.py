@@ -1,5 +1,6 @@
 """Inputs of an accuracy budget: what a profile says of error sources, typical values elsewhere."""
 
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass, fields
 
@@ -29,9 +30,15 @@ class BudgetInput:
 
 @dataclass(frozen=True)
 class BudgetInputs:
-    """All inputs of a budget, by the names of the fields of ``ErrorSources``."""
+    """All inputs of a budget.
+
+    Args:
+        by_field: by the names of the fields of ``ErrorSources``.
+        assumed_sections: other sections of the profile of which something is assumed.
+    """
 
     by_field: dict[str, BudgetInput]
+    assumed_sections: frozenset[str]
 
     @classmethod
     def of(cls, profile: DeviceProfile) -> "BudgetInputs":
@@ -49,12 +56,13 @@ class BudgetInputs:
             unit_name = "" if unit is None else unit.name
             if given is not None:
                 reason = profile.assumed.get(path)
-                source = reason or "the profile"
+                source = reason or "given"
                 found[name] = BudgetInput(short, given, unit_name, reason is not None, source)
             elif name in typical:
                 one = typical[name]
                 found[name] = BudgetInput(short, one.value, unit_name, True, one.source)
-        return cls(found)
+        sections = frozenset(re.split(r"[.\[]", path)[0] for path in profile.assumed)
+        return cls(found, sections)
 
     def number(self, name: str) -> float:
         """Return a numeric input by the name of its field, in the unit of that name."""
@@ -69,5 +77,12 @@ class BudgetInputs:
         return value
 
     def assumed(self, names: Iterable[str]) -> bool:
-        """Return whether any of these inputs is assumed."""
-        return any(self.by_field[name].assumed for name in names if name in self.by_field)
+        """Return whether any of these fields and sections is assumed."""
+        return any(
+            self.by_field[name].assumed if name in self.by_field else name in self.assumed_sections
+            for name in names
+        )
+
+    def label(self, name: str) -> str:
+        """Return what a profile calls a field or a section."""
+        return self.by_field[name].name if name in self.by_field else name

@@ -28,6 +28,8 @@ Kind = Literal["random", "systematic"]
 _STEP_SIGMA: Final = 12.0**-0.5
 """Standard uncertainty of a rounding to steps of 1 (rectangular distribution)."""
 
+_LIGHT: Final = ("optics", "detector", "markers", "rates")
+
 
 @dataclass(frozen=True, eq=False)
 class ErrorContribution:
@@ -38,7 +40,7 @@ class ErrorContribution:
         kind: "random": another value in each exposure; "systematic": the same as long as marker
             and device stay as they are.
         counted: it is part of the total; otherwise what would be with another correction.
-        inputs: fields of ``ErrorSources`` that it depends on.
+        inputs: fields of ``ErrorSources`` and other sections of the profile that it depends on.
         sigma_mm: standard uncertainties, shape (N, 3) [mm]; NaN where there is no position.
     """
 
@@ -97,7 +99,7 @@ def error_contributions(scene: PlannedScene) -> tuple[ErrorContribution, ...]:
 def _reading_errors(scene: PlannedScene, gain: Array) -> Iterator[ErrorContribution]:
     """Yield noise, rounding, and the fixed pattern as it is and after a flat field."""
     lines, inputs = scene.lines, scene.inputs
-    yield ErrorContribution("noise", "random", True, (), propagated_sigma(gain, lines.bound_px))
+    yield ErrorContribution("noise", "random", True, _LIGHT, propagated_sigma(gain, lines.bound_px))
     step = np.full(lines.bound_px.shape, inputs.number("reading_step_px") * _STEP_SIGMA)
     yield ErrorContribution(
         "rounding of readings", "random", True, ("reading_step_px",), propagated_sigma(gain, step)
@@ -106,9 +108,9 @@ def _reading_errors(scene: PlannedScene, gain: Array) -> Iterator[ErrorContribut
     pattern_px = np.zeros_like(lines.bound_px) if _is_gray(scene) else lines.pattern_px
     pattern = propagated_sigma(gain, pattern_px)
     flat = inputs.choice("pixels") == "flat-fielded"
-    yield ErrorContribution("fixed pattern", "systematic", not flat, ("pixels",), pattern)
+    yield ErrorContribution("fixed pattern", "systematic", not flat, ("pixels", *_LIGHT), pattern)
     residual = inputs.number("flat_field_residual")
-    names = ("pixels", "flat_field_residual")
+    names = ("pixels", "flat_field_residual", *_LIGHT)
     yield ErrorContribution(
         "fixed pattern, flat-fielded", "systematic", flat, names, residual * pattern
     )
@@ -163,13 +165,13 @@ def _distortion(scene: PlannedScene, gain: Array) -> Iterator[ErrorContribution]
     if given is not None:
         assert isinstance(given.value, tuple)
         uncorrected = propagated_sigma(gain, np.array(given.value))
-    names = ("distortion", "uncorrected_distortion_px")
+    names = ("distortion", "optics" if given is None else "uncorrected_distortion_px")
     yield ErrorContribution(
         "distortion, uncorrected", "systematic", state == "uncorrected", names, uncorrected
     )
     for name, field, wanted in (
-        ("distortion and line shape, after terms", "terms_residual_px", "terms"),
-        ("distortion and line shape, after a map", "map_residual_px", "map"),
+        ("distortion after terms", "terms_residual_px", "terms"),
+        ("distortion after a map", "map_residual_px", "map"),
     ):
         each = np.full(len(scene.device.names), inputs.number(field))
         sigma = propagated_sigma(gain, each)

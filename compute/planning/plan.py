@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.camera.model import Vector3, vector3
+from compute.camera.model import vector3
 from compute.errors import (
     DegeneratePoints,
     NoConvergence,

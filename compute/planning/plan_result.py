@@ -61,7 +61,7 @@ class BudgetContribution:
             same as long as marker and device stay as they are.
         counted: it is part of the total; otherwise what would be with another correction.
         assumed: some of its inputs are assumed.
-        inputs: their names.
+        inputs: their names: error sources, and other sections of the profile.
         sigma: standard uncertainties along X, Y, Z.
         rms_mm: of X, Y and Z together, RMS over the points [mm].
         by_distance_mm: the same of each plane of the grid, at the budget's distances [mm].

@@ -39,7 +39,7 @@ NOT_COMPARED: Final[Mapping[str, str]] = {
 }
 
 HEADINGS: Final = (
-    "device", "figure", "axis", "place", "published", "budget", "published/budget", "dominant",
+    "device", "figure", "axis", "place", "published", "budget", "ratio", "dominant",
 )  # fmt: skip
 
 
@@ -94,7 +94,7 @@ def predicted(profile: DeviceProfile, figure: PublishedFigure) -> tuple[str, flo
         and (figure.distance_mm is None or np.isclose(point.position_mm[2], distance))
     ]
     rms = np.sqrt(np.square(places).mean(axis=0))
-    place = "volume" if figure.distance_mm is None else f"plane at {distance:g} mm"
+    place = "volume" if figure.distance_mm is None else f"z = {distance:g}"
     return place, _axis(rms, figure), budget.dominant
 
 
@@ -122,7 +122,7 @@ def rows(name: str) -> list[tuple[Cell, ...]]:
 
 def agrees(row: Sequence[Cell]) -> bool:
     """Return whether a row's budget is within FACTOR of the published figure."""
-    ratio = row[HEADINGS.index("published/budget")]
+    ratio = row[HEADINGS.index("ratio")]
     assert isinstance(ratio, float)
     return 1.0 / FACTOR <= ratio <= FACTOR
 
@@ -147,7 +147,7 @@ def contribution_table(names: Sequence[str]) -> ResultTable:
     """Return the 3D RMS of each contribution over each device's volume [mm]."""
     budgets = [planned(name, load_profile(name).volume.centre_mm[2])[1] for name in names]
     headings = ("contribution", *names)
-    table = [
+    table: list[tuple[Cell, ...]] = [
         (one.name, *(budget.contributions[number].rms_mm for budget in budgets))
         for number, one in enumerate(budgets[0].contributions)
     ]

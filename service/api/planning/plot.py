@@ -40,7 +40,7 @@ def draw_plan(plan: Plan) -> bytes:
         FigureCanvasAgg(figure)
         figure.suptitle(f"{plan.profile}: {plan.title}", fontsize=13)
         rows = figure.add_gridspec(3, 1, height_ratios=(2.2, 1.0, 1.0))
-        maps, below, last = (figure.add_subfigure(row) for row in rows)
+        maps, below, last = (figure.add_subfigure(rows[row]) for row in range(3))
         _maps(maps.subplots(3, 2), plan)
         distance, readings, ghosts = below.subplots(1, 3)
         _against_distance(distance, plan)

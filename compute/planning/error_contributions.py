@@ -13,11 +13,13 @@ from numpy.typing import NDArray
 from scipy.stats import qmc
 
 from compute.calibration.calibrate import calibrate
+from compute.calibration.result import Calibration
 from compute.calibration.settings import CalibrationSettings
 from compute.camera.model import SensorGeometry
+from compute.camera.stack import CameraStack
 from compute.measurement.measurement_model import MeasurementModel
 from compute.planning.budget_inputs import BudgetInputs
-from compute.planning.coverage import Box
+from compute.planning.coverage import Box, is_visible
 from compute.planning.planning_device import PlanningDevice
 from compute.planning.precision import propagated_sigma, reading_gain
 from compute.planning.simulated_readings import SimulatedReadings
@@ -27,6 +29,9 @@ Kind = Literal["random", "systematic"]
 
 _STEP_SIGMA: Final = 12.0**-0.5
 """Standard uncertainty of a rounding to steps of 1 (rectangular distribution)."""
+
+_TERMS: Final = "symmetric-5"
+"""Terms of the distortion that the planned calibration fits."""
 
 _LIGHT: Final = ("optics", "detector", "markers", "rates")
 
@@ -120,35 +125,55 @@ def _is_gray(scene: PlannedScene) -> bool:
     return scene.device.quantisation_px is not None
 
 
+def _control_points(scene: PlannedScene) -> Array:
+    """Return the control points of the calibration, evenly over the box, shape (M, 3) [mm]."""
+    count = round(scene.inputs.number("control_points"))
+    # Halton's sequence is the same in every plan; its first point is a corner.
+    share = qmc.Halton(3, scramble=False).random(count + 1)[1:] - 0.5
+    points: Array = np.asarray(scene.box.centre_mm) + share * np.asarray(scene.box.size_mm)
+    return points
+
+
+def _calibrate(
+    scene: PlannedScene, points_mm: Array, readings_px: Array, settings: CalibrationSettings
+) -> Calibration:
+    """Calibrate from exact readings with the uncertainties that the budget states.
+
+    Args:
+        scene: the planned device.
+        points_mm: control points, shape (M, 3) [mm].
+        readings_px: shape (M, S) [px]; NaN where there is none.
+        settings: terms, and the control points' uncertainty.
+    """
+    device = scene.device
+    step = scene.inputs.number("reading_step_px") * _STEP_SIGMA
+    sigma = np.hypot(np.nanmedian(scene.lines.bound_px, axis=0), step)
+    return calibrate(
+        points_mm,
+        readings_px,
+        [SensorGeometry(name, device.pixels) for name in device.names],
+        np.broadcast_to(sigma, readings_px.shape).copy(),
+        settings,
+    )
+
+
 def _calibration(scene: PlannedScene, gain: Array) -> ErrorContribution:
     """Return the share of the cameras' covariance by control points spread over the volume.
 
     The covariance is that of a calibration of exact perspective readings with the stated
     uncertainties: the readings' noise and rounding, the control points' coordinates, and, where
-    distortion is corrected, the symmetric terms to the fifth order besides seven parameters.
+    distortion is corrected, the terms besides seven parameters.
     """
-    inputs, lines, device = scene.inputs, scene.lines, scene.device
-    count = round(inputs.number("control_points"))
-    control_sigma = inputs.number("control_sigma_mm")
-    # A sequence that fills the box evenly, the same in every plan; its first point is a corner.
-    share = qmc.Halton(3, scramble=False).random(count + 1)[1:] - 0.5
-    points = np.asarray(scene.box.centre_mm) + share * np.asarray(scene.box.size_mm)
-    readings = lines.cameras.project(points)
-    on_pixels = (readings >= -0.5) & (readings <= device.pixels - 0.5)
-    readings = np.where(on_pixels, readings, np.nan)
-    step = inputs.number("reading_step_px") * _STEP_SIGMA
-    sigma = np.hypot(np.nanmedian(lines.bound_px, axis=0), step)
-    terms = inputs.choice("distortion") != "uncorrected"
-    found = calibrate(
-        points,
-        readings,
-        [SensorGeometry(name, device.pixels) for name in device.names],
-        np.broadcast_to(sigma, readings.shape).copy(),
-        CalibrationSettings(
-            "symmetric-5" if terms else "none",
-            control_sigma_mm=control_sigma if control_sigma > 0.0 else None,
-        ),
+    inputs = scene.inputs
+    points = _control_points(scene)
+    readings = scene.lines.cameras.project(points)
+    on_pixels = is_visible(readings, scene.device.pixels, np.ones_like(readings))
+    sigma = inputs.number("control_sigma_mm")
+    settings = CalibrationSettings(
+        "none" if inputs.choice("distortion") == "uncorrected" else _TERMS,
+        control_sigma_mm=sigma if sigma > 0.0 else None,
     )
+    found = _calibrate(scene, points, np.where(on_pixels, readings, np.nan), settings)
     model = MeasurementModel.of(found.models, np.array(found.covariance))
     covariance = model.systematic_covariance(scene.points_mm)
     variance = np.einsum("nis,nst,nit->ni", gain, covariance, gain)
@@ -169,14 +194,33 @@ def _distortion(scene: PlannedScene, gain: Array) -> Iterator[ErrorContribution]
     yield ErrorContribution(
         "distortion, uncorrected", "systematic", state == "uncorrected", names, uncorrected
     )
-    for name, field, wanted in (
-        ("distortion after terms", "terms_residual_px", "terms"),
-        ("distortion after a map", "map_residual_px", "map"),
-    ):
-        each = np.full(len(scene.device.names), inputs.number(field))
-        sigma = propagated_sigma(gain, each)
-        names = ("distortion", field)
-        yield ErrorContribution(name, "systematic", state == wanted, names, sigma)
+    by_terms = np.hypot(
+        _common(gain, _terms_misfit(scene)),
+        propagated_sigma(gain, _alike(scene, "terms_residual_px")),
+    )
+    names = ("distortion", "terms_residual_px", "control_points", "optics")
+    yield ErrorContribution(
+        "distortion after terms", "systematic", state == "terms", names, by_terms
+    )
+    by_map = propagated_sigma(gain, _alike(scene, "map_residual_px"))
+    names = ("distortion", "map_residual_px")
+    yield ErrorContribution("distortion after a map", "systematic", state == "map", names, by_map)
+
+
+def _alike(scene: PlannedScene, field: str) -> Array:
+    """Return an input as an error of each sensor's readings, shape (S,)."""
+    return np.full(len(scene.device.names), scene.inputs.number(field))
+
+
+def _terms_misfit(scene: PlannedScene) -> Array:
+    """Return what terms fitted at the control points leave of the traced lens, (N, S) [px]."""
+    points, device = _control_points(scene), scene.device
+    image = device.image_points(points)
+    visible = is_visible(image.readings_px, device.pixels, image.light_sr)
+    readings = np.where(visible, image.readings_px, np.nan)
+    found = _calibrate(scene, points, readings, CalibrationSettings(_TERMS))
+    misfit = CameraStack.of(found.models).project(scene.points_mm) - scene.lines.readings_px
+    return np.nan_to_num(misfit)
 
 
 def _marker(scene: PlannedScene, gain: Array) -> ErrorContribution:

@@ -30,7 +30,8 @@ class ErrorSources:
         distortion: how it is corrected: not, by terms of the camera model, by a table after them.
         uncorrected_distortion_px: what a camera without terms leaves, one value for each sensor
             [px]; None: the traced lens's.
-        terms_residual_px: what terms leave of the lens and the line shape, RMS [px].
+        terms_residual_px: what terms leave of the line shape and of a real lens's deviations from
+            its design, RMS [px].
         map_residual_px: the same of a table of corrections [px].
         optical_centre_depth_mm: distance along the marker's axis from where its centre is taken
             to be to where it appears to be [mm].

@@ -1,5 +1,6 @@
 """Accuracy budget: each contribution against geometry of its own, and their sum."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -39,8 +40,12 @@ SENSORS = [
 ]
 
 
-def scene(sources: ErrorSources, radius: float | None = None) -> PlannedScene:
-    """Four ideal sensors on a bar as a plan sees them."""
+def scene(
+    sources: ErrorSources,
+    radius: float | None = None,
+    lens: Callable[[IdealSensor, np.ndarray], np.ndarray] = IdealSensor.read,
+) -> PlannedScene:
+    """Four ideal sensors on a bar, or with lenses of their own, as a plan sees them."""
     models = [
         camera(f"s{i}", position, angle, TARGET)
         for i, (position, angle) in enumerate(zip(POSITIONS, ANGLES, strict=True))
@@ -55,10 +60,14 @@ def scene(sources: ErrorSources, radius: float | None = None) -> PlannedScene:
         pixels=2048,
         positions_mm=POSITIONS,
         quantisation_px=None,
+        image_points=lambda points: SimpleNamespace(
+            readings_px=np.array([lens(one, points) for one in SENSORS]).T,
+            light_sr=np.ones((len(points), 4)),
+        ),
     )
     lines: Any = SimpleNamespace(
         cameras=cameras,
-        readings_px=readings,
+        readings_px=np.array([lens(one, POINTS) for one in SENSORS]).T,
         gradient_px_per_mm=gradient,
         bound_px=np.broadcast_to(SIGMA, shape),
         pattern_px=np.full(shape, 0.01),
@@ -180,6 +189,31 @@ def test_calibrations_with_uncertain_control_points_scatter_as_budgeted() -> Non
     # 120 trials scatter by 6 %; another placement of 25 points does more.
     np.testing.assert_allclose(budgeted, rms, rtol=0.35)
     assert np.exp(np.log(budgeted / rms).mean()) == pytest.approx(1.0, abs=0.15)
+
+
+def test_terms_leave_what_they_cannot_fit() -> None:
+    """Distortion of the third order is fitted away; a wave along the row is not."""
+
+    def error(wave_px: float) -> np.ndarray:
+        def lens(sensor: IdealSensor, points: np.ndarray) -> np.ndarray:
+            u = (sensor.read(points) - sensor.middle_px) / sensor.distance_px
+            wave = wave_px * np.sin(2.0 * np.pi * u / 0.05)
+            return sensor.read(points) + 0.5 * sensor.distance_px * u**3 + wave
+
+        sources = ErrorSources(terms_residual_px=0.0, control_points=400)
+        found = {one.name: one for one in error_contributions(scene(sources, lens=lens))}
+        return found["distortion after terms"].sigma_mm
+
+    assert error(0.0).max() < 1e-4
+    # With so many control points the fit goes through the middle of the wave.
+    wave = np.array(
+        [0.2 * np.sin(2.0 * np.pi * (one.read(POINTS) - 1023.5) / 3000.0 / 0.05) for one in SENSORS]
+    ).T
+    readings = np.array([one.read(POINTS) for one in SENSORS]).T
+    expected = np.abs(locate(SENSORS, readings - wave, SIGMA, POINTS) - POINTS)
+    found = error(0.2)
+    assert expected.max() > 0.05
+    np.testing.assert_allclose(found, expected, atol=0.3 * expected.max())
 
 
 def test_more_and_better_control_points_calibrate_better() -> None:

@@ -190,6 +190,7 @@ def _distortion(scene: PlannedScene, gain: Array) -> Iterator[ErrorContribution]
     if given is not None:
         assert isinstance(given.value, tuple)
         uncorrected = propagated_sigma(gain, np.array(given.value))
+    names: tuple[str, ...]
     names = ("distortion", "optics" if given is None else "uncorrected_distortion_px")
     yield ErrorContribution(
         "distortion, uncorrected", "systematic", state == "uncorrected", names, uncorrected

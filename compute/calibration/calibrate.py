@@ -225,7 +225,7 @@ def assemble_with_exact_points(
         fits: the fitted cameras and the readings' weights.
         settings: the settings of the run, which the result repeats.
     """
-    residuals = observed.residuals_px(fits.models)
+    residuals = observed.residuals_px(fits.models if fits.stack is None else fits.stack)
     first = np.cumsum([0, *(model.parameter_count for model in fits.models)])
     groups = fits.equation_groups(observed)
     parameters = _effective_parameters(groups)
@@ -307,7 +307,7 @@ def _assemble_with_uncertain_points(
     total = np.hypot(sigma, point_sigma)
     chi2_terms = observed.residuals_px(joint.models) / total
     as_known = replace(observed, sigma_px=total, sigma_known=True)
-    adjusted = replace(fits, models=joint.models, unit_px=None, groups=None)
+    adjusted = replace(fits, models=joint.models, unit_px=None, groups=None, stack=None)
     parameters = _effective_parameters(adjusted.equation_groups(as_known))
     found, factors = [], []
     for column, (model, rows) in enumerate(zip(joint.models, fits.used(observed).T, strict=True)):

@@ -91,6 +91,7 @@ class LensPrior:
         points_mm: Array,
         seen: NDArray[np.bool_],
         strength: float = WEAK_STRENGTH,
+        stack: CameraStack | None = None,
     ) -> "LensPrior":
         """Derive the prior from cameras and the control points that they saw.
 
@@ -100,9 +101,11 @@ class LensPrior:
             points_mm: control points, shape (N, 3) [mm].
             seen: which of them each sensor saw, shape (N, S).
             strength: see the class.
+            stack: the same cameras as a stack; None: made here.
         """
         centre_mm = (seen.T @ points_mm) / seen.sum(axis=0)[:, None]
-        stack = CameraStack.of(models)
+        if stack is None:
+            stack = CameraStack.of(models)
         centre = (stack.rotation @ centre_mm[:, :, None])[..., 0]
         behind = np.array(
             [
@@ -250,18 +253,21 @@ def minimise(
             if mean_and_information is not None:
                 active_prior = mean_and_information[0][index], mean_and_information[1][index]
         step, predicted = active.steps(damping[index])
+        old = active.squares.copy()
+        unresolved = rounding[index] * (2.0 * np.sqrt(old) + rounding[index])
+        # Converged: with little damping, the predicted decrease is negligible.
+        done = (predicted <= tolerance[index] * old + unresolved) & (damping[index] <= 1e-3)
+        if done.all():
+            converged[index] = True
+            break
         trial = (state if every else state.rows(index)).retract(step)
         new = _NormalEquations.of(trial, points_mm, *part, active_prior)
-        old = active.squares.copy()
         better = new.squares <= old
         if every and better.all():
             equations, state = new, trial
         else:
             equations.replace_rows(index[better], new.rows(np.flatnonzero(better)))
             state = _replace_cameras(state, index[better], trial.rows(np.flatnonzero(better)))
-        # Converged: with little damping, the predicted decrease is negligible.
-        unresolved = rounding[index] * (2.0 * np.sqrt(old) + rounding[index])
-        done = (predicted <= tolerance[index] * old + unresolved) & (damping[index] <= 1e-3)
         damping[index] = np.maximum(damping[index] * np.where(better, 0.1, 10.0), 1e-14)
         if cameras.has_distortion:
             # Curved valleys need damping to the end: what counts is the distance to the minimum.

@@ -68,12 +68,13 @@ class _Grid:
     def probability(self) -> Array:
         """Posterior of the strengths, shape (G,).
 
-        Lenses of one design have nearly the same coefficients: S of them tell their readings S
-        times but the scale once. So the evidence counts as that of one lens, its mean; their
-        product would be sure of a scale after a few lenses that are copies of each other.
+        The lenses of a device are neither independent draws of the scale nor copies of one draw,
+        where S lenses would tell of it as much as one: their evidence counts as that of sqrt(S)
+        lenses. Their product is too sure of a scale, and of no distortion first of all; their mean
+        makes the covariance of devices with few readings too large (``reproduce random-rigs``).
         """
         lenses = len(self.information) // len(self.log_evidence)
-        weight = np.exp((self.log_evidence - self.log_evidence.max()) / lenses)
+        weight = np.exp((self.log_evidence - self.log_evidence.max()) / np.sqrt(lenses))
         return np.asarray(weight / weight.sum())
 
 
@@ -87,7 +88,7 @@ def fit_distortion_scale(
     """Fit distortion whose scale is common to all lenses and estimated from the readings.
 
     The evidence of each strength is Laplace's approximation (MacKay,
-    doi:10.1162/neco.1992.4.3.415), averaged over the sensors. The cameras are those of the
+    doi:10.1162/neco.1992.4.3.415), see ``_Grid.probability``. The cameras are those of the
     posterior mean of the strength's square, which averages the prior's variance.
 
     Args:

@@ -102,9 +102,10 @@ class ControlObservations:
         point_sigma = projected_point_sigma(models, self.points_mm, point_sigma_mm)
         return replace(self, sigma_px=np.hypot(self.sigma_px, np.nan_to_num(point_sigma)))
 
-    def residuals_px(self, models: Sequence[SensorModel]) -> Array:
+    def residuals_px(self, models: Sequence[SensorModel] | CameraStack) -> Array:
         """Return readings of S cameras minus measured ones, shape (N, S) [px]."""
-        return CameraStack.of(models).project(self.points_mm) - self.readings_px
+        stack = models if isinstance(models, CameraStack) else CameraStack.of(models)
+        return stack.project(self.points_mm) - self.readings_px
 
     @property
     def seen(self) -> NDArray[np.bool_]:
@@ -133,6 +134,7 @@ class SensorFits:
         unit_px: the noise that a weight of 1 stands for, where the readings' standard deviations
             are not known, shape (S,) [px]; None: 1.
         groups: the equations of the readings that count, where they were made; None: not yet.
+        stack: the cameras as a stack, likewise.
     """
 
     models: tuple[SensorModel, ...]
@@ -140,6 +142,7 @@ class SensorFits:
     prior: LensPrior
     unit_px: Array | None = None
     groups: list[EquationGroup] | None = None
+    stack: CameraStack | None = None
 
     @property
     def scaled_prior(self) -> LensPrior:
@@ -200,7 +203,7 @@ def fit_undistorted(
         DegeneratePoints, NoConvergence: see ``fit_metric_cameras``.
     """
     if loss == "linear":
-        found, groups = fit_metric_cameras(
+        found, groups, stack = fit_metric_cameras(
             observed.points_mm,
             observed.readings_px,
             observed.sigma_px,
@@ -211,9 +214,10 @@ def fit_undistorted(
     else:
         found, weights = _reweight(observed, _robust_start(observed), None)
         used = np.where(weights > 0.0, observed.weights, 0.0)
-        groups = check_determined(found, observed.points_mm, used)
-    prior = LensPrior.of(found, observed.pitch_um, observed.points_mm, observed.seen)
-    return SensorFits(found, weights, prior, groups=groups)
+        stack = CameraStack.of(found)
+        groups = check_determined(found, observed.points_mm, used, stack=stack)
+    prior = LensPrior.of(found, observed.pitch_um, observed.points_mm, observed.seen, stack=stack)
+    return SensorFits(found, weights, prior, groups=groups, stack=stack)
 
 
 def fit_metric_cameras(
@@ -222,7 +226,7 @@ def fit_metric_cameras(
     sigma_px: Array,
     sensors: Sequence[SensorGeometry],
     initial_models: Sequence[SensorModel] | None = None,
-) -> tuple[tuple[SensorModel, ...], list[EquationGroup]]:
+) -> tuple[tuple[SensorModel, ...], list[EquationGroup], CameraStack]:
     """Minimise each sensor's squared normalised residuals from several starts; keep the lowest.
 
     All starts of all sensors are searched at once in the projective form, whose numerator is
@@ -237,7 +241,7 @@ def fit_metric_cameras(
             is ignored. None: no others.
 
     Returns:
-        The S cameras, and their equations.
+        The S cameras, their equations, and the cameras as a stack.
 
     Raises:
         DegeneratePoints: more than one camera fits.
@@ -272,7 +276,7 @@ def fit_metric_cameras(
                 "points in front of it fits the readings; look for exchanged or wrong labels",
                 sensor=model.name,
             )
-    return fitted, groups
+    return fitted, groups, ended.cameras
 
 
 def fit_distorted(

@@ -29,6 +29,7 @@ from compute.calibration.single_sensor.projective_camera import (
 from compute.calibration.single_sensor.trimmed_least_squares import robust_starts
 from compute.camera.field_distortion import Term
 from compute.camera.model import PARAMETER_COUNT, SensorGeometry, SensorModel
+from compute.camera.observation_checks import check_explained
 from compute.camera.stack import CameraStack
 from compute.errors import NoConvergence, TooFewPoints
 from compute.robust_statistics import biweight, huber, mad_sigma
@@ -189,7 +190,7 @@ def fit_undistorted(
         The S cameras, and the weights of the readings, shape (N, S).
 
     Raises:
-        DegeneratePoints, NoConvergence: see ``fit_metric_cameras``.
+        ImplausibleReadings, DegeneratePoints, NoConvergence: see ``fit_metric_cameras``.
     """
     if loss == "linear":
         found = fit_metric_cameras(
@@ -201,6 +202,12 @@ def fit_undistorted(
         )
         return found, np.ones(observed.readings_px.shape)
     models, weights = _reweight(observed, _robust_start(observed), None)
+    # What a robust loss leaves out does not count: the median of the residuals.
+    squares = mad_sigma(observed.residuals_px(models), observed.seen, PARAMETER_COUNT) ** 2
+    squares *= np.maximum(observed.seen.sum(axis=0) - PARAMETER_COUNT, 0)
+    unit = observed.seen.astype(np.float64)
+    shares = _residual_shares(squares, observed.points_mm, observed.readings_px, unit)
+    check_explained(shares, observed.readings_px, observed.sensors)
     check_determined(models, observed.points_mm, np.where(weights > 0.0, observed.weights, 0.0))
     return models, weights
 
@@ -226,6 +233,7 @@ def fit_metric_cameras(
             is ignored. None: no others.
 
     Raises:
+        ImplausibleReadings: the readings have nothing to do with the points.
         DegeneratePoints: more than one camera fits.
         NoConvergence: no start led to a minimum with all points in front of the lens.
     """
@@ -249,6 +257,8 @@ def fit_metric_cameras(
     starts = metric_cameras(matrices, sensors, centre_mm)
     ended = minimise(starts, points_mm, readings_px, weights)
     fitted = metric_models(ended.cameras, sensors)
+    shares = _residual_shares(ended.squares, points_mm, readings_px, weights)
+    check_explained(shares, readings_px, sensors)
     # First whether there is one camera: a search for none does not come to rest.
     check_determined(fitted, points_mm, weights, stack=ended.cameras)
     for column, model in enumerate(fitted):
@@ -259,6 +269,36 @@ def fit_metric_cameras(
                 sensor=model.name,
             )
     return fitted
+
+
+def _residual_shares(
+    squares: Array, points_mm: Array, readings_px: Array, weights: Array
+) -> Array:
+    """Return the standard deviation of each sensor's residuals over that of its readings, (S,).
+
+    Where no camera has all points in front of it, that of the residuals from an affine function.
+
+    Args:
+        squares: weighted sums of squared residuals, shape (S,); infinite: no camera.
+        points_mm: shape (N, 3) [mm].
+        readings_px: shape (N, S) [px]; any value where the weight is 0.
+        weights: 1 / standard deviation, shape (N, S) [1/px]; 0: not seen.
+    """
+    square_weights = weights**2
+    readings = np.where(weights > 0.0, readings_px, 0.0)
+    count = (weights > 0.0).sum(axis=0)
+    mean = (square_weights * readings).sum(axis=0) / square_weights.sum(axis=0)
+    variance = (square_weights * (readings - mean) ** 2).sum(axis=0) / (count - 1)
+    dof = count - PARAMETER_COUNT
+    shares = np.sqrt(np.where(dof > 0, squares, 0.0) / np.maximum(dof, 1) / variance)
+    for column in np.flatnonzero(~np.isfinite(shares)).tolist():
+        weight = weights[:, column]
+        design = np.column_stack([points_mm, np.ones(len(points_mm))]) * weight[:, None]
+        basis = np.linalg.qr(design)[0]
+        values = readings[:, column] * weight
+        residuals = values - basis @ (basis.T @ values)
+        shares[column] = np.sqrt((residuals @ residuals) / (count[column] - 4) / variance[column])
+    return np.asarray(shares)
 
 
 def fit_distorted(

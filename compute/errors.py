@@ -56,7 +56,7 @@ class ReadingOutsideSensor(LumilineError):
 
 
 class ImplausibleReadings(LumilineError):
-    """A sensor's readings are not what it saw: unrelated to the points, copied, or 0 for "not seen"."""
+    """A sensor's readings are unrelated to the points, copied, or 0 where it did not see them."""
 
 
 class NoConvergence(LumilineError):

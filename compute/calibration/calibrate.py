@@ -59,8 +59,8 @@ ZERO_SIGMA: Final = 10.0
 """Distance of a reading of 0 from where the sensor's other readings put the marker, in standard
 deviations, above which they contradict it."""
 ZERO_SHARE: Final = 0.05
-"""The same distance relative to the range of the other readings: distortion that the camera does not
-describe is below 3 % of it."""
+"""The same distance relative to the range of the other readings: distortion that the camera does
+not describe is below 3 % of it."""
 MIN_NOISE_DOF: Final = 2.0
 """Degrees of freedom of all sensors above which their common noise is estimated."""
 

@@ -29,8 +29,8 @@ SIGMA_RANGE_PX: Final = (1e-6, 1e4)
 
 MAX_RESIDUAL_SHARE: Final = 0.7
 """Largest standard deviation of residuals, relative to that of the readings, with which a camera
-explains the readings. Of readings that are drawn at random it leaves about 1; of any sensor that saw
-the points, a few per cent."""
+explains the readings. Of readings that are drawn at random it leaves about 1; of any sensor that
+saw the points, a few per cent."""
 COPY_DECIMALS: Final = range(7)
 """Decimals to which one column of readings may be a rounded copy of another."""
 UNEXPLAINED_PROBABILITY: Final = 0.01
@@ -174,6 +174,7 @@ def check_zeros(
         sensor=sensor.name,
         points=tuple(points),
     )
+
 
 def check_inside(readings_px: Array, sensors: Sequence[Sensor]) -> None:
     """Check that readings lie on the sensors' pixels.

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from compute.calibration.assessment_result import Diagnosis, SensorDiagnosis, Suggestion
 from compute.calibration.result import Calibration, SensorFit, prior_strength
-from compute.calibration.single_sensor.camera_fit import LensPrior, fitted_columns
+from compute.calibration.single_sensor.camera_fit import LensPrior, fitted_columns, minimise
 from compute.camera.model import PARAMETER_COUNT, vector3
 from compute.camera.stack import CameraStack
 from compute.progress import Progress, no_progress
@@ -37,6 +37,11 @@ MIN_EXTENT_MM: Final = 10.0
 MIN_PLANE_ANGLE: Final = 0.02
 """Sine of the smallest angle, as the planes of the sensors see a direction, at which a position is
 determined along it: its standard deviation is then 50 times that of a plane."""
+MAX_NONLINEARITY: Final = 0.2
+"""Largest relative difference of a refit from what the covariance predicts linearly."""
+NONLINEARITY_GRID_NODES: Final = 3
+NONLINEARITY_SIGMA: Final = 2.0
+"""Standard deviations by which the readings are moved for it."""
 MAX_FACTOR: Final = 1e4
 """Ratio of standard deviations above which none is stated."""
 
@@ -87,6 +92,7 @@ def diagnose(
         *_redundancy_remarks(calibration, np.isfinite(readings).sum(axis=0)),
         *_unit_remarks(calibration, points, pitch_um),
         *_geometry_remarks(calibration, points),
+        *_nonlinearity_remarks(calibration, points, readings),
     )
     return Diagnosis(sensors, mean, largest, suggestions, remarks)
 
@@ -302,20 +308,22 @@ def _unit_remarks(
     """Return whether the coordinates seem to be in metres."""
     extent = float(np.linalg.norm(np.ptp(points, axis=0)))
     if extent < MIN_EXTENT_MM:
-        return [
-            f"The control points lie within {extent:.3g} mm of each other: coordinates are in mm, "
-            "and these may be in metres; multiply them by 1000 then, or all positions come out "
-            "in metres."
-        ]
+        remark = (
+            f"The control points lie within {extent:.3g} mm of each other: coordinates are in "
+            "mm, and these may be in metres; multiply them by 1000 then, or all positions come "
+            "out in metres."
+        )
+        return [remark]
     for model, pitch in zip(calibration.models, pitch_um, strict=False):
         focal = 0.0 if pitch is None else 1e-3 * pitch * model.principal_distance_px
         depth = float((points @ model.rotation[2]).mean()) + model.offset_z_mm
         if depth < focal:
-            return [
+            remark = (
                 f"Sensor {model.name}: its lens would be {depth:.3g} mm from the control points, "
-                f"less than the {focal:.3g} mm from lens to pixels, where nothing is imaged; check "
-                "that the coordinates are in mm (and not in metres), and the pixel pitch."
-            ]
+                f"less than the {focal:.3g} mm from lens to pixels: nothing is imaged there; "
+                "check that the coordinates are in mm (and not in metres), and the pixel pitch."
+            )
+            return [remark]
     return []
 
 
@@ -323,11 +331,12 @@ def _geometry_remarks(calibration: Calibration, points: Array) -> list[str]:
     """Return in which direction the sensors' planes leave positions open, and why."""
     models = calibration.models
     if len(models) < 3:
-        return [
+        remark = (
             f"{len(models)} sensor{'s' if len(models) > 1 else ''} cannot locate a marker: each "
-            "reading is a plane, and three planes meet in a point. The cameras are calibrated; for "
-            "positions the device needs three sensors."
-        ]
+            "reading is a plane, and three planes meet in a point. The cameras are calibrated; "
+            "for positions the device needs three sensors."
+        )
+        return [remark]
     corners = box_points(points.min(axis=0), points.max(axis=0), 2)
     places = np.vstack([points.mean(axis=0), corners])
     reading, jacobian = CameraStack.of(models).linearise(places)
@@ -357,8 +366,91 @@ def _geometry_remarks(calibration: Calibration, points: Array) -> list[str]:
     if factor < MAX_FACTOR:
         bound = f"{factor:.0f} times as much as across one plane"
     direction = ", ".join(f"{value:.2f}" for value in axes[2] + 0.0)
-    return [
+    remark = (
         f"Positions along the direction ({direction}) are hardly determined: {cause}. Along it "
         f"they are uncertain {bound}; turn the row of a sensor by 30 degrees or more against "
         "the others."
-    ]
+    )
+    return [remark]
+
+
+def nonlinearity(calibration: Calibration, points_mm: Array, seen: NDArray[np.bool_]) -> Array:
+    """Return how far refits depart from the linear prediction of the covariance, shape (S,).
+
+    The readings of the fitted camera are moved by two standard deviations, in both directions,
+    along the combination that changes what the camera reads over the points' box most, and the
+    camera is fitted again. Points near a critical surface (a quadric that contains the slit, on
+    which a twisted cubic may lie) leave a curved valley; the covariance describes its bottom only.
+
+    Args:
+        calibration: the calibration of these points.
+        points_mm: control points, shape (N, 3) [mm].
+        seen: which readings the fit used, shape (N, S).
+
+    Returns:
+        Relative difference of that change from the predicted one; infinite where a refit did not
+        converge.
+    """
+    models = calibration.models
+    centre = points_mm.mean(axis=0)
+    points = points_mm - centre
+    stack = CameraStack.of(models)
+    stack = replace(stack, offset_mm=stack.offset_mm + stack.rotation @ centre)
+    models = stack.models(models)
+    sigma = np.array([fit.sigma_px for fit in calibration.sensors])
+    weights = np.where(seen, 1.0 / sigma, 0.0)
+    prior, information = None, np.zeros((len(models), stack.width))
+    if stack.has_distortion:
+        strength = prior_strength(calibration)
+        prior = LensPrior.of(models, [None] * len(models), points, seen, strength)
+        information = prior.gaussian(stack)[1]
+    fitted, jacobian = stack.project_with_parameter_jacobian(points)
+    volume = box_points(points.min(axis=0), points.max(axis=0), NONLINEARITY_GRID_NODES)
+    expected, by_parameter = stack.project_with_parameter_jacobian(volume)
+    by_parameter = np.where(np.isfinite(expected)[..., None], by_parameter, 0.0)
+    steps = np.array([0.0, NONLINEARITY_SIGMA, -NONLINEARITY_SIGMA])
+    moved, linear = [], []
+    for column, weight in enumerate(weights.T):
+        matrix = jacobian[:, column] * weight[:, None]
+        matrix = np.concatenate([matrix, np.diag(np.sqrt(information[column]))])
+        scale = np.linalg.norm(matrix, axis=0)
+        scale = np.where(scale > 0.0, scale, np.inf)
+        gain = np.linalg.pinv(matrix / scale)[:, : len(points)] / scale[:, None]
+        left, singular, right = np.linalg.svd(by_parameter[:, column] @ gain, full_matrices=False)
+        moved.append(fitted[:, column, None] + np.outer(right[0] * sigma[column], steps))
+        linear.append(left[:, 0] * singular[0])
+    index = np.repeat(np.arange(len(models)), len(steps))
+    ended = minimise(
+        stack.rows(index),
+        points,
+        np.concatenate(moved, axis=1),
+        weights[:, index],
+        None if prior is None else prior.rows(index),
+    )
+    readings = ended.cameras.project(volume).T.reshape(len(models), len(steps), -1)
+    change = readings[:, 1:] - readings[:, :1]
+    effect = np.array(linear)[:, None]
+    difference = change - steps[1:, None] * effect
+    along = np.nansum(difference * effect, axis=2) / (effect**2).sum(axis=2) / NONLINEARITY_SIGMA
+    converged = np.asarray(ended.converged.reshape(len(models), len(steps)).all(axis=1))
+    return np.where(converged, np.abs(along).max(axis=1), np.inf)
+
+
+def _nonlinearity_remarks(calibration: Calibration, points: Array, readings: Array) -> list[str]:
+    """Return of which sensors the covariance cannot be trusted."""
+    found = nonlinearity(calibration, points, np.isfinite(readings))
+    remarks = []
+    for fit, value in zip(calibration.sensors, found.tolist(), strict=True):
+        if value > MAX_NONLINEARITY:
+            by = (
+                f"{value:.0%} otherwise"
+                if np.isfinite(value)
+                else "not as far as it settles, other"
+            )
+            remarks.append(
+                f"Sensor {fit.model.name}: its control points are near-critical: cameras that "
+                "differ much fit nearly as well. Readings that change by two standard deviations "
+                f"move the camera {by} than the covariance says; do not rely on the covariance, "
+                "and add points away from the curve or surface on which these lie."
+            )
+    return remarks

@@ -31,7 +31,7 @@ from compute.camera.field_distortion import Term
 from compute.camera.model import PARAMETER_COUNT, SensorGeometry, SensorModel
 from compute.camera.observation_checks import check_explained
 from compute.camera.stack import CameraStack
-from compute.errors import NoConvergence, TooFewPoints
+from compute.errors import DegeneratePoints, NoConvergence, TooFewPoints
 from compute.robust_statistics import biweight, huber, mad_sigma
 
 Array = NDArray[np.float64]
@@ -40,6 +40,8 @@ SIGMA_FLOOR_PX: Final = 1e-6
 """Smallest standard deviation estimated from residuals: exact data still leave rounding."""
 INITIAL_SIGMA_PX: Final = 0.05
 """Standard deviation of readings that weighs the offsets' prior until residuals give one."""
+CONTRADICTED_SIGMA_FACTOR: Final = 3.0
+"""Residuals over the given standard deviations above which these do not explain them."""
 MAX_REWEIGHTINGS: Final = 60
 WEIGHT_TOLERANCE: Final = 1e-6
 HUBER_ITERATIONS: Final = 8
@@ -199,6 +201,7 @@ def fit_undistorted(
             observed.sigma_px,
             observed.sensors,
             initial_models,
+            observed.sigma_known,
         )
         return found, np.ones(observed.readings_px.shape)
     models, weights = _reweight(observed, _robust_start(observed), None)
@@ -206,7 +209,7 @@ def fit_undistorted(
     squares = mad_sigma(observed.residuals_px(models), observed.seen, PARAMETER_COUNT) ** 2
     squares *= np.maximum(observed.seen.sum(axis=0) - PARAMETER_COUNT, 0)
     unit = observed.seen.astype(np.float64)
-    shares = _residual_shares(squares, observed.points_mm, observed.readings_px, unit)
+    shares, _ = _residual_shares(squares, observed.points_mm, observed.readings_px, unit)
     check_explained(shares, observed.readings_px, observed.sensors)
     check_determined(models, observed.points_mm, np.where(weights > 0.0, observed.weights, 0.0))
     return models, weights
@@ -218,6 +221,7 @@ def fit_metric_cameras(
     sigma_px: Array,
     sensors: Sequence[SensorGeometry],
     initial_models: Sequence[SensorModel] | None = None,
+    sigma_known: bool = False,
 ) -> tuple[SensorModel, ...]:
     """Minimise each sensor's squared normalised residuals from several starts; keep the lowest.
 
@@ -231,6 +235,7 @@ def fit_metric_cameras(
         sensors: their geometry.
         initial_models: cameras from which the search starts too, one a sensor; their distortion
             is ignored. None: no others.
+        sigma_known: whether ``sigma_px`` holds standard deviations, and not ones.
 
     Raises:
         ImplausibleReadings: the readings have nothing to do with the points.
@@ -257,12 +262,22 @@ def fit_metric_cameras(
     starts = metric_cameras(matrices, sensors, centre_mm)
     ended = minimise(starts, points_mm, readings_px, weights)
     fitted = metric_models(ended.cameras, sensors)
-    shares = _residual_shares(ended.squares, points_mm, readings_px, weights)
+    shares, unbiased = _residual_shares(ended.squares, points_mm, readings_px, weights)
+    if sigma_known:
+        # Noise as large as that would have been stated.
+        dof = np.maximum(seen.sum(axis=0) - PARAMETER_COUNT, 1)
+        contradicted = ended.squares > CONTRADICTED_SIGMA_FACTOR**2 * dof
+        shares = np.where(contradicted, unbiased, 0.0)
     check_explained(shares, readings_px, sensors)
     # First whether there is one camera: a search for none does not come to rest.
-    check_determined(fitted, points_mm, weights, stack=ended.cameras)
+    try:
+        check_determined(fitted, points_mm, weights, stack=ended.cameras)
+    except DegeneratePoints:
+        check_explained(unbiased, readings_px, sensors)
+        raise
     for column, model in enumerate(fitted):
         if not ended.converged[column]:
+            check_explained(unbiased, readings_px, sensors)
             raise NoConvergence(
                 f"sensor {model.name}: no camera with all its {int(seen[:, column].sum())} control "
                 "points in front of it fits the readings; look for exchanged or wrong labels",
@@ -273,10 +288,10 @@ def fit_metric_cameras(
 
 def _residual_shares(
     squares: Array, points_mm: Array, readings_px: Array, weights: Array
-) -> Array:
-    """Return the standard deviation of each sensor's residuals over that of its readings, (S,).
+) -> tuple[Array, Array]:
+    """Return RMS residuals over the readings' standard deviation, and unbiased by dof, both (S,).
 
-    Where no camera has all points in front of it, that of the residuals from an affine function.
+    Where no camera has all points in front of it, the residuals are those from an affine function.
 
     Args:
         squares: weighted sums of squared residuals, shape (S,); infinite: no camera.
@@ -289,16 +304,18 @@ def _residual_shares(
     count = (weights > 0.0).sum(axis=0)
     mean = (square_weights * readings).sum(axis=0) / square_weights.sum(axis=0)
     variance = (square_weights * (readings - mean) ** 2).sum(axis=0) / (count - 1)
+    squares = squares.copy()
     dof = count - PARAMETER_COUNT
-    shares = np.sqrt(np.where(dof > 0, squares, 0.0) / np.maximum(dof, 1) / variance)
-    for column in np.flatnonzero(~np.isfinite(shares)).tolist():
+    for column in np.flatnonzero(~np.isfinite(squares)).tolist():
         weight = weights[:, column]
         design = np.column_stack([points_mm, np.ones(len(points_mm))]) * weight[:, None]
         basis = np.linalg.qr(design)[0]
         values = readings[:, column] * weight
         residuals = values - basis @ (basis.T @ values)
-        shares[column] = np.sqrt((residuals @ residuals) / (count[column] - 4) / variance[column])
-    return np.asarray(shares)
+        squares[column], dof[column] = residuals @ residuals, count[column] - 4
+    shares = np.sqrt(squares / (count - 1) / variance)
+    unbiased = np.sqrt(np.where(dof > 0, squares, 0.0) / np.maximum(dof, 1) / variance)
+    return shares, unbiased
 
 
 def fit_distorted(

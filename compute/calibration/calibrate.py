@@ -176,7 +176,7 @@ def _find_labels(
     if not len(redundant):
         return ()
     sigma = None if sigma_px is None else sigma_px[:, redundant]
-    some = [sensors[column] for column in redundant]
+    some = [sensors[column] for column in redundant.tolist()]
     return find_label_errors(points_mm, readings_px[:, redundant], some, sigma, progress).findings
 
 

@@ -33,7 +33,7 @@ def answer(
     points_mm: Array,
     readings_px: Array,
     pixels: int,
-    distortion: Distortion,
+    settings: CalibrationSettings,
     sigma_px: float | None,
 ) -> tuple[bool, str]:
     """Calibrate; return whether that was refused, and the error or the remarks.
@@ -42,13 +42,13 @@ def answer(
         points_mm: control points, shape (N, 3) [mm].
         readings_px: shape (N, S) [px].
         pixels: of each sensor.
-        distortion: see ``CalibrationSettings``.
+        settings: of the calibration.
         sigma_px: standard deviation of the readings; None: not given.
     """
     sensors = [SensorGeometry(f"s{k + 1}", pixels) for k in range(readings_px.shape[1])]
     sigma = None if sigma_px is None else np.full(readings_px.shape, sigma_px)
     try:
-        found = calibrate(points_mm, readings_px, sensors, sigma, CalibrationSettings(distortion))
+        found = calibrate(points_mm, readings_px, sensors, sigma, settings)
     except LumilineError as error:
         return True, f"{type(error).__name__}: {error.detail}"
     return False, " ".join(diagnose(found, points_mm, readings_px).remarks)
@@ -79,8 +79,9 @@ def run_kind(kind: Kind, trials: int, seed: int) -> tuple[int, list[str], str]:
         rng = np.random.default_rng([seed, number])
         rig = sound_rig(rng)
         points, readings = kind.make(rig, rng)
+        settings = CalibrationSettings(DISTORTIONS[number % 2])
         sigma = NOISE_PX if number // 2 % 2 else None
-        refused, text = answer(points, readings, rig.pixels, DISTORTIONS[number % 2], sigma)
+        refused, text = answer(points, readings, rig.pixels, settings, sigma)
         if is_right(kind, refused, text):
             right += 1
             place = min(text.find(one) for one in kind.expected if one in text)
@@ -106,8 +107,9 @@ def false_refusals(trials: int, seed: int) -> tuple[int, list[str]]:
         count += 1
         sigma = trial.noise_px if trial.noise_given else None
         distortion: Distortion = "auto" if trial.distorted or number % 2 else "none"
+        settings = CalibrationSettings(distortion, trial.control_sigma_mm or None)
         arrays = trial.control_mm, trial.readings_px
-        refused, text = answer(*arrays, trial.rig.pixels, distortion, sigma)
+        refused, text = answer(*arrays, trial.rig.pixels, settings, sigma)
         if refused:
             refusals.append(text)
     return count, refusals

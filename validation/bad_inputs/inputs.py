@@ -148,6 +148,12 @@ KINDS: Final = (
     Kind("0 for not seen", True, ("leave the cell empty", "leave the cells empty"), _zeros),
     Kind("always the same reading", True, ("cannot all be there",), _dead),
     Kind("coordinates in metres", False, ("may be in metres",), _metres),
-    Kind("seven points", False, ("leave no redundancy",), _seven_points),
+    # Seven points often leave no camera or several: refused, with their number.
+    Kind(
+        "seven points",
+        False,
+        ("leave no redundancy", "with its 7 readings", "with these 7 control points"),
+        _seven_points,
+    ),
     Kind("points on a twisted cubic", False, ("near-critical", "many cameras fit"), _twisted_cubic),
 )

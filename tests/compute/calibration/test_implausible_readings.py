@@ -61,14 +61,15 @@ def test_readings_of_twelve_points_drawn_at_random_are_refused_where_the_noise_i
 
 
 def test_a_sensor_that_truly_read_0_is_accepted() -> None:
-    points, readings = scene()
-    # Its lowest readings are at 0 to within its noise, rounded to whole pixels.
-    readings[:, 1] -= np.sort(readings[:, 1])[1]
-    readings[:, 1] = np.maximum(np.round(readings[:, 1]), 0.0)
-    lowest = np.argsort(project(rig(), points)[:, 1])[:1]
-    readings[lowest, 1] = 0.0
-    assert (readings[:, 1] == 0.0).sum() == 2
-    readings[lowest, 1] = np.nan
+    models = rig()
+    points = control_points(24)
+    # Along the slit a reading is the same: three points at the lowest reading, which is made 0.
+    lowest = points[np.argmin(project(models, points)[:, 1])]
+    slit = models[1].rotation[1]
+    points = np.vstack([points, lowest + 60.0 * slit, lowest - 80.0 * slit])
+    readings = project(models, points) + SIGMA * np.random.default_rng(4).standard_normal((26, 4))
+    readings[:, 1] = np.maximum(np.round(readings[:, 1] - readings[:, 1].min()), 0.0)
+    assert (readings[:, 1] == 0.0).sum() > 1
     run(points, readings)
     # One zero alone is an outlier and not a habit.
     points, readings = scene()

@@ -14,7 +14,7 @@ from validation.bad_inputs.inputs import KINDS, Kind, sound_rig
 def test_each_kind_of_bad_input_is_answered_in_its_words(kind: Kind) -> None:
     right, wrong, example = run_kind(kind, 2, seed=11)
     assert right == 2, wrong
-    assert any(one in example for one in kind.expected)
+    assert kind.honest or any(one in example for one in kind.expected)
 
 
 @pytest.mark.slow

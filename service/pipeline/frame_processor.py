@@ -187,7 +187,8 @@ class FrameProcessor:
 
 def _three_sensor_remark(frames: Sequence[LineFrame], measurements: Measurements) -> str | None:
     """Return why three sensors find no marker where several are lit together; None: they do not."""
-    several = (measurements.count > 1).all(axis=1) & [frame.marker is None for frame in frames]
+    together = np.array([frame.marker is None for frame in frames])
+    several = together & np.all(measurements.count > 1, axis=1)
     if 2 * np.count_nonzero(several) <= len(frames):
         return None
     return THREE_SENSORS_REMARK

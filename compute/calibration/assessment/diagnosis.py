@@ -442,15 +442,13 @@ def _nonlinearity_remarks(calibration: Calibration, points: Array, readings: Arr
     remarks = []
     for fit, value in zip(calibration.sensors, found.tolist(), strict=True):
         if value > MAX_NONLINEARITY:
-            by = (
-                f"{value:.0%} otherwise"
-                if np.isfinite(value)
-                else "not as far as it settles, other"
-            )
+            by = "so far that no camera settles"
+            if np.isfinite(value):
+                by = f"{value:.0%} otherwise than the covariance says"
             remarks.append(
                 f"Sensor {fit.model.name}: its control points are near-critical: cameras that "
                 "differ much fit nearly as well. Readings that change by two standard deviations "
-                f"move the camera {by} than the covariance says; do not rely on the covariance, "
+                f"move the camera {by}; do not rely on the covariance, "
                 "and add points away from the curve or surface on which these lie."
             )
     return remarks

@@ -29,7 +29,7 @@ from compute.calibration.single_sensor.projective_camera import (
 from compute.calibration.single_sensor.trimmed_least_squares import robust_starts
 from compute.camera.field_distortion import Term
 from compute.camera.model import PARAMETER_COUNT, SensorGeometry, SensorModel
-from compute.camera.observation_checks import check_explained
+from compute.camera.observation_checks import MAX_RESIDUAL_SHARE, check_explained
 from compute.camera.stack import CameraStack
 from compute.errors import DegeneratePoints, NoConvergence, TooFewPoints
 from compute.robust_statistics import biweight, huber, mad_sigma
@@ -42,6 +42,11 @@ INITIAL_SIGMA_PX: Final = 0.05
 """Standard deviation of readings that weighs the offsets' prior until residuals give one."""
 CONTRADICTED_SIGMA_FACTOR: Final = 3.0
 """Residuals over the given standard deviations above which these do not explain them."""
+MAX_MAJORITY_SHARE: Final = 0.05
+"""Noise of the readings that a robust camera fits, relative to the standard deviation of all, below
+which the others are wrong, and not all unrelated."""
+MAX_WRONG_SHARE: Final = 0.25
+WRONG_READING_SIGMA: Final = 10.0
 MAX_REWEIGHTINGS: Final = 60
 WEIGHT_TOLERANCE: Final = 1e-6
 HUBER_ITERATIONS: Final = 8
@@ -240,7 +245,8 @@ def fit_metric_cameras(
     Raises:
         ImplausibleReadings: the readings have nothing to do with the points.
         DegeneratePoints: more than one camera fits.
-        NoConvergence: no start led to a minimum with all points in front of the lens.
+        NoConvergence: a few readings do not fit the camera of the others, or no start led to a
+            minimum with all points in front of the lens.
     """
     seen = np.isfinite(readings_px)
     weights = np.where(seen, 1.0 / np.where(seen, sigma_px, 1.0), 0.0)
@@ -268,22 +274,60 @@ def fit_metric_cameras(
         dof = np.maximum(seen.sum(axis=0) - PARAMETER_COUNT, 1)
         contradicted = ended.squares > CONTRADICTED_SIGMA_FACTOR**2 * dof
         shares = np.where(contradicted, unbiased, 0.0)
-    check_explained(shares, readings_px, sensors)
+    _check_related(shares, points_mm, readings_px, sensors)
     # First whether there is one camera: a search for none does not come to rest.
     try:
         check_determined(fitted, points_mm, weights, stack=ended.cameras)
     except DegeneratePoints:
-        check_explained(unbiased, readings_px, sensors)
+        _check_related(unbiased, points_mm, readings_px, sensors)
         raise
     for column, model in enumerate(fitted):
         if not ended.converged[column]:
-            check_explained(unbiased, readings_px, sensors)
+            _check_related(unbiased, points_mm, readings_px, sensors)
             raise NoConvergence(
                 f"sensor {model.name}: no camera with all its {int(seen[:, column].sum())} control "
                 "points in front of it fits the readings; look for exchanged or wrong labels",
                 sensor=model.name,
             )
     return fitted
+
+
+def _check_related(
+    shares: Array, points_mm: Array, readings_px: Array, sensors: Sequence[SensorGeometry]
+) -> None:
+    """Check that readings are related to the points.
+
+    Args:
+        shares: of ``_residual_shares``, shape (S,).
+        points_mm: shape (N, 3) [mm].
+        readings_px: shape (N, S) [px]; NaN where not seen.
+        sensors: the S sensors.
+
+    Raises:
+        NoConvergence: a camera fits all but a few readings of a sensor.
+        ImplausibleReadings: none does.
+    """
+    for column in np.flatnonzero(shares > MAX_RESIDUAL_SHARE).tolist():
+        rows = np.flatnonzero(np.isfinite(readings_px[:, column]))
+        values = readings_px[rows, column]
+        camera = ProjectiveCamera.of(points_mm[rows], values)
+        theta = robust_starts(camera, values, np.ones(len(values)), 1)
+        residuals = np.abs(camera.project(theta)[0] - values)
+        all_rows = np.ones((len(values), 1), dtype=np.bool_)
+        scale = float(mad_sigma(residuals[:, None], all_rows, PARAMETER_COUNT)[0])
+        wrong = rows[residuals > max(WRONG_READING_SIGMA * scale, 1.0)] + 1
+        is_majority = len(wrong) <= MAX_WRONG_SHARE * len(values)
+        if scale < MAX_MAJORITY_SHARE * values.std() and is_majority:
+            name = sensors[column].name
+            raise NoConvergence(
+                f"sensor {name}: no camera fits all its {len(values)} readings; one fits the "
+                f"others to {scale:.2g} px, but not those of points "
+                f"{', '.join(map(str, wrong.tolist()))}: look for exchanged or wrong labels there, "
+                "or leave these readings out",
+                sensor=name,
+                points=tuple(wrong.tolist()),
+            )
+    check_explained(shares, readings_px, sensors)
 
 
 def _residual_shares(

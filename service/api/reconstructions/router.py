@@ -13,7 +13,8 @@ from hardware.driver import SensorDescription
 from service.api.base_models import SLUG_PATTERN, Page
 from service.api.calibrations.calibration_content import observations, result_of
 from service.api.correction_tables.store import content_of
-from service.api.devices.store import check_sensors, get_device, sensors_of_row
+from service.api.devices.schema import check_sensors
+from service.api.devices.store import get_device, sensors_of_row
 from service.api.inputs import DatabaseDep, DeviceFilter, JsonTypes, PagingDep, page_of
 from service.api.openapi import ResourceRouter, raises
 from service.api.reconstructions import store
@@ -84,7 +85,7 @@ def get_reconstruction(
 ) -> Reconstruction:
     """One reconstruction: readings and estimates."""
     with database.read() as session:
-        return store.document(store.get_reconstruction(session, reconstruction_id))
+        return store.document(store.RECONSTRUCTIONS.get(session, reconstruction_id))
 
 
 @router.operation("DELETE /{reconstruction_id}", "delete-reconstruction", "Delete a reconstruction")
@@ -92,7 +93,7 @@ def get_reconstruction(
 def delete_reconstruction(reconstruction_id: ReconstructionPath, database: DatabaseDep) -> None:
     """Delete a reconstruction."""
     with database.write() as session:
-        session.delete(store.get_reconstruction(session, reconstruction_id))
+        session.delete(store.RECONSTRUCTIONS.get(session, reconstruction_id))
 
 
 def run_reconstruction(

@@ -9,6 +9,7 @@ from validation.aberrations.seidel_case import CASE as SEIDEL
 from validation.aberrations.tables_3_1_and_3_2 import CASE as TABLES_3_1_3_2
 from validation.aberrations.tables_a_1_and_a_2 import TABLE_A1, TABLE_A2
 from validation.attenuation.case import CASE as ATTENUATION
+from validation.bad_inputs.case import CASE as BAD_INPUTS
 from validation.calibration_convergence.case import CASE as CONVERGENCE
 from validation.close_peaks.case import CASE as CLOSE_PEAKS
 from validation.interpolators.case import CASE as INTERPOLATORS
@@ -106,6 +107,7 @@ _TABLES: Final[tuple[TablesCase, ...]] = (
     TABLE_C,
     CONVERGENCE,
     RANDOM_RIGS,
+    BAD_INPUTS,
     WAND,
     WAND_FROM_READINGS,
     PARTIAL_VIEW,

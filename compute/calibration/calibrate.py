@@ -27,13 +27,19 @@ from compute.calibration.single_sensor.sensor_fits import (
     ControlObservations,
     SensorFits,
     fit_distorted,
+    fit_metric_cameras,
     fit_undistorted,
     moderated_variance,
     projected_point_sigma,
+    residual_sigma,
 )
 from compute.camera.model import PARAMETER_COUNT, SensorGeometry, SensorModel, vector3
-from compute.camera.observation_checks import UNEXPLAINED_PROBABILITY, check_control_points
-from compute.errors import DegeneratePoints, NoConvergence
+from compute.camera.observation_checks import (
+    UNEXPLAINED_PROBABILITY,
+    check_control_points,
+    check_zeros,
+)
+from compute.errors import DegeneratePoints, ImplausibleReadings, LumilineError, NoConvergence
 from compute.progress import Progress, no_progress, partial_progress
 from compute.reconstruction.triangulation import chi2_limit
 from compute.robust_statistics import EFFICIENCY_LOSS
@@ -46,6 +52,12 @@ NOISE_TOLERANCE: Final = 0.02
 MIN_NOISE_SHARE: Final = 0.1
 """Standard deviation of readings, relative to what the control points' uncertainty does to them,
 below which "auto" does not estimate it: the residuals do not tell them apart."""
+ZERO_SIGMA: Final = 10.0
+"""Distance of a reading of 0 from where the sensor's other readings put the marker, in standard
+deviations, above which they contradict it."""
+ZERO_SHARE: Final = 0.05
+"""The same distance relative to the range of the other readings: distortion that the camera does
+not describe is below 3 % of it."""
 MIN_NOISE_DOF: Final = 2.0
 """Degrees of freedom of all sensors above which their common noise is estimated."""
 
@@ -83,16 +95,19 @@ def calibrate(
         DegeneratePoints: the points that a sensor saw lie in one plane, or coincide or line up
             seen along its slit.
         NonFiniteValue, DuplicatePoint, ReadingOutsideSensor, InvalidParameter: a value is wrong.
+        ImplausibleReadings: a sensor's readings have nothing to do with the points, are those of
+            another sensor, or are 0 where its other readings put the markers elsewhere.
         NoConvergence: no camera was found.
     """
     points = np.asarray(points_mm, dtype=np.float64)
     readings = np.asarray(readings_px, dtype=np.float64)
     sigma = None if sigma_px is None else np.asarray(sigma_px, dtype=np.float64)
     check_control_points(points, readings, sensors, sigma)
+    _check_zeros(points, readings, sensors)
     labels: tuple[LabelFinding, ...] = ()
     if settings.labels != "off":
         search = partial_progress(progress, 0.0, 0.05)
-        labels = find_label_errors(points, readings, sensors, sigma, search).findings
+        labels = _find_labels(points, readings, sensors, sigma, search)
         correct = CORRECTIONS.get(settings.labels)
         if labels and correct is not None:
             readings, sigma = correct(labels, sensors, readings, sigma)
@@ -100,7 +115,7 @@ def calibrate(
     observed = ControlObservations.of(points, readings, sensors, sigma)
     try:
         result = _fit(observed, settings, initial_models, progress)
-    except (DegeneratePoints, NoConvergence) as error:
+    except (DegeneratePoints, ImplausibleReadings, NoConvergence) as error:
         if not labels:
             raise
         # Report the label errors too: they may be why the fit failed.
@@ -110,6 +125,54 @@ def calibrate(
             f"{error.detail}; labels and readings that look wrong: {named}{advice}", **error.context
         ) from error
     return replace(result, labels=labels)
+
+
+def _check_zeros(points_mm: Array, readings_px: Array, sensors: Sequence[SensorGeometry]) -> None:
+    """Check that no sensor's readings of exactly 0 stand for markers that it did not see.
+
+    Raises:
+        ImplausibleReadings: a camera fitted to the sensor's other readings contradicts two or more.
+    """
+    for column in np.flatnonzero((readings_px == 0.0).sum(axis=0) > 1).tolist():
+        sensor = sensors[column]
+        values = readings_px[:, [column]]
+        zeros = np.flatnonzero(values[:, 0] == 0.0)
+        rows = np.isfinite(values[:, 0]) & (values[:, 0] != 0.0)
+        points, others = points_mm[rows], values[rows]
+        ones = np.ones(others.shape)
+        try:
+            check_control_points(points, others, [sensor], None)
+            models, groups, stack = fit_metric_cameras(points, others, ones, [sensor])
+        except LumilineError:
+            # Too few others: the fit to all readings must tell.
+            continue
+        observed = ControlObservations.of(points, others, [sensor], None)
+        noise = max(float(residual_sigma(observed, models, ones)[0]), float(QUANTISATION_PX))
+        expected, jacobian = stack.project_with_parameter_jacobian(points_mm[zeros])
+        cofactor = groups[0].cofactors[0]
+        variance = np.einsum("np,pq,nq->n", jacobian[:, 0], cofactor, jacobian[:, 0])
+        limit = np.maximum(
+            ZERO_SIGMA * noise * np.sqrt(1.0 + variance), ZERO_SHARE * float(np.ptp(others))
+        )
+        # Behind the lens: NaN.
+        contradicted = ~(np.abs(expected[:, 0]) <= limit)
+        check_zeros(zeros, contradicted, expected[:, 0], sensor)
+
+
+def _find_labels(
+    points_mm: Array,
+    readings_px: Array,
+    sensors: Sequence[SensorGeometry],
+    sigma_px: Array | None,
+    progress: Progress,
+) -> tuple[LabelFinding, ...]:
+    """Return label errors and outliers of the sensors that have more readings than parameters."""
+    redundant = np.flatnonzero(np.isfinite(readings_px).sum(axis=0) > PARAMETER_COUNT)
+    if not len(redundant):
+        return ()
+    sigma = None if sigma_px is None else sigma_px[:, redundant]
+    some = [sensors[column] for column in redundant.tolist()]
+    return find_label_errors(points_mm, readings_px[:, redundant], some, sigma, progress).findings
 
 
 def _describe(finding: LabelFinding) -> str:

@@ -98,6 +98,8 @@ def plan(
     budget, total, reason = _budget(scene, centre)
     seen_by = coverage(lines.visible, volume_points.weights)
     ghosts, notes = _ghosts(device, lines, box, seen_by, most, ghost_trials, seed)
+    if len(device.names) == 3 and most > 1:
+        notes = (*notes, _THREE_SENSORS)
     report(1.0)
     return Plan(
         profile.name,
@@ -255,4 +257,10 @@ _ASSUMPTIONS: Final = (
     "Standard deviations of the noise are of one exposure of a device calibrated without error, "
     "its distortion corrected. The fixed pattern is that of pixels that are not flat-fielded; it "
     "comes on top, the same in every exposure. Markers face every sensor."
+)
+
+_THREE_SENSORS: Final = (
+    "With three sensors two or more markers lit together are not found: each of the N^3 "
+    "combinations of their readings is a point. No track and no tool begins; strobe them, or add "
+    "a fourth sensor."
 )

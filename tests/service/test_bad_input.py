@@ -176,6 +176,36 @@ def _() -> Sent:
     return Sent("POST", "/api/v1/reconstructions", content=content, headers=headers)
 
 
+def with_column(sensor: str, values: Callable[[int, dict[str, float]], float]) -> Json:
+    body = calibration()
+    for index, point in enumerate(body["points"]):
+        point["readings"][sensor] = values(index, point["readings"])
+    return body
+
+
+@builds("readings that have nothing to do with the points")
+def _() -> Sent:
+    drawn = np.random.default_rng(5).uniform(0.0, 2047.0, 19).round(2).tolist()
+    return post_calibration(with_column("vertical", lambda index, _: drawn[index]))
+
+
+@builds("0 entered for markers that were not seen")
+def _() -> Sent:
+    body = with_column("vertical", lambda index, own: 0.0 if index < 2 else own["vertical"])
+    return post_calibration(body)
+
+
+def copied() -> Json:
+    return with_column("horizontal", lambda _, own: own["vertical"])
+
+
+builds("readings of one sensor copied to another")(lambda: post_calibration(copied()))
+builds("readings of one sensor copied to another for a run")(
+    lambda: Sent("POST", "/api/v1/calibration-runs", copied())
+)
+builds("always the same reading")(lambda: post_calibration(with_column("vertical", lambda *_: 5.0)))
+
+
 @builds("unknown sensor")
 def _() -> Sent:
     return post_calibration(with_reading(calibration(), "sixth", 3.0))

@@ -67,7 +67,7 @@ def list_calibrations(
 )
 @raises("unknown-device", "calibration-exists", "sensors-changed", "too-few-points")
 @raises("coplanar-points", "duplicate-point", "unknown-sensor", "reading-outside-sensor")
-@raises("invalid-parameter", "no-convergence")
+@raises("implausible-readings", "invalid-parameter", "no-convergence")
 def create_calibration(request: NewCalibrationBody, database: DatabaseDep) -> JSONResponse:
     """Calibrate every sensor from control points. The calibration is stored, not activated.
 

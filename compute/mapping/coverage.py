@@ -37,7 +37,7 @@ class Coverage:
         spacing_mm: local spacing at each, shape (N,) [mm].
         hole_centres_mm: centres of empty balls that are holes, shape (B, 3) [mm].
         hole_radii_mm: their radii, shape (B,) [mm].
-        resolution_mm: diameter of the largest empty ball that is no hole [mm].
+        resolution_mm: diameter of the largest empty ball within the hull that is no hole [mm].
     """
 
     points_mm: Array
@@ -77,7 +77,7 @@ class Coverage:
             spacing,
             nodes[hole],
             radius[hole],
-            2.0 * float(np.where(hole, 0.0, np.minimum(radius, limit)).max()),
+            2.0 * float(np.where(hole, 0.0, radius).max()),
         )
 
     @property

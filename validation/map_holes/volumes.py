@@ -1,6 +1,6 @@
 """Measured volumes with holes, fields to be mapped, and cameras: none of the mapping's own code."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Literal
 
 import numpy as np
@@ -163,6 +163,10 @@ class Field:
     width_mm: Array
     feature_px: float
 
+    def without_feature(self) -> "Field":
+        """Return the smooth part alone."""
+        return replace(self, feature_px=0.0)
+
     def at(self, unit: Array) -> Array:
         """Return the correction at points (N, 3), in units of the half edges, shape (N,) [px]."""
         smooth = np.sin(unit @ self.wave[:, :3].T + self.wave[:, 3]) @ self.amplitude_px
@@ -173,7 +177,14 @@ class Field:
 def random_field(
     centre: Array, width_mm: Array, feature_px: float, rng: np.random.Generator
 ) -> Field:
-    """Draw a smooth field of half a pixel whose waves are longer than the box; add a feature."""
+    """Draw a smooth field of three waves that are longer than the box, with a feature.
+
+    Args:
+        centre: of the feature, in units of the box's half edges, shape (3,).
+        width_mm: its full width at half maximum along the axes, shape (3,).
+        feature_px: its height.
+        rng: draws the smooth part.
+    """
     direction = rng.standard_normal((3, 3))
     direction *= rng.uniform(1.0, 2.5, 3)[:, None] / np.linalg.norm(direction, axis=1)[:, None]
     wave = np.column_stack([direction, rng.uniform(0.0, 2.0 * np.pi, 3)])

@@ -35,7 +35,8 @@ def find_supported_cells(
     points = coverage.points_mm
     # The distance from the cell's centre to its corners.
     corner = 0.5 * float(np.linalg.norm(grid.pitch_mm))
-    distance, nearest = cKDTree(points).query(centres, k=[1, min_neighbours])
+    found = cKDTree(points).query(centres, k=[1, min_neighbours])
+    distance, nearest = np.asarray(found[0]), np.asarray(found[1])
     reach = REACH * coverage.spacing_mm[nearest[:, 0]] + corner
     supported = (
         within_hull(points, centres)

@@ -60,7 +60,8 @@ class Coverage:
         if not len(nodes):
             return cls(points_mm, spacing, np.empty((0, 3)), np.empty(0), 0.0)
         tree = cKDTree(points_mm)
-        distance, nearest = tree.query(nodes, k=min(_NEAREST, len(points_mm)))
+        found = tree.query(nodes, k=min(_NEAREST, len(points_mm)))
+        distance, nearest = np.asarray(found[0]), np.asarray(found[1])
         radius = distance[:, 0]
         wide_spacing = spacing[nearest].max(axis=1)
         typical = float(np.quantile(radius / wide_spacing, TYPICAL_QUANTILE))
@@ -121,7 +122,8 @@ def local_spacing(points_mm: Array, nodes_mm: Array, node_volume: float) -> Arra
     """
     count = min(_NEIGHBOURS, len(points_mm) - 1)
     tree = cKDTree(points_mm)
-    distance, neighbours = tree.query(points_mm, k=count + 1)
+    found = tree.query(points_mm, k=count + 1)
+    distance, neighbours = np.asarray(found[0]), np.asarray(found[1])
     ball = 4.0 / 3.0 * np.pi * distance[:, -1] ** 3
     if len(nodes_mm):
         lattice = cKDTree(nodes_mm)

@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
+from scipy.spatial import Delaunay, cKDTree
 
 from compute.mapping.build import build_table
 from compute.mapping.measurements import MappingMeasurements
@@ -54,7 +54,8 @@ class Trial:
     Args:
         layout: of the measurements.
         shape: of the hole.
-        hole_mm: diameter of the largest empty ball in it [mm]; 0 without a hole.
+        hole_mm: diameter of the largest empty ball in it, centred within the measurements' hull
+            [mm]; 0 without a hole.
         resolution_mm: that the table claims, the coarser of the sensors' [mm].
         error_sigma: error over stated sigma at probes, shape (N, S); NaN where not valid.
         feature_sigma: the feature's part of that error, shape (N, S); NaN where not valid.
@@ -95,7 +96,9 @@ def run_trial(layout: Layout, shape: Shape, rng: np.random.Generator) -> Trial:
     points = CENTRE_MM + HALF_MM * unit
     probes = rng.uniform(-1.0, 1.0, (PROBES, 3))
     inside = hole.contains(probes)
-    distance = cKDTree(points).query(CENTRE_MM + HALF_MM * probes)[0] * inside
+    # What lies outside the measurements' hull is no hole.
+    enclosed = inside & (Delaunay(unit).find_simplex(probes) >= 0)
+    distance = np.asarray(cKDTree(points).query(CENTRE_MM + HALF_MM * probes)[0]) * enclosed
     hole_mm = 2.0 * float(distance.max())
     fields = [_field(k, hole, probes, distance, rng) for k in range(SENSORS)]
     noise = sigma * rng.standard_normal((len(points), SENSORS))

@@ -71,9 +71,9 @@ class Hole:
         one, two = (self.axis + 1) % 3, (self.axis + 2) % 3
         inside: NDArray[np.bool_]
         if self.shape in ("sphere", "ellipsoid"):
-            inside = (scaled**2).sum(axis=1) < 1.0
+            inside = np.asarray((scaled**2).sum(axis=1) < 1.0)
         elif self.shape == "slab":
-            inside = np.abs(scaled[:, self.axis]) < 1.0
+            inside = np.asarray(np.abs(scaled[:, self.axis]) < 1.0)
         elif self.shape == "wedge":
             thin = np.abs(scaled[:, one]) < 0.5 * (1.0 - scaled[:, self.axis])
             inside = thin & (np.abs(scaled) < 1.0).all(axis=1)
@@ -82,7 +82,7 @@ class Hole:
             quarter = (scaled[:, one] > 0.0) & (scaled[:, two] > 0.0)
             inside = arm.all(axis=1) & ~quarter
         elif self.shape == "channel":
-            inside = scaled[:, one] ** 2 + scaled[:, two] ** 2 < 1.0
+            inside = np.asarray(scaled[:, one] ** 2 + scaled[:, two] ** 2 < 1.0)
         else:
             inside = (np.abs(scaled) < 1.0).all(axis=1)
         return inside

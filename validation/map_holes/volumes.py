@@ -84,7 +84,7 @@ class Hole:
         elif self.shape == "channel":
             inside = np.asarray(scaled[:, one] ** 2 + scaled[:, two] ** 2 < 1.0)
         else:
-            inside = (np.abs(scaled) < 1.0).all(axis=1)
+            inside = np.asarray((np.abs(scaled) < 1.0).all(axis=1))
         return inside
 
 

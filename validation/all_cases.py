@@ -16,6 +16,7 @@ from validation.interpolators.case import CASE as INTERPOLATORS
 from validation.labels.case import CASE as LABELS
 from validation.labels.heavy_tails import CASE as LABEL_TAILS
 from validation.map_bound.case import CASE as MAP_BOUND
+from validation.map_holes.case import CASE as MAP_HOLES
 from validation.marker_capacity.case import CASE as MARKER_CAPACITY
 from validation.partial_view.case import CASE as PARTIAL_VIEW
 from validation.passive_detection.case import CASE as PASSIVE_DETECTION
@@ -96,6 +97,7 @@ _TABLES: Final[tuple[TablesCase, ...]] = (
     _with_picture(PEAK_EFFICIENCY, "peak_efficiency.picture"),
     _with_picture(CLOSE_PEAKS, "close_peaks.picture"),
     MAP_BOUND,
+    MAP_HOLES,
     _with_picture(MARKER_CAPACITY, "marker_capacity.picture"),
     _with_picture(INTERPOLATORS, "interpolators.picture"),
     TABLES_3_1_3_2,

@@ -485,9 +485,9 @@ def wrong_shape(file: Any) -> None:
     hdf5_files.replace(file, "variance_px2", data=np.zeros((4, 6, 5, 5)))
 
 
-def with_hole() -> bytes:
+def without_valid_cells() -> bytes:
     valid = np.ones((4, 5, 4, 3), dtype=np.bool_)
-    valid[2, 2, 1, 1] = False
+    valid[2] = False
     return table(valid=valid)
 
 
@@ -563,7 +563,7 @@ builds("table with data in another file")(lambda: upload(table(hdf5_files.extern
 builds("table with virtual data")(lambda: upload(table(hdf5_files.virtual_data)))
 builds("table with NaN")(lambda: upload(table(with_nan)))
 builds("table of the wrong shape")(lambda: upload(table(wrong_shape)))
-builds("table with holes")(lambda: upload(with_hole()))
+builds("table without valid cells of a sensor")(lambda: upload(without_valid_cells()))
 builds("table of another calibration")(lambda: upload(table()))
 
 

@@ -74,7 +74,7 @@ def store(session: "Session", row: "RunRow", content: TableContent) -> str:
     """Store the table and return its id.
 
     Raises:
-        SensorsChanged, CalibrationRetired, CorrectionTableExists, TableHasHoles: as they say.
+        SensorsChanged, CalibrationRetired, CorrectionTableExists, NoValidCells: as they say.
     """
     from service.api.calibrations.store import usable
     from service.api.correction_tables.store import add_table

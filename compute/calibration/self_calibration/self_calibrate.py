@@ -133,15 +133,15 @@ def self_calibrate(
     if begin.initial is None:
         for observed in scales:
             check_observed_scale(observed)
-        check_count(begin.reference, [start.poses for start in work.starts(False)])
+        check_count(begin.reference, [start.poses for start in work.starts(trusted=False)])
         work.models = coarse_solution(begin.reference, work.kept_recordings(), work.sigma)
     else:
         work.models = begin.initial
-        check_count(work.models, [start.poses for start in work.starts(True)])
+        check_count(work.models, [start.poses for start in work.starts()])
     if begin.given:
         check_scale(begin.reference, work.models)
     progress(0.5, "adjustment")
-    check_volume_coverage([start.poses for start in work.starts(True)])
+    check_volume_coverage([start.poses for start in work.starts()])
     for _ in range(SCREENING_ROUNDS):
         adjusted = work.adjusted(work.screen_poses())
         if not work.sigma_given:
@@ -300,7 +300,7 @@ class _SelfCalibrationState:
             for recording, readings in zip(self.recordings, self.readings, strict=True)
         ]
 
-    def starts(self, trusted: bool) -> list[InitialPoses]:
+    def starts(self, trusted: bool = True) -> list[InitialPoses]:
         """Fit all poses to the current cameras, without undetermined ones."""
         starts = []
         for recording, sigma in zip(self.kept_recordings(), self.sigma, strict=True):
@@ -310,11 +310,11 @@ class _SelfCalibrationState:
 
     def screen_poses(self) -> list[InitialPoses]:
         """Fit all poses to the current cameras, without contradictory ones."""
-        return [screen_poses(self.models, start).consistent for start in self.starts(True)]
+        return [screen_poses(self.models, start).consistent for start in self.starts()]
 
     def reject_single_outliers(self) -> None:
         """Reject the single outlier of each contradictory pose that has one."""
-        for number, start in enumerate(self.starts(True)):
+        for number, start in enumerate(self.starts()):
             fitted = screen_poses(self.models, start)
             bad = start.poses.select(~fitted.good)
             if len(bad):
@@ -324,7 +324,7 @@ class _SelfCalibrationState:
 
     def repair_exchanges(self) -> None:
         """Exchange two markers' readings of one sensor where that alone explains a pose."""
-        for number, start in enumerate(self.starts(True)):
+        for number, start in enumerate(self.starts()):
             fitted = screen_poses(self.models, start)
             found = find_exchanges(self.models, start.poses.select(~fitted.good))
             for pose, first, second, sensor in found:

@@ -10,7 +10,7 @@ from compute.calibration.self_calibration.self_calibrate import self_calibrate
 from compute.calibration.self_calibration.targets import Recording, Wand
 from compute.calibration.self_calibration.wave_coverage import wave_coverage
 from compute.camera.model import SensorGeometry, SensorModel
-from compute.errors import InvalidParameter
+from compute.errors import InvalidParameter, LumilineError
 from service.cli.calibrate import fit_table, parse_distortion, write_calibration
 from service.cli.json_files import read_calibration
 from service.cli.observations_csv import read_wand
@@ -130,15 +130,22 @@ def wand(
     else:
         initial = sensors
     waved = Recording(target, table.readings_px, table.sigma_px)
-    with progress("calibrating", 1.0) as done:
-        result = self_calibrate(
-            initial,
-            [waved],
-            initial="readings" if from_readings or start is None else "start",
-            directions_deg=None if directions is None else _directions(directions, table.sensors),
-            distortion=parse_distortion(distortion),
-            progress=lambda share, _stage: done(share),
-        )
+    try:
+        with progress("calibrating", 1.0) as done:
+            result = self_calibrate(
+                initial,
+                [waved],
+                initial="readings" if from_readings or start is None else "start",
+                directions_deg=(
+                    None if directions is None else _directions(directions, table.sensors)
+                ),
+                distortion=parse_distortion(distortion),
+                progress=lambda share, _stage: done(share),
+            )
+    except LumilineError:
+        if readings is None:
+            show_coverage(wave_coverage(initial, waved, cameras))
+        raise
     if readings is None:
         show_coverage(wave_coverage(initial, waved, result.calibration.models))
     fit = result.targets[0]

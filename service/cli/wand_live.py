@@ -32,7 +32,11 @@ MAX_LINES: Final = 8
 
 
 def wave_live(
-    source: LiveWand, target: Wand, cameras: Sequence[SensorModel] | None, seconds: float
+    source: LiveWand,
+    target: Wand,
+    cameras: Sequence[SensorModel] | None,
+    seconds: float,
+    every_s: float = EVERY_S,
 ) -> ReadingTable:
     """Collect poses, show their coverage as it grows, and return them when they are enough.
 
@@ -43,12 +47,13 @@ def wave_live(
         target: the wand.
         cameras: approximate cameras; None: computed from the readings as soon as these suffice.
         seconds: how long at most.
+        every_s: time between two looks [s].
     """
     began = time.monotonic()
     estimate = _EstimatedCameras(source) if cameras is None else None
     with Live(Text("Wave the wand."), console=console, auto_refresh=False) as shown:
         try:
-            for table in source.collect(seconds, EVERY_S):
+            for table in source.collect(seconds, every_s):
                 if cameras is not None:
                     table = table.in_order_of(cameras)
                 recording = Recording(target, table.readings_px, table.sigma_px)

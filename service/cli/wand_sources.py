@@ -23,6 +23,8 @@ Array = NDArray[np.float64]
 UNCLEAR_FLAGS: Final = frozenset({"saturated", "clipped", "merged", "unfitted", "ambiguous"})
 """Flags of peaks whose position is not that of one marker alone; as ``taps.UNCLEAR``."""
 BUNDLE_MS: Final = 50.0
+KEPT_CYCLES: Final = 4
+"""Strobe cycles that are kept to interpolate what comes next."""
 
 
 def read_recorded_wand(
@@ -46,11 +48,11 @@ def read_recorded_wand(
     from service.pipeline.frame_processor import FrameProcessor
     from service.pipeline.taps import clear_readings
 
-    collected = _Exposures()
     with RecordingReader(path) as reader:
         description = reader.info.description
         sensors = tuple(SensorGeometry(one.name, one.pixels) for one in description.sensors)
         _check_strobed(path.name, markers, description.markers)
+        collected = _Exposures(str(path), sensors, markers)
         processor = FrameProcessor("wand", description, "cpu")
         count = 0
         for batch in reprocess(reader, processor, given=NO_ACTIVE_CALIBRATION):
@@ -61,7 +63,7 @@ def read_recorded_wand(
                     collected.add(frame.exposure_device_ns, frame.marker, *read)
             count += len(batch.frames)
             done(count / max(reader.info.frames, 1))
-    return collected.table(path, sensors, markers), sensors
+    return collected.table(), sensors
 
 
 class LiveWand:
@@ -77,9 +79,9 @@ class LiveWand:
         self._client = client
         self._device = device
         self._markers = tuple(markers)
-        self._collected = _Exposures()
         described = client.device(device)
         self.sensors = tuple(SensorGeometry(one.name, one.pixels) for one in described.sensors)
+        self._collected = _Exposures(device, self.sensors, self._markers)
 
     def collect(self, seconds: float, every_s: float) -> Iterator[ReadingTable]:
         """Yield all poses so far, about every ``every_s`` seconds, for ``seconds``.
@@ -102,7 +104,7 @@ class LiveWand:
                     read = _brightest(message, columns)
                     self._collected.add(message.device_ns, message.marker, *read)
                 now = time.monotonic()
-                if now >= due and self._collected:
+                if now >= due and self._collected.complete:
                     due = now + every_s
                     yield self.table()
                 if now >= end:
@@ -110,26 +112,39 @@ class LiveWand:
 
     def table(self) -> ReadingTable:
         """Return all poses so far."""
-        return self._collected.table(Path(self._device), self.sensors, self._markers)
+        return self._collected.table()
 
 
 class _Exposures:
-    """Strobed exposures in the order of time."""
+    """Strobed exposures in the order of time, turned into poses of a wand as they come."""
 
-    def __init__(self) -> None:
+    def __init__(self, source: str, sensors: Sequence[SensorGeometry], markers: Sequence[int]):
+        self._source = source
+        self._sensors = sensors
+        self._markers = markers
         self._rows: list[tuple[int, int, Array, Array]] = []
-
-    def __len__(self) -> int:
-        return len(self._rows)
+        self._poses: list[tuple[Array, Array]] = []
 
     def add(self, device_ns: int, marker: int, position_px: Array, sigma_px: Array) -> None:
         self._rows.append((device_ns, marker, position_px, sigma_px))
 
-    def table(
-        self, path: Path, sensors: Sequence[SensorGeometry], markers: Sequence[int]
-    ) -> ReadingTable:
-        if not self._rows:
-            raise InvalidParameter(f"{path} has no exposure in which one marker was lit alone")
+    @property
+    def complete(self) -> bool:
+        """Whether each of the wand's markers was lit among the newest exposures."""
+        return {row[1] for row in self._rows}.issuperset(self._markers)
+
+    def table(self) -> ReadingTable:
+        """Return all poses so far."""
+        if self._rows:
+            self._add_poses()
+        shape = (-1, len(self._markers), len(self._sensors))
+        readings, sigma = (
+            np.array([pose[part] for pose in self._poses]).reshape(shape) for part in (0, 1)
+        )
+        names = tuple(sensor.name for sensor in self._sensors)
+        return ReadingTable(Path(self._source), names, readings, sigma)
+
+    def _add_poses(self) -> None:
         begin = self._rows[0][0]
         exposures = StrobedReadings(
             np.array([1e-9 * (row[0] - begin) for row in self._rows]),
@@ -137,10 +152,12 @@ class _Exposures:
             np.array([row[2] for row in self._rows]),
             np.array([row[3] for row in self._rows]),
         )
-        pixels = [sensor.pixels for sensor in sensors]
-        readings, sigma = strobed_poses(exposures, markers, pixels)
-        names = tuple(sensor.name for sensor in sensors)
-        return ReadingTable(path, names, readings, sigma)
+        last = self._poses[-1][0] if self._poses else None
+        pixels = [sensor.pixels for sensor in self._sensors]
+        found = strobed_poses(exposures, self._markers, pixels, last)
+        self._poses += zip(*found, strict=True)
+        # What comes next is interpolated from the last cycles.
+        self._rows = self._rows[-KEPT_CYCLES * (1 + int(exposures.marker.max())) :]
 
 
 def _brightest(frame: Frame, columns: "Mapping[str, int]") -> tuple[Array, Array]:

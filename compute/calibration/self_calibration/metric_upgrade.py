@@ -18,6 +18,9 @@ SAMPLES: Final = 3000
 """Planes at infinity that are tried."""
 REFINED: Final = 12
 """The best of them that are refined."""
+REFINED_OF_SIZE: Final = 3
+"""At most so many of them have a principal distance in the same bin of its logarithm."""
+SIZE_BIN: Final = 0.4
 MAX_PAIRS: Final = 150
 """Known lengths that judge a plane; more cost time and tell little more."""
 DISTINCT: Final = 0.03
@@ -85,9 +88,9 @@ def metric_upgrades(
     start = reconstruction.cameras @ np.linalg.inv(space.homography)
     pixels = np.array([sensor.pixels for sensor in sensors], dtype=np.float64)
     costs, gram = _judge_planes(planes, first, second, length_mm)
-    costs = costs + _lens_cost(start, planes, gram, pixels)
+    lens_costs, size = _lens_cost(start, planes, gram, pixels)
     found: list[tuple[float, Array, Array]] = []
-    for index in np.argsort(costs, kind="stable")[:REFINED]:
+    for index in _best_of_each_size(costs + lens_costs, size):
         upgrade = _refine(planes[index], gram[index], (first, second), length_mm, start, pixels)
         if upgrade is None:
             continue
@@ -187,8 +190,27 @@ def _judge_planes(
     return costs, (vectors * values[:, None]) @ vectors.transpose(0, 2, 1)
 
 
-def _lens_cost(cameras: Array, planes: Array, gram: Array, pixels: Array) -> Array:
+def _best_of_each_size(costs: Array, size: Array) -> list[int]:
+    """Return indices of the best samples, of which few have lenses of about the same size.
+
+    Few points fit lenses of several sizes: the lowest costs may all be near one of them.
+    """
+    taken: dict[int, int] = {}
+    chosen = []
+    for index in np.argsort(costs, kind="stable").tolist():
+        bin_number = int(np.floor(size[index] / SIZE_BIN))
+        if taken.get(bin_number, 0) < REFINED_OF_SIZE:
+            taken[bin_number] = taken.get(bin_number, 0) + 1
+            chosen.append(index)
+        if len(chosen) == REFINED:
+            break
+    return chosen
+
+
+def _lens_cost(cameras: Array, planes: Array, gram: Array, pixels: Array) -> tuple[Array, Array]:
     """Return how unusual the lenses are with each plane and form, (V,), as ``_refine`` counts it.
+
+    Second, the logarithm of their mean principal distance over the pixels, (V,).
 
     Products of rows of upgraded cameras need no more than the form: ``a A^-1 A^-T b = a G^-1 b``.
     """
@@ -196,7 +218,9 @@ def _lens_cost(cameras: Array, planes: Array, gram: Array, pixels: Array) -> Arr
     products = rows @ np.linalg.inv(gram)[:, None] @ rows.swapaxes(2, 3)
     point = products[..., 0, 1] / products[..., 1, 1]
     distance = np.sqrt(np.maximum(products[..., 0, 0] / products[..., 1, 1] - point**2, 0.0))
-    return np.asarray(0.5 * np.log1p(_lens_misfits(distance, point, pixels) ** 2).sum(axis=-1))
+    size = np.log(np.maximum(distance, 1e-9) / pixels).mean(axis=1)
+    costs = 0.5 * np.log1p(_lens_misfits(distance, point, pixels) ** 2).sum(axis=-1)
+    return costs, size
 
 
 def _lens_misfits(distance: Array, point: Array, pixels: Array) -> Array:

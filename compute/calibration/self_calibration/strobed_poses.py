@@ -36,7 +36,10 @@ class StrobedReadings:
 
 
 def strobed_poses(
-    exposures: StrobedReadings, markers: Sequence[int], pixels: Sequence[int]
+    exposures: StrobedReadings,
+    markers: Sequence[int],
+    pixels: Sequence[int],
+    previous_px: Array | None = None,
 ) -> tuple[Array, Array]:
     """Return the readings of a target's K markers at the same instants, and their sigmas.
 
@@ -48,6 +51,7 @@ def strobed_poses(
         exposures: readings in the order of time.
         markers: numbers of the target's markers, in the target's order, shape (K,).
         pixels: of the S sensors.
+        previous_px: readings of the last pose before, shape (K, S) [px]; None: there is none.
 
     Returns:
         Readings and standard deviations, shape (B, K, S) [px]; NaN where not seen.
@@ -86,20 +90,21 @@ def strobed_poses(
         sigma[:, column] = np.hypot(
             (1.0 - share) * exposures.sigma_px[first], share * exposures.sigma_px[second]
         )
-    chosen = _distinct(readings, np.asarray(pixels, dtype=np.float64))
+    chosen = _distinct(readings, np.asarray(pixels, dtype=np.float64), previous_px)
     return readings[chosen], sigma[chosen]
 
 
-def _distinct(readings: Array, pixels: Array) -> NDArray[np.intp]:
+def _distinct(readings: Array, pixels: Array, last: Array | None) -> NDArray[np.intp]:
     """Return indices of poses of which each differs from the one before."""
     seen = np.isfinite(readings)
     rows = np.flatnonzero((seen.sum(axis=2) >= 3).all(axis=1))
     chosen: list[int] = []
     for row in rows.tolist():
-        if chosen:
-            change = np.abs(readings[row] - readings[chosen[-1]]) / pixels
+        if last is not None:
+            change = np.abs(readings[row] - last) / pixels
             both = np.isfinite(change)
             if both.any() and change[both].mean() < MIN_MOTION:
                 continue
         chosen.append(row)
+        last = readings[row]
     return np.array(chosen, dtype=np.intp)

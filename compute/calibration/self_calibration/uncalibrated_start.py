@@ -292,6 +292,20 @@ def _different(models: Sequence[SensorModel], others: Sequence[SensorModel]) -> 
     )
 
 
+def readings_noise(models: Sequence[SensorModel], recordings: Sequence[Recording]) -> float:
+    """Return a robust estimate of the noise that cameras leave in readings of wands [px].
+
+    Args:
+        models: S cameras.
+        recordings: of wands; others are not used.
+
+    Raises:
+        TooFewPoints: no pose can be placed.
+    """
+    wands = [one for one in recordings if isinstance(one.target, Wand)]
+    return _Adjusted.of(tuple(models), wands).noise()
+
+
 def mirrored(models: Sequence[SensorModel]) -> tuple[SensorModel, ...]:
     """Return the mirror image of cameras, which fits readings as well.
 

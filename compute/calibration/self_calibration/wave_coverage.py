@@ -31,11 +31,11 @@ MIN_OCTANT_POSES: Final = 3
 MIN_DEPTH: Final = 1.0 / 3.0
 """Smallest extent of the volume, relative to the largest."""
 AXES: Final = (
-    ("x", "across, along the first sensor's pixels"),
-    ("y", "across, perpendicular to the first sensor's pixels"),
+    ("x", "across, along the pixels of the first sensor"),
+    ("y", "across, perpendicular to the pixels of the first sensor"),
     ("z", "towards the sensors"),
 )
-SIDES: Final = (("left", "right"), ("up", "down"), ("near", "far"))
+SIDES: Final = (("-x", "+x"), ("-y", "+y"), ("near", "far"))
 
 
 @dataclass(frozen=True)

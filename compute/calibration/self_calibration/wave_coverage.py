@@ -102,6 +102,7 @@ def wave_coverage(
         models: cameras, also approximate ones, or those of ``uncalibrated_start``; without any,
             directions and volume are unknown, which counts as missing.
     """
+    geometry = [SensorGeometry(sensor.name, sensor.pixels) for sensor in sensors]
     readings = recording.readings_px
     seen = np.isfinite(readings)
     whole = MIN_READINGS if models is None and len(sensors) == MIN_READINGS else 3
@@ -110,9 +111,10 @@ def wave_coverage(
     if poses < MIN_POSES:
         missing.append(f"{MIN_POSES - poses} more poses of the {MIN_POSES} that are wanted.")
     covered = tuple(
-        _sensor_coverage(sensor, readings[..., column]) for column, sensor in enumerate(sensors)
+        _sensor_coverage(sensor.name, sensor.pixels, readings[..., column])
+        for column, sensor in enumerate(geometry)
     )
-    for sensor, one in zip(sensors, covered, strict=True):
+    for sensor, one in zip(geometry, covered, strict=True):
         missing += _missing_pixels(one, sensor.pixels)
     directions = octants = extent = None
     if models is None:
@@ -128,10 +130,10 @@ def wave_coverage(
     return WaveCoverage(poses, MIN_POSES, covered, directions, octants, extent, tuple(missing))
 
 
-def _sensor_coverage(sensor: SensorGeometry | SensorModel, readings_px: Array) -> SensorCoverage:
+def _sensor_coverage(name: str, pixels: int, readings_px: Array) -> SensorCoverage:
     read = readings_px[np.isfinite(readings_px)]
-    cells = np.histogram(read, CELLS, (-0.5, sensor.pixels - 0.5))[0]
-    return SensorCoverage(sensor.name, len(read), tuple(cells.tolist()))
+    cells = np.histogram(read, CELLS, (-0.5, pixels - 0.5))[0]
+    return SensorCoverage(name, len(read), tuple(cells.tolist()))
 
 
 def _missing_pixels(coverage: SensorCoverage, pixels: int) -> list[str]:

@@ -168,7 +168,7 @@ class _Client:
         yield iter(self._messages)
 
 
-def _defaults(kind: type) -> list[None]:
+def _defaults(kind: type) -> list[Any]:
     names = [one.name for one in fields(kind)]
     return [None] * (len(names) - names.index("markers") - 1)
 

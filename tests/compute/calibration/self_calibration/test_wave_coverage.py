@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from compute.calibration.self_calibration.strobed_poses import StrobedReadings, strobed_poses
 from compute.calibration.self_calibration.targets import Recording, Wand
@@ -66,9 +67,9 @@ def test_pixels_that_saw_nothing_are_named() -> None:
     assert f"Sensor {SENSORS[2].name} saw nothing." in wave_coverage(SENSORS, wave).missing
 
 
-def _strobed(acceleration_mm_s2: float) -> tuple[StrobedReadings, np.ndarray]:
+def _strobed(acceleration_mm_s2: float) -> tuple[StrobedReadings, NDArray[np.float64]]:
     """Two markers in turn, 2 ms apart, on a line along which they accelerate; readings in mm."""
-    time = 0.002 * np.arange(400)
+    time = 0.002 * np.arange(400, dtype=np.float64)
     place = 1500.0 * time + 0.5 * acceleration_mm_s2 * time**2
     marker = np.arange(400) % 2
     readings = np.stack(

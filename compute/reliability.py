@@ -12,6 +12,9 @@ Array = NDArray[np.float64]
 
 POWER: Final = 0.8
 """Probability of finding an error of the size that is called detectable."""
+ACCEPTANCE_SIGNIFICANCE: Final = 0.01
+"""Probability that correct readings are refused once others were left out: more is asked of them
+than where nothing was wrong."""
 REDUNDANCY_FLOOR: Final = 1e-3
 """Smallest redundancy number at which a residual is tested; below it nothing checks a reading."""
 

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from compute.reconstruction.point_batch import PointBatch, PointFlag
 from compute.reconstruction.triangulation import INCONSISTENCY_SIGNIFICANCE, chi2_limit
+from compute.reliability import ACCEPTANCE_SIGNIFICANCE
 
 Array = NDArray[np.float64]
 
@@ -27,9 +28,6 @@ MAX_EXCLUDED: Final = 2
 """Most readings of a point that are left out."""
 IDENTIFICATION_MARGIN: Final = 16.0
 """The next best alternative must leave a chi2 larger by this: it is 3,000 times less likely."""
-ACCEPTANCE_SIGNIFICANCE: Final = 0.01
-"""Probability that correct readings are refused once others were left out: more is asked of them
-than of a point that nothing was wrong with."""
 MAX_ALTERNATIVES: Final = 512
 """More alternatives than this are not examined."""
 SUSPICIOUS: Final = PointFlag.INCONSISTENT | PointFlag.NO_CONVERGENCE

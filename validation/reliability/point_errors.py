@@ -8,12 +8,12 @@ from scipy import stats
 
 from compute.camera.stack import CameraStack
 from compute.reconstruction.outlier_exclusion import (
-    ACCEPTANCE_SIGNIFICANCE,
     IDENTIFICATION_MARGIN,
     exclude_outliers,
 )
 from compute.reconstruction.point_batch import PointBatch, PointFlag
 from compute.reconstruction.triangulation import INCONSISTENCY_SIGNIFICANCE, reconstruct
+from compute.reliability import ACCEPTANCE_SIGNIFICANCE
 from validation.reliability.ring import jacobian, project, ring
 
 Array = NDArray[np.float64]

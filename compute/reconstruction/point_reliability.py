@@ -43,6 +43,8 @@ def point_reliability(
     detectable = np.full(points.used.shape, np.nan)
     external = np.full(len(points), np.nan)
     known = np.flatnonzero(np.isfinite(points.position_mm[:, 0]))
+    if len(known) == 0:
+        return PointReliability(detectable, external)
     position, used = points.position_mm[known], points.used[known]
     readings = np.where(used, np.asarray(readings_px)[known], 0.0)
     sigma = np.broadcast_to(sigma_px, points.used.shape)[known]

@@ -164,7 +164,8 @@ def _with_reliability(
     reliability = pose_reliability(
         left, found.rotation, centroid, settings.false_rejection_probability
     )
-    low = reliability.low_reason(settings)
+    limit = settings.max_detectable_sigma
+    low = None if limit is None else reliability.low_reason(limit)
     if low is None:
         return replace(found, reliability=reliability)
     reason = low if found.reason is None else f"{found.reason}; {low}"

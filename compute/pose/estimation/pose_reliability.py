@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.pose.estimation.pose_equations import PoseEquations
-from compute.pose.settings import POSE_PARAMETERS, PoseFitSettings
+from compute.pose.settings import POSE_PARAMETERS
 from compute.reliability import check_readings, noncentrality
 
 Array = NDArray[np.float64]
@@ -32,17 +32,16 @@ class PoseReliability:
     external_tip_mm: float
     external_rotation_rad: float
 
-    def low_reason(self, settings: PoseFitSettings) -> str | None:
-        """Return why the pose is LOW_RELIABILITY; None: it is not."""
-        limit = settings.max_detectable_sigma
-        if limit is None or self.detectable_sigma <= limit:
+    def low_reason(self, limit: float) -> str | None:
+        """Return why an error above ``limit`` standard deviations may pass; None: it may not."""
+        if self.detectable_sigma <= limit:
             return None
         where = f"the reading of marker {self.marker + 1} by sensor {self.sensor + 1}"
         if not np.isfinite(self.detectable_sigma):
             return f"nothing checks {where}: any error of it would pass"
         return (
             f"an error of {where} would be found from {self.detectable_sigma:.3g} of its standard "
-            f"deviations on (at most {limit:.3g} are allowed); a smaller one may shift the tip by "
+            f"deviations on (at most {limit:g} are allowed); a smaller one may shift the tip by "
             f"{self.external_tip_mm:.3g} mm"
         )
 

@@ -427,7 +427,8 @@ class ToolTrack:
 
         Those over which its readings are tested too, so that a marker that is hidden for a moment
         does not count as gone. Taken as of one time and without the prediction, which a wrong
-        reading that lasts has drawn along. Computed anew where other readings are used or the tool has moved.
+        reading that lasts has drawn along. Computed anew where other readings are used or the
+        tool has moved.
 
         Args:
             model: the cameras.

@@ -319,9 +319,9 @@ class ToolTracker:
         reliability = tool.current_reliability(
             self.model, self.settings.fit.false_rejection_probability
         )
-        if status is PoseStatus.OK:
-            reason = reliability.low_reason(self.settings.fit)
-            status = PoseStatus.OK if reason is None else PoseStatus.LOW_RELIABILITY
+        most = self.settings.fit.max_detectable_sigma
+        if status is PoseStatus.OK and most is not None and reliability.detectable_sigma > most:
+            status, reason = PoseStatus.LOW_RELIABILITY, reliability.low_reason(most)
         return ToolPose(
             name,
             status,

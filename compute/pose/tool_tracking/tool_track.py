@@ -138,8 +138,8 @@ class TrackReliability:
         if used.tobytes() != self.used.tobytes():
             return False
         shift = state.centroid_mm - self.centroid_mm
-        cosine = float((self.rotation * state.rotation).sum())
-        return bool(shift @ shift <= radius_mm**2) and cosine >= _SAME_ROTATION_TRACE
+        trace = float(np.vdot(self.rotation, state.rotation))
+        return float(shift @ shift) <= radius_mm**2 and trace >= _SAME_ROTATION_TRACE
 
 
 @dataclass(eq=False)
@@ -157,8 +157,10 @@ class ToolTrack:
         updated_ns: time of the last readings [ns].
         recent_updates: its last updates: NIS, number of readings, markers and sensors (M, S).
         recent_used: readings of its updates over CONSISTENCY_CYCLES, (M, S) each.
-        sigma_px: standard deviations of its last readings, shape (M, S) [px]; NaN where there was
-            none.
+        use_count: how often each reading is among them, shape (M, S); 0: there is none.
+        last_readings: the last observation with the frame's peaks, by the first marker it lit.
+        sigma_px: standard deviations of its readings when they were last needed, shape (M, S)
+            [px]; NaN where unknown.
         reliability: that of its pose, and what it was computed for; None: not computed yet.
         recent_residuals: residuals of its last exposures.
         exposures: the last exposures of a lost strobed tool.
@@ -181,7 +183,9 @@ class ToolTrack:
     updated_ns: int = 0
     recent_updates: deque[tuple[float, int, NDArray[np.bool_]]] = field(default_factory=deque)
     recent_used: deque[NDArray[np.bool_]] = field(default_factory=deque)
-    sigma_px: Array | None = None
+    use_count: NDArray[np.intp] | int = 0
+    last_readings: dict[int, tuple[ToolObservation, Measurements]] = field(default_factory=dict)
+    sigma_px: Array | float = np.nan
     reliability: TrackReliability | None = None
     recent_residuals: deque[ExposureResiduals] = field(default_factory=deque)
     exposures: deque[MarkerExposure] = field(default_factory=deque)
@@ -205,8 +209,7 @@ class ToolTrack:
         self.imm = self._initial_imm(state)
         self.exposures_to_confirm = exposures_to_confirm
         self.fit_history.clear()
-        self.recent_updates.clear()
-        self.recent_used.clear()
+        self._forget_readings()
 
     def continue_from(self, before: "ToolTrack") -> "ToolTrack":
         """Return the track of another tracker's same tool with the kernel of this one."""
@@ -219,6 +222,7 @@ class ToolTrack:
         )
         for name in _HISTORIES:
             setattr(track, name, deque(getattr(before, name)))
+        track.last_readings = dict(before.last_readings)
         if before.imm is not None and before.imm.model is not self.imm_model:
             track.imm = track._initial_imm(before.imm.combined)
         return track
@@ -292,8 +296,7 @@ class ToolTrack:
         if not self.exposures_to_confirm:
             self.backoff.reset()
         self.state = self.imm = None
-        self.recent_updates.clear()
-        self.recent_used.clear()
+        self._forget_readings()
         self.exposures.clear()
         self.fit_history.clear()
         if status is not PoseStatus.INVALID:
@@ -435,23 +438,39 @@ class ToolTrack:
             significance: of the chi-square test.
         """
         assert self.state is not None
-        known = self.reliability
-        used: NDArray[np.bool_] = np.logical_or.reduce([*self.recent_used, self.used])
-        if known is not None and known.holds(self.state, used, self.centred.radius_mm):
+        known, state = self.reliability, self.state
+        used: NDArray[np.bool_] = np.greater(self.use_count, 0)
+        if known is not None and known.holds(state, used, self.centred.radius_mm):
             return known.value
-        sigma = np.ones(used.shape) if self.sigma_px is None else self.sigma_px
-        sigma = np.where(np.isfinite(sigma), sigma, 1.0)
+        for observation, measurements in self.last_readings.values():
+            self.keep_sigma(observation.readings_px(measurements)[1])
+        sigma = np.where(np.isfinite(self.sigma_px), self.sigma_px, 1.0)
         equations = PoseEquations(model, self.centred, np.where(used, 0.0, np.nan), sigma)
-        state = self.state
         value = pose_reliability(equations, state.rotation, state.centroid_mm, significance)
         self.reliability = TrackReliability(value, used, state.rotation, state.centroid_mm)
         return value
 
     def keep_sigma(self, sigma_px: Array) -> None:
         """Keep the standard deviations of new readings, shape (M, S); NaN where there is none."""
-        new = np.isfinite(sigma_px)
-        known = sigma_px if self.sigma_px is None else self.sigma_px
-        self.sigma_px = np.where(new, sigma_px, known)
+        self.sigma_px = np.where(np.isfinite(sigma_px), sigma_px, self.sigma_px)
+
+    def record_used(self, used: NDArray[np.bool_], most: int) -> None:
+        """Count the readings of an update among those of the last ones.
+
+        Args:
+            used: which sensor read which marker, shape (M, S).
+            most: number of updates that count.
+        """
+        self.recent_used.append(used)
+        self.use_count = self.use_count + used
+        while len(self.recent_used) > most:
+            self.use_count -= self.recent_used.popleft()
+
+    def _forget_readings(self) -> None:
+        self.recent_updates.clear()
+        self.recent_used.clear()
+        self.last_readings = {}
+        self.use_count, self.sigma_px = 0, np.nan
 
     def record_update(
         self, observation: ToolObservation, time_ns: int, measurements: Measurements
@@ -463,12 +482,12 @@ class ToolTrack:
             time_ns: time of the exposure [ns].
             measurements: the frame's peaks.
         """
-        self.keep_sigma(observation.readings_px(measurements)[1])
         sensors = np.zeros((len(self.body), observation.peaks.shape[1]), dtype=np.bool_)
         sensors[observation.lit] = observation.peaks >= 0
         most = 1 if len(observation.lit) == len(self.body) else len(self.body)
         _append(self.recent_updates, (observation.nis, observation.readings, sensors), most)
-        _append(self.recent_used, sensors, CONSISTENCY_CYCLES * most)
+        self.record_used(sensors, CONSISTENCY_CYCLES * most)
+        self.last_readings[int(observation.lit[0])] = observation, measurements
         self.updated_ns = time_ns
 
 

@@ -145,11 +145,7 @@ class Resource(Generic[Row]):
         """Insert a row and return it; raises an error where its id is taken."""
         identity = str(row.__dict__["id"])
         self.check_unused(session, identity)
-        try:
-            session.add(row)
-            session.flush()
-        except IntegrityError as error:  # two requests at the same moment
-            raise self._taken(identity) from error
+        insert(session, row, self._taken(identity))
         return row
 
     @property

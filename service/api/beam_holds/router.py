@@ -73,7 +73,7 @@ def create_beam_hold(
 def get_beam_hold(hold_id: BeamHoldPath, database: DatabaseDep) -> BeamHold:
     """One hold."""
     with database.read() as session:
-        return store.document(store.get_beam_hold(session, hold_id))
+        return store.document(store.BEAM_HOLDS.get(session, hold_id))
 
 
 @router.operation(
@@ -91,7 +91,7 @@ def change_beam_hold(
     What is watched never changes: delete the hold and create another.
     """
     with device_service.tools_change(_device_of(database, hold_id)) as session:
-        row = store.get_beam_hold(session, hold_id)
+        row = store.BEAM_HOLDS.get(session, hold_id)
         return store.document(store.change_beam_hold(session, row, request))
 
 
@@ -102,7 +102,7 @@ def delete_beam_hold(
 ) -> None:
     """Delete a hold; the last that clients of the stream hear of it is that it is held."""
     with device_service.tools_change(_device_of(database, hold_id)) as session:
-        session.delete(store.get_beam_hold(session, hold_id))
+        session.delete(store.BEAM_HOLDS.get(session, hold_id))
 
 
 @router.operation(
@@ -128,7 +128,7 @@ def set_beam_hold_reference(
     from service.api.beam_holds.reference_capture import capture_reference
 
     with database.read() as session:
-        row = store.get_beam_hold(session, hold_id)
+        row = store.BEAM_HOLDS.get(session, hold_id)
         device, created, spec = row.device_id, row.created_at, to_spec(to_watch(row))
         before = store.reference_id(row)
     if request.given is not None:
@@ -154,7 +154,7 @@ def delete_beam_hold_reference(
 ) -> BeamHold:
     """The beam is held until there is another: between two patients."""
     with device_service.tools_change(_device_of(database, hold_id)) as session:
-        row = store.get_beam_hold(session, hold_id)
+        row = store.BEAM_HOLDS.get(session, hold_id)
         return store.document(store.set_reference(session, row, None))
 
 
@@ -198,7 +198,7 @@ def _set_up(live: PipelineManager, row: HoldRow) -> BeamHold:
 
 def _device_of(database: DatabaseDep, hold_id: str) -> str:
     with database.read() as session:
-        return store.get_beam_hold(session, hold_id).device_id
+        return store.BEAM_HOLDS.get(session, hold_id).device_id
 
 
 def state_of(live: PipelineManager, device_id: str, hold_id: str) -> BeamHoldStatus:

@@ -21,7 +21,7 @@ from service.api.beam_holds.schema import (
 )
 from service.api.devices.store import active
 from service.api.tools.store import TOOLS
-from service.database.engine import insert
+from service.database.engine import Resource
 from service.database.models import HoldRow
 from service.problems.errors import (
     BeamHoldExists,
@@ -30,18 +30,16 @@ from service.problems.errors import (
     UnknownBeamHold,
 )
 
+BEAM_HOLDS: Final = Resource(
+    HoldRow,
+    "hold",
+    UnknownBeamHold,
+    BeamHoldExists,
+    taken="exists already; choose another id",
+    path="/api/v1/beam-holds",
+)
 MAX_BEAM_HOLDS: Final = 8
 """Of one device: each takes its time with every frame."""
-
-
-def get_beam_hold(session: Session, hold_id: str) -> HoldRow:
-    """Return a hold; raises UnknownBeamHold."""
-    row = session.get(HoldRow, hold_id)
-    if row is None:
-        raise UnknownBeamHold(
-            f'there is no hold "{hold_id}"; GET /api/v1/beam-holds lists them', hold=hold_id
-        )
-    return row
 
 
 def reference_id(row: HoldRow) -> str | None:
@@ -58,7 +56,7 @@ def get_same_beam_hold(
         UnknownBeamHold.
         BeamHoldReplaced: it is another, or its reference was changed meanwhile.
     """
-    row = get_beam_hold(session, hold_id)
+    row = BEAM_HOLDS.get(session, hold_id)
     if reference_id(row) != reference:
         raise BeamHoldReplaced(
             f'the reference of hold "{hold_id}" was changed or taken away while this one was '
@@ -89,11 +87,7 @@ def add_beam_hold(session: Session, request: NewBeamHold) -> HoldRow:
         UnknownTool: there is no such tool.
         InvalidParameter: what is asked contradicts itself, or the tool is another device's.
     """
-    taken = BeamHoldExists(
-        f'hold "{request.id}" exists already; choose another id', hold=request.id
-    )
-    if session.get(HoldRow, request.id) is not None:
-        raise taken
+    BEAM_HOLDS.check_unused(session, request.id)
     device = request.device
     count = session.scalar(
         select(func.count()).select_from(HoldRow).where(HoldRow.device_id == device)
@@ -122,8 +116,7 @@ def add_beam_hold(session: Session, request: NewBeamHold) -> HoldRow:
     )
     if request.reference is not None:
         row.reference = _given(session, row, request.reference)
-    insert(session, row, taken)
-    return row
+    return BEAM_HOLDS.insert(session, row)
 
 
 def change_beam_hold(session: Session, row: HoldRow, change: BeamHoldChange) -> HoldRow:

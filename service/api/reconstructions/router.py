@@ -94,7 +94,7 @@ def get_reconstruction(
 ) -> Reconstruction:
     """One reconstruction: readings and estimates."""
     with database.read() as session:
-        return store.document(store.get_reconstruction(session, reconstruction_id))
+        return store.document(store.RECONSTRUCTIONS.get(session, reconstruction_id))
 
 
 @router.operation("DELETE /{reconstruction_id}", "delete-reconstruction", "Delete a reconstruction")
@@ -102,7 +102,7 @@ def get_reconstruction(
 def delete_reconstruction(reconstruction_id: ReconstructionPath, database: DatabaseDep) -> None:
     """Delete a reconstruction."""
     with database.write() as session:
-        session.delete(store.get_reconstruction(session, reconstruction_id))
+        session.delete(store.RECONSTRUCTIONS.get(session, reconstruction_id))
 
 
 def run_reconstruction(

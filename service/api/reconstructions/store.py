@@ -4,7 +4,7 @@ import secrets
 from datetime import UTC, datetime
 
 from pydantic import TypeAdapter
-from sqlalchemy import Select, select
+from sqlalchemy import Select
 from sqlalchemy.orm import Session, defer
 
 from service.api.calibrations.store import active_id, get_calibration
@@ -17,7 +17,7 @@ from service.api.reconstructions.schema import (
     Reconstruction,
     ReconstructionSummary,
 )
-from service.database.engine import insert
+from service.database.engine import Resource
 from service.database.models import CalibrationRow, CorrectionTableRow, ReconstructionRow
 from service.problems.errors import (
     CalibrationOfAnotherDevice,
@@ -27,6 +27,9 @@ from service.problems.errors import (
     UnknownReconstruction,
 )
 
+RECONSTRUCTIONS = Resource(
+    ReconstructionRow, "reconstruction", UnknownReconstruction, ReconstructionExists
+)
 _POINTS = TypeAdapter(list[ObservedPoint])
 _ESTIMATES = TypeAdapter(list[NamedEstimate])
 
@@ -77,12 +80,6 @@ def add_reconstruction(
     estimates: list[NamedEstimate],
 ) -> ReconstructionRow:
     """Store a reconstruction; raises ReconstructionExists."""
-    taken = ReconstructionExists(
-        f'reconstruction "{request.id}" exists already; choose another id, or leave it out',
-        reconstruction=request.id,
-    )
-    if request.id is not None and session.get(ReconstructionRow, request.id) is not None:
-        raise taken
     row = ReconstructionRow(
         id=request.id or f"rec-{secrets.token_hex(8)}",
         device_id=request.device,
@@ -93,30 +90,14 @@ def add_reconstruction(
         point_count=len(request.points),
         created_at=datetime.now(UTC),
     )
-    insert(session, row, taken)
-    return row
-
-
-def get_reconstruction(session: Session, reconstruction_id: str) -> ReconstructionRow:
-    """Return a reconstruction; raises UnknownReconstruction."""
-    row = session.get(ReconstructionRow, reconstruction_id)
-    if row is None:
-        raise UnknownReconstruction(
-            f'there is no reconstruction "{reconstruction_id}"; GET /api/v1/reconstructions '
-            "lists them",
-            reconstruction=reconstruction_id,
-        )
-    return row
+    return RECONSTRUCTIONS.insert(session, row)
 
 
 def reconstructions(device_id: str | None) -> Select[ReconstructionRow]:
     """Return those that the filter matches, newest first, without their points."""
-    found = (
-        select(ReconstructionRow)
-        .options(defer(ReconstructionRow.points), defer(ReconstructionRow.estimates))
-        .order_by(ReconstructionRow.created_at.desc(), ReconstructionRow.id)
+    return RECONSTRUCTIONS.newest_first(device_id=device_id).options(
+        defer(ReconstructionRow.points), defer(ReconstructionRow.estimates)
     )
-    return found if device_id is None else found.where(ReconstructionRow.device_id == device_id)
 
 
 def summary(row: ReconstructionRow) -> ReconstructionSummary:

@@ -23,6 +23,7 @@ from validation.passive_detection.case import CASE as PASSIVE_DETECTION
 from validation.peak_efficiency.case import CASE as PEAK_EFFICIENCY
 from validation.pointer_tip.case import CASE as POINTER_TIP
 from validation.random_rigs.case import CASE as RANDOM_RIGS
+from validation.reliability.case import CASE as RELIABILITY
 from validation.result_tables import TablesCase
 from validation.section_6_1.two_active_markers import CASE as SECTION_6_1
 from validation.section_6_2.three_passive_markers import CASE as SECTION_6_2
@@ -110,6 +111,7 @@ _TABLES: Final[tuple[TablesCase, ...]] = (
     CONVERGENCE,
     RANDOM_RIGS,
     BAD_INPUTS,
+    RELIABILITY,
     WAND,
     WAND_FROM_READINGS,
     PARTIAL_VIEW,

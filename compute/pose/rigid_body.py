@@ -135,6 +135,9 @@ class PoseStatus(StrEnum):
     use."""
     HIGH_ERROR = "HIGH_ERROR"
     """There is a pose, and its uncertainty or its residual is above the tool's limit."""
+    LOW_RELIABILITY = "LOW_RELIABILITY"
+    """There is a pose, and too few other readings check each of its readings: a wrong one could
+    pass unnoticed."""
     UNKNOWN = "UNKNOWN"
     """The tool was not looked for yet."""
 
@@ -147,7 +150,7 @@ class ToolPose:
 
     Args:
         tool: the tool's name.
-        status: only OK, HIGH_ERROR and OUT_OF_VOLUME have a pose.
+        status: only OK, HIGH_ERROR, OUT_OF_VOLUME and LOW_RELIABILITY have a pose.
         reason: why the status is not OK, in words; None if it is.
         exposure_ns: middle of the exposure on the host's clock [ns], as time.time_ns() counts.
         sequence: number of the frame.
@@ -163,6 +166,11 @@ class ToolPose:
         velocity_mm_s: velocity of the tool's origin, shape (3,) [mm/s]; None: not estimated.
         angular_velocity_rad_s: about the world's axes, shape (3,) [rad/s]; None: not estimated.
         unseen_ns: time since the last reading, over which the pose is predicted [ns].
+        detectable_sigma: error of a reading, in its standard deviations, from which on it is found
+            with a probability of 0.8 whichever reading it is; None without a pose, infinite where
+            nothing checks a reading.
+        external_tip_mm: largest shift of the tip by a smaller error of one reading [mm]; likewise.
+        external_rotation_rad: largest rotation by one [rad]; likewise.
     """
 
     tool: str
@@ -181,6 +189,9 @@ class ToolPose:
     velocity_mm_s: Array | None = None
     angular_velocity_rad_s: Array | None = None
     unseen_ns: int = 0
+    detectable_sigma: float | None = None
+    external_tip_mm: float | None = None
+    external_rotation_rad: float | None = None
 
     @property
     def valid(self) -> bool:

@@ -35,6 +35,12 @@ class PoseFitSettings(_PositiveSettings):
             cannot be checked.
         false_rejection_probability: probability that correct readings are rejected.
         max_excluded: largest number of wrong readings that are excluded.
+        min_redundancy_after_exclusion: number of readings beyond six that must remain where one
+            was excluded: with fewer some four of a handful fit any tool by chance.
+        max_detectable_sigma: largest minimal detectable bias of a reading, in its standard
+            deviations: where a larger error of a reading would pass unnoticed, the pose is
+            LOW_RELIABILITY. Four markers in full view of three sensors are below 15; 7 to 9
+            readings mostly are not. None: no limit.
         ambiguity_chi2_margin: two solutions fit equally well when their chi2 differ by less: at 16
             the worse one is 3,000 times less likely.
         max_sigma_fraction: largest standard deviation of any motion, in mm at the tool's own
@@ -45,10 +51,12 @@ class PoseFitSettings(_PositiveSettings):
     min_redundancy: int = 1
     false_rejection_probability: float = 1e-4
     max_excluded: int = 1
+    min_redundancy_after_exclusion: int = 4
+    max_detectable_sigma: float | None = 15.0
     ambiguity_chi2_margin: float = 16.0
     max_sigma_fraction: float = 0.1
 
-    _MAY_BE_ZERO = ("min_redundancy", "max_excluded")
+    _MAY_BE_ZERO = ("min_redundancy", "max_excluded", "min_redundancy_after_exclusion")
 
     @property
     def min_readings(self) -> int:

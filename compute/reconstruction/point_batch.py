@@ -143,6 +143,11 @@ class PointFlag(IntFlag):
     """One of its peaks is suspect by the flag policy."""
     OUTSIDE_MAP = 128
     """It lies where the correction table is not valid for some used sensor."""
+    READING_EXCLUDED = 256
+    """One reading or two contradicted the others and were left out: five sensors or more."""
+    NOT_IDENTIFIABLE = 512
+    """A reading is wrong, and the others do not tell which: the position may be off by any amount.
+    With four sensors this is always so."""
 
 
 @dataclass(frozen=True)

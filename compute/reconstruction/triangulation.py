@@ -73,8 +73,7 @@ def reconstruct(
     cameras = model.cameras
     readings = np.asarray(readings_px, dtype=np.float64)
     readings = np.where(np.isfinite(readings), readings, np.nan)
-    slope = cameras.correction_derivative(readings)
-    sigma = sigma_px * np.abs(slope)
+    sigma = sigma_px * np.abs(cameras.correction_derivative(readings))
     target = cameras.add_cubic_term(readings)
     used = _select_informative(np.isfinite(target) & np.isfinite(sigma) & (sigma > 0.0), sigma)
     count = used.sum(axis=1)
@@ -88,10 +87,7 @@ def reconstruct(
         place = _refine(
             equations, np.eye(len(cameras)) / sigma[:, :, None], start, WEIGHTING_ITERATIONS
         )[0]
-    variance = sigma**2
-    if corrections is not None:
-        known = np.nan_to_num(corrections.at(place).variance_px2)
-        variance += np.where(used, known * slope**2, 0.0)
+    variance = reading_variance(model, readings, sigma_px, used, place)
     whitening = model.whitening(place, variance, used)
     position, gram, converged = _refine(equations, whitening, place)
     normal, chi2 = gram[:, :3, :3], gram[:, 3, 3]
@@ -120,6 +116,30 @@ def reconstruct(
         flags[~missing & foreign] |= PointFlag.OUTSIDE_MAP
     position[missing], covariance[missing], chi2[missing] = np.nan, np.nan, np.nan
     return PointBatch(position, covariance, chi2, used, flags)
+
+
+def reading_variance(
+    model: MeasurementModel,
+    readings_px: Array,
+    sigma_px: Array,
+    used: NDArray[np.bool_],
+    place_mm: Array,
+) -> Array:
+    """Return the variances of corrected readings, the table's included, shape (N, S) [px^2].
+
+    Args:
+        model: the cameras and their correction table.
+        readings_px: shape (N, S) [px].
+        sigma_px: standard deviations of the readings, shape (N, S) or (S,) [px].
+        used: which readings count; the variance of others is 1, shape (N, S).
+        place_mm: the points, shape (N, 3) [mm].
+    """
+    slope = model.cameras.correction_derivative(readings_px)
+    variance = np.where(used, (sigma_px * np.abs(slope)) ** 2, 1.0)
+    if model.corrections is not None:
+        known = np.nan_to_num(model.corrections.at(place_mm).variance_px2)
+        variance += np.where(used, known * slope**2, 0.0)
+    return variance
 
 
 def _select_informative(seen: NDArray[np.bool_], sigma: Array) -> NDArray[np.bool_]:

@@ -163,6 +163,9 @@ class ToolPose:
     readings_used: int
     velocity_mm_s: Vector | None = None
     angular_velocity_rad_s: Vector | None = None
+    detectable_sigma: float | None = None
+    external_tip_mm: float | None = None
+    external_rotation_rad: float | None = None
 
     @property
     def valid(self) -> bool:

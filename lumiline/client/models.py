@@ -74,6 +74,9 @@ class Estimate(ResponseModel):
     residual_sigma: float | None
     sensors: tuple[str, ...]
     flags: tuple[str, ...]
+    excluded: tuple[str, ...] = ()
+    detectable_px: dict[str, float | None] = {}
+    external_reliability_mm: float | None = None
 
 
 class Reconstruction(ResponseModel):

@@ -16,7 +16,12 @@ from service.cli.server_session import HERE, DeviceOption, Key, Url, WatchSecond
 from service.cli.tool_files import capture, create
 
 REFRESHES_PER_S: Final = 5.0
-_STYLES: Final = {"OK": "green", "HIGH_ERROR": "yellow", "OUT_OF_VOLUME": "yellow"}
+_STYLES: Final = {
+    "OK": "green",
+    "LOW_RELIABILITY": "yellow",
+    "HIGH_ERROR": "yellow",
+    "OUT_OF_VOLUME": "yellow",
+}
 
 tools = typer.Typer(
     help="Tools of a running server, and where they are.",

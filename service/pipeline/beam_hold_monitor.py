@@ -28,7 +28,12 @@ from service.pipeline.tracking_config import (
 
 Array = NDArray[np.float64]
 
-UNUSABLE_POINT: Final = PointFlag.INCONSISTENT | PointFlag.AMBIGUOUS | PointFlag.OUTSIDE_MAP
+UNUSABLE_POINT: Final = (
+    PointFlag.INCONSISTENT
+    | PointFlag.AMBIGUOUS
+    | PointFlag.OUTSIDE_MAP
+    | PointFlag.READING_EXCLUDED
+)
 UNUSABLE_TRACK: Final = TrackFlag.AMBIGUOUS | TrackFlag.OUTSIDE_MAP
 MAX_AGE_CYCLES: Final = 2
 """A position is too old after this many times the interval between its last two strobe cycles."""

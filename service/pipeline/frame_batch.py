@@ -176,7 +176,6 @@ class FrameBatch:
 
 def pose_members(pose: ToolPose) -> dict[str, Any]:
     """Return a pose as JSON values: the members of ToolPose, and its rotation as a quaternion."""
-    sigma = pose.residual_sigma
     return {
         "tool": pose.tool,
         "status": pose.status.value,
@@ -189,12 +188,20 @@ def pose_members(pose: ToolPose) -> dict[str, Any]:
         "covariance": _values(pose.covariance),
         "tip_mm": _values(pose.tip_mm),
         "tip_covariance_mm2": _values(pose.tip_covariance_mm2),
-        "residual_sigma": sigma if sigma is not None and isfinite(sigma) else None,
+        "residual_sigma": _value(pose.residual_sigma),
         "markers_used": pose.markers_used,
         "readings_used": pose.readings_used,
         "velocity_mm_s": _values(pose.velocity_mm_s),
         "angular_velocity_rad_s": _values(pose.angular_velocity_rad_s),
+        "detectable_sigma": _value(pose.detectable_sigma),
+        "external_tip_mm": _value(pose.external_tip_mm),
+        "external_rotation_rad": _value(pose.external_rotation_rad),
     }
+
+
+def _value(number: float | None) -> float | None:
+    """Return a number; None for infinity and NaN, which JSON does not have."""
+    return number if number is not None and isfinite(number) else None
 
 
 def _values(array: Array | None) -> list[Any] | None:

@@ -24,6 +24,7 @@ from compute.errors import InvalidParameter
 from compute.measurement.flag_policy import FlagPolicy
 from compute.measurement.measurements import Measurements
 from compute.reconstruction.correspondence.grouping import group_peaks
+from compute.reconstruction.outlier_exclusion import SUSPICIOUS, exclude_outliers
 from compute.reconstruction.point_batch import PointBatch, PointFlag
 from compute.reconstruction.solver import load_kernels
 from compute.signal.peaks import PeakBatch
@@ -262,10 +263,14 @@ def _solve_strobed(active: PreparedCalibration, measurements: Measurements) -> P
     if peaks > 1:
         light = np.where(measurements.usable, measurements.amplitude, -1.0)
         at += light.argmax(axis=2)
-    points = active.solver.solve(position.take(at), np.sqrt(measurements.variance_px2.take(at)))
+    readings, sigma = position.take(at), np.sqrt(measurements.variance_px2.take(at))
+    points = active.solver.solve(readings, sigma)
+    if np.count_nonzero(points.flags & int(SUSPICIOUS)):
+        # All are one marker's readings: those that contradict the others may be left out.
+        points = exclude_outliers(active.solver.solve, points, readings, sigma)
     if not np.count_nonzero(measurements.suspect):
         return points
-    return _flag_points(points, None, measurements.suspect.take(at))
+    return _flag_points(points, None, measurements.suspect.take(at) & points.used)
 
 
 def _solve_simultaneous(active: PreparedCalibration, measurements: Measurements) -> PointBatch:

@@ -42,6 +42,7 @@ class SimultaneousAcquisition:
         nis: chi2 of its readings.
         sensors: readings that the pose was fitted to, shape (M, S).
         excluded: number of readings of each marker that did not fit the others, shape (M,).
+        sigma_px: standard deviations of its readings, shape (M, S) [px]; NaN where there is none.
     """
 
     state: PoseState | None
@@ -51,6 +52,7 @@ class SimultaneousAcquisition:
     nis: float
     sensors: NDArray[np.bool_]
     excluded: NDArray[np.intp]
+    sigma_px: Array
 
 
 def acquire_simultaneous(
@@ -131,14 +133,14 @@ def acquire_simultaneous(
         start = Transform(labelling.rotation, translation)
         fit = fit_pose(model, tool, readings, sigma, start=start, settings=settings.fit)
         off = observation.excluded_nis(model, rest, settings.gate_probability) > 0.0
-        if fit.status is not PoseStatus.OK:
+        if fit.status not in (PoseStatus.OK, PoseStatus.LOW_RELIABILITY):
             failed = _failed(model, tool, fit.status, str(fit.reason), len(position))
             return replace(failed, excluded=off.sum(axis=1))
         assert fit.chi2 is not None
         state = _fitted_state(model, observation, fit, readings, sigma, settings)
         excluded = (np.isfinite(readings) & ~fit.used).sum(axis=1) + off.sum(axis=1)
         return SimultaneousAcquisition(
-            state, PoseStatus.OK, "", len(position), fit.chi2, fit.used, excluded
+            state, PoseStatus.OK, "", len(position), fit.chi2, fit.used, excluded, sigma
         )
 
     return [acquire(index, tool) for index, tool in enumerate(tools)]
@@ -182,7 +184,16 @@ def _failed(
     model: MeasurementModel, tool: RigidBody, status: PoseStatus, reason: str, points: int
 ) -> SimultaneousAcquisition:
     nothing = np.zeros((len(tool), len(model)), dtype=np.bool_)
-    return SimultaneousAcquisition(None, status, reason, points, 0.0, nothing, nothing.sum(axis=1))
+    return SimultaneousAcquisition(
+        None,
+        status,
+        reason,
+        points,
+        0.0,
+        nothing,
+        nothing.sum(axis=1),
+        np.full(nothing.shape, np.nan),
+    )
 
 
 def _fitted_state(

@@ -18,9 +18,11 @@ from compute.pose.estimation.pose_initialisation import (
     initial_pose_from_points,
     initial_poses_from_readings,
 )
+from compute.pose.estimation.pose_reliability import PoseReliability, pose_reliability
 from compute.pose.rigid_body import CentredMarkers, PoseStatus, RigidBody
 from compute.pose.settings import POSE_PARAMETERS, PoseFitSettings
 from compute.reconstruction.triangulation import chi2_limit
+from compute.reliability import ACCEPTANCE_SIGNIFICANCE
 from compute.transform import Transform
 
 Array = NDArray[np.float64]
@@ -29,6 +31,8 @@ UNCORRELATED_ITERATIONS = 3
 """Number of iterations before the readings are weighted with the calibration's covariance."""
 MAX_SUSPECTS = 4
 """Number of readings that are left out in turn when one is wrong."""
+MIN_MARKER_READINGS = 2
+"""A reading is excluded as wrong only where so many others of its marker fit."""
 SAME_POSE_FRACTION = 1e-3
 """Solutions whose markers are closer than this fraction of the tool's radius are the same."""
 
@@ -38,8 +42,9 @@ class PoseFit:
     """A pose from readings, or the reason why there is none.
 
     Args:
-        status: OK; MISSING: the readings do not determine the pose; INVALID: they do not fit the
-            tool, or fit it in two ways.
+        status: OK; LOW_RELIABILITY: the pose fits, and a wrong reading could pass unnoticed;
+            MISSING: the readings do not determine the pose; INVALID: they do not fit the tool, or
+            fit it in two ways.
         reason: why the status is not OK; where it is OK, which reading was excluded; None: none.
         used: readings that the pose was fitted to, shape (M, S).
         rotation: R_world_tool, shape (3, 3); None without a pose, like all that follow.
@@ -50,6 +55,7 @@ class PoseFit:
         tip_covariance_mm2: shape (3, 3) [mm^2].
         chi2: weighted sum of squares of the residuals.
         excluded: marker and sensor of readings that were excluded as wrong.
+        reliability: of a pose that is OK or LOW_RELIABILITY.
     """
 
     status: PoseStatus
@@ -62,6 +68,7 @@ class PoseFit:
     tip_covariance_mm2: Array | None = None
     chi2: float | None = None
     excluded: tuple[tuple[int, int], ...] = ()
+    reliability: PoseReliability | None = None
 
     @property
     def dof(self) -> int:
@@ -141,7 +148,28 @@ def fit_pose(
     found = _fit_from_start(equations, first, settings)
     if found.status is PoseStatus.INVALID and found.chi2 is not None:
         found = _exclude_outlier(equations, found, settings)
-    return found
+    return _with_reliability(equations, found, settings)
+
+
+def _with_reliability(
+    equations: PoseEquations, found: PoseFit, settings: PoseFitSettings
+) -> PoseFit:
+    """Return a fit with its reliability, by which an OK one may be LOW_RELIABILITY."""
+    if found.status is not PoseStatus.OK:
+        return found
+    assert found.rotation is not None
+    assert found.translation_mm is not None
+    left = replace(equations, readings_px=np.where(found.used, equations.readings_px, np.nan))
+    centroid = equations.centred.centroid(found.rotation, found.translation_mm)
+    reliability = pose_reliability(
+        left, found.rotation, centroid, settings.false_rejection_probability
+    )
+    limit = settings.max_detectable_sigma
+    low = None if limit is None else reliability.low_reason(limit)
+    if low is None:
+        return replace(found, reliability=reliability)
+    reason = low if found.reason is None else f"{found.reason}; {low}"
+    return replace(found, status=PoseStatus.LOW_RELIABILITY, reason=reason, reliability=reliability)
 
 
 def _validate(
@@ -273,16 +301,26 @@ def _exclude_outlier(
     excluded in turn.
     """
     refused = PoseFit(PoseStatus.INVALID, whole.reason, equations.used, chi2=whole.chi2)
-    if settings.max_excluded < 1 or refused.readings_used - 1 < settings.min_readings:
+    least = POSE_PARAMETERS + max(settings.min_redundancy, settings.min_redundancy_after_exclusion)
+    if settings.max_excluded < 1 or refused.readings_used - 1 < least:
         return refused
+    strict = replace(
+        settings,
+        false_rejection_probability=max(
+            settings.false_rejection_probability, ACCEPTANCE_SIGNIFICANCE
+        ),
+    )
     trials: list[tuple[float, PoseFit]] = []
     for marker, sensor in _suspects(equations, whole):
+        if equations.used[marker].sum() - 1 < MIN_MARKER_READINGS:
+            # The marker itself may be elsewhere, as on a bent or a mirrored body.
+            continue
         readings = equations.readings_px.copy()
         readings[marker, sensor] = np.nan
         fewer = replace(equations, readings_px=readings)
         if missing_readings(equations.centred, fewer.used, settings) is not None:
             continue
-        trial = _fit_from_start(fewer, None, settings)
+        trial = _fit_from_start(fewer, None, strict)
         if trial.status is PoseStatus.OK and trial.chi2 is not None:
             trials.append((trial.chi2, replace(trial, excluded=((marker, sensor),))))
     if not trials:

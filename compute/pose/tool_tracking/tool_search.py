@@ -15,6 +15,7 @@ from compute.pose.settings import ToolTrackerSettings
 from compute.pose.tool_tracking.tool_track import (
     ACQUISITION_CYCLES,
     COAST_CYCLES,
+    CONSISTENCY_CYCLES,
     ExposureResiduals,
     ToolTrack,
 )
@@ -89,8 +90,12 @@ class ToolSearch:
         tool.begin(found.state, time_ns, exposures_to_confirm=markers)
         tool.exposures.clear()
         used = np.zeros((markers, len(self._model)), dtype=np.bool_)
+        sigma = np.full(used.shape, np.nan)
         for one in seen:
             used[one.marker] = np.isfinite(one.readings_px)
+            sigma[one.marker] = np.where(used[one.marker], one.sigma_px, np.nan)
+        tool.keep_sigma(sigma)
+        tool.record_used(used, CONSISTENCY_CYCLES * markers)
         tool.recent_updates.append((found.nis, found.readings, used))
         nothing = np.zeros(markers, dtype=np.intp)
         tool.recent_residuals.append(ExposureResiduals(found.nis, found.readings, nothing))
@@ -125,6 +130,8 @@ class ToolSearch:
         for tool, one in zip(lost, found, strict=True):
             if one.state is not None:
                 tool.begin(one.state, time_ns, exposures_to_confirm=0)
+                tool.keep_sigma(one.sigma_px)
+                tool.record_used(one.sensors, CONSISTENCY_CYCLES)
                 readings, excluded = int(one.sensors.sum()), int(one.excluded.sum())
                 tool.recent_updates.append((one.nis, readings, one.sensors))
                 square = one.nis + MAX_EXCLUDED_NIS * excluded

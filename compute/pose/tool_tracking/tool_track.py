@@ -4,7 +4,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from math import sqrt
+from math import cos, sqrt
 from typing import Final, TypeVar
 
 import numpy as np
@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 from compute.measurement.measurement_model import MeasurementModel
 from compute.measurement.measurements import Measurements
 from compute.pose.acquisition.acquisition_strobed import AcquisitionBackoff, MarkerExposure
+from compute.pose.estimation.pose_equations import PoseEquations
+from compute.pose.estimation.pose_reliability import PoseReliability, pose_reliability
 from compute.pose.filtering.association import MAX_EXCLUDED_NIS, ToolObservation
 from compute.pose.filtering.imm import ImmModel, ImmState
 from compute.pose.filtering.native.strobed_step import StrobedStepKernel
@@ -35,7 +37,15 @@ EXCLUSION_COUNT_THRESHOLD: Final = 3
 WEAK_FRACTION: Final = 0.5
 """A frame with fewer than this fraction of the last frame's readings is tried again with larger
 accelerations."""
-_HISTORIES: Final = ("recent_updates", "recent_residuals", "exposures", "fit_history")
+_HISTORIES: Final = (
+    "recent_updates",
+    "recent_used",
+    "recent_residuals",
+    "exposures",
+    "fit_history",
+)
+_SAME_ROTATION_TRACE: Final = 1.0 + 2.0 * cos(0.1)
+"""Trace of a rotation by 0.1 rad."""
 _MIN_VARIANCE: Final = 0.05
 """Smallest variance of a combination of whitened readings: smaller ones are rounding errors."""
 
@@ -101,6 +111,37 @@ def _jointly_whitened(sum_of_squares: float, whitened: Sequence[Array]) -> float
     return sum_of_squares - alone + float((along**2 / np.maximum(size, _MIN_VARIANCE)).sum())
 
 
+@dataclass(frozen=True, eq=False)
+class TrackReliability:
+    """Reliability of a tracked tool's pose, and what it was computed for.
+
+    Args:
+        value: the reliability.
+        used: which readings, shape (M, S).
+        rotation: R_world_tool, shape (3, 3).
+        centroid_mm: centroid of the markers, shape (3,) [mm].
+    """
+
+    value: PoseReliability
+    used: NDArray[np.bool_]
+    rotation: Array
+    centroid_mm: Array
+
+    def holds(self, state: PoseState, used: NDArray[np.bool_], radius_mm: float) -> bool:
+        """Return whether it is still that of a state, to a few per cent.
+
+        Args:
+            state: the tool's state.
+            used: which readings its pose is based on, shape (M, S).
+            radius_mm: RMS distance of the markers from their centroid.
+        """
+        if used.tobytes() != self.used.tobytes():
+            return False
+        shift = state.centroid_mm - self.centroid_mm
+        trace = float(np.vdot(self.rotation, state.rotation))
+        return float(shift @ shift) <= radius_mm**2 and trace >= _SAME_ROTATION_TRACE
+
+
 @dataclass(eq=False)
 class ToolTrack:
     """A tool and the state of its tracking.
@@ -115,6 +156,12 @@ class ToolTrack:
         imm: states of a strobed tool's motion models at its last exposure; None: there is one.
         updated_ns: time of the last readings [ns].
         recent_updates: its last updates: NIS, number of readings, markers and sensors (M, S).
+        recent_used: readings of its updates over CONSISTENCY_CYCLES, (M, S) each.
+        use_count: how often each reading is among them, shape (M, S); 0: there is none.
+        last_readings: the last observation with the frame's peaks, by the first marker it lit.
+        sigma_px: standard deviations of its readings when they were last needed, shape (M, S)
+            [px]; NaN where unknown.
+        reliability: that of its pose, and what it was computed for; None: not computed yet.
         recent_residuals: residuals of its last exposures.
         exposures: the last exposures of a lost strobed tool.
         exposures_since_search: number of exposures since the last unsuccessful search.
@@ -135,6 +182,11 @@ class ToolTrack:
     imm: ImmState | None = None
     updated_ns: int = 0
     recent_updates: deque[tuple[float, int, NDArray[np.bool_]]] = field(default_factory=deque)
+    recent_used: deque[NDArray[np.bool_]] = field(default_factory=deque)
+    use_count: NDArray[np.intp] | int = 0
+    last_readings: dict[int, tuple[ToolObservation, Measurements]] = field(default_factory=dict)
+    sigma_px: Array | float = np.nan
+    reliability: TrackReliability | None = None
     recent_residuals: deque[ExposureResiduals] = field(default_factory=deque)
     exposures: deque[MarkerExposure] = field(default_factory=deque)
     exposures_since_search: int = 0
@@ -157,7 +209,7 @@ class ToolTrack:
         self.imm = self._initial_imm(state)
         self.exposures_to_confirm = exposures_to_confirm
         self.fit_history.clear()
-        self.recent_updates.clear()
+        self._forget_readings()
 
     def continue_from(self, before: "ToolTrack") -> "ToolTrack":
         """Return the track of another tracker's same tool with the kernel of this one."""
@@ -170,6 +222,7 @@ class ToolTrack:
         )
         for name in _HISTORIES:
             setattr(track, name, deque(getattr(before, name)))
+        track.last_readings = dict(before.last_readings)
         if before.imm is not None and before.imm.model is not self.imm_model:
             track.imm = track._initial_imm(before.imm.combined)
         return track
@@ -243,7 +296,7 @@ class ToolTrack:
         if not self.exposures_to_confirm:
             self.backoff.reset()
         self.state = self.imm = None
-        self.recent_updates.clear()
+        self._forget_readings()
         self.exposures.clear()
         self.fit_history.clear()
         if status is not PoseStatus.INVALID:
@@ -372,17 +425,69 @@ class ToolTrack:
         usual = max((readings for _, readings, _ in self.recent_updates), default=0)
         return observation.misfit or observation.readings < WEAK_FRACTION * usual
 
-    def record_update(self, observation: ToolObservation, time_ns: int) -> None:
+    def current_reliability(self, model: MeasurementModel, significance: float) -> PoseReliability:
+        """Return the reliability of the pose by the readings of its last CONSISTENCY_CYCLES.
+
+        Those over which its readings are tested too, so that a marker that is hidden for a moment
+        does not count as gone. Taken as of one time and without the prediction, which a wrong
+        reading that lasts has drawn along. Computed anew where other readings are used or the
+        tool has moved.
+
+        Args:
+            model: the cameras.
+            significance: of the chi-square test.
+        """
+        assert self.state is not None
+        known, state = self.reliability, self.state
+        used: NDArray[np.bool_] = np.greater(self.use_count, 0)
+        if known is not None and known.holds(state, used, self.centred.radius_mm):
+            return known.value
+        for observation, measurements in self.last_readings.values():
+            self.keep_sigma(observation.readings_px(measurements)[1])
+        sigma = np.where(np.isfinite(self.sigma_px), self.sigma_px, 1.0)
+        equations = PoseEquations(model, self.centred, np.where(used, 0.0, np.nan), sigma)
+        value = pose_reliability(equations, state.rotation, state.centroid_mm, significance)
+        self.reliability = TrackReliability(value, used, state.rotation, state.centroid_mm)
+        return value
+
+    def keep_sigma(self, sigma_px: Array) -> None:
+        """Keep the standard deviations of new readings, shape (M, S); NaN where there is none."""
+        self.sigma_px = np.where(np.isfinite(sigma_px), sigma_px, self.sigma_px)
+
+    def record_used(self, used: NDArray[np.bool_], most: int) -> None:
+        """Count the readings of an update among those of the last ones.
+
+        Args:
+            used: which sensor read which marker, shape (M, S).
+            most: number of updates that count.
+        """
+        self.recent_used.append(used)
+        self.use_count = self.use_count + used
+        while len(self.recent_used) > most:
+            self.use_count -= self.recent_used.popleft()
+
+    def _forget_readings(self) -> None:
+        self.recent_updates.clear()
+        self.recent_used.clear()
+        self.last_readings = {}
+        self.use_count, self.sigma_px = 0, np.nan
+
+    def record_update(
+        self, observation: ToolObservation, time_ns: int, measurements: Measurements
+    ) -> None:
         """Keep the last updates: one where all markers are lit, else one for each marker.
 
         Args:
             observation: the tool in this exposure, after association.
             time_ns: time of the exposure [ns].
+            measurements: the frame's peaks.
         """
         sensors = np.zeros((len(self.body), observation.peaks.shape[1]), dtype=np.bool_)
         sensors[observation.lit] = observation.peaks >= 0
         most = 1 if len(observation.lit) == len(self.body) else len(self.body)
         _append(self.recent_updates, (observation.nis, observation.readings, sensors), most)
+        self.record_used(sensors, CONSISTENCY_CYCLES * most)
+        self.last_readings[int(observation.lit[0])] = observation, measurements
         self.updated_ns = time_ns
 
 

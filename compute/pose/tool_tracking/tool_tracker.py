@@ -202,7 +202,7 @@ class ToolTracker:
             )
             tool.commit(observation)
             if observation.readings:
-                tool.record_update(observation, time_ns)
+                tool.record_update(observation, time_ns, measurements)
             if tool.is_refuted:
                 tool.drop(PoseStatus.INVALID, MISFIT)
         return observations
@@ -316,6 +316,12 @@ class ToolTracker:
             )
         elif reason is not None:
             status = PoseStatus.OUT_OF_VOLUME
+        reliability = tool.current_reliability(
+            self.model, self.settings.fit.false_rejection_probability
+        )
+        most = self.settings.fit.max_detectable_sigma
+        if status is PoseStatus.OK and most is not None and reliability.detectable_sigma > most:
+            status, reason = PoseStatus.LOW_RELIABILITY, reliability.low_reason(most)
         return ToolPose(
             name,
             status,
@@ -333,6 +339,9 @@ class ToolTracker:
             pose.velocity_mm_s,
             pose.angular_velocity_rad_s,
             time_ns - tool.updated_ns,
+            reliability.detectable_sigma,
+            reliability.external_tip_mm,
+            reliability.external_rotation_rad,
         )
 
     def _missing(

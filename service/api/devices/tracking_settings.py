@@ -4,7 +4,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from compute.pose.settings import MotionSettings, ToolTrackerSettings
+from compute.pose.settings import MotionSettings, PoseFitSettings, ToolTrackerSettings
 from compute.tracking.blink_codes import MAX_CODE_LENGTH, BlinkCodes
 from compute.tracking.blink_decoding import BlinkModel
 from compute.tracking.settings import MotionModel, TrackerSettings
@@ -106,6 +106,12 @@ class Tracking(RequestModel):
         description="Standard deviation of the tip in space above which a pose is HIGH_ERROR, of "
         "tools without a limit of their own.",
     )
+    tool_max_detectable_sigma: Annotated[float, Field(ge=4.0, le=1e6)] | None = Field(
+        default=_TOOLS.fit.max_detectable_sigma,
+        description="Error of a single reading, in its standard deviations, that must be found "
+        "whichever reading it is; where a larger one could pass, a pose is LOW_RELIABILITY. "
+        "null: no limit.",
+    )
     volume_mm: tuple[Position, Position] | None = Field(
         default=None,
         description="Lowest and highest corner of the volume that the calibration is good for; a "
@@ -128,6 +134,7 @@ class Tracking(RequestModel):
             InvalidParameter: the volume's corners are not in order.
         """
         return ToolTrackerSettings(
+            fit=PoseFitSettings(max_detectable_sigma=self.tool_max_detectable_sigma),
             motion=MotionSettings(
                 acceleration_mm_s2=self.tool_acceleration_mm_s2,
                 angular_acceleration_rad_s2=self.tool_angular_acceleration_rad_s2,

@@ -20,6 +20,7 @@ Array = NDArray[np.float64]
 STATUS: Final = {
     # Words that PLUS knows; what is uncertain it has no word for.
     PoseStatus.HIGH_ERROR.value: "INVALID",
+    PoseStatus.LOW_RELIABILITY.value: "INVALID",
     PoseStatus.UNKNOWN.value: "MISSING",
 }
 _HEAD: Final = """\

@@ -1,13 +1,20 @@
 """REST resource /api/v1/reconstructions."""
 
 from collections.abc import Sequence
+from itertools import compress
+from math import isfinite
 from typing import Annotated
 
 import numpy as np
 from fastapi import Body, Path, Response
+from numpy.typing import NDArray
 
 from compute.calibration.result import Calibration, measurement_sigma
 from compute.mapping.table import CorrectionTable
+from compute.measurement.measurement_model import MeasurementModel
+from compute.reconstruction.outlier_exclusion import exclude_outliers
+from compute.reconstruction.point_batch import PointBatch
+from compute.reconstruction.point_reliability import point_reliability
 from compute.reconstruction.triangulation import reconstruct
 from hardware.driver import SensorDescription
 from service.api.base_models import SLUG_PATTERN, Page
@@ -26,6 +33,8 @@ from service.api.reconstructions.schema import (
     Reconstruction,
     ReconstructionSummary,
 )
+
+Array = NDArray[np.float64]
 
 router = ResourceRouter("/api/v1/reconstructions", "reconstructions")
 
@@ -109,7 +118,8 @@ def run_reconstruction(
     calibration's covariance and misfit are without it.
 
     Readings without a standard deviation get the calibration's for their sensor; none is trusted
-    further than the calibration reproduced its control points.
+    further than the calibration reproduced its control points. A reading that contradicts the
+    others is left out where five sensors or more tell which it is.
 
     Raises:
         SensorsChanged: the calibration is of other sensors than the device's.
@@ -121,9 +131,34 @@ def run_reconstruction(
     covariance = np.array(calibration.covariance) if table is None else None
     if table is not None:
         sigma = np.where(np.isfinite(observed.sigma_px), observed.sigma_px, sigma)
-    batch = reconstruct(calibration.models, observed.readings_px, sigma, covariance, table)
+    model = MeasurementModel.of(calibration.models, covariance, table)
+
+    def solve(readings_px: Array, sigma_px: Array) -> PointBatch:
+        return reconstruct(model.cameras, readings_px, sigma_px, covariance, table)
+
+    whole = solve(observed.readings_px, sigma)
+    batch = exclude_outliers(solve, whole, observed.readings_px, sigma)
+    reliability = point_reliability(model, batch, observed.readings_px, sigma)
     names = tuple(sensor.name for sensor in sensors)
     return [
-        NamedEstimate(**vars(estimate), name=point.name)
-        for estimate, point in zip(batch.estimates(names), points, strict=True)
+        NamedEstimate(
+            **vars(estimate),
+            name=point.name,
+            excluded=tuple(compress(names, excluded)),
+            detectable_px={
+                name: value if isfinite(value) else None
+                for name, value, used in zip(names, detectable, used_here, strict=True)
+                if used
+            },
+            external_reliability_mm=shift if isfinite(shift) else None,
+        )
+        for estimate, point, excluded, used_here, detectable, shift in zip(
+            batch.estimates(names),
+            points,
+            (whole.used & ~batch.used).tolist(),
+            batch.used.tolist(),
+            reliability.detectable_px.tolist(),
+            reliability.external_mm.tolist(),
+            strict=True,
+        )
     ]

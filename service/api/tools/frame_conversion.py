@@ -12,7 +12,12 @@ from service.api.tools.tip_limit import exceeded_reason
 
 Array = NDArray[np.float64]
 
-POSE_STATUSES: Final = (PoseStatus.OK, PoseStatus.OUT_OF_VOLUME, PoseStatus.HIGH_ERROR)
+POSE_STATUSES: Final = (
+    PoseStatus.OK,
+    PoseStatus.LOW_RELIABILITY,
+    PoseStatus.OUT_OF_VOLUME,
+    PoseStatus.HIGH_ERROR,
+)
 """The statuses that have a pose; what is made of two is worth no more than the worse."""
 
 

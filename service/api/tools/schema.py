@@ -181,6 +181,16 @@ class Pose(ResponseModel):
     )
     markers_used: int
     readings_used: int
+    detectable_sigma: float | None = Field(
+        description="Error of one of the tool's readings, in its standard deviations, from which "
+        "on it is found with a probability of 0.8, whichever reading it is; null: not known, or "
+        "nothing checks some reading."
+    )
+    external_tip_mm: float | None = Field(
+        description="Largest shift of the tip by an error of that size in one reading; null "
+        "likewise. Of the tool's own pose, also relative to another tool."
+    )
+    external_rotation_rad: float | None = Field(description="The same of its rotation.")
 
 
 class NewToolCalibration(RequestModel):

@@ -59,6 +59,7 @@ TOO_FEW_MARKERS: Final = 0x02
 _INFORMATION: Final = {
     PoseStatus.INVALID: BAD_FIT,
     PoseStatus.HIGH_ERROR: BAD_FIT,
+    PoseStatus.LOW_RELIABILITY: BAD_FIT,
     PoseStatus.MISSING: TOO_FEW_MARKERS,
     PoseStatus.OUT_OF_VIEW: TOO_FEW_MARKERS,
 }

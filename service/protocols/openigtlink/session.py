@@ -25,6 +25,7 @@ _CODES: Final = {
     PoseStatus.OUT_OF_VOLUME: StatusCode.OVERFLOW,
     PoseStatus.INVALID: StatusCode.UNKNOWN_ERROR,
     PoseStatus.HIGH_ERROR: StatusCode.UNKNOWN_ERROR,
+    PoseStatus.LOW_RELIABILITY: StatusCode.UNKNOWN_ERROR,
     PoseStatus.UNKNOWN: StatusCode.NOT_READY,
 }
 

@@ -293,3 +293,24 @@ def test_a_device_of_three_sensors_says_why_it_finds_no_marker_of_two(markers: i
         assert len(batch.points) == 0
         assert processor.remark is not None
         assert "add a fourth sensor" in processor.remark
+
+
+def test_a_wrong_reading_of_a_strobed_marker_is_left_out() -> None:
+    """By six sensors; the other readings carry the point."""
+    models = rig(6)
+    place, count = np.array([[20.0, -30.0, 1480.0]]), 4
+    peaks = PeakBatch.empty(6 * count, 1)
+    readings = np.repeat(project(models, place), count, axis=0)
+    readings += SIGMA_PX * np.random.default_rng(2).standard_normal(readings.shape)
+    readings[1, 3] += 5.0
+    peaks.count[:], peaks.amplitude[:, 0] = 1, 150.0
+    peaks.position_px[:, 0], peaks.sigma_px[:, 0] = readings.ravel(), SIGMA_PX
+    frame = control_points(40)
+    known = calibrate(frame, project(models, frame), geometry(models), np.full((40, 6), 0.001))
+    active = PreparedCalibration("c", known, None, PointSolver(known.models, device="cpu"))
+    frames = [replace(one, lines=np.zeros((6, 64), np.uint16)) for one in frames_of(count, True)]
+    points, _ = solve_points(active, frames, weigh_peaks(active, frames, peaks, STANDARD_POLICY))
+    excluded = points.flags & int(PointFlag.READING_EXCLUDED) != 0
+    assert excluded.tolist() == [False, True, False, False]
+    assert points.used[1].tolist() == [True, True, True, False, True, True]
+    assert np.linalg.norm(points.position_mm - place, axis=1).max() < 0.5

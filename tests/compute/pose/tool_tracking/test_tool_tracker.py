@@ -458,9 +458,11 @@ def test_a_strobed_tool_that_two_sensors_see_is_found_or_they_are_too_few(
         (pose,) = one._step(reading[:, None], frame % 4, None)
         assert pose.status is not PoseStatus.INVALID, pose.reason
         reasons.append(str(pose.reason))
-        if pose.valid:
+        if pose.rotation is not None:
             assert pose.tip_mm == pytest.approx(before.tip_world_mm, abs=3.0)
-    assert pose.valid or any("sensors are needed to find it" in reason for reason in reasons)
+    assert pose.rotation is not None or any(
+        "sensors are needed to find it" in reason for reason in reasons
+    )
     for _ in range(20):
         (pose,) = one.strobed()
     assert pose.valid, pose.reason
@@ -569,7 +571,10 @@ def test_partial_view_stays_tracked_without_any_point() -> None:
     for frame in range(100):
         before = replace(one.bodies[0])
         (pose,) = one.together(hidden, with_points=False)
-        assert pose.valid, (frame, pose.reason)
+        # A reading of the full view counts for four exposures.
+        low = pose.status is PoseStatus.LOW_RELIABILITY
+        assert low if frame >= 4 else pose.valid or low, (frame, pose.reason)
+        assert pose.detectable_sigma > 15.0 or not low
         assert 6 <= pose.readings_used <= 8
         assert normalised(pose, before)[0] < 40.0
 

@@ -67,6 +67,21 @@ def test_three_sensors_say_that_there_is_no_redundancy_and_two_make_no_point(cli
         assert missing["covariance_mm2"] is None
 
 
+def test_reliability_says_what_four_sensors_check_and_three_do_not(client: Any):
+    given = points(0.05)
+    given[1]["readings"]["horizontal"]["position_px"] += 40.0
+    del given[2]["readings"]["vertical"]
+    made = client.post(URL, json={"device": "sim", "points": given}).json()
+    four, wrong, three = made["estimates"]
+    assert set(four["detectable_px"]) == set(four["sensors"])
+    assert all(value > 0.05 for value in four["detectable_px"].values())
+    assert four["external_reliability_mm"] > 0.0
+    assert wrong["flags"] == ["inconsistent", "not-identifiable"]
+    assert wrong["excluded"] == []
+    assert set(three["detectable_px"].values()) == {None}
+    assert three["external_reliability_mm"] is None
+
+
 def test_the_active_calibration_is_used_unless_one_is_named(client: Any):
     frame = 2.0 * calibration_target_points_mm()[::2]
     for name in ("first", "second"):

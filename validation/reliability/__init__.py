@@ -1,0 +1,1 @@
+"""Case reliability: readings that lie, of points and of tools, beside the theory of their tests."""

@@ -31,6 +31,7 @@ class Groups(ArrayRows):
         extended_last_px: last pixels of these, shape (G,).
         split_before: the chain was cut before the group, shape (G,).
         split_after: the chain was cut after it, shape (G,).
+        slope: known slopes of the background, shape (G,) [counts/px].
     """
 
     number: IntArray
@@ -43,6 +44,7 @@ class Groups(ArrayRows):
     extended_last_px: IntArray
     split_before: NDArray[np.bool_]
     split_after: NDArray[np.bool_]
+    slope: Array
 
     def __len__(self) -> int:
         """Return G."""
@@ -108,7 +110,8 @@ def form_groups(candidates: PeakBatch, pixels: int, settings: FitSettings) -> Gr
             )
         ]
     table = np.array(rows, dtype=np.int64).reshape(-1, 9).T
-    return Groups(np.arange(len(rows)), *table[:7], *table[7:].astype(bool))
+    no_slope = np.zeros(len(rows))
+    return Groups(np.arange(len(rows)), *table[:7], *table[7:].astype(bool), no_slope)
 
 
 def _extend(

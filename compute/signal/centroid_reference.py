@@ -53,6 +53,25 @@ def find_peaks_reference(
     return batch
 
 
+def background_levels(
+    scans: NDArray[np.uint16], corrections: PixelCorrections | None = None
+) -> NDArray[np.float64]:
+    """Return the backgrounds of scans by their dark parts, shape (L,) [counts].
+
+    Args:
+        scans: counts, uint16, shape (L, P).
+        corrections: of the sensors' pixels; None: counts are taken as they are.
+    """
+    none = np.zeros((1, SAMPLE_GROUPS), np.int64)
+    shifts = none if corrections is None else corrections.group_shifts().astype(np.int64)
+    return np.array(
+        [
+            _background(scan.astype(np.int64), shifts[number % len(shifts)])[0] / LEVEL_UNIT
+            for number, scan in enumerate(scans)
+        ]
+    )
+
+
 def _line_peaks(
     raw: NDArray[np.int64],
     settings: CentroidSettings,
@@ -65,12 +84,12 @@ def _line_peaks(
     photon = float(noise.photon_variance[sensor])
     offset = float(noise.offset_counts[sensor])
     full = int(noise.full_scale_counts[sensor])
-    raw_values, values, margin, shifts = raw, raw, 0, np.zeros(SAMPLE_GROUPS, np.int64)
+    raw_values, values, shifts = raw, raw, np.zeros(SAMPLE_GROUPS, np.int64)
     if corrections is not None:
         own = PixelCorrections(*(each[sensor : sensor + 1] for each in vars(corrections).values()))
-        rounded = np.floor(own.correct(raw[None].astype(np.uint16))[0].astype(np.float64) + 0.5)
+        rounded = np.floor(own.correct(raw[None].astype(np.uint16))[0] + np.float32(0.5))
         values = np.clip(rounded, 0, 65535).astype(np.int64)
-        margin, shifts = int(own.margin()[0]), own.group_shifts()[0].astype(np.int64)
+        shifts = own.group_shifts()[0].astype(np.int64)
         raw = np.where(own.masked[0], 0, raw)
     background, noise_level, ramp = _background(raw_values, shifts)
     rise = _ramp_at(ramp, len(values), np.arange(len(values)))
@@ -81,7 +100,7 @@ def _line_peaks(
 
     variances = dark + photon * np.maximum(values - offset, 0.0)
     rows: list[Row] = []
-    bright = (values >= limit) & (raw_values - rise >= max(np.ceil(limit) - margin, 1))
+    bright = (values >= limit) & (raw_values - rise >= limit)
     for top in np.flatnonzero(bright).tolist():
         excess = int(values[top]) * LEVEL_UNIT - background
         local = max(background / LEVEL_UNIT + int(rise[top]) - offset, 0.0)
@@ -128,7 +147,7 @@ def _background(values: NDArray[np.int64], shifts: NDArray[np.int64]) -> tuple[i
     contrast = int((2 * order[: first + 1] - (groups - 1)).sum())
     farthest = (first + 1) * (groups - first - 1)
     ramp = 0
-    if contrast**2 >= min(2 * farthest * (groups + 1), farthest**2):
+    if contrast**2 >= min(10 * farthest * (groups + 1) // 3, farthest**2):
         part = groups // 4
         dark = [sorted(sums[q * part : (q + 1) * part])[(part - 1) // 4] for q in range(4)]
         place = [starts[q * part] + starts[(q + 1) * part - 1] for q in range(4)]

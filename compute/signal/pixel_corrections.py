@@ -126,21 +126,16 @@ class PixelCorrections:
         shifts[:, : len(starts)] = np.rint(groups)
         return shifts
 
-    def margin(self) -> NDArray[np.int32]:
-        """Return how far good pixels' dark counts lie below the mean at most, shape (S,)."""
-        below = np.where(self.masked, 0.0, self.offset[:, None] - self.dark)
-        return np.ceil(np.maximum(below.max(axis=1), 0.0)).astype(np.int32) + 1
-
     def pack(self) -> NDArray[np.uint64]:
         """Return what the kernels read: sensors, then their pixels, in 64-bit words."""
         sensors = np.zeros(len(self), SENSOR_CORRECTION.dtype)
         sensors["offset"] = self.offset
         sensors["first_bend"], sensors["second_bend"] = self.bends.T
-        sensors["margin"] = self.margin()
         sensors["group_shifts"] = self.group_shifts()
         pixels = np.zeros(self.dark.shape, PIXEL_CORRECTION.dtype)
         pixels["dark"], pixels["scale"] = self.dark, self.scale
-        return np.frombuffer(sensors.tobytes() + pixels.tobytes(), np.uint64).copy()
+        packed = sensors.tobytes() + pixels.tobytes()
+        return np.frombuffer(packed + bytes(-len(packed) % 8), np.uint64).copy()
 
 
 def calibrated_noise(

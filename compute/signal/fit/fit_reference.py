@@ -6,9 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.errors import InvalidParameter
-from compute.signal.centroid_reference import find_peaks_reference
-from compute.signal.centroid_settings import LEVEL_UNIT, MAX_PIXELS, MIN_PIXELS
-from compute.signal.detection.background_estimate import estimate_background
+from compute.signal.centroid_reference import background_levels, find_peaks_reference
+from compute.signal.centroid_settings import MAX_PIXELS, MIN_PIXELS
 from compute.signal.fit.candidate_groups import (
     Groups,
     form_groups,
@@ -23,7 +22,7 @@ from compute.signal.fit.peak_batches import (
     collect_unfitted_peaks,
     to_peak_batch,
 )
-from compute.signal.fit.surrounding_slope import surrounding_slopes
+from compute.signal.fit.surrounding_slope import take_surroundings
 from compute.signal.fit.width_marginalisation import marginalise_width
 from compute.signal.fit.window_model import WindowModel
 from compute.signal.peaks import PeakBatch, PeakFlag
@@ -95,16 +94,15 @@ def fit_groups(
         shape: the line-spread function.
         corrections: of the sensors' pixels; None: counts are taken as they are.
     """
-    background = estimate_background(scans).background / LEVEL_UNIT
+    groups = replace(groups, level=background_levels(scans, corrections)[groups.scan])
     if settings.background == "surrounding-slope":
-        slope = surrounding_slopes(scans, groups, noise, corrections)
-        groups = replace(groups, slope=slope)
+        groups = take_surroundings(scans, groups, noise, corrections)
     found: list[SelectedFits] = []
     for count in np.unique(groups.count).tolist():
         model = WindowModel(count, settings, shape)
         part = groups[groups.count == count]
         sensor = part.scan % len(noise)
-        start = initial_parameters(model, part, candidates, background, sensor)
+        start = initial_parameters(model, part, candidates, sensor)
         for fits in fit_windows(model, part, start, scans, noise, corrections):
             solution = marginalise_width(fits.model, fits.windows, fits.solution)
             found.append(replace(fits, solution=solution))

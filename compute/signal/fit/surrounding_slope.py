@@ -1,5 +1,7 @@
 """Slope of the background about a group of peaks, by the pixels on both sides of its window."""
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -9,18 +11,17 @@ from compute.signal.fit.fit_settings import (
     SURROUNDING_LIMIT_SIGMA,
     SURROUNDING_PIXELS,
 )
-from compute.signal.fit.window_model import Array
 from compute.signal.pixel_corrections import PixelCorrections
 from compute.signal.sensor_noise import SensorNoise
 
 
-def surrounding_slopes(
+def take_surroundings(
     scans: NDArray[np.uint16],
     groups: Groups,
     noise: SensorNoise,
     corrections: PixelCorrections | None = None,
-) -> Array:
-    """Return the slopes as ``FitSettings`` defines them, shape (G,) [counts/px].
+) -> Groups:
+    """Return groups with level and slope of their surroundings, as ``FitSettings`` defines them.
 
     Args:
         scans: counts, shape (L, P).
@@ -34,7 +35,7 @@ def surrounding_slopes(
     if corrections is not None:
         counts = corrections.correct(scans).astype(np.float64)
         used &= ~corrections.masked[sensor]
-    slopes = np.zeros(len(groups))
+    levels, slopes = groups.level.copy(), np.zeros(len(groups))
     for number, scan in enumerate(groups.scan.tolist()):
         first, last = int(groups.first_px[number]), int(groups.last_px[number])
         low, high = max(first - SURROUNDING_PIXELS, 0), last + 1 + SURROUNDING_PIXELS
@@ -70,5 +71,5 @@ def surrounding_slopes(
             limit = variance * (1.0 / size[inner] + 1.0 / size[outer])
             straight &= bool((rise - slope * run) ** 2 <= SURROUNDING_LIMIT_SIGMA**2 * limit)
         if straight:
-            slopes[number] = slope
-    return slopes
+            levels[number], slopes[number] = 0.5 * means.sum(), slope
+    return replace(groups, level=levels, slope=slopes)

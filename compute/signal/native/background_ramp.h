@@ -8,11 +8,11 @@
 namespace lumiline::signal {
 
 // Whether the darkest groups lie to one side, by the sum of their places 2 g - (groups - 1): beyond
-// 2.4 standard deviations of a random choice, or as far as can be.
+// 3.2 standard deviations of a random choice, or as far as can be.
 LUMILINE_FN bool is_sloped(int groups, int rank_of_quartile, int contrast) {
     const int dark = rank_of_quartile + 1, bright = groups - dark, farthest = dark * bright;
     return contrast * contrast
-           >= smaller(2 * farthest * (groups + 1), farthest * farthest);
+           >= smaller(10 * farthest * (groups + 1) / 3, farthest * farthest);
 }
 
 // The number of keys below each, and the keys of two ranks.

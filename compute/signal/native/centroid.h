@@ -17,20 +17,12 @@ struct Run {
 
 constexpr int max_narrow_arm = 15;
 
-// A raw count that every pixel at the limit reaches, before the background's ramp.
-LUMILINE_FN int raw_limit_of(const Scan& scan, int limit) {
-    return scan.sensor == nullptr ? limit : larger(limit - scan.sensor->margin, 1);
-}
+// The least raw count at which one of the pixels from `first` to `last` may be bright. A maximum has
+// to reach the limit with its raw count, too: all pixels are compared with one number.
+LUMILINE_FN int raw_limit_of(const unsigned short*, int limit, int, int) { return limit; }
 
-// The same for the pixels from `first` to `last`.
-LUMILINE_FN int raw_limit_of(const Scan&, const unsigned short*, int raw_limit, int, int) {
-    return raw_limit;
-}
-
-LUMILINE_FN int raw_limit_of(const Scan&, const AdjustedPixels& v, int raw_limit, int first,
-                             int last) {
-    if (v.ramp == 0) return raw_limit;
-    return raw_limit + ramp_at(v.ramp, v.pixels, v.ramp > 0 ? first : last);
+LUMILINE_FN int raw_limit_of(const AdjustedPixels& v, int limit, int first, int last) {
+    return v.ramp == 0 ? limit : limit + ramp_at(v.ramp, v.pixels, v.ramp > 0 ? first : last);
 }
 
 // Whether a pixel at the limit is also bright by its raw count, and beside the noise of the
@@ -40,8 +32,8 @@ LUMILINE_FN bool is_bright(const Search&, const Scan&, const unsigned short*, in
 }
 
 LUMILINE_FN bool is_bright(const Search& search, const Scan& scan, const AdjustedPixels& v,
-                           int raw_limit, int top) {
-    if (v.v[top] < raw_limit_of(scan, v, raw_limit, top, top)) return false;
+                           int limit, int top) {
+    if (v.v[top] < raw_limit_of(v, limit, top, top)) return false;
     if (v.ramp == 0) return true;
     const double excess = double(v[top]) - double(scan.background) / level_unit;
     double light = double(scan.background) / level_unit + ramp_at(v.ramp, v.pixels, top)

@@ -11,17 +11,16 @@
 
 namespace lumiline::signal {
 
-// Finds the peaks in pixels at the limit or above it. `raw_limit` is one that the raw count of such
-// a pixel reaches, too.
+// Finds the peaks in pixels at the limit or above it.
 template <class Pixels>
 LUMILINE_FN void collect_peaks(const Search& search, const Scan& scan, const Pixels& v, int limit,
-                               int raw_limit, int number) {
+                               int number) {
     const unsigned short* raw = scan.v;
     // Whether a block has no pixel at the limit; its maximum is what the compiler vectorises.
     auto is_dark = [&](int p, auto size) -> bool {
         unsigned short top = 0;
         for (int i = 0; i < (int)sizeof size; ++i) top = raw[p + i] > top ? raw[p + i] : top;
-        return top < raw_limit_of(scan, v, raw_limit, p, p + (int)sizeof size - 1);
+        return top < raw_limit_of(v, limit, p, p + (int)sizeof size - 1);
     };
 
     // The next pixel at the limit or above it; search.pixels when there is none.
@@ -56,7 +55,7 @@ LUMILINE_FN void collect_peaks(const Search& search, const Scan& scan, const Pix
         // Up to the next maximum: what is on the way down has a higher neighbour.
         while (p + 1 < search.pixels && v[p + 1] > v[p]) ++p;
         Run run;
-        if (is_bright(search, scan, v, raw_limit, p) && is_peak(search, Bare{}, v, scan.background, p, run)) {
+        if (is_bright(search, scan, v, limit, p) && is_peak(search, Bare{}, v, scan.background, p, run)) {
             const PeakRecord record = measure(search, scan, v, run);
             if (found < search.max_peaks) {
                 records[found++] = record;
@@ -104,7 +103,7 @@ LUMILINE_FN void find_peaks_on_cpu(const Search& search, int number) {
         sixteenth += ranks[g] == rank_of_sixteenth ? keys[g] : 0;
     }
     int contrast = 0;
-    for (int g = 0; g < groups; ++g)
+    for (int g = 0; g < sample_groups; ++g)
         contrast += ranks[g] <= rank_of_quartile ? 2 * g - (groups - 1) : 0;
     if (is_sloped(groups, rank_of_quartile, contrast))
         scan.ramp = estimate_ramp(search, scan, v, &quartile, &sixteenth);
@@ -112,9 +111,9 @@ LUMILINE_FN void find_peaks_on_cpu(const Search& search, int number) {
     scan.background = level.background;
     if (scan.is_adjusted())
         collect_peaks(search, scan, scan.adjusted(v, search.pixels), level.limit,
-                      raw_limit_of(scan, level.limit), number);
+                      number);
     else
-        collect_peaks(search, scan, v, level.limit, level.limit, number);
+        collect_peaks(search, scan, v, level.limit, number);
 }
 
 }  // namespace lumiline::signal

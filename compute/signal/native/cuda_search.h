@@ -31,7 +31,7 @@ LUMILINE_NOINLINE bool measure_adjusted(const Search& search, const Scan& scan, 
                                         PeakRecord* record) {
     const AdjustedPixels v = scan.adjusted(scan.v, search.pixels);
     Run run;
-    if (!is_bright(search, scan, v, raw_limit_of(scan, limit), top)) return false;
+    if (!is_bright(search, scan, v, limit, top)) return false;
     if (!is_peak(search, Bare{}, v, scan.background, top, run)) return false;
     *record = measure(search, scan, v, run);
     return true;
@@ -152,7 +152,7 @@ struct WarpSearch : WarpMemory<batch_scans, length> {
     LUMILINE_FN void find_bright_chunks(const uint4* block, int there, int slot, int first,
                                         int at) {
         const Scan& scan = scan_at[slot];
-        const int limit = raw_limit_of(scan, limits[slot]), ramp = scan.ramp;
+        const int limit = limits[slot], ramp = scan.ramp;
         unsigned below = (unsigned)(limit - 1) * 0x10001u;
         unsigned bits[8];
         auto look = [&](int i, bool inside) {

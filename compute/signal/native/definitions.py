@@ -43,13 +43,11 @@ SENSOR_CORRECTION: Final = Record(
         "offset": "float",
         "first_bend": "float",
         "second_bend": "float",
-        "margin": "int",
         "group_shifts": f"int[{SAMPLE_GROUPS}]",
     },
 )
-"""What is the same for a calibrated sensor's pixels: mean offset, coefficients of nonlinearity, how
-far a good pixel's offset lies below the mean one at most, and how far the offsets of the groups
-that the background is taken from lie above it, summed over a group [counts]."""
+"""What is the same for a calibrated sensor's pixels: mean offset, coefficients of nonlinearity, and
+how far the offsets of the background's groups lie above it, summed over a group [counts]."""
 
 PIXEL_CORRECTION: Final = Record("PixelCorrection", {"dark": "float", "scale": "float"})
 """A pixel's count without light, and the reciprocal of its response: 0 where it is masked."""

@@ -53,7 +53,10 @@ struct AdjustedPixels {
     LUMILINE_FN int operator[](int i) const {
         if (i < 0 || i >= pixels) return 0;
         int value = v[i];
-        if (sensor != nullptr) value = (int)floor((double)corrected(i) + 0.5);
+        if (sensor != nullptr) {
+            const float rounded = corrected(i) + 0.5f;
+            value = rounded > 0.0f ? (int)rounded : 0;
+        }
         if (ramp != 0) value -= ramp_at(ramp, pixels, i);
         return value < 0 ? 0 : value > 65535 ? 65535 : value;
     }

@@ -21,7 +21,9 @@ LUMILINE_FN int fit_group(FitScan& scan, int begin, FittedPeak* out) {
     const int end = end_of_group(scan, begin);
     int first = 0, last = 0;
     window_of(scan, begin, end, &first, &last);
-    scan.slope = scan.plan.surrounded ? surrounding_slope(scan, begin, end, first, last) : 0.0;
+    scan.level = scan.background_counts;
+    scan.slope = 0.0;
+    if (scan.plan.surrounded) take_surroundings(scan, begin, end, first, last);
     int written = 0;
     if (end - begin == 1) written = fit_single(scan, scan.candidates[begin], first, last, out);
     if (written == 0) written = fit_jointly(scan, begin, end, first, last, out);

@@ -66,8 +66,8 @@ struct FitScan : Scan {
     // Of the scan that was taken. Its record: how many peaks, then these, then how many candidates,
     // the background, and the candidates.
     double background_counts = 0.0;
-    // Of the background about the group that is fitted [counts per pixel].
-    double slope = 0.0;
+    // Of the background about the group that is fitted: level to start with, slope per pixel.
+    double level = 0.0, slope = 0.0;
     int candidate_count = 0;
     const Piece* pieces = nullptr;
     const PieceF* pieces_f = nullptr;

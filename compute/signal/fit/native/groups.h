@@ -153,12 +153,13 @@ struct Side {
     }
 };
 
-// The background's slope by the pixels on both sides of a window; see FitSettings.
-LUMILINE_FN double surrounding_slope(const FitScan& scan, int begin, int end, int first, int last) {
+// Takes the background's level and slope from the pixels on both sides of a window, if they lie on a
+// straight line; see FitSettings.
+LUMILINE_FN void take_surroundings(FitScan& scan, int begin, int end, int first, int last) {
     int from = first - surrounding_pixels, to = last + 1 + surrounding_pixels;
     if (from < 0) from = 0;
     if (to > scan.pixels) to = scan.pixels;
-    if (first - from < min_surrounding_pixels || to - last - 1 < min_surrounding_pixels) return 0.0;
+    if (first - from < min_surrounding_pixels || to - last - 1 < min_surrounding_pixels) return;
     int other_first = 0, other_last = 0;
     if (begin > 0) {
         int other = begin - 1;
@@ -170,16 +171,18 @@ LUMILINE_FN double surrounding_slope(const FitScan& scan, int begin, int end, in
         window_of(scan, end, end_of_group(scan, end), &other_first, &other_last);
         if (to > other_first) to = other_first;
     }
-    if (first - from < min_surrounding_pixels || to - last - 1 < min_surrounding_pixels) return 0.0;
+    if (first - from < min_surrounding_pixels || to - last - 1 < min_surrounding_pixels) return;
     Side left, right;
     left.take(scan, from, first, first);
     right.take(scan, last + 1, to, first);
-    if (left.all() < min_surrounding_pixels || right.all() < min_surrounding_pixels) return 0.0;
+    if (left.all() < min_surrounding_pixels || right.all() < min_surrounding_pixels) return;
     const double slope = (right.count() - left.count()) / (right.place() - left.place());
-    double above = 0.5 * (right.count() + left.count()) - scan.offset;
-    if (above < 0.0) above = 0.0;
+    const double level = 0.5 * (right.count() + left.count());
+    const double above = level > scan.offset ? level - scan.offset : 0.0;
     const double variance = scan.dark + scan.photon * above;
-    return left.is_straight(slope, variance) && right.is_straight(slope, variance) ? slope : 0.0;
+    if (!left.is_straight(slope, variance) || !right.is_straight(slope, variance)) return;
+    scan.level = level;
+    scan.slope = slope;
 }
 
 }  // namespace lumiline::signal

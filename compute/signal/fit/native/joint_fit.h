@@ -104,7 +104,7 @@ LUMILINE_FN int fit_jointly(const FitScan& scan, int begin, int end, int first, 
     const int count = end - begin;
     Model start;
     start.peaks = count;
-    start.level = scan.background_counts;
+    start.level = scan.level;
     for (int k = 0; k < count; ++k) start.log_w += log_of(start_width(scan, c[k]));
     start.log_w /= count;
     for (int k = 0; k < count; ++k) {

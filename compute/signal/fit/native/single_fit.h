@@ -42,7 +42,7 @@ LUMILINE_FN int fit_single_by(const FitScan& scan, const PeakRecord& c, int firs
     const float chi2_limit = (float)scan.chi2_limits[dof];
     const bool may_split = scan.plan.further_peaks && scan.plan.max_joint_peaks > 1;
 
-    const int origin = pixel_of(c), base = (int)floor(scan.background_counts);
+    const int origin = pixel_of(c), base = (int)floor(scan.level);
     const float dark_f = (float)scan.dark, photon_f = (float)scan.photon;
     const float above_offset = (float)((double)base - scan.offset);
     const float shape_error2 = (float)scan.plan.shape_error2;
@@ -83,7 +83,7 @@ LUMILINE_FN int fit_single_by(const FitScan& scan, const PeakRecord& c, int firs
     float x = (float)(c.position_px - (double)origin);
     take_rows_at(x);
     float light = c.amplitude / central_fraction(w);
-    float level = (float)(scan.background_counts - (double)base), slope = (float)scan.slope;
+    float level = (float)(scan.level - (double)base), slope = (float)scan.slope;
     bool ended = false;
     float sigma2 = 0.0f, chi2 = 0.0f, last_rise = 0.0f;
     for (int pass = 0; pass < max_passes && !ended; ++pass) {

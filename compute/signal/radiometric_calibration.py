@@ -381,7 +381,7 @@ def _find_stuck(dark: CaptureStatistics, flats: Sequence[CaptureStatistics]) -> 
 
 def _is_hot(dark: CaptureStatistics) -> NDArray[np.bool_]:
     # By neighbours: a smooth offset along the sensor makes no pixel hot.
-    excess = dark.mean - _running_median(dark.mean)
+    excess = dark.mean - running_median(dark.mean)
     noise = np.median(dark.variance) / dark.frames
     spread = np.hypot(MAD_TO_SIGMA * np.median(np.abs(excess)), np.sqrt(noise))
     floor = np.sqrt(np.median(dark.variance))
@@ -477,7 +477,7 @@ def _check_light_in_the_dark(
         InvalidParameter: there is light.
     """
     base = float(np.quantile(dark.mean[usable], 0.25))
-    smooth = _running_median(dark.mean)
+    smooth = running_median(dark.mean)
     excess = smooth - base
     noise = float(np.sqrt(np.median(dark.variance)))
     spread = MAD_TO_SIGMA * float(np.median(np.abs(dark.mean - smooth)[usable]))
@@ -523,7 +523,13 @@ def _smooth_light(counts: Array, usable: NDArray[np.bool_]) -> Array:
     return np.asarray(light)
 
 
-def _running_median(values: Array, half: int = 15) -> Array:
+def running_median(values: Array, half: int = 15) -> Array:
+    """Return the median of each pixel's neighbourhood, shape (N,).
+
+    Args:
+        values: of the pixels, shape (N,).
+        half: pixels to either side.
+    """
     padded = np.pad(values, half, mode="reflect")
     windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1)
     return np.asarray(np.median(windows, axis=1))

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -172,7 +172,8 @@ def _measure(
         design = row.design
         if row.defect is not None:
             name, aside = row.defect
-            design = replace(design, **{name: (round(position) + aside,)})
+            changed: dict[str, Any] = {name: (round(position) + aside,)}
+            design = replace(design, **changed)
         sensor = Sensor.make(design, rng)
         ramp = row.slope * np.arange(PIXELS)
         scene = line_electrons(np.array([position]), LIGHT, row.skew) + AMBIENT + ramp
@@ -188,10 +189,10 @@ def _measure(
         progress(trial + 1)
     rows: list[tuple[Cell, ...]] = []
     for kind, tally in tallies.items():
-        error, sigma, bound_px, chi2, unflagged = (
-            np.concatenate(each)
-            for each in (tally.errors, tally.sigmas, tally.bounds, tally.chi2, tally.unflagged)
+        error, sigma, bound_px, chi2 = (
+            np.concatenate(each) for each in (tally.errors, tally.sigmas, tally.bounds, tally.chi2)
         )
+        unflagged = np.concatenate(tally.unflagged)
         rows.append(
             (
                 row.label,

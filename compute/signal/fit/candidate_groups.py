@@ -113,7 +113,8 @@ def form_groups(candidates: PeakBatch, pixels: int, settings: FitSettings) -> Gr
         ]
     table = np.array(rows, dtype=np.int64).reshape(-1, 9).T
     zeros = np.zeros(len(rows))
-    return Groups(np.arange(len(rows)), *table[:7], *table[7:].astype(bool), zeros, zeros)
+    before, after = table[7:].astype(bool)
+    return Groups(np.arange(len(rows)), *table[:7], before, after, zeros, zeros)
 
 
 def _extend(

@@ -11,8 +11,7 @@ namespace lumiline::signal {
 // 3.2 standard deviations of a random choice, or as far as can be.
 LUMILINE_FN bool is_sloped(int groups, int rank_of_quartile, int contrast) {
     const int dark = rank_of_quartile + 1, bright = groups - dark, farthest = dark * bright;
-    return contrast * contrast
-           >= smaller(10 * farthest * (groups + 1) / 3, farthest * farthest);
+    return contrast * contrast >= smaller(10 * farthest * (groups + 1) / 3, farthest * farthest);
 }
 
 // The number of keys below each, and the keys of two ranks.
@@ -30,8 +29,8 @@ LUMILINE_FN void keys_of_ranks(const int* keys, int count, int first, int second
 // between two of them [1 / ramp_unit counts per pixel]; a quarter of them may be covered by light.
 // The keys of the background's ranks become those beside the line; 0, and they stay, where the line
 // does not explain what the groups differ by.
-LUMILINE_NOINLINE int estimate_ramp(const Search& search, const Scan& scan,
-                                    const unsigned short* v, int* quartile, int* sixteenth) {
+LUMILINE_NOINLINE int estimate_ramp(const Search& search, const Scan& scan, const unsigned short* v,
+                                    int* quartile, int* sixteenth) {
     const int groups = search.groups(), group_step = search.group_step(), part = groups / 4;
     int keys[sample_groups], dark[4], place[4];
     for (int g = 0; g < groups; ++g) {
@@ -66,8 +65,10 @@ LUMILINE_NOINLINE int estimate_ramp(const Search& search, const Scan& scan,
     int level = 0, low = 0;
     keys_of_ranks(keys, groups, Search::rank_of_quartile(groups), Search::rank_of_sixteenth(groups),
                   &level, &low);
-    if (ramp == 0 || level / sample_groups - low / sample_groups
-                         >= *quartile / sample_groups - *sixteenth / sample_groups) return 0;
+    if (ramp == 0
+        || level / sample_groups - low / sample_groups
+               >= *quartile / sample_groups - *sixteenth / sample_groups)
+        return 0;
     *quartile = level;
     *sixteenth = low;
     return ramp;

@@ -17,8 +17,8 @@ struct Run {
 
 constexpr int max_narrow_arm = 15;
 
-// The least raw count at which one of the pixels from `first` to `last` may be bright. A maximum has
-// to reach the limit with its raw count, too: all pixels are compared with one number.
+// The least raw count at which one of the pixels from `first` to `last` may be bright. A maximum
+// has to reach the limit with its raw count, too: all pixels are compared with one number.
 LUMILINE_FN int raw_limit_of(const unsigned short*, int limit, int, int) { return limit; }
 
 LUMILINE_FN int raw_limit_of(const AdjustedPixels& v, int limit, int first, int last) {
@@ -36,8 +36,8 @@ LUMILINE_FN bool is_bright(const Search& search, const Scan& scan, const Adjuste
     if (v.v[top] < raw_limit_of(v, limit, top, top)) return false;
     if (v.ramp == 0) return true;
     const double excess = double(v[top]) - double(scan.background) / level_unit;
-    double light = double(scan.background) / level_unit + ramp_at(v.ramp, v.pixels, top)
-                   - scan.offset;
+    double light =
+        double(scan.background) / level_unit + ramp_at(v.ramp, v.pixels, top) - scan.offset;
     if (light < 0.0) light = 0.0;
     return excess * excess
            >= search.detection_sigma * search.detection_sigma * (scan.dark + scan.photon * light);

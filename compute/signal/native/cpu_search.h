@@ -56,7 +56,8 @@ LUMILINE_FN void collect_peaks(const Search& search, const Scan& scan, Pixels& v
         // Up to the next maximum: what is on the way down has a higher neighbour.
         while (p + 1 < search.pixels && v[p + 1] > v[p]) ++p;
         Run run;
-        if (is_bright(search, scan, v, limit, p) && is_peak(search, Bare{}, v, scan.background, p, run)) {
+        if (is_bright(search, scan, v, limit, p)
+            && is_peak(search, Bare{}, v, scan.background, p, run)) {
             const PeakRecord record = measure(search, scan, v, run);
             if (found < search.max_peaks) {
                 records[found++] = record;

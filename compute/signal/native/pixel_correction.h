@@ -11,7 +11,8 @@ namespace lumiline::signal {
 LUMILINE_FN float corrected_count(const SensorCorrection& sensor, const PixelCorrection& pixel,
                                   int count) {
     const float signal = (float)count - pixel.dark;
-    const float light = signal * (1.0f + signal * (sensor.first_bend + signal * sensor.second_bend));
+    const float light =
+        signal * (1.0f + signal * (sensor.first_bend + signal * sensor.second_bend));
     return light * pixel.scale + sensor.offset;
 }
 

@@ -153,8 +153,8 @@ struct Side {
     }
 };
 
-// Takes the background's level and slope from the pixels on both sides of a window, if they lie on a
-// straight line; see FitSettings.
+// Takes the background's level and slope from the pixels on both sides of a window, if they lie on
+// a straight line; see FitSettings.
 LUMILINE_FN void take_surroundings(FitScan& scan, int begin, int end, int first, int last) {
     int from = first - surrounding_pixels, to = last + 1 + surrounding_pixels;
     if (from < 0) from = 0;

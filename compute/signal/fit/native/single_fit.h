@@ -134,8 +134,7 @@ LUMILINE_FN int fit_single_by(const FitScan& scan, const PeakRecord& c, int firs
             }
             variance += shape_error2 * lit * lit;
             // A masked pixel's scale is nothing, and so is its weight.
-            const float weight =
-                corrected && scales[i - first] == 0.0f ? 0.0f : 1.0f / variance;
+            const float weight = corrected && scales[i - first] == 0.0f ? 0.0f : 1.0f / variance;
             const float residual = count - mean;
             const float weighted = residual * weight;
             chi2 += residual * weighted;
@@ -265,14 +264,14 @@ LUMILINE_FN int fit_single_by(const FitScan& scan, const PeakRecord& c, int firs
     if (position - reach < -0.5 || position + reach > scan.pixels - 0.5) return 0;
     const float excess = chi2 - (float)scan.noise_chi2()[dof];
     const float factor = excess > 0.0f ? 1.0f + excess / (float)dof : 1.0f;
-    *out = FittedPeak{position,
-                      sqrtf(sigma2 * factor),
-                      light * central_fraction(w),
-                      w * (float)scan.plan.width_unit,
-                      (c.flags & flag_merged) | (poor ? flag_poor_fit : 0)
-                          | (masked > 0 ? flag_masked : 0),
-                      chi2 / (float)dof,
-                      {0.0f, 0.0f, 0.0f}};
+    *out = FittedPeak{
+        position,
+        sqrtf(sigma2 * factor),
+        light * central_fraction(w),
+        w * (float)scan.plan.width_unit,
+        (c.flags & flag_merged) | (poor ? flag_poor_fit : 0) | (masked > 0 ? flag_masked : 0),
+        chi2 / (float)dof,
+        {0.0f, 0.0f, 0.0f}};
     return 1;
 }
 

@@ -129,12 +129,15 @@ def _line_peaks(
     return rows
 
 
-def _background(values: NDArray[np.int64], shifts: NDArray[np.int64]) -> tuple[int, int, int]:
+def _background(
+    values: NDArray[np.int64], shifts: NDArray[np.int64] | None = None
+) -> tuple[int, int, int]:
     """Return background, noise level [1/LEVEL_UNIT counts] and slope [1/RAMP_UNIT counts per px].
 
     The background is that of the scan's dark part, in its middle where there is a slope.
     """
     starts = sample_starts(len(values))
+    shifts = np.zeros(len(starts), np.int64) if shifts is None else shifts
     sums = [
         max(int(values[start : start + GROUP_PIXELS].sum() - shift), 0)
         for start, shift in zip(starts, shifts, strict=False)

@@ -99,6 +99,12 @@ class FrameProcessor:
         prepared = self._prepared
         return (prepared.calibration_id, prepared.table_id) if prepared else (None, None)
 
+    @property
+    def radiometric_id(self) -> str | None:
+        """The active radiometric calibration."""
+        radiometric = self.active_calibration.radiometric
+        return None if radiometric is None else radiometric.radiometric_id
+
     def set_calibration(self, active: ActiveCalibration) -> None:
         """Switch the calibration and its correction table, between two batches.
 
@@ -172,6 +178,7 @@ class FrameProcessor:
             points,
             owner,
             motion,
+            radiometric_id=self.radiometric_id,
         )
 
 

@@ -47,7 +47,8 @@ class StoredContent:
     """Readers of what other resources store for a device.
 
     Args:
-        active_calibration: the calibration and table that the device's pointer names.
+        active_calibration: the calibration and table that the device's pointer names, and its
+            radiometric calibration.
         tracking_config: its tools, beam holds and tracking settings.
     """
 
@@ -183,10 +184,29 @@ class DeviceService:
                 if found.calibration is not None:
                     device = store.get_device(session, device_id)
                     check_sensors(device_id, store.sensors_of_row(device), found.calibration.models)
-            try:
-                self._live.set_calibration(device_id, found)
-            except Exception:  # noqa: BLE001 - committed: an error would say that it was not
-                _log.exception("device %s does not use %s yet", device_id, found.calibration_id)
+            self._activate(device_id, found)
+
+    @contextmanager
+    def radiometric_move(self, device_id: str) -> Iterator[Session]:
+        """Yield a transaction that changes the radiometric calibration that a device uses.
+
+        The device is locked. After the commit the pipeline follows, as of ``pointer_move``.
+
+        Raises:
+            UnknownDevice.
+        """
+        with self._exclusive(device_id):
+            with self._database.write() as session:
+                store.get_device(session, device_id, lock=True)
+                yield session
+                found = self._stored.active_calibration(session, device_id)
+            self._activate(device_id, found)
+
+    def _activate(self, device_id: str, found: ActiveCalibration) -> None:
+        try:
+            self._live.set_calibration(device_id, found)
+        except Exception:  # noqa: BLE001 - committed: an error would say that it was not
+            _log.exception("device %s does not use %s yet", device_id, found.calibration_id)
 
     def roll_back(self, device_id: str, expected: str | None = None) -> Device:
         """Go back to what the device used before its last activation; again: further back.

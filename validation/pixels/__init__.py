@@ -1,0 +1,1 @@
+"""Case pixels: uneven and bad pixels, slopes and coma, with and without a calibration."""

@@ -63,7 +63,9 @@ class DefectiveDetector:
         defects: how they differ.
     """
 
-    def __init__(self, detector: Detector, sensors: int, pixels: int, defects: PixelDefects) -> None:
+    def __init__(
+        self, detector: Detector, sensors: int, pixels: int, defects: PixelDefects
+    ) -> None:
         self._detector = detector
         self._array = DetectorArray(detector, sensors, pixels, pattern_seed=defects.seed)
         self._defects = defects

@@ -8,11 +8,11 @@ from anyio.to_thread import run_sync
 from fastapi import FastAPI
 
 from service.api.beam_holds.monitor_config import tracking_config_of
-from service.api.correction_tables.store import active_calibration
 from service.api.devices.device_service import DeviceService, StoredContent
 from service.api.devices.profiles import find_profile
 from service.api.exports.repository import ExportRepository
 from service.api.quality.drift_monitor import DriftMonitor
+from service.api.radiometric_calibrations.store import active_calibration
 from service.api.recordings.recording_manager import RecordingManager
 from service.api.runs.kind_registry import kinds_with
 from service.application.bootstrap import prepare

@@ -1,7 +1,7 @@
 """DetectionStage: peaks of a device's scans, by the method that its description asks for."""
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from math import inf, log, sqrt
 from typing import Any, Final, Literal
@@ -9,7 +9,7 @@ from typing import Any, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.errors import LumilineError
+from compute.errors import InvalidParameter, LumilineError
 from compute.measurement.flag_policy import STANDARD_POLICY, FlagPolicy
 from compute.optics.profiles.device_profile import DeviceProfile
 from compute.optics.profiles.profile_loader import load_profile, profile_names
@@ -22,6 +22,7 @@ from compute.signal.coded_aperture.shadow_template import ShadowTemplate
 from compute.signal.fit.fit_finder import FitFinder
 from compute.signal.fit.fit_settings import WIDTH_LIMITS_PX, FitSettings
 from compute.signal.peaks import PeakBatch, PeakFlag, no_peaks
+from compute.signal.radiometric_calibration import RadiometricCalibration
 from compute.signal.sensor_noise import SensorNoise
 from hardware.driver import DeviceDescription
 from service.problems.errors import UnknownDeviceProfile
@@ -162,6 +163,7 @@ class DetectionStage:
         self.unfitted_error_px = 0.0
         """That of peaks that were not fitted, of all sensors; 0 where all are."""
         sensors, pixels = len(description.sensors), description.sensors[0].pixels
+        self._pixels = {sensor.name: sensor.pixels for sensor in description.sensors}
         self._find = _find(self.method, description, frames, model, compute_device)
         if self._find is not None:
             # Loads the kernel and touches the buffers, before the first frame waits for it.
@@ -176,6 +178,20 @@ class DetectionStage:
             else FlagPolicy.of_method(self.method, known_shape=self.error_px is not None)
         )
         """What the peaks' flags mean for points, tracks and tools."""
+
+    def set_radiometric_calibration(self, found: Mapping[str, RadiometricCalibration]) -> None:
+        """Find peaks with the radiometric calibrations of sensors, by name; empty: with none.
+
+        Raises:
+            InvalidParameter: a calibration is of no sensor of the device, or of other pixels.
+        """
+        for name, one in found.items():
+            if self._pixels.get(name) != one.pixels:
+                listed = ", ".join(f"{own} ({count} px)" for own, count in self._pixels.items())
+                raise InvalidParameter(
+                    f"the radiometric calibration is of {name} ({one.pixels} px); the device has "
+                    f"{listed}"
+                )
 
     @property
     def reads(self) -> bool:

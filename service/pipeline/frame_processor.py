@@ -111,8 +111,8 @@ class FrameProcessor:
         Takes milliseconds, unless the calibration has more terms of distortion than any before.
 
         Raises:
-            InvalidParameter: the calibration or the table is of other sensors; the active one
-                stays.
+            InvalidParameter: the calibration, the table or the radiometric calibration is of other
+                sensors; what is active stays.
         """
         models = active.calibration.models if active.calibration else ()
         for what, sensors in (
@@ -124,6 +124,9 @@ class FrameProcessor:
                     f"{what} is of the sensors {', '.join(sensors)}; the device has "
                     f"{', '.join(self._names)}"
                 )
+        self.detection.set_radiometric_calibration(
+            active.radiometric.sensors if active.radiometric else {}
+        )
         self._prepared = PreparedCalibration.of(active, self._compute_device)
         self.active_calibration = active
         self._tracking.set_calibration(self._prepared)

@@ -33,8 +33,8 @@ def check_frame_count(frames: int, wanted: int, where: str) -> None:
     """Raise UnusableRadiometricCapture where fewer frames came than are needed."""
     if frames < max(MIN_CAPTURES, wanted):
         raise UnusableRadiometricCapture(
-            f"{where}: {frames} of {wanted} frames came; at least {MIN_CAPTURES} are needed, and all "
-            "that were asked for: raise timeout_s, ask for fewer frames, or record longer",
+            f"{where}: {frames} of {wanted} frames came; {MIN_CAPTURES} at least are needed, and "
+            "all that were asked for: raise timeout_s, ask for fewer frames, or record longer",
             frames=frames,
         )
 

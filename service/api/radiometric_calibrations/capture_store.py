@@ -167,9 +167,7 @@ def captured_frames(
                 saturated_pixels=int(np.count_nonzero(pixels.maximum >= full_scale)),
                 flicker=float(flicker),
             )
-            for sensor, pixels, flicker in zip(
-                sensors, found.sensors, found.flicker, strict=True
-            )
+            for sensor, pixels, flicker in zip(sensors, found.sensors, found.flicker, strict=True)
         ],
         captured_at=datetime.now(UTC),
     )

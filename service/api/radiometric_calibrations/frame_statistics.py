@@ -77,7 +77,7 @@ def pack_statistics(found: Mapping[str, FrameStatistics]) -> bytes:
         for field in _FIELDS
     }
     with io.BytesIO() as file:
-        np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
+        np.savez_compressed(file, **arrays)
         return file.getvalue()
 
 

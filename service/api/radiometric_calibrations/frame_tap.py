@@ -2,13 +2,15 @@
 
 from collections import deque
 from threading import Event
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING
 
 from service.api.radiometric_calibrations.frame_statistics import FrameAccumulator
 from service.pipeline.active_calibration import ActiveCalibration
 from service.pipeline.frame_batch import FrameBatch
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
 
 class FrameTap:

@@ -2,7 +2,7 @@
 
 from typing import Annotated, Any, Final, Literal
 
-from pydantic import Field, FailFast, StringConstraints
+from pydantic import FailFast, Field, StringConstraints
 
 from compute.signal.centroid_settings import MAX_PIXELS, MIN_PIXELS
 from compute.signal.radiometric_calibration import MIN_CAPTURES, MIN_FLATS
@@ -23,7 +23,10 @@ class RadiometricCaptureSettings(RequestModel):
 
     frames: int = Field(default=128, ge=MIN_CAPTURES, le=MAX_FRAMES, description="Of each capture.")
     levels: int = Field(
-        default=6, ge=MIN_FLATS, le=MAX_FLATS, description="Flat captures, of different amounts of light."
+        default=6,
+        ge=MIN_FLATS,
+        le=MAX_FLATS,
+        description="Flat captures, of different amounts of light.",
     )
     max_level: Annotated[float, Field(ge=0.2, le=0.95)] = Field(
         default=0.85, description="Light of the brightest flat capture, of full scale."
@@ -113,8 +116,8 @@ class FromRecordings(RequestModel):
 
     kind: Literal["recordings"]
     dark: RecordingName = Field(description="Recorded with covered sensors.")
-    flats: Annotated[list[RecordingName], Field(min_length=MIN_FLATS, max_length=MAX_FLATS)] = Field(
-        description="Recorded under even light, each with another amount of it."
+    flats: Annotated[list[RecordingName], Field(min_length=MIN_FLATS, max_length=MAX_FLATS)] = (
+        Field(description="Recorded under even light, each with another amount of it.")
     )
     relative_light: Lights | None = None
     temperature_c: Temperature | None = None

@@ -101,7 +101,10 @@ def capture_frames(
     live: LiveDep,
     kind: Annotated[
         Kind,
-        Query(description="`dark`: the sensors are covered. `flat`: they are lit evenly."),
+        Query(
+            description="`dark`: the sensors are covered. `flat`: they are lit evenly.",
+            examples=["dark"],
+        ),
     ],
     name: Annotated[
         str | None,

@@ -8,12 +8,9 @@ import numpy as np
 
 from compute.errors import InvalidParameter
 from compute.signal.radiometric_calibration import RadiometricCalibration, estimate
-from hardware.driver import SensorDescription
 from service.api.calibrations.calibration_content import canonical_json, content_hash
-from service.api.devices.store import listed
 from service.api.radiometric_calibrations.frame_statistics import FrameStatistics
 from service.api.radiometric_calibrations.schema import SensorFigures
-from service.problems.errors import SensorsChanged
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,19 +39,6 @@ class RadiometricContent:
     def figures(self) -> list[SensorFigures]:
         """Return figures of each sensor."""
         return [sensor_figures(name, one) for name, one in self.sensors.items()]
-
-    def check_sensors(self, now: Sequence[SensorDescription]) -> None:
-        """Raise SensorsChanged where a sensor is not one of the device's, of as many pixels."""
-        pixels = {sensor.name: sensor.pixels for sensor in now}
-        for name, one in self.sensors.items():
-            if pixels.get(name) != one.pixels:
-                raise SensorsChanged(
-                    f'device "{self.device}" has the sensors {listed(now)}; the radiometric '
-                    f'calibration is of "{name}" ({one.pixels} px): calibrate the sensors that '
-                    "the device has now",
-                    device=self.device,
-                    sensor=name,
-                )
 
 
 def content_of(document: Mapping[str, Any]) -> RadiometricContent:

@@ -27,6 +27,7 @@ from service.api.radiometric_calibrations.schema import (
     FromScans,
     NewRadiometricCalibration,
 )
+from service.api.radiometric_calibrations.store import check_content
 from service.database.engine import Database
 
 if TYPE_CHECKING:
@@ -73,7 +74,7 @@ def content_from(
         case FromDocument() as source:
             found = sensor_calibrations(source.sensors)
     content = RadiometricContent(request.device, found)
-    content.check_sensors(sensors)
+    check_content(content, sensors)
     return content
 
 

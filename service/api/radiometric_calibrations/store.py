@@ -1,17 +1,20 @@
 """Radiometric calibrations in the database: stored, read, activated; never changed."""
 
 import secrets
+from collections.abc import Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Any
 
 from sqlalchemy.orm import Session
 
+from hardware.driver import SensorDescription
 from service.api.base_models import from_attributes
 from service.api.correction_tables.store import active_calibration as active_geometric
 from service.api.devices.store import (
     active_radiometric_id,
     get_device,
+    listed,
     sensors_of_row,
 )
 from service.api.radiometric_calibrations.content import RadiometricContent, content_of
@@ -25,6 +28,7 @@ from service.pipeline.active_calibration import ActiveCalibration, ActiveRadiome
 from service.problems.errors import (
     ActivationConflict,
     RadiometricCalibrationExists,
+    SensorsChanged,
     UnknownRadiometricCalibration,
 )
 
@@ -52,7 +56,7 @@ def add_radiometric_calibration(
         SensorsChanged: the device has other sensors.
     """
     device = get_device(session, content.device, lock=True)
-    content.check_sensors(sensors_of_row(device))
+    check_content(content, sensors_of_row(device))
     row = RadiometricCalibrationRow(
         id=radiometric_id or f"radiometric-{secrets.token_hex(8)}",
         device_id=content.device,
@@ -66,6 +70,24 @@ def add_radiometric_calibration(
     return RADIOMETRIC_CALIBRATIONS.insert(session, row)
 
 
+def check_content(content: RadiometricContent, now: Sequence[SensorDescription]) -> None:
+    """Check that a radiometric calibration is of sensors that its device has now.
+
+    Raises:
+        SensorsChanged: a sensor is not one of them, or has another number of pixels.
+    """
+    pixels = {sensor.name: sensor.pixels for sensor in now}
+    for name, one in content.sensors.items():
+        if pixels.get(name) != one.pixels:
+            raise SensorsChanged(
+                f'device "{content.device}" has the sensors {listed(now)}; the radiometric '
+                f'calibration is of "{name}" ({one.pixels} px): calibrate the sensors that the '
+                "device has now",
+                device=content.device,
+                sensor=name,
+            )
+
+
 def activate(
     session: Session, row: RadiometricCalibrationRow, expected: str | None
 ) -> RadiometricCalibrationRow:
@@ -77,7 +99,7 @@ def activate(
         ActivationConflict: another one is active than expected.
         SensorsChanged: the device has other sensors.
     """
-    content_of(row.content).check_sensors(sensors_of_row(get_device(session, row.device_id)))
+    check_content(content_of(row.content), sensors_of_row(get_device(session, row.device_id)))
     _move(session, row.device_id, row.id, expected)
     return row
 

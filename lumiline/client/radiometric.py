@@ -1,10 +1,13 @@
 """Requests about radiometric calibrations of a device's sensors, and their captures."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Final
 
 from lumiline.client.exchange import ClientMethod, Exchanges
 from lumiline.client.models import RadiometricCalibration, RadiometricCapture
+
+CAPTURE_TIMEOUT_S: Final = 120.0
+"""How long the server waits for the frames of a capture, at most [s]."""
 
 
 class RadiometricMethods(Exchanges):
@@ -94,7 +97,14 @@ class RadiometricMethods(Exchanges):
             temperature_c: of the sensors [°C].
             relative_light: light of this level, in any unit.
         """
-        path = path_of("radiometric-captures", capture_id, "capture")
-        query = {"kind": kind, "temperature_c": temperature_c, "relative_light": relative_light}
-        answer = await self._request("POST", path, query=query, extra_timeout_s=CAPTURE_TIMEOUT_S)
-        return read_answer(RadiometricCapture, answer, path)
+        return await self._send(
+            RadiometricCapture,
+            "POST",
+            "radiometric-captures",
+            capture_id,
+            "capture",
+            extra_timeout_s=CAPTURE_TIMEOUT_S,
+            kind=kind,
+            temperature_c=temperature_c,
+            relative_light=relative_light,
+        )

@@ -9,10 +9,10 @@ from sqlalchemy.orm import Session
 
 from hardware.driver import SensorDescription
 from service.api.base_models import from_attributes
+from service.api.devices.schema import listed
 from service.api.devices.store import (
     active_radiometric_id,
     get_device,
-    listed,
     sensors_of_row,
 )
 from service.api.radiometric_calibrations.content import RadiometricContent, content_of

@@ -13,12 +13,12 @@ from service.cli.output import (
     AsJson,
     console,
     fail,
+    file_errors,
     make_table,
     print_json,
     progress,
     say,
     spec,
-    write_file,
 )
 from service.cli.server_session import HERE, DeviceOption, Key, Url, client_session
 
@@ -60,7 +60,8 @@ def estimate(
         )
     sensors = {name: one.to_document() for name, one in found.items()}
     content = {"device": device.name, "sensors": sensors}
-    write_file(output, json.dumps(content, allow_nan=False).encode())
+    with file_errors(output):
+        output.write_text(json.dumps(content, allow_nan=False), encoding="utf-8")
     figures = [sensor_figures(name, one).model_dump() for name, one in found.items()]
     if as_json:
         print_json(figures)

@@ -48,18 +48,18 @@ def test_recordings_become_a_file(folder: Path, tmp_path: Path) -> None:
     written = json.loads((tmp_path / "r.json").read_text())
     assert list(written["sensors"]) == [one["sensor"] for one in figures]
     again = run("estimate", *files)
-    assert again.exit_code == 1
+    assert again.exit_code == 2
     assert "never overwritten" in again.output
 
 
 def test_recordings_that_are_not_what_they_should_be_are_told(folder: Path, tmp_path: Path) -> None:
     swapped = run("estimate", "--dark", folder / "low.h5", "--flat", folder / "dark.h5", "--flat",
                   folder / "high.h5", "--output", tmp_path / "x.json")  # fmt: skip
-    assert swapped.exit_code == 1
+    assert swapped.exit_code == 2
     assert "light in the dark" in swapped.output
     single = run("estimate", "--dark", folder / "dark.h5", "--flat", folder / "high.h5",
                  "--output", tmp_path / "x.json")  # fmt: skip
-    assert single.exit_code == 1
+    assert single.exit_code == 2
     assert "1 levels of light" in single.output
     assert not (tmp_path / "x.json").exists()
 

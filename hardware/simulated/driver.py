@@ -3,6 +3,7 @@
 import math
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from threading import Event
 from typing import Final
 
@@ -16,6 +17,8 @@ from hardware.clock_sync import host_time_ns, wait_until
 from hardware.driver import DeviceDescription, SensorDescription
 from hardware.line_frame import FrameFlag, LineFrame
 from hardware.simulated.frame_batch import BATCH, Renderer, Timing
+from hardware.simulated.pixel_defects import DefectiveDetector
+from hardware.simulated.scenes import EvenLight
 from hardware.simulated.settings import SimulationSettings
 from hardware.simulated.simulated_rig import PIXELS, WORKING_CENTRE_MM, simulated_rig
 
@@ -165,13 +168,28 @@ class FrameRenderer(Renderer):
             offset_counts=settings.offset_counts,
             read_noise_electrons=settings.read_noise_electrons,
             full_well_electrons=settings.full_well_electrons,
-            ambient_electrons=settings.ambient_electrons,
+            ambient_electrons=(
+                settings.scene.electrons
+                if isinstance(settings.scene, EvenLight)
+                else settings.ambient_electrons
+            ),
         )
-        super().__init__(detector, detector.full_scale, settings.seed)
+        pixels: Detector | DefectiveDetector = detector
+        if settings.pixels is not None:
+            differing = replace(
+                detector,
+                response_nonuniformity=settings.pixels.response_nonuniformity,
+                offset_nonuniformity_counts=settings.pixels.offset_nonuniformity_counts,
+            )
+            sensors = len(simulated_rig())
+            pixels = DefectiveDetector(differing, sensors, PIXELS, settings.pixels)
+        super().__init__(pixels, detector.full_scale, settings.seed)
 
     def signal_electrons(self, sequence: NDArray[np.int64]) -> NDArray[np.float64]:
         """Return the mean electrons of the markers in N exposures, shape (N, sensors, pixels)."""
         timing = self._settings.timing
+        if isinstance(self._settings.scene, EvenLight):
+            return np.zeros((len(sequence), len(simulated_rig()), PIXELS))
         points = timing.lit(self._settings.scene.points(timing.time_s(sequence)), sequence)
         frames, markers, _ = points.shape
         spots = self._optics.stripes(points.reshape(-1, 3))

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from compute.optics.detector import Detector
 from compute.optics.detector_array import DetectorArray
+from hardware.simulated.pixel_defects import DefectiveDetector
 
 BATCH: Final = 8
 """Frames per batch; a frame's noise depends on it."""
@@ -93,7 +94,9 @@ class Renderer(ABC):
         seed: of the noise; that of a batch depends on its number, too.
     """
 
-    def __init__(self, detector: Detector | DetectorArray, full_counts: int, seed: int) -> None:
+    def __init__(
+        self, detector: Detector | DetectorArray | DefectiveDetector, full_counts: int, seed: int
+    ) -> None:
         self._detector = detector
         self._full_counts = full_counts
         self._seed = seed

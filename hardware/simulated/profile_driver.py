@@ -1,6 +1,7 @@
 """ProfileDriver: driver of a device simulated from its profile."""
 
 import logging
+from dataclasses import replace
 from functools import cached_property
 from typing import Final
 
@@ -24,6 +25,7 @@ from hardware.driver import DeviceDescription, Readout, SensorDescription
 from hardware.simulated.driver import RenderedDriver
 from hardware.simulated.frame_batch import Renderer, Timing
 from hardware.simulated.profile_settings import ProfileSettings
+from hardware.simulated.scenes import EvenLight
 
 
 class ProfileDriver(RenderedDriver):
@@ -98,6 +100,8 @@ class ProfileRenderer(Renderer):
         self._check_scene()
         self._lenses_mm = np.array([sensor.position_mm for sensor in profile.sensors])
         detector = profile.detector.detector(profile.rates.exposure_s)
+        if isinstance(self._scene, EvenLight):
+            detector = replace(detector, ambient_electrons=self._scene.electrons)
         pixels = DetectorArray(
             detector,
             len(profile.sensors),
@@ -108,6 +112,8 @@ class ProfileRenderer(Renderer):
 
     def _check_scene(self) -> None:
         """Raise InvalidParameter where a scene runs through a sensor's lenses."""
+        if isinstance(self._scene, EvenLight):
+            return
         if mask_optics(self._profile, self._source) is not None:
             return
         # One period shows a whole motion; scenes at rest have none.
@@ -132,6 +138,9 @@ class ProfileRenderer(Renderer):
 
     def signal_electrons(self, sequence: NDArray[np.int64]) -> NDArray[np.float64]:
         """Return the mean electrons of the markers in N exposures, shape (N, sensors, pixels)."""
+        if isinstance(self._scene, EvenLight):
+            shape = (len(sequence), len(self._profile.sensors), self._profile.pixels.count)
+            return np.zeros(shape)
         points = self._timing.lit(self._scene.points(self._timing.time_s(sequence)), sequence)
         flat = points.reshape(-1, 3)
         photons = self._source.photons_per_sr(

@@ -244,8 +244,31 @@ class MovingTools(CheckedSettings):
         return np.concatenate(found, axis=-2)
 
 
+@dataclass(frozen=True)
+class EvenLight(CheckedSettings):
+    """Even light on all pixels and no marker, for radiometric calibration.
+
+    It takes the place of the ambient light.
+
+    Args:
+        electrons: mean electrons in a nominal pixel and exposure; 0: the sensors are covered.
+    """
+
+    electrons: Annotated[float, Field(ge=0.0, le=1e6)] = 0.0
+    kind: Literal["even-light"] = "even-light"
+
+    @property
+    def markers(self) -> int:
+        """Number of markers: none."""
+        return 0
+
+    def points(self, time_s: float | Array) -> Array:
+        """Return no markers at times (...,) [s], shape (..., 0, 3) [mm]."""
+        return np.empty((*np.shape(time_s), 0, 3))
+
+
 Scene = Annotated[
-    CalibrationTarget | StillPoints | ShiftedPoints | RotatingBar | MovingTools,
+    CalibrationTarget | StillPoints | ShiftedPoints | RotatingBar | MovingTools | EvenLight,
     Field(discriminator="kind"),
 ]
 

@@ -10,6 +10,7 @@ from hardware.blink_schedule import BlinkSchedule
 from hardware.driver import PeakMethod
 from hardware.field_bounds import CheckedSettings
 from hardware.simulated.frame_batch import Timing
+from hardware.simulated.pixel_defects import PixelDefects
 from hardware.simulated.scenes import RotatingBar, Scene
 from hardware.strobe_schedule import StrobeSchedule
 
@@ -34,6 +35,7 @@ class SimulationSettings(CheckedSettings):
         electrons_per_count: gain of the conversion.
         offset_counts: the count without light.
         bits: resolution of the conversion.
+        pixels: differences of the pixels, and bad ones; None: all are alike.
         seed: seed of the noise; the same settings and seed give the same frames, bit by bit.
         peaks: "fit" measures the lines' peaks by a fit of their shape, "centroid" by threshold and
             centre of gravity.
@@ -59,6 +61,7 @@ class SimulationSettings(CheckedSettings):
     electrons_per_count: Annotated[float, Field(ge=0.5, le=1e4)] = 12.0
     offset_counts: Annotated[float, Field(ge=0.0, le=200.0)] = 64.0
     bits: Annotated[int, Field(ge=8, le=16)] = 12
+    pixels: PixelDefects | None = None
     seed: Annotated[int, Field(ge=0, le=2**32 - 1)] = 1
     peaks: PeakMethod = "fit"
     duration_s: Annotated[float, Field(gt=0.0, le=1e7)] | None = None

@@ -47,6 +47,8 @@ _TAGS: Final = {
     "devices": "What is read, by which driver, and what it is doing.",
     "calibrations": "Camera models from control points. Immutable: create, read, activate, retire.",
     "captures": "Guided measurement: place a marker, hold it, capture it, go to the next.",
+    "radiometric-calibrations": "Offset, response, noise and bad pixels of the sensors, from dark "
+    "and flat captures. Immutable: capture, create, activate.",
     "drift-checks": "Is a calibration still good? Still markers read again, kept over time.",
     "quality": "Quick checks with known points and distances, a watch on drift, charts.",
     "correction-tables": "Maps of space: what is added to the readings, by where the marker is.",

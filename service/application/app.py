@@ -20,6 +20,8 @@ from service.api.line_scans.router import router as line_scans
 from service.api.openapi import install_openapi
 from service.api.planning.router import router as device_profiles
 from service.api.quality.router import router as quality
+from service.api.radiometric_calibrations.captures_router import router as radiometric_captures
+from service.api.radiometric_calibrations.router import router as radiometric_calibrations
 from service.api.reconstructions.router import router as reconstructions
 from service.api.recordings.router import router as recordings_router
 from service.api.reports.cache import ReportCache
@@ -128,6 +130,8 @@ def _routes() -> tuple[BaseRoute, ...]:
         reports,
         runs_router,
         captures,
+        radiometric_captures,
+        radiometric_calibrations,
         drift_checks,
         correction_tables,
         reconstructions,

@@ -19,6 +19,9 @@ from service.database.models import (
     CalibrationRow,
     CorrectionTableRow,
     DeviceRow,
+    RadiometricActivationRow,
+    RadiometricCalibrationRow,
+    RadiometricCaptureRow,
 )
 
 
@@ -35,7 +38,9 @@ def find_inconsistencies(connection: Connection) -> list[str]:
             *_damage(connection),
             *_calibrations(session),
             *_tables(session),
+            *_radiometric_calibrations(session),
             *_history(session),
+            *_radiometric_history(session),
             *_devices(session),
             *missing_triggers(connection),
         ]
@@ -57,6 +62,15 @@ def _calibrations(session: Session) -> Iterator[str]:
     for identity, content, stored in session.execute(rows.execution_options(yield_per=20)):
         if content_hash(content) != stored:
             yield f'calibration "{identity}" is not what it was: its content hash differs'
+
+
+def _radiometric_calibrations(session: Session) -> Iterator[str]:
+    table = RadiometricCalibrationRow
+    rows = select(table.id, table.content, table.content_hash)
+    for identity, content, stored in session.execute(rows.execution_options(yield_per=1)):
+        if content_hash(content) != stored:
+            name = f'radiometric calibration "{identity}"'
+            yield f"{name} is not what it was: its content hash differs"
 
 
 def _tables(session: Session) -> Iterator[str]:
@@ -105,6 +119,18 @@ def _history(session: Session) -> Iterator[str]:
             yield f'device "{device_id}" does not use what its last activation says'
 
 
+def _radiometric_history(session: Session) -> Iterator[str]:
+    last: dict[str, str | None] = {}
+    rows = select(RadiometricActivationRow).order_by(RadiometricActivationRow.id)
+    for row in session.scalars(rows):
+        if row.previous_radiometric_id != last.get(row.device_id):
+            yield (
+                f'radiometric activation {row.id} of device "{row.device_id}" does not follow the '
+                "one before"
+            )
+        last[row.device_id] = row.radiometric_id
+
+
 _BATCH: Final = 200
 
 
@@ -132,8 +158,8 @@ def unreadable(connection: Connection) -> list[str]:
 
 
 def _of_table(connection: Connection, table: Table) -> Iterator[str]:
-    # Not the tables' data, up to 64 MB each, in which any bytes can be read.
-    columns = [column for column in table.columns if column is not _DATA]
+    # Not the data, up to 64 MB each, in which any bytes can be read.
+    columns = [column for column in table.columns if not any(column is one for one in _DATA)]
     found = connection.execute(select(*columns), execution_options={"stream_results": True})
     try:
         for _ in found.partitions(_BATCH):
@@ -142,4 +168,6 @@ def _of_table(connection: Connection, table: Table) -> Iterator[str]:
         yield f"a value of the table {table.name} cannot be read: {error}"
 
 
-_DATA: Final = CorrectionTableRow.__table__.columns["data"]
+_DATA: Final = tuple(
+    row.__table__.columns["data"] for row in (CorrectionTableRow, RadiometricCaptureRow)
+)

@@ -5,9 +5,19 @@ from typing import Final
 
 from sqlalchemy import Connection, Table, func, insert, select, text
 
-from service.database.models import Base, CorrectionTableRow
+from service.database.models import (
+    Base,
+    CorrectionTableRow,
+    RadiometricCalibrationRow,
+    RadiometricCaptureRow,
+)
 
 _BATCH: Final = 200
+_LARGE: Final = frozenset(
+    row.__tablename__
+    for row in (CorrectionTableRow, RadiometricCalibrationRow, RadiometricCaptureRow)
+)
+"""Tables of which a row may have 64 MB."""
 
 Told = Callable[[str, int], None]
 
@@ -36,8 +46,7 @@ def count_rows(connection: Connection) -> dict[str, int]:
 
 
 def _copy_table(source: Connection, target: Connection, table: Table) -> int:
-    # A row of these may have 64 MB.
-    batch = 1 if table.name == CorrectionTableRow.__tablename__ else _BATCH
+    batch = 1 if table.name in _LARGE else _BATCH
     query = select(table).order_by(*table.primary_key.columns)
     copied = 0
     found = source.execution_options(stream_results=True).execute(query)

@@ -15,6 +15,8 @@ from service.database.models import (
     AuditRow,
     Base,
     CaptureRow,
+    RadiometricActivationRow,
+    RadiometricCaptureRow,
     ReconstructionRow,
     RunRow,
     WatchSampleRow,
@@ -39,6 +41,7 @@ _REDACTED_COLUMNS: Final = frozenset(
     }
 )
 _POINTER: Final = ("calibration_id", "table_id")
+_RADIOMETRIC_POINTER: Final = ("radiometric_id",)
 
 
 class AuditedSession(Session):
@@ -49,7 +52,7 @@ class AuditedSession(Session):
 def _record(session: Session, _flush: UOWTransaction, _objects: object) -> None:
     rows = []
     for row in session.new:
-        if isinstance(row, ActivationRow):
+        if isinstance(row, ActivationRow | RadiometricActivationRow):
             rows.append(_activation(row))
         elif _is_audited(row) and not isinstance(row, ReconstructionRow):
             rows.append(_entry_of(row, after=_values(row)))
@@ -140,13 +143,14 @@ def _is_actors_change(row: Base) -> bool:
     return True
 
 
-def _activation(row: ActivationRow) -> AuditRow:
+def _activation(row: ActivationRow | RadiometricActivationRow) -> AuditRow:
     act = current_act.get()
     if row.actor is None and act is not None:
         row.actor = act.principal.label
-    before = {name: getattr(row, f"previous_{name}") for name in _POINTER}
-    after = {name: getattr(row, name) for name in _POINTER}
-    if row.restores_id is not None:
+    pointer = _POINTER if isinstance(row, ActivationRow) else _RADIOMETRIC_POINTER
+    before = {name: getattr(row, f"previous_{name}") for name in pointer}
+    after = {name: getattr(row, name) for name in pointer}
+    if isinstance(row, ActivationRow) and row.restores_id is not None:
         after["restores_id"] = row.restores_id
     return entry("device", row.device_id, "done", before=before, after=after)
 
@@ -185,6 +189,9 @@ def _difference(row: Base) -> tuple[dict[str, Any], dict[str, Any]]:
         history = state.attrs[name].history
         before[name] = history.deleted[0] if history.deleted else None
         after[name] = row.__dict__[name]
+    if isinstance(row, RadiometricCaptureRow) and "captured" in after:
+        after["captured"] = [one["name"] for one in after["captured"]]
+        before.pop("captured")
     if isinstance(row, CaptureRow) and "captured" in after:
         old = before.pop("captured") or {}
         new = after["captured"].items()

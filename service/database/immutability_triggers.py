@@ -6,9 +6,9 @@ from typing import Final
 
 from sqlalchemy import Connection, text
 
-from migrations.versions import v0004_keys_audit, v0006_guards, v0008_tools
+from migrations.versions import v0004_keys_audit, v0006_guards, v0008_tools, v0012_radiometric
 
-_REVISIONS_WITH_TRIGGERS: Final = (v0004_keys_audit, v0006_guards, v0008_tools)
+_REVISIONS_WITH_TRIGGERS: Final = (v0004_keys_audit, v0006_guards, v0008_tools, v0012_radiometric)
 """The revisions that make them; a later one that makes others belongs here, too."""
 
 _POSTGRESQL_TRIGGERS: Final = text(

@@ -162,6 +162,52 @@ class ActivationRow(Base):
     actor: Mapped[str | None] = mapped_column(String(200))
 
 
+class RadiometricCalibrationRow(_NotedOfDevice, Base):
+    """A radiometric calibration of a device's sensors; never changed."""
+
+    __tablename__ = "radiometric_calibrations"
+    __table_args__ = (UniqueConstraint("id", "device_id"), Index(None, "device_id", "created_at"))
+
+    origin: Mapped[str] = mapped_column(String(16))
+    summary: Mapped[list[dict[str, Any]]] = mapped_column(JSON)
+    """Figures of each sensor, for lists."""
+    content: Mapped[dict[str, Any]] = mapped_column(JSON, deferred=True)
+    content_hash: Mapped[str] = mapped_column(String(64))
+
+
+class RadiometricActivationRow(Base):
+    """One change of the radiometric calibration that a device uses; rows are only ever added.
+
+    The newest row of a device is its pointer. ``radiometric_id`` None: it uses none from then on.
+    """
+
+    __tablename__ = "radiometric_activations"
+    __table_args__ = (_of_same_device("radiometric", "radiometric_calibrations"),)
+
+    id: Mapped[int] = mapped_column(primary_key=True, autoincrement=True)
+    device_id: Mapped[str] = mapped_column(ForeignKey("devices.id"), index=True)
+    radiometric_id: Mapped[str | None] = mapped_column(String(63))
+    previous_radiometric_id: Mapped[str | None] = mapped_column(String(63))
+    activated_at: Mapped[datetime] = mapped_column(UtcDateTime)
+    actor: Mapped[str | None] = mapped_column(String(200))
+
+
+class RadiometricCaptureRow(_NotedOfDevice, Base):
+    """Dark and flat captures of a device, of which a radiometric calibration is estimated.
+
+    ``data`` holds the mean and the variance of each pixel in each capture, as a NumPy archive.
+    """
+
+    __tablename__ = "radiometric_captures"
+    __table_args__ = (Index(None, "device_id", "created_at"),)
+
+    sensors: Mapped[list[dict[str, Any]]] = mapped_column(JSON)
+    settings: Mapped[dict[str, Any]] = mapped_column(JSON)
+    captured: Mapped[list[dict[str, Any]]] = mapped_column(JSON)
+    data: Mapped[bytes] = mapped_column(LargeBinary, deferred=True)
+    updated_at: Mapped[datetime] = mapped_column(UtcDateTime)
+
+
 class ReconstructionRow(_OfDevice, Base):
     """Readings given by a client and the points computed from them."""
 

@@ -13,8 +13,26 @@ from compute.mapping.table import CorrectionTable
 from compute.measurement.measurement_model import MeasurementModel
 from compute.measurement.measurements import MeasurementNoise
 from compute.reconstruction.solver import PointSolver
+from compute.signal.radiometric_calibration import RadiometricCalibration
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class ActiveRadiometric:
+    """The radiometric calibration that a device uses.
+
+    Args:
+        radiometric_id: its id.
+        sensors: the calibration of each sensor that has one, by name.
+        content_hash: hash of ``content``.
+        content: as it is stored, for recordings.
+    """
+
+    radiometric_id: str
+    sensors: Mapping[str, RadiometricCalibration]
+    content_hash: str
+    content: Mapping[str, Any]
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,6 +48,7 @@ class ActiveCalibration:
             only the calibration itself is known.
         calibration_hash: the content's hash.
         table_file: the table as it is stored, an HDF5 file.
+        radiometric: the radiometric calibration that peaks are found with; None: none.
     """
 
     calibration_id: str | None = None
@@ -39,6 +58,7 @@ class ActiveCalibration:
     calibration_content: Mapping[str, Any] | None = None
     calibration_hash: str | None = None
     table_file: bytes | None = None
+    radiometric: ActiveRadiometric | None = None
 
 
 NO_ACTIVE_CALIBRATION: Final = ActiveCalibration()

@@ -1,15 +1,16 @@
 """DetectionStage: peaks of a device's scans, by the method that its description asks for."""
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from math import inf, log, sqrt
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.errors import LumilineError
+from compute.errors import InvalidParameter, LumilineError
 from compute.measurement.flag_policy import STANDARD_POLICY, FlagPolicy
 from compute.optics.profiles.device_profile import DeviceProfile
 from compute.optics.profiles.profile_loader import load_profile, profile_names
@@ -22,6 +23,7 @@ from compute.signal.coded_aperture.shadow_template import ShadowTemplate
 from compute.signal.fit.fit_finder import FitFinder
 from compute.signal.fit.fit_settings import WIDTH_LIMITS_PX, FitSettings
 from compute.signal.peaks import PeakBatch, PeakFlag, no_peaks
+from compute.signal.radiometric_calibration import RadiometricCalibration
 from compute.signal.sensor_noise import SensorNoise
 from hardware.driver import DeviceDescription
 from service.problems.errors import UnknownDeviceProfile
@@ -162,7 +164,9 @@ class DetectionStage:
         self.unfitted_error_px = 0.0
         """That of peaks that were not fitted, of all sensors; 0 where all are."""
         sensors, pixels = len(description.sensors), description.sensors[0].pixels
-        self._find = _find(self.method, description, frames, model, compute_device)
+        self._pixels = {sensor.name: sensor.pixels for sensor in description.sensors}
+        self._make_find = partial(_find, self.method, description, frames, model, compute_device)
+        self._find = self._make_find([None] * sensors)
         if self._find is not None:
             # Loads the kernel and touches the buffers, before the first frame waits for it.
             self._find(np.zeros((sensors, pixels), np.uint16))
@@ -176,6 +180,28 @@ class DetectionStage:
             else FlagPolicy.of_method(self.method, known_shape=self.error_px is not None)
         )
         """What the peaks' flags mean for points, tracks and tools."""
+
+    def set_radiometric_calibration(self, found: Mapping[str, RadiometricCalibration]) -> None:
+        """Find peaks with the radiometric calibrations of sensors, by name; empty: with none.
+
+        Takes milliseconds: the kernels are loaded already, and buffers are made anew.
+
+        Raises:
+            InvalidParameter: a calibration is of no sensor of the device, or of other pixels.
+        """
+        for name, one in found.items():
+            if self._pixels.get(name) != one.pixels:
+                listed = ", ".join(f"{own} ({count} px)" for own, count in self._pixels.items())
+                raise InvalidParameter(
+                    f"the radiometric calibration is of {name} ({one.pixels} px); the device has "
+                    f"{listed}"
+                )
+        if self._find is None:
+            return
+        find = self._make_find([found.get(name) for name in self._pixels])
+        assert find is not None
+        find(np.zeros((len(self._pixels), next(iter(self._pixels.values()))), np.uint16))
+        self._find = find
 
     @property
     def reads(self) -> bool:
@@ -214,8 +240,18 @@ def _find(
     frames: int,
     model: ExpectedScans,
     compute_device: str | None,
+    calibrations: Sequence[RadiometricCalibration | None],
 ) -> _Find | None:
-    """Return what finds the peaks; None: nothing does."""
+    """Return what finds the peaks; None: nothing does.
+
+    Args:
+        method: how.
+        description: the device.
+        frames: most frames of one call.
+        model: what is known of its lines.
+        compute_device: as of FitFinder.
+        calibrations: radiometric ones of the sensors; None for one without.
+    """
     sensors, pixels = len(description.sensors), description.sensors[0].pixels
     noise = SensorNoise.of(
         [description.electrons_per_count] * sensors,
@@ -223,7 +259,12 @@ def _find(
         description.offset_counts,
         2**description.bits - 1,
     )
+    correction = None
+    if any(one is not None for one in calibrations):
+        correction = _PixelCorrection.of(calibrations, pixels, noise)
+        noise = correction.noise
     lines = frames * sensors
+    find: _Find | None = None
     if method == "fit":
         sigma = description.line_sigma_px
         settings = (
@@ -231,12 +272,104 @@ def _find(
             if sigma is None
             else FitSettings(search=_SEARCH, width_px=sigma, width_log_sigma=0.0)
         )
-        return FitFinder(lines, pixels, settings, noise, device=compute_device).find
-    if method == "centroid":
-        return CentroidFinder(lines, pixels, CentroidSettings(), noise, device=compute_device).find
-    if method == "shadow" and model.templates:
-        return MaskReader(model.templates, pixels, noise, ShadowSettings(fit_scale=True)).read
-    return None
+        find = FitFinder(lines, pixels, settings, noise, device=compute_device).find
+    elif method == "centroid":
+        find = CentroidFinder(lines, pixels, CentroidSettings(), noise, device=compute_device).find
+    elif method == "shadow" and model.templates:
+        find = MaskReader(model.templates, pixels, noise, ShadowSettings(fit_scale=True)).read
+    if find is None or correction is None:
+        return find
+    return partial(_find_corrected, find, correction)
+
+
+@dataclass(frozen=True, eq=False)
+class _PixelCorrection:
+    """Corrections of the counts of S sensors with P pixels by their radiometric calibrations.
+
+    Args:
+        dark: counts without light, shape (S, P).
+        scale: reciprocals of the responses, shape (S, P).
+        bends: coefficients of the nonlinearity, shape (S, 2).
+        bad: for each sensor its bad pixels and the nearest good ones below and above, shape
+            (3, B).
+        noise: of the corrected counts.
+    """
+
+    dark: Array
+    scale: Array
+    bends: Array
+    bad: tuple[NDArray[np.intp], ...]
+    noise: SensorNoise
+
+    @classmethod
+    def of(
+        cls, calibrations: Sequence[RadiometricCalibration | None], pixels: int, noise: SensorNoise
+    ) -> Self:
+        """Return the corrections; a sensor without a calibration stays as it is."""
+        sensors = len(calibrations)
+        dark = np.repeat(noise.offset_counts[:, None], pixels, axis=1)
+        scale, bends = np.ones((sensors, pixels)), np.zeros((sensors, 2))
+        columns = [
+            noise.electrons_per_count.copy(),
+            noise.read_noise_electrons.copy(),
+            noise.offset_counts.copy(),
+            noise.full_scale_counts.astype(np.float64),
+        ]
+        bad = []
+        for number, one in enumerate(calibrations):
+            good = np.arange(pixels) if one is None else np.flatnonzero(one.good)
+            missing = np.setdiff1d(np.arange(pixels), good)
+            above = np.searchsorted(good, missing)
+            bad.append(
+                np.stack(
+                    [
+                        missing,
+                        good[np.maximum(above - 1, 0)],
+                        good[np.minimum(above, len(good) - 1)],
+                    ]
+                )
+            )
+            if one is None:
+                continue
+            dark[number], scale[number, good] = one.dark_offset, 1.0 / one.response[good]
+            bends[number] = one.linearity
+            for column, value in zip(
+                columns,
+                (
+                    one.gain_electrons_per_count,
+                    one.read_noise_electrons,
+                    one.mean_offset_counts,
+                    one.saturation_counts,
+                ),
+                strict=True,
+            ):
+                column[number] = value
+        return cls(dark, scale, bends, tuple(bad), SensorNoise.of(*columns))
+
+    def correct(self, lines: NDArray[np.uint16]) -> NDArray[np.uint16]:
+        """Return corrected scans, shape (F x S, P), rounded; bad pixels are interpolated.
+
+        Pixels at full scale stay there, so that they are flagged.
+        """
+        sensors, pixels = self.dark.shape
+        raw = lines.reshape(-1, sensors, pixels)
+        signal = raw - self.dark
+        first, second = self.bends.T[..., None]
+        light = signal * (1.0 + signal * (first + signal * second)) * self.scale
+        full = self.noise.full_scale_counts[:, None]
+        found = np.rint(light + self.noise.offset_counts[:, None]).clip(0, full - 1)
+        found = np.where(raw >= full, full, found)
+        for number, (missing, below, above) in enumerate(self.bad):
+            part = (missing - below) / np.maximum(above - below, 1)
+            low, high = found[:, number, below], found[:, number, above]
+            found[:, number, missing] = np.rint(low + (high - low) * part.clip(0.0, 1.0))
+        return found.astype(np.uint16).reshape(lines.shape)
+
+
+def _find_corrected(
+    find: _Find, correction: _PixelCorrection, lines: NDArray[np.uint16]
+) -> PeakBatch:
+    return find(correction.correct(lines))
 
 
 def _rms_errors(find: _Find, volume: VolumeScans, frames: int) -> tuple[Array | None, float]:

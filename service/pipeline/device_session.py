@@ -409,6 +409,7 @@ class DeviceSession:
             self.streams.subscribers(self.device_id),
             link,
             self.frames_not_tracked_count,
+            self.processor.radiometric_id,
         )
 
 

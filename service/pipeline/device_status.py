@@ -28,6 +28,7 @@ class DeviceStatus:
         link: of a device that can be unplugged, how its link stands; None of others.
         frames_not_tracked: frames whose points were made, but in which markers and tools were not
             tracked, because the compute thread did not keep up.
+        radiometric_id: the radiometric calibration that peaks are found with; None: none.
     """
 
     state: DeviceState
@@ -41,3 +42,4 @@ class DeviceStatus:
     subscribers: int = 0
     link: LinkState | None = None
     frames_not_tracked: int = 0
+    radiometric_id: str | None = None

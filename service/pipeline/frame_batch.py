@@ -156,6 +156,7 @@ class FrameBatch:
         owner: index of the frame of each point, ascending, shape (N,).
         motion: tracks and tool poses; None: the device is not tracked.
         holds: the device's beam holds after each frame; empty: it has none.
+        radiometric_id: the radiometric calibration of these peaks; None: they had none.
     """
 
     device_id: str
@@ -168,6 +169,7 @@ class FrameBatch:
     owner: NDArray[np.intp]
     motion: TrackingResult | None = None
     holds: tuple[tuple[BeamHoldState, ...], ...] = ()
+    radiometric_id: str | None = None
 
     def points_of(self, frame: int) -> PointBatch:
         """Return the points of the frame with this index."""

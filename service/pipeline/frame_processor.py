@@ -108,14 +108,20 @@ class FrameProcessor:
         prepared = self._prepared
         return (prepared.calibration_id, prepared.table_id) if prepared else (None, None)
 
+    @property
+    def radiometric_id(self) -> str | None:
+        """The active radiometric calibration."""
+        radiometric = self.active_calibration.radiometric
+        return None if radiometric is None else radiometric.radiometric_id
+
     def set_calibration(self, active: ActiveCalibration) -> None:
         """Switch the calibration and its correction table, between two batches.
 
         Takes milliseconds, unless the calibration has more terms of distortion than any before.
 
         Raises:
-            InvalidParameter: the calibration or the table is of other sensors; the active one
-                stays.
+            InvalidParameter: the calibration, the table or the radiometric calibration is of other
+                sensors; what is active stays.
         """
         models = active.calibration.models if active.calibration else ()
         for what, sensors in (
@@ -127,6 +133,10 @@ class FrameProcessor:
                     f"{what} is of the sensors {', '.join(sensors)}; the device has "
                     f"{', '.join(self._names)}"
                 )
+        before, radiometric = self.active_calibration.radiometric, active.radiometric
+        if (before and before.content_hash) != (radiometric and radiometric.content_hash):
+            # Not at every activation of another calibration: it takes milliseconds.
+            self.detection.set_radiometric_calibration(radiometric.sensors if radiometric else {})
         self._prepared = PreparedCalibration.of(active, self._compute_device)
         self.active_calibration = active
         self._tracking.set_calibration(self._prepared)
@@ -183,6 +193,7 @@ class FrameProcessor:
             points,
             owner,
             motion,
+            radiometric_id=self.radiometric_id,
         )
 
 

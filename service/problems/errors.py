@@ -207,6 +207,30 @@ class MarkerNotMoved(ServiceError, status=409):
     """A target reads as another one does: the marker is still there, or was named for both."""
 
 
+class UnknownRadiometricCalibration(ServiceError, status=404):
+    """No radiometric calibration has the given id."""
+
+
+class RadiometricCalibrationExists(ServiceError, status=409):
+    """A radiometric calibration of this id exists already; they are never overwritten."""
+
+
+class UnknownRadiometricCapture(ServiceError, status=404):
+    """No session of radiometric captures has the given id."""
+
+
+class RadiometricCaptureExists(ServiceError, status=409):
+    """A session of radiometric captures of this id exists already; choose another id."""
+
+
+class RadiometricCaptureIncomplete(ServiceError, status=409):
+    """The dark capture, or flat captures of enough levels of light, are missing."""
+
+
+class UnusableRadiometricCapture(ServiceError, status=409):
+    """Dark or flat frames that nothing can be estimated from: saturated, light in the dark, ..."""
+
+
 class RunNotEnded(ServiceError, status=409):
     """A run that waits or runs is not deleted; cancel it first."""
 

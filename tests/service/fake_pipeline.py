@@ -10,6 +10,7 @@ from hardware.driver import DeviceDescription, Driver
 from service.api.beam_holds.reference_capture import ReferenceTap
 from service.api.quality.interval_statistics_tap import IntervalStatisticsTap
 from service.api.quality.point_tap import PointTap
+from service.api.radiometric_calibrations.frame_tap import FrameTap
 from service.api.tools.marker_tap import MarkerTap
 from service.api.tools.pose_taps import PoseTap, TipTap
 from service.pipeline.active_calibration import NO_ACTIVE_CALIBRATION, ActiveCalibration
@@ -169,7 +170,14 @@ class FakePipeline(PipelineManager):
     def attach(self, session: DeviceSession, tap: Tap) -> None:
         self.calls.append(("attach", session.device_id))
         if isinstance(
-            tap, PointTap | IntervalStatisticsTap | PoseTap | ReferenceTap | MarkerTap | TipTap
+            tap,
+            PointTap
+            | IntervalStatisticsTap
+            | PoseTap
+            | ReferenceTap
+            | MarkerTap
+            | TipTap
+            | FrameTap,
         ):
             for batch in self.batches:
                 tap.offer(batch)

@@ -48,6 +48,7 @@ RULES_BEYOND_THE_SCHEMA = {
     "create-export-run",
     "create-drift-check",
     "create-capture",
+    "create-radiometric-calibration",
     "upload-correction-table",
     "create-key",
     "create-quality-check",

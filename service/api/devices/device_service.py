@@ -4,7 +4,7 @@ import logging
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Final
 
 from sqlalchemy import select
@@ -34,7 +34,7 @@ from service.api.devices.store import (
 from service.api.inputs import of_application
 from service.database.engine import Database
 from service.database.models import CalibrationRow, DeviceRow, HoldRow
-from service.pipeline.active_calibration import ActiveCalibration
+from service.pipeline.active_calibration import ActiveCalibration, ActiveRadiometric
 from service.pipeline.device_status import DeviceStatus
 from service.pipeline.pipeline_manager import Accept, PipelineManager
 from service.pipeline.tracking_config import TrackingConfig
@@ -53,10 +53,12 @@ class StoredContent:
 
     Args:
         active_calibration: the calibration and table that the device's pointer names.
+        active_radiometric: the radiometric calibration of an id.
         tracking_config: its tools, beam holds and tracking settings.
     """
 
     active_calibration: Callable[[Session, str], ActiveCalibration]
+    active_radiometric: Callable[[Session, str], ActiveRadiometric]
     tracking_config: Callable[[Session, DeviceRow], TrackingConfig]
 
 
@@ -135,7 +137,7 @@ class DeviceService:
             with self._database.read() as session:
                 row = store.get_device(session, device_id)
                 source = store.source_of(row)
-                found = self._stored.active_calibration(session, device_id)
+                found = self._active(session, device_id)
                 stored = store.sensors_of_row(row)
                 tracked = self._stored.tracking_config(session, row)
             self._live.set_tracking_config(device_id, tracked)
@@ -184,14 +186,41 @@ class DeviceService:
                 lock_device(session, device_id)
                 _check_precondition(session, device_id, last_move, expected, reached)
                 yield session
-                found = self._stored.active_calibration(session, device_id)
+                found = self._active(session, device_id)
                 if found.calibration is not None:
                     device = store.get_device(session, device_id)
                     check_sensors(device_id, store.sensors_of_row(device), found.calibration.models)
-            try:
-                self._live.set_calibration(device_id, found)
-            except Exception:  # noqa: BLE001 - committed: an error would say that it was not
-                _log.exception("device %s does not use %s yet", device_id, found.calibration_id)
+            self._activate(device_id, found)
+
+    @contextmanager
+    def radiometric_move(self, device_id: str) -> Iterator[Session]:
+        """Yield a transaction that changes the radiometric calibration that a device uses.
+
+        The device is locked. After the commit the pipeline follows, as of ``pointer_move``.
+
+        Raises:
+            UnknownDevice.
+        """
+        with self._exclusive(device_id):
+            with self._database.write() as session:
+                store.get_device(session, device_id, lock=True)
+                yield session
+                found = self._active(session, device_id)
+            self._activate(device_id, found)
+
+    def _active(self, session: Session, device_id: str) -> ActiveCalibration:
+        """Return what a device uses: calibration, correction table, radiometric calibration."""
+        found = self._stored.active_calibration(session, device_id)
+        radiometric_id = store.active_radiometric_id(session, device_id)
+        if radiometric_id is None:
+            return found
+        return replace(found, radiometric=self._stored.active_radiometric(session, radiometric_id))
+
+    def _activate(self, device_id: str, found: ActiveCalibration) -> None:
+        try:
+            self._live.set_calibration(device_id, found)
+        except Exception:  # noqa: BLE001 - committed: an error would say that it was not
+            _log.exception("device %s does not use %s yet", device_id, found.calibration_id)
 
     def roll_back(self, device_id: str, expected: str | None = None) -> Device:
         """Go back to what the device used before its last activation; again: further back.

@@ -134,6 +134,9 @@ class Device(ResponseModel):
     tracking: Tracking
     active_calibration_id: str | None
     active_table_id: str | None = Field(description="The correction table used with it.")
+    active_radiometric_id: str | None = Field(
+        description="The radiometric calibration that peaks are found with; null: none."
+    )
     created_at: Moment
     updated_at: Moment
 

@@ -30,6 +30,9 @@ from service.database.models import (
     DriftCheckRow,
     HoldRow,
     QualityCheckRow,
+    RadiometricActivationRow,
+    RadiometricCalibrationRow,
+    RadiometricCaptureRow,
     ReconstructionRow,
     RegistrationRow,
     RunRow,
@@ -115,7 +118,12 @@ def change_device(
     if "source" in given and sensors is not None:
         described = _SENSORS.dump_python(sensors, mode="json")
         if described != row.sensors:
-            _refuse_if_used(session, device_id, "changing its sensors would orphan them")
+            _refuse_if_used(
+                session,
+                device_id,
+                "changing its sensors would orphan them",
+                radiometric_calibrations=RadiometricCalibrationRow,
+            )
         if running and not sensors_match(sensors, sensors_of_row(row)):
             raise DeviceRunning(
                 f'device "{device_id}" is running, and the new source has other sensors; stop the '
@@ -134,8 +142,8 @@ def delete_device(session: Session, device_id: str, *, cascade: bool) -> None:
 
     Raises:
         UnknownDevice.
-        DeviceInUse: calibrations, reconstructions, captures, runs, tools, registrations or
-            holds belong to it, and ``cascade`` is not asked.
+        DeviceInUse: calibrations (radiometric ones, too), reconstructions, captures, runs, tools,
+            registrations or holds belong to it, and ``cascade`` is not asked.
     """
     row = get_device(session, device_id, lock=True)
     if cascade:
@@ -145,6 +153,9 @@ def delete_device(session: Session, device_id: str, *, cascade: bool) -> None:
             CaptureRow,
             ActivationRow,
             ActiveCalibrationRow,
+            RadiometricActivationRow,
+            RadiometricCalibrationRow,
+            RadiometricCaptureRow,
             CorrectionTableRow,
             DriftCheckRow,
             QualityCheckRow,
@@ -161,6 +172,8 @@ def delete_device(session: Session, device_id: str, *, cascade: bool) -> None:
             session,
             device_id,
             "add ?cascade=true to delete them with it",
+            radiometric_calibrations=RadiometricCalibrationRow,
+            radiometric_captures=RadiometricCaptureRow,
             captures=CaptureRow,
             runs=RunRow,
             tools=ToolRow,
@@ -176,14 +189,22 @@ def _refuse_if_used(
     session: Session,
     device_id: str,
     why: str,
-    **others: type[CaptureRow | RunRow | ToolRow | RegistrationRow | HoldRow],
+    **others: type[
+        CaptureRow
+        | RadiometricCalibrationRow
+        | RadiometricCaptureRow
+        | RunRow
+        | ToolRow
+        | RegistrationRow
+        | HoldRow
+    ],
 ) -> None:
     """Raise DeviceInUse when calibrations, reconstructions or ``others`` belong to a device."""
     kinds = {"calibrations": CalibrationRow, "reconstructions": ReconstructionRow, **others}
     counts = count_uses(session, "device_id", device_id, kinds)
     if any(counts.values()):
         listed = [
-            f"{count} {name if count != 1 else name.removesuffix('s')}"
+            f"{count} {(name if count != 1 else name.removesuffix('s')).replace('_', ' ')}"
             for name, count in counts.items()
             if count
         ]
@@ -256,6 +277,22 @@ def document(session: Session, row: DeviceRow) -> Device:
         tracking=tracking_of(row),
         active_calibration_id=pointer.calibration_id if pointer else None,
         active_table_id=pointer.table_id if pointer else None,
+        active_radiometric_id=active_radiometric_id(session, row.id),
+    )
+
+
+def active_radiometric_id(session: Session, device_id: str) -> str | None:
+    """Return the radiometric calibration that a device uses, None without one."""
+    newest = session.scalars(radiometric_activations(device_id).limit(1)).first()
+    return None if newest is None else newest.radiometric_id
+
+
+def radiometric_activations(device_id: str) -> Select[RadiometricActivationRow]:
+    """Return the changes of a device's radiometric calibration, newest first."""
+    return (
+        select(RadiometricActivationRow)
+        .where(RadiometricActivationRow.device_id == device_id)
+        .order_by(RadiometricActivationRow.id.desc())
     )
 
 

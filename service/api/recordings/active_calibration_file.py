@@ -7,12 +7,18 @@ from typing import Any, Final
 from pydantic import TypeAdapter, ValidationError
 
 from compute.calibration.result import Calibration
-from compute.errors import InvalidRecording
+from compute.errors import InvalidRecording, LumilineError
 from service.api.calibrations.calibration_content import content_hash
 from service.api.correction_tables.table_content import TableContent
-from service.pipeline.active_calibration import NO_ACTIVE_CALIBRATION, ActiveCalibration
+from service.api.radiometric_calibrations.content import content_of
+from service.pipeline.active_calibration import (
+    NO_ACTIVE_CALIBRATION,
+    ActiveCalibration,
+    ActiveRadiometric,
+)
 
 _RESULT: Final = TypeAdapter(Calibration)
+_NOT_HASHED: Final = {"id", "content_hash", "table", "radiometric"}
 
 
 def dump_active_calibration(found: ActiveCalibration) -> tuple[bytes, bytes]:
@@ -20,10 +26,20 @@ def dump_active_calibration(found: ActiveCalibration) -> tuple[bytes, bytes]:
 
     The document has the members of the calibration's content (``result`` and, of one that the
     service stored, ``device``, ``provenance`` and ``points``), and ``id``, ``content_hash`` and
-    ``table``, the table's id. `lumiline replay --calibration` takes it.
+    ``table``, the table's id. `lumiline replay --calibration` takes it. A radiometric calibration
+    is its member ``radiometric``, with ``id``, ``content_hash`` and ``content``; without another
+    calibration it is the only one.
     """
+    radiometric = found.radiometric
+    pixels = {} if radiometric is None else {
+        "radiometric": {
+            "id": radiometric.radiometric_id,
+            "content_hash": radiometric.content_hash,
+            "content": radiometric.content,
+        }
+    }  # fmt: skip
     if found.calibration is None:
-        return b"", b""
+        return (json.dumps(pixels, allow_nan=False).encode() if pixels else b""), b""
     content = found.calibration_content
     if content is None:
         result = _RESULT.dump_python(found.calibration, mode="json")
@@ -35,6 +51,7 @@ def dump_active_calibration(found: ActiveCalibration) -> tuple[bytes, bytes]:
         "id": found.calibration_id,
         "content_hash": own_hash,
         "table": found.table_id,
+        **pixels,
     }
     table = found.table_file
     if table is None and found.table is not None:
@@ -60,6 +77,9 @@ def load_active_calibration(document: bytes, table: bytes, where: str) -> Active
     """
     if not document:
         return NO_ACTIVE_CALIBRATION
+    radiometric = load_radiometric(document, where)
+    if radiometric is not None and set(json.loads(document)) == {"radiometric"}:
+        return ActiveCalibration(radiometric=radiometric)
     from service.api.correction_tables.hdf5_file import read_table
 
     try:
@@ -68,7 +88,7 @@ def load_active_calibration(document: bytes, table: bytes, where: str) -> Active
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         first = error.errors()[0]["msg"] if isinstance(error, ValidationError) else error
         raise InvalidRecording(f"{where} holds a calibration that is none: {first}") from error
-    content = {name: found[name] for name in found.keys() - {"id", "content_hash", "table"}}
+    content = {name: found[name] for name in found.keys() - _NOT_HASHED}
     own_hash = content_hash(content if len(content) > 1 else content["result"])
     if own_hash != found.get("content_hash"):
         raise InvalidRecording(
@@ -83,4 +103,37 @@ def load_active_calibration(document: bytes, table: bytes, where: str) -> Active
         content,
         own_hash,
         table or None,
+        radiometric,
     )
+
+
+def load_radiometric(document: bytes, where: str) -> ActiveRadiometric | None:
+    """Return the radiometric calibration of a document; None: it has none.
+
+    Args:
+        document: as of ``dump_active_calibration``.
+        where: the recording's name, for errors.
+
+    Raises:
+        InvalidRecording: it is none, or was changed after it was written.
+    """
+    if not document:
+        return None
+    try:
+        found = json.loads(document)
+        stored = found.get("radiometric") if isinstance(found, dict) else None
+        if stored is None:
+            return None
+        content, kept = dict(stored["content"]), str(stored["content_hash"])
+        sensors = content_of(content).sensors
+        own_hash = content_hash(content)
+    except (LumilineError, ValueError, KeyError, TypeError, RecursionError) as error:
+        raise InvalidRecording(
+            f"{where} holds a radiometric calibration that is none: {error}"
+        ) from error
+    if own_hash != kept:
+        raise InvalidRecording(
+            f"{where} holds a radiometric calibration whose content has the hash {own_hash}; it "
+            f"says {kept[:64]}: it was changed after it was written"
+        )
+    return ActiveRadiometric(str(stored.get("id")), sensors, own_hash, content)

@@ -181,7 +181,13 @@ def _used(reader: "RecordingReader") -> list[UsedCalibration]:
                 ("calibration", "id"), ("content_hash", "content_hash"), ("table", "table"),
             )
         }  # fmt: skip
-        used.append(UsedCalibration(**texts, from_frame=first[0] if first else None))
+        pixels = found.get("radiometric")
+        radiometric = str(pixels.get("id")) if isinstance(pixels, dict) else None
+        used.append(
+            UsedCalibration(
+                **texts, radiometric=radiometric, from_frame=first[0] if first else None
+            )
+        )
     return used
 
 

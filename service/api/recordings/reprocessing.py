@@ -1,7 +1,7 @@
 """Reprocesses a recording through the pipeline; compares the results bit by bit."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 from typing import Any
 
@@ -10,7 +10,10 @@ import numpy as np
 from compute.errors import InvalidRecording
 from hardware.recording.frame_block import FrameBlock
 from hardware.recording.reader import RecordingReader
-from service.api.recordings.active_calibration_file import load_active_calibration
+from service.api.recordings.active_calibration_file import (
+    load_active_calibration,
+    load_radiometric,
+)
 from service.api.recordings.result_rows import peak_rows, point_rows
 from service.pipeline.active_calibration import NO_ACTIVE_CALIBRATION, ActiveCalibration
 from service.pipeline.frame_batch import FrameBatch
@@ -91,20 +94,27 @@ def calibration_intervals(
 
     Args:
         reader: the recording.
-        given: what takes its place; None: nothing does.
+        given: what takes its place; None: nothing does. The radiometric calibration of the
+            recording stays: peaks are found as they were live.
 
     Raises:
         InvalidRecording, InvalidTableFile: what is there is none, or was changed.
     """
     frames = reader.info.frames
-    if given is not None or reader.info.version == 1:
+    if reader.info.version == 1 or (given is not None and reader.info.state.in_force == 0):
         if frames:
             yield 0, frames, NO_ACTIVE_CALIBRATION if given is None else given
         return
     rows = reader.column("in_force")
     changes = np.flatnonzero(np.diff(rows, prepend=rows[:1] - 1)).tolist()
     for first, end in zip(changes, [*changes[1:], frames], strict=True):
-        yield first, end, recorded_calibration(reader, int(rows[first]))
+        row = int(rows[first])
+        if given is None:
+            yield first, end, recorded_calibration(reader, row)
+        else:
+            document = b"" if row < 0 else reader.in_force(row)[0]
+            radiometric = load_radiometric(document, "the recording")
+            yield first, end, replace(given, radiometric=radiometric or given.radiometric)
 
 
 def compare(

@@ -38,6 +38,7 @@ class UsedCalibration(ResponseModel):
     calibration: str | None = Field(description="Its id.")
     content_hash: str | None
     table: str | None = Field(description="Id of the correction table used with it.")
+    radiometric: str | None = Field(description="Id of the radiometric calibration of the peaks.")
     from_frame: int | None = Field(
         description="The first frame of it, counted from 0; null: none yet."
     )

@@ -62,6 +62,7 @@ class StreamBatch:
     def __init__(self, batch: FrameBatch) -> None:
         self.device_id = batch.device_id
         self.calibration_id, self.table_id = batch.calibration_id, batch.table_id
+        self.radiometric_id = batch.radiometric_id
         self.frames = tuple(FrameHeader._make(_HEADER(frame)) for frame in batch.frames)
         self._sensor_names = batch.sensor_names
         self._points, self._owner = batch.points, batch.owner
@@ -96,6 +97,7 @@ class StreamBatch:
                 "marker": frame.marker,
                 "calibration": self.calibration_id,
                 "table": self.table_id,
+                "radiometric": self.radiometric_id,
                 "flags": flag_names(frame.flags),
             }
             for frame in self.frames[first:last]

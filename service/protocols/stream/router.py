@@ -100,6 +100,7 @@ def _greeting(live: PipelineManager, subscription: Subscription) -> dict[str, An
         "reason": status.reason,
         "link": status.link.state if status.link else None,
         "calibration": status.calibration_id,
+        "radiometric": status.radiometric_id,
     }
     if "holds" in request.content:  # frames, which tell of them too, may never come
         holds = live.holds.of_device(request.device_id)

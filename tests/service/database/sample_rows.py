@@ -27,6 +27,7 @@ _REFERRED = {
     "calibration_id": "calibrations",
     "table_id": "correction_tables",
     "tool_id": "tools",
+    "radiometric_id": "radiometric_calibrations",
 }
 
 Rows = dict[str, list[dict[str, Any]]]

@@ -1,0 +1,1 @@
+"""Radiometric calibrations of a device's sensors: dark and flat captures, versions, activation."""

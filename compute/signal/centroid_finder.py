@@ -11,6 +11,7 @@ from compute.signal.native.definitions import (
     scan_record,
 )
 from compute.signal.peak_finder import PeakFinder
+from compute.signal.pixel_corrections import PixelCorrections
 from compute.signal.sensor_noise import SensorNoise
 
 PIXELS_PER_THREAD: Final = 2_097_152
@@ -27,6 +28,7 @@ class CentroidFinder(PeakFinder):
         noise: of the S sensors; scan l of a batch is of sensor ``l % S``.
         device: "cpu", "cuda:0", ...; None takes the first CUDA device, or else the CPU.
         threads: largest number of CPU threads for a batch; None: as many as there are CPUs.
+        corrections: of the sensors' pixels; None: counts are taken as they are.
 
     Raises:
         InvalidParameter: a size outside its range, or a device that is not there.
@@ -40,6 +42,7 @@ class CentroidFinder(PeakFinder):
         noise: SensorNoise,
         device: str | None = None,
         threads: int | None = None,
+        corrections: PixelCorrections | None = None,
     ) -> None:
         short = pixels <= SHORT_PIXELS
         blocks = -(-pixels // BLOCK_PIXELS)
@@ -54,5 +57,6 @@ class CentroidFinder(PeakFinder):
             threads,
             scans_per_warp=SCANS_PER_BATCH // blocks if short else LONG_SCANS_PER_WARP,
             pixels_per_thread=PIXELS_PER_THREAD,
+            corrections=corrections,
             reads_once=short,
         )

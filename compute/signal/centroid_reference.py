@@ -10,17 +10,23 @@ from compute.signal.centroid_settings import (
     FRACTION_UNIT,
     GROUP_PIXELS,
     LEVEL_UNIT,
+    SAMPLE_GROUPS,
     CentroidSettings,
     sample_starts,
 )
+from compute.signal.native.definitions import RAMP_UNIT
 from compute.signal.peaks import PeakBatch, PeakFlag
+from compute.signal.pixel_corrections import PixelCorrections
 from compute.signal.sensor_noise import SensorNoise
 
 Row = tuple[float, float, float, float, int]
 
 
 def find_peaks_reference(
-    scans: NDArray[np.uint16], settings: CentroidSettings, noise: SensorNoise
+    scans: NDArray[np.uint16],
+    settings: CentroidSettings,
+    noise: SensorNoise,
+    corrections: PixelCorrections | None = None,
 ) -> PeakBatch:
     """Find the peaks of scans as ``CentroidFinder.find`` does, plainly and slowly.
 
@@ -28,11 +34,12 @@ def find_peaks_reference(
         scans: counts, uint16, shape (L, P); scan l is of sensor ``l % len(noise)``.
         settings: what counts as a peak, and where it is cut.
         noise: noise of the sensors.
+        corrections: of their pixels; None: counts are taken as they are.
     """
     room = settings.max_peaks
     batch = PeakBatch.empty(len(scans), room)
     for number, scan in enumerate(scans):
-        rows = _line_peaks(scan.astype(np.int64), settings, noise, number % len(noise))
+        rows = _line_peaks(scan.astype(np.int64), settings, noise, number % len(noise), corrections)
         if len(rows) > room:
             brightest = sorted(rows, key=lambda row: (-row[2], row[0]))[:room]
             rows = [(*row[:4], row[4] | PeakFlag.TRUNCATED) for row in sorted(brightest)]
@@ -46,23 +53,59 @@ def find_peaks_reference(
     return batch
 
 
+def background_levels(
+    scans: NDArray[np.uint16], corrections: PixelCorrections | None = None
+) -> NDArray[np.float64]:
+    """Return the backgrounds of scans by their dark parts, shape (L,) [counts].
+
+    Args:
+        scans: counts, uint16, shape (L, P).
+        corrections: of the sensors' pixels; None: counts are taken as they are.
+    """
+    none = np.zeros((1, SAMPLE_GROUPS), np.int64)
+    shifts = none if corrections is None else corrections.group_shifts().astype(np.int64)
+    return np.array(
+        [
+            _background(scan.astype(np.int64), shifts[number % len(shifts)])[0] / LEVEL_UNIT
+            for number, scan in enumerate(scans)
+        ]
+    )
+
+
 def _line_peaks(
-    values: NDArray[np.int64], settings: CentroidSettings, noise: SensorNoise, sensor: int
+    raw: NDArray[np.int64],
+    settings: CentroidSettings,
+    noise: SensorNoise,
+    sensor: int,
+    corrections: PixelCorrections | None,
 ) -> list[Row]:
     """Return the scan's peaks: position, sigma, amplitude, width, flags."""
     dark = float(noise.dark_variance[sensor])
     photon = float(noise.photon_variance[sensor])
     offset = float(noise.offset_counts[sensor])
     full = int(noise.full_scale_counts[sensor])
-    background, noise_level = _background(values)
+    raw_values, values, shifts = raw, raw, np.zeros(SAMPLE_GROUPS, np.int64)
+    if corrections is not None:
+        own = PixelCorrections(*(each[sensor : sensor + 1] for each in vars(corrections).values()))
+        rounded = np.floor(own.correct(raw[None].astype(np.uint16))[0] + np.float32(0.5))
+        values = np.clip(rounded, 0, 65535).astype(np.int64)
+        shifts = own.group_shifts()[0].astype(np.int64)
+        raw = np.where(own.masked[0], 0, raw)
+    background, noise_level, ramp = _background(raw_values, shifts)
+    rise = _ramp_at(ramp, len(values), np.arange(len(values)))
+    values = np.clip(values - rise, 0, 65535)
     light = max(background / LEVEL_UNIT - offset, 0.0)
     pixel_sigma = max((dark + photon * light) ** 0.5, noise_level / LEVEL_UNIT)
     limit = background / LEVEL_UNIT + settings.detection_sigma * pixel_sigma
 
     variances = dark + photon * np.maximum(values - offset, 0.0)
     rows: list[Row] = []
-    for top in np.flatnonzero(values >= limit).tolist():
+    bright = (values >= limit) & (raw_values - rise >= limit)
+    for top in np.flatnonzero(bright).tolist():
         excess = int(values[top]) * LEVEL_UNIT - background
+        local = max(background / LEVEL_UNIT + int(rise[top]) - offset, 0.0)
+        if ramp and excess / LEVEL_UNIT < settings.detection_sigma * (dark + photon * local) ** 0.5:
+            continue
         threshold = background + excess * settings.fraction_units // FRACTION_UNIT
         below = np.flatnonzero(values * LEVEL_UNIT <= threshold)
         split = int(np.searchsorted(below, top))
@@ -75,7 +118,7 @@ def _line_peaks(
             values, left, right, top, background / LEVEL_UNIT, settings, variances
         )
         flags = PeakFlag.NONE
-        if run.max() >= full:
+        if raw[top] >= full:
             flags |= PeakFlag.SATURATED
         if left == 0 or right == len(values) - 1:
             flags |= PeakFlag.CLIPPED
@@ -86,14 +129,48 @@ def _line_peaks(
     return rows
 
 
-def _background(values: NDArray[np.int64]) -> tuple[int, int]:
-    """Return the background and the noise level of the scan's dark part, in 1/LEVEL_UNIT counts."""
-    sums = sorted(
-        int(values[start : start + GROUP_PIXELS].sum()) for start in sample_starts(len(values))
-    )
-    quartile, sixteenth = sums[(len(sums) - 1) // 4], sums[(len(sums) - 1) // 16]
+def _background(values: NDArray[np.int64], shifts: NDArray[np.int64]) -> tuple[int, int, int]:
+    """Return background, noise level [1/LEVEL_UNIT counts] and slope [1/RAMP_UNIT counts per px].
+
+    The background is that of the scan's dark part, in its middle where there is a slope.
+    """
+    starts = sample_starts(len(values))
+    sums = [
+        max(int(values[start : start + GROUP_PIXELS].sum() - shift), 0)
+        for start, shift in zip(starts, shifts, strict=False)
+    ]
+    groups = len(sums)
     scale = LEVEL_UNIT // GROUP_PIXELS
-    return quartile * scale, (quartile - sixteenth) * scale
+    order = np.argsort(sums, kind="stable")
+    first, low = (groups - 1) // 4, (groups - 1) // 16
+    quartile, sixteenth = sums[order[first]], sums[order[low]]
+    contrast = int((2 * order[: first + 1] - (groups - 1)).sum())
+    farthest = (first + 1) * (groups - first - 1)
+    ramp = 0
+    if contrast**2 >= min(10 * farthest * (groups + 1) // 3, farthest**2):
+        part = groups // 4
+        dark = [sorted(sums[q * part : (q + 1) * part])[(part - 1) // 4] for q in range(4)]
+        place = [starts[q * part] + starts[(q + 1) * part - 1] for q in range(4)]
+        slopes = sorted(
+            int((dark[b] - dark[a]) * 2 * RAMP_UNIT // GROUP_PIXELS / (place[b] - place[a]))
+            for a in range(4)
+            for b in range(a + 1, 4)
+        )
+        ramp = int((slopes[2] + slopes[3]) / 2)
+        at = np.array(starts)
+        ends = _ramp_at(ramp, len(values), at) + _ramp_at(ramp, len(values), at + GROUP_PIXELS - 1)
+        beside = sorted(np.maximum(np.array(sums) - GROUP_PIXELS // 2 * ends, 0).tolist())
+        if ramp and beside[first] - beside[low] < quartile - sixteenth:
+            quartile, sixteenth = beside[first], beside[low]
+        else:
+            ramp = 0
+    return quartile * scale, (quartile - sixteenth) * scale, ramp
+
+
+def _ramp_at(ramp: int, pixels: int, pixel: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return what the background rises from the middle to pixels, rounded to zero."""
+    rise = ramp * (2 * pixel - (pixels - 1))
+    return np.asarray(np.sign(rise) * (np.abs(rise) // (2 * RAMP_UNIT)))
 
 
 def _centroid(

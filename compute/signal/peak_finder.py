@@ -11,6 +11,7 @@ from compute.errors import InvalidParameter
 from compute.signal.centroid_settings import MAX_PIXELS, MIN_PIXELS, CentroidSettings
 from compute.signal.native.definitions import BLOCK_THREADS
 from compute.signal.peaks import MAX_JOINT_PEAKS, PeakBatch
+from compute.signal.pixel_corrections import PixelCorrections
 from compute.signal.sensor_noise import SensorNoise
 from compute.warp_host import check_threads, host_memory, warp_device, worker_threads
 
@@ -56,6 +57,7 @@ class PeakFinder:
         scans_per_warp: scans that a warp takes, where there are enough for all warps.
         pixels_per_thread: smallest share of pixels for which another CPU thread pays.
         plan: 64-bit words that the fit reads; None: no fit follows.
+        corrections: of the S sensors' pixels; None: counts are taken as they are.
         reads_once: the kernel reads scans only once and no records; those of small batches then
             are not copied.
 
@@ -77,6 +79,7 @@ class PeakFinder:
         scans_per_warp: int,
         pixels_per_thread: int,
         plan: NDArray[np.uint64] | None = None,
+        corrections: PixelCorrections | None = None,
         reads_once: bool = False,
     ) -> None:
         # Here and not above: Warp takes a second to load, and the types are used without it.
@@ -90,6 +93,11 @@ class PeakFinder:
             raise InvalidParameter(
                 f"a scan has {pixels} pixels; it must have {MIN_PIXELS} to {MAX_PIXELS}",
                 pixels=pixels,
+            )
+        if corrections is not None and corrections.dark.shape != (len(noise), pixels):
+            raise InvalidParameter(
+                f"corrections are of {len(corrections)} sensors with {corrections.dark.shape[1]} "
+                f"pixels; they must be of {len(noise)} with {pixels}"
             )
         self._threads = check_threads(threads)
         self._wp = wp
@@ -139,6 +147,10 @@ class PeakFinder:
         batch.weigh_above_threshold = int(settings.weighting != "above-background")
         batch.correct_edges = int(settings.weighting == "edge-corrected")
         batch.min_width_px, batch.max_peaks = settings.min_width_px, settings.max_peaks
+        if corrections is not None:
+            packed = corrections.pack()
+            self._corrections: Any = wp.array(packed, dtype=wp.uint64, device=self._device)
+            batch.corrections_address = self._corrections.ptr
         if plan is not None:
             self._plan: Any = wp.array(plan, dtype=wp.uint64, device=self._device)
             batch.plan_address = self._plan.ptr

@@ -33,6 +33,8 @@ class PeakFlag(IntFlag):
     """No fit was possible: the position is the candidate's, a centre of gravity or a pixel."""
     AMBIGUOUS = 128
     """A pattern that fits nearly as well at another place."""
+    MASKED_PIXELS = 256
+    """A bad pixel of its window was left out; the standard deviation holds what that costs."""
 
 
 @dataclass(frozen=True)

@@ -31,6 +31,8 @@ class Groups(ArrayRows):
         extended_last_px: last pixels of these, shape (G,).
         split_before: the chain was cut before the group, shape (G,).
         split_after: the chain was cut after it, shape (G,).
+        level: levels of the background to start with, shape (G,) [counts].
+        slope: known slopes of the background, shape (G,) [counts/px].
     """
 
     number: IntArray
@@ -43,6 +45,8 @@ class Groups(ArrayRows):
     extended_last_px: IntArray
     split_before: NDArray[np.bool_]
     split_after: NDArray[np.bool_]
+    level: Array
+    slope: Array
 
     def __len__(self) -> int:
         """Return G."""
@@ -108,7 +112,8 @@ def form_groups(candidates: PeakBatch, pixels: int, settings: FitSettings) -> Gr
             )
         ]
     table = np.array(rows, dtype=np.int64).reshape(-1, 9).T
-    return Groups(np.arange(len(rows)), *table[:7], *table[7:].astype(bool))
+    zeros = np.zeros(len(rows))
+    return Groups(np.arange(len(rows)), *table[:7], *table[7:].astype(bool), zeros, zeros)
 
 
 def _extend(
@@ -149,7 +154,6 @@ def initial_parameters(
     model: WindowModel,
     groups: Groups,
     candidates: PeakBatch,
-    background: Array,
     sensor: IntArray,
 ) -> Array:
     """Return the initial parameters of groups of ``model.peaks`` candidates, shape (G, Q).
@@ -158,7 +162,6 @@ def initial_parameters(
         model: the model.
         groups: G groups.
         candidates: of all scans.
-        background: of all scans, shape (L,) [counts].
         sensor: sensors of the groups' scans, shape (G,).
     """
     member = (groups.scan[:, None], groups.candidate_indices())
@@ -166,7 +169,7 @@ def initial_parameters(
     position = candidates.position_px[member]
     share = model.central_pixel_fraction(np.exp(log_width)[:, None], sensor[:, None], position)
     start = np.zeros((len(groups), model.size))
-    start[:, 0] = background[groups.scan]
+    start[:, 0] = groups.level
     start[:, model.light] = candidates.amplitude[member] / share
     start[:, model.position] = position
     start[:, -1] = log_width

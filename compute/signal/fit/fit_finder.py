@@ -7,6 +7,7 @@ from compute.signal.fit.line_spread_function import LineSpreadFunction
 from compute.signal.fit.native.definitions import fitted_scan_record, pack_plan
 from compute.signal.native.definitions import FIT_SCANS_PER_WARP
 from compute.signal.peak_finder import PeakFinder
+from compute.signal.pixel_corrections import PixelCorrections
 from compute.signal.sensor_noise import SensorNoise
 
 PIXELS_PER_THREAD: Final = 786_432
@@ -24,6 +25,7 @@ class FitFinder(PeakFinder):
         shape: the line-spread function; None: a Gaussian.
         device: "cpu", "cuda:0", ...; None takes the first CUDA device, or else the CPU.
         threads: largest number of CPU threads for a batch; None: as many as there are CPUs.
+        corrections: of the sensors' pixels; None: counts are taken as they are.
 
     Raises:
         InvalidParameter: a size outside its range, or a device that is not there.
@@ -38,6 +40,7 @@ class FitFinder(PeakFinder):
         shape: LineSpreadFunction | None = None,
         device: str | None = None,
         threads: int | None = None,
+        corrections: PixelCorrections | None = None,
     ) -> None:
         super().__init__(
             "fit",
@@ -50,5 +53,6 @@ class FitFinder(PeakFinder):
             threads,
             scans_per_warp=FIT_SCANS_PER_WARP,
             pixels_per_thread=PIXELS_PER_THREAD,
+            corrections=corrections,
             plan=pack_plan(settings, shape or LineSpreadFunction.gaussian()),
         )

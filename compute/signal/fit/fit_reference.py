@@ -6,9 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.errors import InvalidParameter
-from compute.signal.centroid_reference import find_peaks_reference
-from compute.signal.centroid_settings import LEVEL_UNIT, MAX_PIXELS, MIN_PIXELS
-from compute.signal.detection.background_estimate import estimate_background
+from compute.signal.centroid_reference import background_levels, find_peaks_reference
+from compute.signal.centroid_settings import MAX_PIXELS, MIN_PIXELS
 from compute.signal.fit.candidate_groups import (
     Groups,
     form_groups,
@@ -23,9 +22,11 @@ from compute.signal.fit.peak_batches import (
     collect_unfitted_peaks,
     to_peak_batch,
 )
+from compute.signal.fit.surrounding_slope import take_surroundings
 from compute.signal.fit.width_marginalisation import marginalise_width
 from compute.signal.fit.window_model import WindowModel
 from compute.signal.peaks import PeakBatch, PeakFlag
+from compute.signal.pixel_corrections import PixelCorrections
 from compute.signal.sensor_noise import SensorNoise
 
 
@@ -35,6 +36,7 @@ def fit_scans(
     noise: SensorNoise,
     shape: LineSpreadFunction | None = None,
     candidates: PeakBatch | None = None,
+    corrections: PixelCorrections | None = None,
 ) -> PeakBatch:
     """Fit the peaks of scans, as ``FitSettings`` defines it.
 
@@ -46,6 +48,7 @@ def fit_scans(
         noise: of the sensors.
         shape: the line-spread function; None: a Gaussian.
         candidates: what ``settings.search`` finds, where it is known already.
+        corrections: of the sensors' pixels; None: counts are taken as they are.
 
     Raises:
         InvalidParameter: scans of another type or shape, or candidates of other scans.
@@ -53,7 +56,7 @@ def fit_scans(
     check_scans(scans)
     shape = LineSpreadFunction.gaussian() if shape is None else shape
     if candidates is None:
-        candidates = find_peaks_reference(scans, settings.search, noise)
+        candidates = find_peaks_reference(scans, settings.search, noise, corrections)
     elif len(candidates) != len(scans):
         raise InvalidParameter(
             f"candidates are of {len(candidates)} scans; they must be of these {len(scans)}",
@@ -62,7 +65,7 @@ def fit_scans(
     pixels, room = scans.shape[1], settings.search.max_peaks
     groups = form_groups(candidates, pixels, settings)
     parts: list[FlatPeaks] = []
-    for selected in fit_groups(scans, groups, candidates, settings, noise, shape):
+    for selected in fit_groups(scans, groups, candidates, settings, noise, shape, corrections):
         parts.append(collect_fitted_peaks(selected, candidates, pixels))
         parts.append(collect_unfitted_peaks(selected, candidates))
     if not parts:
@@ -78,6 +81,7 @@ def fit_groups(
     settings: FitSettings,
     noise: SensorNoise,
     shape: LineSpreadFunction,
+    corrections: PixelCorrections | None = None,
 ) -> list[SelectedFits]:
     """Fit groups, those of equal size together.
 
@@ -88,15 +92,18 @@ def fit_groups(
         settings: of the fit.
         noise: noise of the sensors.
         shape: the line-spread function.
+        corrections: of the sensors' pixels; None: counts are taken as they are.
     """
-    background = estimate_background(scans).background / LEVEL_UNIT
+    groups = replace(groups, level=background_levels(scans, corrections)[groups.scan])
+    if settings.background == "surrounding-slope":
+        groups = take_surroundings(scans, groups, noise, corrections)
     found: list[SelectedFits] = []
     for count in np.unique(groups.count).tolist():
         model = WindowModel(count, settings, shape)
         part = groups[groups.count == count]
         sensor = part.scan % len(noise)
-        start = initial_parameters(model, part, candidates, background, sensor)
-        for fits in fit_windows(model, part, start, scans, noise):
+        start = initial_parameters(model, part, candidates, sensor)
+        for fits in fit_windows(model, part, start, scans, noise, corrections):
             solution = marginalise_width(fits.model, fits.windows, fits.solution)
             found.append(replace(fits, solution=solution))
     return found

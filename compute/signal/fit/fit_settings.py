@@ -17,8 +17,19 @@ from compute.signal.centroid_settings import (
 )
 from compute.signal.peaks import MAX_JOINT_PEAKS
 
-BackgroundModel = Literal["level", "slope"]
-"""The background within a window: a constant, or a straight line."""
+BackgroundModel = Literal["surrounding-slope", "level", "slope"]
+"""The background within a window: a straight line whose slope is that of the pixels beside the
+window, a constant, or a straight line that is fitted within the window."""
+
+SURROUNDING_PIXELS: Final = 16
+MIN_SURROUNDING_PIXELS: Final = 8
+"""Largest and smallest number of pixels to each side that the surroundings' slope is taken from."""
+
+SURROUNDING_LIMIT_SIGMA: Final = 4.0
+"""Largest deviation of half a side from the straight line through both sides."""
+
+MISFIT_RATE: Final = 0.01
+"""Probability of a chi-square beyond which the excess widens a standard deviation."""
 
 MAX_ITERATIONS: Final = 20
 CONVERGENCE_THRESHOLD_SIGMA: Final = 1e-3
@@ -78,9 +89,17 @@ class FitSettings:
       window ends midway between two groups, and at the line's ends. Pixels at full scale are
       left out, as they say only "at least".
     - *Model.* ``mu_i = b [+ s (i - middle)] + sum_k A_k (E((i + 1/2 - x_k)/w) - E((i - 1/2 -
-      x_k)/w))`` with positions x_k, light A_k [counts], one width w for the group, and a level b
-      (and slope s about the window's middle, if ``background`` says so). E is a
-      ``LineSpreadFunction``.
+      x_k)/w))`` with positions x_k, light A_k [counts], one width w for the group, a level b and
+      a slope s about the window's middle. E is a ``LineSpreadFunction``.
+    - *Slope.* "surrounding-slope" takes it from up to SURROUNDING_PIXELS to either side, between
+      the window and those of the neighbouring groups: the difference of both means over their
+      distance. It is zero where a side has fewer than MIN_SURROUNDING_PIXELS, or where the means of
+      a side's halves are off the line by more than SURROUNDING_LIMIT_SIGMA: there is other light.
+      "slope" fits it within the window, where it is hard to tell from a shift of the line: a faint
+      line's standard deviation grows by 4 %. "level" has none.
+    - *Calibrated pixels.* With ``PixelCorrections`` the counts are the corrected ones, the variance
+      of a pixel with the scale a is ``a (a read^2/gain^2 + max(mu - offset, 0)/gain + a/12)``, and
+      masked pixels are left out: MASKED_PIXELS.
     - *Weights.* The variance V of a pixel is ``read^2/gain^2 + max(mu - offset, 0)/gain + 1/12``
       plus ``(shape_error (mu - b - ...))^2``, by the model and not by the pixel's own noise.
     - *Estimate.* The root of the weighted residuals' score, with the variances of the same mu:
@@ -120,6 +139,9 @@ class FitSettings:
       experiments (right Haar measure; J. O. Berger, 10.1007/978-1-4757-4286-2, chapter 6). The
       covariance is that of the average. The parameters stay the best ones: those at a mean width,
       or their mean, are biased more within a pixel, as widths are less certain to the narrow side.
+    - *Misfit.* Where chi-square is beyond what noise exceeds with the probability MISFIT_RATE, the
+      covariance is multiplied by ``1 + excess / freedom`` (R. T. Birge, 10.1103/PhysRev.40.207),
+      unless ``widen_misfit`` is False.
     - *Result.* Positions, standard deviations and covariances; ``amplitude`` is the fitted light
       in a pixel about the line's middle; ``width_px`` the full width at ``search``'s
       threshold of a Gaussian with the fitted width; the reduced chi-square of the group, of
@@ -149,6 +171,7 @@ class FitSettings:
         further_peaks: more peaks than candidates are tried. If not, candidates that overlap are
             still fitted together, but a misfit is only flagged: right where the lines' shape is
             not known well enough for a misfit to tell of a second line.
+        widen_misfit: a significant misfit widens the standard deviations.
 
     Raises:
         InvalidParameter: a value outside its range.
@@ -158,11 +181,12 @@ class FitSettings:
     width_px: float = 1.0
     width_log_sigma: float = 2.0
     reach: float = 4.0
-    background: BackgroundModel = "level"
+    background: BackgroundModel = "surrounding-slope"
     shape_error: float = 0.0
     max_joint_peaks: int = MAX_JOINT_PEAKS
     false_split_rate: float = 1e-4
     further_peaks: bool = True
+    widen_misfit: bool = True
 
     def __post_init__(self) -> None:
         require_between("width_px", self.width_px, *WIDTH_LIMITS_PX)
@@ -194,3 +218,22 @@ class FitSettings:
         limits = np.full(MAX_WINDOW_PX + 1, np.inf)
         limits[1:] = chi2.isf(self.false_split_rate, np.arange(1, MAX_WINDOW_PX + 1))
         return limits
+
+    def noise_chi2(self) -> NDArray[np.float64]:
+        """Return the chi-square whose excess widens, by degrees of freedom; as ``chi2_limits``."""
+        limits = np.full(MAX_WINDOW_PX + 1, np.inf)
+        if self.widen_misfit:
+            limits[1:] = chi2.isf(MISFIT_RATE, np.arange(1, MAX_WINDOW_PX + 1))
+        return limits
+
+    def variance_factor(
+        self, misfit: NDArray[np.float64], dof: NDArray[np.int64]
+    ) -> NDArray[np.float64]:
+        """Return the factor on the covariance of fits; see *Misfit*.
+
+        Args:
+            misfit: their chi-squares.
+            dof: their degrees of freedom.
+        """
+        excess = misfit - self.noise_chi2()[np.maximum(dof, 0)]
+        return np.asarray(1.0 + np.maximum(excess, 0.0) / np.maximum(dof, 1))

@@ -14,6 +14,7 @@ from compute.signal.fit.fit_settings import (
     FitSettings,
 )
 from compute.signal.fit.window_model import Array, WindowModel, Windows
+from compute.signal.pixel_corrections import PixelCorrections
 from compute.signal.sensor_noise import SensorNoise
 
 _ADDED = 2  # parameters of a peak: light and position
@@ -46,6 +47,7 @@ def fit_windows(
     start: Array,
     scans: NDArray[np.uint16],
     noise: SensorNoise,
+    corrections: PixelCorrections | None = None,
 ) -> list[SelectedFits]:
     """Fit as many peaks as each window shows, ``model.peaks`` or, if the settings allow, more.
 
@@ -55,19 +57,23 @@ def fit_windows(
         start: where their fits start, shape (N, Q).
         scans: counts of the scans, shape (L, P).
         noise: of the sensors.
+        corrections: of their pixels; None: counts are taken as they are.
 
     Returns:
         By the number of peaks, each group in one of them.
     """
     settings = model.settings
-    windows = Windows.cut(scans, groups.scan, groups.first_px, groups.last_px, noise)
+    windows = Windows.cut(
+        scans, groups.scan, groups.first_px, groups.last_px, noise, corrections, groups.slope
+    )
     first = SelectedFits(model, groups, windows, solve(model, windows, start))
     good = first.solution.good
     poor = _misfits(first.solution, settings) if settings.further_peaks else ~good
     if model.peaks >= settings.max_joint_peaks or not poor.any():
         return [first]
     part = groups[poor]
-    wide = Windows.cut(scans, part.scan, part.extended_first_px, part.extended_last_px, noise)
+    ends = (part.extended_first_px, part.extended_last_px)
+    wide = Windows.cut(scans, part.scan, *ends, noise, corrections, part.slope)
     base = np.where(good[poor, None], first.solution.parameters[poor], start[poor])
     again = SelectedFits(model, part, wide, solve(model, wide, base))
     base = np.where(again.solution.good[:, None], again.solution.parameters, base)

@@ -57,7 +57,8 @@ def collect_fitted_peaks(selected: SelectedFits, candidates: PeakBatch, pixels: 
     order = np.argsort(place, axis=1, kind="stable")
     position = np.take_along_axis(place, order, axis=1)
     light = np.take_along_axis(solution.parameters[:, model.light], order, axis=1)
-    covariance = solution.covariance[:, model.position, model.position]
+    factor = settings.variance_factor(solution.chi2, solution.dof)
+    covariance = solution.covariance[:, model.position, model.position] * factor[:, None, None]
     covariance = np.take_along_axis(covariance, order[:, :, None], axis=1)
     covariance = np.take_along_axis(covariance, order[:, None, :], axis=2)
     width = np.exp(solution.parameters[:, -1:])
@@ -69,7 +70,9 @@ def collect_fitted_peaks(selected: SelectedFits, candidates: PeakBatch, pixels: 
     limit = settings.chi2_limits()[solution.dof]
     in_window = windows.last_px - windows.first_px + 1
     flags |= PeakFlag.POOR_FIT * (solution.chi2 > limit)[:, None]
-    flags |= PeakFlag.SATURATED * (windows.count < in_window)[:, None]
+    masked = windows.masked.sum(axis=1)
+    flags |= PeakFlag.MASKED_PIXELS * (masked > 0)[:, None]
+    flags |= PeakFlag.SATURATED * (windows.count + masked < in_window)[:, None]
     reach = _CLIPPED_WIDTHS * width
     clipped = (position - reach < -0.5) | (position + reach > pixels - 0.5)
     flags |= PeakFlag.CLIPPED * clipped

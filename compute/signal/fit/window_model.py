@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from compute.signal.array_rows import ArrayRows
 from compute.signal.fit.fit_settings import NARROW_POWER, FitSettings
 from compute.signal.fit.line_spread_function import LineSpreadFunction
+from compute.signal.pixel_corrections import PixelCorrections
 from compute.signal.sensor_noise import ScanNoise, SensorNoise
 
 Array = NDArray[np.float64]
@@ -25,6 +26,9 @@ class Windows(ArrayRows):
         last_px: last pixels, shape (N,).
         sensor: numbers of the sensors, shape (N,).
         noise: of the windows' scans.
+        masked: bad pixels of the window, shape (N, W).
+        scale: factors of the pixels' corrections, shape (N, W).
+        slope: known slopes of the background, shape (N,) [counts/px].
     """
 
     values: Array
@@ -33,6 +37,9 @@ class Windows(ArrayRows):
     last_px: NDArray[np.int64]
     sensor: NDArray[np.int64]
     noise: ScanNoise
+    masked: NDArray[np.bool_]
+    scale: Array
+    slope: Array
 
     @classmethod
     def cut(
@@ -42,6 +49,8 @@ class Windows(ArrayRows):
         first_px: NDArray[np.int64],
         last_px: NDArray[np.int64],
         noise: SensorNoise,
+        corrections: PixelCorrections | None = None,
+        slope: Array | None = None,
     ) -> "Windows":
         """Cut windows out of scans.
 
@@ -51,19 +60,31 @@ class Windows(ArrayRows):
             first_px: first pixels, shape (N,).
             last_px: last pixels, shape (N,).
             noise: noise of the sensors.
+            corrections: of their pixels; None: counts are taken as they are.
+            slope: known slopes of the background [counts/px], shape (N,); None: zero.
         """
         width = int((last_px - first_px).max(initial=0)) + 1
         pixel = first_px[:, None] + np.arange(width)
-        values = scans[scan[:, None], np.minimum(pixel, scans.shape[1] - 1)]
+        at = (scan[:, None], np.minimum(pixel, scans.shape[1] - 1))
+        raw = scans[at]
         sensor = scan % len(noise)
         full = noise.full_scale_counts[sensor][:, None]
+        inside = pixel <= last_px[:, None]
+        values, scale = raw.astype(np.float64), np.ones(raw.shape)
+        if corrections is not None:
+            values = corrections.correct(scans)[at].astype(np.float64)
+            scale = corrections.scale[sensor[:, None], at[1]].astype(np.float64)
+        masked = inside & (scale == 0.0)
         return cls(
-            values.astype(np.float64),
-            (pixel <= last_px[:, None]) & (values < full),
+            values,
+            inside & (raw < full) & ~masked,
             first_px,
             last_px,
             sensor,
             noise.of_scans(sensor),
+            masked,
+            np.where(scale == 0.0, 1.0, scale),
+            np.zeros(len(scan)) if slope is None else slope,
         )
 
     def __len__(self) -> int:
@@ -203,7 +224,10 @@ class WindowModel:
         if self.settings.background == "slope":
             jacobian[:, 1] = windows.offset_from_centre
             mean += parameters[:, 1:2] * jacobian[:, 1]
-        variance = windows.noise.variance(mean)
+        mean += windows.slope[:, None] * windows.offset_from_centre
+        noise = windows.noise
+        light = noise.photon * np.maximum(mean - noise.offset, 0.0)
+        variance = windows.scale * (windows.scale * noise.dark + light)
         variance += (self.settings.shape_error * lit) ** 2
         return ModelPrediction(mean, variance, jacobian)
 

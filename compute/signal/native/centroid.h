@@ -17,10 +17,36 @@ struct Run {
 
 constexpr int max_narrow_arm = 15;
 
+// The least raw count at which one of the pixels from `first` to `last` may be bright. A maximum has
+// to reach the limit with its raw count, too: all pixels are compared with one number.
+LUMILINE_FN int raw_limit_of(const unsigned short*, int limit, int, int) { return limit; }
+
+LUMILINE_FN int raw_limit_of(const AdjustedPixels& v, int limit, int first, int last) {
+    return v.ramp == 0 ? limit : limit + ramp_at(v.ramp, v.pixels, v.ramp > 0 ? first : last);
+}
+
+// Whether a pixel at the limit is also bright by its raw count, and beside the noise of the
+// background where it lies.
+LUMILINE_FN bool is_bright(const Search&, const Scan&, const unsigned short*, int, int) {
+    return true;
+}
+
+LUMILINE_FN bool is_bright(const Search& search, const Scan& scan, const AdjustedPixels& v,
+                           int limit, int top) {
+    if (v.v[top] < raw_limit_of(v, limit, top, top)) return false;
+    if (v.ramp == 0) return true;
+    const double excess = double(v[top]) - double(scan.background) / level_unit;
+    double light = double(scan.background) / level_unit + ramp_at(v.ramp, v.pixels, top)
+                   - scan.offset;
+    if (light < 0.0) light = 0.0;
+    return excess * excess
+           >= search.detection_sigma * search.detection_sigma * (scan.dark + scan.photon * light);
+}
+
 // Looks for the run around a maximum by steps to both sides at once. `top` is a peak's maximum when
 // no pixel of its run is higher, nor one to the left as high.
-template <class Where>
-LUMILINE_FN bool is_peak(const Search& search, Where where, const unsigned short* v, int background,
+template <class Where, class Pixels>
+LUMILINE_FN bool is_peak(const Search& search, Where where, const Pixels& v, int background,
                          int top, Run& run) {
     const int highest = v[top], least = search.cut_of(background, highest);
     int left = top, right = top, left_value = highest, right_value = highest, rise = 0;
@@ -88,8 +114,10 @@ LUMILINE_FN float phase_error(const Search& search, Edge edge, float arm, float 
 
 // A fall from the highest so far, then a rise from the lowest since, both more than noise
 // explains: a decision, in float64 and then in whole counts.
-LUMILINE_FN bool has_valley(const Search& search, const Scan& scan, const Run& run) {
-    const double above_top = double(scan.v[run.top]) - scan.offset;
+template <class Pixels>
+LUMILINE_FN bool has_valley(const Search& search, const Scan& scan, const Pixels& v,
+                            const Run& run) {
+    const double above_top = double(v[run.top]) - scan.offset;
     const double valley2 = search.detection_sigma * search.detection_sigma * 2.0
                            * (scan.dark + (above_top > 0.0 ? scan.photon * above_top : 0.0));
     int valley = valley2 < 4294836225.0 ? (int)sqrt(valley2) : 65535;
@@ -99,7 +127,7 @@ LUMILINE_FN bool has_valley(const Search& search, const Scan& scan, const Run& r
         ++valley;
     int high = 0, low = -1;
     for (int p = run.left; p <= run.right; ++p) {
-        const int value = scan.v[p];
+        const int value = v[p];
         if (low < 0) {
             if (value > high) high = value;
             if (high - value > valley) low = value;
@@ -119,8 +147,9 @@ LUMILINE_FN double fast_inverse(double value) {
 
 // The centre of gravity of a run and its standard deviation. Positions and sums are float64, what
 // tells how good they are is float32.
-LUMILINE_FN PeakRecord measure(const Search& search, const Scan& scan, const Run& run) {
-    const unsigned short* v = scan.v;
+template <class Pixels>
+LUMILINE_FN PeakRecord measure(const Search& search, const Scan& scan, const Pixels& v,
+                               const Run& run) {
     const int top = run.top, left = run.left, right = run.right, least = run.least;
     const int highest = v[top], left_value = v[left], right_value = v[right];
     const int width_px = right - left + 1;
@@ -227,8 +256,8 @@ LUMILINE_FN PeakRecord measure(const Search& search, const Scan& scan, const Run
     variance += by_left.slope * by_left.slope * variance_of(before);
     variance += by_right.slope * by_right.slope * variance_of(behind);
     int flags = left_ends && right_ends ? 0 : flag_clipped;
-    if (run.dips && has_valley(search, scan, run)) flags |= flag_merged;
-    if (highest >= scan.full_scale) flags |= flag_saturated;
+    if (run.dips && has_valley(search, scan, v, run)) flags |= flag_merged;
+    if (raw_count(v, top) >= scan.full_scale) flags |= flag_saturated;
     const float step = (float)(cut - double(base) / level_unit);
     const float by_phase_left = phase_error(search, at_left, left_arm - at_left.beyond_px, step);
     const float by_phase_right =

@@ -4,6 +4,7 @@
 #pragma once
 
 #include "compute/native/platform.h"
+#include "compute/signal/native/background_ramp.h"
 #include "compute/signal/native/centroid.h"
 #include "compute/signal/native/cuda_memory.h"
 #include "compute/signal/native/definitions.gen.h"
@@ -12,6 +13,29 @@
 #if defined(__CUDA_ARCH__)
 
 namespace lumiline::signal {
+
+// As WarpSearch's find_tops and measure_tops, of pixels that are corrected one by one.
+LUMILINE_NOINLINE unsigned adjusted_tops(AdjustedPixels v, int limit, int start, int end) {
+    unsigned tops = 0u;
+    int left = v[start - 1], own = v[start];
+    for (int p = start; p < end; ++p) {
+        const int right = v[p + 1];
+        if (own >= limit && own > left && own >= right) tops |= 1u << (p - start);
+        left = own;
+        own = right;
+    }
+    return tops;
+}
+
+LUMILINE_NOINLINE bool measure_adjusted(const Search& search, const Scan& scan, int limit, int top,
+                                        PeakRecord* record) {
+    const AdjustedPixels v = scan.adjusted(scan.v, search.pixels);
+    Run run;
+    if (!is_bright(search, scan, v, limit, top)) return false;
+    if (!is_peak(search, Bare{}, v, scan.background, top, run)) return false;
+    *record = measure(search, scan, v, run);
+    return true;
+}
 
 template <int batch_scans, Length length>
 struct WarpSearch : WarpMemory<batch_scans, length> {
@@ -80,15 +104,22 @@ struct WarpSearch : WarpMemory<batch_scans, length> {
                 keys[slot] =
                     sum_of(load_chunk(where, pixels_of(where, slot), group_chunk)) * sample_groups
                     + lane;
+            if (search.corrections != nullptr && slot < slots && lane < groups) {
+                const int sensor = (first_scan + slot) % search.sensors;
+                keys[slot] = larger(
+                    keys[slot] - search.corrections[sensor].group_shifts[lane] * sample_groups,
+                    lane);
+            }
         }
         // By repeated minima; those of the lines in turn, since each waits for the one before.
-        int quartile = 0, sixteenth = 0;
+        int quartile = 0, sixteenth = 0, contrast = 0;
         auto take_least = [&](bool at_quartile, bool at_sixteenth) {
 #pragma unroll
             for (int slot = 0; slot < batch_scans; ++slot) {
                 const int key = min_of(keys[slot]);
                 if (at_quartile && lane == slot) quartile = key;
                 if (at_sixteenth && lane == slot) sixteenth = key;
+                if (lane == slot) contrast += 2 * (key % sample_groups) - (groups - 1);
                 if (keys[slot] == key) keys[slot] = no_key;
             }
         };
@@ -102,6 +133,9 @@ struct WarpSearch : WarpMemory<batch_scans, length> {
                 take_least(rank == rank_of_quartile, rank == rank_of_sixteenth);
         }
         if (lane < slots) {
+            if (is_sloped(groups, rank_of_quartile, contrast))
+                scan.ramp =
+                    estimate_ramp(search, scan, pixels_of(where, lane), &quartile, &sixteenth);
             const Level level = search.level_of(scan, quartile, sixteenth);
             scan.background = level.background;
             scan_at[lane] = scan;
@@ -114,13 +148,21 @@ struct WarpSearch : WarpMemory<batch_scans, length> {
     }
 
     // A bit for each of up to 256 chunks, to words[at ..]. A pair of pixels is bright when the
-    // greater of it and the limit less one is not that.
-    LUMILINE_FN void find_bright_chunks(const uint4* block, int there, int limit, int at) {
-        const unsigned below = (unsigned)(limit - 1) * 0x10001u;
+    // greater of it and the limit less one is not that. `first` is the number of the first chunk.
+    LUMILINE_FN void find_bright_chunks(const uint4* block, int there, int slot, int first,
+                                        int at) {
+        const Scan& scan = scan_at[slot];
+        const int limit = limits[slot], ramp = scan.ramp;
+        unsigned below = (unsigned)(limit - 1) * 0x10001u;
         unsigned bits[8];
         auto look = [&](int i, bool inside) {
             uint4 pairs = make_uint4(0u, 0u, 0u, 0u);
             if (inside) pairs = block[i * 32 + lane];
+            if (ramp != 0) {
+                const int start = (first + i * 32 + lane) * 8;
+                const int own = limit + ramp_at(ramp, search.pixels, ramp > 0 ? start : start + 7);
+                below = (unsigned)(larger(smaller(own, 65536), 1) - 1) * 0x10001u;
+            }
             const unsigned most =
                 __vmaxu2(__vmaxu2(pairs.x, pairs.y), __vmaxu2(__vmaxu2(pairs.z, pairs.w), below));
             bits[i] = __ballot_sync(every, most != below);
@@ -149,6 +191,9 @@ struct WarpSearch : WarpMemory<batch_scans, length> {
     LUMILINE_FN unsigned find_tops(Where where, unsigned entry) {
         const int slot = entry >> 16, start = (entry & 0x1fffu) * 8;
         const int stop = start + (entry >> 13 & 3u) * 8;
+        if (scan_at[slot].is_adjusted())
+            return adjusted_tops(scan_at[slot].adjusted(pixels_of(where, slot), search.pixels),
+                                 limits[slot], start, stop + 8);
         const unsigned below = (unsigned)(limits[slot] - 1) * 0x10001u, ones = 0x10001u;
         const unsigned short* v = pixels_of(where, slot);
         unsigned left = where || start > 0 ? (unsigned)v[start - 1] << 16 : 0u, tops = 0u;
@@ -186,8 +231,13 @@ struct WarpSearch : WarpMemory<batch_scans, length> {
             Scan scan = scan_at[slot];
             scan.v = pixels_of(where, slot);
             Run run;
-            good = is_peak(search, where, scan.v, scan.background, entry & 0xffffu, run);
-            if (good) record = measure(search, scan, run);
+            const int top = entry & 0xffffu;
+            if (scan.is_adjusted()) {
+                good = measure_adjusted(search, scan, limits[slot], top, &record);
+            } else {
+                good = is_peak(search, where, scan.v, scan.background, top, run);
+                if (good) record = measure(search, scan, scan.v, run);
+            }
         }
         // Lanes of the same line; those without a peak are of none.
         const unsigned same = __match_any_sync(every, good ? slot : -1);
@@ -314,7 +364,7 @@ struct WarpSearch : WarpMemory<batch_scans, length> {
 #pragma unroll 1
         for (int slot = 0, block = 0, at = 0; slot < slots; at += 2) {
             const int first = block * block_chunks;
-            find_bright_chunks(staged + slot * stride + first, chunks - first, limits[slot], at);
+            find_bright_chunks(staged + slot * stride + first, chunks - first, slot, first, at);
             if (++block == scan_blocks) {
                 block = 0;
                 ++slot;
@@ -352,7 +402,7 @@ struct WarpSearch : WarpMemory<batch_scans, length> {
             for (int first = 0; first < chunks; first += block_chunks) {
                 stage_next();
                 await_stage(true);
-                find_bright_chunks(staged + at * block_chunks, chunks - first, limits[slot], 0);
+                find_bright_chunks(staged + at * block_chunks, chunks - first, slot, first, 0);
                 __syncwarp();
                 at = at == batch_scans - 1 ? 0 : at + 1;
                 const bool last = slot + 1 == slots && first + block_chunks >= chunks;

@@ -37,6 +37,24 @@ PEAK_FIELDS: Final = {
 }
 PEAK: Final = Record("PeakRecord", PEAK_FIELDS)
 
+SENSOR_CORRECTION: Final = Record(
+    "SensorCorrection",
+    {
+        "offset": "float",
+        "first_bend": "float",
+        "second_bend": "float",
+        "group_shifts": f"int[{SAMPLE_GROUPS}]",
+    },
+)
+"""What is the same for a calibrated sensor's pixels: mean offset, coefficients of nonlinearity, and
+how far the offsets of the background's groups lie above it, summed over a group [counts]."""
+
+PIXEL_CORRECTION: Final = Record("PixelCorrection", {"dark": "float", "scale": "float"})
+"""A pixel's count without light, and the reciprocal of its response: 0 where it is masked."""
+
+RAMP_UNIT: Final = 4096
+"""A background's slope is an integer in units of 1/4096 count per pixel."""
+
 
 def scan_record(max_peaks: int) -> np.dtype[np.void]:
     """Return the type of one scan's record: count, background [1/64 count], room for peaks."""
@@ -47,6 +65,8 @@ def scan_record(max_peaks: int) -> np.dtype[np.void]:
 HEADER: Final = header(
     "lumiline::signal",
     PEAK.source,
+    SENSOR_CORRECTION.source,
+    PIXEL_CORRECTION.source,
     constants(
         {
             "level_unit": LEVEL_UNIT,
@@ -54,6 +74,7 @@ HEADER: Final = header(
             "group_pixels": GROUP_PIXELS,
             "sample_groups": SAMPLE_GROUPS,
             "no_key": 0x7FFFFFFF,
+            "ramp_unit": RAMP_UNIT,
             "block_threads": BLOCK_THREADS,
             "block_pixels": BLOCK_PIXELS,
             "scans_per_batch": SCANS_PER_BATCH,

@@ -24,9 +24,10 @@ _SEARCH: Final = (
 class ScanBatch:
     """What is the same in all launches; ``search_of`` in search.h reads it.
 
-    Noise arrays have the shape (S,); scan l is of sensor l % S. ``plan_address`` is that of what
-    ``pack_plan`` packs, and ``candidates_offset`` where the candidates begin in a scan's record;
-    both are of the fit. ``lanes`` threads take ``scans_per_warp`` scans together: 1 on the CPU.
+    Noise arrays have the shape (S,); scan l is of sensor l % S. ``corrections_address`` is that of
+    what ``PixelCorrections.pack`` packs, or 0. ``plan_address`` is that of what ``pack_plan``
+    packs, and ``candidates_offset`` where the candidates begin in a scan's record; both are of the
+    fit. ``lanes`` threads take ``scans_per_warp`` scans together: 1 on the CPU.
     """
 
     lanes: int
@@ -43,6 +44,7 @@ class ScanBatch:
     correct_edges: int
     min_width_px: int
     max_peaks: int
+    corrections_address: wp.uint64
     plan_address: wp.uint64
     candidates_offset: int
 

@@ -4,14 +4,24 @@
 
 #include "compute/native/platform.h"
 #include "compute/signal/native/definitions.gen.h"
+#include "compute/signal/native/pixel_correction.h"
 
 namespace lumiline::signal {
 
-// One row of pixels with the noise of its sensor, and its background in 1 / level_unit counts.
+// One row of pixels with the noise of its sensor, its background in 1 / level_unit counts, and the
+// background's slope in 1 / ramp_unit counts per pixel. `sensor` is null without a calibration.
 struct Scan {
     const unsigned short* v;
     double dark, photon, offset;
-    int full_scale, background;
+    int full_scale, background, ramp;
+    const SensorCorrection* sensor;
+    const PixelCorrection* correction;
+
+    LUMILINE_FN bool is_adjusted() const { return sensor != nullptr || ramp != 0; }
+
+    LUMILINE_FN AdjustedPixels adjusted(const unsigned short* values, int pixels) const {
+        return AdjustedPixels{values, sensor, correction, pixels, ramp};
+    }
 };
 
 // A background in 1 / level_unit counts, and the lowest count of a pixel that may be a peak's.
@@ -40,18 +50,28 @@ struct Search {
     const int* full_scale;
     double detection_sigma;
     int fraction_units, weigh_above_threshold, correct_edges, min_width_px, max_peaks;
+    // Of all sensors, then of all their pixels; null without a calibration.
+    const SensorCorrection* corrections;
 
     LUMILINE_FN char* record_of(int scan) const {
         return (char*)records_address + (long long)scan * record_bytes;
     }
 
     LUMILINE_FN Scan scan_of(int scan, int sensor) const {
-        return Scan{(const unsigned short*)scans_address + (long long)scan * pixels,
-                    dark_variance[sensor],
-                    photon_variance[sensor],
-                    offset[sensor],
-                    full_scale[sensor],
-                    0};
+        Scan found = {(const unsigned short*)scans_address + (long long)scan * pixels,
+                      dark_variance[sensor],
+                      photon_variance[sensor],
+                      offset[sensor],
+                      full_scale[sensor],
+                      0,
+                      0,
+                      nullptr,
+                      nullptr};
+        if (corrections != nullptr) {
+            found.sensor = corrections + sensor;
+            found.correction = (const PixelCorrection*)(corrections + sensors) + sensor * pixels;
+        }
+        return found;
     }
 
     // A peak's own threshold, in 1/level_unit counts, and the least count above it.
@@ -77,12 +97,21 @@ struct Search {
 
     static LUMILINE_FN int rank_of_sixteenth(int groups) { return (groups - 1) / 16; }
 
+    LUMILINE_FN int start_of_group(int group, int group_step) const {
+        return group * group_step / group_pixels * group_pixels;
+    }
+
     // A group's sum as a key to rank it by; keys are unique, since its number is in the low bits.
     LUMILINE_FN int group_key(const unsigned short* v, int group, int group_step) const {
-        const unsigned short* first = v + group * group_step / group_pixels * group_pixels;
+        const unsigned short* first = v + start_of_group(group, group_step);
         int sum = 0;
         for (int i = 0; i < group_pixels; ++i) sum += first[i];
         return sum * sample_groups + group;
+    }
+
+    // The key of the group's sum less what its pixels' offsets are above the mean one.
+    static LUMILINE_FN int shifted_key(const Scan& scan, int key, int group) {
+        return larger(key - scan.sensor->group_shifts[group] * sample_groups, group);
     }
 
     // Background and limit from the first quartile and the first sixteenth of the keys.
@@ -121,7 +150,8 @@ LUMILINE_FN Search search_of(const Batch& batch, unsigned long long scans_addres
                   batch.weigh_above_threshold,
                   batch.correct_edges,
                   batch.min_width_px,
-                  batch.max_peaks};
+                  batch.max_peaks,
+                  (const SensorCorrection*)batch.corrections_address};
 }
 
 }  // namespace lumiline::signal

@@ -15,11 +15,14 @@ from compute.signal.fit.fit_settings import (
     MAX_WINDOW_PX,
     MIN_LOG_WEIGHT,
     MIN_PIVOT,
+    MIN_SURROUNDING_PIXELS,
     NARROW_POWER,
     SPLIT_LOG_WIDTH,
     SPLIT_WIDTHS,
     STEP_LOG_WIDTH,
     STEP_WIDTHS,
+    SURROUNDING_LIMIT_SIGMA,
+    SURROUNDING_PIXELS,
     WIDTH_LIMITS_PX,
     FitSettings,
 )
@@ -49,7 +52,7 @@ PLAN: Final = Record(
     | dict.fromkeys(
         (
             "max_joint_peaks", "sloped", "width_is_fitted", "has_prior", "sensors", "nodes",
-            "pieces", "limits", "further_peaks",
+            "pieces", "limits", "further_peaks", "surrounded",
         ),
         "int",
     ),
@@ -76,6 +79,10 @@ HEADER: Final = header(
             "open_width2": LOG_WIDTH_SIGMA_THRESHOLD**2,
             "max_nodes": MAX_WIDTH_NODES,
             "min_log_weight": MIN_LOG_WEIGHT,
+            "surrounding_pixels": SURROUNDING_PIXELS,
+            "min_surrounding_pixels": MIN_SURROUNDING_PIXELS,
+            "surrounding_limit2": SURROUNDING_LIMIT_SIGMA**2,
+            "flag_masked": PeakFlag.MASKED_PIXELS,
             "flag_joint": PeakFlag.JOINT,
             "flag_poor_fit": PeakFlag.POOR_FIT,
             "flag_unfitted": PeakFlag.UNFITTED,
@@ -113,7 +120,8 @@ def pack_plan(settings: FitSettings, shape: LineSpreadFunction) -> NDArray[np.ui
     sigma = settings.width_log_sigma
     low, high = WIDTH_LIMITS_PX
     factor = exp(min(2.0 * sigma, 700.0))
-    limits = settings.chi2_limits()
+    # The chi-square whose excess widens lies behind that of a false split.
+    limits = np.concatenate([settings.chi2_limits(), settings.noise_chi2()])
     sensors, nodes, places = shape.cumulative.shape
     # The pieces in float32 are read 16 bytes at a time.
     limits = np.append(limits, np.full((PLAN.dtype.itemsize // 8 + len(limits)) % 2, np.inf))
@@ -133,6 +141,7 @@ def pack_plan(settings: FitSettings, shape: LineSpreadFunction) -> NDArray[np.ui
     plan["first_node"], plan["node_step"] = shape.first_node_px, shape.node_step_px
     plan["max_joint_peaks"] = settings.max_joint_peaks
     plan["sloped"] = settings.background == "slope"
+    plan["surrounded"] = settings.background == "surrounding-slope"
     plan["width_is_fitted"] = sigma > 0.0
     plan["has_prior"] = 0.0 < sigma < np.inf
     plan["sensors"], plan["nodes"], plan["pieces"] = sensors, nodes, places + 1

@@ -14,7 +14,7 @@ namespace lumiline::signal {
 constexpr int max_parameters = 3 + 2 * joint_peaks;
 
 struct Window {
-    int first, last, used;
+    int first, last, used, masked;
 };
 
 struct Model {
@@ -86,16 +86,14 @@ LUMILINE_FN void evaluate(const FitScan& scan, const Model& m, const Window& in,
             pixel.by[width] += light * (before[k].moment - edge.moment);
             before[k] = edge;
         }
-        pixel.mean = m.level + lit;
+        pixel.mean = m.level + lit + scan.slope * (i - middle);
         if (scan.plan.sloped) {
             pixel.by[1] = i - middle;
             pixel.mean += m.slope * pixel.by[1];
         }
-        const double above = pixel.mean - scan.offset;
-        pixel.variance = scan.dark + (above > 0.0 ? scan.photon * above : 0.0)
-                         + scan.plan.shape_error2 * lit * lit;
-        const int value = scan.v[i];
-        if (value < scan.full_scale) each(i, (double)value, pixel);
+        pixel.variance =
+            scan.variance_at(i, pixel.mean - scan.offset) + scan.plan.shape_error2 * lit * lit;
+        if (scan.is_used(i)) each(i, scan.count_at(i), pixel);
     }
 }
 

@@ -17,10 +17,13 @@
 namespace lumiline::signal {
 
 // Fits the group that starts with candidate `begin` into `out`; returns the number of peaks.
-LUMILINE_FN int fit_group(const FitScan& scan, int begin, FittedPeak* out) {
+LUMILINE_FN int fit_group(FitScan& scan, int begin, FittedPeak* out) {
     const int end = end_of_group(scan, begin);
     int first = 0, last = 0;
     window_of(scan, begin, end, &first, &last);
+    scan.level = scan.background_counts;
+    scan.slope = 0.0;
+    if (scan.plan.surrounded) take_surroundings(scan, begin, end, first, last);
     int written = 0;
     if (end - begin == 1) written = fit_single(scan, scan.candidates[begin], first, last, out);
     if (written == 0) written = fit_jointly(scan, begin, end, first, last, out);

@@ -66,6 +66,8 @@ struct FitScan : Scan {
     // Of the scan that was taken. Its record: how many peaks, then these, then how many candidates,
     // the background, and the candidates.
     double background_counts = 0.0;
+    // Of the background about the group that is fitted: level to start with, slope per pixel.
+    double level = 0.0, slope = 0.0;
     int candidate_count = 0;
     const Piece* pieces = nullptr;
     const PieceF* pieces_f = nullptr;
@@ -95,6 +97,35 @@ struct FitScan : Scan {
         candidates = (PeakRecord*)(header + 2);
         candidate_count = header[0];
         background_counts = (double)header[1] / level_unit;
+    }
+
+    LUMILINE_FN bool is_masked(int i) const {
+        return sensor != nullptr && correction[i].scale == 0.0f;
+    }
+
+    // Whether a pixel counts: neither full nor masked.
+    LUMILINE_FN bool is_used(int i) const { return v[i] < full_scale && !is_masked(i); }
+
+    // The pixel's count, corrected where the sensor is calibrated.
+    LUMILINE_FN double count_at(int i) const {
+        return sensor == nullptr ? (double)v[i]
+                                 : (double)corrected_count(*sensor, correction[i], v[i]);
+    }
+
+    // The variance of a pixel that is `above` counts above the offset.
+    LUMILINE_FN double variance_at(int i, double above) const {
+        const double light = above > 0.0 ? photon * above : 0.0;
+        if (sensor == nullptr) return dark + light;
+        const double scale = correction[i].scale;
+        return scale * (scale * dark + light);
+    }
+
+    LUMILINE_FN const double* noise_chi2() const { return chi2_limits + max_window + 1; }
+
+    // What a misfit multiplies the covariance by.
+    LUMILINE_FN double variance_factor(double chi2, int dof) const {
+        const double excess = chi2 - noise_chi2()[dof];
+        return excess > 0.0 ? 1.0 + excess / dof : 1.0;
     }
 };
 

@@ -121,4 +121,68 @@ LUMILINE_FN void grown_window_of(const FitScan& scan, int begin, int end, int fi
     }
 }
 
+// Pixels beside a window: their number, sums of counts and of places, by halves.
+struct Side {
+    int used[2] = {};
+    double counts[2] = {}, places[2] = {};
+
+    LUMILINE_FN int all() const { return used[0] + used[1]; }
+
+    LUMILINE_FN double count() const { return (counts[0] + counts[1]) / all(); }
+
+    LUMILINE_FN double place() const { return (places[0] + places[1]) / all(); }
+
+    LUMILINE_FN void take(const FitScan& scan, int from, int to, int origin) {
+        const int middle = (from + to) / 2;
+        for (int i = from; i < to; ++i) {
+            if (!scan.is_used(i)) continue;
+            const int half = i >= middle;
+            used[half] += 1;
+            counts[half] += scan.count_at(i);
+            places[half] += i - origin;
+        }
+    }
+
+    // Whether both halves' means lie on a line of this slope, within their noise.
+    LUMILINE_FN bool is_straight(double slope, double variance) const {
+        if (used[0] == 0 || used[1] == 0) return false;
+        const double rise = counts[1] / used[1] - counts[0] / used[0];
+        const double run = places[1] / used[1] - places[0] / used[0];
+        const double off = rise - slope * run;
+        return off * off <= surrounding_limit2 * variance * (1.0 / used[0] + 1.0 / used[1]);
+    }
+};
+
+// Takes the background's level and slope from the pixels on both sides of a window, if they lie on a
+// straight line; see FitSettings.
+LUMILINE_FN void take_surroundings(FitScan& scan, int begin, int end, int first, int last) {
+    int from = first - surrounding_pixels, to = last + 1 + surrounding_pixels;
+    if (from < 0) from = 0;
+    if (to > scan.pixels) to = scan.pixels;
+    if (first - from < min_surrounding_pixels || to - last - 1 < min_surrounding_pixels) return;
+    int other_first = 0, other_last = 0;
+    if (begin > 0) {
+        int other = begin - 1;
+        while (!(scan.candidates[other].flags & flag_starts_group)) --other;
+        window_of(scan, other, begin, &other_first, &other_last);
+        if (from <= other_last) from = other_last + 1;
+    }
+    if (end < scan.candidate_count) {
+        window_of(scan, end, end_of_group(scan, end), &other_first, &other_last);
+        if (to > other_first) to = other_first;
+    }
+    if (first - from < min_surrounding_pixels || to - last - 1 < min_surrounding_pixels) return;
+    Side left, right;
+    left.take(scan, from, first, first);
+    right.take(scan, last + 1, to, first);
+    if (left.all() < min_surrounding_pixels || right.all() < min_surrounding_pixels) return;
+    const double slope = (right.count() - left.count()) / (right.place() - left.place());
+    const double level = 0.5 * (right.count() + left.count());
+    const double above = level > scan.offset ? level - scan.offset : 0.0;
+    const double variance = scan.dark + scan.photon * above;
+    if (!left.is_straight(slope, variance) || !right.is_straight(slope, variance)) return;
+    scan.level = level;
+    scan.slope = slope;
+}
+
 }  // namespace lumiline::signal

@@ -66,7 +66,9 @@ LUMILINE_FN void write_joint(const FitScan& scan, const Model& m, const PeakReco
     const int dof = in.used - parameters_of(scan, m.peaks) + scan.plan.has_prior;
     int group_flags = m.chi2 > chi2_limit_of(scan, m, in) ? flag_poor_fit : 0;
     if (m.peaks > 1) group_flags |= flag_joint;
-    if (in.used < in.last - in.first + 1) group_flags |= flag_saturated;
+    if (in.masked > 0) group_flags |= flag_masked;
+    if (in.used + in.masked < in.last - in.first + 1) group_flags |= flag_saturated;
+    const double factor = scan.variance_factor(m.chi2, dof);
     const double w = exp_of(m.log_w), reach = 2.0 * w;
     for (int k = 0; k < m.peaks; ++k) {
         const int of = order[k];
@@ -75,20 +77,23 @@ LUMILINE_FN void write_joint(const FitScan& scan, const Model& m, const PeakReco
         if (x - reach < -0.5 || x + reach > scan.pixels - 0.5) flags |= flag_clipped;
         if (m.peaks == candidate_count) flags |= c[k].flags & flag_merged;
         out[k] = FittedPeak{x,
-                            (float)sqrt(m.covariance[of][of]),
+                            (float)sqrt(m.covariance[of][of] * factor),
                             (float)(m.light[of] * central_fraction(scan, w, x)),
                             (float)(w * scan.plan.width_unit),
                             flags,
                             (float)(m.chi2 / dof),
                             {0.0f, 0.0f, 0.0f}};
         for (int j = k + 1; j < m.peaks; ++j)
-            out[k].covariance_px2[j - k - 1] = (float)m.covariance[of][order[j]];
+            out[k].covariance_px2[j - k - 1] = (float)(m.covariance[of][order[j]] * factor);
     }
 }
 
 LUMILINE_FN Window window_between(const FitScan& scan, int first, int last) {
-    Window in = {first, last, 0};
-    for (int i = first; i <= last; ++i) in.used += scan.v[i] < scan.full_scale;
+    Window in = {first, last, 0, 0};
+    for (int i = first; i <= last; ++i) {
+        in.used += scan.is_used(i);
+        in.masked += scan.is_masked(i);
+    }
     return in;
 }
 
@@ -99,7 +104,7 @@ LUMILINE_FN int fit_jointly(const FitScan& scan, int begin, int end, int first, 
     const int count = end - begin;
     Model start;
     start.peaks = count;
-    start.level = scan.background_counts;
+    start.level = scan.level;
     for (int k = 0; k < count; ++k) start.log_w += log_of(start_width(scan, c[k]));
     start.log_w /= count;
     for (int k = 0; k < count; ++k) {

@@ -21,7 +21,7 @@ constexpr float narrow_power_f = (float)narrow_power, open_width2_f = (float)ope
 // Parameters, `size` of them: level, [slope,] light, logarithm of the width, position: with the
 // position last, its variance is that of the last pivot. A known width's row is nothing, and the
 // compiler leaves it out.
-template <int size, bool width_is_fitted>
+template <int size, bool width_is_fitted, bool corrected>
 LUMILINE_FN int fit_single_by(const FitScan& scan, const PeakRecord& c, int first, int last,
                               FittedPeak* out) {
     const int light_at = size - 3, width_at = size - 2, position_at = size - 1;
@@ -30,15 +30,19 @@ LUMILINE_FN int fit_single_by(const FitScan& scan, const PeakRecord& c, int firs
     const double by_light = scan.photon * (double)c.amplitude;
     if ((double)c.amplitude * (double)c.amplitude > 1e6 * (scan.dark + by_light)) return 0;
     // Without its brightest pixels a fit hangs on little.
-    const int used = last - first + 1;
-    for (int i = first; i <= last; ++i)
-        if (scan.v[i] >= scan.full_scale) return 0;
+    int used = last - first + 1, masked = 0;
+    for (int i = first; i <= last; ++i) {
+        const bool is_masked = corrected && scan.correction[i].scale == 0.0f;
+        masked += is_masked;
+        if (scan.v[i] >= scan.full_scale && !is_masked) return 0;
+    }
+    used -= masked;
     const int dof = used - size + !width_is_fitted + scan.plan.has_prior;
     if (dof < 1 + scan.plan.has_prior) return 0;
     const float chi2_limit = (float)scan.chi2_limits[dof];
     const bool may_split = scan.plan.further_peaks && scan.plan.max_joint_peaks > 1;
 
-    const int origin = pixel_of(c), base = (int)floor(scan.background_counts);
+    const int origin = pixel_of(c), base = (int)floor(scan.level);
     const float dark_f = (float)scan.dark, photon_f = (float)scan.photon;
     const float above_offset = (float)((double)base - scan.offset);
     const float shape_error2 = (float)scan.plan.shape_error2;
@@ -79,7 +83,7 @@ LUMILINE_FN int fit_single_by(const FitScan& scan, const PeakRecord& c, int firs
     float x = (float)(c.position_px - (double)origin);
     take_rows_at(x);
     float light = c.amplitude / central_fraction(w);
-    float level = (float)(scan.background_counts - (double)base), slope = 0.0f;
+    float level = (float)(scan.level - (double)base), slope = (float)scan.slope;
     bool ended = false;
     float sigma2 = 0.0f, chi2 = 0.0f, last_rise = 0.0f;
     for (int pass = 0; pass < max_passes && !ended; ++pass) {
@@ -110,13 +114,22 @@ LUMILINE_FN int fit_single_by(const FitScan& scan, const PeakRecord& c, int firs
             float mean = level + lit;
             if (size == 5) {
                 by[1] = (float)(i - origin) - middle;
-                mean += slope * by[1];
             }
+            mean += slope * ((float)(i - origin) - middle);
             const float above = mean + above_offset;
-            const float variance =
-                dark_f + photon_f * (above > 0.0f ? above : 0.0f) + shape_error2 * lit * lit;
-            const float weight = 1.0f / variance;
-            const float residual = (float)(scan.v[i] - base) - mean;
+            float count = (float)(scan.v[i] - base);
+            float variance = dark_f + photon_f * (above > 0.0f ? above : 0.0f);
+            if (corrected) {
+                // A masked pixel's variance is nothing: it has no weight.
+                const PixelCorrection pixel = scan.correction[i];
+                count = corrected_count(*scan.sensor, pixel, scan.v[i]) - (float)base;
+                variance = pixel.scale
+                           * (pixel.scale * dark_f + photon_f * (above > 0.0f ? above : 0.0f));
+            }
+            variance += shape_error2 * lit * lit;
+            const float weight =
+                corrected && scan.correction[i].scale == 0.0f ? 0.0f : 1.0f / variance;
+            const float residual = count - mean;
             const float weighted = residual * weight;
             chi2 += residual * weighted;
             LUMILINE_UNROLL
@@ -243,23 +256,33 @@ LUMILINE_FN int fit_single_by(const FitScan& scan, const PeakRecord& c, int firs
     take_rows_at(x);
     const double position = (double)origin + (double)x, reach = 2.0 * (double)w;
     if (position - reach < -0.5 || position + reach > scan.pixels - 0.5) return 0;
+    const float excess = chi2 - (float)scan.noise_chi2()[dof];
+    const float factor = excess > 0.0f ? 1.0f + excess / (float)dof : 1.0f;
     *out = FittedPeak{position,
-                      sqrtf(sigma2),
+                      sqrtf(sigma2 * factor),
                       light * central_fraction(w),
                       w * (float)scan.plan.width_unit,
-                      (c.flags & flag_merged) | (poor ? flag_poor_fit : 0),
+                      (c.flags & flag_merged) | (poor ? flag_poor_fit : 0)
+                          | (masked > 0 ? flag_masked : 0),
                       chi2 / (float)dof,
                       {0.0f, 0.0f, 0.0f}};
     return 1;
 }
 
+template <bool corrected>
+LUMILINE_FN int fit_single_of(const FitScan& scan, const PeakRecord& c, int first, int last,
+                              FittedPeak* out) {
+    if (scan.plan.width_is_fitted)
+        return scan.plan.sloped ? fit_single_by<5, true, corrected>(scan, c, first, last, out)
+                                : fit_single_by<4, true, corrected>(scan, c, first, last, out);
+    return scan.plan.sloped ? fit_single_by<5, false, corrected>(scan, c, first, last, out)
+                            : fit_single_by<4, false, corrected>(scan, c, first, last, out);
+}
+
 LUMILINE_FN int fit_single(const FitScan& scan, const PeakRecord& c, int first, int last,
                            FittedPeak* out) {
-    if (scan.plan.width_is_fitted)
-        return scan.plan.sloped ? fit_single_by<5, true>(scan, c, first, last, out)
-                                : fit_single_by<4, true>(scan, c, first, last, out);
-    return scan.plan.sloped ? fit_single_by<5, false>(scan, c, first, last, out)
-                            : fit_single_by<4, false>(scan, c, first, last, out);
+    return scan.sensor == nullptr ? fit_single_of<false>(scan, c, first, last, out)
+                                  : fit_single_of<true>(scan, c, first, last, out);
 }
 
 }  // namespace lumiline::signal

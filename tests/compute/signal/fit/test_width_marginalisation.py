@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from compute.signal.centroid_reference import find_peaks_reference
-from compute.signal.centroid_settings import LEVEL_UNIT, CentroidSettings
-from compute.signal.detection.background_estimate import estimate_background
+from compute.signal.centroid_reference import background_levels, find_peaks_reference
+from compute.signal.centroid_settings import CentroidSettings
 from compute.signal.fit.candidate_groups import form_groups, initial_parameters
 from compute.signal.fit.fisher_scoring import solve
 from compute.signal.fit.fit_finder import FitFinder
@@ -52,13 +51,8 @@ def solved(lines, options, noise):
     groups = form_groups(candidates, PIXELS, options)
     groups = groups[groups.count == 1]
     windows = Windows.cut(lines, groups.scan, groups.first_px, groups.last_px, noise)
-    start = initial_parameters(
-        model,
-        groups,
-        candidates,
-        estimate_background(lines).background / LEVEL_UNIT,
-        windows.sensor,
-    )
+    groups = replace(groups, level=background_levels(lines)[groups.scan])
+    start = initial_parameters(model, groups, candidates, windows.sensor)
     return windows, model, solve(model, windows, start)
 
 

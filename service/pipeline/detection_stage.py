@@ -1,8 +1,9 @@
 """DetectionStage: peaks of a device's scans, by the method that its description asks for."""
 
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from math import inf, log, sqrt
 from typing import Any, Final, Literal
 
@@ -22,6 +23,7 @@ from compute.signal.coded_aperture.shadow_template import ShadowTemplate
 from compute.signal.fit.fit_finder import FitFinder
 from compute.signal.fit.fit_settings import WIDTH_LIMITS_PX, FitSettings
 from compute.signal.peaks import PeakBatch, PeakFlag, no_peaks
+from compute.signal.pixel_corrections import PixelCorrections, calibrated_noise
 from compute.signal.radiometric_calibration import RadiometricCalibration
 from compute.signal.sensor_noise import SensorNoise
 from hardware.driver import DeviceDescription
@@ -164,7 +166,8 @@ class DetectionStage:
         """That of peaks that were not fitted, of all sensors; 0 where all are."""
         sensors, pixels = len(description.sensors), description.sensors[0].pixels
         self._pixels = {sensor.name: sensor.pixels for sensor in description.sensors}
-        self._find = _find(self.method, description, frames, model, compute_device)
+        self._make_find = partial(_find, self.method, description, frames, model, compute_device)
+        self._find = self._make_find([None] * sensors)
         if self._find is not None:
             # Loads the kernel and touches the buffers, before the first frame waits for it.
             self._find(np.zeros((sensors, pixels), np.uint16))
@@ -182,6 +185,8 @@ class DetectionStage:
     def set_radiometric_calibration(self, found: Mapping[str, RadiometricCalibration]) -> None:
         """Find peaks with the radiometric calibrations of sensors, by name; empty: with none.
 
+        Takes milliseconds: the kernels are loaded already, and buffers are made anew.
+
         Raises:
             InvalidParameter: a calibration is of no sensor of the device, or of other pixels.
         """
@@ -192,6 +197,10 @@ class DetectionStage:
                     f"the radiometric calibration is of {name} ({one.pixels} px); the device has "
                     f"{listed}"
                 )
+        if self._find is None:
+            return
+        self._find = self._make_find([found.get(name) for name in self._pixels])
+        self._find(np.zeros((len(self._pixels), next(iter(self._pixels.values()))), np.uint16))
 
     @property
     def reads(self) -> bool:
@@ -230,8 +239,18 @@ def _find(
     frames: int,
     model: ExpectedScans,
     compute_device: str | None,
+    calibrations: Sequence[RadiometricCalibration | None],
 ) -> _Find | None:
-    """Return what finds the peaks; None: nothing does."""
+    """Return what finds the peaks; None: nothing does.
+
+    Args:
+        method: how.
+        description: the device.
+        frames: most frames of one call.
+        model: what is known of its lines.
+        compute_device: as of FitFinder.
+        calibrations: radiometric ones of the sensors; None for one without.
+    """
     sensors, pixels = len(description.sensors), description.sensors[0].pixels
     noise = SensorNoise.of(
         [description.electrons_per_count] * sensors,
@@ -239,6 +258,10 @@ def _find(
         description.offset_counts,
         2**description.bits - 1,
     )
+    corrections = None
+    if any(one is not None for one in calibrations):
+        noise = calibrated_noise(calibrations, noise)
+        corrections = PixelCorrections.of(calibrations, pixels, description.offset_counts)
     lines = frames * sensors
     if method == "fit":
         sigma = description.line_sigma_px
@@ -247,12 +270,25 @@ def _find(
             if sigma is None
             else FitSettings(search=_SEARCH, width_px=sigma, width_log_sigma=0.0)
         )
-        return FitFinder(lines, pixels, settings, noise, device=compute_device).find
+        return FitFinder(
+            lines, pixels, settings, noise, device=compute_device, corrections=corrections
+        ).find
     if method == "centroid":
-        return CentroidFinder(lines, pixels, CentroidSettings(), noise, device=compute_device).find
+        return CentroidFinder(
+            lines, pixels, CentroidSettings(), noise, device=compute_device, corrections=corrections
+        ).find
     if method == "shadow" and model.templates:
-        return MaskReader(model.templates, pixels, noise, ShadowSettings(fit_scale=True)).read
+        read = MaskReader(model.templates, pixels, noise, ShadowSettings(fit_scale=True)).read
+        return read if corrections is None else partial(_read_corrected, read, corrections)
     return None
+
+
+def _read_corrected(
+    read: _Find, corrections: PixelCorrections, lines: NDArray[np.uint16]
+) -> PeakBatch:
+    """Read shadows in corrected scans, rounded to counts; masked pixels are interpolated."""
+    corrected = np.rint(corrections.correct(lines)).clip(0.0, 65535.0)
+    return read(corrected.astype(np.uint16))
 
 
 def _rms_errors(find: _Find, volume: VolumeScans, frames: int) -> tuple[Array | None, float]:

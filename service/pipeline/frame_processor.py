@@ -124,9 +124,10 @@ class FrameProcessor:
                     f"{what} is of the sensors {', '.join(sensors)}; the device has "
                     f"{', '.join(self._names)}"
                 )
-        self.detection.set_radiometric_calibration(
-            active.radiometric.sensors if active.radiometric else {}
-        )
+        before, radiometric = self.active_calibration.radiometric, active.radiometric
+        if (before and before.content_hash) != (radiometric and radiometric.content_hash):
+            # Not at every activation of another calibration: it takes milliseconds.
+            self.detection.set_radiometric_calibration(radiometric.sensors if radiometric else {})
         self._prepared = PreparedCalibration.of(active, self._compute_device)
         self.active_calibration = active
         self._tracking.set_calibration(self._prepared)

@@ -31,6 +31,7 @@ from validation.signal_chain.tables_4_1_to_4_3 import TABLE_4_1, TABLE_4_2, TABL
 from validation.skew_effect.case import CASE as SKEW_EFFECT
 from validation.stop_and_focus.case import CASE as STOP_AND_FOCUS
 from validation.strobed_tools.case import CASE as STROBED_TOOLS
+from validation.table_1_1.budget_case import CASE as ACCURACY_BUDGET
 from validation.table_1_1.case import CASE as TABLE_1_1
 from validation.table_5.table_5_5 import CASE as TABLE_5_5
 from validation.table_5.tables_5_1_to_5_4 import TABLE_5_1, TABLE_5_2, TABLE_5_3, TABLE_5_4
@@ -63,6 +64,7 @@ def _with_picture(case: TablesCase, module: str) -> TablesCase:
 
 _TABLES: Final[tuple[TablesCase, ...]] = (
     TABLE_1_1,
+    ACCURACY_BUDGET,
     TABLE_5_1,
     TABLE_5_2,
     TABLE_5_3,

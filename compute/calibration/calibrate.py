@@ -19,9 +19,7 @@ from compute.calibration.result import Calibration, SensorFit, nested_rows
 from compute.calibration.settings import DEFAULTS, CalibrationSettings, preset_terms
 from compute.calibration.single_sensor.camera_fit import (
     EquationGroup,
-    LensPrior,
     effective_parameters,
-    equation_groups,
 )
 from compute.calibration.single_sensor.distortion_scale import fit_distortion_scale
 from compute.calibration.single_sensor.sensor_fits import (
@@ -127,11 +125,11 @@ def _fit(
     progress: Progress,
 ) -> Calibration:
     progress(0.05, "cameras without distortion")
-    models, weights = fit_undistorted(observed, settings.loss, initial_models)
+    undistorted = fit_undistorted(observed, settings.loss, initial_models)
     weighted = observed
     if settings.control_sigma_mm is not None and observed.sigma_known:
-        weighted = observed.with_point_sigma(models, settings.control_sigma_mm)
-    fits, selection = _fit_distortion(weighted, models, weights, settings, progress)
+        weighted = observed.with_point_sigma(undistorted.models, settings.control_sigma_mm)
+    fits, selection = _fit_distortion(weighted, undistorted, settings, progress)
     progress(0.8, "covariance")
     if settings.control_sigma_mm is None:
         result = assemble_with_exact_points(observed, fits, settings)
@@ -146,14 +144,12 @@ def _fit(
 
 def _fit_distortion(
     observed: ControlObservations,
-    models: tuple[SensorModel, ...],
-    weights: Array,
+    fits: SensorFits,
     settings: CalibrationSettings,
     progress: Progress,
 ) -> tuple[SensorFits, DistortionEstimate | None]:
     requested = settings.distortion
-    prior = LensPrior.of(models, observed.pitch_um, observed.points_mm, observed.seen)
-    fits = SensorFits(models, weights, prior)
+    models = fits.models
     if requested == "none":
         return fits, None
     if requested == "auto":
@@ -229,9 +225,9 @@ def assemble_with_exact_points(
         fits: the fitted cameras and the readings' weights.
         settings: the settings of the run, which the result repeats.
     """
-    residuals = observed.residuals_px(fits.models)
+    residuals = observed.residuals_px(fits.models if fits.stack is None else fits.stack)
     first = np.cumsum([0, *(model.parameter_count for model in fits.models)])
-    groups = _equation_groups(observed, fits)
+    groups = fits.equation_groups(observed)
     parameters = _effective_parameters(groups)
     found, factors = [], []
     for column, (model, rows) in enumerate(zip(fits.models, fits.used(observed).T, strict=True)):
@@ -250,11 +246,6 @@ def assemble_with_exact_points(
             columns = first[sensor] + group.columns
             covariance[columns[:, None], columns] = inverse * factors[sensor]
     return _calibration(observed, fits, settings, found, covariance, residuals)
-
-
-def _equation_groups(observed: ControlObservations, fits: SensorFits) -> list[EquationGroup]:
-    weights = fits.known_weights(observed)
-    return equation_groups(fits.models, observed.points_mm, weights, fits.scaled_prior)
 
 
 def _effective_parameters(groups: list[EquationGroup]) -> list[float]:
@@ -316,8 +307,8 @@ def _assemble_with_uncertain_points(
     total = np.hypot(sigma, point_sigma)
     chi2_terms = observed.residuals_px(joint.models) / total
     as_known = replace(observed, sigma_px=total, sigma_known=True)
-    adjusted = replace(fits, models=joint.models, unit_px=None)
-    parameters = _effective_parameters(_equation_groups(as_known, adjusted))
+    adjusted = replace(fits, models=joint.models, unit_px=None, groups=None, stack=None)
+    parameters = _effective_parameters(adjusted.equation_groups(as_known))
     found, factors = [], []
     for column, (model, rows) in enumerate(zip(joint.models, fits.used(observed).T, strict=True)):
         fit, factor = _fit_statistics(
@@ -331,6 +322,10 @@ def _assemble_with_uncertain_points(
         if not observed.sigma_known:
             # Estimated from these residuals: a chi-square test would say nothing.
             fit, factor = replace(fit, sigma_source="residuals", chi2_per_dof=None), 1.0
+        taken = joint.sigma_px[rows, column]
+        if (taken > sigma[rows, column]).any():
+            taken_px = float(np.sqrt((taken**2).mean()))
+            fit = replace(fit, sigma_px=taken_px, sigma_source="assumed")
         found.append(fit)
         factors += [factor**0.5] * model.parameter_count
     covariance = joint.covariance * np.outer(factors, factors)
@@ -361,10 +356,11 @@ def _estimate_noise(
     resolved = np.sqrt((np.where(used, point_sigma_px, 0.0) ** 2).sum(axis=0) / used.sum(axis=0))
     lowest = np.maximum(MIN_NOISE_SHARE * resolved if pooled else 0.0, SIGMA_FLOOR_PX)
     first = np.maximum(first, lowest)
-    sigma = first
+    sigma, last = first, None
     for _ in range(MAX_NOISE_ITERATIONS):
         wide = np.broadcast_to(sigma, point_sigma_px.shape)
-        joint = adjust_control_points(observed, fits, wide, control_sigma_mm, progress)
+        joint = adjust_control_points(observed, fits, wide, control_sigma_mm, progress, last)
+        last = joint
         variance, dof = (sigma * joint.sigma_ratio) ** 2, joint.redundancy
         if pooled:
             # ``sigma_ratio`` has MIN_REDUNDANCY for less of it.

@@ -96,8 +96,13 @@ def check_control_points(
         DegeneratePoints: all points that a sensor read lie in one plane.
     """
     check_observations(points_mm, readings_px, sensors, sigma_px)
+    seen = np.isfinite(readings_px)
+    checked = set()
     for column, sensor in enumerate(sensors):
-        _check_coverage(points_mm[np.isfinite(readings_px[:, column])], sensor)
+        pattern = seen[:, column].tobytes()
+        if pattern not in checked:
+            _check_coverage(points_mm[seen[:, column]], sensor)
+            checked.add(pattern)
 
 
 def check_inside(readings_px: Array, sensors: Sequence[Sensor]) -> None:
@@ -165,6 +170,9 @@ def _check_sigma(sigma_px: Array, readings_px: Array, sensors: Sequence[Sensor])
 
 def _check_distinct(points_mm: Array) -> None:
     if len(points_mm) < 2:
+        return
+    gaps = np.diff(np.sort(points_mm, axis=0), axis=0).min(axis=0)
+    if gaps.max() > MIN_POINT_DISTANCE_MM:
         return
     # Equal points are neighbours in any order by coordinates; first, as a tree of many equal ones
     # is slow. Points that all but meet need not be.

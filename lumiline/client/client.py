@@ -13,6 +13,7 @@ from lumiline.client.beam_holds import BeamHoldMethods
 from lumiline.client.devices import DeviceMethods
 from lumiline.client.errors import ServerUnreachable, UnreadableMessage, server_problem
 from lumiline.client.exchange import Asynchronous, Blocking, ClientMethod, path_of, result_of
+from lumiline.client.radiometric import RadiometricMethods
 from lumiline.client.recordings import RecordingMethods
 from lumiline.client.registrations import RegistrationMethods
 from lumiline.client.server import KeyBy, Server
@@ -30,6 +31,7 @@ class _SharedClient(
     RegistrationMethods,
     BeamHoldMethods,
     RecordingMethods,
+    RadiometricMethods,
     Generic[Http, AnyStream],
 ):
     """Settings, requests and streams of a client; its subclasses add input and output."""

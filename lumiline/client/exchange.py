@@ -91,6 +91,7 @@ class Exchanges:
         self,
         kind: type[Model],
         method: str,
+        /,
         *path: str,
         body: Mapping[str, Any] | None = None,
         inside: str | None = None,

@@ -66,6 +66,7 @@ class Hello:
     link: str | None
     calibration: str | None
     holds: tuple[BeamHoldSample, ...] | None = None
+    radiometric: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,6 +189,7 @@ class Frame:
     tracks: tuple[Track, ...] | None = None
     tools: tuple[ToolPose, ...] | None = None
     holds: tuple[BeamHoldSample, ...] | None = None
+    radiometric: str | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -37,6 +37,7 @@ class Device(ResponseModel):
     autostart: bool
     active_calibration_id: str | None
     active_table_id: str | None
+    active_radiometric_id: str | None = None
 
 
 class DeviceStatus(ResponseModel):
@@ -46,6 +47,7 @@ class DeviceStatus(ResponseModel):
     reason: str | None = None
     calibration_id: str | None = None
     table_id: str | None = None
+    radiometric_id: str | None = None
     frames: int = 0
     frames_lost_device: int = 0
     frames_dropped_ring: int = 0
@@ -63,6 +65,43 @@ class Calibration(ResponseModel):
     method: str
     note: str
     content_hash: str
+
+
+class RadiometricSensor(ResponseModel):
+    """Figures of a sensor's radiometric calibration (EMVA 1288)."""
+
+    sensor: str
+    gain_electrons_per_count: float
+    read_noise_counts: float
+    dark_offset_counts: float
+    prnu: float
+    dsnu_counts: float
+    linearity_error: float | None = None
+    bad_pixels: int
+    temperature_c: float | None = None
+
+
+class RadiometricCalibration(ResponseModel):
+    """A radiometric calibration of a device's sensors."""
+
+    id: str
+    device: str
+    active: bool
+    origin: str
+    sensors: tuple[RadiometricSensor, ...]
+    content_hash: str
+    note: str
+
+
+class RadiometricCapture(ResponseModel):
+    """A session of dark and flat captures; ``instruction`` says what to do now."""
+
+    id: str
+    device: str
+    captured: tuple[dict[str, Any], ...]
+    next: str | None
+    instruction: str
+    left: int
 
 
 class Estimate(ResponseModel):

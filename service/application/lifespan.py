@@ -8,11 +8,12 @@ from anyio.to_thread import run_sync
 from fastapi import FastAPI
 
 from service.api.beam_holds.monitor_config import tracking_config_of
+from service.api.correction_tables.store import active_calibration
 from service.api.devices.device_service import DeviceService, StoredContent
 from service.api.devices.profiles import find_profile
 from service.api.exports.repository import ExportRepository
 from service.api.quality.drift_monitor import DriftMonitor
-from service.api.radiometric_calibrations.store import active_calibration
+from service.api.radiometric_calibrations.store import active_radiometric
 from service.api.recordings.recording_manager import RecordingManager
 from service.api.runs.kind_registry import kinds_with
 from service.application.bootstrap import prepare
@@ -68,7 +69,7 @@ async def running(
             database,
             manager,
             settings.folders,
-            StoredContent(active_calibration, tracking_config_of),
+            StoredContent(active_calibration, active_radiometric, tracking_config_of),
         )
         recordings = RecordingManager(
             manager,

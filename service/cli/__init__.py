@@ -26,6 +26,8 @@ _COMMANDS: Final = (
      "Calibrate from a wand waved through the volume: no known coordinates, one known length."),
     ("map", "map_volume:map_volume",
      "Map a volume: corrections of the readings where the calibrated cameras are wrong."),
+    ("radiometric-calibration", "radiometric_calibration:radiometric_calibration",
+     "Calibrate the pixels of sensors: offset, response, noise, bad pixels (EMVA 1288)."),
     ("drift", "drift:drift",
      "Check whether a calibration still holds; exit code 1 where it does not. Quickly update it."),
     ("record", "record:record",

@@ -199,8 +199,10 @@ class DetectionStage:
                 )
         if self._find is None:
             return
-        self._find = self._make_find([found.get(name) for name in self._pixels])
-        self._find(np.zeros((len(self._pixels), next(iter(self._pixels.values()))), np.uint16))
+        find = self._make_find([found.get(name) for name in self._pixels])
+        assert find is not None
+        find(np.zeros((len(self._pixels), next(iter(self._pixels.values()))), np.uint16))
+        self._find = find
 
     @property
     def reads(self) -> bool:

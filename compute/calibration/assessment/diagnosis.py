@@ -249,6 +249,15 @@ def _remarks(calibration: Calibration, sensors: tuple[SensorDiagnosis, ...]) -> 
                 f"between readings (condition {one.condition:.1e}); spread the points further in "
                 "all three directions."
             )
+        settings = calibration.settings
+        uncertain = settings is not None and settings.control_sigma_mm is not None
+        if uncertain and fit.sigma_source == "assumed":
+            remarks.append(
+                f"Sensor {one.sensor}: its readings count as uncertain by {fit.sigma_px:.2g} px, "
+                "more than their own noise: with less, the joint adjustment of sensors and control "
+                "points did not converge. The covariance is rather too large; measure the control "
+                "points more precisely, or give more of them."
+            )
         if fit.chi2_per_dof is not None and fit.chi2_per_dof > 2.0:
             remarks.append(
                 f"Sensor {one.sensor}: its residuals are {fit.chi2_per_dof**0.5:.1f} times what "

@@ -11,9 +11,11 @@ from scipy.special import digamma, polygamma
 
 from compute.calibration.settings import Loss, free_parameters
 from compute.calibration.single_sensor.camera_fit import (
+    EquationGroup,
     LensPrior,
     MinimisationResult,
     check_determined,
+    equation_groups,
     minimise,
     minimise_with_distortion,
     start_with_terms,
@@ -100,9 +102,10 @@ class ControlObservations:
         point_sigma = projected_point_sigma(models, self.points_mm, point_sigma_mm)
         return replace(self, sigma_px=np.hypot(self.sigma_px, np.nan_to_num(point_sigma)))
 
-    def residuals_px(self, models: Sequence[SensorModel]) -> Array:
+    def residuals_px(self, models: Sequence[SensorModel] | CameraStack) -> Array:
         """Return readings of S cameras minus measured ones, shape (N, S) [px]."""
-        return CameraStack.of(models).project(self.points_mm) - self.readings_px
+        stack = models if isinstance(models, CameraStack) else CameraStack.of(models)
+        return stack.project(self.points_mm) - self.readings_px
 
     @property
     def seen(self) -> NDArray[np.bool_]:
@@ -130,12 +133,16 @@ class SensorFits:
         prior: of the lenses; without effect on cameras without distortion.
         unit_px: the noise that a weight of 1 stands for, where the readings' standard deviations
             are not known, shape (S,) [px]; None: 1.
+        groups: the equations of the readings that count, where they were made; None: not yet.
+        stack: the cameras as a stack, likewise.
     """
 
     models: tuple[SensorModel, ...]
     weights: Array
     prior: LensPrior
     unit_px: Array | None = None
+    groups: list[EquationGroup] | None = None
+    stack: CameraStack | None = None
 
     @property
     def scaled_prior(self) -> LensPrior:
@@ -149,6 +156,13 @@ class SensorFits:
     def known_weights(self, observed: ControlObservations) -> Array:
         """Return 1 / standard deviation of the readings that count, 0 of others, (N, S) [1/px]."""
         return np.where(self.weights > 0.0, observed.weights, 0.0)
+
+    def equation_groups(self, observed: ControlObservations) -> list[EquationGroup]:
+        """Return the equations of the readings that count."""
+        if self.groups is not None:
+            return self.groups
+        weights = self.known_weights(observed)
+        return equation_groups(self.models, observed.points_mm, weights, self.scaled_prior)
 
     def fit_without(
         self, observed: ControlObservations, kept: NDArray[np.bool_]
@@ -177,7 +191,7 @@ class SensorFits:
 
 def fit_undistorted(
     observed: ControlObservations, loss: Loss, initial_models: Sequence[SensorModel] | None = None
-) -> tuple[tuple[SensorModel, ...], Array]:
+) -> SensorFits:
     """Fit the seven metric parameters of each sensor.
 
     Args:
@@ -185,24 +199,25 @@ def fit_undistorted(
         loss: "linear" or "robust".
         initial_models: cameras from which the search starts too; used with a linear loss only.
 
-    Returns:
-        The S cameras, and the weights of the readings, shape (N, S).
-
     Raises:
         DegeneratePoints, NoConvergence: see ``fit_metric_cameras``.
     """
     if loss == "linear":
-        found = fit_metric_cameras(
+        found, groups, stack = fit_metric_cameras(
             observed.points_mm,
             observed.readings_px,
             observed.sigma_px,
             observed.sensors,
             initial_models,
         )
-        return found, np.ones(observed.readings_px.shape)
-    models, weights = _reweight(observed, _robust_start(observed), None)
-    check_determined(models, observed.points_mm, np.where(weights > 0.0, observed.weights, 0.0))
-    return models, weights
+        weights = np.ones(observed.readings_px.shape)
+    else:
+        found, weights = _reweight(observed, _robust_start(observed), None)
+        used = np.where(weights > 0.0, observed.weights, 0.0)
+        stack = CameraStack.of(found)
+        groups = check_determined(found, observed.points_mm, used, stack=stack)
+    prior = LensPrior.of(found, observed.pitch_um, observed.points_mm, observed.seen, stack=stack)
+    return SensorFits(found, weights, prior, groups=groups, stack=stack)
 
 
 def fit_metric_cameras(
@@ -211,7 +226,7 @@ def fit_metric_cameras(
     sigma_px: Array,
     sensors: Sequence[SensorGeometry],
     initial_models: Sequence[SensorModel] | None = None,
-) -> tuple[SensorModel, ...]:
+) -> tuple[tuple[SensorModel, ...], list[EquationGroup], CameraStack]:
     """Minimise each sensor's squared normalised residuals from several starts; keep the lowest.
 
     All starts of all sensors are searched at once in the projective form, whose numerator is
@@ -224,6 +239,9 @@ def fit_metric_cameras(
         sensors: their geometry.
         initial_models: cameras from which the search starts too, one a sensor; their distortion
             is ignored. None: no others.
+
+    Returns:
+        The S cameras, their equations, and the cameras as a stack.
 
     Raises:
         DegeneratePoints: more than one camera fits.
@@ -250,7 +268,7 @@ def fit_metric_cameras(
     ended = minimise(starts, points_mm, readings_px, weights)
     fitted = metric_models(ended.cameras, sensors)
     # First whether there is one camera: a search for none does not come to rest.
-    check_determined(fitted, points_mm, weights, stack=ended.cameras)
+    groups = check_determined(fitted, points_mm, weights, stack=ended.cameras)
     for column, model in enumerate(fitted):
         if not ended.converged[column]:
             raise NoConvergence(
@@ -258,7 +276,7 @@ def fit_metric_cameras(
                 "points in front of it fits the readings; look for exchanged or wrong labels",
                 sensor=model.name,
             )
-    return fitted
+    return fitted, groups, ended.cameras
 
 
 def fit_distorted(

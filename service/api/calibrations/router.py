@@ -17,7 +17,8 @@ from service.api.calibrations.schema import (
     State,
 )
 from service.api.devices.device_service import DeviceServiceDep
-from service.api.devices.store import check_sensors, get_device, sensors_of_row
+from service.api.devices.schema import check_sensors
+from service.api.devices.store import get_device, sensors_of_row
 from service.api.inputs import (
     CalibrationPath,
     DatabaseDep,

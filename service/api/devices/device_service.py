@@ -4,7 +4,7 @@ import logging
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Final
 
 from sqlalchemy import select
@@ -14,22 +14,27 @@ from compute.errors import LumilineError
 from hardware.driver import DeviceDescription
 from service.api.devices import store
 from service.api.devices.driver_factory import make_driver, sensors_of
-from service.api.devices.schema import Device, DeviceChange, NewDevice, Sensor
+from service.api.devices.schema import (
+    Device,
+    DeviceChange,
+    NewDevice,
+    Sensor,
+    check_sensors,
+    listed,
+    sensors_match,
+)
 from service.api.devices.store import (
     Target,
     active,
     check_not_retired,
-    check_sensors,
-    listed,
     lock_device,
     move_pointer,
     previous_activation,
-    sensors_match,
 )
 from service.api.inputs import of_application
 from service.database.engine import Database
 from service.database.models import CalibrationRow, DeviceRow, HoldRow
-from service.pipeline.active_calibration import ActiveCalibration
+from service.pipeline.active_calibration import ActiveCalibration, ActiveRadiometric
 from service.pipeline.device_status import DeviceStatus
 from service.pipeline.pipeline_manager import Accept, PipelineManager
 from service.pipeline.tracking_config import TrackingConfig
@@ -47,12 +52,13 @@ class StoredContent:
     """Readers of what other resources store for a device.
 
     Args:
-        active_calibration: the calibration and table that the device's pointer names, and its
-            radiometric calibration.
+        active_calibration: the calibration and table that the device's pointer names.
+        active_radiometric: the radiometric calibration of an id.
         tracking_config: its tools, beam holds and tracking settings.
     """
 
     active_calibration: Callable[[Session, str], ActiveCalibration]
+    active_radiometric: Callable[[Session, str], ActiveRadiometric]
     tracking_config: Callable[[Session, DeviceRow], TrackingConfig]
 
 
@@ -131,7 +137,7 @@ class DeviceService:
             with self._database.read() as session:
                 row = store.get_device(session, device_id)
                 source = store.source_of(row)
-                found = self._stored.active_calibration(session, device_id)
+                found = self._active(session, device_id)
                 stored = store.sensors_of_row(row)
                 tracked = self._stored.tracking_config(session, row)
             self._live.set_tracking_config(device_id, tracked)
@@ -180,7 +186,7 @@ class DeviceService:
                 lock_device(session, device_id)
                 _check_precondition(session, device_id, last_move, expected, reached)
                 yield session
-                found = self._stored.active_calibration(session, device_id)
+                found = self._active(session, device_id)
                 if found.calibration is not None:
                     device = store.get_device(session, device_id)
                     check_sensors(device_id, store.sensors_of_row(device), found.calibration.models)
@@ -199,8 +205,16 @@ class DeviceService:
             with self._database.write() as session:
                 store.get_device(session, device_id, lock=True)
                 yield session
-                found = self._stored.active_calibration(session, device_id)
+                found = self._active(session, device_id)
             self._activate(device_id, found)
+
+    def _active(self, session: Session, device_id: str) -> ActiveCalibration:
+        """Return what a device uses: calibration, correction table, radiometric calibration."""
+        found = self._stored.active_calibration(session, device_id)
+        radiometric_id = store.active_radiometric_id(session, device_id)
+        if radiometric_id is None:
+            return found
+        return replace(found, radiometric=self._stored.active_radiometric(session, radiometric_id))
 
     def _activate(self, device_id: str, found: ActiveCalibration) -> None:
         try:

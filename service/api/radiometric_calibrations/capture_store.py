@@ -8,7 +8,8 @@ import numpy as np
 from sqlalchemy.orm import Session
 
 from service.api.base_models import from_attributes
-from service.api.devices.store import get_device, listed, sensors_of_row
+from service.api.devices.schema import listed
+from service.api.devices.store import get_device, sensors_of_row
 from service.api.radiometric_calibrations.capture_checks import Kind
 from service.api.radiometric_calibrations.frame_statistics import (
     FrameStatistics,

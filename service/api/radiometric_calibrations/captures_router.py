@@ -100,12 +100,12 @@ def capture_frames(
     database: DatabaseDep,
     live: LiveDep,
     kind: Annotated[
-        Kind,
+        Kind | None,
         Query(
-            description="`dark`: the sensors are covered. `flat`: they are lit evenly.",
-            examples=["dark"],
+            description="`dark`: the sensors are covered. `flat`: they are lit evenly. Left out: "
+            "what is next."
         ),
-    ],
+    ] = None,
     name: Annotated[
         str | None,
         Query(
@@ -135,6 +135,7 @@ def capture_frames(
     with database.read() as session:
         row = store.RADIOMETRIC_CAPTURES.get(session, capture_id)
         sensors = store.check_sensors_now(session, row)
+        kind = kind or store.document(row).next or "flat"
         wanted = store.capture_name(row, kind, name)
         settings = RadiometricCaptureSettings.model_validate(row.settings)
         device_id = row.device_id

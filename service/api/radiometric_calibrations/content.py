@@ -1,8 +1,8 @@
 """Content of a radiometric calibration: estimated from statistics, stored and hashed as JSON."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, fields
+from typing import Any, Final
 
 import numpy as np
 
@@ -11,6 +11,10 @@ from compute.signal.radiometric_calibration import RadiometricCalibration, estim
 from service.api.calibrations.calibration_content import canonical_json, content_hash
 from service.api.radiometric_calibrations.frame_statistics import FrameStatistics
 from service.api.radiometric_calibrations.schema import SensorFigures
+
+_OPTIONAL: Final = {
+    field.name: None for field in fields(RadiometricCalibration) if field.default is None
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +69,8 @@ def sensor_calibrations(
     for name, one in documents.items():
         try:
             canonical_json({"sensor": one})  # no NaN, which no hash could be taken of
-            found[name] = RadiometricCalibration.from_document(one)
+            # Many a client leaves out what is null.
+            found[name] = RadiometricCalibration.from_document(_OPTIONAL | one)
         except (InvalidParameter, ValueError, TypeError) as error:
             detail = error.detail if isinstance(error, InvalidParameter) else str(error)
             raise InvalidParameter(f"sensor {name}: {detail}", sensor=name) from error

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 from compute.errors import InvalidParameter
 from compute.signal.radiometric_calibration import MIN_CAPTURES, RadiometricCalibration
 from hardware.driver import DeviceDescription
-from service.api.devices.store import listed, sensors_match
+from service.api.devices.schema import listed, sensors_match
 from service.api.radiometric_calibrations.capture_checks import (
     check_dark,
     check_flat,

@@ -10,7 +10,7 @@ from compute.errors import InvalidParameter
 from compute.signal.radiometric_calibration import RadiometricCalibration
 from hardware.driver import SensorDescription
 from service.api.devices.driver_factory import recording_path
-from service.api.devices.store import check_sensors
+from service.api.devices.schema import check_sensors
 from service.api.radiometric_calibrations import capture_store
 from service.api.radiometric_calibrations.capture_checks import check_flat
 from service.api.radiometric_calibrations.content import (

@@ -2,7 +2,6 @@
 
 import secrets
 from collections.abc import Sequence
-from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Any
 
@@ -10,11 +9,10 @@ from sqlalchemy.orm import Session
 
 from hardware.driver import SensorDescription
 from service.api.base_models import from_attributes
-from service.api.correction_tables.store import active_calibration as active_geometric
+from service.api.devices.schema import listed
 from service.api.devices.store import (
     active_radiometric_id,
     get_device,
-    listed,
     sensors_of_row,
 )
 from service.api.radiometric_calibrations.content import RadiometricContent, content_of
@@ -24,7 +22,7 @@ from service.api.radiometric_calibrations.schema import (
 )
 from service.database.engine import Resource
 from service.database.models import RadiometricActivationRow, RadiometricCalibrationRow
-from service.pipeline.active_calibration import ActiveCalibration, ActiveRadiometric
+from service.pipeline.active_calibration import ActiveRadiometric
 from service.problems.errors import (
     ActivationConflict,
     RadiometricCalibrationExists,
@@ -136,17 +134,10 @@ def _move(session: Session, device_id: str, target: str | None, expected: str | 
     session.flush()
 
 
-def active_calibration(session: Session, device_id: str) -> ActiveCalibration:
-    """Return what a device uses: calibration, correction table and radiometric calibration."""
-    found = active_geometric(session, device_id)
-    radiometric_id = active_radiometric_id(session, device_id)
-    if radiometric_id is None:
-        return found
+def active_radiometric(session: Session, radiometric_id: str) -> ActiveRadiometric:
+    """Return a radiometric calibration as the pipeline takes it."""
     row = RADIOMETRIC_CALIBRATIONS.get(session, radiometric_id)
-    radiometric = ActiveRadiometric(
-        row.id, content_of(row.content).sensors, row.content_hash, row.content
-    )
-    return replace(found, radiometric=radiometric)
+    return ActiveRadiometric(row.id, content_of(row.content).sensors, row.content_hash, row.content)
 
 
 def summary(session: Session, row: RadiometricCalibrationRow) -> RadiometricCalibrationSummary:

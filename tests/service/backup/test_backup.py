@@ -13,6 +13,9 @@ from sqlalchemy import select, text
 from typer.testing import CliRunner
 
 from service.api.correction_tables.store import add_table, find_parent
+from service.api.radiometric_calibrations.content import RadiometricContent, sensor_calibrations
+from service.api.radiometric_calibrations.examples import NEW_RADIOMETRIC_CALIBRATIONS
+from service.api.radiometric_calibrations.store import activate, add_radiometric_calibration
 from service.application.initial_content import seed
 from service.backup import restore as restoring
 from service.backup.backup import back_up
@@ -45,6 +48,9 @@ def filled(database: Database) -> Database:
         found = content_of_table(parent.content_hash)
         add_table(session, found, find_parent(session, found), "upload", "", "t")
         session.get_one(DeviceRow, "sim").title = "Backed up"
+        sensors = NEW_RADIOMETRIC_CALIBRATIONS["document"]["value"]["source"]["sensors"]
+        pixels = RadiometricContent("sim", sensor_calibrations(sensors))
+        activate(session, add_radiometric_calibration(session, pixels, "document", "", "r"), None)
     with database.engine.begin() as connection:
         fill(connection)
     return database

@@ -1,13 +1,13 @@
 """A radiometric calibration in the frame processor, in stream messages and in recordings."""
 
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
 from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter, InvalidRecording
-from compute.signal.radiometric_calibration import RadiometricCalibration
 from hardware.line_frame import LineFrame
 from hardware.simulated.driver import SimulatedDriver
 from hardware.simulated.pixel_defects import PixelDefects
@@ -27,6 +27,9 @@ from service.pipeline.active_calibration import (
 )
 from service.pipeline.frame_processor import FrameProcessor
 from service.protocols.stream.messages import StreamBatch
+
+if TYPE_CHECKING:
+    from compute.signal.radiometric_calibration import RadiometricCalibration
 
 DEFECTS = PixelDefects(response_nonuniformity=0.05, dead_pixels=0, hot_pixels=0, stuck_pixels=0)
 POINTS = tuple((x, y, 1500.0) for x in (-250.0, -40.0, 170.0) for y in (-200.0, 20.0, 210.0))

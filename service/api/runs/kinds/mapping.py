@@ -16,8 +16,7 @@ from service.api.base_models import ResponseModel
 from service.api.calibrations.calibration_content import control_arrays, result_of
 from service.api.calibrations.schema import ControlPoint
 from service.api.correction_tables.table_content import TableContent
-from service.api.devices.schema import Sensor
-from service.api.devices.store import check_sensors
+from service.api.devices.schema import Sensor, check_sensors
 
 if TYPE_CHECKING:
     from sqlalchemy.orm import Session

@@ -1,0 +1,193 @@
+"""`lumiline radiometric-calibration`: offset, response and bad pixels of sensors."""
+
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.table import Table
+
+from lumiline.client.models import RadiometricCalibration, RadiometricCapture
+from service.cli.json_files import read_json
+from service.cli.output import (
+    AsJson,
+    console,
+    fail,
+    file_errors,
+    make_table,
+    print_json,
+    progress,
+    say,
+    spec,
+)
+from service.cli.server_session import HERE, DeviceOption, Key, Url, client_session
+
+radiometric_calibration = typer.Typer(
+    help="Radiometric calibrations of sensors: offset, response, noise and bad pixels.",
+    no_args_is_help=True,
+    add_completion=False,
+)
+
+RadiometricId = Annotated[str, typer.Argument(help="The radiometric calibration's id.")]
+Light = Annotated[
+    list[float] | None,
+    typer.Option(help="Light of each flat level in any unit, in their order: for the linearity."),
+]
+Temperature = Annotated[float | None, typer.Option(help=r"Of the sensors \[°C].")]
+NewId = Annotated[str | None, typer.Option("--id", help="Left out: the server's choice.")]
+
+
+@radiometric_calibration.command("estimate")
+def estimate(
+    dark: Annotated[Path, typer.Option(help="Recording of the covered sensors.")],
+    flat: Annotated[
+        list[Path], typer.Option(help="Recording under even light; one for each level of light.")
+    ],
+    output: Annotated[Path, typer.Option(help="JSON file to write; `upload` takes it.")],
+    light: Light = None,
+    temperature: Temperature = None,
+    as_json: AsJson = False,
+) -> None:
+    """Estimate the calibration of each sensor from recordings, without a server."""
+    from service.api.radiometric_calibrations.content import sensor_figures
+    from service.api.radiometric_calibrations.recorded_frames import estimate_from_recordings
+
+    if output.exists():
+        raise fail(f"{output} exists; choose another name, a calibration is never overwritten")
+    with progress("estimating", quiet=as_json):
+        device, found = estimate_from_recordings(
+            dark, flat, relative_light=light, temperature_c=temperature
+        )
+    sensors = {name: one.to_document() for name, one in found.items()}
+    content = {"device": device.name, "sensors": sensors}
+    with file_errors(output):
+        output.write_text(json.dumps(content, allow_nan=False), encoding="utf-8")
+    figures = [sensor_figures(name, one).model_dump() for name, one in found.items()]
+    if as_json:
+        print_json(figures)
+    else:
+        console.print(_figures(figures, str(dark)))
+        say(f"written: {output}")
+
+
+@radiometric_calibration.command("list")
+def show_all(
+    device: DeviceOption = None, url: Url = HERE, key: Key = None, as_json: AsJson = False
+) -> None:
+    """List the radiometric calibrations of a server."""
+    with client_session(url, key) as client:
+        listed = client.radiometric_calibrations(device)
+    if as_json:
+        print_json(listed)
+        return
+    rows = (
+        (one.id, one.device, "yes" if one.active else "no", one.origin, len(one.sensors), one.note)
+        for one in listed
+    )
+    console.print(make_table(("id", "device", "active", "from", "sensors", "note"), rows, texts=6))
+
+
+@radiometric_calibration.command("capture")
+def capture(
+    device: Annotated[str, typer.Argument(help="A running device.")],
+    frames: Annotated[int, typer.Option(min=16, max=4096, help="Of each capture.")] = 128,
+    levels: Annotated[int, typer.Option(min=2, max=32, help="Levels of light.")] = 6,
+    temperature: Temperature = None,
+    radiometric_id: NewId = None,
+    url: Url = HERE,
+    key: Key = None,
+) -> None:
+    """Capture dark and flat frames step by step, and estimate the calibration from them."""
+    with client_session(url, key, timeout_s=60.0) as client:
+        session = client.begin_radiometric_capture(device, frames=frames, levels=levels)
+        while session.next is not None:
+            say(session.instruction)
+            answer = typer.prompt("Enter captures, q ends", default="", show_default=False)
+            if answer.strip().lower() == "q":
+                say(f"session {session.id} stays as it is")
+                raise typer.Exit(1)
+            session = _captured(client, session, temperature)
+        made = client.create_radiometric_calibration(
+            device, {"kind": "capture", "capture": session.id}, radiometric_id=radiometric_id
+        )
+    _print_made(made)
+
+
+def _captured(
+    client: Any, session: RadiometricCapture, temperature_c: float | None
+) -> RadiometricCapture:
+    """Return the session after its next capture, or as it was where that is refused."""
+    from lumiline.client.errors import ServerProblem
+
+    try:
+        taken: RadiometricCapture = client.capture_radiometric_frames(
+            session.id, session.next, temperature_c=temperature_c
+        )
+    except ServerProblem as problem:
+        if problem.code != "unusable-radiometric-capture":
+            raise
+        say(f"[yellow]{problem.detail}[/yellow]")
+        return session
+    return taken
+
+
+@radiometric_calibration.command("upload")
+def upload(
+    file: Annotated[Path, typer.Argument(help="JSON file of `estimate`.")],
+    device: Annotated[str, typer.Argument(help="The device that it is for.")],
+    radiometric_id: NewId = None,
+    note: Annotated[str, typer.Option(help="For people.")] = "",
+    url: Url = HERE,
+    key: Key = None,
+) -> None:
+    """Store an estimated calibration on a server; it is not activated."""
+    content = read_json(file)
+    sensors = content.get("sensors") if isinstance(content, dict) else None
+    if not isinstance(sensors, dict):
+        raise fail(f"{file} holds no radiometric calibration; `estimate --output` writes one")
+    with client_session(url, key) as client:
+        made = client.create_radiometric_calibration(
+            device,
+            {"kind": "document", "sensors": sensors},
+            radiometric_id=radiometric_id,
+            note=note,
+        )
+    _print_made(made)
+
+
+@radiometric_calibration.command("activate")
+def activate(radiometric_id: RadiometricId, url: Url = HERE, key: Key = None) -> None:
+    """Find the peaks of its device with it, from the next frame on."""
+    with client_session(url, key) as client:
+        done = client.activate_radiometric_calibration(radiometric_id)
+    say(f"device {done.device} uses {done.id}")
+
+
+@radiometric_calibration.command("deactivate")
+def deactivate(radiometric_id: RadiometricId, url: Url = HERE, key: Key = None) -> None:
+    """Let its device go on without it."""
+    with client_session(url, key) as client:
+        done = client.deactivate_radiometric_calibration(radiometric_id)
+    say(f"device {done.device} does not use {done.id}")
+
+
+def _print_made(made: RadiometricCalibration) -> None:
+    console.print(_figures([one.model_dump() for one in made.sensors], made.id))
+    say(f"stored as {made.id}; `lumiline radiometric-calibration activate {made.id}` uses it")
+
+
+def _figures(sensors: list[dict[str, Any]], title: str) -> Table:
+    headings = (
+        "sensor", "gain, e/count", "offset,\ncounts", "read noise,\ncounts", "PRNU",
+        "DSNU,\ncounts", "linearity\nerror", "bad pixels",
+    )  # fmt: skip
+    rows = (
+        (
+            one["sensor"], f"{one['gain_electrons_per_count']:.4g}",
+            f"{one['dark_offset_counts']:.4g}", f"{one['read_noise_counts']:.3g}",
+            f"{one['prnu']:.2%}", f"{one['dsnu_counts']:.3g}", spec(one["linearity_error"], ".2%"),
+            one["bad_pixels"],
+        )
+        for one in sensors
+    )  # fmt: skip
+    return make_table(headings, rows, title)

@@ -19,6 +19,7 @@ from validation.marker_capacity.case import CASE as MARKER_CAPACITY
 from validation.partial_view.case import CASE as PARTIAL_VIEW
 from validation.passive_detection.case import CASE as PASSIVE_DETECTION
 from validation.peak_efficiency.case import CASE as PEAK_EFFICIENCY
+from validation.pixels.case import CASE as PIXELS
 from validation.pointer_tip.case import CASE as POINTER_TIP
 from validation.random_rigs.case import CASE as RANDOM_RIGS
 from validation.result_tables import TablesCase
@@ -104,6 +105,7 @@ _TABLES: Final[tuple[TablesCase, ...]] = (
     TABLE_4_4,
     TABLE_4_5,
     TABLE_C,
+    PIXELS,
     CONVERGENCE,
     RANDOM_RIGS,
     WAND,

@@ -94,6 +94,11 @@ STANDARD_RULES: Final = (
         "The coded pattern fits nearly as well elsewhere: good only where a marker is expected.",
         initiates=False,
     ),
+    FlagRule(
+        PeakFlag.MASKED_PIXELS,
+        "used",
+        "Bad pixels were left out of the fit, and the standard deviation holds what that costs.",
+    ),
 )
 """Rules of detection by centre of gravity where the error by the stripes' shape is not known."""
 

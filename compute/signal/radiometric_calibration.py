@@ -344,10 +344,8 @@ def _check_captures(
     pixels = len(dark.mean)
     require(pixels >= MIN_PIXELS, f"be {MIN_PIXELS} or more", pixels=pixels)
     middle = float(np.median(dark.mean))
-    for name, one in (
-        ("dark captures", dark),
-        *((f"flat captures of level {number}", one) for number, one in enumerate(flats, 1)),
-    ):
+    for number, one in enumerate((dark, *flats)):
+        name = f"flat captures of level {number}" if number else "dark captures"
         if one.frames < MIN_CAPTURES:
             raise InvalidParameter(
                 f"there are {one.frames} {name}; there must be {MIN_CAPTURES} or more"
@@ -357,7 +355,7 @@ def _check_captures(
                 f"the {name} have {len(one.mean)} pixels, the dark ones {pixels}; they must be of "
                 "one sensor"
             )
-        if one is dark:
+        if number == 0:
             continue
         share = float(np.mean(one.maximum >= full_scale))
         if share > _MAX_SATURATED:

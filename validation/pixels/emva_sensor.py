@@ -107,7 +107,7 @@ class Sensor:
     ) -> float:
         """Return the Cramer-Rao bound of a Gaussian line's position in the good pixels [px].
 
-        Light, width and a level of the background are unknown too; offsets and responses are
+        The light and a level of the background are unknown too; width, offsets and responses are
         known. Of counts with a mean m and variance V both of which move, the information is
         ``m'm'/V`` (the variance's own is left out).
 
@@ -119,16 +119,16 @@ class Sensor:
         """
 
         def mean_of(values: Array) -> Array:
-            place, light, log_width, ambient = values
-            edges = (np.arange(self.design.pixels + 1) - 0.5 - place) / np.exp(log_width)
+            place, light, ambient = values
+            edges = (np.arange(self.design.pixels + 1) - 0.5 - place) / width_px
             below = np.array([0.5 * (1.0 + erf(edge / 2.0**0.5)) for edge in edges])
             return np.asarray((light * np.diff(below) + ambient) * self.response)
 
-        truth = np.array([position_px, light_electrons, np.log(width_px), ambient_electrons])
-        steps = np.array([1e-4, 1e-4 * light_electrons, 1e-4, 1e-3])
+        truth = np.array([position_px, light_electrons, ambient_electrons])
+        steps = np.array([1e-4, 1e-4 * light_electrons, 1e-3])
         rows = [
             (mean_of(truth + step * unit) - mean_of(truth - step * unit)) / (2.0 * step)
-            for step, unit in zip(steps, np.eye(4), strict=True)
+            for step, unit in zip(steps, np.eye(3), strict=True)
         ]
         gain = self.design.electrons_per_count
         variance = mean_of(truth) + self.design.read_electrons**2 + gain**2 / 12.0

@@ -13,7 +13,7 @@ namespace lumiline::signal {
 
 // Finds the peaks in pixels at the limit or above it.
 template <class Pixels>
-LUMILINE_FN void collect_peaks(const Search& search, const Scan& scan, const Pixels& v, int limit,
+LUMILINE_FN void collect_peaks(const Search& search, const Scan& scan, Pixels& v, int limit,
                                int number) {
     const unsigned short* raw = scan.v;
     // Whether a block has no pixel at the limit; its maximum is what the compiler vectorises.
@@ -43,6 +43,7 @@ LUMILINE_FN void collect_peaks(const Search& search, const Scan& scan, const Pix
             while (p + 64 <= search.pixels && is_dark(p, Piece{})) p += 64;
             while (p + 8 <= search.pixels && is_dark(p, Part{})) p += 8;
             const int end = smaller(p + 8, search.pixels);
+            fetch(v, p);
             while (p < end && v[p] < limit) ++p;
             if (p < end || p >= search.pixels) return p;
         }
@@ -109,11 +110,12 @@ LUMILINE_FN void find_peaks_on_cpu(const Search& search, int number) {
         scan.ramp = estimate_ramp(search, scan, v, &quartile, &sixteenth);
     const Level level = search.level_of(scan, quartile, sixteenth);
     scan.background = level.background;
-    if (scan.is_adjusted())
-        collect_peaks(search, scan, scan.adjusted(v, search.pixels), level.limit,
-                      number);
-    else
+    if (scan.is_adjusted()) {
+        BufferedPixels adjusted = {scan.adjusted(v, search.pixels)};
+        collect_peaks(search, scan, adjusted, level.limit, number);
+    } else {
         collect_peaks(search, scan, v, level.limit, number);
+    }
 }
 
 }  // namespace lumiline::signal

@@ -62,6 +62,47 @@ struct AdjustedPixels {
     }
 };
 
+#if !defined(__CUDA_ARCH__)
+// Adjusted pixels of which those about a peak are worked out together, which the compiler
+// vectorises.
+struct BufferedPixels : AdjustedPixels {
+    static constexpr int before = 16, size = 64;
+    int first = -size - 1;
+    int buffer[size];
+
+    // Works out the pixels about one.
+    LUMILINE_FN void fetch(int pixel) {
+        if (pixels < size || sensor == nullptr) return;
+        first = pixel - before;
+        if (first > pixels - size) first = pixels - size;
+        if (first < 0) first = 0;
+        const PixelCorrection* own = correction + first;
+        const float offset = sensor->offset;
+        const float bend1 = sensor->first_bend, bend2 = sensor->second_bend;
+        int masked = 0;
+        for (int k = 0; k < size; ++k) {
+            const float signal = (float)v[first + k] - own[k].dark;
+            const float light = signal * (1.0f + signal * (bend1 + signal * bend2));
+            const float rounded = light * own[k].scale + offset + 0.5f;
+            const int value = rounded > 0.0f ? (int)rounded : 0;
+            buffer[k] = value > 65535 ? 65535 : value;
+            masked |= own[k].scale == 0.0f;
+        }
+        if (masked || ramp != 0)
+            for (int k = 0; k < size; ++k) buffer[k] = AdjustedPixels::operator[](first + k);
+    }
+
+    LUMILINE_FN int operator[](int i) const {
+        const unsigned k = (unsigned)(i - first);
+        return k < (unsigned)size ? buffer[k] : AdjustedPixels::operator[](i);
+    }
+};
+
+LUMILINE_FN void fetch(const unsigned short*, int) {}
+
+LUMILINE_FN void fetch(BufferedPixels& v, int pixel) { v.fetch(pixel); }
+#endif
+
 // The count as it was read; a masked pixel's says nothing.
 LUMILINE_FN int raw_count(const unsigned short* v, int i) { return v[i]; }
 

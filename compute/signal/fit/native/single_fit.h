@@ -30,9 +30,17 @@ LUMILINE_FN int fit_single_by(const FitScan& scan, const PeakRecord& c, int firs
     const double by_light = scan.photon * (double)c.amplitude;
     if ((double)c.amplitude * (double)c.amplitude > 1e6 * (scan.dark + by_light)) return 0;
     // Without its brightest pixels a fit hangs on little.
+    // Corrected counts and scales of the window: worked out once.
+    float counts[corrected ? max_window : 1], scales[corrected ? max_window : 1];
     int used = last - first + 1, masked = 0;
     for (int i = first; i <= last; ++i) {
-        const bool is_masked = corrected && scan.correction[i].scale == 0.0f;
+        bool is_masked = false;
+        if (corrected) {
+            const PixelCorrection pixel = scan.correction[i];
+            counts[i - first] = corrected_count(*scan.sensor, pixel, scan.v[i]);
+            scales[i - first] = pixel.scale;
+            is_masked = pixel.scale == 0.0f;
+        }
         masked += is_masked;
         if (scan.v[i] >= scan.full_scale && !is_masked) return 0;
     }
@@ -120,15 +128,14 @@ LUMILINE_FN int fit_single_by(const FitScan& scan, const PeakRecord& c, int firs
             float count = (float)(scan.v[i] - base);
             float variance = dark_f + photon_f * (above > 0.0f ? above : 0.0f);
             if (corrected) {
-                // A masked pixel's variance is nothing: it has no weight.
-                const PixelCorrection pixel = scan.correction[i];
-                count = corrected_count(*scan.sensor, pixel, scan.v[i]) - (float)base;
-                variance = pixel.scale
-                           * (pixel.scale * dark_f + photon_f * (above > 0.0f ? above : 0.0f));
+                const float scale = scales[i - first];
+                count = counts[i - first] - (float)base;
+                variance = scale * (scale * dark_f + photon_f * (above > 0.0f ? above : 0.0f));
             }
             variance += shape_error2 * lit * lit;
+            // A masked pixel's scale is nothing, and so is its weight.
             const float weight =
-                corrected && scan.correction[i].scale == 0.0f ? 0.0f : 1.0f / variance;
+                corrected && scales[i - first] == 0.0f ? 0.0f : 1.0f / variance;
             const float residual = count - mean;
             const float weighted = residual * weight;
             chi2 += residual * weighted;

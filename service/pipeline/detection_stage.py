@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from math import inf, log, sqrt
-from typing import Any, Final, Literal, Self
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,7 @@ from compute.signal.coded_aperture.shadow_template import ShadowTemplate
 from compute.signal.fit.fit_finder import FitFinder
 from compute.signal.fit.fit_settings import WIDTH_LIMITS_PX, FitSettings
 from compute.signal.peaks import PeakBatch, PeakFlag, no_peaks
+from compute.signal.pixel_corrections import PixelCorrections, calibrated_noise
 from compute.signal.radiometric_calibration import RadiometricCalibration
 from compute.signal.sensor_noise import SensorNoise
 from hardware.driver import DeviceDescription
@@ -259,12 +260,11 @@ def _find(
         description.offset_counts,
         2**description.bits - 1,
     )
-    correction = None
+    corrections = None
     if any(one is not None for one in calibrations):
-        correction = _PixelCorrection.of(calibrations, pixels, noise)
-        noise = correction.noise
+        noise = calibrated_noise(calibrations, noise)
+        corrections = PixelCorrections.of(calibrations, pixels, description.offset_counts)
     lines = frames * sensors
-    find: _Find | None = None
     if method == "fit":
         sigma = description.line_sigma_px
         settings = (
@@ -272,104 +272,25 @@ def _find(
             if sigma is None
             else FitSettings(search=_SEARCH, width_px=sigma, width_log_sigma=0.0)
         )
-        find = FitFinder(lines, pixels, settings, noise, device=compute_device).find
-    elif method == "centroid":
-        find = CentroidFinder(lines, pixels, CentroidSettings(), noise, device=compute_device).find
-    elif method == "shadow" and model.templates:
-        find = MaskReader(model.templates, pixels, noise, ShadowSettings(fit_scale=True)).read
-    if find is None or correction is None:
-        return find
-    return partial(_find_corrected, find, correction)
+        return FitFinder(
+            lines, pixels, settings, noise, device=compute_device, corrections=corrections
+        ).find
+    if method == "centroid":
+        return CentroidFinder(
+            lines, pixels, CentroidSettings(), noise, device=compute_device, corrections=corrections
+        ).find
+    if method == "shadow" and model.templates:
+        read = MaskReader(model.templates, pixels, noise, ShadowSettings(fit_scale=True)).read
+        return read if corrections is None else partial(_read_corrected, read, corrections)
+    return None
 
 
-@dataclass(frozen=True, eq=False)
-class _PixelCorrection:
-    """Corrections of the counts of S sensors with P pixels by their radiometric calibrations.
-
-    Args:
-        dark: counts without light, shape (S, P).
-        scale: reciprocals of the responses, shape (S, P).
-        bends: coefficients of the nonlinearity, shape (S, 2).
-        bad: for each sensor its bad pixels and the nearest good ones below and above, shape
-            (3, B).
-        noise: of the corrected counts.
-    """
-
-    dark: Array
-    scale: Array
-    bends: Array
-    bad: tuple[NDArray[np.intp], ...]
-    noise: SensorNoise
-
-    @classmethod
-    def of(
-        cls, calibrations: Sequence[RadiometricCalibration | None], pixels: int, noise: SensorNoise
-    ) -> Self:
-        """Return the corrections; a sensor without a calibration stays as it is."""
-        sensors = len(calibrations)
-        dark = np.repeat(noise.offset_counts[:, None], pixels, axis=1)
-        scale, bends = np.ones((sensors, pixels)), np.zeros((sensors, 2))
-        columns = [
-            noise.electrons_per_count.copy(),
-            noise.read_noise_electrons.copy(),
-            noise.offset_counts.copy(),
-            noise.full_scale_counts.astype(np.float64),
-        ]
-        bad = []
-        for number, one in enumerate(calibrations):
-            good = np.arange(pixels) if one is None else np.flatnonzero(one.good)
-            missing = np.setdiff1d(np.arange(pixels), good)
-            above = np.searchsorted(good, missing)
-            bad.append(
-                np.stack(
-                    [
-                        missing,
-                        good[np.maximum(above - 1, 0)],
-                        good[np.minimum(above, len(good) - 1)],
-                    ]
-                )
-            )
-            if one is None:
-                continue
-            dark[number], scale[number, good] = one.dark_offset, 1.0 / one.response[good]
-            bends[number] = one.linearity
-            for column, value in zip(
-                columns,
-                (
-                    one.gain_electrons_per_count,
-                    one.read_noise_electrons,
-                    one.mean_offset_counts,
-                    one.saturation_counts,
-                ),
-                strict=True,
-            ):
-                column[number] = value
-        return cls(dark, scale, bends, tuple(bad), SensorNoise.of(*columns))
-
-    def correct(self, lines: NDArray[np.uint16]) -> NDArray[np.uint16]:
-        """Return corrected scans, shape (F x S, P), rounded; bad pixels are interpolated.
-
-        Pixels at full scale stay there, so that they are flagged.
-        """
-        sensors, pixels = self.dark.shape
-        raw = lines.reshape(-1, sensors, pixels)
-        signal = raw - self.dark
-        first, second = self.bends.T[..., None]
-        light = signal * (1.0 + signal * (first + signal * second)) * self.scale
-        full = self.noise.full_scale_counts[:, None]
-        found = np.rint(light + self.noise.offset_counts[:, None]).clip(0, full - 1)
-        found = np.where(raw >= full, full, found)
-        for number, (missing, below, above) in enumerate(self.bad):
-            part = (missing - below) / np.maximum(above - below, 1)
-            low, high = found[:, number, below], found[:, number, above]
-            found[:, number, missing] = np.rint(low + (high - low) * part.clip(0.0, 1.0))
-        return found.astype(np.uint16).reshape(lines.shape)
-
-
-def _find_corrected(
-    find: _Find, correction: _PixelCorrection, lines: NDArray[np.uint16]
+def _read_corrected(
+    read: _Find, corrections: PixelCorrections, lines: NDArray[np.uint16]
 ) -> PeakBatch:
-    return find(correction.correct(lines))
+    """Read shadows in corrected scans, rounded to counts; masked pixels are interpolated."""
+    corrected = np.rint(corrections.correct(lines)).clip(0.0, 65535.0)
+    return read(corrected.astype(np.uint16))
 
 
 def _rms_errors(find: _Find, volume: VolumeScans, frames: int) -> tuple[Array | None, float]:

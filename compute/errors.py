@@ -55,6 +55,10 @@ class ReadingOutsideSensor(LumilineError):
     """A reading lies outside the sensor's pixels."""
 
 
+class ImplausibleReadings(LumilineError):
+    """A sensor's readings are unrelated to the points, copied, or 0 where it did not see them."""
+
+
 class NoConvergence(LumilineError):
     """An iteration did not converge, or left the domain of its model."""
 

@@ -9,12 +9,14 @@ from validation.aberrations.seidel_case import CASE as SEIDEL
 from validation.aberrations.tables_3_1_and_3_2 import CASE as TABLES_3_1_3_2
 from validation.aberrations.tables_a_1_and_a_2 import TABLE_A1, TABLE_A2
 from validation.attenuation.case import CASE as ATTENUATION
+from validation.bad_inputs.case import CASE as BAD_INPUTS
 from validation.calibration_convergence.case import CASE as CONVERGENCE
 from validation.close_peaks.case import CASE as CLOSE_PEAKS
 from validation.interpolators.case import CASE as INTERPOLATORS
 from validation.labels.case import CASE as LABELS
 from validation.labels.heavy_tails import CASE as LABEL_TAILS
 from validation.map_bound.case import CASE as MAP_BOUND
+from validation.map_holes.case import CASE as MAP_HOLES
 from validation.marker_capacity.case import CASE as MARKER_CAPACITY
 from validation.partial_view.case import CASE as PARTIAL_VIEW
 from validation.passive_detection.case import CASE as PASSIVE_DETECTION
@@ -32,6 +34,7 @@ from validation.signal_chain.tables_4_1_to_4_3 import TABLE_4_1, TABLE_4_2, TABL
 from validation.skew_effect.case import CASE as SKEW_EFFECT
 from validation.stop_and_focus.case import CASE as STOP_AND_FOCUS
 from validation.strobed_tools.case import CASE as STROBED_TOOLS
+from validation.table_1_1.budget_case import CASE as ACCURACY_BUDGET
 from validation.table_1_1.case import CASE as TABLE_1_1
 from validation.table_5.table_5_5 import CASE as TABLE_5_5
 from validation.table_5.tables_5_1_to_5_4 import TABLE_5_1, TABLE_5_2, TABLE_5_3, TABLE_5_4
@@ -64,6 +67,7 @@ def _with_picture(case: TablesCase, module: str) -> TablesCase:
 
 _TABLES: Final[tuple[TablesCase, ...]] = (
     TABLE_1_1,
+    ACCURACY_BUDGET,
     TABLE_5_1,
     TABLE_5_2,
     TABLE_5_3,
@@ -94,6 +98,7 @@ _TABLES: Final[tuple[TablesCase, ...]] = (
     _with_picture(PEAK_EFFICIENCY, "peak_efficiency.picture"),
     _with_picture(CLOSE_PEAKS, "close_peaks.picture"),
     MAP_BOUND,
+    MAP_HOLES,
     _with_picture(MARKER_CAPACITY, "marker_capacity.picture"),
     _with_picture(INTERPOLATORS, "interpolators.picture"),
     TABLES_3_1_3_2,
@@ -106,6 +111,7 @@ _TABLES: Final[tuple[TablesCase, ...]] = (
     PIXELS,
     CONVERGENCE,
     RANDOM_RIGS,
+    BAD_INPUTS,
     WAND,
     WAND_FROM_READINGS,
     PARTIAL_VIEW,

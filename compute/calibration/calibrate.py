@@ -19,9 +19,7 @@ from compute.calibration.result import Calibration, SensorFit, nested_rows
 from compute.calibration.settings import DEFAULTS, CalibrationSettings, preset_terms
 from compute.calibration.single_sensor.camera_fit import (
     EquationGroup,
-    LensPrior,
     effective_parameters,
-    equation_groups,
 )
 from compute.calibration.single_sensor.distortion_scale import fit_distortion_scale
 from compute.calibration.single_sensor.sensor_fits import (
@@ -29,13 +27,19 @@ from compute.calibration.single_sensor.sensor_fits import (
     ControlObservations,
     SensorFits,
     fit_distorted,
+    fit_metric_cameras,
     fit_undistorted,
     moderated_variance,
     projected_point_sigma,
+    residual_sigma,
 )
 from compute.camera.model import PARAMETER_COUNT, SensorGeometry, SensorModel, vector3
-from compute.camera.observation_checks import UNEXPLAINED_PROBABILITY, check_control_points
-from compute.errors import DegeneratePoints, NoConvergence
+from compute.camera.observation_checks import (
+    UNEXPLAINED_PROBABILITY,
+    check_control_points,
+    check_zeros,
+)
+from compute.errors import DegeneratePoints, ImplausibleReadings, LumilineError, NoConvergence
 from compute.progress import Progress, no_progress, partial_progress
 from compute.reconstruction.triangulation import chi2_limit
 from compute.robust_statistics import EFFICIENCY_LOSS
@@ -48,6 +52,12 @@ NOISE_TOLERANCE: Final = 0.02
 MIN_NOISE_SHARE: Final = 0.1
 """Standard deviation of readings, relative to what the control points' uncertainty does to them,
 below which "auto" does not estimate it: the residuals do not tell them apart."""
+ZERO_SIGMA: Final = 10.0
+"""Distance of a reading of 0 from where the sensor's other readings put the marker, in standard
+deviations, above which they contradict it."""
+ZERO_SHARE: Final = 0.05
+"""The same distance relative to the range of the other readings: distortion that the camera does
+not describe is below 3 % of it."""
 MIN_NOISE_DOF: Final = 2.0
 """Degrees of freedom of all sensors above which their common noise is estimated."""
 
@@ -85,16 +95,19 @@ def calibrate(
         DegeneratePoints: the points that a sensor saw lie in one plane, or coincide or line up
             seen along its slit.
         NonFiniteValue, DuplicatePoint, ReadingOutsideSensor, InvalidParameter: a value is wrong.
+        ImplausibleReadings: a sensor's readings have nothing to do with the points, are those of
+            another sensor, or are 0 where its other readings put the markers elsewhere.
         NoConvergence: no camera was found.
     """
     points = np.asarray(points_mm, dtype=np.float64)
     readings = np.asarray(readings_px, dtype=np.float64)
     sigma = None if sigma_px is None else np.asarray(sigma_px, dtype=np.float64)
     check_control_points(points, readings, sensors, sigma)
+    _check_zeros(points, readings, sensors)
     labels: tuple[LabelFinding, ...] = ()
     if settings.labels != "off":
         search = partial_progress(progress, 0.0, 0.05)
-        labels = find_label_errors(points, readings, sensors, sigma, search).findings
+        labels = _find_labels(points, readings, sensors, sigma, search)
         correct = CORRECTIONS.get(settings.labels)
         if labels and correct is not None:
             readings, sigma = correct(labels, sensors, readings, sigma)
@@ -102,7 +115,7 @@ def calibrate(
     observed = ControlObservations.of(points, readings, sensors, sigma)
     try:
         result = _fit(observed, settings, initial_models, progress)
-    except (DegeneratePoints, NoConvergence) as error:
+    except (DegeneratePoints, ImplausibleReadings, NoConvergence) as error:
         if not labels:
             raise
         # Report the label errors too: they may be why the fit failed.
@@ -112,6 +125,54 @@ def calibrate(
             f"{error.detail}; labels and readings that look wrong: {named}{advice}", **error.context
         ) from error
     return replace(result, labels=labels)
+
+
+def _check_zeros(points_mm: Array, readings_px: Array, sensors: Sequence[SensorGeometry]) -> None:
+    """Check that no sensor's readings of exactly 0 stand for markers that it did not see.
+
+    Raises:
+        ImplausibleReadings: a camera fitted to the sensor's other readings contradicts two or more.
+    """
+    for column in np.flatnonzero((readings_px == 0.0).sum(axis=0) > 1).tolist():
+        sensor = sensors[column]
+        values = readings_px[:, [column]]
+        zeros = np.flatnonzero(values[:, 0] == 0.0)
+        rows = np.isfinite(values[:, 0]) & (values[:, 0] != 0.0)
+        points, others = points_mm[rows], values[rows]
+        ones = np.ones(others.shape)
+        try:
+            check_control_points(points, others, [sensor], None)
+            models, groups, stack = fit_metric_cameras(points, others, ones, [sensor])
+        except LumilineError:
+            # Too few others: the fit to all readings must tell.
+            continue
+        observed = ControlObservations.of(points, others, [sensor], None)
+        noise = max(float(residual_sigma(observed, models, ones)[0]), float(QUANTISATION_PX))
+        expected, jacobian = stack.project_with_parameter_jacobian(points_mm[zeros])
+        cofactor = groups[0].cofactors[0]
+        variance = np.einsum("np,pq,nq->n", jacobian[:, 0], cofactor, jacobian[:, 0])
+        limit = np.maximum(
+            ZERO_SIGMA * noise * np.sqrt(1.0 + variance), ZERO_SHARE * float(np.ptp(others))
+        )
+        # Behind the lens: NaN.
+        contradicted = ~(np.abs(expected[:, 0]) <= limit)
+        check_zeros(zeros, contradicted, expected[:, 0], sensor)
+
+
+def _find_labels(
+    points_mm: Array,
+    readings_px: Array,
+    sensors: Sequence[SensorGeometry],
+    sigma_px: Array | None,
+    progress: Progress,
+) -> tuple[LabelFinding, ...]:
+    """Return label errors and outliers of the sensors that have more readings than parameters."""
+    redundant = np.flatnonzero(np.isfinite(readings_px).sum(axis=0) > PARAMETER_COUNT)
+    if not len(redundant):
+        return ()
+    sigma = None if sigma_px is None else sigma_px[:, redundant]
+    some = [sensors[column] for column in redundant.tolist()]
+    return find_label_errors(points_mm, readings_px[:, redundant], some, sigma, progress).findings
 
 
 def _describe(finding: LabelFinding) -> str:
@@ -127,11 +188,11 @@ def _fit(
     progress: Progress,
 ) -> Calibration:
     progress(0.05, "cameras without distortion")
-    models, weights = fit_undistorted(observed, settings.loss, initial_models)
+    undistorted = fit_undistorted(observed, settings.loss, initial_models)
     weighted = observed
     if settings.control_sigma_mm is not None and observed.sigma_known:
-        weighted = observed.with_point_sigma(models, settings.control_sigma_mm)
-    fits, selection = _fit_distortion(weighted, models, weights, settings, progress)
+        weighted = observed.with_point_sigma(undistorted.models, settings.control_sigma_mm)
+    fits, selection = _fit_distortion(weighted, undistorted, settings, progress)
     progress(0.8, "covariance")
     if settings.control_sigma_mm is None:
         result = assemble_with_exact_points(observed, fits, settings)
@@ -146,14 +207,12 @@ def _fit(
 
 def _fit_distortion(
     observed: ControlObservations,
-    models: tuple[SensorModel, ...],
-    weights: Array,
+    fits: SensorFits,
     settings: CalibrationSettings,
     progress: Progress,
 ) -> tuple[SensorFits, DistortionEstimate | None]:
     requested = settings.distortion
-    prior = LensPrior.of(models, observed.pitch_um, observed.points_mm, observed.seen)
-    fits = SensorFits(models, weights, prior)
+    models = fits.models
     if requested == "none":
         return fits, None
     if requested == "auto":
@@ -229,9 +288,9 @@ def assemble_with_exact_points(
         fits: the fitted cameras and the readings' weights.
         settings: the settings of the run, which the result repeats.
     """
-    residuals = observed.residuals_px(fits.models)
+    residuals = observed.residuals_px(fits.models if fits.stack is None else fits.stack)
     first = np.cumsum([0, *(model.parameter_count for model in fits.models)])
-    groups = _equation_groups(observed, fits)
+    groups = fits.equation_groups(observed)
     parameters = _effective_parameters(groups)
     found, factors = [], []
     for column, (model, rows) in enumerate(zip(fits.models, fits.used(observed).T, strict=True)):
@@ -250,11 +309,6 @@ def assemble_with_exact_points(
             columns = first[sensor] + group.columns
             covariance[columns[:, None], columns] = inverse * factors[sensor]
     return _calibration(observed, fits, settings, found, covariance, residuals)
-
-
-def _equation_groups(observed: ControlObservations, fits: SensorFits) -> list[EquationGroup]:
-    weights = fits.known_weights(observed)
-    return equation_groups(fits.models, observed.points_mm, weights, fits.scaled_prior)
 
 
 def _effective_parameters(groups: list[EquationGroup]) -> list[float]:
@@ -316,8 +370,8 @@ def _assemble_with_uncertain_points(
     total = np.hypot(sigma, point_sigma)
     chi2_terms = observed.residuals_px(joint.models) / total
     as_known = replace(observed, sigma_px=total, sigma_known=True)
-    adjusted = replace(fits, models=joint.models, unit_px=None)
-    parameters = _effective_parameters(_equation_groups(as_known, adjusted))
+    adjusted = replace(fits, models=joint.models, unit_px=None, groups=None, stack=None)
+    parameters = _effective_parameters(adjusted.equation_groups(as_known))
     found, factors = [], []
     for column, (model, rows) in enumerate(zip(joint.models, fits.used(observed).T, strict=True)):
         fit, factor = _fit_statistics(
@@ -331,6 +385,10 @@ def _assemble_with_uncertain_points(
         if not observed.sigma_known:
             # Estimated from these residuals: a chi-square test would say nothing.
             fit, factor = replace(fit, sigma_source="residuals", chi2_per_dof=None), 1.0
+        taken = joint.sigma_px[rows, column]
+        if (taken > sigma[rows, column]).any():
+            taken_px = float(np.sqrt((taken**2).mean()))
+            fit = replace(fit, sigma_px=taken_px, sigma_source="assumed")
         found.append(fit)
         factors += [factor**0.5] * model.parameter_count
     covariance = joint.covariance * np.outer(factors, factors)
@@ -361,10 +419,11 @@ def _estimate_noise(
     resolved = np.sqrt((np.where(used, point_sigma_px, 0.0) ** 2).sum(axis=0) / used.sum(axis=0))
     lowest = np.maximum(MIN_NOISE_SHARE * resolved if pooled else 0.0, SIGMA_FLOOR_PX)
     first = np.maximum(first, lowest)
-    sigma = first
+    sigma, last = first, None
     for _ in range(MAX_NOISE_ITERATIONS):
         wide = np.broadcast_to(sigma, point_sigma_px.shape)
-        joint = adjust_control_points(observed, fits, wide, control_sigma_mm, progress)
+        joint = adjust_control_points(observed, fits, wide, control_sigma_mm, progress, last)
+        last = joint
         variance, dof = (sigma * joint.sigma_ratio) ** 2, joint.redundancy
         if pooled:
             # ``sigma_ratio`` has MIN_REDUNDANCY for less of it.

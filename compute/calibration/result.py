@@ -35,7 +35,8 @@ class SensorFit:
         sigma_px: standard deviation of one reading [px] that the covariance rests on.
         sigma_source: "given": with the readings (their root mean square). "residuals": estimated.
             "assumed": with fewer than ten points, quantisation to a pixel, or the residuals' RMS
-            where that is larger.
+            where that is larger; with uncertain control points, a share of what these do to the
+            readings, where the joint adjustment did not converge with less.
         chi2_per_dof: weighted sum of squares per degree of freedom, about 1 when the given
             standard deviations are right; None without redundancy or without given ones.
     """

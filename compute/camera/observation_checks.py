@@ -11,6 +11,7 @@ from compute.camera.model import PARAMETER_COUNT, SensorGeometry, SensorModel
 from compute.errors import (
     DegeneratePoints,
     DuplicatePoint,
+    ImplausibleReadings,
     InvalidParameter,
     NonFiniteValue,
     ReadingOutsideSensor,
@@ -26,6 +27,12 @@ SIGMA_RANGE_PX: Final = (1e-6, 1e4)
 """Range of standard deviations that are plausible and whose squares keep their digits."""
 
 
+MAX_RESIDUAL_SHARE: Final = 0.7
+"""Largest standard deviation of residuals, relative to that of the readings, with which a camera
+explains the readings. Of readings that are drawn at random it leaves about 1; of any sensor that
+saw the points, a few per cent."""
+COPY_DECIMALS: Final = range(7)
+"""Decimals to which one column of readings may be a rounded copy of another."""
 UNEXPLAINED_PROBABILITY: Final = 0.01
 """Probability with which correct standard deviations are judged too small by the residuals."""
 
@@ -94,10 +101,83 @@ def check_control_points(
             ``check_observations``.
         TooFewPoints: a sensor read fewer points than it has parameters.
         DegeneratePoints: all points that a sensor read lie in one plane.
+        ImplausibleReadings: all readings of a sensor are the same, or those of another sensor.
     """
     check_observations(points_mm, readings_px, sensors, sigma_px)
+    seen = np.isfinite(readings_px)
+    checked = set()
     for column, sensor in enumerate(sensors):
-        _check_coverage(points_mm[np.isfinite(readings_px[:, column])], sensor)
+        rows = seen[:, column]
+        if (pattern := rows.tobytes()) not in checked:
+            _check_coverage(points_mm[rows], sensor)
+            checked.add(pattern)
+        _check_varies(readings_px[rows, column], sensor)
+    _check_not_copied(readings_px, sensors)
+
+
+def check_explained(residual_shares: Array, readings_px: Array, sensors: Sequence[Sensor]) -> None:
+    """Check that readings are related to the control points.
+
+    Args:
+        residual_shares: standard deviation of each sensor's residuals from the best camera,
+            relative to that of its readings, shape (S,).
+        readings_px: shape (N, S) [px]; NaN where not seen.
+        sensors: the S sensors.
+
+    Raises:
+        ImplausibleReadings: the first sensor whose readings no camera explains.
+    """
+    for column in np.flatnonzero(residual_shares > MAX_RESIDUAL_SHARE)[:1].tolist():
+        seen = readings_px[np.isfinite(readings_px[:, column]), column]
+        name, share = sensors[column].name, float(residual_shares[column])
+        zeros = int((seen == 0.0).sum())
+        advice = (
+            f"; {zeros} of them are 0: leave the cell empty where a marker was not seen"
+            if zeros > 1
+            else ""
+        )
+        raise ImplausibleReadings(
+            f"the {len(seen)} readings of sensor {name} have nothing to do with the points "
+            f"(residual share {share:.2f}: the best camera's residuals over the readings' own "
+            f"standard deviation of {seen.std():.4g} px; at most {MAX_RESIDUAL_SHARE:g} is "
+            "accepted); check that the readings are this sensor's and in the order of the points, "
+            f"and that the coordinates are X, Y, Z{advice}",
+            sensor=name,
+            residual_share=share,
+        )
+
+
+def check_zeros(
+    zeros: NDArray[np.intp], contradicted: NDArray[np.bool_], expected_px: Array, sensor: Sensor
+) -> None:
+    """Check that readings of exactly 0 are not markers that were not seen.
+
+    Args:
+        zeros: points whose reading is 0, shape (Z,).
+        contradicted: which of them the other readings contradict, shape (Z,).
+        expected_px: readings by the camera of the other readings, shape (Z,) [px]; NaN: behind
+            the lens.
+        sensor: the sensor.
+
+    Raises:
+        ImplausibleReadings: the other readings contradict two or more.
+    """
+    rows = np.flatnonzero(contradicted)
+    if len(rows) < 2:
+        return
+    points = (zeros[rows] + 1).tolist()
+    by_point = (
+        "behind the lens" if np.isnan(one) else f"at {one:.0f} px"
+        for one in expected_px[rows[:3]].tolist()
+    )
+    more = "" if len(rows) <= 3 else ", ..."
+    raise ImplausibleReadings(
+        f"{len(rows)} readings of sensor {sensor.name} are 0 though its others put them "
+        f"{', '.join(by_point)}{more} (points {', '.join(str(p) for p in points[:3])}{more}): "
+        "leave the cell empty where a marker was not seen",
+        sensor=sensor.name,
+        points=tuple(points),
+    )
 
 
 def check_inside(readings_px: Array, sensors: Sequence[Sensor]) -> None:
@@ -145,6 +225,37 @@ def _check_coverage(points_mm: Array, sensor: Sensor) -> None:
         )
 
 
+def _check_varies(readings_px: Array, sensor: Sensor) -> None:
+    if np.ptp(readings_px) == 0.0:
+        raise ImplausibleReadings(
+            f"all {len(readings_px)} readings of sensor {sensor.name} are {readings_px[0]:g} px; "
+            "markers at different positions cannot all be there: leave the cells empty where "
+            "nothing was seen, or leave the sensor out",
+            sensor=sensor.name,
+        )
+
+
+def _check_not_copied(readings_px: Array, sensors: Sequence[Sensor]) -> None:
+    for first in range(len(sensors) - 1):
+        for second in range(first + 1, len(sensors)):
+            pair = readings_px[:, [first, second]]
+            pair = pair[np.isfinite(pair).all(axis=1)]
+            if len(pair) < PARAMETER_COUNT or np.abs(pair[:, 0] - pair[:, 1]).max() > 0.5:
+                continue
+            if any(
+                np.array_equal(np.round(pair, decimals)[:, 0], np.round(pair, decimals)[:, 1])
+                and any(np.array_equal(np.round(one, decimals), one) for one in pair.T)
+                for decimals in COPY_DECIMALS
+            ) or np.array_equal(pair[:, 0], pair[:, 1]):
+                names = sensors[first].name, sensors[second].name
+                raise ImplausibleReadings(
+                    f"the {len(pair)} readings that sensors {names[0]} and {names[1]} have in "
+                    "common are the same: one column is a copy of the other; give each sensor its "
+                    "own readings, or leave one out",
+                    sensors=names,
+                )
+
+
 def _check_sigma(sigma_px: Array, readings_px: Array, sensors: Sequence[Sensor]) -> None:
     if sigma_px.shape != readings_px.shape:
         raise InvalidParameter(
@@ -165,6 +276,9 @@ def _check_sigma(sigma_px: Array, readings_px: Array, sensors: Sequence[Sensor])
 
 def _check_distinct(points_mm: Array) -> None:
     if len(points_mm) < 2:
+        return
+    gaps = np.diff(np.sort(points_mm, axis=0), axis=0).min(axis=0)
+    if gaps.max() > MIN_POINT_DISTANCE_MM:
         return
     # Equal points are neighbours in any order by coordinates; first, as a tree of many equal ones
     # is slow. Points that all but meet need not be.

@@ -232,7 +232,7 @@ class CameraStack:
     def project_with_parameter_jacobian(self, points_mm: Array) -> tuple[Array, Array]:
         """Project points (N, 3); readings (N, S) [px] and ``parameter_jacobian``."""
         # One product of matrices: einsum takes several times as long for few points.
-        rotated = (points_mm @ self.rotation.reshape(-1, 3).T).reshape(len(points_mm), -1, 3)
+        rotated = (points_mm @ self.rotation.reshape(-1, 3).T).reshape(len(points_mm), len(self), 3)
         if not self.has_distortion:
             depth = rotated[..., 2] + self.offset_mm[:, 2]
             depth = np.where(depth > 0.0, depth, np.nan)

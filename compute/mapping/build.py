@@ -13,10 +13,11 @@ from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter
 from compute.mapping.cell_support import (
     cell_corners,
-    check_no_holes,
+    check_supported,
     corner_values,
     find_supported_cells,
 )
+from compute.mapping.coverage import Coverage
 from compute.mapping.diagonalised_basis import DiagonalisedBasis
 from compute.mapping.grid import VoxelGrid
 from compute.mapping.measurements import (
@@ -30,6 +31,7 @@ from compute.mapping.result import (
     MappingSettings,
     MappingValidation,
     SensorMapping,
+    describe_coverage,
 )
 from compute.mapping.sample_grid import SampleGrid
 from compute.mapping.sensor_data import SensorData
@@ -115,7 +117,7 @@ def build_table(
         grid = sample_grid.grid
         parts = _interpolate(models, cameras, measured, samples, settings, sample_grid)
     for model, part in zip(models, parts, strict=True):
-        check_no_holes(part.valid, grid, model.name)
+        check_supported(part.valid, model.name)
     progress(1.0, "done")
     table = CorrectionTable(
         tuple(model.name for model in models),
@@ -169,13 +171,14 @@ def _fit_p_splines(
         share = partial_progress(progress, column / len(models), (column + 1) / len(models))
         on_trial = _trial_progress(share, f"smoothness of {model.name}")
         fitted = fit_sensor(data, functions, settings.penalty_weight, on_trial)
-        valid = find_supported_cells(grid, data.points_mm, settings.min_neighbours, spacing)
+        coverage = Coverage.of(data.points_mm)
+        valid = find_supported_cells(grid, coverage, settings.min_neighbours)
         parts.append(
             _SensorPart(
                 fitted.coefficients_px,
                 corner_values(grid, fitted.variance_px2),
                 valid,
-                summarise_fit(data, fitted, float(valid.mean())),
+                summarise_fit(data, fitted, float(valid.mean()), coverage),
             )
         )
     return parts
@@ -216,6 +219,9 @@ def _interpolate(
             float(np.sqrt(variance[seen, column].mean())),
             1.0,
             float(valid.mean()),
+            None,
+            None,
+            describe_coverage(float(valid.mean())),
         )
         parts.append(
             _SensorPart(coefficients, sample_grid.fill_nearest(variance[:, column]), valid, figures)

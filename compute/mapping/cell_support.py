@@ -4,40 +4,46 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_fill_holes
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from compute.errors import TooFewPoints
+from compute.mapping.coverage import Coverage
 from compute.mapping.grid import VoxelGrid, mesh_points
 
 Array = NDArray[np.float64]
 
 REACH = 2.0
-"""Radius in which measurements support a cell, in mean distances between neighbours."""
+"""Radius in which measurements support a cell, in local spacings."""
 _MAX_ITERATIONS = 20
 
 
 def find_supported_cells(
-    grid: VoxelGrid, seen_mm: Array, min_neighbours: int, spacing_mm: float
+    grid: VoxelGrid, coverage: Coverage, min_neighbours: int
 ) -> NDArray[np.bool_]:
     """Return the cells that one sensor's measurements support, shape (nx, ny, nz).
 
     The centre of a supported cell lies in the convex hull of the points that the sensor saw, with
-    at least ``min_neighbours`` of them within REACH mean distances: cells in holes are not
-    supported.
+    at least ``min_neighbours`` of them within REACH local spacings, and no part of the cell lies in
+    a hole.
 
     Args:
         grid: the voxels.
-        seen_mm: the points that the sensor saw, shape (N, 3) [mm].
+        coverage: the points that the sensor saw, their local spacing and their holes.
         min_neighbours: smallest number of points near the cell.
-        spacing_mm: mean distance between neighbouring points [mm].
     """
     centres = cell_centres(grid)
-    inside = within_hull(seen_mm, centres)
-    # Plus the distance from the cell's centre to its corners, for wide cells.
-    reach = REACH * spacing_mm + 0.5 * float(np.linalg.norm(grid.pitch_mm))
-    counts = cKDTree(seen_mm).query_ball_point(centres, reach, return_length=True)
-    return np.asarray((inside & (counts >= min_neighbours)).reshape(grid.cells))
+    points = coverage.points_mm
+    # The distance from the cell's centre to its corners.
+    corner = 0.5 * float(np.linalg.norm(grid.pitch_mm))
+    found = cKDTree(points).query(centres, k=[1, min_neighbours])
+    distance, nearest = np.asarray(found[0]), np.asarray(found[1])
+    reach = REACH * coverage.spacing_mm[nearest[:, 0]] + corner
+    supported = (
+        within_hull(points, centres)
+        & (distance[:, 1] <= reach)
+        & ~coverage.in_hole(centres, corner)
+    )
+    return np.asarray(supported.reshape(grid.cells))
 
 
 def within_hull(points_mm: Array, positions_mm: Array) -> NDArray[np.bool_]:
@@ -60,31 +66,21 @@ def within_hull(points_mm: Array, positions_mm: Array) -> NDArray[np.bool_]:
     return inside
 
 
-def check_no_holes(valid: NDArray[np.bool_], grid: VoxelGrid, sensor: str) -> None:
-    """Check that the supported cells enclose no unsupported one.
+def check_supported(valid: NDArray[np.bool_], sensor: str) -> None:
+    """Check that a sensor's measurements support any cell.
 
     Args:
         valid: supported cells, shape (nx, ny, nz).
-        grid: the voxels.
         sensor: the sensor's name, for the error.
 
     Raises:
-        TooFewPoints: there is a hole, or no supported cell.
+        TooFewPoints: there is no supported cell.
     """
     if not valid.any():
         raise TooFewPoints(
             f"no cell of the grid has enough of sensor {sensor}'s measurements near it; add "
             "points, or take a larger pitch",
             sensor=sensor,
-        )
-    holes = np.argwhere(binary_fill_holes(valid) & ~valid)
-    if len(holes):
-        position = np.asarray(grid.origin_mm) + (holes[0] + 0.5) * np.asarray(grid.pitch_mm)
-        raise TooFewPoints(
-            f"sensor {sensor}'s measurements leave a hole of {len(holes)} cells, the first around "
-            f"{np.round(position, 1).tolist()} mm; add points there, or take a larger pitch",
-            sensor=sensor,
-            cells=len(holes),
         )
 
 

@@ -77,6 +77,19 @@ class Suspect:
 
 
 @dataclass(frozen=True)
+class Hole:
+    """The largest ball without measurements where the table is not valid.
+
+    Args:
+        centre_mm: its centre [mm].
+        diameter_mm: its diameter [mm].
+    """
+
+    centre_mm: Vector3
+    diameter_mm: float
+
+
+@dataclass(frozen=True)
 class SensorMapping:
     """Mapping of one sensor; None for values that interpolation does not give.
 
@@ -98,6 +111,10 @@ class SensorMapping:
         noise_factor: factor of the given variances because the residuals are larger than they
             explain; 1 where they are not.
         valid_share: share of the grid's cells that measurements support.
+        resolution_mm: diameter of the largest gap between measurements within the valid cells:
+            the field is assumed to have no narrower features [mm].
+        largest_hole: largest region within the measurements' hull that has none, and is not valid.
+        coverage: the last three in words.
         suspects: measurements more than five standard deviations off, the worst first.
     """
 
@@ -114,7 +131,32 @@ class SensorMapping:
     sigma_px: float
     noise_factor: float
     valid_share: float
+    resolution_mm: float | None
+    largest_hole: Hole | None
+    coverage: str
     suspects: tuple[Suspect, ...] = ()
+
+
+def describe_coverage(
+    valid_share: float, resolution_mm: float | None = None, hole: Hole | None = None
+) -> str:
+    """Return what part of the volume a table supports, in words.
+
+    Args:
+        valid_share: share of the grid's cells that measurements support.
+        resolution_mm: diameter of the largest gap within them [mm]; None: not known.
+        hole: the largest hole; None: there is none.
+    """
+    message = f"measurements support {100.0 * valid_share:.0f} % of the volume"
+    if resolution_mm is not None:
+        message += f", with gaps of at most {resolution_mm:.3g} mm"
+    if hole is not None:
+        place = ", ".join(f"{value:.0f}" for value in hole.centre_mm)
+        message += (
+            f"; not valid is a hole of {hole.diameter_mm:.3g} mm around ({place}) mm: add points "
+            "there"
+        )
+    return message
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from scipy.special import chdtri
 from compute.camera.observation_checks import UNEXPLAINED_PROBABILITY
 from compute.errors import DegeneratePoints, TooFewPoints
 from compute.mapping.b_splines import interpolate_function
+from compute.mapping.coverage import Coverage
 from compute.mapping.diagonalised_basis import DiagonalisedBasis
 from compute.mapping.p_splines import GROSS_ERROR_THRESHOLD, PenalisedFit, PenalisedProblem
 from compute.mapping.penalty_grid import PenaltyTrial, evaluate_penalty
@@ -20,7 +21,7 @@ from compute.mapping.penalty_selection import (
     cross_validate_penalties,
     gcv_score,
 )
-from compute.mapping.result import SensorMapping, Suspect
+from compute.mapping.result import SensorMapping, Suspect, describe_coverage
 from compute.mapping.sensor_data import (
     CorrectionFunctions,
     SensorData,
@@ -153,13 +154,16 @@ def _initial_variance(data: SensorData, parameter_transform: Array) -> float:
     return max(VARIANCE_FLOOR_PX2, float(rest @ rest) / float(dof))
 
 
-def summarise_fit(data: SensorData, fitted: FittedCorrection, valid_share: float) -> SensorMapping:
+def summarise_fit(
+    data: SensorData, fitted: FittedCorrection, valid_share: float, coverage: Coverage
+) -> SensorMapping:
     """Summarise a fit.
 
     Args:
         data: the samples.
         fitted: the fit.
         valid_share: share of the cells that the samples support.
+        coverage: the samples' spacing and holes.
     """
     fit, average = fitted.fit, fitted.average
     order, _ = left_out_blocks(data.block)
@@ -189,6 +193,9 @@ def summarise_fit(data: SensorData, fitted: FittedCorrection, valid_share: float
         float(np.sqrt(data.variance_px2.mean() * (1.0 if data.known_variance else factor))),
         factor if data.known_variance else 1.0,
         valid_share,
+        coverage.resolution_mm,
+        coverage.largest_hole,
+        describe_coverage(valid_share, coverage.resolution_mm, coverage.largest_hole),
         suspects,
     )
 

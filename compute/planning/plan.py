@@ -5,20 +5,37 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.camera.model import Vector3, vector3
+from compute.camera.model import vector3
+from compute.errors import (
+    DegeneratePoints,
+    NoConvergence,
+    TooFewPoints,
+    UndeterminedParameters,
+)
 from compute.optics.profiles.device_profile import DeviceProfile
+from compute.optics.profiles.profile_sections import RetroMarkers
 from compute.parameter_checks import require
+from compute.planning.accuracy_budget import accuracy_budget, combined_sigma
+from compute.planning.budget_inputs import BudgetInputs
 from compute.planning.coverage import Box, Coverage, coverage, volume_grid
 from compute.planning.data_rates import Rates, rates
+from compute.planning.error_contributions import PlannedScene, error_contributions
 from compute.planning.ghost_points import (
     MAX_SENSORS,
     GhostCount,
     ghost_probabilities,
     intersecting_points,
 )
-from compute.planning.plan_result import AxisSummary, Plan, PlannedPoint, PlannedSensor
+from compute.planning.plan_result import (
+    AccuracyBudget,
+    AxisSummary,
+    Plan,
+    PlannedPoint,
+    PlannedSensor,
+    finite_vector,
+)
 from compute.planning.planning_device import PlanningDevice, planning_device
-from compute.planning.precision import precision_from_jacobian, propagated_sigma
+from compute.planning.precision import precision_from_jacobian, propagated_sigma, reading_gain
 from compute.planning.simulated_readings import Progress, SimulatedReadings, simulate_readings
 from compute.reconstruction.triangulation import reconstruct
 
@@ -42,7 +59,7 @@ def plan(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Plan:
-    """Compute a device's coverage, precision, rates and ghost points.
+    """Compute a device's coverage, precision, accuracy budget, rates and ghost points.
 
     Args:
         profile: the device.
@@ -72,11 +89,17 @@ def plan(
     noise = precision_from_jacobian(gradients, lines.bound_px)
     centroid = precision_from_jacobian(gradients, lines.centroid_px)
     dilution = precision_from_jacobian(gradients, np.ones(len(device.names)))
-    pattern_mm = propagated_sigma(gradients, lines.bound_px, lines.pattern_px)
+    pattern_mm = propagated_sigma(reading_gain(gradients, lines.bound_px), lines.pattern_px)
     distortion = _distortion(lines, volume_points.points_mm)
     centre = int(np.linalg.norm(volume_points.points_mm - box.centre_mm, axis=1).argmin())
+    radius = profile.markers.diameter_mm / 2 if isinstance(profile.markers, RetroMarkers) else None
+    inputs = BudgetInputs.of(profile)
+    scene = PlannedScene(device, lines, box, volume_points.points_mm, distortion, radius, inputs)
+    budget, total, reason = _budget(scene, centre)
     seen_by = coverage(lines.visible, volume_points.weights)
     ghosts, notes = _ghosts(device, lines, box, seen_by, most, ghost_trials, seed)
+    if len(device.names) == 3 and most > 1:
+        notes = (*notes, _THREE_SENSORS)
     report(1.0)
     return Plan(
         profile.name,
@@ -84,17 +107,18 @@ def plan(
         box,
         shape,
         _sensors(device, lines),
-        _summary(noise.sd_mm, centre),
-        _summary(centroid.sd_mm, centre),
-        _summary(dilution.sd_mm, centre),
-        _summary(pattern_mm, centre),
-        _summary(np.abs(distortion), centre),
+        AxisSummary.of(noise.sd_mm, centre),
+        AxisSummary.of(centroid.sd_mm, centre),
+        AxisSummary.of(dilution.sd_mm, centre),
+        AxisSummary.of(pattern_mm, centre),
+        AxisSummary.of(np.abs(distortion), centre),
+        budget,
         seen_by,
         _rates(profile, most),
         tuple(intersecting_points(count) for count in _listed(most)),
         ghosts,
         tuple(
-            PlannedPoint(vector3(point), int(count), int(full), *map(_vector, figures))
+            PlannedPoint(vector3(point), int(count), int(full), *map(finite_vector, figures))
             for point, count, full, *figures in zip(
                 volume_points.points_mm,
                 lines.visible.sum(axis=1),
@@ -104,11 +128,28 @@ def plan(
                 dilution.sd_mm,
                 pattern_mm,
                 distortion,
+                total,
                 strict=True,
             )
         ),
-        (_ASSUMPTIONS, *_saturation_notes(lines), *notes),
+        (_ASSUMPTIONS, *reason, *_saturation_notes(lines), *notes),
     )
+
+
+def _budget(
+    scene: PlannedScene, centre: int
+) -> tuple[AccuracyBudget | None, Array, tuple[str, ...]]:
+    """Return the accuracy budget, the points' uncertainties (N, 3) [mm], and why there is none."""
+    try:
+        contributions = error_contributions(scene)
+    except (TooFewPoints, UndeterminedParameters, DegeneratePoints, NoConvergence) as error:
+        reason = (
+            "There is no accuracy budget, because its control points do not calibrate the "
+            f"sensors: {error.detail}. Give more control points, or another volume."
+        )
+        return None, np.full(scene.points_mm.shape, np.nan), (reason,)
+    budget = accuracy_budget(contributions, scene.inputs, scene.points_mm[:, 2], centre)
+    return budget, combined_sigma(contributions), ()
 
 
 def _distortion(lines: SimulatedReadings, points: Array) -> Array:
@@ -212,24 +253,14 @@ def column_medians(values: Array) -> Array:
     return np.array([np.median(column) if len(column) else np.nan for column in known])
 
 
-def _summary(values_mm: Array, centre: int) -> AxisSummary:
-    known = values_mm[np.isfinite(values_mm).all(axis=1)]
-    if len(known) == 0:
-        return AxisSummary(None, None, None, None)
-    return AxisSummary(
-        vector3(known.min(axis=0)),
-        vector3(np.median(known, axis=0)),
-        vector3(known.max(axis=0)),
-        _vector(values_mm[centre]),
-    )
-
-
-def _vector(row: Array) -> Vector3 | None:
-    return vector3(row) if np.isfinite(row).all() else None
-
-
 _ASSUMPTIONS: Final = (
     "Standard deviations of the noise are of one exposure of a device calibrated without error, "
     "its distortion corrected. The fixed pattern is that of pixels that are not flat-fielded; it "
     "comes on top, the same in every exposure. Markers face every sensor."
+)
+
+_THREE_SENSORS: Final = (
+    "With three sensors two or more markers lit together are not found: each of the N^3 "
+    "combinations of their readings is a point. No track and no tool begins; strobe them, or add "
+    "a fourth sensor."
 )

@@ -2,9 +2,14 @@
 
 from dataclasses import dataclass
 
-from compute.camera.model import Vector3
+import numpy as np
+from numpy.typing import NDArray
+
+from compute.camera.model import Vector3, vector3
+from compute.planning.budget_inputs import BudgetInput
 from compute.planning.coverage import Box, Coverage
 from compute.planning.data_rates import Rates
+from compute.planning.error_contributions import Kind
 from compute.planning.ghost_points import GhostCount
 
 
@@ -21,6 +26,84 @@ class AxisSummary:
     median: Vector3 | None
     worst: Vector3 | None
     centre: Vector3 | None
+
+    @classmethod
+    def of(cls, values_mm: NDArray[np.float64], centre: int) -> "AxisSummary":
+        """Summarise values of shape (N, 3) [mm]; rows with NaN are left out.
+
+        Args:
+            values_mm: of the N points of the grid.
+            centre: index of the point nearest to the volume's centre.
+        """
+        known = values_mm[np.isfinite(values_mm).all(axis=1)]
+        if len(known) == 0:
+            return cls(None, None, None, None)
+        return cls(
+            vector3(known.min(axis=0)),
+            vector3(np.median(known, axis=0)),
+            vector3(known.max(axis=0)),
+            finite_vector(values_mm[centre]),
+        )
+
+
+def finite_vector(row: NDArray[np.float64]) -> Vector3 | None:
+    """Return a row of three as a tuple; None where it holds NaN."""
+    return vector3(row) if np.isfinite(row).all() else None
+
+
+@dataclass(frozen=True)
+class BudgetContribution:
+    """One source of uncertainty, summarised over the volume.
+
+    Args:
+        name: what it is.
+        kind: "random": another value in each exposure, less in a mean of many. "systematic": the
+            same as long as marker and device stay as they are.
+        counted: it is part of the total; otherwise what would be with another correction.
+        assumed: some of its inputs are assumed.
+        inputs: their names: error sources, and other sections of the profile.
+        sigma: standard uncertainties along X, Y, Z.
+        rms_mm: of X, Y and Z together, RMS over the points [mm].
+        by_distance_mm: the same of each plane of the grid, at the budget's distances [mm].
+        share: of the total variance, 0 to 1; 0 where it is not counted.
+    """
+
+    name: str
+    kind: Kind
+    counted: bool
+    assumed: bool
+    inputs: tuple[str, ...]
+    sigma: AxisSummary
+    rms_mm: float
+    by_distance_mm: tuple[float, ...]
+    share: float
+
+
+@dataclass(frozen=True)
+class AccuracyBudget:
+    """Uncertainty budget of a point's position (GUM, JCGM 100): every source, and their sum.
+
+    Args:
+        contributions: source by source.
+        dominant: name of the contribution with the largest share.
+        random: root of the sum of squares of the random ones.
+        systematic: of the systematic ones.
+        total: of all.
+        total_rms_mm: of X, Y and Z together, RMS over the points [mm].
+        distances_mm: Z of the planes of the grid [mm].
+        total_by_distance_mm: as ``total_rms_mm``, of each plane [mm].
+        inputs: the values that it rests on.
+    """
+
+    contributions: tuple[BudgetContribution, ...]
+    dominant: str
+    random: AxisSummary
+    systematic: AxisSummary
+    total: AxisSummary
+    total_rms_mm: float
+    distances_mm: tuple[float, ...]
+    total_by_distance_mm: tuple[float, ...]
+    inputs: tuple[BudgetInput, ...]
 
 
 @dataclass(frozen=True)
@@ -39,6 +122,7 @@ class PlannedPoint:
         fixed_pattern_mm: standard deviations of the error by the pixels' differences; None
             without a position, and for readings that are numbers from the start.
         distortion_mm: what perspective cameras leave of the distortion, as an error of X, Y, Z.
+        uncertainty_mm: standard uncertainties of X, Y, Z by the whole accuracy budget.
     """
 
     position_mm: Vector3
@@ -49,6 +133,7 @@ class PlannedPoint:
     dilution_mm: Vector3 | None
     fixed_pattern_mm: Vector3 | None
     distortion_mm: Vector3 | None
+    uncertainty_mm: Vector3 | None
 
 
 @dataclass(frozen=True)
@@ -88,7 +173,7 @@ class Plan:
 
     ``noise`` and ``centroid`` are of the noise: an exactly calibrated device. ``fixed_pattern``
     comes on top until pixels are flat-fielded, and ``distortion`` where readings are not
-    corrected for it: neither changes from exposure to exposure.
+    corrected for it: neither changes from exposure to exposure. ``budget`` is all of it.
 
     Args:
         profile: its name.
@@ -101,6 +186,8 @@ class Plan:
         dilution: standard deviations for readings of 1 px, the geometry's share [mm/px].
         fixed_pattern: standard deviations of the error by the pixels' differences.
         distortion: absolute errors by the distortion that perspective cameras leave.
+        budget: the accuracy with every source of error; None where it cannot be computed, for a
+            reason in the notes.
         coverage: how much of the volume is seen.
         rates: with 1 marker, and with as many as the device drives.
         planar_intersections: [2.15] for 2 markers and on, as ``ghosts``.
@@ -120,6 +207,7 @@ class Plan:
     dilution: AxisSummary
     fixed_pattern: AxisSummary
     distortion: AxisSummary
+    budget: AccuracyBudget | None
     coverage: Coverage
     rates: tuple[Rates, ...]
     planar_intersections: tuple[int, ...]

@@ -84,36 +84,55 @@ def precision_from_jacobian(gradient_px_per_mm: Array, sigma_px: Array) -> Preci
     return Precision(covariance, sd, sensors.astype(np.int32), flags)
 
 
-def propagated_sigma(gradient_px_per_mm: Array, sigma_px: Array, error_px: Array) -> Array:
-    """Return the points' standard deviations due to reading errors that the weights ignore.
-
-    The points are those of ``precision_from_jacobian``, weighted by the noise; what moves them are
-    errors that differ from sensor to sensor independently, such as the pixels' fixed pattern:
-    ``K = C g / sigma^2``, with the covariance C, gives ``var = sum_s (K_s error_s)^2``.
+def reading_gain(gradient_px_per_mm: Array, sigma_px: Array) -> Array:
+    """Return d point / d reading of the weighted least-squares solution, ``C g / sigma^2``.
 
     Args:
         gradient_px_per_mm: d reading / d point, shape (N, S, 3) [px/mm].
-        sigma_px: standard deviations of the readings' noise, shape (N, S) or (S,) [px].
-        error_px: standard deviations of the readings' errors, shape (N, S) [px].
+        sigma_px: standard deviations of the readings, which make the weights, shape (N, S) or
+            (S,) [px].
 
     Returns:
-        Shape (N, 3) [mm]; NaN where there is no position, or a reading's error is not known.
+        Shape (N, 3, S) [mm/px]; 0 for readings that are not used, NaN where there is no position.
 
     Raises:
         InvalidParameter: a shape that does not fit, or a standard deviation that is not positive.
     """
     found = precision_from_jacobian(gradient_px_per_mm, sigma_px)
     rows, used = _weighted(gradient_px_per_mm, sigma_px)
-    if np.shape(error_px) != used.shape:
-        raise InvalidParameter(
-            f"error_px has the shape {np.shape(error_px)}; it must be {used.shape}",
-            error_px=np.shape(error_px),
-        )
     # One factor 1 / sigma is in the rows already.
     sigma = np.where(used, np.broadcast_to(sigma_px, used.shape), 1.0)
-    relative = np.where(used, error_px, 0.0) / sigma
-    moved = np.einsum("nij,nsj,ns->nsi", found.covariance_mm2, rows, relative)
-    sigma_mm: Array = np.sqrt(np.square(moved).sum(axis=1))
+    gain: Array = np.einsum("nij,nsj,ns->nis", found.covariance_mm2, rows, 1.0 / sigma)
+    return gain
+
+
+def propagated_sigma(gain_mm_per_px: Array, error_px: Array) -> Array:
+    """Return the points' standard deviations due to reading errors that the weights ignore.
+
+    Errors that differ from sensor to sensor independently, such as the pixels' fixed pattern:
+    with the gain K, ``var = sum_s (K_s error_s)^2``.
+
+    Args:
+        gain_mm_per_px: by ``reading_gain``, shape (N, 3, S) [mm/px].
+        error_px: standard deviations of the readings' errors, shape (N, S) or (S,) [px].
+
+    Returns:
+        Shape (N, 3) [mm]; NaN where there is no position, or the error of a reading that is used
+        is not known.
+
+    Raises:
+        InvalidParameter: a shape that does not fit.
+    """
+    count, _, sensors = gain_mm_per_px.shape
+    if np.shape(error_px) not in ((count, sensors), (sensors,)):
+        raise InvalidParameter(
+            f"error_px has the shape {np.shape(error_px)}; it must be {(count, sensors)} or "
+            f"{(sensors,)}",
+            error_px=np.shape(error_px),
+        )
+    error = np.broadcast_to(error_px, (count, sensors))[:, None, :]
+    moved = np.where(gain_mm_per_px == 0.0, 0.0, gain_mm_per_px * error)
+    sigma_mm: Array = np.sqrt(np.square(moved).sum(axis=2))
     return sigma_mm
 
 

@@ -2,8 +2,7 @@
 
 import math
 from collections import Counter
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 from pydantic import TypeAdapter, ValidationError
 
 from compute.errors import InvalidParameter, InvalidRecording
+from hardware.damaged_file import refusing_damage
 from hardware.driver import DeviceDescription, PeakMethod
 from hardware.recording.layout import NO_CALIBRATION_ROW, NO_MARKER, RecordingInfo
 
@@ -33,15 +33,16 @@ class RecordingFile:
         self._name = path.name
         if not path.is_file():
             raise self.invalid("is not a file; give a recording")
-        try:
+        with refusing_damage(
+            lambda reason: self.invalid(f"is not an HDF5 file, or is cut short ({reason})")
+        ):
             self._written = _being_written(path)
             self._file = h5py.File(path, "r", libver="latest", swmr=self._written)
-        except OSError as error:
-            raise self.invalid(f"is not an HDF5 file, or is cut short ({error})") from error
 
     def __contains__(self, name: str) -> bool:
         """Return whether the file has a member of this name."""
-        return name in self._file
+        with self._refusing_damage("members"):
+            return name in self._file
 
     def close(self) -> None:
         """Close it; may be called twice."""
@@ -65,16 +66,16 @@ class RecordingFile:
         """
         with self._refusing_damage(f"data in {name}"):
             dataset = self._file.get(name)
-        if not isinstance(dataset, h5py.Dataset):
-            raise self.invalid(f"lacks the dataset {name}")
-        if self._written:
-            dataset.refresh()
-        if dataset.dtype != dtype or len(dataset.shape) == 0 or dataset.shape[1:] != row:
-            raise self.invalid(
-                f"holds {name} as {dataset.dtype} of shape {dataset.shape}; "
-                f"it must be {dtype} of shape {('frames', *row)}"
-            )
-        return int(dataset.shape[0])
+            if not isinstance(dataset, h5py.Dataset):
+                raise self.invalid(f"lacks the dataset {name}")
+            if self._written:
+                dataset.refresh()
+            if dataset.dtype != dtype or len(dataset.shape) == 0 or dataset.shape[1:] != row:
+                raise self.invalid(
+                    f"holds {name} as {dataset.dtype} of shape {dataset.shape}; "
+                    f"it must be {dtype} of shape {('frames', *row)}"
+                )
+            return int(dataset.shape[0])
 
     def read(self, name: str, rows: slice) -> NDArray[Any]:
         """Return rows of a dataset."""
@@ -82,12 +83,8 @@ class RecordingFile:
             values: NDArray[Any] = self._file[name][rows]
         return values
 
-    @contextmanager
-    def _refusing_damage(self, what: str) -> Iterator[None]:
-        try:
-            yield
-        except (OSError, RuntimeError, KeyError, TypeError, ValueError) as error:
-            raise self.invalid(f"has damaged {what} ({error})") from error
+    def _refusing_damage(self, what: str) -> AbstractContextManager[None]:
+        return refusing_damage(lambda reason: self.invalid(f"has damaged {what} ({reason})"))
 
     def invalid(self, reason: str) -> InvalidRecording:
         """Return an InvalidRecording for this file."""

@@ -208,6 +208,18 @@ def _state_checksum(row: Any) -> int:
     return zlib.crc32(row.tobytes()[: -STATE["checksum"].itemsize])
 
 
+def attributes_checksum(description: str, provenance: str) -> int:
+    """Return the checksum of a recording's texts: HDF5 itself does not check attributes.
+
+    Args:
+        description: of the device, JSON.
+        provenance: of the recording, JSON.
+    """
+    # surrogateescape: how h5py decodes bytes that are no UTF-8.
+    first, second = (text.encode(errors="surrogateescape") for text in (description, provenance))
+    return zlib.crc32(second, zlib.crc32(first))
+
+
 def frame_checksums(rows: NDArray[np.void], lines: NDArray[np.uint16] | None) -> NDArray[np.uint32]:
     """Return the checksums of frames, shape (F,).
 

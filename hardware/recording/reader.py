@@ -27,6 +27,7 @@ from hardware.recording.layout import (
     VERSION,
     RecordingInfo,
     RecordingState,
+    attributes_checksum,
     frame_checksums,
     point_dtype,
     result_checksums,
@@ -184,21 +185,26 @@ class RecordingReader:
             raise self._file.invalid(
                 f"has version {version}; this program reads the versions 1 and {VERSION}"
             )
+        texts = [
+            str(attributes.get(name, absent))
+            for name, absent in (("description", ""), ("provenance", "{}"))
+        ]
+        # Recordings of earlier programs have no such checksum.
+        if attributes.get("attributes_checksum", known := attributes_checksum(*texts)) != known:
+            raise self._file.invalid("has damaged attributes: their checksum does not fit")
         try:
-            description = read_description(str(attributes.get("description", "")))
+            description = read_description(texts[0])
             scan_shape(description)
         except InvalidParameter as error:
             unusable = error.detail if error.detail.startswith(("has ", "describes ")) else None
             raise self._file.invalid(
                 unusable or f"describes an unusable device: {error.detail}"
             ) from error
-        return self._build_info(
-            description, int(str(version)), self._provenance(attributes.get("provenance", "{}"))
-        )
+        return self._build_info(description, int(str(version)), self._provenance(texts[1]))
 
-    def _provenance(self, text: object) -> dict[str, Any]:
+    def _provenance(self, text: str) -> dict[str, Any]:
         try:
-            found = json.loads(str(text))
+            found = json.loads(text)
         except (ValueError, RecursionError) as error:
             raise self._file.invalid(f"has a provenance that is not JSON ({error})") from error
         if not isinstance(found, dict):

@@ -32,6 +32,7 @@ from hardware.recording.layout import (
     VERSION,
     Losses,
     RecordingState,
+    attributes_checksum,
     frame_checksums,
     pack_state,
     point_dtype,
@@ -121,8 +122,12 @@ class RecordingWriter:
         attributes = self._file.attrs
         attributes["format"] = FORMAT
         attributes["version"] = VERSION
-        attributes["description"] = json.dumps(asdict(self._description))
-        attributes["provenance"] = json.dumps(provenance, allow_nan=False)
+        texts = (
+            json.dumps(asdict(self._description)),
+            json.dumps(provenance, allow_nan=False),
+        )
+        attributes["description"], attributes["provenance"] = texts
+        attributes["attributes_checksum"] = attributes_checksum(*texts)
         group = self._file.create_group("frames")
         for name, kind in COLUMNS.items():
             self._growing(group, name, kind)

@@ -3,13 +3,14 @@
 import json
 import re
 from datetime import datetime
-from typing import Annotated, Any, Generic, TypeVar
+from typing import Annotated, Any, Final, Generic, TypeVar
 
 from pydantic import (
     AfterValidator,
     AwareDatetime,
     BaseModel,
     ConfigDict,
+    FailFast,
     Field,
     StringConstraints,
     WithJsonSchema,
@@ -47,6 +48,15 @@ Name = Annotated[str, StringConstraints(min_length=1, max_length=64, pattern=r"^
 
 Coordinate = Annotated[float, Field(ge=-1e6, le=1e6, description="[mm]")]
 Position = tuple[Coordinate, Coordinate, Coordinate]
+
+
+class _FailFast(FailFast):
+    def __hash__(self) -> int:  # unions of annotated types need one
+        return hash(self.fail_fast)
+
+
+FIRST_ERROR_ONLY: Final = _FailFast()
+"""Of long lists: the first wrong item is enough; a million errors would stop all else."""
 
 
 class RequestModel(BaseModel):

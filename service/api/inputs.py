@@ -4,8 +4,10 @@ import email.message
 import json
 from collections.abc import Callable, Coroutine
 from dataclasses import dataclass
-from typing import Annotated, Any, TypeVar
+from functools import partial
+from typing import Annotated, Any, Final, TypeVar
 
+from anyio.to_thread import run_sync
 from fastapi import Depends, Path, Query, Request
 from fastapi.routing import APIRoute
 from pydantic import (
@@ -23,7 +25,13 @@ from service.api.base_models import SLUG_PATTERN, Page
 from service.database.engine import Database
 from service.jobs.run_manager import RunManager
 from service.pipeline.pipeline_manager import PipelineManager
-from service.problems.errors import DuplicateKey, MalformedJson, NotReady, UnsupportedMediaType
+from service.problems.errors import (
+    BodyTooLarge,
+    DuplicateKey,
+    MalformedJson,
+    NotReady,
+    UnsupportedMediaType,
+)
 from service.settings import Settings
 
 
@@ -162,6 +170,11 @@ def _with_whole_numbers(text: str | bytes) -> str:
     return json.dumps(json.loads(text, parse_float=number))
 
 
+_LARGE_BYTES: Final = 64 * 1024
+_MAX_MEMBERS: Final = 1000
+"""Of one object: each that a model does not know is an error of its own."""
+
+
 class _JsonRequest(Request):
     async def json(self) -> Any:
         """Return the body's text, for ``FromJson`` to validate."""
@@ -180,7 +193,12 @@ class JsonRoute(APIRoute):
         async def strict(request: Request) -> Response:
             request = _JsonRequest(request.scope, request.receive)
             # Here and not in json(), from where FastAPI lets no exception of ours out.
-            check_json_body(request.headers.get("content-type"), await request.body())
+            body = await request.body()
+            check = partial(check_json_body, request.headers.get("content-type"), body)
+            if len(body) > _LARGE_BYTES:  # the server goes on with others meanwhile
+                await run_sync(check)
+            else:
+                check()
             return await handle(request)
 
         return strict
@@ -191,6 +209,7 @@ def check_json_body(content_type: str | None, body: bytes) -> None:
 
     Raises:
         UnsupportedMediaType, MalformedJson, DuplicateKey.
+        BodyTooLarge: an object has too many members.
     """
     if not _is_json(content_type) and (content_type or body):
         given = f'"{content_type}"' if content_type else "not given"
@@ -214,6 +233,10 @@ def check_json_body(content_type: str | None, body: bytes) -> None:
 
 
 def _unique(pairs: list[tuple[str, Any]]) -> None:
+    if len(pairs) > _MAX_MEMBERS:
+        raise BodyTooLarge(
+            f"an object of the body has {len(pairs)} members; the limit is {_MAX_MEMBERS}"
+        )
     seen: set[str] = set()
     for key, _ in pairs:
         if key in seen:

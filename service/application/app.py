@@ -30,12 +30,14 @@ from service.api.tools.frames_router import router as frames
 from service.api.tools.points_router import router as points
 from service.api.tools.registrations_router import router as registrations
 from service.api.tools.router import router as tools
+from service.application.api_pages import router as api_pages
 from service.application.lifespan import running
 from service.application.middleware import (
     BodyLimitMiddleware,
     CrossOriginMiddleware,
     HeadMiddleware,
     RequestLog,
+    SecurityHeadersMiddleware,
 )
 from service.application.server import router as server
 from service.pipeline.pipeline_manager import PipelineManager
@@ -83,6 +85,8 @@ def create_app(
         description=DESCRIPTION,
         lifespan=partial(running, settings=settings, live=live, started=started),
         redirect_slashes=False,
+        docs_url=None,
+        redoc_url=None,
         routes=list(_routes()),
     )
     app.state.settings = settings
@@ -104,6 +108,7 @@ def create_app(
         ended=app.state.metrics.request_ended,
         stopping=partial(getattr, app.state, "stopping"),
     )
+    app.add_middleware(SecurityHeadersMiddleware)
     install_problem_handlers(app)
     check_complete(app.routes)
     install_openapi(app)
@@ -141,6 +146,7 @@ def _routes() -> tuple[BaseRoute, ...]:
         metrics,
         quality,
         server,
+        api_pages,
     ):
         every.include_router(router)
     every.add_api_websocket_route("/{path:path}", unknown_websocket)  # the last to be tried

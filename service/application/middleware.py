@@ -1,4 +1,4 @@
-"""ASGI middleware: request id, log and metrics; cross-origin refusals, HEAD, limits of bodies."""
+"""ASGI middleware: log and metrics; security headers, cross-origin refusals, HEAD, body limits."""
 
 import logging
 import re
@@ -15,7 +15,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from service.logs import RECORD, REFUSED, RequestRecord, decoded, set_request_id
 from service.problems.errors import BodyTooLarge, CrossOrigin, NotReady
-from service.problems.handlers import error_response, refuse
+from service.problems.handlers import SECURITY_HEADERS, error_response, refuse
 
 _log = logging.getLogger("service.access")
 
@@ -128,6 +128,25 @@ def _target(scope: Scope) -> str:
 
 def _path(scope: Scope) -> str:
     return decoded(scope["path"][:_READ_CHARACTERS])[:_SHOWN_CHARACTERS]
+
+
+class SecurityHeadersMiddleware:
+    """Says in each answer what a browser may do with it: nothing that its content does not need."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass the request on."""
+
+        async def with_headers(message: Message) -> None:
+            if message["type"] in _STARTS:
+                headers = MutableHeaders(scope=message)
+                for name, value in SECURITY_HEADERS.items():
+                    headers.setdefault(name, value)
+            await send(message)
+
+        await self._app(scope, receive, with_headers)
 
 
 SAFE_METHODS: Final = frozenset({"GET", "HEAD", "OPTIONS"})

@@ -59,6 +59,7 @@ def map_volume(
     _write(result, parent.device, output)
     console.print(_summary(result, str(measurements)))
     for sensor in result.validation.sensors:
+        say(f"sensor {sensor.sensor}: {sensor.coverage}")
         for suspect in sensor.suspects:
             say(
                 f"[yellow]point {suspect.point + 1}:[/yellow] sensor {sensor.sensor} is off by "

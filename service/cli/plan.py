@@ -7,8 +7,12 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
-from compute.optics.profiles.profile_loader import load_profile, profile_names
-from compute.planning.plan_result import Plan
+from compute.optics.profiles.profile_loader import (
+    load_profile,
+    profile_names,
+    with_error_sources,
+)
+from compute.planning.plan_result import AccuracyBudget, AxisSummary, Plan
 from service.cli.output import (
     AsJson,
     check_picture,
@@ -34,6 +38,13 @@ def plan(
         int | None,
         typer.Option(min=1, max=64, help="Most markers to count ghosts for."),
     ] = None,
+    assume: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="A source of error, as in a profile's error_sources: 'temperature_change=5 K'. "
+            "Repeat it for others."
+        ),
+    ] = None,
     output: Annotated[Path | None, typer.Option(help="Draw the plan: a PNG to write.")] = None,
     as_json: AsJson = False,
 ) -> None:
@@ -46,7 +57,7 @@ def plan(
     check_picture(output)
     from compute.planning import plan as planning
 
-    device = load_profile(profile)
+    device = with_error_sources(load_profile(profile), assume or ())
     with progress("planning", 1.0, quiet=as_json) as done:
         result = planning.plan(device, grid=grid, markers=markers, progress=done)
     if output is not None:
@@ -86,7 +97,8 @@ def _print(plan: Plan) -> None:
         f"seen by all sensors: {_share(plan.coverage.all_sensors)} of the volume, by three or "
         f"more: {_share(plan.coverage.three_or_more)}"
     )
-    tables = [_precision(plan), _sensors(plan), _rates(plan)]
+    budget = () if plan.budget is None else (_budget(plan.budget), _inputs(plan.budget))
+    tables = [_precision(plan), *budget, _sensors(plan), _rates(plan)]
     for table in [*tables, _ghosts(plan)] if plan.ghosts else tables:
         console.print()
         console.print(table)
@@ -110,6 +122,43 @@ def _precision(plan: Plan) -> Table:
             cells = [_length(values, axis) for values in columns]
             table.add_row(label if axis == 0 else "", name, *cells, end_section=axis == 2)
     return table
+
+
+def _budget(budget: AccuracyBudget) -> Table:
+    headings = ("*: assumed", "X,\ncentre", "Y,\ncentre", "Z,\ncentre", "3D RMS,\nvolume", "share")
+    title = f"accuracy budget, standard uncertainties, mm: {budget.dominant} dominates"
+    table = make_table(headings, (), title, no_wrap=True)
+    for one in budget.contributions:
+        name = f"{one.name}{' *' if one.assumed else ''}"
+        share = _share(one.share) if one.counted else "not in it"
+        table.add_row(name, *_centre(one.sigma), millimetres(one.rms_mm), share)
+    table.add_section()
+    table.add_row("random", *_centre(budget.random), "", "")
+    table.add_row("systematic", *_centre(budget.systematic), "", "")
+    table.add_row("total", *_centre(budget.total), millimetres(budget.total_rms_mm), "100 %")
+    return table
+
+
+def _centre(summary: AxisSummary) -> list[str]:
+    return [_length(summary.centre, axis) for axis in range(3)]
+
+
+def _inputs(budget: AccuracyBudget) -> Table:
+    rows = (
+        (
+            one.name,
+            " ".join(f"{v:.4g}" if isinstance(v, float) else str(v) for v in _values(one.value))
+            + f" {one.unit}",
+            ("assumed: " if one.assumed else "") + one.source,
+        )
+        for one in budget.inputs
+    )
+    title = "what the budget rests on: error_sources of the profile, or --assume NAME=VALUE"
+    return make_table(("", "value", "source"), rows, title, texts=None)
+
+
+def _values(value: float | str | tuple[float, ...]) -> tuple[float | str, ...]:
+    return value if isinstance(value, tuple) else (value,)
 
 
 def _sensors(plan: Plan) -> Table:
@@ -172,7 +221,7 @@ def _length(values: tuple[float, ...] | None, axis: int) -> str:
 
 
 def _share(value: float) -> str:
-    return f"{100 * value:.3g} %"
+    return "< 0.1 %" if 0.0 < value < 1e-3 else f"{100 * value:.3g} %"
 
 
 def _number(value: float | None, digits: int = 3) -> str | None:

@@ -366,9 +366,13 @@ class DeviceSession:
         if self.failure:
             return "failed", self.failure, link
         state, reason = self.reader.state, self.reader.reason
-        if state != "running" or link is None:
+        if state != "running":
             return state, reason, link
-        return "disconnected" if link.state == "disconnected" else "running", link.reason, link
+        if link is None:
+            return state, reason or self.processor.remark, link
+        if link.state == "disconnected":
+            return "disconnected", link.reason, link
+        return state, link.reason or self.processor.remark, link
 
     def publish_status(self) -> None:
         """Tell the clients its state."""

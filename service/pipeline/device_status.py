@@ -16,7 +16,8 @@ class DeviceStatus:
         state: starting (its driver is being opened), running, disconnected (its device is not
             there, and is tried again until it is), stopped by request, ended by itself (a
             recording), or failed.
-        reason: why it failed, ended or is disconnected, or what is wrong with its link.
+        reason: why it failed, ended or is disconnected, or what is wrong with its link, or, while
+            it runs, why its markers are not found (three sensors and several lit together).
         calibration_id: the calibration that points are reconstructed with; None: peaks only.
         table_id: the correction table that readings are corrected by; None: they are not.
         frames: frames received from the driver.

@@ -42,6 +42,12 @@ from service.pipeline.tracking_stage import TrackingStage
 
 MAX_FRAMES = 64
 """Most frames that are processed together."""
+THREE_SENSORS_REMARK: Final = (
+    "the three sensors see several markers lit together: each combination of their peaks meets in "
+    "a point, so no point is reported, and no track or tool begins while more than one marker is "
+    "not tracked; strobe the markers, light one after the other, or add a fourth sensor"
+)
+"""Remark on a running device."""
 MAX_SIMULTANEOUS_MARKERS: Final = 12
 """Peaks of a sensor up to which markers lit together are told apart, in some milliseconds a frame.
 On four sensors more of them are mostly ambiguous, and take longer than frames come."""
@@ -82,6 +88,8 @@ class FrameProcessor:
         """How peaks are found."""
         reads = self.detection.reads
         self._tracking = TrackingStage(device_id, len(self._names), reads=reads)
+        self.remark: str | None = None
+        """What keeps markers of the newest batch from being found; None: nothing."""
         self.is_tracking = False
         """Whether markers or tools are tracked."""
         self.tracking_s = 0.0
@@ -158,6 +166,8 @@ class FrameProcessor:
         else:
             measurements = weigh_peaks(active, frames, peaks, self.detection.flag_policy)
             points, owner = solve_points(active, frames, measurements)
+            if len(self._names) == 3:
+                self.remark = _three_sensor_remark(frames, measurements)
         motion = None
         if self.is_tracking:
             begin = time.perf_counter()
@@ -173,6 +183,15 @@ class FrameProcessor:
             owner,
             motion,
         )
+
+
+def _three_sensor_remark(frames: Sequence[LineFrame], measurements: Measurements) -> str | None:
+    """Return why three sensors find no marker where several are lit together; None: they do not."""
+    together = np.array([frame.marker is None for frame in frames])
+    several = together & np.all(measurements.count > 1, axis=1)
+    if 2 * np.count_nonzero(several) <= len(frames):
+        return None
+    return THREE_SENSORS_REMARK
 
 
 def weigh_peaks(

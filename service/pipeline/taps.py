@@ -69,7 +69,7 @@ class PeakTap:
             if frame.marker != self._marker or frame.sequence <= self._after:
                 continue
             lines = slice(index * sensors, (index + 1) * sensors)
-            taken.append(_readings(batch, lines, strobed=frame.marker is not None))
+            taken.append(clear_readings(batch, lines, strobed=frame.marker is not None))
         self._rows += taken[: self._wanted - len(self._rows)]
         if len(self._rows) >= self._wanted:
             self.ended.set()
@@ -80,7 +80,17 @@ class PeakTap:
         return position, sigma
 
 
-def _readings(batch: FrameBatch, lines: slice, *, strobed: bool) -> tuple[Array, Array]:
+def clear_readings(batch: FrameBatch, lines: slice, *, strobed: bool) -> tuple[Array, Array]:
+    """Return the readings of the marker in some lines of a batch, and their sigmas [px].
+
+    Args:
+        batch: frames with their peaks.
+        lines: those of one frame.
+        strobed: whether the brightest peak is the marker; else a line must have one peak only.
+
+    Returns:
+        Both of shape (S,); NaN where there is no clear peak.
+    """
     peaks = batch.peaks
     position = peaks.position_px[lines].astype(np.float64)
     seen = np.isfinite(position)

@@ -161,8 +161,8 @@ class InvalidTableFile(ServiceError):
     """An uploaded file is no correction table, is cut short, contradicts itself or hides data."""
 
 
-class TableHasHoles(ServiceError):
-    """Cells inside a correction table's volume, or all of a sensor's, have no measurement."""
+class NoValidCells(ServiceError):
+    """No cell of one of a correction table's sensors is valid."""
 
 
 class UnknownQualityCheck(ServiceError, status=404):

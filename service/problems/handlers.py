@@ -31,6 +31,9 @@ from service.problems.errors import BodyTooLarge, BodyTooSlow, MalformedJson
 _log = logging.getLogger(__name__)
 
 _INPUT_CHARACTERS = 200
+_MESSAGE_CHARACTERS = 500
+MAX_ERRORS: Final = 50
+"""Errors of one answer; more than a person would mend before trying again."""
 _MAX_ERRORS_IN_DETAIL = 3
 _RETRY_AFTER_S = 5
 _BY_STATUS = {
@@ -39,6 +42,16 @@ _BY_STATUS = {
     413: BodyTooLarge.code,
     408: BodyTooSlow.code,
 }
+
+SECURITY_HEADERS: Final[Mapping[str, str]] = {
+    # Reports bring their styles and figures with them; no page but those of /docs has scripts.
+    "Content-Security-Policy": "default-src 'none'; style-src 'unsafe-inline'; img-src data:; "
+    "base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+    "Referrer-Policy": "no-referrer",
+}
+"""Of all answers; a page that needs another policy for its content sets it itself."""
 
 
 def json_safe(value: Any) -> Any:
@@ -136,15 +149,19 @@ async def _validation_error(request: Request, error: Exception) -> Response:
     body = _parsed(error.body)
     errors = [
         FieldError(
-            location=_location(item, body),
-            message=item["msg"],
+            location=[_cut(part) for part in _location(item, body)],
+            message=item["msg"][:_MESSAGE_CHARACTERS],
             input=display_value(item.get("input")),
         )
-        for item in found
+        for item in found[:MAX_ERRORS]
     ]
     not_finite = any(_is_not_finite(item.get("input")) for item in found)
     kind = problem_type_of(NonFiniteValue) if not_finite else PROBLEM_TYPES["invalid-request"]
-    return problem_response(kind, _summary(errors), request.url.path, errors=errors)
+    return problem_response(kind, _summary(errors, len(found)), request.url.path, errors=errors)
+
+
+def _cut(part: str | int) -> str | int:
+    return part if isinstance(part, int) or len(part) <= 100 else f"{part[:97]}..."
 
 
 def _parsed(body: Any) -> Any:
@@ -163,12 +180,12 @@ def _is_not_finite(value: Any) -> bool:
     return isinstance(value, float) and not math.isfinite(value)
 
 
-def _summary(errors: Sequence[FieldError]) -> str:
+def _summary(errors: Sequence[FieldError], count: int) -> str:
     parts = [
         f"{'.'.join(str(part) for part in item.location)}: {item.message}, got {item.input}"
         for item in errors[:_MAX_ERRORS_IN_DETAIL]
     ]
-    more = len(errors) - _MAX_ERRORS_IN_DETAIL
+    more = count - _MAX_ERRORS_IN_DETAIL
     return "; ".join(parts) + (f"; and {more} more" if more > 0 else "")
 
 
@@ -214,7 +231,7 @@ async def _unexpected_error(request: Request, error: Exception) -> Response:
     _log.error("unexpected error, reference %s", reference, exc_info=error)
     detail = f"unexpected error; the server's log has it under reference {reference}"
     # Answered around all middleware, and so around what names answers.
-    headers = {"X-Request-ID": request_record(request.scope).id}
+    headers = {"X-Request-ID": request_record(request.scope).id, **SECURITY_HEADERS}
     kind = PROBLEM_TYPES["internal-error"]
     return problem_response(kind, detail, request.url.path, headers=headers)
 

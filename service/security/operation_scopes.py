@@ -19,9 +19,9 @@ OPERATION_SCOPES: Final[Mapping[str, Access]] = {
     "list-problems": "public",
     "get-problem": "public",
     "openapi": "public",
-    "swagger_ui_html": "public",
-    "swagger_ui_redirect": "public",
-    "redoc_html": "public",
+    "swagger-ui": "public",
+    "redoc": "public",
+    "api-page-asset": "public",
     "stream_by_http": "public",  # says that it is a websocket
     "unknown_websocket": "public",
     "stream": "read:stream",

@@ -176,6 +176,36 @@ def _() -> Sent:
     return Sent("POST", "/api/v1/reconstructions", content=content, headers=headers)
 
 
+def with_column(sensor: str, values: Callable[[int, dict[str, float]], float]) -> Json:
+    body = calibration()
+    for index, point in enumerate(body["points"]):
+        point["readings"][sensor] = values(index, point["readings"])
+    return body
+
+
+@builds("readings that have nothing to do with the points")
+def _() -> Sent:
+    drawn = np.random.default_rng(5).uniform(0.0, 2047.0, 19).round(2).tolist()
+    return post_calibration(with_column("vertical", lambda index, _: drawn[index]))
+
+
+@builds("0 entered for markers that were not seen")
+def _() -> Sent:
+    body = with_column("vertical", lambda index, own: 0.0 if index < 2 else own["vertical"])
+    return post_calibration(body)
+
+
+def copied() -> Json:
+    return with_column("horizontal", lambda _, own: own["vertical"])
+
+
+builds("readings of one sensor copied to another")(lambda: post_calibration(copied()))
+builds("readings of one sensor copied to another for a run")(
+    lambda: Sent("POST", "/api/v1/calibration-runs", copied())
+)
+builds("always the same reading")(lambda: post_calibration(with_column("vertical", lambda *_: 5.0)))
+
+
 @builds("unknown sensor")
 def _() -> Sent:
     return post_calibration(with_reading(calibration(), "sixth", 3.0))
@@ -455,9 +485,9 @@ def wrong_shape(file: Any) -> None:
     hdf5_files.replace(file, "variance_px2", data=np.zeros((4, 6, 5, 5)))
 
 
-def with_hole() -> bytes:
+def without_valid_cells() -> bytes:
     valid = np.ones((4, 5, 4, 3), dtype=np.bool_)
-    valid[2, 2, 1, 1] = False
+    valid[2] = False
     return table(valid=valid)
 
 
@@ -533,7 +563,7 @@ builds("table with data in another file")(lambda: upload(table(hdf5_files.extern
 builds("table with virtual data")(lambda: upload(table(hdf5_files.virtual_data)))
 builds("table with NaN")(lambda: upload(table(with_nan)))
 builds("table of the wrong shape")(lambda: upload(table(wrong_shape)))
-builds("table with holes")(lambda: upload(with_hole()))
+builds("table without valid cells of a sensor")(lambda: upload(without_valid_cells()))
 builds("table of another calibration")(lambda: upload(table()))
 
 

@@ -5,7 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from validation.random_rigs.case import CASE, run_trial, run_trials
+from compute.measurement.measurement_model import MeasurementModel
+from tests.compute.rig import control_points, rig
+from validation.random_rigs.case import (
+    CASE,
+    expected_quantile,
+    mean_nees_dof,
+    run_trial,
+    run_trials,
+)
 from validation.random_rigs.rigs import random_rig, random_trial
 
 
@@ -40,6 +48,33 @@ def test_a_rig_with_few_readings_is_calibrated_honestly_and_one_with_too_few_ref
     refused = run_trial(fewer, rng)
     assert refused.nees is None
     assert refused.refusal.startswith("TooFewPoints")
+
+
+def test_the_scatter_of_the_mean_is_that_of_drawn_errors() -> None:
+    models, points = rig(), control_points(40)
+    used, noise = np.ones((40, 4), dtype=np.bool_), np.full(4, 0.1)
+    independent = mean_nees_dof(MeasurementModel.of(models), points, used, noise)
+    assert independent == pytest.approx(120.0)
+    # An error of the principal distances alone, far above the noise: four degrees of freedom,
+    # of which three move a point.
+    covariance = np.diag([10.0**2, *[0.0] * 6] * 4)
+    model = MeasurementModel.of(models, covariance)
+    few = mean_nees_dof(model, points, used, noise)
+    rng = np.random.default_rng(1)
+    jacobian, common = model.linearise(points)[1], model.common_jacobian(points)
+    total = 0.01 * np.eye(4) + common @ common.transpose(0, 2, 1)
+    weight = np.linalg.inv(total)
+    normal = jacobian.transpose(0, 2, 1) @ weight @ jacobian
+    drawn = []
+    for _ in range(2000):
+        error = common @ rng.standard_normal(common.shape[2]) + 0.1 * rng.standard_normal((40, 4))
+        moment = np.einsum("nsi,nst,nt->ni", jacobian, weight, error)
+        drawn.append(np.einsum("ni,nij,nj->", moment, np.linalg.inv(normal), moment) / 40)
+    assert np.mean(drawn) == pytest.approx(3.0, abs=0.15)
+    assert few == pytest.approx(18.0 / np.var(drawn), rel=0.15)
+    assert expected_quantile(np.array([few]), 0.95) == pytest.approx(
+        np.quantile(drawn, 0.95), rel=0.1
+    )
 
 
 @pytest.mark.slow

@@ -134,7 +134,7 @@ def distorted_tally(runs: int, seed: int = SEED) -> tuple[int, int]:
         weights = np.where(seen, 1.0 / device.sigma_px, 0.0)
         sigma = np.full(seen.shape, device.sigma_px)
         given = device.points_mm, device.readings_px
-        plain = fit_metric_cameras(*given, sigma, device.geometry)
+        plain, _, _ = fit_metric_cameras(*given, sigma, device.geometry)
         prior = LensPrior.of(plain, [PITCH_UM] * SENSORS, device.points_mm, seen)
         best = minimise(CameraStack.of(device.models), *given, weights, prior).squares
         for place, near in enumerate((None, device.start)):

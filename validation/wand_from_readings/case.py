@@ -16,7 +16,7 @@ from compute.errors import LumilineError
 from compute.reconstruction.triangulation import reconstruct
 from validation.progress import report_progress
 from validation.result_tables import Cell, ResultTable, TablesCase
-from validation.wand_from_readings.scene import Bar, Wave, random_bar, random_wave
+from validation.wand_from_readings.scene import Bar, Directions, Wave, random_bar, random_wave
 
 Array = NDArray[np.float64]
 
@@ -29,6 +29,7 @@ COST_TOLERANCE: Final = 0.02
 """Largest relative excess of chi2 per degree of freedom over that from the true cameras."""
 ERROR_TOLERANCE: Final = 0.1
 """Largest relative difference of the markers' error from that of the same solution."""
+DEGENERATE: Final[tuple[Directions, ...]] = ("all parallel", "all in one plane", "on a cone")
 Verdict = Literal["same", "lower", "other", "refused"]
 
 
@@ -205,7 +206,38 @@ def compute_tables(
         ("rigs", "trials", "same", "lower", "other", "refused", "median error", "largest error"),
         tuple(rows),
     )
-    return (table,), (_ASSUMED, f"{mirrored} of {trials * len(ROWS)} came out mirrored.", *reasons)
+    return (table, degenerate_waves(seed, trials)), (
+        _ASSUMED,
+        f"{mirrored} of {trials * len(ROWS)} came out mirrored.",
+        *reasons,
+    )
+
+
+def degenerate_waves(seed: int, trials: int) -> ResultTable:
+    """Return how many degenerate waves are refused, and how many by their name.
+
+    Args:
+        seed: of the rigs.
+        trials: rigs of each kind.
+    """
+    rows: list[tuple[Cell, ...]] = []
+    for number, kind in enumerate(DEGENERATE):
+        reasons = []
+        for trial in range(trials):
+            rng = np.random.default_rng([seed, trial, number])
+            bar = random_bar(rng, 5, distorted=False)
+            wave = random_wave(
+                rng, bar, poses=POSES, sigma_px=float(rng.uniform(0.1, 0.5)), missing=0.1,
+                wrong=0.0, exchanged=0.0, directions=kind,
+            )  # fmt: skip
+            reasons.append(judge(wave).reason)
+        named = sum(kind in reason for reason in reasons)
+        rows.append((kind, trials, sum(map(bool, reasons)), named))
+    return ResultTable(
+        f"degenerate waves, five sensors, seed {seed}",
+        ("directions of the wand", "trials", "refused", "by name"),
+        tuple(rows),
+    )
 
 
 _ASSUMED: Final = (

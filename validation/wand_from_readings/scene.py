@@ -1,13 +1,14 @@
 """Random bars of sensors and a waved wand; an own projection, which shares no code with compute."""
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+Directions = Literal["all", "all parallel", "all in one plane", "on a cone"]
 DIRECTION_ERROR_RAD: Final = 0.2
 """Standard deviation of the described directions of the pixels: a glance at the device."""
 
@@ -118,6 +119,7 @@ def random_wave(
     missing: float,
     wrong: float,
     exchanged: float,
+    directions: Directions = "all",
 ) -> Wave:
     """Return what a bar reads of a wand at random positions, in all directions.
 
@@ -129,9 +131,16 @@ def random_wave(
         missing: share of readings that are missing.
         wrong: share of readings that are anywhere on the pixels.
         exchanged: share of a sensor's poses in which it has the ends exchanged.
+        directions: of the wand: all, or those of a degenerate wave.
     """
     middle = bar.centre_mm + rng.uniform(-0.5, 0.5, (poses, 3)) * bar.side_mm
     half = rng.standard_normal((poses, 3))
+    if directions == "all parallel":
+        half[:] = half[0]
+    elif directions == "all in one plane":
+        half -= np.outer(half @ half[0], half[0]) / (half[0] @ half[0])
+    elif directions == "on a cone":
+        half[:, 2] = 0.7 * np.linalg.norm(half[:, :2], axis=1)
     half *= 0.5 * bar.wand_mm / np.linalg.norm(half, axis=1, keepdims=True)
     markers = np.stack([middle - half, middle + half], axis=1)
     exact = bar.read(markers)

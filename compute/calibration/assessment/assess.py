@@ -78,7 +78,8 @@ def calibrate_and_assess(
     by_blocks = partial_progress(progress, 0.75, 0.9)
     checks.append(cross_validate(found, *observations, "blocks", by_blocks))
     used, _ = effective_readings(found, readings_px)
-    diagnosis = diagnose(found, points_mm, used, partial_progress(progress, 0.9, 1.0))
+    pitch_um = [sensor.pitch_um for sensor in sensors]
+    diagnosis = diagnose(found, points_mm, used, partial_progress(progress, 0.9, 1.0), pitch_um)
     return replace(found, cross_validation=tuple(checks), diagnosis=diagnosis)
 
 

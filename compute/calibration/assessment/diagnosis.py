@@ -1,6 +1,8 @@
 """Diagnosis: weak parameters, coverage by control points, and the most useful further point."""
 
+from collections.abc import Sequence
 from dataclasses import replace
+from itertools import combinations
 from typing import Final
 
 import numpy as np
@@ -8,8 +10,8 @@ from numpy.typing import NDArray
 
 from compute.calibration.assessment_result import Diagnosis, SensorDiagnosis, Suggestion
 from compute.calibration.result import Calibration, SensorFit, prior_strength
-from compute.calibration.single_sensor.camera_fit import LensPrior, fitted_columns
-from compute.camera.model import vector3
+from compute.calibration.single_sensor.camera_fit import LensPrior, fitted_columns, minimise
+from compute.camera.model import PARAMETER_COUNT, vector3
 from compute.camera.stack import CameraStack
 from compute.progress import Progress, no_progress
 
@@ -28,6 +30,21 @@ MIN_RELATIVE_DEPTH_RANGE: Final = 0.05
 WEAK_CONDITION_THRESHOLD: Final = 1e-4
 """Condition below which a sensor's parameters depend on single readings."""
 
+MAX_CONDITION: Final = 1e7
+"""Condition of the sensors' planes above which they have no common point but a common line."""
+MIN_EXTENT_MM: Final = 10.0
+"""Extent of control points below which their coordinates may be in metres."""
+MIN_PLANE_ANGLE: Final = 0.02
+"""Sine of the smallest angle, as the planes of the sensors see a direction, at which a position is
+determined along it: its standard deviation is then 50 times that of a plane."""
+MAX_NONLINEARITY: Final = 0.2
+"""Largest relative difference of a refit from what the covariance predicts linearly."""
+NONLINEARITY_GRID_NODES: Final = 3
+NONLINEARITY_SIGMA: Final = 2.0
+"""Standard deviations by which the readings are moved for it."""
+MAX_FACTOR: Final = 1e4
+"""Ratio of standard deviations above which none is stated."""
+
 _PARAMETER_DESCRIPTIONS: Final = {
     "principal_distance_px": "the principal distance",
     "principal_point_px": "the principal point",
@@ -45,6 +62,7 @@ def diagnose(
     points_mm: Array,
     readings_px: Array,
     progress: Progress = no_progress,
+    pitch_um: Sequence[float | None] = (),
 ) -> Diagnosis:
     """Diagnose how well control points determine a calibration, and where another helps most.
 
@@ -57,6 +75,7 @@ def diagnose(
         points_mm: control points, shape (N, 3) [mm].
         readings_px: readings that the fit used, shape (N, S) [px]; NaN where not.
         progress: called with the fraction done and the stage.
+        pitch_um: the sensors' pixel pitches [um]; None, or empty: not known.
     """
     points = np.asarray(points_mm, dtype=np.float64)
     readings = np.asarray(readings_px, dtype=np.float64)
@@ -68,7 +87,14 @@ def diagnose(
     )
     progress(0.2, "most useful further point")
     mean, largest, suggestions = _PrecisionPredictor(calibration, points).predict()
-    return Diagnosis(sensors, mean, largest, suggestions, _remarks(calibration, sensors))
+    remarks = (
+        *_remarks(calibration, sensors),
+        *_redundancy_remarks(calibration, np.isfinite(readings).sum(axis=0)),
+        *_unit_remarks(calibration, points, pitch_um),
+        *_geometry_remarks(calibration, points),
+        *_nonlinearity_remarks(calibration, points, readings),
+    )
+    return Diagnosis(sensors, mean, largest, suggestions, remarks)
 
 
 def _sensor(fit: SensorFit, points: Array, readings: Array, strength: float) -> SensorDiagnosis:
@@ -165,6 +191,9 @@ class _PrecisionPredictor:
         with np.errstate(invalid="ignore"):
             inside = (readings >= -0.5) & (readings <= self.pixels - 0.5)
         keep = inside.sum(axis=1) >= 3
+        # Of planes that share a line, no point follows.
+        planes = np.where(inside[..., None], jacobian, 0.0) / self.sigma[:, None]
+        keep[keep] = np.linalg.cond(planes[keep]) < MAX_CONDITION
         points, inside, jacobian = points[keep], inside[keep], jacobian[keep]
         by_parameter = self.cameras.parameter_jacobian(points)
         rows = np.zeros((*inside.shape, len(self.covariance)))
@@ -249,9 +278,186 @@ def _remarks(calibration: Calibration, sensors: tuple[SensorDiagnosis, ...]) -> 
                 f"between readings (condition {one.condition:.1e}); spread the points further in "
                 "all three directions."
             )
+        settings = calibration.settings
+        uncertain = settings is not None and settings.control_sigma_mm is not None
+        if uncertain and fit.sigma_source == "assumed":
+            remarks.append(
+                f"Sensor {one.sensor}: its readings count as uncertain by {fit.sigma_px:.2g} px, "
+                "more than their own noise: with less, the joint adjustment of sensors and control "
+                "points did not converge. The covariance is rather too large; measure the control "
+                "points more precisely, or give more of them."
+            )
         if fit.chi2_per_dof is not None and fit.chi2_per_dof > 2.0:
             remarks.append(
                 f"Sensor {one.sensor}: its residuals are {fit.chi2_per_dof**0.5:.1f} times what "
                 "the given standard deviations explain; check distortion, labels and noise."
             )
     return tuple(remarks)
+
+
+def _redundancy_remarks(calibration: Calibration, counts: NDArray[np.intp]) -> list[str]:
+    """Return which sensors have no more readings than their cameras have parameters."""
+    remarks = []
+    for fit, count in zip(calibration.sensors, counts.tolist(), strict=True):
+        # Parameters with a scale were not asked for: the prior holds what readings leave open.
+        estimated = calibration.distortion is not None and calibration.distortion.scale is not None
+        needed = PARAMETER_COUNT if estimated else len(fitted_columns(fit.model))
+        if count <= needed:
+            remarks.append(
+                f"Sensor {fit.model.name}: {count} readings for {needed} parameters leave no "
+                "redundancy: its residuals are about zero whatever was read, and no error of a "
+                f"reading can be noticed; give at least {needed + 3} points."
+            )
+    return remarks
+
+
+def _unit_remarks(
+    calibration: Calibration, points: Array, pitch_um: Sequence[float | None]
+) -> list[str]:
+    """Return whether the coordinates seem to be in metres."""
+    extent = float(np.linalg.norm(np.ptp(points, axis=0)))
+    if extent < MIN_EXTENT_MM:
+        remark = (
+            f"The control points lie within {extent:.3g} mm of each other: coordinates are in "
+            "mm, and these may be in metres; multiply them by 1000 then, or all positions come "
+            "out in metres."
+        )
+        return [remark]
+    for model, pitch in zip(calibration.models, pitch_um, strict=False):
+        focal = 0.0 if pitch is None else 1e-3 * pitch * model.principal_distance_px
+        depth = float((points @ model.rotation[2]).mean()) + model.offset_z_mm
+        if depth < focal:
+            remark = (
+                f"Sensor {model.name}: its lens would be {depth:.3g} mm from the control points, "
+                f"less than the {focal:.3g} mm from lens to pixels: nothing is imaged there; "
+                "check that the coordinates are in mm (and not in metres), and the pixel pitch."
+            )
+            return [remark]
+    return []
+
+
+def _geometry_remarks(calibration: Calibration, points: Array) -> list[str]:
+    """Return in which direction the sensors' planes leave positions open, and why."""
+    models = calibration.models
+    if len(models) < 3:
+        remark = (
+            f"{len(models)} sensor{'s' if len(models) > 1 else ''} cannot locate a marker: each "
+            "reading is a plane, and three planes meet in a point. The cameras are calibrated; "
+            "for positions the device needs three sensors."
+        )
+        return [remark]
+    corners = box_points(points.min(axis=0), points.max(axis=0), 2)
+    places = np.vstack([points.mean(axis=0), corners])
+    reading, jacobian = CameraStack.of(models).linearise(places)
+    seen = np.isfinite(reading[0])
+    normals = jacobian[:, seen] / np.linalg.norm(jacobian[:, seen], axis=2, keepdims=True)
+    if normals.shape[1] < 3:
+        return []
+    _, singular, axes = np.linalg.svd(normals[0])
+    if singular[2] >= MIN_PLANE_ANGLE:
+        return []
+    names = [model.name for model, is_seen in zip(models, seen, strict=True) if is_seen]
+    alike = [
+        f"{names[i]} and {names[j]}"
+        for i, j in combinations(range(len(names)), 2)
+        if not np.linalg.norm(np.cross(normals[:, i], normals[:, j]), axis=1).max()
+        >= MIN_PLANE_ANGLE
+    ]
+    slits = np.array([model.rotation[1] for model in models])[seen]
+    if np.linalg.norm(np.cross(slits, axes[2]), axis=1).max() < MIN_PLANE_ANGLE:
+        cause = "the slits of all sensors are parallel"
+    elif alike:
+        cause = f"sensors {', '.join(alike)} see the same planes and count as one"
+    else:
+        cause = "the planes of all sensors nearly share a line"
+    factor = 1.0 / max(float(singular[2]), 1e-12)
+    bound = "without bound"
+    if factor < MAX_FACTOR:
+        bound = f"{factor:.0f} times as much as across one plane"
+    direction = ", ".join(f"{value:.2f}" for value in axes[2] + 0.0)
+    remark = (
+        f"Positions along the direction ({direction}) are hardly determined: {cause}. Along it "
+        f"they are uncertain {bound}; turn the row of a sensor by 30 degrees or more against "
+        "the others."
+    )
+    return [remark]
+
+
+def nonlinearity(calibration: Calibration, points_mm: Array, seen: NDArray[np.bool_]) -> Array:
+    """Return how far refits depart from the linear prediction of the covariance, shape (S,).
+
+    The readings of the fitted camera are moved by two standard deviations, in both directions,
+    along the combination that changes what the camera reads over the points' box most, and the
+    camera is fitted again. Points near a critical surface (a quadric that contains the slit, on
+    which a twisted cubic may lie) leave a curved valley; the covariance describes its bottom only.
+
+    Args:
+        calibration: the calibration of these points.
+        points_mm: control points, shape (N, 3) [mm].
+        seen: which readings the fit used, shape (N, S).
+
+    Returns:
+        Relative difference of that change from the predicted one; infinite where a refit did not
+        converge.
+    """
+    models = calibration.models
+    centre = points_mm.mean(axis=0)
+    points = points_mm - centre
+    stack = CameraStack.of(models)
+    stack = replace(stack, offset_mm=stack.offset_mm + stack.rotation @ centre)
+    models = stack.models(models)
+    sigma = np.array([fit.sigma_px for fit in calibration.sensors])
+    weights = np.where(seen, 1.0 / sigma, 0.0)
+    prior, information = None, np.zeros((len(models), stack.width))
+    if stack.has_distortion:
+        strength = prior_strength(calibration)
+        prior = LensPrior.of(models, [None] * len(models), points, seen, strength)
+        information = prior.gaussian(stack)[1]
+    fitted, jacobian = stack.project_with_parameter_jacobian(points)
+    volume = box_points(points.min(axis=0), points.max(axis=0), NONLINEARITY_GRID_NODES)
+    expected, by_parameter = stack.project_with_parameter_jacobian(volume)
+    by_parameter = np.where(np.isfinite(expected)[..., None], by_parameter, 0.0)
+    steps = np.array([0.0, NONLINEARITY_SIGMA, -NONLINEARITY_SIGMA])
+    moved, linear = [], []
+    for column, weight in enumerate(weights.T):
+        matrix = jacobian[:, column] * weight[:, None]
+        matrix = np.concatenate([matrix, np.diag(np.sqrt(information[column]))])
+        scale = np.linalg.norm(matrix, axis=0)
+        scale = np.where(scale > 0.0, scale, np.inf)
+        gain = np.linalg.pinv(matrix / scale)[:, : len(points)] / scale[:, None]
+        left, singular, right = np.linalg.svd(by_parameter[:, column] @ gain, full_matrices=False)
+        moved.append(fitted[:, column, None] + np.outer(right[0] * sigma[column], steps))
+        linear.append(left[:, 0] * singular[0])
+    index = np.repeat(np.arange(len(models)), len(steps))
+    ended = minimise(
+        stack.rows(index),
+        points,
+        np.concatenate(moved, axis=1),
+        weights[:, index],
+        None if prior is None else prior.rows(index),
+    )
+    readings = ended.cameras.project(volume).T.reshape(len(models), len(steps), -1)
+    change = readings[:, 1:] - readings[:, :1]
+    effect = np.array(linear)[:, None]
+    difference = change - steps[1:, None] * effect
+    along = np.nansum(difference * effect, axis=2) / (effect**2).sum(axis=2) / NONLINEARITY_SIGMA
+    converged = np.asarray(ended.converged.reshape(len(models), len(steps)).all(axis=1))
+    return np.where(converged, np.abs(along).max(axis=1), np.inf)
+
+
+def _nonlinearity_remarks(calibration: Calibration, points: Array, readings: Array) -> list[str]:
+    """Return of which sensors the covariance cannot be trusted."""
+    found = nonlinearity(calibration, points, np.isfinite(readings))
+    remarks = []
+    for fit, value in zip(calibration.sensors, found.tolist(), strict=True):
+        if value > MAX_NONLINEARITY:
+            by = "so far that no camera settles"
+            if np.isfinite(value):
+                by = f"{value:.0%} otherwise than the covariance says"
+            remarks.append(
+                f"Sensor {fit.model.name}: its control points are near-critical: cameras that "
+                "differ much fit nearly as well. Readings that change by two standard deviations "
+                f"move the camera {by}; do not rely on the covariance, "
+                "and add points away from the curve or surface on which these lie."
+            )
+    return remarks

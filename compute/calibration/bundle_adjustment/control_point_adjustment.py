@@ -41,6 +41,8 @@ class JointFit:
             are not fitted.
         residuals_px: fitted minus measured readings at the adjusted points, shape (N, S) [px].
         shifts_mm: adjusted minus given points, shape (N, 3) [mm].
+        sigma_px: standard deviations of the readings that were taken, those given or wider ones,
+            shape (N, S) [px].
         sigma_ratio: each sensor's noise estimated from its residuals over the given, shape (S,).
         redundancy: sum of each sensor's redundancy numbers, shape (S,).
     """
@@ -49,6 +51,7 @@ class JointFit:
     covariance: Array
     residuals_px: Array
     shifts_mm: Array
+    sigma_px: Array
     sigma_ratio: Array
     redundancy: Array
 
@@ -59,6 +62,7 @@ def adjust_control_points(
     sigma_px: Array,
     control_sigma_mm: float,
     progress: Progress = no_progress,
+    start: JointFit | None = None,
 ) -> JointFit:
     """Adjust all sensors and the control points jointly; each coordinate has a prior.
 
@@ -73,6 +77,8 @@ def adjust_control_points(
         sigma_px: standard deviations of the readings, shape (N, S) [px].
         control_sigma_mm: standard deviation of each coordinate of the points [mm].
         progress: called with the fraction done and the stage.
+        start: an adjustment with other standard deviations, from whose cameras and points the
+            search starts; None: from the fitted cameras and the given points.
 
     Raises:
         NoConvergence: see ``adjust``.
@@ -84,7 +90,7 @@ def adjust_control_points(
         # Readings much more precise than the points make a valley too narrow to follow.
         wide = np.maximum(sigma_px, share * np.nan_to_num(point_sigma))
         try:
-            found = _adjust(observed, fits, wide, control_sigma_mm, progress)
+            found = _adjust(observed, fits, wide, control_sigma_mm, progress, start)
         except (NoConvergence, UndeterminedParameters):
             if share == MIN_NOISE_SHARES[-1]:
                 raise
@@ -101,11 +107,12 @@ def _adjust(
     sigma_px: Array,
     control_sigma_mm: float,
     progress: Progress,
+    start: JointFit | None,
 ) -> JointFit:
     points = observed.points_mm
     counts = fits.used(observed)
     poses = PoseSet.points(
-        points,
+        points if start is None else points + start.shifts_mm,
         np.where(counts, observed.readings_px, np.nan),
         np.where(counts, sigma_px / np.sqrt(np.where(counts, fits.weights, 1.0)), np.nan),
         points,
@@ -114,7 +121,8 @@ def _adjust(
     free = np.concatenate(
         [np.isin(np.arange(m.parameter_count), fitted_columns(m)) for m in fits.models]
     )
-    found = adjust(fits.models, [poses], prior=_prior(fits), free=free, progress=progress)
+    models = fits.models if start is None else start.models
+    found = adjust(models, [poses], prior=_prior(fits), free=free, progress=progress)
     adjusted = found.pose_sets[0].translation_mm
     residuals = CameraStack.of(found.models).project(adjusted) - observed.readings_px
     share = redundancy(found)[:, 0]
@@ -125,6 +133,7 @@ def _adjust(
         found.sensor_covariance,
         residuals,
         adjusted - points,
+        sigma_px,
         np.sqrt(squares / np.maximum(checked, MIN_REDUNDANCY)),
         checked,
     )

@@ -10,10 +10,8 @@ from numpy.typing import NDArray
 from compute.calibration.mislabels.evaluation import SensorReadings
 from compute.calibration.mislabels.hypothesis import Hypothesis
 from compute.calibration.settings import Preset, preset_terms
-from compute.calibration.single_sensor.camera_fit import LensPrior
 from compute.calibration.single_sensor.sensor_fits import (
     ControlObservations,
-    SensorFits,
     fit_distorted,
     fit_undistorted,
 )
@@ -101,12 +99,10 @@ def _fits(observed: ControlObservations) -> Iterator[_RobustFit]:
     """Yield the camera without distortion, and those with each set of terms that can be fitted."""
     rows = observed.seen[:, 0]
     try:
-        plain, weights = fit_undistorted(observed, "robust")
+        undistorted = fit_undistorted(observed, "robust")
     except NOT_FITTED:
         return
-    yield _fit(observed, plain[0], PARAMETER_COUNT)
-    prior = LensPrior.of(plain, observed.pitch_um, observed.points_mm, observed.seen)
-    undistorted = SensorFits(plain, weights, prior)
+    yield _fit(observed, undistorted.models[0], PARAMETER_COUNT)
     for name in CANDIDATES:
         terms = preset_terms(name)
         # The offset along the slit has a prior: it is not counted.

@@ -18,6 +18,7 @@ from compute.camera.model import SensorModel
 from compute.camera.stack import CameraStack
 from compute.errors import TooFewPoints
 from compute.reconstruction.triangulation import reconstruct, triangulate_linear
+from compute.transform import nearest_rotation
 
 Array = NDArray[np.float64]
 
@@ -202,7 +203,4 @@ def fit_poses(shape: TargetShape, marker_mm: Array) -> tuple[Array, Array]:
 def _rotations(own: Array, seen: Array) -> Array:
     """Return R (B, 3, 3) with ``seen = R own`` in the least-squares sense (Kabsch)."""
     cross = np.einsum("bki,...kj->bij" if own.ndim == 2 else "bki,bkj->bij", seen, own)
-    left, _, right = np.linalg.svd(cross)
-    sign = np.where(np.linalg.det(left @ right) < 0.0, -1.0, 1.0)
-    left[:, :, 2] *= sign[:, None]
-    return np.asarray(left @ right)
+    return nearest_rotation(cross)

@@ -8,10 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.calibration.bundle_adjustment.adjustment_result import undetermined_poses
-from compute.calibration.bundle_adjustment.normal_equations import (
-    AdjustmentState,
-    build_normal_equations,
-)
+from compute.calibration.bundle_adjustment.normal_equations import AdjustmentState
 from compute.calibration.bundle_adjustment.pose_set import PoseSet
 from compute.calibration.self_calibration.initial_poses import InitialPoses, fit_poses, triangulate
 from compute.camera.model import SensorModel
@@ -22,7 +19,9 @@ Array = NDArray[np.float64]
 
 MAX_ITERATIONS: Final = 60
 CONVERGENCE_TOLERANCE: Final = 1e-9
-"""Decrease of a pose's chi2 that its last step predicted, beside its own rounding."""
+"""Decrease of a pose's chi2 that its last step predicted."""
+RELATIVE_TOLERANCE: Final = 1e-7
+"""The same over chi2: where readings contradict one another the last digits tell nothing."""
 CONTRADICTION_PROBABILITY: Final = 1e-6
 """Probability that a good pose is taken for one with an outlier."""
 WORSE_RATIO_THRESHOLD: Final = 10.0
@@ -185,49 +184,57 @@ def resect(models: Sequence[SensorModel], poses: PoseSet) -> tuple[PoseSet, Arra
 
     Args:
         models: the cameras, held fixed.
-        poses: B starting poses, with all observed markers in front of the lenses.
+        poses: B starting poses without known positions, with all observed markers in front of the
+            lenses.
 
     Returns:
         The poses, and the sum of squared residuals over sigma of each, shape (B,).
     """
-    chi2 = _chi2(models, poses)
+    cameras = CameraStack.of(models)
+    chi2 = _chi2(cameras, poses)
+    translation, rotation = poses.translation_mm.copy(), np.array(poses.rotation)
     damping = np.full(len(poses), 1e-4)
-    ones = np.ones(poses.readings_px.shape)
     diagonal_index = np.arange(poses.unknowns)
-    active = np.isfinite(chi2)
+    active = np.flatnonzero(np.isfinite(chi2))
+    part = poses.select(active)
     for _ in range(MAX_ITERATIONS):
-        if not active.any():
+        if len(active) == 0:
             break
-        block = build_normal_equations(
-            AdjustmentState(tuple(models), (poses,)), [ones], None
-        ).blocks[0]
-        normal, gradient = block.normal.copy(), block.gradient
+        normal, gradient = _pose_equations(cameras, part)
         diagonal = normal[:, diagonal_index, diagonal_index]
         floor = 1e-300 + 1e-15 * diagonal.max(axis=1, keepdims=True)
-        normal[:, diagonal_index, diagonal_index] += damping[:, None] * diagonal + floor
-        normal[~active] = np.eye(poses.unknowns)
+        normal[:, diagonal_index, diagonal_index] += damping[active, None] * diagonal + floor
         step: Array = -np.asarray(np.linalg.solve(normal, gradient[..., None]))[..., 0]
-        step[~active] = 0.0
-        trial = poses.retract(step)
-        new = _chi2(models, trial)
-        better = active & (new <= chi2)
+        trial = part.retract(step)
+        new = _chi2(cameras, trial)
+        better = new <= chi2[active]
+        translation[active[better]] = trial.translation_mm[better]
+        rotation[active[better]] = trial.rotation[better]
+        chi2[active[better]] = new[better]
         predicted = -(gradient * step).sum(axis=1)
-        poses = replace(
-            poses,
-            translation_mm=np.where(better[:, None], trial.translation_mm, poses.translation_mm),
-            rotation=np.where(better[:, None, None], trial.rotation, poses.rotation),
-        )
-        chi2 = np.where(better, new, chi2)
-        active = active & (predicted > CONVERGENCE_TOLERANCE + 1e-12 * chi2) & (damping < 1e12)
-        damping *= np.where(better, 0.1, 10.0)
-    return poses, chi2
+        going = predicted > CONVERGENCE_TOLERANCE + RELATIVE_TOLERANCE * chi2[active]
+        going &= damping[active] < 1e12
+        damping[active] *= np.where(better, 0.1, 10.0)
+        active = active[going]
+        part = replace(poses, translation_mm=translation, rotation=rotation).select(active)
+    return replace(poses, translation_mm=translation, rotation=rotation), chi2
 
 
-def _chi2(models: Sequence[SensorModel], poses: PoseSet) -> Array:
-    squares = AdjustmentState(tuple(models), (poses,)).residuals()[0] ** 2
-    total: Array = squares.sum(axis=(1, 2))
-    prior = poses.prior()
-    if prior is not None:
-        difference, information = prior
-        total = total + np.einsum("bi,bij,bj->b", difference, information, difference)
-    return total
+def _pose_equations(cameras: CameraStack, poses: PoseSet) -> tuple[Array, Array]:
+    """Return the normal matrices (B, d, d) and gradients (B, d) of poses, cameras held fixed."""
+    seen = poses.seen
+    projected, by_marker = cameras.linearise(poses.marker_positions().reshape(-1, 3))
+    weight = np.where(seen, 1.0 / poses.sigma_px, 0.0)
+    difference = projected.reshape(seen.shape) - poses.readings_px
+    residual = np.where(seen, difference * weight, 0.0).reshape(len(poses), -1, 1)
+    by_marker = np.nan_to_num(by_marker).reshape(*seen.shape, 3) * weight[..., None]
+    jacobian = (by_marker @ poses.marker_jacobian()).reshape(len(poses), -1, poses.unknowns)
+    transposed = jacobian.transpose(0, 2, 1)
+    return transposed @ jacobian, (transposed @ residual)[..., 0]
+
+
+def _chi2(cameras: CameraStack, poses: PoseSet) -> Array:
+    projected = cameras.project(poses.marker_positions().reshape(-1, 3))
+    difference = projected.reshape(poses.readings_px.shape) - poses.readings_px
+    squares = np.where(poses.seen, difference / poses.sigma_px, 0.0) ** 2
+    return np.asarray(squares.sum(axis=(1, 2)))

@@ -10,14 +10,19 @@ from compute.robust_statistics import MAD_TO_SIGMA
 
 Array = NDArray[np.float64]
 
-SUBSETS: Final = 64
-"""Random subsets of points, one of which is free of wrong readings."""
-HALVES: Final = 16
-"""Random halves of the points that are tried with four sensors."""
-SUBSET_POINTS: Final = 14
+TRIALS: Final = 64
+"""Random subsets of points, some of which are free of wrong readings."""
+FINISHED_TRIALS: Final = 3
+"""The best of them, with four sensors, that are adjusted to all points."""
+SUBSET_POINTS: Final = 16
 SUBSET_ITERATIONS: Final = 15
 SEED: Final = 1
-MAX_ITERATIONS: Final = 150
+MAX_ITERATIONS: Final = 40
+PERSPECTIVE_SIGMA: Final = 0.1
+"""Standard deviation of g: a sensor sees a point one standard deviation away 10 % nearer than
+the others do."""
+GAUGE_DAMPING: Final = 1e-9
+"""Least damping, for the frame is free."""
 CONVERGENCE_TOLERANCE: Final = 1e-7
 """Relative decrease of the loss that a step predicts at the end."""
 MAX_DAMPING: Final = 1e10
@@ -83,24 +88,36 @@ def reconstruct_projective(readings: Array) -> ProjectiveReconstruction:
     """Reconstruct projective cameras and points, whatever wrong readings there are.
 
     With four sensors a point has one redundant reading, which a wrong one may bend the cameras to
-    agree with: random halves of the points are tried, of which some are free of wrong readings.
+    agree with: random subsets of the points are tried, of which some are free of wrong readings.
 
     Args:
         readings: shape (N, S), at least four seen of each point; NaN where not seen.
     """
     whole = adjust_projective(affine_start(readings))
-    if readings.shape[1] > MIN_READINGS:
+    if readings.shape[1] > MIN_READINGS or len(readings) <= SUBSET_POINTS:
         return whole
+    parts = readings[_subsets(len(readings), TRIALS)]
+    affine = _affine_cameras(parts, _first_cameras(parts), SUBSET_ITERATIONS)
+    state = _PerspectiveState.of_affine(affine, _affine_points(parts, affine), parts)
+    misfits = []
+    trials = []
+    for one in state.adjusted().matrices():
+        trial = ProjectiveReconstruction(one, np.zeros((0, 4)), readings)
+        trial = replace(trial, points=trial.triangulated(readings))
+        trials.append(trial)
+        misfits.append(float(np.median(trial.point_misfits())))
+    best = [trials[index] for index in np.argsort(misfits, kind="stable")[:FINISHED_TRIALS]]
+    return min([whole, *map(adjust_projective, best)], key=_robust_misfit)
+
+
+def _robust_misfit(reconstruction: ProjectiveReconstruction) -> float:
+    return float(np.median(reconstruction.point_misfits()))
+
+
+def _subsets(count: int, trials: int) -> NDArray[np.intp]:
     rng = np.random.default_rng(SEED)
-    candidates = [whole]
-    for _ in range(HALVES):
-        half = readings[rng.permutation(len(readings))[: max(len(readings) // 2, SUBSET_POINTS)]]
-        part = adjust_projective(affine_start(half))
-        candidates.append(
-            ProjectiveReconstruction(part.cameras, part.triangulated(readings), readings)
-        )
-    best = min(candidates, key=lambda one: float(np.median(one.point_misfits())))
-    return whole if best is whole else adjust_projective(best)
+    size = min(SUBSET_POINTS, count)
+    return np.array([rng.permutation(count)[:size] for _ in range(trials)])
 
 
 def affine_start(readings: Array) -> ProjectiveReconstruction:
@@ -112,11 +129,7 @@ def affine_start(readings: Array) -> ProjectiveReconstruction:
         readings: shape (N, S), at least four seen of each point; NaN where not seen.
     """
     count = len(readings)
-    rng = np.random.default_rng(SEED)
-    subsets = np.array(
-        [rng.permutation(count)[: min(SUBSET_POINTS, count)] for _ in range(SUBSETS)]
-    )
-    parts = readings[subsets]
+    parts = readings[_subsets(count, TRIALS)]
     trials = _affine_cameras(parts, _first_cameras(parts), SUBSET_ITERATIONS)
     misfits = _affine_misfits(readings[None], trials)
     best = int(np.argmin(np.median(misfits, axis=1)))
@@ -185,13 +198,91 @@ def adjust_projective(start: ProjectiveReconstruction) -> ProjectiveReconstructi
     """Adjust cameras and points by Levenberg-Marquardt, points eliminated, outliers weighted down.
 
     Args:
-        start: cameras and points; points in which readings disagree get a small weight.
+        start: cameras and points in a frame whose plane at infinity does not cut the points;
+            points in which readings disagree get a small weight.
     """
-    current = start.balanced()
-    for _ in range(WEIGHT_ROUNDS):
-        weight = _point_weights(current.point_misfits())
-        current = _minimise(current, weight)
-    return current
+    frame = start.points[:, :3] / start.points[:, 3:]
+    scale = start.cameras[:, 1, 3]
+    state = _PerspectiveState(
+        (start.cameras[:, 0] / scale[:, None])[None],
+        (start.cameras[:, 1, :3] / scale[:, None])[None],
+        frame[None],
+        start.readings[None],
+    )
+    state = state.adjusted()
+    points = np.column_stack([state.points[0], np.ones(len(frame))])
+    return ProjectiveReconstruction(state.matrices()[0], points, start.readings)
+
+
+@dataclass(frozen=True, eq=False)
+class _PerspectiveState:
+    """T trials of S cameras ``p = (a . Y + b) / (1 + g . Y)`` and N points each.
+
+    Affine cameras have g = 0; with whitened points it is how much the depths seen by a sensor
+    differ from the others'. A weak prior holds g near 0, where few points leave it open.
+
+    Args:
+        numerator: (a, b), shape (T, S, 4).
+        perspective: g, shape (T, S, 3).
+        points: Y, shape (T, N, 3).
+        readings: shape (T, N, S); NaN where not seen.
+    """
+
+    numerator: Array
+    perspective: Array
+    points: Array
+    readings: Array
+
+    @classmethod
+    def of_affine(cls, cameras: Array, points: Array, readings: Array) -> "_PerspectiveState":
+        return cls(cameras, np.zeros((*cameras.shape[:2], 3)), points, readings)
+
+    def matrices(self) -> Array:
+        """Return the cameras, shape (T, S, 2, 4)."""
+        ones = np.ones((*self.perspective.shape[:2], 1))
+        second = np.concatenate([self.perspective, ones], axis=2)
+        return np.stack([self.numerator, second], axis=2)
+
+    def depths(self) -> Array:
+        """Return ``1 + g . Y``, shape (T, N, S)."""
+        return np.asarray(1.0 + self.points @ self.perspective.swapaxes(1, 2))
+
+    def residuals(self) -> Array:
+        """Return projected minus read, shape (T, N, S); 0 where not seen."""
+        first = self.points @ self.numerator[..., :3].swapaxes(1, 2) + self.numerator[:, None, :, 3]
+        difference = first / self.depths() - self.readings
+        return np.where(np.isfinite(self.readings), difference, 0.0)
+
+    def adjusted(self) -> "_PerspectiveState":
+        """Minimise the weighted squares; weights and noise follow from the last residuals."""
+        state = self
+        dof = np.maximum(np.isfinite(self.readings).sum(axis=2) - 3, 1)
+        for _ in range(WEIGHT_ROUNDS):
+            squares = (state.residuals() ** 2).sum(axis=2) / dof
+            sigma = MAD_TO_SIGMA * np.sqrt(np.median(squares, axis=1, keepdims=True)) + 1e-9
+            weight = 1.0 / (1.0 + squares / (CAUCHY_LIMIT * sigma) ** 2)
+            state = _minimise(state.whitened(weight), weight, sigma[:, 0] ** 2)
+        return state
+
+    def whitened(self, weight: Array) -> "_PerspectiveState":
+        """Return the same state with points of mean 0 and covariance 1, by weights (T, N)."""
+        share = weight / weight.sum(axis=1, keepdims=True)
+        centre = np.einsum("tn,tni->ti", share, self.points)
+        away = self.points - centre[:, None]
+        covariance = np.einsum("tn,tni,tnj->tij", share, away, away)
+        values, vectors = np.linalg.eigh(covariance)
+        floor = 1e-12 * values[:, 2:] + np.finfo(np.float64).tiny
+        spread = vectors * np.sqrt(np.maximum(values, floor))[:, None]
+        points = np.linalg.solve(spread, away.swapaxes(1, 2)).swapaxes(1, 2)
+        depth = 1.0 + np.einsum("tsi,ti->ts", self.perspective, centre)
+        constant = self.numerator[..., 3] + np.einsum("tsi,ti->ts", self.numerator[..., :3], centre)
+        numerator = np.concatenate([self.numerator[..., :3] @ spread, constant[..., None]], axis=2)
+        return _PerspectiveState(
+            numerator / depth[..., None],
+            (self.perspective @ spread) / depth[..., None],
+            points,
+            self.readings,
+        )
 
 
 def dual(reconstruction: ProjectiveReconstruction) -> ProjectiveReconstruction:
@@ -216,69 +307,88 @@ def _point_weights(misfit: Array) -> Array:
     return np.asarray(1.0 / (1.0 + (misfit / (CAUCHY_LIMIT * sigma)) ** 2))
 
 
-def _minimise(current: ProjectiveReconstruction, weight: Array) -> ProjectiveReconstruction:
-    seen = np.isfinite(current.readings)
-    count = current.readings.shape[1]
-    loss = _loss(current, weight)
-    damping = 1e-3
+def _minimise(state: _PerspectiveState, weight: Array, variance: Array) -> _PerspectiveState:
+    """Run Levenberg-Marquardt on all trials, each with its own damping.
+
+    Args:
+        state: whitened.
+        weight: of the points, shape (T, N).
+        variance: of the readings, shape (T,), which weighs them beside the prior.
+    """
+    trials, _, sensors = state.readings.shape
+    seen = np.isfinite(state.readings)
+    root = np.sqrt(weight)[..., None] * seen
+    prior = (variance / PERSPECTIVE_SIGMA**2)[:, None, None]
+    diagonal = np.arange(7)
+    damping = np.full(trials, 1e-3)
+    loss = _loss(state, root, prior)
+    active = np.ones(trials, dtype=np.bool_)
     for _ in range(MAX_ITERATIONS):
-        image = np.einsum("sij,nj->nsi", current.cameras, current.points)
-        root = np.sqrt(weight)[:, None] * seen
-        residual = root * np.where(seen, current.residuals(), 0.0)
-        by_first = root / image[..., 1]
-        by_second = -by_first * image[..., 0] / image[..., 1]
-        by_point = (
-            by_first[..., None] * current.cameras[:, 0]
-            + by_second[..., None] * current.cameras[:, 1]
-        )
+        depth = state.depths()
+        residual = root * state.residuals()
+        image = state.residuals() + np.where(seen, state.readings, 0.0)
+        gain = (root / depth)[..., None]
+        point = state.points[:, :, None]
         by_camera = np.concatenate(
-            [
-                by_first[..., None] * current.points[:, None],
-                by_second[..., None] * current.points[:, None],
-            ],
-            axis=2,
+            [gain * point, gain, -(gain * image[..., None]) * point], axis=3
+        )  # (T, N, S, 7)
+        by_point = gain * (
+            state.numerator[:, None, :, :3] - image[..., None] * state.perspective[:, None]
         )
-        point_normal = np.einsum("nsi,nsj->nij", by_point, by_point)
-        trace = np.trace(point_normal, axis1=1, axis2=2)[:, None, None]
-        # The length of a point is free: hold it.
-        point_normal += (damping * np.eye(4) + np.einsum("ni,nj->nij", *(2 * [current.points]))) * (
-            trace + np.finfo(np.float64).tiny
-        )
-        camera_normal = np.einsum("nsi,nsj->sij", by_camera, by_camera)
-        mixed = np.einsum("nsi,nsj->nsij", by_camera, by_point).reshape(-1, 8 * count, 4)
+        point_normal = by_point.swapaxes(2, 3) @ by_point
+        trace = np.trace(point_normal, axis1=2, axis2=3) + np.finfo(np.float64).tiny
+        point_normal += (damping[:, None] * trace)[..., None, None] * np.eye(3)
+        point_gradient = (by_point * residual[..., None]).sum(axis=2)
+        swapped = by_camera.transpose(0, 2, 3, 1)  # (T, S, 7, N)
+        camera_normal = swapped @ swapped.swapaxes(2, 3)
+        camera_gradient = (swapped @ residual.transpose(0, 2, 1)[..., None])[..., 0]
+        camera_gradient[..., 4:] += prior * state.perspective
+        camera_normal[..., diagonal[4:], diagonal[4:]] += prior
+        mixed = by_camera[..., None] * by_point[..., None, :]  # (T, N, S, 7, 3)
+        mixed = mixed.reshape(*mixed.shape[:2], 7 * sensors, 3)
         inverse = np.linalg.inv(point_normal)
-        point_gradient = np.einsum("nsi,ns->ni", by_point, residual)
-        camera_gradient = np.einsum("nsi,ns->si", by_camera, residual).ravel()
         eliminated = mixed @ inverse
-        flat = eliminated.transpose(1, 0, 2).reshape(8 * count, -1)
-        normal = -flat @ mixed.transpose(1, 0, 2).reshape(8 * count, -1).T
-        for sensor in range(count):
-            block = slice(8 * sensor, 8 * sensor + 8)
-            normal[block, block] += camera_normal[sensor]
-        scale = np.trace(camera_normal, axis1=1, axis2=2).mean() / 8.0
-        normal += damping * scale * np.eye(8 * count)
-        right = -(camera_gradient - np.einsum("nij,nj->i", eliminated, point_gradient))
-        step = np.linalg.lstsq(normal, right, rcond=1e-14)[0]
-        point_step = -np.einsum(
-            "nij,nj->ni", inverse, point_gradient + np.einsum("nij,i->nj", mixed, step)
+        flat = eliminated.transpose(0, 2, 1, 3).reshape(trials, 7 * sensors, -1)
+        normal = -flat @ mixed.transpose(0, 2, 1, 3).reshape(trials, 7 * sensors, -1).swapaxes(1, 2)
+        size = np.trace(camera_normal, axis1=2, axis2=3).mean(axis=1) / 7.0
+        for sensor in range(sensors):
+            block = slice(7 * sensor, 7 * sensor + 7)
+            normal[:, block, block] += camera_normal[:, sensor]
+        normal += ((damping + GAUGE_DAMPING) * size)[:, None, None] * np.eye(7 * sensors)
+        right = -camera_gradient.reshape(trials, -1)
+        right += (flat @ point_gradient.reshape(trials, -1, 1))[..., 0]
+        step = np.linalg.solve(normal, right[..., None])[..., 0]
+        coupled = point_gradient + (mixed.swapaxes(2, 3) @ step[:, None, :, None])[..., 0]
+        point_step = -(inverse @ coupled[..., None])[..., 0]
+        predicted = -(camera_gradient.reshape(trials, -1) * step).sum(axis=1)
+        predicted -= (point_gradient * point_step).sum(axis=(1, 2))
+        by_sensor = step.reshape(trials, sensors, 7)
+        trial = _PerspectiveState(
+            state.numerator + by_sensor[..., :4],
+            state.perspective + by_sensor[..., 4:],
+            state.points + point_step,
+            state.readings,
         )
-        predicted = -float(camera_gradient @ step + (point_gradient * point_step).sum())
-        trial = replace(
-            current,
-            cameras=current.cameras + step.reshape(-1, 2, 4),
-            points=current.points + point_step,
+        new = _loss(trial, root, prior)
+        ending = (predicted <= CONVERGENCE_TOLERANCE * loss) & (damping < 1e-2)
+        better = active & (new < loss)
+        state = _PerspectiveState(
+            np.where(better[:, None, None], trial.numerator, state.numerator),
+            np.where(better[:, None, None], trial.perspective, state.perspective),
+            np.where(better[:, None, None], trial.points, state.points),
+            state.readings,
         )
-        new = _loss(trial, weight)
-        ending = predicted <= CONVERGENCE_TOLERANCE * loss and damping < 1e-2
-        if new < loss:
-            current, loss, damping = trial.balanced(), new, max(0.2 * damping, 1e-12)
-        else:
-            damping *= 5.0
-        if ending or damping > MAX_DAMPING:
+        loss = np.where(better, new, loss)
+        damping = np.where(better, np.maximum(0.2 * damping, 1e-12), 5.0 * damping)
+        active &= ~ending & (damping <= MAX_DAMPING)
+        if not active.any():
             break
-    return current
+    return state
 
 
-def _loss(reconstruction: ProjectiveReconstruction, weight: Array) -> float:
-    value = float((weight[:, None] * reconstruction.residuals() ** 2).sum())
-    return value if np.isfinite(value) else np.inf
+def _loss(state: _PerspectiveState, root: Array, prior: Array) -> Array:
+    """Return the loss of each trial, (T,); inf with a point behind a camera."""
+    squares = ((root * state.residuals()) ** 2).sum(axis=(1, 2))
+    squares = squares + (prior * state.perspective**2).sum(axis=(1, 2))
+    in_front = ((state.depths() > 0.0) | (root == 0.0)).all(axis=(1, 2))
+    return np.where(in_front & np.isfinite(squares), squares, np.inf)

@@ -54,6 +54,7 @@ from compute.calibration.self_calibration.targets import Recording, RigidBody, W
 from compute.calibration.self_calibration.uncalibrated_start import (
     direction_vectors,
     pixel_directions,
+    readings_noise,
     settle_handedness,
     uncalibrated_start,
     with_terms,
@@ -74,6 +75,9 @@ SCALE_WARNING: Final = 0.02
 """Difference of the device's size to that of the start from which the lengths are in doubt."""
 ALTERNATIVE_CHI2: Final = 10.0
 """Difference of chi2 to other cameras below which these are possible, too."""
+NOISE_LIMIT: Final = 20.0
+"""Noise that cameras from readings alone may leave, over the stated one: distortion that is not
+fitted leaves ten times, other cameras than the right ones a hundred times."""
 Initial = Literal["start", "readings"]
 SCREENING_ROUNDS: Final = 3
 
@@ -133,15 +137,15 @@ def self_calibrate(
     if begin.initial is None:
         for observed in scales:
             check_observed_scale(observed)
-        check_count(begin.reference, [start.poses for start in work.starts(False)])
+        check_count(begin.reference, [start.poses for start in work.starts(trusted=False)])
         work.models = coarse_solution(begin.reference, work.kept_recordings(), work.sigma)
     else:
         work.models = begin.initial
-        check_count(work.models, [start.poses for start in work.starts(True)])
+        check_count(work.models, [start.poses for start in work.starts()])
     if begin.given:
         check_scale(begin.reference, work.models)
     progress(0.5, "adjustment")
-    check_volume_coverage([start.poses for start in work.starts(True)])
+    check_volume_coverage([start.poses for start in work.starts()])
     for _ in range(SCREENING_ROUNDS):
         adjusted = work.adjusted(work.screen_poses())
         if not work.sigma_given:
@@ -243,7 +247,32 @@ def _begin(
         return _Begin(given, cameras, True, tuple(warnings))
     if terms:
         cameras = with_terms(cameras, recordings, terms)
+    _check_noise(cameras, recordings)
     return _Begin(cameras, cameras, False, tuple(warnings))
+
+
+def _check_noise(models: Sequence[SensorModel], recordings: Sequence[Recording]) -> None:
+    """Check that cameras from readings alone explain these.
+
+    Raises:
+        NoConvergence: they leave far more than the stated noise.
+    """
+    stated = [
+        one.sigma_px[np.isfinite(one.readings_px)]
+        for one in recordings
+        if one.sigma_px is not None and isinstance(one.target, Wand)
+    ]
+    if not stated:
+        return
+    sigma = float(np.median(np.concatenate(stated)))
+    noise = readings_noise(models, recordings)
+    if noise > NOISE_LIMIT * sigma:
+        raise NoConvergence(
+            f"the best cameras found from the readings alone leave {noise:.2g} px where "
+            f"{sigma:.2g} px are stated: wave more poses that all sensors see, in all directions, "
+            "near and far; or name distortion terms, or give initial cameras",
+            noise_px=noise,
+        )
 
 
 def _distortion_terms(distortion: Distortion) -> tuple[Term, ...]:
@@ -300,7 +329,7 @@ class _SelfCalibrationState:
             for recording, readings in zip(self.recordings, self.readings, strict=True)
         ]
 
-    def starts(self, trusted: bool) -> list[InitialPoses]:
+    def starts(self, trusted: bool = True) -> list[InitialPoses]:
         """Fit all poses to the current cameras, without undetermined ones."""
         starts = []
         for recording, sigma in zip(self.kept_recordings(), self.sigma, strict=True):
@@ -310,11 +339,11 @@ class _SelfCalibrationState:
 
     def screen_poses(self) -> list[InitialPoses]:
         """Fit all poses to the current cameras, without contradictory ones."""
-        return [screen_poses(self.models, start).consistent for start in self.starts(True)]
+        return [screen_poses(self.models, start).consistent for start in self.starts()]
 
     def reject_single_outliers(self) -> None:
         """Reject the single outlier of each contradictory pose that has one."""
-        for number, start in enumerate(self.starts(True)):
+        for number, start in enumerate(self.starts()):
             fitted = screen_poses(self.models, start)
             bad = start.poses.select(~fitted.good)
             if len(bad):
@@ -324,7 +353,7 @@ class _SelfCalibrationState:
 
     def repair_exchanges(self) -> None:
         """Exchange two markers' readings of one sensor where that alone explains a pose."""
-        for number, start in enumerate(self.starts(True)):
+        for number, start in enumerate(self.starts()):
             fitted = screen_poses(self.models, start)
             found = find_exchanges(self.models, start.poses.select(~fitted.good))
             for pose, first, second, sensor in found:

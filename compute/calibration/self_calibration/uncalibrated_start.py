@@ -10,17 +10,24 @@ from scipy.spatial.transform import Rotation
 
 from compute.calibration.bundle_adjustment.data_snooping import SIGMA_FLOOR_PX
 from compute.calibration.bundle_adjustment.gauge import transform_world
+from compute.calibration.bundle_adjustment.sensor_prior import SensorPrior
 from compute.calibration.bundle_adjustment.solver import approximate_solution
+from compute.calibration.self_calibration.coarse_solution import lens_offset_prior
 from compute.calibration.self_calibration.initial_poses import (
     marker_distances,
     start_poses,
     triangulate,
 )
-from compute.calibration.self_calibration.metric_upgrade import metric_cameras
+from compute.calibration.self_calibration.metric_upgrade import (
+    DISTANCE_SIGMA,
+    POINT_SIGMA,
+    metric_upgrades,
+)
 from compute.calibration.self_calibration.pose_screening import resect, screen_poses
 from compute.calibration.self_calibration.projective_reconstruction import (
     MIN_READINGS,
     ProjectiveReconstruction,
+    affine_start,
     dual,
     reconstruct_projective,
 )
@@ -34,8 +41,10 @@ from compute.robust_statistics import MAD_TO_SIGMA
 Array = NDArray[np.float64]
 
 MAX_CANDIDATES: Final = 6
-"""Metric solutions of one projective reconstruction that are adjusted."""
-ROUNDS: Final = 6
+"""Metric solutions that are adjusted."""
+ROUNDS: Final = 15
+PRIOR_ROUNDS: Final = 2
+"""Rounds in which lenses are held near one another and near the middle of their pixels."""
 OUTLIER_LIMIT: Final = 5.0
 """Misfit of a point over its sigma beyond which it has a wrong reading."""
 MISFIT_LIMIT: Final = 16.0
@@ -80,26 +89,22 @@ def uncalibrated_start(
     """
     check_uncalibrated(len(sensors), recordings)
     wands = [one for one in recordings if isinstance(one.target, Wand)]
-    candidates = []
-    for models in _metric_candidates(sensors, wands):
-        adjusted = _adjust(models, wands)
-        if adjusted is not None:
-            candidates.append(adjusted)
+    fits = [_adjust(models, wands) for models in _metric_candidates(sensors, wands)]
+    candidates = [one for one in fits if one is not None]
     if not candidates:
         raise NoConvergence(
             "no cameras fit the readings and the wand's length; wave it in all directions, "
             "near and far, and check that its markers are told apart"
         )
-    sigma = min((one[1] for one in candidates), default=1.0)
-    costs = [_cost(models, wands, sigma) for models, _ in candidates]
-    order = np.argsort(costs, kind="stable")
-    best = candidates[order[0]][0]
+    sigma = min(one.noise() for one in candidates)
+    candidates.sort(key=lambda one: one.cost(sigma))
+    best = candidates[0]
     others = [
-        costs[index] - costs[order[0]]
-        for index in order[1:]
-        if _different(candidates[index][0], best)
+        one.cost(sigma) - best.cost(sigma)
+        for one in candidates[1:]
+        if _different(one.models, best.models)
     ]
-    return UncalibratedStart(_device_frame(best), min(others, default=float("inf")))
+    return UncalibratedStart(_device_frame(best.models), min(others, default=float("inf")))
 
 
 def check_uncalibrated(sensors: int, recordings: Sequence[Recording]) -> None:
@@ -141,10 +146,12 @@ def _metric_candidates(
     centre, scale = np.nanmean(readings, axis=0), float(np.nanmean(np.nanstd(readings, axis=0)))
     normalised = (readings - centre) / scale
     start = reconstruct_projective(normalised[fit])
-    starts = [start, dual(start)] if len(sensors) == MIN_READINGS else [start]
+    starts = [start, affine_start(normalised[fit])]
+    if len(sensors) == MIN_READINGS:
+        starts.append(dual(start))
     to_pixels = np.zeros((len(sensors), 2, 2))
     to_pixels[:, 0, 0], to_pixels[:, 0, 1], to_pixels[:, 1, 1] = scale, centre, 1.0
-    found = []
+    found: list[tuple[float, tuple[SensorModel, ...]]] = []
     misfit = start.point_misfits()
     usable = count >= 3
     usable[fit] = misfit <= OUTLIER_LIMIT * MAD_TO_SIGMA * np.median(misfit)
@@ -155,8 +162,9 @@ def _metric_candidates(
         cameras = to_pixels @ one.cameras
         number = np.cumsum(usable) - 1
         whole = ProjectiveReconstruction(cameras, points[usable], readings[usable])
-        found += metric_cameras(whole, number[pairs], lengths, sensors)[:MAX_CANDIDATES]
-    return found
+        found += metric_upgrades(whole, number[pairs], lengths, sensors)
+    found.sort(key=lambda one: one[0])
+    return [models for _, models in found[:MAX_CANDIDATES]]
 
 
 def _known_lengths(
@@ -179,16 +187,62 @@ def _known_lengths(
     return pair[known], length[known]
 
 
-def _adjust(
-    models: tuple[SensorModel, ...], wands: Sequence[Recording]
-) -> tuple[tuple[SensorModel, ...], float] | None:
-    """Return cameras adjusted until the noise no longer falls, and its sigma [px].
+@dataclass(frozen=True, eq=False)
+class _Adjusted:
+    """Adjusted cameras and how their poses, fitted one by one, agree with the readings.
 
-    Poses start anew every time: a few stuck ones look like a minimum of the cameras.
+    Args:
+        models: the S cameras.
+        squares: squared residuals of each pose, shape (B,) [px^2]; inf: it cannot be placed.
+        dof: degrees of freedom of each pose, shape (B,).
+        count: its readings, shape (B,); 0 where too few markers are seen to place it.
+    """
+
+    models: tuple[SensorModel, ...]
+    squares: Array
+    dof: Array
+    count: Array
+
+    @classmethod
+    def of(cls, models: tuple[SensorModel, ...], wands: Sequence[Recording]) -> "_Adjusted":
+        squares, dof, count = [], [], []
+        for one in wands:
+            start = start_poses(models, one, np.ones(one.readings_px.shape))
+            poses, chi2 = resect(models, start.poses)
+            whole = np.full(len(one.readings_px), np.inf)
+            whole[start.pose_index] = np.where(np.isfinite(chi2), chi2, np.inf)
+            seen = np.isfinite(one.readings_px).sum(axis=2)
+            squares.append(whole)
+            dof.append(seen.sum(axis=1) - poses.unknowns)
+            count.append(np.where((seen >= 3).sum(axis=1) >= 2, seen.sum(axis=1), 0))
+        return cls(models, np.concatenate(squares), np.concatenate(dof), np.concatenate(count))
+
+    def noise(self) -> float:
+        """Return a robust estimate of the readings' noise over all poses [px]."""
+        tested = (self.dof > 0) & (self.count > 0)
+        if not tested.any():
+            return float("inf")
+        # Median of chi-square (Wilson and Hilferty, doi:10.1073/pnas.17.12.684).
+        median = self.dof[tested] * (1.0 - 2.0 / (9.0 * self.dof[tested])) ** 3
+        return float(np.sqrt(np.median(self.squares[tested] / median)))
+
+    def cost(self, sigma: float) -> float:
+        """Return the robust chi2 of all poses for a noise [px]."""
+        limited = np.minimum(self.squares / sigma**2, MISFIT_LIMIT * self.count)
+        return float(limited[self.count > 0].sum())
+
+
+def _adjust(models: tuple[SensorModel, ...], wands: Sequence[Recording]) -> _Adjusted | None:
+    """Return cameras adjusted until the noise no longer falls; None where that fails.
+
+    Poses start anew every time: a few stuck ones look like a minimum of the cameras. In the first
+    rounds lenses are held near one another and near the middle of their pixels.
     """
     sigma = 1.0
+    distorted = any(model.distortion is not None for model in models)
+    held_rounds = 0 if distorted else PRIOR_ROUNDS
     try:
-        for _ in range(ROUNDS):
+        for number in range(ROUNDS):
             sets = []
             for one in wands:
                 spread = np.full(one.readings_px.shape, sigma)
@@ -197,47 +251,35 @@ def _adjust(
                     sets.append(start.poses)
             if not sets:
                 return None
-            models = approximate_solution(models, sets, free_datum=True, loss="robust").models
-            previous, sigma = sigma, max(_noise(models, wands), SIGMA_FLOOR_PX)
-            if abs(sigma - previous) < 0.02 * sigma:
+            prior = _lens_prior(models) if number < held_rounds else None
+            if distorted:
+                prior = lens_offset_prior(models, sets)
+            models = approximate_solution(
+                models, sets, prior=prior, free_datum=True, loss="robust"
+            ).models
+            found = _Adjusted.of(models, wands)
+            previous, sigma = sigma, max(found.noise(), SIGMA_FLOOR_PX)
+            if number >= held_rounds and abs(sigma - previous) < 0.02 * sigma:
                 break
     except (LumilineError, np.linalg.LinAlgError):
         return None
-    return (models, sigma) if np.isfinite(sigma) else None
+    return found if np.isfinite(sigma) else None
 
 
-def _pose_misfits(
-    models: tuple[SensorModel, ...], wands: Sequence[Recording]
-) -> tuple[Array, Array, Array]:
-    """Return squared residuals [px^2], degrees of freedom and readings of every pose."""
-    squares, dof, count = [], [], []
-    for one in wands:
-        start = start_poses(models, one, np.ones(one.readings_px.shape))
-        poses, chi2 = resect(models, start.poses)
-        whole = np.full(len(one.readings_px), np.inf)
-        whole[start.pose_index] = np.where(np.isfinite(chi2), chi2, np.inf)
-        seen = np.isfinite(one.readings_px).sum(axis=2)
-        squares.append(whole)
-        dof.append(seen.sum(axis=1) - poses.unknowns)
-        count.append(np.where((seen >= 3).sum(axis=1) >= 2, seen.sum(axis=1), 0))
-    return np.concatenate(squares), np.concatenate(dof), np.concatenate(count)
-
-
-def _noise(models: tuple[SensorModel, ...], wands: Sequence[Recording]) -> float:
-    """Return a robust estimate of the readings' noise over all poses [px]."""
-    squares, dof, count = _pose_misfits(models, wands)
-    tested = (dof > 0) & (count > 0)
-    if not tested.any():
-        return float("inf")
-    # Median of chi-square (Wilson and Hilferty, doi:10.1073/pnas.17.12.684).
-    median = dof[tested] * (1.0 - 2.0 / (9.0 * dof[tested])) ** 3
-    ratio = squares[tested] / median
-    return float(np.sqrt(np.median(ratio)))
-
-
-def _cost(models: tuple[SensorModel, ...], wands: Sequence[Recording], sigma: float) -> float:
-    squares, _, count = _pose_misfits(models, wands)
-    return float(np.minimum(squares / sigma**2, MISFIT_LIMIT * count)[count > 0].sum())
+def _lens_prior(models: Sequence[SensorModel]) -> SensorPrior:
+    """Return the prior of principal distances that are alike and points near the middle."""
+    distance = float(np.exp(np.mean([np.log(one.principal_distance_px) for one in models])))
+    means, information = [], []
+    for model in models:
+        means.append(
+            replace(
+                model, principal_distance_px=distance, principal_point_px=0.5 * (model.pixels - 1.0)
+            )
+        )
+        diagonal = np.zeros(model.parameter_count)
+        diagonal[:2] = (DISTANCE_SIGMA * distance) ** -2.0, (POINT_SIGMA * model.pixels) ** -2.0
+        information.append(diagonal)
+    return SensorPrior(tuple(means), np.diag(np.concatenate(information)))
 
 
 def _different(models: Sequence[SensorModel], others: Sequence[SensorModel]) -> bool:
@@ -248,6 +290,20 @@ def _different(models: Sequence[SensorModel], others: Sequence[SensorModel]) -> 
         > DIFFERENCE * other.principal_distance_px
         for one, other in zip(models, others, strict=True)
     )
+
+
+def readings_noise(models: Sequence[SensorModel], recordings: Sequence[Recording]) -> float:
+    """Return a robust estimate of the noise that cameras leave in readings of wands [px].
+
+    Args:
+        models: S cameras.
+        recordings: of wands; others are not used.
+
+    Raises:
+        TooFewPoints: no pose can be placed.
+    """
+    wands = [one for one in recordings if isinstance(one.target, Wand)]
+    return _Adjusted.of(tuple(models), wands).noise()
 
 
 def mirrored(models: Sequence[SensorModel]) -> tuple[SensorModel, ...]:
@@ -306,7 +362,7 @@ def pixel_directions(models: Sequence[SensorModel]) -> Array:
     Args:
         models: S cameras, an initial calibration or nominal ones.
     """
-    frame = _device_rotation(models)
+    frame = device_rotation(models)
     return np.array([(frame @ model.rotation[0])[:2] for model in models])
 
 
@@ -341,7 +397,9 @@ def settle_handedness(
 def with_terms(
     models: Sequence[SensorModel], recordings: Sequence[Recording], terms: Sequence[Term]
 ) -> tuple[SensorModel, ...]:
-    """Return cameras with distortion terms of value 0, each looking at the middle of the markers.
+    """Return cameras with distortion terms, each looking at the middle of the markers.
+
+    The terms begin at 0 and are adjusted robustly to the readings of wands, where that succeeds.
 
     Args:
         models: S cameras without distortion.
@@ -352,7 +410,7 @@ def with_terms(
     markers = [triangulate(cameras, one.readings_px).reshape(-1, 3) for one in recordings]
     middle = np.nanmedian(np.concatenate(markers), axis=0)
     coefficients = (0.0,) * len(terms)
-    return tuple(
+    start = tuple(
         replace(
             model,
             distortion=FieldDistortion(
@@ -361,10 +419,18 @@ def with_terms(
         )
         for model in models
     )
+    found = _adjust(start, [one for one in recordings if isinstance(one.target, Wand)])
+    return start if found is None else _device_frame(found.models)
 
 
-def _device_rotation(models: Sequence[SensorModel]) -> Array:
-    """Return the world's rotation to a frame with z the mean axis, x by the first pixels."""
+def device_rotation(models: Sequence[SensorModel]) -> Array:
+    """Return the rotation of the world to the device's frame, shape (3, 3).
+
+    Its z is the mean optical axis, its x the first sensor's pixels, perpendicular to z.
+
+    Args:
+        models: S cameras.
+    """
     forward = np.mean([model.rotation[2] for model in models], axis=0)
     forward /= np.linalg.norm(forward)
     right = models[0].rotation[0] - (models[0].rotation[0] @ forward) * forward
@@ -377,5 +443,5 @@ def _device_frame(models: Sequence[SensorModel]) -> tuple[SensorModel, ...]:
     rows = np.concatenate([model.rotation[[0, 2]] for model in models])
     right = np.concatenate([[-model.offset_x_mm, -model.offset_z_mm] for model in models])
     origin = np.linalg.lstsq(rows, right, rcond=None)[0]
-    rotation = _device_rotation(models)
+    rotation = device_rotation(models)
     return tuple(transform_world(model, rotation, -rotation @ origin) for model in models)

@@ -91,6 +91,7 @@ class LensPrior:
         points_mm: Array,
         seen: NDArray[np.bool_],
         strength: float = WEAK_STRENGTH,
+        stack: CameraStack | None = None,
     ) -> "LensPrior":
         """Derive the prior from cameras and the control points that they saw.
 
@@ -100,27 +101,28 @@ class LensPrior:
             points_mm: control points, shape (N, 3) [mm].
             seen: which of them each sensor saw, shape (N, S).
             strength: see the class.
+            stack: the same cameras as a stack; None: made here.
         """
         centre_mm = (seen.T @ points_mm) / seen.sum(axis=0)[:, None]
-        behind, mean, sigma = [], [], []
-        for model, pitch, centre in zip(models, pitch_um, centre_mm, strict=True):
-            _, y, z = (model.rotation @ centre).tolist()
-            distortion = model.distortion
-            if distortion is not None:
-                behind.append(distortion.row_behind_mm)
-            else:
-                behind.append(0.0 if pitch is None else 1e-3 * pitch * model.principal_distance_px)
-            mean.append(-y)
-            sigma.append(OFFSET_SIGMA_V * (z + model.offset_z_mm + behind[-1]))
+        if stack is None:
+            stack = CameraStack.of(models)
+        centre = (stack.rotation @ centre_mm[:, :, None])[..., 0]
+        behind = np.array(
+            [
+                (0.0 if pitch is None else 1e-3 * pitch * model.principal_distance_px)
+                if model.distortion is None
+                else model.distortion.row_behind_mm
+                for model, pitch in zip(models, pitch_um, strict=True)
+            ]
+        )
         pixels = np.array([model.pixels for model in models], dtype=np.float64)
-        distance = np.array([model.principal_distance_px for model in models])
         return cls(
-            np.array(behind),
-            np.array(mean),
-            np.array(sigma),
+            behind,
+            -centre[:, 1],
+            OFFSET_SIGMA_V * (centre[:, 2] + stack.offset_mm[:, 2] + behind),
             0.5 * (pixels - 1.0),
             PRINCIPAL_POINT_SIGMA * pixels,
-            0.5 * pixels / distance,
+            0.5 * pixels / stack.principal_distance_px,
             np.full(len(models), strength),
         )
 
@@ -251,18 +253,21 @@ def minimise(
             if mean_and_information is not None:
                 active_prior = mean_and_information[0][index], mean_and_information[1][index]
         step, predicted = active.steps(damping[index])
+        old = active.squares.copy()
+        unresolved = rounding[index] * (2.0 * np.sqrt(old) + rounding[index])
+        # Converged: with little damping, the predicted decrease is negligible.
+        done = (predicted <= tolerance[index] * old + unresolved) & (damping[index] <= 1e-3)
+        if done.all():
+            converged[index] = True
+            break
         trial = (state if every else state.rows(index)).retract(step)
         new = _NormalEquations.of(trial, points_mm, *part, active_prior)
-        old = active.squares.copy()
         better = new.squares <= old
         if every and better.all():
             equations, state = new, trial
         else:
             equations.replace_rows(index[better], new.rows(np.flatnonzero(better)))
             state = _replace_cameras(state, index[better], trial.rows(np.flatnonzero(better)))
-        # Converged: with little damping, the predicted decrease is negligible.
-        unresolved = rounding[index] * (2.0 * np.sqrt(old) + rounding[index])
-        done = (predicted <= tolerance[index] * old + unresolved) & (damping[index] <= 1e-3)
         damping[index] = np.maximum(damping[index] * np.where(better, 0.1, 10.0), 1e-14)
         if cameras.has_distortion:
             # Curved valleys need damping to the end: what counts is the distance to the minimum.
@@ -465,6 +470,8 @@ class EquationGroup:
         scale: lengths of the columns, shape (G, F).
         triangles: R of the columns scaled to length 1, shape (G, F, F).
         information: diagonals of the priors' inverse covariances, shape (G, F).
+        origin_mm: origin of the equations in the sensors' directions, shape (G, 3) [mm]: the
+            centroid of the points is better conditioned than the world's origin.
     """
 
     sensors: NDArray[np.intp]
@@ -472,6 +479,7 @@ class EquationGroup:
     scale: Array
     triangles: Array
     information: Array
+    origin_mm: Array
 
     @property
     def ratios(self) -> Array:
@@ -481,8 +489,16 @@ class EquationGroup:
 
     @cached_property
     def cofactors(self) -> Array:
-        """(A'A)^-1 of the design matrices A, shape (G, F, F)."""
+        """(A'A)^-1 of the design matrices A about the world's origin, shape (G, F, F)."""
         inverse = np.linalg.inv(self.triangles) / self.scale[:, :, None]
+        if self.origin_mm.any():
+            # A rotation about the centroid moves the world's origin, and so the offsets x, z, y.
+            x, y, z = self.origin_mm.T[:, :, None]
+            rotation = inverse[:, 2:5].copy()
+            inverse[:, 5] += y * rotation[:, 2] - z * rotation[:, 1]
+            inverse[:, 6] += x * rotation[:, 1] - y * rotation[:, 0]
+            if PARAMETER_COUNT in self.columns:
+                inverse[:, 7] += z * rotation[:, 0] - x * rotation[:, 2]
         return np.asarray(inverse @ inverse.swapaxes(1, 2))
 
 
@@ -506,9 +522,11 @@ def equation_groups(
     """
     if stack is None:
         stack = CameraStack.of(models)
+    origin = np.zeros((len(stack), 3))
     if centre_mm is not None:
-        moved = stack.offset_mm + stack.rotation @ centre_mm
-        stack, points_mm = replace(stack, offset_mm=moved), points_mm - centre_mm
+        origin = stack.rotation @ centre_mm
+        stack = replace(stack, offset_mm=stack.offset_mm + origin)
+        points_mm = points_mm - centre_mm
     jacobian = stack.parameter_jacobian(points_mm).swapaxes(0, 1)
     used = weights.T[..., None]
     rows = np.where(used > 0.0, jacobian, 0.0) * used
@@ -536,7 +554,7 @@ def equation_groups(
         scale = np.where(scale > 0.0, scale, 1.0)
         scaled = matrix / scale[:, None, :]
         triangles = np.asarray(np.linalg.qr(scaled, mode="r"), dtype=np.float64)
-        found.append(EquationGroup(sensors, columns, scale, triangles, own))
+        found.append(EquationGroup(sensors, columns, scale, triangles, own, origin[sensors]))
     return found
 
 
@@ -546,7 +564,7 @@ def check_determined(
     weights: Array,
     prior: LensPrior | None = None,
     stack: CameraStack | None = None,
-) -> None:
+) -> list[EquationGroup]:
     """Check that the readings determine all parameters of each sensor.
 
     Args:
@@ -556,10 +574,14 @@ def check_determined(
         prior: of the lenses; None: none.
         stack: the same cameras as a stack; None: made here.
 
+    Returns:
+        The equations about the points' centroid.
+
     Raises:
         DegeneratePoints: the first sensor with an undetermined combination of parameters.
     """
-    for sensor, ratio in undetermined_sensors(models, points_mm, weights, prior, stack):
+    groups = equation_groups(models, points_mm, weights, prior, points_mm.mean(axis=0), stack)
+    for sensor, ratio in _undetermined(groups, models):
         model = models[sensor]
         terms = "" if model.distortion is None else " or take fewer distortion terms"
         raise DegeneratePoints(
@@ -570,6 +592,7 @@ def check_determined(
             f"add points off their grid{terms}",
             sensor=model.name,
         )
+    return groups
 
 
 def undetermined_sensors(
@@ -577,7 +600,6 @@ def undetermined_sensors(
     points_mm: Array,
     weights: Array,
     prior: LensPrior | None = None,
-    stack: CameraStack | None = None,
 ) -> list[tuple[int, float]]:
     """Return the sensors with an undetermined combination of parameters.
 
@@ -586,15 +608,20 @@ def undetermined_sensors(
         points_mm: control points, shape (N, 3) [mm].
         weights: 1 / standard deviation, shape (N, S) [1/px]; 0: not read.
         prior: of the lenses; None: none.
-        stack: the same cameras as a stack; None: made here.
 
     Returns:
         Their indices, each with the ratio of singular values of its Jacobian.
     """
     centre = points_mm.mean(axis=0)
+    return _undetermined(equation_groups(models, points_mm, weights, prior, centre), models)
+
+
+def _undetermined(
+    groups: Sequence[EquationGroup], models: Sequence[SensorModel]
+) -> list[tuple[int, float]]:
     return [
         (sensor, ratio)
-        for group in equation_groups(models, points_mm, weights, prior, centre, stack)
+        for group in groups
         for sensor, ratio in zip(group.sensors.tolist(), group.ratios.tolist(), strict=True)
         if not ratio >= _min_ratio(models[sensor])
     ]

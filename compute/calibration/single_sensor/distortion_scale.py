@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from compute.calibration.assessment_result import DistortionEstimate
 from compute.calibration.settings import Loss, preset_terms
 from compute.calibration.single_sensor.camera_fit import (
+    MAX_ITERATIONS,
     LensPrior,
     MinimisationResult,
     effective_parameters,
@@ -42,6 +43,9 @@ STRENGTHS: Final = np.array([1e-5, 3e-4, 1e-3, 2e-3, 4e-3, 8e-3, 1.6e-2, 3.2e-2]
 NOISE_ITERATIONS: Final = 3
 NOISE_TOLERANCE: Final = 0.05
 MAX_VARIANCE_ITERATIONS: Final = 30
+FINAL_ITERATIONS: Final = 10 * MAX_ITERATIONS
+"""Largest number of trial steps of the last fit. Few readings leave flat, curved valleys, along
+which the sum of squares falls by thousandths for a thousand steps."""
 NO_DISTORTION_LOG_RATIO: Final = 3.0
 """Natural logarithm of the ratio of evidence from which distortion counts as shown: 20 to 1."""
 
@@ -62,8 +66,15 @@ class _Grid:
 
     @property
     def probability(self) -> Array:
-        """Posterior of the strengths, shape (G,)."""
-        weight = np.exp(self.log_evidence - self.log_evidence.max())
+        """Posterior of the strengths, shape (G,).
+
+        The lenses of a device are neither independent draws of the scale nor copies of one draw,
+        where S lenses would tell of it as much as one: their evidence counts as that of sqrt(S)
+        lenses. Their product is too sure of a scale, and of no distortion first of all; their mean
+        makes the covariance of devices with few readings too large (``reproduce random-rigs``).
+        """
+        lenses = len(self.information) // len(self.log_evidence)
+        weight = np.exp((self.log_evidence - self.log_evidence.max()) / np.sqrt(lenses))
         return np.asarray(weight / weight.sum())
 
 
@@ -77,8 +88,8 @@ def fit_distortion_scale(
     """Fit distortion whose scale is common to all lenses and estimated from the readings.
 
     The evidence of each strength is Laplace's approximation (MacKay,
-    doi:10.1162/neco.1992.4.3.415), summed over the sensors. The cameras are those of the posterior
-    mean of the strength's square, which averages the prior's variance over the posterior.
+    doi:10.1162/neco.1992.4.3.415), see ``_Grid.probability``. The cameras are those of the
+    posterior mean of the strength's square, which averages the prior's variance.
 
     Args:
         observed: control points and readings.
@@ -128,6 +139,7 @@ def fit_distortion_scale(
         observed.readings_px,
         np.where(observed.seen, np.sqrt(weights) / sigma, 0.0),
         prior,
+        FINAL_ITERATIONS,
     )
     final = ended.cameras.models(starts)
     check_converged(observed, starts, ended.converged)

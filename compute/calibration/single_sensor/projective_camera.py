@@ -1,7 +1,7 @@
 """The 1D camera in projective form: starts, batched least squares, conversion to metric form."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Final
 
@@ -19,7 +19,13 @@ MIN_RELATIVE_DEPTH: Final = 0.05
 """Smallest depth of a point in a trial camera, the centroid's being 1."""
 DAMPING_FLOOR, DAMPING_CEILING = 1e-12, 1e8
 LOWEST_STARTS: Final = 6
-"""Nodes of the grid from which each sensor is searched, besides its linear solution."""
+"""Nodes of the grid from which a sensor is searched where its linear solution leaves doubt."""
+MIN_PERSPECTIVE_F: Final = 1e3
+"""F-value of the perspective (a camera's residuals against those of an affine one) from which the
+denominator is known to 3 % and other minima, its mirror image first, are far worse."""
+MAX_MISFIT_SHARE: Final = 1e-4
+"""Largest share of the readings' variance left in the residuals: 1 % of their spread. Wrong labels
+leave more."""
 DUPLICATE_TOLERANCE: Final = 1e-12
 """Relative weights of sensors that differ by less are the same: one matrix serves all."""
 
@@ -196,12 +202,12 @@ def _solve(design: Array, right: Array, damping: Array | float) -> Array:
 
 
 def starting_cameras(camera: ProjectiveCamera, readings: Array, weights: Array) -> Array:
-    """Return starting cameras for the search, shape (S, 1 + LOWEST_STARTS, 7).
+    """Return starting cameras for the search, shape (S, LOWEST_STARTS, 7).
 
     With the denominator ``w = 1 + g.X`` fixed, the numerator is linear; all cameras with every
     point in front have g in a bounded set. A grid over that set, with the numerator solved at each
     node (variable projection), finds where the sum of squares is small, so that the search does not
-    depend on the linear solution [5.5] alone, which is the first start.
+    depend on the linear solution [5.5] alone.
 
     Args:
         camera: control points, all seen by all sensors.
@@ -225,8 +231,7 @@ def starting_cameras(camera: ProjectiveCamera, readings: Array, weights: Array) 
         numerators, costs = (np.concatenate(parts) for parts in zip(*each, strict=True))
     best = np.argpartition(costs, LOWEST_STARTS, axis=1)[:, :LOWEST_STARTS]
     chosen = numerators[np.arange(len(readings))[:, None], best]
-    nodes = np.concatenate([chosen, gradients[best]], axis=2)
-    return np.concatenate([camera.algebraic(readings, weights)[:, None], nodes], axis=1)
+    return np.concatenate([chosen, gradients[best]], axis=2)
 
 
 def _numerators(
@@ -269,6 +274,69 @@ def _grid() -> Array:
     return np.asarray((gradients[:, None, None] * directions).reshape(-1, 3))
 
 
+@dataclass(frozen=True, eq=False)
+class _NormalisedReadings:
+    """Readings of S sensors that all read all points, in units of their spread.
+
+    Args:
+        camera: the normalised points.
+        transform: their ``normalisation``, shape (4, 4).
+        centre_px: subtracted from the readings, shape (S,) [px].
+        scale_px: their unit, shape (S,) [px].
+        readings: shape (S, N).
+        weights: 1 / standard deviation, shape (S, N).
+    """
+
+    camera: ProjectiveCamera
+    transform: Array
+    centre_px: Array
+    scale_px: Array
+    readings: Array
+    weights: Array
+
+    @classmethod
+    def of(cls, points_mm: Array, readings_px: Array, weights: Array) -> "_NormalisedReadings":
+        transform = normalisation(points_mm)
+        points = points_mm @ transform[:3, :3].T + transform[:3, 3]
+        centre, scale = readings_px.mean(axis=0), readings_px.std(axis=0)
+        scale = np.where(scale > 0.0, scale, 1.0)
+        return cls(
+            ProjectiveCamera(points, 0.0, 1.0),
+            transform,
+            centre,
+            scale,
+            ((readings_px - centre) / scale).T,
+            (weights * scale).T,
+        )
+
+    def parameters(self, models: Sequence[SensorModel]) -> Array:
+        """Return (a, b, g) of S models without their distortion, shape (S, 7)."""
+        matrices = CameraStack.of(models).matrices @ np.linalg.inv(self.transform)
+        matrices = matrices / matrices[:, 1:, 3:]  # With the points in front.
+        first, second = matrices[:, 0], matrices[:, 1]
+        scaled = (first - self.centre_px[:, None] * second) / self.scale_px[:, None]
+        return np.asarray(np.concatenate([scaled, second[:, :3]], axis=1))
+
+    def search(self, starts: Array) -> tuple[Array, Array]:
+        """Return each sensor's best camera (S, 7) from starts (S, K, 7), and its squares (S,)."""
+        count, readings, weights = starts.shape[1], self.readings, self.weights
+        if count > 1:
+            readings, weights = (np.repeat(one, count, axis=0) for one in (readings, weights))
+        theta = self.camera.fit(readings, weights, starts.reshape(-1, 7), SEARCH_STEPS)
+        misfit = (self.camera.project(theta) - readings) * weights
+        squares = (misfit**2).sum(axis=1).reshape(-1, count)
+        best = np.arange(len(squares)), np.argmin(squares, axis=1)
+        return theta.reshape(-1, count, 7)[best], squares[best]
+
+    def rows(self, index: NDArray[np.intp]) -> "_NormalisedReadings":
+        """Return the readings of some sensors."""
+        return replace(self, readings=self.readings[index], weights=self.weights[index])
+
+    def matrices(self, theta: Array) -> Array:
+        """Return the 2x4 matrices of cameras (S, 7)."""
+        return projective_matrices(theta, self.transform, self.centre_px, self.scale_px)
+
+
 def search_starts(
     points_mm: Array,
     readings_px: Array,
@@ -276,6 +344,9 @@ def search_starts(
     initial_models: Sequence[SensorModel] | None,
 ) -> Array:
     """Search the projective cameras of sensors that all read all points.
+
+    From the linear solution and the initial cameras; then, where these do not settle it, from a
+    grid of others.
 
     Args:
         points_mm: shape (N, 3) [mm].
@@ -286,31 +357,56 @@ def search_starts(
     Returns:
         The best 2x4 matrix of each sensor, shape (S, 2, 4).
     """
-    transform = normalisation(points_mm)
-    points = points_mm @ transform[:3, :3].T + transform[:3, 3]
-    camera = ProjectiveCamera(points, 0.0, 1.0)
-    centre, scale = readings_px.mean(axis=0), readings_px.std(axis=0)
-    scale = np.where(scale > 0.0, scale, 1.0)
-    readings = ((readings_px - centre) / scale).T
-    weight = (weights * scale).T
-    starts = starting_cameras(camera, readings, weight)
+    problem = _NormalisedReadings.of(points_mm, readings_px, weights)
+    starts = problem.camera.algebraic(problem.readings, problem.weights)[:, None]
     if initial_models is not None:
-        inverse = np.linalg.inv(transform)
-        # The matrices leave the distortion out.
-        matrices = CameraStack.of(initial_models).matrices
-        others = [
-            _projective_parameters(matrix @ inverse, m, s)
-            for matrix, m, s in zip(matrices, centre, scale, strict=True)
-        ]
-        starts = np.concatenate([starts, np.array(others)[:, None]], axis=1)
-    count = starts.shape[1]
-    rows = np.repeat(readings, count, axis=0)
-    row_weights = np.repeat(weight, count, axis=0)
-    theta = camera.fit(rows, row_weights, starts.reshape(-1, 7), SEARCH_STEPS)
-    squares = (((camera.project(theta) - rows) * row_weights) ** 2).sum(axis=1)
-    best = np.argmin(squares.reshape(-1, count), axis=1)
-    chosen = theta.reshape(-1, count, 7)[np.arange(len(best)), best]
-    return projective_matrices(chosen, transform, centre, scale)
+        others = problem.parameters(initial_models)[:, None]
+        starts = np.concatenate([starts, others], axis=1)
+    found, squares = problem.search(starts)
+    doubtful = np.flatnonzero(~_is_settled(problem, squares))
+    if len(doubtful):
+        part = problem.rows(doubtful)
+        nodes = starting_cameras(part.camera, part.readings, part.weights)
+        found[doubtful] = part.search(np.concatenate([found[doubtful, None], nodes], axis=1))[0]
+    return problem.matrices(found)
+
+
+def search_from(
+    points_mm: Array, readings_px: Array, weights: Array, models: Sequence[SensorModel]
+) -> Array:
+    """Search the projective cameras of sensors from given ones only.
+
+    A bad start of the metric form creeps along a curved valley of principal distance, depth and
+    rotation; in the projective form, whose numerator is linear, it does not.
+
+    Args:
+        points_mm: shape (N, 3) [mm].
+        readings_px: shape (N, S) [px].
+        weights: 1 / standard deviation, shape (N, S) [1/px].
+        models: the S cameras, with the points in front; their distortion is left out.
+
+    Returns:
+        The 2x4 matrix of each sensor, shape (S, 2, 4).
+    """
+    problem = _NormalisedReadings.of(points_mm, readings_px, weights)
+    return problem.matrices(problem.search(problem.parameters(models)[:, None])[0])
+
+
+def _is_settled(problem: _NormalisedReadings, squares: Array) -> NDArray[np.bool_]:
+    """Return which sensors' cameras fit so well that no other minimum competes, shape (S,)."""
+    weights = problem.weights
+    design = np.empty((*weights.shape, 4))
+    design[..., :3] = problem.camera.points
+    design[..., 3] = 1.0
+    design *= weights[..., None]
+    target = problem.readings * weights
+    affine = (design @ _solve(design, target, 1e-12)[..., None])[..., 0] - target
+    gain = (affine**2).sum(axis=1) - squares
+    dof = weights.shape[1] - PARAMETER_COUNT
+    return np.asarray(
+        (dof * gain >= MIN_PERSPECTIVE_F * squares)
+        & (squares <= MAX_MISFIT_SHARE * (target**2).sum(axis=1))
+    )
 
 
 def projective_matrices(theta: Array, transform: Array, centre_px: Array, scale_px: Array) -> Array:
@@ -384,9 +480,3 @@ def metric_models(
     return cameras.models(
         [SensorModel(one.name, one.pixels, 1.0, 0.0, (0.0, 0.0, 0.0), 0.0, 0.0) for one in sensors]
     )
-
-
-def _projective_parameters(matrix: Array, centre_px: float, scale_px: float) -> Array:
-    """Return (a, b, g) of a 2x4 matrix in the normalised frame, with its points in front."""
-    first, second = matrix / matrix[1, 3]
-    return np.asarray(np.concatenate([(first - centre_px * second) / scale_px, second[:3]]))

@@ -11,9 +11,11 @@ from scipy.special import digamma, polygamma
 
 from compute.calibration.settings import Loss, free_parameters
 from compute.calibration.single_sensor.camera_fit import (
+    EquationGroup,
     LensPrior,
     MinimisationResult,
     check_determined,
+    equation_groups,
     minimise,
     minimise_with_distortion,
     start_with_terms,
@@ -29,8 +31,9 @@ from compute.calibration.single_sensor.projective_camera import (
 from compute.calibration.single_sensor.trimmed_least_squares import robust_starts
 from compute.camera.field_distortion import Term
 from compute.camera.model import PARAMETER_COUNT, SensorGeometry, SensorModel
+from compute.camera.observation_checks import MAX_RESIDUAL_SHARE, check_explained
 from compute.camera.stack import CameraStack
-from compute.errors import NoConvergence, TooFewPoints
+from compute.errors import DegeneratePoints, NoConvergence, TooFewPoints
 from compute.robust_statistics import biweight, huber, mad_sigma
 
 Array = NDArray[np.float64]
@@ -39,6 +42,13 @@ SIGMA_FLOOR_PX: Final = 1e-6
 """Smallest standard deviation estimated from residuals: exact data still leave rounding."""
 INITIAL_SIGMA_PX: Final = 0.05
 """Standard deviation of readings that weighs the offsets' prior until residuals give one."""
+CONTRADICTED_SIGMA_FACTOR: Final = 3.0
+"""Residuals over the given standard deviations above which these do not explain them."""
+MAX_MAJORITY_SHARE: Final = 0.05
+"""Noise of the readings that a robust camera fits, relative to the standard deviation of all, below
+which the others are wrong, and not all unrelated."""
+MAX_WRONG_SHARE: Final = 0.25
+WRONG_READING_SIGMA: Final = 10.0
 MAX_REWEIGHTINGS: Final = 60
 WEIGHT_TOLERANCE: Final = 1e-6
 HUBER_ITERATIONS: Final = 8
@@ -100,9 +110,10 @@ class ControlObservations:
         point_sigma = projected_point_sigma(models, self.points_mm, point_sigma_mm)
         return replace(self, sigma_px=np.hypot(self.sigma_px, np.nan_to_num(point_sigma)))
 
-    def residuals_px(self, models: Sequence[SensorModel]) -> Array:
+    def residuals_px(self, models: Sequence[SensorModel] | CameraStack) -> Array:
         """Return readings of S cameras minus measured ones, shape (N, S) [px]."""
-        return CameraStack.of(models).project(self.points_mm) - self.readings_px
+        stack = models if isinstance(models, CameraStack) else CameraStack.of(models)
+        return stack.project(self.points_mm) - self.readings_px
 
     @property
     def seen(self) -> NDArray[np.bool_]:
@@ -130,12 +141,16 @@ class SensorFits:
         prior: of the lenses; without effect on cameras without distortion.
         unit_px: the noise that a weight of 1 stands for, where the readings' standard deviations
             are not known, shape (S,) [px]; None: 1.
+        groups: the equations of the readings that count, where they were made; None: not yet.
+        stack: the cameras as a stack, likewise.
     """
 
     models: tuple[SensorModel, ...]
     weights: Array
     prior: LensPrior
     unit_px: Array | None = None
+    groups: list[EquationGroup] | None = None
+    stack: CameraStack | None = None
 
     @property
     def scaled_prior(self) -> LensPrior:
@@ -149,6 +164,13 @@ class SensorFits:
     def known_weights(self, observed: ControlObservations) -> Array:
         """Return 1 / standard deviation of the readings that count, 0 of others, (N, S) [1/px]."""
         return np.where(self.weights > 0.0, observed.weights, 0.0)
+
+    def equation_groups(self, observed: ControlObservations) -> list[EquationGroup]:
+        """Return the equations of the readings that count."""
+        if self.groups is not None:
+            return self.groups
+        weights = self.known_weights(observed)
+        return equation_groups(self.models, observed.points_mm, weights, self.scaled_prior)
 
     def fit_without(
         self, observed: ControlObservations, kept: NDArray[np.bool_]
@@ -177,7 +199,7 @@ class SensorFits:
 
 def fit_undistorted(
     observed: ControlObservations, loss: Loss, initial_models: Sequence[SensorModel] | None = None
-) -> tuple[tuple[SensorModel, ...], Array]:
+) -> SensorFits:
     """Fit the seven metric parameters of each sensor.
 
     Args:
@@ -185,24 +207,32 @@ def fit_undistorted(
         loss: "linear" or "robust".
         initial_models: cameras from which the search starts too; used with a linear loss only.
 
-    Returns:
-        The S cameras, and the weights of the readings, shape (N, S).
-
     Raises:
-        DegeneratePoints, NoConvergence: see ``fit_metric_cameras``.
+        ImplausibleReadings, DegeneratePoints, NoConvergence: see ``fit_metric_cameras``.
     """
     if loss == "linear":
-        found = fit_metric_cameras(
+        found, groups, stack = fit_metric_cameras(
             observed.points_mm,
             observed.readings_px,
             observed.sigma_px,
             observed.sensors,
             initial_models,
+            observed.sigma_known,
         )
-        return found, np.ones(observed.readings_px.shape)
-    models, weights = _reweight(observed, _robust_start(observed), None)
-    check_determined(models, observed.points_mm, np.where(weights > 0.0, observed.weights, 0.0))
-    return models, weights
+        weights = np.ones(observed.readings_px.shape)
+    else:
+        found, weights = _reweight(observed, _robust_start(observed), None)
+        # What a robust loss leaves out does not count: the median of the residuals.
+        squares = mad_sigma(observed.residuals_px(found), observed.seen, PARAMETER_COUNT) ** 2
+        squares *= np.maximum(observed.seen.sum(axis=0) - PARAMETER_COUNT, 0)
+        unit = observed.seen.astype(np.float64)
+        shares, _ = _residual_shares(squares, observed.points_mm, observed.readings_px, unit)
+        check_explained(shares, observed.readings_px, observed.sensors)
+        used = np.where(weights > 0.0, observed.weights, 0.0)
+        stack = CameraStack.of(found)
+        groups = check_determined(found, observed.points_mm, used, stack=stack)
+    prior = LensPrior.of(found, observed.pitch_um, observed.points_mm, observed.seen, stack=stack)
+    return SensorFits(found, weights, prior, groups=groups, stack=stack)
 
 
 def fit_metric_cameras(
@@ -211,7 +241,8 @@ def fit_metric_cameras(
     sigma_px: Array,
     sensors: Sequence[SensorGeometry],
     initial_models: Sequence[SensorModel] | None = None,
-) -> tuple[SensorModel, ...]:
+    sigma_known: bool = False,
+) -> tuple[tuple[SensorModel, ...], list[EquationGroup], CameraStack]:
     """Minimise each sensor's squared normalised residuals from several starts; keep the lowest.
 
     All starts of all sensors are searched at once in the projective form, whose numerator is
@@ -224,10 +255,16 @@ def fit_metric_cameras(
         sensors: their geometry.
         initial_models: cameras from which the search starts too, one a sensor; their distortion
             is ignored. None: no others.
+        sigma_known: whether ``sigma_px`` holds standard deviations, and not ones.
+
+    Returns:
+        The S cameras, their equations, and the cameras as a stack.
 
     Raises:
+        ImplausibleReadings: the readings have nothing to do with the points.
         DegeneratePoints: more than one camera fits.
-        NoConvergence: no start led to a minimum with all points in front of the lens.
+        NoConvergence: a few readings do not fit the camera of the others, or no start led to a
+            minimum with all points in front of the lens.
     """
     seen = np.isfinite(readings_px)
     weights = np.where(seen, 1.0 / np.where(seen, sigma_px, 1.0), 0.0)
@@ -249,16 +286,98 @@ def fit_metric_cameras(
     starts = metric_cameras(matrices, sensors, centre_mm)
     ended = minimise(starts, points_mm, readings_px, weights)
     fitted = metric_models(ended.cameras, sensors)
+    shares, unbiased = _residual_shares(ended.squares, points_mm, readings_px, weights)
+    if sigma_known:
+        # Noise as large as that would have been stated.
+        dof = np.maximum(seen.sum(axis=0) - PARAMETER_COUNT, 1)
+        contradicted = ended.squares > CONTRADICTED_SIGMA_FACTOR**2 * dof
+        shares = np.where(contradicted, unbiased, 0.0)
+    _check_related(shares, points_mm, readings_px, sensors)
     # First whether there is one camera: a search for none does not come to rest.
-    check_determined(fitted, points_mm, weights, stack=ended.cameras)
+    try:
+        groups = check_determined(fitted, points_mm, weights, stack=ended.cameras)
+    except DegeneratePoints:
+        _check_related(unbiased, points_mm, readings_px, sensors)
+        raise
     for column, model in enumerate(fitted):
         if not ended.converged[column]:
+            _check_related(unbiased, points_mm, readings_px, sensors)
             raise NoConvergence(
                 f"sensor {model.name}: no camera with all its {int(seen[:, column].sum())} control "
                 "points in front of it fits the readings; look for exchanged or wrong labels",
                 sensor=model.name,
             )
-    return fitted
+    return fitted, groups, ended.cameras
+
+
+def _check_related(
+    shares: Array, points_mm: Array, readings_px: Array, sensors: Sequence[SensorGeometry]
+) -> None:
+    """Check that readings are related to the points.
+
+    Args:
+        shares: of ``_residual_shares``, shape (S,).
+        points_mm: shape (N, 3) [mm].
+        readings_px: shape (N, S) [px]; NaN where not seen.
+        sensors: the S sensors.
+
+    Raises:
+        NoConvergence: a camera fits all but a few readings of a sensor.
+        ImplausibleReadings: none does.
+    """
+    for column in np.flatnonzero(shares > MAX_RESIDUAL_SHARE).tolist():
+        rows = np.flatnonzero(np.isfinite(readings_px[:, column]))
+        values = readings_px[rows, column]
+        camera = ProjectiveCamera.of(points_mm[rows], values)
+        theta = robust_starts(camera, values, np.ones(len(values)), 1)
+        residuals = np.abs(camera.project(theta)[0] - values)
+        all_rows = np.ones((len(values), 1), dtype=np.bool_)
+        scale = float(mad_sigma(residuals[:, None], all_rows, PARAMETER_COUNT)[0])
+        wrong = rows[residuals > max(WRONG_READING_SIGMA * scale, 1.0)] + 1
+        is_majority = len(wrong) <= MAX_WRONG_SHARE * len(values)
+        if scale < MAX_MAJORITY_SHARE * values.std() and is_majority:
+            name = sensors[column].name
+            raise NoConvergence(
+                f"sensor {name}: no camera fits all its {len(values)} readings; one fits the "
+                f"others to {scale:.2g} px, but not those of points "
+                f"{', '.join(map(str, wrong.tolist()))}: look for exchanged or wrong labels there, "
+                "or leave these readings out",
+                sensor=name,
+                points=tuple(wrong.tolist()),
+            )
+    check_explained(shares, readings_px, sensors)
+
+
+def _residual_shares(
+    squares: Array, points_mm: Array, readings_px: Array, weights: Array
+) -> tuple[Array, Array]:
+    """Return RMS residuals over the readings' standard deviation, and unbiased by dof, both (S,).
+
+    Where no camera has all points in front of it, the residuals are those from an affine function.
+
+    Args:
+        squares: weighted sums of squared residuals, shape (S,); infinite: no camera.
+        points_mm: shape (N, 3) [mm].
+        readings_px: shape (N, S) [px]; any value where the weight is 0.
+        weights: 1 / standard deviation, shape (N, S) [1/px]; 0: not seen.
+    """
+    square_weights = weights**2
+    readings = np.where(weights > 0.0, readings_px, 0.0)
+    count = (weights > 0.0).sum(axis=0)
+    mean = (square_weights * readings).sum(axis=0) / square_weights.sum(axis=0)
+    variance = (square_weights * (readings - mean) ** 2).sum(axis=0) / (count - 1)
+    squares = squares.copy()
+    dof = count - PARAMETER_COUNT
+    for column in np.flatnonzero(~np.isfinite(squares)).tolist():
+        weight = weights[:, column]
+        design = np.column_stack([points_mm, np.ones(len(points_mm))]) * weight[:, None]
+        basis = np.linalg.qr(design)[0]
+        values = readings[:, column] * weight
+        residuals = values - basis @ (basis.T @ values)
+        squares[column], dof[column] = residuals @ residuals, count[column] - 4
+    shares = np.sqrt(squares / (count - 1) / variance)
+    unbiased = np.sqrt(np.where(dof > 0, squares, 0.0) / np.maximum(dof, 1) / variance)
+    return shares, unbiased
 
 
 def fit_distorted(

@@ -10,6 +10,7 @@ from typing import Any, Final, Literal, Union, get_args, get_origin, get_type_hi
 from compute.errors import InvalidParameter, LumilineError
 from compute.optics.coded_aperture.coded_window import CodedWindow, maximal_length_code
 from compute.optics.profiles.device_profile import DeviceProfile, PlateOptics
+from compute.optics.profiles.error_sources import ErrorSources
 from compute.optics.profiles.profile_sections import LedMarkers, RetroMarkers
 from compute.optics.profiles.units import InvalidQuantity, Unit, magnitude, split_unit
 from compute.optics.tracing.assembly import Assembly, Lens, Stop
@@ -229,9 +230,18 @@ class _MaximalLength:
 
 def build_profile(document: Mapping[str, object]) -> tuple[DeviceProfile | None, list[Problem]]:
     """Return the profile of a parsed document, or None, and the errors."""
+    return _build(DeviceProfile, document, "")
+
+
+def build_error_sources(table: Mapping[str, object]) -> tuple[ErrorSources | None, list[Problem]]:
+    """Return the error sources of a parsed table, or None, and the errors."""
+    return _build(ErrorSources, table, "error_sources")
+
+
+def _build(expected: type, document: Mapping[str, object], path: str) -> tuple[Any, list[Problem]]:
     deserialiser = ProfileDeserialiser()
     try:
-        return deserialiser.build(DeviceProfile, document, ""), deserialiser.problems
+        return deserialiser.build(expected, document, path), deserialiser.problems
     except _InvalidField:
         return None, deserialiser.problems
 

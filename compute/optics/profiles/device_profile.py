@@ -8,6 +8,7 @@ from compute.errors import InvalidParameter
 from compute.optics.coded_aperture.coded_window import CodedWindow
 from compute.optics.coded_aperture.gray_plate import GrayPlate
 from compute.optics.pixel_row import PixelRow
+from compute.optics.profiles.error_sources import ErrorSources
 from compute.optics.profiles.profile_sections import (
     DetectorProfile,
     Markers,
@@ -87,10 +88,11 @@ class DeviceProfile:
         published: published figures; none where none were.
         notes: what else must be known, such as how the source's axes map to ours.
         assumed: dotted paths of what the sources leave open, each with the reason for its value.
+        error_sources: what makes it inaccurate besides noise, as far as it is known.
 
     Raises:
         InvalidParameter: no sensor, a name given twice, optics that are not there or not used,
-            another number of pixels than a plate has tracks.
+            another number of pixels than a plate has tracks, errors of other sensors.
     """
 
     name: str
@@ -107,6 +109,7 @@ class DeviceProfile:
     published: tuple[PublishedFigure, ...] = ()
     notes: tuple[str, ...] = ()
     assumed: Mapping[str, str] = field(default_factory=dict)
+    error_sources: ErrorSources = field(default_factory=ErrorSources)
 
     def __post_init__(self) -> None:
         if not self.sensors:
@@ -129,6 +132,13 @@ class DeviceProfile:
             raise InvalidParameter(
                 f"optics has {', '.join(unused)}, which no sensor uses; leave it out",
                 optics=unused,
+            )
+        given = self.error_sources.uncorrected_distortion_px
+        if given is not None and len(given) != len(self.sensors):
+            raise InvalidParameter(
+                f"error_sources.uncorrected_distortion has {len(given)} values; give one for each "
+                f"of the {len(self.sensors)} sensors",
+                error_sources=given,
             )
         for name, one in self.optics.items():
             if isinstance(one, PlateOptics) and one.plate.tracks != self.pixels.count:

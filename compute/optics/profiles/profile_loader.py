@@ -2,13 +2,15 @@
 
 import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from functools import cache
 from importlib import resources
 from pathlib import Path
 
 from compute.errors import InvalidParameter
 from compute.optics.profiles.device_profile import DeviceProfile
+from compute.parameter_checks import require
 
 _STEP = re.compile(r"([^.\[\]]+)|\[(\d+)\]")
 
@@ -82,6 +84,42 @@ def parse_profile(text: str, origin: str) -> DeviceProfile:
             problems=[str(problem) for problem in problems],
         )
     return profile
+
+
+def with_error_sources(profile: DeviceProfile, assignments: Iterable[str]) -> DeviceProfile:
+    """Return a profile with other error sources, written as ``temperature_change=5 K``.
+
+    They count as given, not as assumed.
+
+    Args:
+        profile: the device.
+        assignments: names of fields of ``error_sources`` and their values, as in a profile's file.
+
+    Raises:
+        InvalidParameter: no such field, or a value that is none of its kind or out of range.
+    """
+    from compute.optics.profiles.deserialisation import build_error_sources
+
+    table: dict[str, object] = {}
+    for assignment in assignments:
+        name, equals, text = (part.strip() for part in assignment.partition("="))
+        require(bool(equals), 'be written as "speed=200 mm/s"', error_source=assignment)
+        try:
+            table[name] = tomllib.loads(f"value = {text}")["value"]
+        except tomllib.TOMLDecodeError:  # a quantity or a word without quotation marks
+            table[name] = text
+    sources, problems = build_error_sources(table)
+    if sources is None:
+        raise InvalidParameter(
+            "; ".join(map(str, problems)), problems=[str(problem) for problem in problems]
+        )
+    given = {name: value for name, value in vars(sources).items() if value is not None}
+    paths = {f"error_sources.{name}" for name in table}
+    return replace(
+        profile,
+        error_sources=replace(profile.error_sources, **given),
+        assumed={path: reason for path, reason in profile.assumed.items() if path not in paths},
+    )
 
 
 def _exists(document: object, path: str) -> bool:

@@ -24,6 +24,8 @@ gram = [mass] = g
 candela = [luminosity] = cd
 electron = [electron]
 count = [count]
+pixel = [pixel] = px
+kelvin = [temperature] = K
 steradian = radian ** 2 = sr
 degree = 0.017453292519943295 * radian = deg
 inch = 25.4e-3 * metre = in
@@ -62,6 +64,10 @@ UNITS: Final = {
     "_counts": Unit("count", "number of counts", "20 counts"),
     "_w_per_sr": Unit("W/sr", "radiant intensity", "50 mW/sr"),
     "_per_sr": Unit("1/sr", "coefficient of retroreflection", "300 cd/lx/m^2"),
+    "_mm_per_s": Unit("mm/s", "speed", "100 mm/s"),
+    "_per_k": Unit("1/K", "coefficient of expansion", "23.6 um/m/K"),
+    "_k": Unit("K", "difference of temperatures", "2 K"),
+    "_px": Unit("px", "number of pixels", "0.05 px"),
     "_mm": Unit("mm", "length", "16.54 mm"),
     "_um": Unit("um", "length", "13 um"),
     "_nm": Unit("nm", "length", "880 nm"),

@@ -17,7 +17,8 @@ from service.api.calibrations.schema import (
     State,
 )
 from service.api.devices.device_service import DeviceServiceDep
-from service.api.devices.store import check_sensors, get_device, sensors_of_row
+from service.api.devices.schema import check_sensors
+from service.api.devices.store import get_device, sensors_of_row
 from service.api.inputs import (
     CalibrationPath,
     DatabaseDep,
@@ -66,7 +67,7 @@ def list_calibrations(
 )
 @raises("unknown-device", "calibration-exists", "sensors-changed", "too-few-points")
 @raises("coplanar-points", "duplicate-point", "unknown-sensor", "reading-outside-sensor")
-@raises("invalid-parameter", "no-convergence")
+@raises("implausible-readings", "invalid-parameter", "no-convergence")
 def create_calibration(request: NewCalibrationBody, database: DatabaseDep) -> JSONResponse:
     """Calibrate every sensor from control points. The calibration is stored, not activated.
 

@@ -14,7 +14,16 @@ from compute.calibration.settings import (
 )
 from compute.camera.field_distortion import Term
 from compute.camera.model import Vector3
-from service.api.base_models import Moment, Name, Note, Position, RequestModel, ResponseModel, Slug
+from service.api.base_models import (
+    FIRST_ERROR_ONLY,
+    Moment,
+    Name,
+    Note,
+    Position,
+    RequestModel,
+    ResponseModel,
+    Slug,
+)
 from service.api.calibrations.comparison import Comparison
 
 MAX_POINTS = 10_000
@@ -115,7 +124,7 @@ class NewCalibration(CalibrationOptions):
 
     id: Slug | None = Field(default=None, description="Left out or null: the server makes one.")
     device: Slug
-    points: Annotated[list[ControlPoint], Field(max_length=MAX_POINTS)]
+    points: Annotated[list[ControlPoint], Field(max_length=MAX_POINTS), FIRST_ERROR_ONLY]
     note: Note = ""
 
 

@@ -4,7 +4,16 @@ from typing import Annotated
 
 from pydantic import Field
 
-from service.api.base_models import Moment, Name, Note, Position, RequestModel, ResponseModel, Slug
+from service.api.base_models import (
+    FIRST_ERROR_ONLY,
+    Moment,
+    Name,
+    Note,
+    Position,
+    RequestModel,
+    ResponseModel,
+    Slug,
+)
 
 MAX_TARGETS = 2_000
 
@@ -45,7 +54,7 @@ class NewCapture(RequestModel):
 
     id: Slug | None = Field(default=None, description="Left out or null: the server makes one.")
     device: Slug
-    targets: Annotated[list[Target], Field(min_length=1, max_length=MAX_TARGETS)]
+    targets: Annotated[list[Target], Field(min_length=1, max_length=MAX_TARGETS), FIRST_ERROR_ONLY]
     settings: CaptureSettings = Field(default_factory=CaptureSettings)
     note: Note = ""
 

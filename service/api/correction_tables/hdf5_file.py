@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from compute.mapping.grid import VoxelGrid
 from compute.mapping.table import CorrectionTable, Degree
+from hardware.damaged_file import refusing_damage
 from service.api.correction_tables.table_content import TableContent, check_signature
 from service.problems.errors import InvalidTableFile
 
@@ -40,8 +41,6 @@ _MAX_SENSORS: Final = 64
 _MAX_VALUES: Final = 2**24
 """Largest number of values in one array, 128 MiB."""
 _MAX_TEXT: Final = 2**18
-_DAMAGED_FILE: Final = (OSError, RuntimeError, KeyError, EOFError, OverflowError)
-"""What h5py raises of files cut short or damaged; OverflowError: of addresses that no file has."""
 _DEFLATE, _SHUFFLE = h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE
 
 
@@ -86,14 +85,15 @@ def read_table(data: bytes) -> TableContent:
         InvalidParameter, NonFiniteValue: shapes or values that make no table.
     """
     check_signature(data)
-    try:
-        with h5py.File(io.BytesIO(data), "r") as file:
-            return _read(file)
-    except (*_DAMAGED_FILE, ValueError, TypeError) as error:
-        # ValueError and TypeError: what h5py says of datatypes that make none of its own.
-        raise InvalidTableFile(
-            f"the file is HDF5 but is cut short or damaged: {_first_line(error)}"
-        ) from error
+    with (
+        refusing_damage(
+            lambda reason: InvalidTableFile(
+                f"the file is HDF5 but is cut short or damaged: {reason}"
+            )
+        ),
+        h5py.File(io.BytesIO(data), "r") as file,
+    ):
+        return _read(file)
 
 
 def _read(file: h5py.File) -> TableContent:

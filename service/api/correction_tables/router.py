@@ -64,7 +64,7 @@ def list_tables(
     response_model=CorrectionTableDocument,
     openapi_extra={"requestBody": {"required": True, "content": {MEDIA_TYPE: _BINARY}}},
 )
-@raises("invalid-table-file", "invalid-parameter", "non-finite-value", "table-has-holes")
+@raises("invalid-table-file", "invalid-parameter", "non-finite-value", "no-valid-cells")
 @raises("foreign-correction-table", "correction-table-exists", "busy")
 async def upload_table(
     request: Request,

@@ -133,7 +133,7 @@ def add_table(
     Raises:
         CorrectionTableExists: the id is taken.
         TableOfAnotherCalibration: it is of another calibration.
-        InvalidParameter, TableHasHoles: see ``check_table``.
+        InvalidParameter, NoValidCells: see ``check_table``.
     """
     from service.api.correction_tables.hdf5_file import write_table  # takes a while to load
 

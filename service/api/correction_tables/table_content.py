@@ -10,7 +10,7 @@ import numpy as np
 from compute.errors import InvalidParameter
 from compute.mapping.table import CorrectionTable
 from service.api.calibrations.calibration_content import canonical_json
-from service.problems.errors import InvalidTableFile, TableHasHoles
+from service.problems.errors import InvalidTableFile, NoValidCells
 
 MEDIA_TYPE: Final = "application/x-hdf5"
 """Of the files that tables are exchanged in; see ``service.api.correction_tables.hdf5_file``."""
@@ -74,11 +74,11 @@ class TableContent:
 
 
 def check_table(table: CorrectionTable) -> None:
-    """Check what shapes and finite numbers do not say: sizes that mean something, and no holes.
+    """Check what shapes and finite numbers do not say: sizes that mean something, valid cells.
 
     Raises:
         InvalidParameter: a correction, variance or length beyond any sensor or room.
-        TableHasHoles: a sensor without any valid cell, or with invalid cells inside valid ones.
+        NoValidCells: a sensor without any valid cell.
     """
     for name, most in (("coefficients_px", MAX_PX), ("variance_px2", MAX_PX**2)):
         largest = float(np.abs(getattr(table, name)).max())
@@ -87,8 +87,6 @@ def check_table(table: CorrectionTable) -> None:
                 f"{name} reaches {largest:g}; it must be at most {most:g} in size",
                 **{name: largest},
             )
-    from scipy.ndimage import binary_fill_holes  # takes a while to load
-
     grid = table.grid
     corners = np.array([grid.origin_mm, grid.end_mm])
     if np.abs(corners).max() > MAX_MM:
@@ -98,19 +96,9 @@ def check_table(table: CorrectionTable) -> None:
         )
     for name, valid in zip(table.sensors, table.valid, strict=True):
         if not valid.any():
-            raise TableHasHoles(
+            raise NoValidCells(
                 f"no cell of sensor {name} is valid; leave the sensor out of the device, or map it",
                 sensor=name,
-            )
-        holes = np.argwhere(binary_fill_holes(valid) & ~valid)
-        if len(holes):
-            cell = tuple(int(index) for index in holes[0])
-            raise TableHasHoles(
-                f"{len(holes)} cells of sensor {name} are not valid though valid ones surround "
-                f"them, the first at {list(cell)}; measure there, or map with wider cells",
-                sensor=name,
-                cell=cell,
-                cells=len(holes),
             )
 
 

@@ -23,7 +23,7 @@ def read_in_process(data: bytes) -> TableContent:
     Raises:
         Busy: as many uploads as may are being read.
         InvalidTableFile: as ``read_table``; also when reading crashes or takes too much.
-        InvalidParameter, NonFiniteValue, TableHasHoles: as ``read_table`` and ``check_table``.
+        InvalidParameter, NonFiniteValue, NoValidCells: as ``read_table`` and ``check_table``.
     """
     check_signature(data)
     try:

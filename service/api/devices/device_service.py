@@ -14,17 +14,22 @@ from compute.errors import LumilineError
 from hardware.driver import DeviceDescription
 from service.api.devices import store
 from service.api.devices.driver_factory import make_driver, sensors_of
-from service.api.devices.schema import Device, DeviceChange, NewDevice, Sensor
+from service.api.devices.schema import (
+    Device,
+    DeviceChange,
+    NewDevice,
+    Sensor,
+    check_sensors,
+    listed,
+    sensors_match,
+)
 from service.api.devices.store import (
     Target,
     active,
     check_not_retired,
-    check_sensors,
-    listed,
     lock_device,
     move_pointer,
     previous_activation,
-    sensors_match,
 )
 from service.api.inputs import of_application
 from service.database.engine import Database

@@ -1,10 +1,12 @@
 """Devices as clients send and receive them."""
 
+from collections.abc import Sequence
 from typing import Annotated, Literal
 
 from pydantic import ConfigDict, Field, StringConstraints
 from pydantic.dataclasses import dataclass as checked_dataclass
 
+from compute.camera.model import SensorModel
 from hardware.driver import SensorDescription
 from hardware.genicam.settings import GenicamSettings
 from hardware.serial.settings import SerialSettings
@@ -14,6 +16,7 @@ from hardware.tcd1304.settings import Tcd1304Settings
 from service.api.base_models import Moment, Name, RequestModel, ResponseModel, Slug, Text200, absent
 from service.api.devices.tracking_settings import Tracking
 from service.pipeline.device_status import DeviceStatus
+from service.problems.errors import SensorsChanged
 
 RECORDING_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_-]*(\.[A-Za-z0-9_-]+)*(/[A-Za-z0-9][A-Za-z0-9_.-]*)*$"
 PROFILE_PATTERN = r"^[a-z0-9]([a-z0-9.-]{0,61}[a-z0-9])?$"
@@ -154,3 +157,41 @@ class Activation(ResponseModel):
     restores_id: int | None = Field(description="The earlier move that a roll-back went back to.")
     activated_at: Moment
     actor: str | None = Field(description="Who did it; null: not known, there are no users yet.")
+
+
+AnySensor = SensorDescription | SensorModel
+
+
+def sensors_match(one: Sequence[AnySensor], other: Sequence[AnySensor]) -> bool:
+    """Whether two lists are of the same sensors: readings and models go by position."""
+    return _layout(one) == _layout(other)
+
+
+def check_sensors(
+    device_id: str, now: Sequence[SensorDescription], made: Sequence[AnySensor]
+) -> None:
+    """Check that a calibration is of the device's sensors.
+
+    Args:
+        device_id: the device.
+        now: its sensors.
+        made: the sensors, or their models, that the calibration was made for.
+
+    Raises:
+        SensorsChanged: a name, a number of pixels or the order differs.
+    """
+    if not sensors_match(now, made):
+        raise SensorsChanged(
+            f'device "{device_id}" has the sensors {listed(now)}; the calibration was made for '
+            f"{listed(made)}; calibrate the sensors that the device has now",
+            device=device_id,
+        )
+
+
+def _layout(sensors: Sequence[AnySensor]) -> list[tuple[str, int]]:
+    return [(sensor.name, sensor.pixels) for sensor in sensors]
+
+
+def listed(sensors: Sequence[AnySensor]) -> str:
+    """Return the sensors' names and pixel counts as text for messages."""
+    return ", ".join(f'"{name}" ({pixels} px)' for name, pixels in _layout(sensors))

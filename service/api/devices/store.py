@@ -1,6 +1,6 @@
 """Devices in the database, their sensors, and the pointer to the active calibration and table."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
@@ -9,10 +9,15 @@ from pydantic import TypeAdapter
 from sqlalchemy import Select, delete, func, select
 from sqlalchemy.orm import Session
 
-from compute.camera.model import SensorModel
-from hardware.driver import SensorDescription
 from service.api.base_models import from_attributes
-from service.api.devices.schema import Device, DeviceChange, NewDevice, Sensor, Source
+from service.api.devices.schema import (
+    Device,
+    DeviceChange,
+    NewDevice,
+    Sensor,
+    Source,
+    sensors_match,
+)
 from service.api.devices.tracking_settings import Tracking
 from service.database.engine import Resource
 from service.database.models import (
@@ -39,7 +44,6 @@ from service.problems.errors import (
     DeviceInUse,
     DeviceRunning,
     NothingToRollBack,
-    SensorsChanged,
     UnknownDevice,
 )
 
@@ -361,41 +365,3 @@ def activations(device_id: str) -> Select[ActivationRow]:
         .where(ActivationRow.device_id == device_id)
         .order_by(ActivationRow.id.desc())
     )
-
-
-AnySensor = SensorDescription | SensorModel
-
-
-def sensors_match(one: Sequence[AnySensor], other: Sequence[AnySensor]) -> bool:
-    """Whether two lists are of the same sensors: readings and models go by position."""
-    return _layout(one) == _layout(other)
-
-
-def check_sensors(
-    device_id: str, now: Sequence[SensorDescription], made: Sequence[AnySensor]
-) -> None:
-    """Check that a calibration is of the device's sensors.
-
-    Args:
-        device_id: the device.
-        now: its sensors.
-        made: the sensors, or their models, that the calibration was made for.
-
-    Raises:
-        SensorsChanged: a name, a number of pixels or the order differs.
-    """
-    if not sensors_match(now, made):
-        raise SensorsChanged(
-            f'device "{device_id}" has the sensors {listed(now)}; the calibration was made for '
-            f"{listed(made)}; calibrate the sensors that the device has now",
-            device=device_id,
-        )
-
-
-def _layout(sensors: Sequence[AnySensor]) -> list[tuple[str, int]]:
-    return [(sensor.name, sensor.pixels) for sensor in sensors]
-
-
-def listed(sensors: Sequence[AnySensor]) -> str:
-    """Return the sensors' names and pixel counts as text for messages."""
-    return ", ".join(f'"{name}" ({pixels} px)' for name, pixels in _layout(sensors))

@@ -7,7 +7,8 @@ from fastapi import Body, Query, Response
 from service.api.base_models import SLUG_PATTERN, Page
 from service.api.calibrations.calibration_content import result_of
 from service.api.calibrations.store import get_calibration
-from service.api.devices.store import check_sensors, get_device, sensors_of_row
+from service.api.devices.schema import check_sensors
+from service.api.devices.store import get_device, sensors_of_row
 from service.api.drift_checks import store
 from service.api.drift_checks.examples import NEW_DRIFT_CHECKS
 from service.api.drift_checks.marker_references import resolve_stationary_markers

@@ -11,6 +11,7 @@ from compute.errors import InvalidParameter
 from compute.signal.centroid_settings import MAX_PIXELS
 from compute.signal.fit.fit_settings import WIDTH_LIMITS_PX
 from compute.signal.fit.line_spread_function import LineSpreadFunction
+from service.api.base_models import FIRST_ERROR_ONLY
 from service.api.line_scans.chain_steps import STRICT
 
 MAX_NODES: Final = 256
@@ -27,7 +28,7 @@ class Shape:
     """Light of a line in cells finer than pixels, at one place or several along the sensor."""
 
     light: Annotated[
-        list[Annotated[list[Light], Field(min_length=3, max_length=MAX_CELLS)]],
+        list[Annotated[list[Light], Field(min_length=3, max_length=MAX_CELLS), FIRST_ERROR_ONLY]],
         Field(
             min_length=1,
             max_length=MAX_NODES,

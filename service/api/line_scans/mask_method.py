@@ -13,6 +13,7 @@ from compute.optics.profiles.profile_optics import window_shadows
 from compute.signal.centroid_settings import MAX_PIXELS
 from compute.signal.coded_aperture.shadow_fit import ShadowSettings
 from compute.signal.coded_aperture.shadow_template import ShadowTemplate
+from service.api.base_models import FIRST_ERROR_ONLY
 from service.api.devices.schema import PROFILE_PATTERN
 from service.api.line_scans.chain_steps import STRICT
 from service.pipeline.detection_stage import FindProfile
@@ -36,6 +37,7 @@ class Template:
             max_length=MAX_CELLS,
             description="Light of pixels centred at first_px + j / per_px, in any unit.",
         ),
+        FIRST_ERROR_ONLY,
     ]
     reading_px: Annotated[
         float,

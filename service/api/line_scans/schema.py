@@ -2,10 +2,10 @@
 
 from typing import Annotated, Final
 
-from pydantic import FailFast, Field
+from pydantic import Field
 
 from compute.signal.centroid_settings import MAX_PIXELS, MIN_PIXELS
-from service.api.base_models import RequestModel, ResponseModel
+from service.api.base_models import FIRST_ERROR_ONLY, RequestModel, ResponseModel
 from service.api.line_scans.methods import Method, MethodName
 
 MAX_SCANS: Final = 256
@@ -26,11 +26,10 @@ CHAIN_TOTAL_PIXELS: Final = 65536
 
 FULL_SCALE: Final = 65535
 
-# The first wrong value is enough: a report on each of a million would fill the memory.
 Counts = Annotated[
     list[Annotated[int, Field(ge=0, le=FULL_SCALE)]],
     Field(min_length=MIN_PIXELS, max_length=MAX_PIXELS),
-    FailFast(),
+    FIRST_ERROR_ONLY,
 ]
 
 
@@ -60,7 +59,7 @@ class LineScanRequest(RequestModel):
             description=f"Counts, one list for each line, all of one length; {MAX_TOTAL_PIXELS} "
             f"values at most, {DETAIL_PIXELS} in detail.",
         ),
-        FailFast(),
+        FIRST_ERROR_ONLY,
     ]
     method: Method
     noise: PixelNoise | None = Field(

@@ -1,4 +1,4 @@
-"""Plot of a plan: maps of sigma, error over distance, readings, ghosts."""
+"""Plot of a plan: maps of sigma, error over distance, readings, ghosts, accuracy budget."""
 
 import io
 from typing import Final
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from compute.planning.plan import column_medians
-from compute.planning.plan_result import Plan
+from compute.planning.plan_result import AccuracyBudget, Plan
 
 Array = NDArray[np.float64]
 
@@ -22,6 +22,10 @@ _COLOURS: Final = ("#0072B2", "#E69F00", "#009E73")
 _MARKERS: Final = ("o", "s", "^")
 _SENSOR_COLOUR: Final = "#D55E00"
 _PATTERN_COLOUR: Final = "#CC79A7"
+_BUDGET_COLOURS: Final = (
+    "#999999", "#F0E442", "#000000", "#CC79A7", "#0072B2", "#E69F00", "#009E73", "#D55E00",
+    "#56B4E9",
+)  # fmt: skip
 _MAP: Final = "cividis"
 _DPI: Final = 110
 
@@ -32,16 +36,18 @@ def draw_plan(plan: Plan) -> bytes:
     No state of pyplot's is used, so that it may be called in any thread.
     """
     with mpl.rc_context({"font.size": 9, "axes.titlesize": 10}):
-        figure = Figure(figsize=(14.0, 13.0), layout="constrained")
+        figure = Figure(figsize=(14.0, 17.0), layout="constrained")
         FigureCanvasAgg(figure)
         figure.suptitle(f"{plan.profile}: {plan.title}", fontsize=13)
-        rows = figure.add_gridspec(2, 1, height_ratios=(2.2, 1.0))
-        maps, below = figure.add_subfigure(rows[0]), figure.add_subfigure(rows[1])
+        rows = figure.add_gridspec(3, 1, height_ratios=(2.2, 1.0, 1.0))
+        maps, below, last = (figure.add_subfigure(rows[row]) for row in range(3))
         _maps(maps.subplots(3, 2), plan)
         distance, readings, ghosts = below.subplots(1, 3)
         _against_distance(distance, plan)
         _readings(readings, plan)
         _ghosts(ghosts, plan)
+        sizes, shares = last.subplots(1, 2)
+        _budget(sizes, shares, plan.budget)
         drawn, small = io.BytesIO(), io.BytesIO()
         figure.savefig(drawn, format="png", dpi=_DPI)
     # A palette of 256 colours takes less than half of the bytes.
@@ -71,7 +77,7 @@ def _maps(axes: NDArray[np.object_], plan: Plan) -> None:
             _map(panel, where[..., 2], where[..., across], section[..., axis])
             _device(panel, plan, across)
             panel.set(
-                title=f"standard deviation of {'XYZ'[axis]} [µm], {title}",
+                title=f"noise, standard deviation of {'XYZ'[axis]} [µm], {title}",
                 xlabel="Z, distance [mm]" if axis == 2 else "",
                 ylabel=label,
             )
@@ -194,6 +200,53 @@ def _ghosts(panel: Axes, plan: Plan) -> None:
     panel.set_xticks(ticks, [str(count) for count in ticks])
     panel.xaxis.set_minor_formatter(NullFormatter())
     panel.legend(fontsize=8, loc="upper left")
+
+
+def _budget(sizes: Axes, shares: Axes, budget: AccuracyBudget | None) -> None:
+    """Draw the contributions' sizes, and their shares of the variance against distance."""
+    if budget is None:
+        for panel in (sizes, shares):
+            panel.text(0.5, 0.5, "no budget, see the notes", ha="center", transform=panel.transAxes)
+            panel.set_axis_off()
+        return
+    listed = [one for one in budget.contributions if one.rms_mm > 0.0]
+    names = [f"{one.name}{', assumed' if one.assumed else ''}" for one in listed]
+    counted = [one for one in listed if one.counted]
+    colours = dict(zip((one.name for one in counted), _BUDGET_COLOURS, strict=False))
+    sizes.barh(
+        range(len(listed)),
+        [one.rms_mm for one in listed],
+        color=[colours.get(one.name, "none") for one in listed],
+        edgecolor=["none" if one.counted else "0.5" for one in listed],
+    )
+    sizes.axvline(budget.total_rms_mm, color="0.2", lw=1.0, label="total")
+    sizes.set(
+        xscale="log", xlabel="standard uncertainty, 3D, RMS over the volume [mm]",
+        title=f"accuracy budget: {budget.dominant} dominates (outlined: not in the total)",
+    )  # fmt: skip
+    sizes.set_yticks(range(len(listed)), names)
+    sizes.invert_yaxis()
+    sizes.grid(axis="x", color="0.9")
+    sizes.set_axisbelow(True)
+    sizes.legend(fontsize=8, loc="lower right")
+
+    distances, total = np.array(budget.distances_mm), np.array(budget.total_by_distance_mm)
+    width = 0.7 * float(np.diff(distances).min()) if len(distances) > 1 else 100.0
+    bottom = np.zeros(len(distances))
+    for one in counted:
+        height = 100.0 * np.square(np.array(one.by_distance_mm) / total)
+        shares.bar(
+            distances, height, width, bottom, color=colours[one.name],
+            label=one.name if height.max() >= 1.0 else None,
+        )  # fmt: skip
+        bottom += height
+    for distance, value in zip(distances, total, strict=True):
+        shares.text(distance, 101.0, f"{value:.2g} mm", ha="center", fontsize=8)
+    shares.set(
+        xlabel="Z, distance [mm]", ylabel="share of the variance [%]", ylim=(0.0, 108.0),
+        title="what dominates where (total on top)",
+    )  # fmt: skip
+    shares.legend(fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
 
 
 def _plain(value: float, _: float) -> str:

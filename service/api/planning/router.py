@@ -48,7 +48,7 @@ def get_device_profile(name: ProfilePath, profiles_dir: ProfilesDir) -> DevicePr
 @router.operation("GET /{name}/plan", "get-plan", "Plan a device")
 @raises("unknown-device-profile", "invalid-parameter", "busy")
 def get_plan(name: ProfilePath, profiles_dir: ProfilesDir, grid: GridQuery = 3) -> Plan:
-    """What the device reaches over its working volume: precision, coverage, rates, ghosts.
+    """What the device reaches over its working volume: accuracy, coverage, rates, ghosts.
 
     The first answer takes seconds, longer for a finer grid; the same again comes at once.
     """

@@ -7,6 +7,7 @@ from pydantic import Field
 
 from compute.optics.pixel_row import PixelRow
 from compute.optics.profiles.device_profile import DeviceProfile, SensorProfile
+from compute.optics.profiles.error_sources import ErrorSources
 from compute.optics.profiles.profile_sections import (
     DetectorProfile,
     LedMarkers,
@@ -63,6 +64,10 @@ class DeviceProfileDocument(DeviceProfileSummary):
     rates: Rates
     volume: Volume
     published: tuple[PublishedFigure, ...]
+    error_sources: ErrorSources = Field(
+        description="What makes it inaccurate besides noise; null: a typical value is assumed, "
+        "which the plan's budget names."
+    )
     notes: tuple[str, ...]
     assumed: dict[str, str] = Field(
         description="Dotted paths of what the sources leave open, each with the reason."

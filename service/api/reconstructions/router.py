@@ -13,7 +13,8 @@ from hardware.driver import SensorDescription
 from service.api.base_models import SLUG_PATTERN, Page
 from service.api.calibrations.calibration_content import observations, result_of
 from service.api.correction_tables.store import content_of
-from service.api.devices.store import check_sensors, get_device, sensors_of_row
+from service.api.devices.schema import check_sensors
+from service.api.devices.store import get_device, sensors_of_row
 from service.api.inputs import DatabaseDep, DeviceFilter, JsonTypes, PagingDep, page_of
 from service.api.openapi import ResourceRouter, raises
 from service.api.reconstructions import store

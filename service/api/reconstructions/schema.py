@@ -6,7 +6,14 @@ from typing import Annotated
 from pydantic import Field
 
 from compute.reconstruction.point_batch import PointEstimate
-from service.api.base_models import Moment, Name, RequestModel, ResponseModel, Slug
+from service.api.base_models import (
+    FIRST_ERROR_ONLY,
+    Moment,
+    Name,
+    RequestModel,
+    ResponseModel,
+    Slug,
+)
 from service.api.calibrations.schema import MAX_POINTS, Readings
 
 
@@ -27,7 +34,9 @@ class NewReconstruction(RequestModel):
         description="One of the device's, without a table; left out or null: its active one, with "
         "its active correction table.",
     )
-    points: Annotated[list[ObservedPoint], Field(min_length=1, max_length=MAX_POINTS)]
+    points: Annotated[
+        list[ObservedPoint], Field(min_length=1, max_length=MAX_POINTS), FIRST_ERROR_ONLY
+    ]
 
 
 @dataclass(frozen=True)

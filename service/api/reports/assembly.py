@@ -15,8 +15,8 @@ from service.api.calibrations.calibration_content import (
 from service.api.calibrations.comparison import compare
 from service.api.calibrations.schema import ControlPoint
 from service.api.calibrations.store import active_id, get_calibration, with_control_points
-from service.api.devices.schema import Sensor
-from service.api.devices.store import get_device, sensors_match, sensors_of_row
+from service.api.devices.schema import Sensor, sensors_match
+from service.api.devices.store import get_device, sensors_of_row
 from service.api.reports.content import ComparedCalibration, Relation, ReportContent
 from service.database.models import ActivationRow, CalibrationRow
 from service.problems.errors import CalibrationOfAnotherDevice

@@ -7,8 +7,7 @@ from service.api.calibrations.calibration_content import result_of
 from service.api.calibrations.schema import ControlPoint
 from service.api.calibrations.store import active_id, usable
 from service.api.captures.store import captured_points
-from service.api.devices.schema import Sensor
-from service.api.devices.store import check_sensors
+from service.api.devices.schema import Sensor, check_sensors
 from service.api.drift_checks.marker_references import resolve_stationary_markers
 from service.api.drift_checks.schema import StationaryMarker
 from service.api.drift_checks.store import DRIFT_CHECKS, markers_of

@@ -6,7 +6,15 @@ from pydantic import Field
 
 from compute.calibration.settings import LabelPolicy
 from compute.mapping.result import MappingMethod, MappingSettings
-from service.api.base_models import Moment, Note, RequestModel, ResponseModel, Slug, from_attributes
+from service.api.base_models import (
+    FIRST_ERROR_ONLY,
+    Moment,
+    Note,
+    RequestModel,
+    ResponseModel,
+    Slug,
+    from_attributes,
+)
 from service.api.calibrations.schema import (
     MAX_POINTS,
     CalibrationOptions,
@@ -62,8 +70,8 @@ class Run(ResponseModel):
 class PointsRequest(RequestModel):
     """Control points, or a capture session that holds them."""
 
-    points: Annotated[list[ControlPoint], Field(max_length=MAX_POINTS)] | None = Field(
-        default=None, description="Give these, or `capture`."
+    points: Annotated[list[ControlPoint], Field(max_length=MAX_POINTS), FIRST_ERROR_ONLY] | None = (
+        Field(default=None, description="Give these, or `capture`.")
     )
     capture: Slug | None = Field(default=None, description="A capture session, in place of points.")
     allow_incomplete: bool = Field(

@@ -14,7 +14,7 @@ from compute.calibration.self_calibration.targets import (
 )
 from compute.errors import InvalidParameter, ReadingOutsideSensor, UnknownSensor
 from hardware.driver import SensorDescription
-from service.api.base_models import Note, Position, RequestModel, Slug
+from service.api.base_models import FIRST_ERROR_ONLY, Note, Position, RequestModel, Slug
 from service.api.calibrations.schema import GivenDistortion, SensorName
 
 MAX_POSES = 5_000
@@ -66,7 +66,7 @@ class NewRecording(RequestModel):
     """One target, held or waved, and what the sensors read of it."""
 
     target: Annotated[WandTarget | BodyTarget | UnknownTarget, Field(discriminator="kind")]
-    poses: Annotated[list[MarkerReadings], Field(max_length=MAX_POSES)]
+    poses: Annotated[list[MarkerReadings], Field(max_length=MAX_POSES), FIRST_ERROR_ONLY]
     sigma_px: Annotated[float, Field(ge=1e-6, le=1e4)] | None = Field(
         default=None, description="Standard deviation of the readings; null: from the residuals."
     )

@@ -105,7 +105,8 @@ NewSelfCalibrationRunBody = Annotated[
 )
 @raises("unknown-device", "unknown-capture", "run-exists", "calibration-exists")
 @raises("capture-of-another-device", "capture-incomplete", "too-few-points", "coplanar-points")
-@raises("duplicate-point", "unknown-sensor", "reading-outside-sensor", "invalid-parameter", "busy")
+@raises("duplicate-point", "unknown-sensor", "reading-outside-sensor", "implausible-readings")
+@raises("invalid-parameter", "busy")
 def create_calibration_run(request: NewCalibrationRunBody, submission: SubmissionDep) -> Run:
     """Calibrate in a process of its own: follow the run at the header `Location`.
 

@@ -4,7 +4,16 @@ from typing import Annotated, Any, Literal
 
 from pydantic import ConfigDict, Discriminator, Field, RootModel, Tag
 
-from service.api.base_models import Moment, Name, Note, Position, RequestModel, ResponseModel, Slug
+from service.api.base_models import (
+    FIRST_ERROR_ONLY,
+    Moment,
+    Name,
+    Note,
+    Position,
+    RequestModel,
+    ResponseModel,
+    Slug,
+)
 from service.api.tools.schema import Marker, Matrix3, Matrix6
 from service.api.tools.surface_schema import SurfaceFit, SurfaceInput, SurfaceSummary
 
@@ -106,9 +115,11 @@ class _SurfaceOptions(_Named):
         description="The registration of the same frame that is refined: it is the start, and its "
         "`reference` that of the new one."
     )
-    points_mm: Annotated[list[Position], Field(min_length=MIN_SURFACE_POINTS)] = Field(
-        description="Measured on the surface, in the tracker's frame or that of the earlier "
-        "registration's reference tool."
+    points_mm: Annotated[list[Position], Field(min_length=MIN_SURFACE_POINTS), FIRST_ERROR_ONLY] = (
+        Field(
+            description="Measured on the surface, in the tracker's frame or that of the earlier "
+            "registration's reference tool."
+        )
     )
     trim: Annotated[float, Field(ge=0, lt=0.5)] = Field(
         default=0.1, description="Share of the points, those furthest off, that is left out."

@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from service.api.base_models import Position, RequestModel, ResponseModel
+from service.api.base_models import FIRST_ERROR_ONLY, Position, RequestModel, ResponseModel
 
 Direction = tuple[
     Annotated[float, Field(ge=-1e6, le=1e6)],
@@ -18,20 +18,22 @@ class MeshInput(RequestModel):
     """A surface of triangles."""
 
     kind: Literal["mesh"]
-    vertices_mm: list[Position] = Field(min_length=3, description="Places in the frame.")
-    triangles: Annotated[list[tuple[Index, Index, Index]], Field(min_length=1)] = Field(
-        description="Numbers of their vertices, from 0. Which side is out does not matter."
+    vertices_mm: Annotated[list[Position], FIRST_ERROR_ONLY] = Field(
+        min_length=3, description="Places in the frame."
     )
+    triangles: Annotated[
+        list[tuple[Index, Index, Index]], Field(min_length=1), FIRST_ERROR_ONLY
+    ] = Field(description="Numbers of their vertices, from 0. Which side is out does not matter.")
 
 
 class PointCloudInput(RequestModel):
     """A surface as points of it."""
 
     kind: Literal["points"]
-    points_mm: Annotated[list[Position], Field(min_length=1)] = Field(
+    points_mm: Annotated[list[Position], Field(min_length=1), FIRST_ERROR_ONLY] = Field(
         description="Places in the frame, as close to one another as the surface bends."
     )
-    normals: list[Direction] | None = Field(
+    normals: Annotated[list[Direction], FIRST_ERROR_ONLY] | None = Field(
         default=None,
         description="Of the surface at each point, of any length. With them points may slide "
         "along it, and fewer do; null: not known.",

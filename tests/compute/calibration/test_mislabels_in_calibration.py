@@ -6,7 +6,7 @@ import pytest
 from compute.calibration.assessment.assess import cross_validate
 from compute.calibration.calibrate import calibrate
 from compute.calibration.settings import CalibrationSettings, LabelPolicy
-from compute.errors import DegeneratePoints
+from compute.errors import NoConvergence
 from tests.compute.rig import control_points, geometry, project, rig
 
 SIGMA = 0.3
@@ -49,8 +49,10 @@ def test_what_was_found_is_told_where_no_camera_fits() -> None:
     readings[[low, high], 1] = readings[[high, low], 1]
     given = np.full(readings.shape, SIGMA)
     settings = CalibrationSettings(labels="report")
-    with pytest.raises(DegeneratePoints, match=rf"exchanged for sensor s2: .*{low + 1}.*repair"):
+    with pytest.raises(NoConvergence, match=rf"exchanged for sensor s2: .*{low + 1}.*repair") as e:
         calibrate(points, readings, geometry(models), given, settings)
+    # Where labels are not searched for, the two readings are named all the same.
+    assert e.value.context["points"] == tuple(sorted((low + 1, high + 1)))
 
 
 def test_clean_labels_change_nothing() -> None:

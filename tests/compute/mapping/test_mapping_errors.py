@@ -10,8 +10,7 @@ from compute.errors import (
     TooFewPoints,
 )
 from compute.mapping.build import build_table
-from compute.mapping.cell_support import check_no_holes
-from compute.mapping.grid import VoxelGrid
+from compute.mapping.cell_support import check_supported
 from compute.mapping.measurements import MappingMeasurements
 from compute.mapping.result import MappingSettings
 from tests.compute.mapping.scenes import SIGMA, calibrated, exact, lattice, measured, places, truth
@@ -121,16 +120,12 @@ def test_one_sided_coverage(models):
     )
 
 
-def test_a_hole_in_the_volume():
-    grid = VoxelGrid((0.0, 0.0, 1000.0), (10.0, 10.0, 10.0), (5, 5, 5))
-    valid = np.ones((5, 5, 5), dtype=bool)
-    valid[0, 2, 2] = False  # a dent at the rim encloses nothing
-    check_no_holes(valid, grid, "s1")
-    valid[2, 3, 1] = False
-    with pytest.raises(TooFewPoints, match=r"hole of 1 cells.*\[25.0, 35.0, 1015.0\]"):
-        check_no_holes(valid, grid, "s1")
-    with pytest.raises(TooFewPoints, match="no cell"):
-        check_no_holes(np.zeros((5, 5, 5), dtype=bool), grid, "s1")
+def test_no_supported_cell():
+    valid = np.zeros((5, 5, 5), dtype=bool)
+    with pytest.raises(TooFewPoints, match="no cell of the grid has enough of sensor s1's"):
+        check_supported(valid, "s1")
+    valid[2, 3, 1] = True
+    check_supported(valid, "s1")
 
 
 def test_a_missing_node_inside_the_grid(models):
@@ -139,7 +134,10 @@ def test_a_missing_node_inside_the_grid(models):
     readings = control.readings_px.copy()
     readings[2 * 30 + 3 * 5 + 2, 0] = np.nan
     holed = changed(control, readings=readings)
-    refused(TooFewPoints, "hole", models, holed, MappingSettings(method="trilinear"))
+    result = build_table(models, "", holed, settings=MappingSettings(method="trilinear"))
+    invalid = np.argwhere(~result.table.valid)
+    assert invalid.tolist() == [[0, x, y, z] for x in (1, 2) for y in (2, 3) for z in (1, 2)]
+    assert result.validation.sensors[0].coverage == "measurements support 92 % of the volume"
 
 
 def test_interpolation_needs_a_grid_and_the_noise(control, models):

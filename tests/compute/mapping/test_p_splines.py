@@ -8,6 +8,7 @@ from scipy.stats import multivariate_normal
 
 from compute.mapping.b_splines import interpolate_corners, interpolate_function
 from compute.mapping.cell_support import cell_corners, find_supported_cells, within_hull
+from compute.mapping.coverage import Coverage
 from compute.mapping.diagonalised_basis import DiagonalisedBasis
 from compute.mapping.grid import VoxelGrid
 from compute.mapping.p_splines import PenalisedProblem
@@ -317,16 +318,16 @@ def test_noise_alone_is_smoothed_away():
 def test_hull_and_neighbours_decide_which_cells_are_supported():
     grid = VoxelGrid((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), (6, 6, 6))
     corners = cell_corners(grid)
-    everything = find_supported_cells(grid, corners, 4, 1.0)
+    everything = find_supported_cells(grid, Coverage.of(corners), 4)
     assert everything.all()
     half = corners[corners @ [1.0, 1.0, 0.0] <= 6.0]
-    found = find_supported_cells(grid, half, 4, 1.0)
+    found = find_supported_cells(grid, Coverage.of(half), 4)
     assert found[0, 0].all()
     assert not found[5, 5].any()
     assert not found[4, 4].any()
     # Far from all but one point, inside the hull.
     sparse = np.concatenate([corners[corners[:, 0] < 2.0], [[6.0, 3.0, 3.0]]])
-    assert not find_supported_cells(grid, sparse, 4, 0.5)[4].any()
+    assert not find_supported_cells(grid, Coverage.of(sparse), 4)[4].any()
 
 
 def test_a_flat_hull_holds_nothing():

@@ -16,7 +16,7 @@ from compute.planning.cramer_rao import PixelNoise
 from compute.planning.fixed_pattern_noise import PixelNonuniformity, fixed_pattern_sigma
 from compute.planning.plan import plan
 from compute.planning.planning_device import planning_device
-from compute.planning.precision import precision_from_jacobian, propagated_sigma
+from compute.planning.precision import precision_from_jacobian, propagated_sigma, reading_gain
 from compute.planning.simulated_readings import simulate_readings
 from compute.reconstruction.triangulation import reconstruct
 
@@ -151,11 +151,11 @@ def test_errors_as_large_as_the_noise_spread_as_the_noise() -> None:
     sigma = rng.uniform(0.5, 2.0, (6, 4))
     sd = precision_from_jacobian(slopes, sigma).sd_mm
     assert np.isnan(sd[3]).all()
-    np.testing.assert_allclose(propagated_sigma(slopes, sigma, sigma), sd, rtol=1e-9)
+    np.testing.assert_allclose(propagated_sigma(reading_gain(slopes, sigma), sigma), sd, rtol=1e-9)
     # Other weights than the errors' own cannot make it better.
     error = sigma * rng.uniform(0.2, 5.0, sigma.shape)
     best = precision_from_jacobian(slopes, error).sd_mm
-    spread = propagated_sigma(slopes, sigma, error)
+    spread = propagated_sigma(reading_gain(slopes, sigma), error)
     assert np.nanmin(spread / best) > 1.0 - 1e-9
 
 
@@ -171,4 +171,4 @@ def test_what_is_refused() -> None:
     with pytest.raises(InvalidParameter, match="unlit_electrons is nan"):
         PixelNonuniformity(0.1, 0.0, np.nan)
     with pytest.raises(InvalidParameter, match="error_px has the shape"):
-        propagated_sigma(np.ones((2, 4, 3)), np.ones(4), np.ones((2, 3)))
+        propagated_sigma(np.ones((2, 3, 4)), np.ones((2, 3)))

@@ -204,6 +204,8 @@ def test_no_reference_dangles():
     assert "HTTPValidationError" not in schemas
 
 
-@pytest.mark.parametrize("path", ["/docs", "/redoc"])
-def test_there_is_a_page_to_read_it(sqlite_client: Any, path: str):
-    assert "/openapi.json" in sqlite_client.get(path).text
+@pytest.mark.parametrize(("path", "script"), [("/docs", "swagger"), ("/redoc", "redoc")])
+def test_there_is_a_page_to_read_it(sqlite_client: Any, path: str, script: str):
+    start = f"/docs/assets/{script}-start.js"
+    assert start in sqlite_client.get(path).text
+    assert "/openapi.json" in sqlite_client.get(start).text

@@ -23,7 +23,8 @@ def test_tables_and_a_picture(tmp_path: Path) -> None:
     text = run("bar", "--grid", "3", "--markers", "3", "--output", picture).output
     for part in (
         "four line sensors", "3 x 3 x 3 points", "noise, bound", "centre of gravity",
-        "distortion, uncorrected", "diagonal-rising", "100 % of the volume", "strobed", "[2.15]",
+        "distortion, uncorrected", "accuracy budget", "calibration *", "dominates", "bar_gradient",
+        "assumed: ", "diagonal-rising", "100 % of the volume", "strobed", "[2.15]",
     ):  # fmt: skip
         assert part in text
     assert picture.read_bytes().startswith(b"\x89PNG")
@@ -33,7 +34,15 @@ def test_json_of_ones_own_file(tmp_path: Path) -> None:
     file = resources.files("compute.optics.profiles") / "devices" / "bar.toml"
     own = tmp_path / "own.toml"
     own.write_text(file.read_text("utf-8").replace('name = "bar"', 'name = "own"'), "utf-8")
-    found = json.loads(run(own, "--grid", "3", "--markers", "2", "--json").stdout)
+    assumed = ("--assume", "temperature_change=40 K", "--assume", "control_points=300")
+    found = json.loads(run(own, "--grid", "3", "--markers", "2", "--json", *assumed).stdout)
+    assert found["budget"]["dominant"] == "warming"
+    by_name = {one["name"]: one for one in found["budget"]["inputs"]}
+    assert by_name["temperature_change"] == {
+        "name": "temperature_change", "value": 40.0, "unit": "K", "assumed": False,
+        "source": "given",
+    }  # fmt: skip
+    assert by_name["control_points"]["value"] == 300
     assert found["profile"] == "own"
     assert len(found["points"]) == 27
     assert found["noise"]["centre"][2] > found["noise"]["centre"][0] > 0.0
@@ -44,6 +53,7 @@ def test_what_is_refused(tmp_path: Path) -> None:
     assert "bar, " in run("nothing", code=2).output
     assert "--grid" in run("bar", "--grid", "2", code=2).output
     assert "--markers" in run("bar", "--markers", "65", code=2).output
+    assert "no such field" in run("bar", "--assume", "warmth=2 K", code=2).output
     nowhere = tmp_path / "no" / "plan.png"
     refused = run("bar", "--grid", "3", "--markers", "1", "--output", nowhere, code=2)
     assert "cannot be written" in " ".join(refused.output.split())

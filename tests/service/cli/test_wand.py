@@ -1,18 +1,28 @@
 """`lumiline wand`: from a CSV of a waved bar to cameras that measure its length."""
 
 import csv
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import fields
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from compute.calibration.calibrate import calibrate
+from compute.calibration.self_calibration.targets import Wand
 from compute.calibration.self_calibration.uncalibrated_start import pixel_directions
 from compute.camera.stack import CameraStack
+from compute.errors import InvalidParameter
 from compute.reconstruction.triangulation import reconstruct
+from lumiline.client.messages import Frame, Hello, Peak
 from service.cli import app
 from service.cli.json_files import DOCUMENT, read_calibration
+from service.cli.wand_live import wave_live
+from service.cli.wand_sources import LiveWand
 from tests.compute.rig import control_points, geometry, project, rig
 
 LENGTH_MM, SIGMA_PX, POSES = 300.0, 0.05, 120
@@ -121,3 +131,84 @@ def test_a_wand_without_initial_cameras_wants_a_description(waved: tuple[Path, P
     assert "needs control points" in shown
     shown = run(*options, "--start", waved[1], "--pixels", 2048, code=2)
     assert "--pixels is given with --start" in shown
+
+
+def _strobed_frames(poses: int) -> list[Frame]:
+    """Frames of a bar whose ends are lit in turn and rest meanwhile, as the stream sends them."""
+    ends = project(rig(), _bar_ends()[:poses].reshape(-1, 3)).reshape(poses, 2, 4)
+    frames = []
+    for number in range(8 * poses):
+        marker = number % 2
+        peaks = []
+        for model, value in zip(rig(), ends[number // 8, marker], strict=True):
+            stray = Peak(model.name, 5.0, 0.05, 10.0, 4.0, 1.0, ())
+            peaks += [stray, Peak(model.name, float(value), 0.05, 900.0, 4.0, 1.0, ())]
+        ns = 1_000_000 * number
+        frames.append(
+            Frame(number, "bar", number, ns, ns, marker, None, None, (), None, tuple(peaks))
+        )
+    return frames
+
+
+class _Client:
+    """Client of a device that strobes the ends of a bar."""
+
+    def __init__(self, poses: int, markers: int = 2) -> None:
+        self._messages = [
+            Hello(1, "bar", ("peaks",), "live", "s", 0, False, tuple(one.name for one in rig()),
+                  1000.0, markers, *_defaults(Hello)),
+            *_strobed_frames(poses),
+        ]  # fmt: skip
+
+    def device(self, _device: str) -> SimpleNamespace:
+        return SimpleNamespace(sensors=geometry(rig()))
+
+    @contextmanager
+    def stream(self, *_arguments: object, **_options: object) -> Iterator[Iterator[object]]:
+        yield iter(self._messages)
+
+
+def _defaults(kind: type) -> list[Any]:
+    names = [one.name for one in fields(kind)]
+    return [None] * (len(names) - names.index("markers") - 1)
+
+
+def test_live_wand_collects_poses_of_strobed_ends() -> None:
+    source = LiveWand(cast("Any", _Client(30)), "bar", (0, 1))
+    tables = list(source.collect(60.0, 0.0))
+    table = source.table()
+    assert len(tables[0].readings_px) <= len(table.readings_px)
+    exact = project(rig(), _bar_ends()[:30].reshape(-1, 3)).reshape(30, 2, 4)
+    # Exposures at rest; between two poses the second end is interpolated.
+    error = np.abs(table.readings_px[:, None] - exact[None]).max(axis=(2, 3)).min(axis=1)
+    assert (error < 1e-6).sum() >= 28
+    with pytest.raises(InvalidParameter, match="strobes markers 0 to 1; it has no marker 2"):
+        list(LiveWand(cast("Any", _Client(2)), "bar", (0, 2)).collect(60.0, 0.0))
+    with pytest.raises(InvalidParameter, match="lights all markers together"):
+        list(LiveWand(cast("Any", _Client(2, 0)), "bar", (0, 1)).collect(60.0, 0.0))
+
+
+def test_live_wave_ends_when_it_is_enough(capsys: pytest.CaptureFixture[str]) -> None:
+    source = LiveWand(cast("Any", _Client(120)), "bar", (0, 1))
+    table = wave_live(source, Wand((0.0, LENGTH_MM)), rig(), 60.0, every_s=0.0)
+    shown = " ".join(capsys.readouterr().out.split())
+    assert len(table.readings_px) > 30
+    assert "pixels, first to last" in shown
+
+
+def test_sources_of_readings_exclude_each_other(waved: tuple[Path, Path], tmp_path: Path) -> None:
+    options = ("wand", "--positions", "0 300")
+    assert "give the wand's readings once" in run(*options, code=2)
+    recording = ("--recording", tmp_path / "none.h5")
+    assert "give the wand's readings once" in run(*options, waved[0], *recording, code=2)
+    assert "the wand has 2" in run(*options, *recording, "--markers", "0 1 2", code=2)
+
+
+@pytest.mark.slow
+def test_a_recorded_wave_that_is_flat_is_refused_by_name(tmp_path: Path) -> None:
+    """The simulated bar turns in a plane; what it covered is shown."""
+    path = tmp_path / "bar.h5"
+    run("record", path, "--seconds", 2)
+    arguments = ("wand", "--recording", path, "--positions", "0 100")
+    assert "all in one plane" in run(*arguments, code=2)
+    assert "strobes markers 0 to" in run(*arguments, "--markers", "0 99", code=2)

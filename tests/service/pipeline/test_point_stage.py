@@ -267,3 +267,29 @@ def test_markers_lit_together_are_told_apart_up_to_what_time_allows(
     assert len(batch.points) == found
     for place in places if found else ():
         assert np.linalg.norm(batch.points.position_mm - place, axis=1).min() < 1.0
+
+
+@pytest.mark.parametrize("markers", [1, 2])
+def test_a_device_of_three_sensors_says_why_it_finds_no_marker_of_two(markers: int) -> None:
+    places = ((-50.0, 20.0, 1500.0), (60.0, -30.0, 1450.0))[:markers]
+    settings = SimulationSettings(
+        scene=StillPoints(places), illumination="simultaneous", realtime=False, duration_s=0.003
+    )
+    driver = SimulatedDriver("sim", settings)
+    driver.open()
+    description = replace(driver.description, sensors=driver.description.sensors[:3])
+    nominal = nominal_calibration()
+    size = sum(model.parameter_count for model in nominal.models[:3])
+    covariance = tuple(row[:size] for row in nominal.covariance[:size])
+    known = replace(nominal, sensors=nominal.sensors[:3], covariance=covariance, residuals_px=())
+    processor = FrameProcessor("sim", description, "cpu")
+    processor.set_calibration(ActiveCalibration("three", known))
+    frames = [replace(frame, lines=frame.lines[:3]) for frame in driver.frames()]
+    batch = processor.process(frames)
+    if markers == 1:
+        assert len(batch.points) == len(frames)
+        assert processor.remark is None
+    else:
+        assert len(batch.points) == 0
+        assert processor.remark is not None
+        assert "add a fourth sensor" in processor.remark

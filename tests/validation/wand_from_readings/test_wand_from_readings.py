@@ -47,5 +47,11 @@ def test_rigs_reach_the_cameras_of_a_start_from_the_truth(row: case.Row) -> None
     assert not any(one.mirrored for one in outcomes)
 
 
+@pytest.mark.slow
+def test_degenerate_waves_are_refused_by_name() -> None:
+    for _, trials, refused, named in case.degenerate_waves(5, 1).rows:
+        assert trials == refused == named == 1
+
+
 def test_case_is_registered() -> None:
     assert ALL_CASES["wand-from-readings"] is case.CASE

@@ -14,8 +14,7 @@ from service.api.calibrations.calibration_content import (
     geometry,
 )
 from service.api.calibrations.schema import ControlPoint
-from service.api.devices.schema import Sensor
-from service.api.devices.store import check_sensors
+from service.api.devices.schema import Sensor, check_sensors
 
 if TYPE_CHECKING:
     from sqlalchemy.orm import Session

@@ -16,8 +16,7 @@ from service.api.base_models import ResponseModel
 from service.api.calibrations.calibration_content import control_arrays, result_of
 from service.api.calibrations.schema import ControlPoint
 from service.api.correction_tables.table_content import TableContent
-from service.api.devices.schema import Sensor
-from service.api.devices.store import check_sensors
+from service.api.devices.schema import Sensor, check_sensors
 
 if TYPE_CHECKING:
     from sqlalchemy.orm import Session
@@ -75,7 +74,7 @@ def store(session: "Session", row: "RunRow", content: TableContent) -> str:
     """Store the table and return its id.
 
     Raises:
-        SensorsChanged, CalibrationRetired, CorrectionTableExists, TableHasHoles: as they say.
+        SensorsChanged, CalibrationRetired, CorrectionTableExists, NoValidCells: as they say.
     """
     from service.api.calibrations.store import usable
     from service.api.correction_tables.store import add_table

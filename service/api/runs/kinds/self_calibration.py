@@ -10,8 +10,7 @@ from compute.progress import Progress
 from service.api.base_models import ResponseModel
 from service.api.calibrations.calibration_content import Outcome, calibration_content, result_of
 from service.api.calibrations.schema import ControlPointErrors, GivenDistortion
-from service.api.devices.schema import Sensor
-from service.api.devices.store import check_sensors
+from service.api.devices.schema import Sensor, check_sensors
 from service.api.runs.kinds.calibration import add_outcome
 from service.api.runs.self_calibration_schema import (
     NewRecording,

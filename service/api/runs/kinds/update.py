@@ -18,8 +18,7 @@ from service.api.calibrations.calibration_content import (
     result_of,
 )
 from service.api.calibrations.schema import ControlPoint, ControlPointErrors
-from service.api.devices.schema import Sensor
-from service.api.devices.store import check_sensors
+from service.api.devices.schema import Sensor, check_sensors
 from service.api.drift_checks.schema import StationaryMarker
 from service.api.drift_checks.stationary_markers import still_set
 from service.api.runs.kinds.calibration import add_outcome

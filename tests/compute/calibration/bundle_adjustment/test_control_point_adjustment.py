@@ -4,9 +4,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from compute.calibration.assessment.diagnosis import diagnose
+from compute.calibration.bundle_adjustment import control_point_adjustment
 from compute.calibration.calibrate import calibrate
 from compute.calibration.settings import CalibrationSettings
 from compute.camera.model import SensorModel
+from compute.errors import NoConvergence
 from tests.compute.rig import control_points, geometry, project, rig
 
 
@@ -94,3 +97,32 @@ def test_noise_far_below_the_points_uncertainty_is_told_by_the_sensors_agreement
     # 92 readings more than unknowns tell all: 23 of each sensor, a deviation to 15 % at best.
     assert np.sqrt((sigma**2).mean()) == pytest.approx(0.05, rel=0.35)
     assert sigma.max() < 0.12
+
+
+def test_readings_that_count_as_less_certain_than_given_are_named(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    models, points = rig(), control_points(40)
+    rng = np.random.default_rng(1)
+    readings = project(models, points) + 0.02 * rng.standard_normal((40, 4))
+    given = points + 0.3 * rng.standard_normal(points.shape)
+    settings = CalibrationSettings(control_sigma_mm=0.3)
+    observed = given, readings, geometry(models), np.full((40, 4), 0.02)
+    as_given = calibrate(*observed, settings)
+    assert {fit.sigma_source for fit in as_given.sensors} == {"given"}
+    assert not any("count as" in r for r in diagnose(as_given, given, readings).remarks)
+    adjust, tried = control_point_adjustment.adjust, []
+
+    def fail_first(*arguments, **options):  # type: ignore[no-untyped-def]
+        tried.append(1)
+        if len(tried) == 1:
+            raise NoConvergence("too narrow")
+        return adjust(*arguments, **options)
+
+    monkeypatch.setattr(control_point_adjustment, "adjust", fail_first)
+    widened = calibrate(*observed, settings)
+    for fit in widened.sensors:
+        assert fit.sigma_source == "assumed"
+        assert fit.sigma_px > 0.02
+    remarks = diagnose(widened, given, readings).remarks
+    assert sum("count as uncertain by" in remark for remark in remarks) == 4

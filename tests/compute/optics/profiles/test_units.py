@@ -22,6 +22,10 @@ SIZES = {
     "_electrons_per_count": {"electrons/count": "1", "electron/count": "1"},
     "_counts": {"counts": "1", "count": "1"},
     "_w_per_sr": {"W/sr": "1", "mW/sr": "1e-3", "W / sr": "1"},
+    "_mm_per_s": {"mm/s": "1", "m/s": "1000"},
+    "_per_k": {"1/K": "1", "um/m/K": "1e-6"},
+    "_k": {"K": "1", "mK": "1e-3"},
+    "_px": {"px": "1", "pixel": "1"},
     "_per_sr": {"1/sr": "1", "cd/lx/m^2": "1", "cd/lx/mm^2": "1e6"},
 }
 WRITTEN = [(end, unit, size) for end, sizes in SIZES.items() for unit, size in sizes.items()]

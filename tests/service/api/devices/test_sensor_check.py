@@ -10,8 +10,7 @@ import pytest
 
 from compute.errors import InvalidParameter
 from service.api.calibrations import router as calibrations
-from service.api.devices.schema import Sensor
-from service.api.devices.store import sensors_match
+from service.api.devices.schema import Sensor, sensors_match
 from service.database.models import DeviceRow
 from tests.service.fake_pipeline import FakePipeline
 

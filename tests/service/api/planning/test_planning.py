@@ -33,6 +33,7 @@ def test_a_profile_is_what_its_file_says(sqlite_client: Any, name: str) -> None:
     assert [sensor["name"] for sensor in found["sensors"]] == [one.name for one in profile.sensors]
     assert found["assumed"] == dict(profile.assumed)
     assert found["volume"]["size_mm"] == list(profile.volume.size_mm)
+    assert found["error_sources"]["distortion"] == profile.error_sources.distortion
 
 
 def test_a_plan_is_the_library_s(sqlite_client: Any) -> None:
@@ -41,6 +42,13 @@ def test_a_plan_is_the_library_s(sqlite_client: Any) -> None:
     assert found["grid"] == [3, 3, 3]
     assert found["noise"]["centre"] == list(ours.noise.centre or ())
     assert len(found["points"]) == 27
+    assert ours.budget is not None
+    assert found["budget"]["dominant"] == ours.budget.dominant
+    assert found["budget"]["total"]["centre"] == list(ours.budget.total.centre or ())
+    assert [one["name"] for one in found["budget"]["contributions"]] == [
+        one.name for one in ours.budget.contributions
+    ]
+    assert {one["name"]: one["assumed"] for one in found["budget"]["inputs"]}["timing"]
     assert found["ghosts"][0]["markers"] == 2
     assert found["ghosts"][-1]["markers"] == load_profile("bar").markers.max_markers
     again = sqlite_client.get(f"{PROFILES}/bar/plan?grid=3")

@@ -1,0 +1,32 @@
+"""The scale of the distortion of a device's lenses."""
+
+import numpy as np
+import pytest
+
+from compute.calibration.single_sensor.distortion_scale import STRENGTHS, fit_distortion_scale
+from compute.calibration.single_sensor.sensor_fits import ControlObservations, fit_undistorted
+from compute.camera.model import SensorGeometry
+from tests.compute.rig import control_points, project, rig
+
+
+def test_copies_of_a_lens_count_as_the_root_of_their_number() -> None:
+    """Two posteriors of the scale give the evidence, and so that of any number of copies."""
+    points = control_points(14)
+    readings = project(rig(), points)[:, :1]
+    readings += 0.3 * np.random.default_rng(2).standard_normal(readings.shape)
+
+    def fit(copies: int) -> tuple[float, float]:
+        sensors = [SensorGeometry(f"s{k}", 2048) for k in range(copies)]
+        copied = np.tile(readings, copies)
+        observed = ControlObservations.of(points, copied, sensors, np.full(copied.shape, 0.3))
+        plain = fit_undistorted(observed, "linear")
+        found = fit_distortion_scale(observed, plain, "linear")[1]
+        assert found.scale is not None
+        assert found.log_evidence_ratio is not None
+        return found.scale, found.log_evidence_ratio
+
+    (one, ratio), (four, summed), (sixteen, _) = fit(1), fit(4), fit(16)
+    assert summed == pytest.approx(4.0 * ratio, abs=1e-6)
+    # The readings say little, so that the posterior narrows slowly with the number of copies.
+    flat = float(np.sqrt((STRENGTHS**2).mean()))
+    assert flat > one > four > sixteen > 0.3 * one

@@ -1,0 +1,1 @@
+"""Case bad-inputs: what a calibration refuses or remarks, and that it refuses nothing sound."""

@@ -114,7 +114,8 @@ def form_groups(candidates: PeakBatch, pixels: int, settings: FitSettings) -> Gr
     table = np.array(rows, dtype=np.int64).reshape(-1, 9).T
     zeros = np.zeros(len(rows))
     before, after = table[7:].astype(bool)
-    return Groups(np.arange(len(rows)), *table[:7], before, after, zeros, zeros)
+    columns = (np.arange(len(rows)), *table[:7], before, after, zeros, zeros)
+    return Groups(*columns)
 
 
 def _extend(

@@ -112,7 +112,7 @@ LUMILINE_FN void find_peaks_on_cpu(const Search& search, int number) {
     const Level level = search.level_of(scan, quartile, sixteenth);
     scan.background = level.background;
     if (scan.is_adjusted()) {
-        BufferedPixels adjusted = {scan.adjusted(v, search.pixels)};
+        BufferedPixels adjusted(scan.adjusted(v, search.pixels));
         collect_peaks(search, scan, adjusted, level.limit, number);
     } else {
         collect_peaks(search, scan, v, level.limit, number);

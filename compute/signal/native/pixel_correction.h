@@ -71,6 +71,9 @@ struct BufferedPixels : AdjustedPixels {
     int first = -size - 1;
     int buffer[size];
 
+    LUMILINE_FN explicit BufferedPixels(const AdjustedPixels& adjusted)
+        : AdjustedPixels(adjusted) {}
+
     // Works out the pixels about one.
     LUMILINE_FN void fetch(int pixel) {
         if (pixels < size || sensor == nullptr) return;

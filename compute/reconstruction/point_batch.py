@@ -116,10 +116,18 @@ def _columns(batch: type[Batch]) -> list[tuple[Any, tuple[Any, ...]]]:
     columns = []
     for hint in get_type_hints(batch, include_extras=True).values():
         kind, *axes = get_args(hint) if hasattr(hint, "__metadata__") else (hint,)
-        # NDArray[T] is ndarray[shape, dtype[T]], and no type.
-        values = kind if isinstance(kind, type) else get_args(get_args(kind)[1])[0]
-        columns.append((values, tuple(axes)))
+        columns.append((_value_type(kind), tuple(axes)))
     return columns
+
+
+def _value_type(kind: Any) -> Any:
+    """Return a batch, or the type of an array's values.
+
+    NDArray[T] is ndarray[shape, dtype[T]] or, by newer NumPy and Python, an alias of its own.
+    """
+    while not isinstance(kind, type):
+        *_, kind = get_args(kind)
+    return kind
 
 
 class PointFlag(IntFlag):

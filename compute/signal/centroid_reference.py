@@ -66,7 +66,7 @@ def background_levels(
     shifts = none if corrections is None else corrections.group_shifts().astype(np.int64)
     return np.array(
         [
-            _background(scan.astype(np.int64), shifts[number % len(shifts)])[0] / LEVEL_UNIT
+            scan_background(scan.astype(np.int64), shifts[number % len(shifts)])[0] / LEVEL_UNIT
             for number, scan in enumerate(scans)
         ]
     )
@@ -91,7 +91,7 @@ def _line_peaks(
         values = np.clip(rounded, 0, 65535).astype(np.int64)
         shifts = own.group_shifts()[0].astype(np.int64)
         raw = np.where(own.masked[0], 0, raw)
-    background, noise_level, ramp = _background(raw_values, shifts)
+    background, noise_level, ramp = scan_background(raw_values, shifts)
     rise = _ramp_at(ramp, len(values), np.arange(len(values)))
     values = np.clip(values - rise, 0, 65535)
     light = max(background / LEVEL_UNIT - offset, 0.0)
@@ -129,12 +129,17 @@ def _line_peaks(
     return rows
 
 
-def _background(
+def scan_background(
     values: NDArray[np.int64], shifts: NDArray[np.int64] | None = None
 ) -> tuple[int, int, int]:
     """Return background, noise level [1/LEVEL_UNIT counts] and slope [1/RAMP_UNIT counts per px].
 
     The background is that of the scan's dark part, in its middle where there is a slope.
+
+    Args:
+        values: counts of a scan, int64, shape (P,).
+        shifts: what its groups of pixels differ by for their pixels' sake, from
+            ``PixelCorrections.group_shifts``; None: nothing.
     """
     starts = sample_starts(len(values))
     shifts = np.zeros(len(starts), np.int64) if shifts is None else shifts

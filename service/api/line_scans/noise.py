@@ -5,12 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.signal.centroid_settings import (
-    GROUP_PIXELS,
-    LEVEL_UNIT,
-    CentroidSettings,
-    sample_starts,
-)
+from compute.signal.centroid_reference import scan_background
+from compute.signal.centroid_settings import LEVEL_UNIT, CentroidSettings
 from compute.signal.detection.background_estimate import estimate_background
 from compute.signal.sensor_noise import QUANTISATION_VARIANCE, SensorNoise
 from service.api.line_scans.schema import PixelNoise
@@ -93,10 +89,11 @@ def noise_at(noise: PixelNoise, background: Array) -> Array:
 
 
 def search_limits(scans: Scans, settings: CentroidSettings, noise: PixelNoise) -> Array:
-    """Return what a peak's highest pixel must reach, as CentroidSettings says it, shape (L,)."""
-    pixel = np.array(sample_starts(scans.shape[1]))[:, None] + np.arange(GROUP_PIXELS)
-    means = np.sort(scans[:, pixel].astype(np.int64).sum(axis=2), axis=1) / GROUP_PIXELS
-    background = means[:, (means.shape[1] - 1) // 4]
-    spread = background - means[:, (means.shape[1] - 1) // 16]
+    """Return what a peak's highest pixel must reach, as CentroidSettings says it, shape (L,).
+
+    Where the background of a scan slopes, it holds in the scan's middle.
+    """
+    levels = np.array([scan_background(scan.astype(np.int64))[:2] for scan in scans])
+    background, spread = levels.T / LEVEL_UNIT
     sigma = np.maximum(noise_at(noise, background), spread)
     return np.asarray(background + settings.detection_sigma * sigma)

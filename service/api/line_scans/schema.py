@@ -161,8 +161,8 @@ class LineScan(ResponseModel):
         description="Pixels at full scale; where all are, a line has no peaks to find."
     )
     limit_counts: float | None = Field(
-        description="A peak's highest pixel reaches at least this; null: the method has no such "
-        "limit."
+        description="A peak's highest pixel reaches at least this, in the scan's middle where the "
+        "background slopes; null: the method has no such limit."
     )
     limit_sigma: float | None = Field(
         description="The matched filter's answer, or the correlation with a mask's shadow, is "

@@ -2,11 +2,19 @@
 
 from typing import Annotated, Any, Final, Literal
 
-from pydantic import FailFast, Field, StringConstraints
+from pydantic import Field, StringConstraints
 
 from compute.signal.centroid_settings import MAX_PIXELS, MIN_PIXELS
 from compute.signal.radiometric_calibration import MIN_CAPTURES, MIN_FLATS
-from service.api.base_models import Moment, Name, Note, RequestModel, ResponseModel, Slug
+from service.api.base_models import (
+    FIRST_ERROR_ONLY,
+    Moment,
+    Name,
+    Note,
+    RequestModel,
+    ResponseModel,
+    Slug,
+)
 from service.api.devices.schema import RECORDING_PATTERN
 from service.api.radiometric_calibrations.capture_checks import Kind
 
@@ -98,9 +106,11 @@ Lights = Annotated[
 Scan = Annotated[
     list[Annotated[int, Field(ge=0, le=FULL_SCALE)]],
     Field(min_length=MIN_PIXELS, max_length=MAX_PIXELS),
-    FailFast(),
+    FIRST_ERROR_ONLY,
 ]
-Scans = Annotated[list[Scan], Field(min_length=MIN_CAPTURES, max_length=MAX_SCANS), FailFast()]
+Scans = Annotated[
+    list[Scan], Field(min_length=MIN_CAPTURES, max_length=MAX_SCANS), FIRST_ERROR_ONLY
+]
 RecordingName = Annotated[str, StringConstraints(max_length=200, pattern=RECORDING_PATTERN)]
 
 

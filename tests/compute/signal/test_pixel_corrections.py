@@ -55,21 +55,29 @@ def scans(sensor, slope, count=60):
     return sensor.expose(light + 20.0 + ramp - ramp.min())
 
 
+@pytest.fixture(params=["cpu", "cuda:0"])
+def device(request):
+    import warp as wp
+
+    if request.param != "cpu" and not wp.is_cuda_available():
+        pytest.skip("no CUDA device")
+    return request.param
+
+
 @pytest.mark.parametrize("slope", [0.0, 20.0, -10.0])
 @pytest.mark.parametrize("calibrated", [False, True])
-def test_kernels_agree_with_definition(sensor, slope, calibrated):
+def test_kernels_agree_with_definition(sensor, device, slope, calibrated):
     lines = scans(sensor, slope)
     corrections = corrections_of(sensor) if calibrated else None
     settings = CentroidSettings()
-    found = CentroidFinder(60, PIXELS, settings, NOISE, "cpu", corrections=corrections).find(lines)
+    found = CentroidFinder(60, PIXELS, settings, NOISE, device, corrections=corrections).find(lines)
     expected = find_peaks_reference(lines, settings, NOISE, corrections)
     assert np.array_equal(found.count, expected.count)
     assert np.array_equal(found.flags, expected.flags)
     assert np.allclose(found.position_px, expected.position_px, atol=1e-9, equal_nan=True)
     for options in (FitSettings(), KNOWN):
-        found = FitFinder(60, PIXELS, options, NOISE, device="cpu", corrections=corrections).find(
-            lines
-        )
+        finder = FitFinder(60, PIXELS, options, NOISE, device=device, corrections=corrections)
+        found = finder.find(lines)
         expected = fit_scans(lines, options, NOISE, corrections=corrections)
         assert not lines_that_differ(found, expected).any()
     assert bool(((found.flags & PeakFlag.MASKED_PIXELS) != 0).any()) == calibrated

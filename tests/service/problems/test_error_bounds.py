@@ -96,7 +96,9 @@ def request_models(base: type[BaseModel]) -> Iterator[type[BaseModel]]:
 
 def unbounded(schema: Any) -> Iterator[dict[str, Any]]:
     if isinstance(schema, dict):
-        if schema.get("type") in ("list", "dict") and schema.get("max_length", 1e9) > 256:
+        inner = schema.get("items_schema") or schema.get("values_schema") or {"type": "any"}
+        long = schema.get("type") in ("list", "dict") and schema.get("max_length", 1e9) > 256
+        if long and inner["type"] != "any":
             yield schema
         for value in schema.values():
             yield from unbounded(value)

@@ -73,7 +73,7 @@ def test_an_entry_without_a_route_does_so_too(monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_a_websocket_without_an_entry_is_found(secured: Secured) -> None:
-    app = FastAPI()
+    app = FastAPI(docs_url=None, redoc_url=None)
 
     async def unknown(websocket: Any) -> None: ...
 

@@ -13,6 +13,7 @@ from service.api.calibrations.examples import simulated_points
 from service.api.correction_tables.store import active_calibration
 from service.api.devices.device_service import DeviceService, StoredContent
 from service.api.devices.store import get_device
+from service.api.radiometric_calibrations.store import active_radiometric
 from service.database.engine import Database
 from service.problems.errors import ActivationConflict
 from service.settings import Settings
@@ -70,7 +71,7 @@ def test_of_two_at_the_same_moment_one_wins_and_the_log_tells_both(with_two: Any
 def test_of_two_servers_with_one_database_one_wins(with_two: Any, settings: Settings):
     # Each has locks of its own; what decides is the database's.
     others = [Database(settings.effective_database_url) for _ in range(2)]
-    stored = StoredContent(active_calibration, tracking_config_of)
+    stored = StoredContent(active_calibration, active_radiometric, tracking_config_of)
     servers = [DeviceService(one, FakePipeline(), settings.folders, stored) for one in others]
 
     def activate(server: DeviceService, name: str) -> None:

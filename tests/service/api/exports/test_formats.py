@@ -190,7 +190,7 @@ def test_sequence(tmp_path: Path) -> None:
     assert [int(frame["FrameNumber"]) for frame in frames] == given.sequence.tolist()
     times = np.array([float(frame["Timestamp"]) for frame in frames])
     assert np.abs(times - given.time_s).max() < 1e-9
-    words = {"HIGH_ERROR": "INVALID", "UNKNOWN": "MISSING"}
+    words = {"HIGH_ERROR": "INVALID", "LOW_RELIABILITY": "INVALID", "UNKNOWN": "MISSING"}
     for row, status in enumerate(given.poses.status.tolist()):
         frame = frames[given.poses.frame[row]]
         name = ("ProbeToTracker", "RefToTracker")[given.poses.tool[row]]

@@ -73,6 +73,16 @@ struct WarpSearch : WarpMemory<batch_scans, length> {
 #endif
     }
 
+    // The sum of all lanes' values.
+    LUMILINE_FN int add_of(int value) {
+#if __CUDA_ARCH__ >= 800
+        return __reduce_add_sync(every, value);
+#else
+        for (int step = 16; step > 0; step /= 2) value += __shfl_xor_sync(every, value, step);
+        return value;
+#endif
+    }
+
     // The sum of a chunk's pixels.
     LUMILINE_FN int sum_of(uint4 words) {
 #if __CUDA_ARCH__ >= 610
@@ -112,14 +122,13 @@ struct WarpSearch : WarpMemory<batch_scans, length> {
             }
         }
         // By repeated minima; those of the lines in turn, since each waits for the one before.
-        int quartile = 0, sixteenth = 0, contrast = 0;
+        int quartile = 0, sixteenth = 0;
         auto take_least = [&](bool at_quartile, bool at_sixteenth) {
 #pragma unroll
             for (int slot = 0; slot < batch_scans; ++slot) {
                 const int key = min_of(keys[slot]);
                 if (at_quartile && lane == slot) quartile = key;
                 if (at_sixteenth && lane == slot) sixteenth = key;
-                if (lane == slot) contrast += 2 * (key % sample_groups) - (groups - 1);
                 if (keys[slot] == key) keys[slot] = no_key;
             }
         };
@@ -131,6 +140,14 @@ struct WarpSearch : WarpMemory<batch_scans, length> {
 #pragma unroll 1
             for (int rank = 0; rank <= rank_of_quartile; ++rank)
                 take_least(rank == rank_of_quartile, rank == rank_of_sixteenth);
+        }
+        // The places of the groups that were taken, which are a lane each.
+        int contrast = 0;
+#pragma unroll
+        for (int slot = 0; slot < batch_scans; ++slot) {
+            const bool taken = lane < groups && keys[slot] == no_key;
+            const int sum = add_of(taken ? 2 * lane - (groups - 1) : 0);
+            if (lane == slot) contrast = sum;
         }
         if (lane < slots) {
             if (is_sloped(groups, rank_of_quartile, contrast))
@@ -151,28 +168,33 @@ struct WarpSearch : WarpMemory<batch_scans, length> {
     // greater of it and the limit less one is not that. `first` is the number of the first chunk.
     LUMILINE_FN void find_bright_chunks(const uint4* block, int there, int slot, int first,
                                         int at) {
-        const Scan& scan = scan_at[slot];
-        const int limit = limits[slot], ramp = scan.ramp;
+        const int limit = limits[slot], ramp = scan_at[slot].ramp;
         unsigned below = (unsigned)(limit - 1) * 0x10001u;
-        unsigned bits[8];
         auto look = [&](int i, bool inside) {
             uint4 pairs = make_uint4(0u, 0u, 0u, 0u);
             if (inside) pairs = block[i * 32 + lane];
-            if (ramp != 0) {
+            const unsigned most =
+                __vmaxu2(__vmaxu2(pairs.x, pairs.y), __vmaxu2(__vmaxu2(pairs.z, pairs.w), below));
+            return __ballot_sync(every, most != below);
+        };
+        if (ramp != 0) {
+#pragma unroll 1
+            for (int i = 0; i < 8; ++i) {
                 const int start = (first + i * 32 + lane) * 8;
                 const int own = limit + ramp_at(ramp, search.pixels, ramp > 0 ? start : start + 7);
                 below = (unsigned)(larger(smaller(own, 65536), 1) - 1) * 0x10001u;
+                const unsigned bits = look(i, i * 32 + lane < there);
+                if (lane == 0) ((unsigned*)(words + at))[i] = bits;
             }
-            const unsigned most =
-                __vmaxu2(__vmaxu2(pairs.x, pairs.y), __vmaxu2(__vmaxu2(pairs.z, pairs.w), below));
-            bits[i] = __ballot_sync(every, most != below);
-        };
+            return;
+        }
+        unsigned bits[8];
         if (there >= block_chunks) {
 #pragma unroll
-            for (int i = 0; i < 8; ++i) look(i, true);
+            for (int i = 0; i < 8; ++i) bits[i] = look(i, true);
         } else {
 #pragma unroll
-            for (int i = 0; i < 8; ++i) look(i, i * 32 + lane < there);
+            for (int i = 0; i < 8; ++i) bits[i] = look(i, i * 32 + lane < there);
         }
         if (lane == 0) {
             words[at] = make_uint4(bits[0], bits[1], bits[2], bits[3]);

@@ -81,10 +81,10 @@ def test_no_candidates():
 
 
 def test_backgrounds_are_the_searchs():
-    from compute.signal.centroid_reference import _background
+    from compute.signal.centroid_reference import scan_background
 
     lines = varied_lines(32, 200, np.random.default_rng(5))
-    expected = [_background(line.astype(np.int64))[0] / 64 for line in lines]
+    expected = [scan_background(line.astype(np.int64))[0] / 64 for line in lines]
     np.testing.assert_array_equal(estimate_background(lines).background / LEVEL_UNIT, expected)
     assert len(NOISE) == 1
 

@@ -272,6 +272,8 @@ def _find(
             if sigma is None
             else FitSettings(search=_SEARCH, width_px=sigma, width_log_sigma=0.0)
         )
+        # Where the lines of the volume are known, ``error_px`` holds what their shape costs.
+        settings = replace(settings, widen_misfit=model.volume is None)
         return FitFinder(
             lines, pixels, settings, noise, device=compute_device, corrections=corrections
         ).find

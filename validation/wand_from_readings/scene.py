@@ -138,7 +138,8 @@ def random_wave(
     if directions == "all parallel":
         half[:] = half[0]
     elif directions == "all in one plane":
-        half -= np.outer(half @ half[0], half[0]) / (half[0] @ half[0])
+        normal = rng.standard_normal(3)
+        half -= np.outer(half @ normal, normal) / (normal @ normal)
     elif directions == "on a cone":
         half[:, 2] = 0.7 * np.linalg.norm(half[:, :2], axis=1)
     half *= 0.5 * bar.wand_mm / np.linalg.norm(half, axis=1, keepdims=True)

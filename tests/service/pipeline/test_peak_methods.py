@@ -317,5 +317,9 @@ def test_what_a_method_errs_by_is_in_its_deviations(method: PeakMethod) -> None:
     lines = model.volume.lines[: 4 * 64]
     one, other = known.find(lines), plain.find(lines)
     np.testing.assert_array_equal(one.position_px, other.position_px)
-    added = np.sqrt(one.sigma_px[:, 0] ** 2 - other.sigma_px[:, 0] ** 2).reshape(-1, 4)
-    np.testing.assert_allclose(np.nanmedian(added, axis=0), known.error_px, rtol=1e-3)
+    error_px, known.error_px = known.error_px, None
+    alone = known.find(lines)
+    added = np.sqrt(one.sigma_px[:, 0] ** 2 - alone.sigma_px[:, 0] ** 2).reshape(-1, 4)
+    np.testing.assert_allclose(np.nanmedian(added, axis=0), error_px, rtol=1e-3)
+    # Whoever does not know the shape has a larger deviation where it does not fit.
+    assert not (alone.sigma_px > other.sigma_px * (1.0 + 1e-9)).any()

@@ -32,7 +32,7 @@ class PointReliability:
 def point_reliability(
     model: MeasurementModel, points: PointBatch, readings_px: Array, sigma_px: Array
 ) -> PointReliability:
-    """Return what the redundancy of points vouches for.
+    """Return the reliability of points, from their redundancy.
 
     Args:
         model: the cameras, their covariance and the correction table.

@@ -363,11 +363,11 @@ def search_starts(
         others = problem.parameters(initial_models)[:, None]
         starts = np.concatenate([starts, others], axis=1)
     found, squares = problem.search(starts)
-    doubtful = np.flatnonzero(~_is_settled(problem, squares))
-    if len(doubtful):
-        part = problem.rows(doubtful)
+    unsettled = np.flatnonzero(~_is_settled(problem, squares))
+    if len(unsettled):
+        part = problem.rows(unsettled)
         nodes = starting_cameras(part.camera, part.readings, part.weights)
-        found[doubtful] = part.search(np.concatenate([found[doubtful, None], nodes], axis=1))[0]
+        found[unsettled] = part.search(np.concatenate([found[unsettled, None], nodes], axis=1))[0]
     return problem.matrices(found)
 
 

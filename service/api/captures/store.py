@@ -14,7 +14,7 @@ from service.api.captures.averaging import MIN_POINT_DISTANCE_MM, check_marker_m
 from service.api.captures.schema import Capture, CapturedTarget, NewCapture, Target
 from service.api.devices.store import get_device, sensors_of_row
 from service.database.engine import Resource
-from service.database.models import CaptureRow, DeviceRow
+from service.database.models import CaptureRow, DeviceRow, RadiometricCaptureRow
 from service.problems.errors import (
     CaptureComplete,
     CaptureExists,
@@ -96,7 +96,22 @@ def next_target(row: CaptureRow, name: str | None) -> Target:
     return found
 
 
-def check_sensors_now(session: Session, row: CaptureRow) -> None:
+def check_device(session: Session, row: CaptureRow | RadiometricCaptureRow, device_id: str) -> None:
+    """Check that a session is of a device, and of the sensors that it has now.
+
+    Raises:
+        CaptureOfAnotherDevice: it is not.
+    """
+    if row.device_id != device_id:
+        raise CaptureOfAnotherDevice(
+            f'session "{row.id}" is of device "{row.device_id}", not of "{device_id}"',
+            capture=row.id,
+            device=row.device_id,
+        )
+    check_sensors_now(session, row)
+
+
+def check_sensors_now(session: Session, row: CaptureRow | RadiometricCaptureRow) -> None:
     """Raise CaptureOfAnotherDevice when the device has other sensors than at the beginning."""
     now = sensors_of_row(get_device(session, row.device_id))
     names = [(sensor["name"], sensor["pixels"]) for sensor in row.sensors]
@@ -146,13 +161,7 @@ def captured_points(
         CaptureIncomplete: targets are missing.
     """
     row = CAPTURES.get(session, capture_id)
-    if row.device_id != device_id:
-        raise CaptureOfAnotherDevice(
-            f'session "{row.id}" is of device "{row.device_id}", not of "{device_id}"',
-            capture=row.id,
-            device=row.device_id,
-        )
-    check_sensors_now(session, row)
+    check_device(session, row, device_id)
     left = [target["name"] for target in row.targets if target["name"] not in row.captured]
     if left and not incomplete:
         raise CaptureIncomplete(

@@ -8,8 +8,7 @@ import numpy as np
 from sqlalchemy.orm import Session
 
 from service.api.base_models import from_attributes
-from service.api.devices.schema import listed
-from service.api.devices.store import get_device, sensors_of_row
+from service.api.captures.store import check_device
 from service.api.radiometric_calibrations.capture_checks import Kind
 from service.api.radiometric_calibrations.frame_statistics import (
     FrameStatistics,
@@ -26,7 +25,6 @@ from service.api.radiometric_calibrations.schema import (
 from service.database.engine import Resource
 from service.database.models import DeviceRow, RadiometricCaptureRow
 from service.problems.errors import (
-    CaptureOfAnotherDevice,
     RadiometricCaptureExists,
     RadiometricCaptureIncomplete,
     UnknownRadiometricCapture,
@@ -60,20 +58,6 @@ def add_capture(
         updated_at=now,
     )
     return RADIOMETRIC_CAPTURES.insert(session, row)
-
-
-def check_sensors_now(session: Session, row: RadiometricCaptureRow) -> list[str]:
-    """Return the sensors' names; raises CaptureOfAnotherDevice where the device has others now."""
-    now = sensors_of_row(get_device(session, row.device_id))
-    if [(one["name"], one["pixels"]) for one in row.sensors] != [
-        (sensor.name, sensor.pixels) for sensor in now
-    ]:
-        raise CaptureOfAnotherDevice(
-            f'session "{row.id}" was begun with other sensors than device "{row.device_id}" has '
-            f"now, {listed(now)}; begin a new one",
-            capture=row.id,
-        )
-    return [sensor.name for sensor in now]
 
 
 def capture_name(row: RadiometricCaptureRow, kind: Kind, name: str | None) -> str:
@@ -185,13 +169,7 @@ def complete_captures(
         RadiometricCaptureIncomplete: captures are missing.
     """
     row = RADIOMETRIC_CAPTURES.get(session, capture_id)
-    if row.device_id != device_id:
-        raise CaptureOfAnotherDevice(
-            f'session "{row.id}" is of device "{row.device_id}", not of "{device_id}"',
-            capture=row.id,
-            device=row.device_id,
-        )
-    check_sensors_now(session, row)
+    check_device(session, row, device_id)
     shown = document(row)
     if not any(one.kind == "dark" for one in shown.captured) or len(shown.captured) < 3:
         raise RadiometricCaptureIncomplete(

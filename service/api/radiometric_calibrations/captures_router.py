@@ -5,6 +5,7 @@ from typing import Annotated
 from fastapi import Body, Query, Response
 
 from service.api.base_models import Page
+from service.api.captures.store import check_sensors_now
 from service.api.devices.store import get_device
 from service.api.inputs import (
     DatabaseDep,
@@ -134,7 +135,8 @@ def capture_frames(
     """
     with database.read() as session:
         row = store.RADIOMETRIC_CAPTURES.get(session, capture_id)
-        sensors = store.check_sensors_now(session, row)
+        check_sensors_now(session, row)
+        sensors = [sensor["name"] for sensor in row.sensors]
         kind = kind or store.document(row).next or "flat"
         wanted = store.capture_name(row, kind, name)
         settings = RadiometricCaptureSettings.model_validate(row.settings)

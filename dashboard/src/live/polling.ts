@@ -1,0 +1,60 @@
+/** Resources that are asked for again while they are shown, so that what others change appears. */
+
+import { useSignal, useSignalEffect } from "@preact/signals";
+import { useCallback, useEffect, useRef } from "preact/hooks";
+import { RequestFailed } from "../api/client";
+import { openSession, serverReached } from "../api/session";
+import { visible } from "./visibility";
+
+export interface Polled<T> {
+  readonly value: T | null;
+  readonly error: string | null;
+  /** Ask again now. */
+  readonly refresh: () => Promise<void>;
+}
+
+/** Return what `load` gives, asked for at once, every `seconds` and when the page is seen again.
+ *
+ * `identity` names what is asked for: another one begins anew.
+ */
+export function usePolled<T>(identity: string, load: () => Promise<T>, seconds = 3): Polled<T> {
+  const value = useSignal<T | null>(null);
+  const error = useSignal<string | null>(null);
+  const current = useRef({ identity, load });
+  if (current.current.identity !== identity) {
+    value.value = null;
+    error.value = null;
+  }
+  current.current = { identity, load };
+
+  const refresh = useCallback(async () => {
+    const asked = current.current.identity;
+    try {
+      const found = await current.current.load();
+      if (asked !== current.current.identity) return;
+      // Equal documents are not set: whatever shows them need not be drawn again.
+      if (JSON.stringify(found) !== JSON.stringify(value.value)) value.value = found;
+      error.value = null;
+      serverReached.value = true;
+    } catch (failure) {
+      if (!(failure instanceof RequestFailed)) throw failure;
+      if (asked !== current.current.identity) return;
+      error.value = failure.message;
+      if (failure.status === 0) serverReached.value = false;
+      if (failure.status === 401) await openSession();
+    }
+  }, []);
+
+  useSignalEffect(() => {
+    if (!visible.value) return undefined;
+    void refresh();
+    const timer = setInterval(() => void refresh(), seconds * 1000);
+    return () => clearInterval(timer);
+  });
+  const first = useRef(true);
+  useEffect(() => {
+    if (first.current) first.current = false;
+    else void refresh();
+  }, [identity]);
+  return { value: value.value, error: error.value, refresh };
+}

@@ -1,0 +1,127 @@
+/** Health: devices and links, losses by where, runs, readiness. */
+
+import { api, type Schemas, sent } from "../api/client";
+import { devices } from "../devices";
+import { usePolled } from "../live/polling";
+import { text } from "../text";
+import { significant, time } from "../ui/format";
+import { Action, Badge, Failure, Panel, Table } from "../ui/parts";
+
+type DeviceStatus = Schemas["DeviceStatus"];
+
+interface Row {
+  readonly id: string;
+  readonly status: DeviceStatus;
+  /** Frames per second since the last look; null at the first. */
+  readonly rateHz: number | null;
+}
+
+export function Health() {
+  return (
+    <>
+      <ServerState />
+      <Devices />
+      <Runs />
+    </>
+  );
+}
+
+function ServerState() {
+  const ready = usePolled("readyz", () => sent(api.GET("/readyz")), 3);
+  return (
+    <Panel title={text.health.server}>
+      {ready.value ? <Badge kind="good">{text.health.ready}</Badge> : null}
+      {ready.error ? <Badge kind="bad">{text.health.notReady}</Badge> : null}
+      <Failure message={ready.error} />
+      {ready.value?.limits.length ? (
+        <ul>
+          {ready.value.limits.map((limit) => (
+            <li key={limit}>{limit}</li>
+          ))}
+        </ul>
+      ) : null}
+    </Panel>
+  );
+}
+
+const last = new Map<string, { frames: number; at: number }>();
+
+async function statuses(): Promise<readonly Row[]> {
+  return Promise.all(
+    devices.value.map(async ({ id }) => {
+      const { status } = await sent(
+        api.GET("/api/v1/devices/{device_id}/status", { params: { path: { device_id: id } } }),
+      );
+      const now = performance.now();
+      const before = last.get(id);
+      last.set(id, { frames: status.frames, at: now });
+      const rateHz = before && now > before.at ? ((status.frames - before.frames) * 1000) / (now - before.at) : null;
+      return { id, status, rateHz: rateHz === null || rateHz < 0 ? null : rateHz };
+    }),
+  );
+}
+
+function Devices() {
+  const rows = usePolled(`statuses ${devices.value.map(({ id }) => id).join()}`, statuses, 2);
+  return (
+    <Panel title={text.health.devices}>
+      <Failure message={rows.error} />
+      <Table
+        caption={text.health.devices}
+        columns={[text.column.device, text.column.state, text.column.reason, text.column.rate, text.column.frames, text.column.lostDevice, text.column.dropped, text.column.subscribers, text.column.link, text.column.clock, text.column.calibration]}
+        rows={rows.value ?? []}
+        identity={({ id }) => id}
+        empty={rows.value ? text.device.none : text.loading}
+        row={({ id, status, rateHz }) => [
+          id,
+          <Badge kind={status.state === "running" ? "good" : ["failed", "disconnected"].includes(status.state) ? "bad" : "idle"}>
+            {status.state}
+          </Badge>,
+          status.reason ?? status.link?.reason ?? "",
+          significant(rateHz, 3),
+          status.frames,
+          status.frames_lost_device,
+          status.frames_dropped_ring,
+          status.subscribers,
+          status.link?.state ?? text.missing,
+          significant(status.link?.clock_uncertainty_us, 2),
+          status.calibration_id ?? text.missing,
+        ]}
+      />
+    </Panel>
+  );
+}
+
+function Runs() {
+  const runs = usePolled("runs", () => sent(api.GET("/api/v1/runs", { params: { query: { limit: 20 } } })), 2);
+  return (
+    <Panel title={text.health.runs}>
+      <Failure message={runs.error} />
+      <Table
+        caption={text.health.runs}
+        columns={[text.column.run, text.column.kind, text.column.device, text.column.state, text.column.progress, text.column.created, text.column.action]}
+        rows={runs.value?.items ?? []}
+        identity={({ id }) => id}
+        empty={runs.value ? text.health.noRuns : text.loading}
+        row={(run) => [
+          run.id,
+          run.kind,
+          run.device,
+          <span title={run.problem?.detail}>
+            <Badge kind={run.state === "succeeded" ? "good" : run.state === "failed" ? "bad" : "idle"}>{run.state}</Badge>
+          </span>,
+          <progress max={1} value={run.progress} aria-label={text.column.progress} />,
+          time(run.created_at),
+          run.state === "queued" || run.state === "running" ? (
+            <Action
+              label={text.health.cancel}
+              operation="POST /api/v1/runs/{run_id}/cancel"
+              run={() => sent(api.POST("/api/v1/runs/{run_id}/cancel", { params: { path: { run_id: run.id } } }))}
+              done={runs.refresh}
+            />
+          ) : null,
+        ]}
+      />
+    </Panel>
+  );
+}

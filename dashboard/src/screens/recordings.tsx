@@ -1,0 +1,125 @@
+/** Recordings: start, stop, list, download, delete, play. */
+
+import { api, fetchBlob, type Schemas, sent } from "../api/client";
+import { choose, device, loadDevices } from "../devices";
+import { usePolled } from "../live/polling";
+import { text } from "../text";
+import { bytes, significant, time } from "../ui/format";
+import { Action, Badge, Failure, Panel, Table } from "../ui/parts";
+
+type Recording = Schemas["RecordingDocument"];
+
+export function Recordings() {
+  const recordings = usePolled("recordings", () =>
+    sent(api.GET("/api/v1/recordings", { params: { query: { limit: 100 } } })),
+  );
+  const shown = device.value;
+  return (
+    <Panel
+      title={text.screens.recordings}
+      actions={
+        shown ? (
+          <Action
+            label={`${text.recordings.record}: ${shown.title || shown.id}`}
+            kind="primary"
+            operation="POST /api/v1/devices/{device_id}/recordings"
+            run={() =>
+              sent(
+                api.POST("/api/v1/devices/{device_id}/recordings", {
+                  params: { path: { device_id: shown.id } },
+                  body: { contents: ["lines", "results"] },
+                }),
+              )
+            }
+            done={recordings.refresh}
+          />
+        ) : null
+      }
+    >
+      <Failure message={recordings.error} />
+      <Table
+        caption={text.screens.recordings}
+        columns={[text.column.name, text.column.device, text.column.state, text.column.frames, text.column.duration, text.column.size, text.column.started, text.column.action]}
+        rows={recordings.value?.items ?? []}
+        identity={(recording) => recording.name}
+        empty={recordings.value ? text.recordings.none : text.loading}
+        row={(recording) => [
+          recording.name,
+          recording.device ?? text.missing,
+          <span title={recording.reason ?? undefined}>
+            <Badge kind={recording.state === "recording" ? "warn" : recording.reason ? "bad" : "idle"}>
+              {recording.state}
+            </Badge>
+          </span>,
+          recording.frames ?? text.missing,
+          significant(recording.duration_s, 3),
+          bytes(recording.size_bytes),
+          time(recording.started_at),
+          <Actions recording={recording} refresh={recordings.refresh} />,
+        ]}
+      />
+    </Panel>
+  );
+}
+
+function Actions({ recording, refresh }: { recording: Recording; refresh: () => Promise<void> }) {
+  const path = { path: { name: recording.name } };
+  if (recording.state === "recording")
+    return (
+      <Action
+        label={text.recordings.stop}
+        kind="primary"
+        operation="POST /api/v1/recordings/{name}/stop"
+        run={() => sent(api.POST("/api/v1/recordings/{name}/stop", { params: path }))}
+        done={refresh}
+      />
+    );
+  return (
+    <div class="row">
+      <Action
+        label={text.recordings.play}
+        operation="POST /api/v1/devices"
+        disabled={recording.state === "unreadable"}
+        run={() => play(recording)}
+      />
+      <Action
+        label={text.recordings.save}
+        operation="GET /api/v1/recordings/{name}/file"
+        run={() => save(recording.name)}
+      />
+      <Action
+        label={text.recordings.remove}
+        kind="danger"
+        operation="DELETE /api/v1/recordings/{name}"
+        confirm={text.confirm.remove(recording.name)}
+        run={() => sent(api.DELETE("/api/v1/recordings/{name}", { params: path }))}
+        done={refresh}
+      />
+    </div>
+  );
+}
+
+/** Play a recording as a device of its own, which the scene then shows. */
+async function play(recording: Recording): Promise<void> {
+  const id = `replay-${recording.name.replace(/\.[^.]*$/, "").replace(/[^a-z0-9-]+/gi, "-").toLowerCase()}`.slice(0, 60);
+  const known = await loadDevices();
+  if (!known.some((one) => one.id === id))
+    await sent(
+      api.POST("/api/v1/devices", {
+        body: { id, title: recording.name, source: { kind: "replay", recording: recording.name } },
+      } as never),
+    );
+  await sent(api.POST("/api/v1/devices/{device_id}/start", { params: { path: { device_id: id } } }));
+  await loadDevices();
+  choose(id);
+  location.hash = "#/scene";
+}
+
+async function save(name: string): Promise<void> {
+  const address = URL.createObjectURL(await fetchBlob(`/api/v1/recordings/${encodeURIComponent(name)}/file`));
+  const link = document.createElement("a");
+  link.href = address;
+  link.download = name;
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(address), 60_000);
+}

@@ -1,0 +1,62 @@
+import { describe, expect, test } from "vitest";
+import type { Frame, ToolPose } from "../../live/messages";
+import { SceneState } from "./scene_state";
+
+const POSE: ToolPose = {
+  tool: "pointer", status: "OK", reason: null, translation_mm: [1, 2, 3],
+  rotation: [[1, 0, 0], [0, 1, 0], [0, 0, 1]], quaternion_wxyz: [1, 0, 0, 0], covariance: null,
+  tip_mm: null, tip_covariance_mm2: null, residual_sigma: 1, markers_used: 4, readings_used: 16,
+  velocity_mm_s: null, angular_velocity_rad_s: null, detectable_sigma: 4, external_tip_mm: 0.1,
+  external_rotation_rad: 0.001,
+};
+
+function frameOf(members: object, seconds = 0): Frame {
+  return { exposure_ns: 1_700_000_000_000_000_000n + BigInt(seconds * 1e9), ...members } as unknown as Frame;
+}
+
+describe("SceneState", () => {
+  test("a lost tool is a ghost at its last pose, with the reason in words", () => {
+    const state = new SceneState();
+    state.take(frameOf({ tools: [POSE] }));
+    const lost = { ...POSE, status: "MISSING", reason: "3 of 4 markers are hidden", rotation: null, translation_mm: null };
+    const frame = frameOf({ tools: [lost] }, 2);
+    state.take(frame);
+    expect(state.tools).toHaveLength(1);
+    expect(state.tools[0]).toMatchObject({ ghost: true, label: "pointer: 3 of 4 markers are hidden" });
+    expect(state.tools[0]?.pose.translation_mm).toEqual([1, 2, 3]);
+    expect(state.lostFor("pointer", frame)).toBeCloseTo(2, 3);
+  });
+
+  test("a tool that never had a pose is not drawn", () => {
+    const state = new SceneState();
+    const frame = frameOf({ tools: [{ ...POSE, rotation: null, translation_mm: null, status: "MISSING" }] });
+    state.take(frame);
+    expect(state.tools).toEqual([]);
+    expect(state.lostFor("pointer", frame)).toBeNull();
+  });
+
+  test("points without a position are not drawn, suspect ones are told apart", () => {
+    const state = new SceneState();
+    state.take(
+      frameOf({
+        points: [
+          { marker: 0, position_mm: null, covariance_mm2: null, flags: ["too-few-sensors"] },
+          { marker: 1, position_mm: [0, 0, 1], covariance_mm2: null, flags: [] },
+          { marker: 2, position_mm: [0, 0, 2], covariance_mm2: null, flags: ["inconsistent"] },
+        ],
+      }),
+    );
+    expect(state.markers.map(({ id, kind }) => [id, kind])).toEqual([["marker 1", "point"], ["marker 2", "suspect"]]);
+  });
+
+  test("a track's tail grows to a limit and ends with the track", () => {
+    const state = new SceneState();
+    const track = { id: 7, position_mm: [0, 0, 0], covariance_mm2: null, state: "confirmed", flags: [] };
+    for (let index = 0; index < 100; index++) state.take(frameOf({ tracks: [{ ...track, position_mm: [index, 0, 0] }] }));
+    expect(state.markers[0]?.tail).toHaveLength(60);
+    expect(state.markers[0]?.tail.at(-1)).toEqual([99, 0, 0]);
+    state.take(frameOf({ tracks: [] }));
+    state.take(frameOf({ tracks: [track] }));
+    expect(state.markers[0]?.tail).toHaveLength(1);
+  });
+});

@@ -1,0 +1,79 @@
+/** What the scene shows of a frame: markers with tails, and tools with the last pose of lost ones. */
+
+import { type Frame, toMilliseconds, type ToolPose } from "../../live/messages";
+import type { DrawnTool, Marker } from "./scene_view";
+
+const TAIL_POSITIONS = 60;
+
+/** Remembers what a single frame does not say. */
+export class SceneState {
+  markers: readonly Marker[] = [];
+  tools: readonly DrawnTool[] = [];
+  private readonly tails = new Map<string, (readonly number[])[]>();
+  private readonly lastPoses = new Map<string, { pose: ToolPose; at: number }>();
+
+  /** Take a frame. */
+  take(frame: Frame): void {
+    const markers = frame.tracks?.length ? trackMarkers(frame) : pointMarkers(frame);
+    const kept = new Set(markers.map(({ id }) => id));
+    for (const id of this.tails.keys()) if (!kept.has(id)) this.tails.delete(id);
+    this.markers = markers.map((marker) => ({ ...marker, tail: this.tailOf(marker) }));
+    const at = toMilliseconds(frame.exposure_ns);
+    this.tools = (frame.tools ?? []).flatMap((pose) => this.drawn(pose, at));
+  }
+
+  /** Return for how many seconds a tool has had no pose; null: it never had one. */
+  lostFor(tool: string, frame: Frame): number | null {
+    const last = this.lastPoses.get(tool);
+    return last ? Math.max(0, (toMilliseconds(frame.exposure_ns) - last.at) / 1000) : null;
+  }
+
+  private tailOf(marker: Omit<Marker, "tail">): readonly (readonly number[])[] {
+    // Points have no identity from frame to frame, but strobed ones have.
+    if (marker.id.startsWith("point ")) return [];
+    const tail = this.tails.get(marker.id) ?? [];
+    tail.push(marker.position);
+    if (tail.length > TAIL_POSITIONS) tail.shift();
+    this.tails.set(marker.id, tail);
+    return tail;
+  }
+
+  private drawn(pose: ToolPose, at: number): DrawnTool[] {
+    if (pose.rotation && pose.translation_mm) {
+      this.lastPoses.set(pose.tool, { pose, at });
+      const label = pose.status === "OK" ? pose.tool : `${pose.tool}: ${pose.reason ?? pose.status}`;
+      return [{ id: pose.tool, pose, ghost: false, label }];
+    }
+    const last = this.lastPoses.get(pose.tool);
+    const label = `${pose.tool}: ${pose.reason ?? pose.status}`;
+    return last ? [{ id: pose.tool, pose: last.pose, ghost: true, label }] : [];
+  }
+}
+
+function trackMarkers(frame: Frame): Omit<Marker, "tail">[] {
+  return (frame.tracks ?? []).map((track) => ({
+    id: `track ${track.id}`,
+    position: track.position_mm,
+    covariance: track.covariance_mm2,
+    kind: track.flags.length
+      ? "suspect"
+      : track.state === "confirmed" || track.state === "coasting"
+        ? track.state
+        : "tentative",
+  }));
+}
+
+function pointMarkers(frame: Frame): Omit<Marker, "tail">[] {
+  return (frame.points ?? []).flatMap((point, index) =>
+    point.position_mm
+      ? [
+          {
+            id: point.marker === null ? `point ${index}` : `marker ${point.marker}`,
+            position: point.position_mm,
+            covariance: point.covariance_mm2,
+            kind: point.flags.length ? ("suspect" as const) : ("point" as const),
+          },
+        ]
+      : [],
+  );
+}

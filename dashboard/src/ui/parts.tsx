@@ -1,0 +1,179 @@
+/** Small parts that all screens use. */
+
+import { useSignal } from "@preact/signals";
+import type { ComponentChildren } from "preact";
+import { useEffect, useRef } from "preact/hooks";
+import { RequestFailed } from "../api/client";
+import { allowed, type Operation, scopeOf } from "../api/session";
+import { text } from "../text";
+
+export function Panel(props: { title: string; actions?: ComponentChildren; children: ComponentChildren }) {
+  return (
+    <section class="panel" aria-label={props.title}>
+      <header class="panel-head">
+        <h2>{props.title}</h2>
+        <div class="row">{props.actions}</div>
+      </header>
+      {props.children}
+    </section>
+  );
+}
+
+/** Says an error in the server's words; nothing where there is none. */
+export function Failure({ message }: { message: string | null }) {
+  return message ? (
+    <p class="failure" role="alert">
+      {message}
+    </p>
+  ) : null;
+}
+
+export function Badge({ kind, children }: { kind: "good" | "warn" | "bad" | "idle"; children: ComponentChildren }) {
+  return <span class={`badge ${kind}`}>{children}</span>;
+}
+
+interface ActionProps {
+  label: string;
+  operation: Operation;
+  run: () => Promise<unknown>;
+  /** A question that is asked before. */
+  confirm?: string;
+  disabled?: boolean;
+  kind?: "primary" | "danger";
+  done?: () => void | Promise<void>;
+}
+
+/** A button for an operation of the server: shows what is not allowed, and what went wrong. */
+export function Action(props: ActionProps) {
+  const busy = useSignal(false);
+  const asking = useSignal(false);
+  const error = useSignal<string | null>(null);
+  const can = allowed(props.operation);
+  const refusal = can ? undefined : text.access.notAllowed(scopeOf(props.operation));
+  const act = async () => {
+    asking.value = false;
+    busy.value = true;
+    error.value = null;
+    try {
+      await props.run();
+      await props.done?.();
+    } catch (failure) {
+      if (!(failure instanceof RequestFailed)) throw failure;
+      error.value = failure.message;
+    } finally {
+      busy.value = false;
+    }
+  };
+  if (asking.value) {
+    return (
+      <span class="row" role="group" aria-label={props.confirm}>
+        <span>{props.confirm}</span>
+        <button type="button" class="danger" onClick={() => void act()}>
+          {text.confirm.yes}
+        </button>
+        <button type="button" onClick={() => (asking.value = false)}>
+          {text.confirm.no}
+        </button>
+      </span>
+    );
+  }
+  return (
+    <span class="action">
+      <button
+        type="button"
+        class={props.kind}
+        disabled={!can || busy.value || props.disabled}
+        title={refusal}
+        onClick={() => (props.confirm ? (asking.value = true) : void act())}
+      >
+        {busy.value ? "…" : props.label}
+      </button>
+      {refusal ? <small class="muted">{refusal}</small> : null}
+      <Failure message={error.value} />
+    </span>
+  );
+}
+
+export function Copy({ value }: { value: string }) {
+  const done = useSignal(false);
+  const copy = async () => {
+    await navigator.clipboard.writeText(value);
+    done.value = true;
+    setTimeout(() => (done.value = false), 1500);
+  };
+  return (
+    <button type="button" class="quiet" onClick={() => void copy()}>
+      {done.value ? text.copied : text.copy}
+    </button>
+  );
+}
+
+interface TableProps<T> {
+  caption: string;
+  columns: readonly string[];
+  rows: readonly T[];
+  row: (item: T) => readonly ComponentChildren[];
+  identity: (item: T) => string | number;
+  empty: string;
+  /** Rows can be picked. */
+  selected?: string | number | null;
+  select?: (identity: string | number) => void;
+}
+
+export function Table<T>(props: TableProps<T>) {
+  if (!props.rows.length) return <p class="muted">{props.empty}</p>;
+  return (
+    <div class="scroll" tabIndex={0} role="region" aria-label={props.caption}>
+      <table>
+        <caption class="hidden">{props.caption}</caption>
+        <thead>
+          <tr>
+            {props.columns.map((name) => (
+              <th key={name} scope="col">
+                {name}
+              </th>
+            ))}
+          </tr>
+        </thead>
+        <tbody>
+          {props.rows.map((item) => {
+            const identity = props.identity(item);
+            const cells = props.row(item);
+            return (
+              <tr key={identity} class={props.selected === identity ? "selected" : undefined}>
+                {cells.map((cell, index) =>
+                  index === 0 && props.select ? (
+                    <th key={index} scope="row">
+                      <button
+                        type="button"
+                        class="quiet"
+                        aria-pressed={props.selected === identity}
+                        onClick={() => props.select?.(identity)}
+                      >
+                        {cell}
+                      </button>
+                    </th>
+                  ) : (
+                    <td key={index}>{cell}</td>
+                  ),
+                )}
+              </tr>
+            );
+          })}
+        </tbody>
+      </table>
+    </div>
+  );
+}
+
+/** A value that changes too often to be read, at most `hertz` times a second. */
+export function useThrottled<T>(read: () => T, hertz: number): T {
+  const shown = useSignal<T>(read());
+  const latest = useRef(read);
+  latest.current = read;
+  useEffect(() => {
+    const timer = setInterval(() => (shown.value = latest.current()), 1000 / hertz);
+    return () => clearInterval(timer);
+  }, [hertz]);
+  return shown.value;
+}

@@ -3,6 +3,7 @@
 import asyncio
 from collections import defaultdict
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from threading import Lock
@@ -116,21 +117,33 @@ class Subscription:
                 raise StreamEnded(self._ended)
             self._ready.clear()
             now = self.loop.time()
-            due = now >= self._due_s or self._ended is not None
-            item = self._cursor.take(due=due)
-            if item is not None:
-                if item.frames and self._pace_s:
-                    # Counted from when it was due, so that the rate is the one asked for; after a
-                    # pause from now, which is not made up for.
-                    self._due_s = max(self._due_s + self._pace_s, now)
-                return item.payload
+            payload = self._take(now)
+            if payload is not None:
+                return payload
             if self._ended is not None:
                 raise StreamEnded(self._ended)
-            try:
-                async with asyncio.timeout(None if due else self._due_s - now):
-                    await self._ready.wait()
-            except TimeoutError:
+            if now >= self._due_s:
+                await self._ready.wait()
                 continue
+            with suppress(TimeoutError):
+                async with asyncio.timeout(self._due_s - now):
+                    await self._ready.wait()
+
+    def next_at_once(self) -> Payload | None:
+        """Return the next payload if it is there and due."""
+        if self._ended is not None and self._at_once:
+            return None
+        return self._take(self.loop.time())
+
+    def _take(self, now: float) -> Payload | None:
+        item = self._cursor.take(due=now >= self._due_s or self._ended is not None)
+        if item is None:
+            return None
+        if item.frames and self._pace_s:
+            # Counted from when it was due, so that the rate is the one asked for; after a
+            # pause from now, which is not made up for.
+            self._due_s = max(self._due_s + self._pace_s, now)
+        return item.payload
 
 
 class Hub:

@@ -15,7 +15,7 @@ from service.problems.catalogue import problem_type_of
 from service.problems.errors import NotReady, UpgradeRequired
 from service.problems.handlers import problem_response
 from service.protocols.stream.hub import Hub, StreamEnded, StreamRequest, Subscription
-from service.protocols.stream.messages import describe_message, encode, hold_members
+from service.protocols.stream.messages import Payload, describe_message, encode, hold_members
 from service.protocols.stream.query import parse_stream_request
 from service.security.credential import SUBPROTOCOL, subprotocols
 from service.security.guard import ACT
@@ -28,6 +28,10 @@ router = APIRouter()
 
 ACCESS_CHECK_INTERVAL_S: Final = 2.0
 """How often an open stream is checked against its key's revocation and end."""
+TURN_BYTES: Final = 32 * 1024
+"""What one client is sent before it is the turn of others; at least one message."""
+SEND_MANY: Final = "lumiline.send_many"
+"""Extension of ASGI: a ``websocket.send`` with a list ``payloads`` is written in one go."""
 
 
 @router.websocket("/api/v1/stream")
@@ -109,8 +113,15 @@ def _greeting(live: PipelineManager, subscription: Subscription) -> dict[str, An
 
 
 async def _forward(websocket: WebSocket, subscription: Subscription) -> None:
+    """Send what is there, a bounded part of it in each turn: others are to have theirs."""
     while True:
-        await _send(websocket, await subscription.next())
+        payloads = [await subscription.next()]
+        size = len(payloads[0])
+        while size < TURN_BYTES and (more := subscription.next_at_once()) is not None:
+            payloads.append(more)
+            size += len(more)
+        await _send_many(websocket, payloads)
+        await asyncio.sleep(0)
 
 
 async def _until_closed(websocket: WebSocket) -> None:
@@ -137,6 +148,18 @@ async def _until_ended(state: State, principal: Principal) -> None:
             continue  # a database that does not answer must not end a measurement
         if reason is not None:
             raise _AccessRevoked(reason)
+
+
+async def _send_many(websocket: WebSocket, payloads: list[Payload]) -> None:
+    """Send payloads in one write, where the server can."""
+    if SEND_MANY not in websocket.scope.get("extensions", {}) or len(payloads) == 1:
+        for payload in payloads:
+            await _send(websocket, payload)
+        return
+    try:
+        await websocket.send({"type": "websocket.send", "payloads": payloads})
+    except RuntimeError as error:
+        raise WebSocketDisconnect(1006) from error
 
 
 async def _send(websocket: WebSocket, payload: bytes | str) -> None:

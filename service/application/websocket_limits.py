@@ -1,0 +1,97 @@
+"""Websocket buffers and deadlines: a client that does not read is closed; many messages a write."""
+
+import asyncio
+import socket
+from typing import Any, Final
+
+from uvicorn.protocols.utils import ClientDisconnected
+from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
+from websockets.exceptions import InvalidState
+
+from service.protocols.stream.router import SEND_MANY
+
+SEND_BUFFER_BYTES: Final = 32 * 1024
+"""Of each client, in the server and (doubled by Linux) in the kernel, where it would grow to some
+MiB for one that does not read: all of that would be sent before it is seen that nobody reads."""
+STALL_S: Final = 10.0
+"""How long a client may read nothing, with its buffers full, before it is closed."""
+LINGER_S: Final = 2.0
+"""How long the close may wait behind what the client did not read."""
+STALLED: Final = 1013
+"""Close code: try again later (IANA registry of RFC 6455); the client may resume."""
+
+
+class LimitedWebSocketProtocol(WebSocketsSansIOProtocol):
+    """Uvicorn's protocol, which would keep a client for ever that does not read."""
+
+    def __init__(self, *given: Any, **named: Any) -> None:
+        super().__init__(*given, **named)
+        self._stalled: asyncio.TimerHandle | None = None
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Bound the kernel's buffer of the connection."""
+        super().connection_made(transport)
+        self.transport.set_write_buffer_limits(high=SEND_BUFFER_BYTES)
+        connection = transport.get_extra_info("socket")
+        if connection is not None:
+            connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Wait no more."""
+        self.resume_writing()
+        super().connection_lost(exc)
+
+    def pause_writing(self) -> None:
+        """Begin to wait for the client to read."""
+        super().pause_writing()
+        if self._stalled is None and not self.close_sent:
+            self._stalled = self.loop.call_later(STALL_S, self._close_stalled)
+
+    def resume_writing(self) -> None:
+        """Wait no more."""
+        if self._stalled is not None:
+            self._stalled.cancel()
+            self._stalled = None
+        super().resume_writing()
+
+    def _close_stalled(self) -> None:
+        self._stalled = None
+        if self.close_sent or self.transport.is_closing():
+            self.transport.abort()
+            return
+        reason = f"the client read nothing for {STALL_S:g} s"
+        try:
+            self.conn.send_close(STALLED, reason)
+        except InvalidState:
+            self.transport.abort()
+            return
+        self.transport.write(b"".join(self.conn.data_to_send()))
+        self.close_sent = True
+        self.stop_keepalive()
+        self.queue.put_nowait({"type": "websocket.disconnect", "code": STALLED, "reason": reason})
+        self.writable.set()  # who sends is refused now
+        self.loop.call_later(LINGER_S, self.transport.abort)
+
+    async def run_asgi(self) -> None:
+        """Run the application, which may send many messages in one go."""
+        self.scope["extensions"][SEND_MANY] = {}
+        await super().run_asgi()
+
+    async def send(self, message: Any) -> None:
+        """Send what the application gives, or close the connection."""
+        payloads = message.get("payloads")
+        if payloads is None:
+            await super().send(message)
+            return
+        await self.writable.wait()
+        if self.disconnected or self.close_sent:
+            raise ClientDisconnected
+        try:
+            for payload in payloads:
+                if isinstance(payload, bytes):
+                    self.conn.send_binary(payload)
+                else:
+                    self.conn.send_text(payload.encode())
+        except InvalidState:
+            raise ClientDisconnected from None
+        self.transport.write(b"".join(self.conn.data_to_send()))

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Generic, Literal, Protocol, TypeVar
+from typing import Generic, Literal, Protocol, TypeVar, runtime_checkable
 
 from hardware.line_frame import LineFrame
 
@@ -86,6 +86,14 @@ class Driver(Protocol):
     def close(self) -> None:
         """Release everything and end ``frames``; may be called from any thread, and twice."""
         ...
+
+
+@runtime_checkable
+class IdlingDriver(Protocol):
+    """A driver that need not make pixels while nobody looks at them."""
+
+    idle: bool
+    """Whether nobody looks: its frames come with empty ``lines``, numbered and timed as ever."""
 
 
 class Session(Protocol):

@@ -27,7 +27,8 @@ class LineFrame:
         exposure_device_ns: middle of the exposure on the device's clock [ns].
         exposure_host_ns: the same on the host's clock, as of time.time_ns() [ns].
         marker: number of the strobed marker that was lit, from 0; None when all were.
-        lines: counts, uint16, shape (sensors, pixels); the driver does not write to it again.
+        lines: counts, uint16, shape (sensors, pixels); the driver does not write to it again;
+            empty: exposed while nobody looked (``IdlingDriver``).
         flags: status of the frame.
     """
 

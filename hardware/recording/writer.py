@@ -25,6 +25,7 @@ from hardware.recording.layout import (
     COLUMNS,
     FORMAT,
     FRAME,
+    NO_CALIBRATION_ROW,
     NO_LOSSES,
     NO_MARKER,
     PEAK,
@@ -155,8 +156,13 @@ class RecordingWriter:
         """Number of frames that were appended."""
         return self._waiting.frames
 
-    def append(self, frame: LineFrame) -> None:
+    def append(self, frame: LineFrame, in_force: int = NO_CALIBRATION_ROW) -> None:
         """Append a frame without results.
+
+        Args:
+            frame: the frame.
+            in_force: row of the calibration that was active, as ``put_active_calibration``
+                returned it.
 
         Raises:
             InvalidParameter: it is not of this device: its name, the lines' shape or the marker;
@@ -194,7 +200,9 @@ class RecordingWriter:
             )
         lines = None if self._lines is None else frame.lines[None]
         nothing = np.empty(0, PEAK), np.empty(0, self._point)
-        self._take(FrameBlock(frame_rows([frame]), lines, *nothing))
+        rows = frame_rows([frame])
+        rows["in_force"] = in_force
+        self._take(FrameBlock(rows, lines, *nothing))
 
     def append_block(self, block: FrameBlock) -> int:
         """Append frames with their results; return the number of frames refused.

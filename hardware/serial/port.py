@@ -19,6 +19,7 @@ from urllib.parse import urlsplit
 import serial
 
 from hardware.errors import DeviceNotConnected
+from hardware.name_lookup import lookup
 
 READ_BYTES: Final = 2**18
 CONNECT_S: Final = 2.0
@@ -98,6 +99,8 @@ def open_port(url: str, baudrate: int, closing: CloseSignal) -> Port:
 
 
 def _opened(url: str, baudrate: int, closing: CloseSignal) -> Port:
+    if url.startswith("rfc2217://"):
+        url = _with_address(url)
     port = serial.serial_for_url(url, do_not_open=True)
     port.baudrate = baudrate
     port.timeout = 0
@@ -196,12 +199,12 @@ class _PollingPort:
 
 
 def _connected(url: str, closing: CloseSignal) -> socket.socket:
-    """Return a connected socket; waits at most CONNECT_S for the host."""
+    """Return a connected socket; waits at most LOOKUP_S for the name and CONNECT_S for the host."""
     parts = urlsplit(url)
     if parts.hostname is None or parts.port is None:
         raise ValueError("it must be socket://HOST:PORT")
     family, kind, protocol, _, address = socket.getaddrinfo(
-        parts.hostname, parts.port, type=socket.SOCK_STREAM
+        lookup(parts.hostname), parts.port, type=socket.SOCK_STREAM, flags=socket.AI_NUMERICHOST
     )[0]
     connection = socket.socket(family, kind, protocol)
     try:
@@ -221,6 +224,14 @@ def _connected(url: str, closing: CloseSignal) -> socket.socket:
         connection.close()
         raise
     return connection
+
+
+def _with_address(url: str) -> str:
+    """Return the URL with its host's address in place of the name, which has a time limit."""
+    parts = urlsplit(url)
+    address = lookup(parts.hostname or "")
+    host = f"[{address}]" if ":" in address else address
+    return parts._replace(netloc=f"{host}:{parts.port}").geturl()
 
 
 def _reason(error: Exception) -> str:

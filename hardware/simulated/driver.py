@@ -22,6 +22,9 @@ from hardware.simulated.scenes import EvenLight
 from hardware.simulated.settings import SimulationSettings
 from hardware.simulated.simulated_rig import PIXELS, WORKING_CENTRE_MM, simulated_rig
 
+IDLE_BURST_S: Final = 0.05
+"""Frames without pixels come in such bursts: a wake-up for each costs a tenth of a core."""
+_NO_PIXELS: Final = np.empty((0, 0), dtype=np.uint16)
 FIFO_S: Final = 1.0
 """Length of the device's FIFO; older exposures that were not fetched are lost."""
 
@@ -49,6 +52,8 @@ class RenderedDriver:
         self._timing = timing
         self._fifo_frames = max(2, math.ceil(FIFO_S * timing.frame_rate_hz))
         self._closed: Event | None = None
+        self.idle = False
+        """Whether nobody looks at the pixels, which are not rendered then; see IdlingDriver."""
 
     @property
     def description(self) -> DeviceDescription:
@@ -82,25 +87,29 @@ class RenderedDriver:
         start_host_ns = time.time_ns()
         start_ns = time.monotonic_ns()
         sequence, end = 0, self._timing.frames
+        burst = max(1, round(IDLE_BURST_S * self._timing.frame_rate_hz))
         while (end is None or sequence < end) and not closed.is_set():
             flags = FrameFlag.NONE
             if self._timing.realtime:
                 oldest = self._exposed(time.monotonic_ns() - start_ns) - self._fifo_frames
                 if oldest > sequence:
                     sequence, flags = oldest, FrameFlag.OVERFLOW
-            if number != sequence // BATCH:
+            rendered = not (self.idle and self._timing.realtime)
+            if rendered and number != sequence // BATCH:
                 number = sequence // BATCH
                 batch = self._renderer.batch(number)
             device_ns = self._timing.time_ns(sequence)
             host_ns = start_host_ns + device_ns
             if self._timing.realtime:
                 due_ns = start_ns + device_ns
-                wait_until(due_ns, closed)
+                if rendered or sequence % burst == 0:
+                    last = sequence if rendered else sequence + burst - 1
+                    wait_until(start_ns + self._timing.time_ns(last), closed)
                 host_ns = host_time_ns(due_ns)
                 if closed.is_set():
                     return
             index = sequence % BATCH
-            if batch.saturated[index]:
+            if rendered and batch.saturated[index]:
                 flags |= FrameFlag.SATURATED
             yield LineFrame(
                 device=self._description.name,
@@ -108,7 +117,7 @@ class RenderedDriver:
                 exposure_device_ns=device_ns,
                 exposure_host_ns=host_ns,
                 marker=self._timing.marker(sequence),
-                lines=batch.lines[index],
+                lines=batch.lines[index] if rendered else _NO_PIXELS,
                 flags=flags,
             )
             sequence += 1

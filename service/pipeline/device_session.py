@@ -45,6 +45,13 @@ BEHIND_S: Final = 0.1
 CAUGHT_UP_S: Final = 0.02
 """When no more than that waits, some are again."""
 
+IDLE_AFTER_S: Final = 60.0
+"""Without a client, tap, tool or hold for this long, nothing is computed; until then a client that
+comes back finds the messages that it missed."""
+SAMPLE_INTERVAL_S: Final = 60.0
+SAMPLE_S: Final = 2.0
+"""Of each such interval an idle device computes this much, for taps that samples are enough for."""
+
 _COSTS: Final = 9
 """Batches of which the median cost counts: a search now and then, or a hiccup, does not."""
 
@@ -218,6 +225,7 @@ class DeviceSession:
         self.reader: ReaderThread | None = None
         self._taps_lock = Lock()
         self.taps: tuple[Tap, ...] = ()
+        self._sampled_taps: tuple[Tap, ...] = ()
         """Who takes batches beside the streams; replaced as a whole, so that it may be read."""
         self.processed = 0
         self.latency = LatencyHistogram()
@@ -226,6 +234,9 @@ class DeviceSession:
         self.stopped = False
         self._batch = MAX_FRAMES
         self._watches_holds = False
+        self._has_tools = False
+        self._wanted_s = time.monotonic()
+        self._skipped = 0
 
     def work(self) -> bool:
         """Process and publish what waits; runs in the compute thread."""
@@ -233,9 +244,19 @@ class DeviceSession:
             return False
         begin = time.monotonic()
         try:
+            if self._idle(begin):
+                return self._skip_frames()
             frames, track = self._take_frames()
             if not frames:
                 return False
+            if any(frame.lines.size == 0 for frame in frames):
+                # Exposed while nobody looked; the next ones have pixels.
+                rendered = [index for index, frame in enumerate(frames) if frame.lines.size]
+                self._skipped += len(frames) - len(rendered)
+                if not rendered:
+                    return True
+                frames = [frames[index] for index in rendered]
+                track = None if track is None else tuple(track[index] for index in rendered)
             batch = self.processor.process(frames, track=track)
             if self._watches_holds:
                 # Before all others: whoever holds a beam waits for nothing else.
@@ -261,6 +282,29 @@ class DeviceSession:
         self._batch = max(1, min(MAX_FRAMES, int(BATCH_SECONDS / max(whole / len(frames), 1e-6))))
         return True
 
+    def _idle(self, now_s: float) -> bool:
+        """Whether nobody has wanted results for a while; tells the driver when that changes."""
+        wanted = (
+            self._has_tools
+            or len(self.taps) > len(self._sampled_taps)
+            or self.reader is None
+            or self.reader.lossless
+            or self.streams.subscribers(self.device_id) > 0
+        )
+        if wanted:
+            self._wanted_s = now_s
+        sampled = bool(self._sampled_taps) and now_s % SAMPLE_INTERVAL_S < SAMPLE_S
+        idle = not sampled and now_s - self._wanted_s > IDLE_AFTER_S
+        if self.reader is not None:
+            self.reader.set_idle(idle=idle)
+        return idle
+
+    def _skip_frames(self) -> bool:
+        """Drop what waits, which nobody wants."""
+        count = len(self.ring.take(MAX_FRAMES))
+        self._skipped += count
+        return count > 0
+
     def _take_frames(self) -> tuple[list[LineFrame], tuple[bool, ...] | None]:
         """Take the next frames, and in which of them markers and tools are tracked; None: in all.
 
@@ -280,6 +324,7 @@ class DeviceSession:
     def set_tracking_config(self, tracked: TrackingConfig) -> None:
         """Track other things from the next batch on; runs in the compute thread."""
         self._watches_holds = bool(tracked.holds)
+        self._has_tools = bool(tracked.tools or tracked.holds)
         self.processor.set_tracking_config(tracked)
         self.pose_counts.keep(tool.name for tool in tracked.tools)
         if not tracked.tools:
@@ -305,15 +350,18 @@ class DeviceSession:
             )
         )
 
-    def attach(self, tap: Tap) -> None:
-        """Give a tap all batches from now on."""
+    def attach(self, tap: Tap, *, sampled: bool = False) -> None:
+        """Give a tap all batches from now on; ``sampled``: some seconds of a minute are enough."""
         with self._taps_lock:
             self.taps = (*self.taps, tap)
+            if sampled:
+                self._sampled_taps = (*self._sampled_taps, tap)
 
     def detach(self, tap: Tap) -> None:
         """Give a tap no more batches."""
         with self._taps_lock:
             self.taps = tuple(one for one in self.taps if one is not tap)
+            self._sampled_taps = tuple(one for one in self._sampled_taps if one is not tap)
 
     def _offer(self, batch: FrameBatch) -> None:
         """Offer a batch to all taps; one that fails has no more, and the device goes on."""
@@ -351,7 +399,7 @@ class DeviceSession:
         """Whether all frames are processed and no more will come."""
         if self.stopped or self.failure is not None:
             return True
-        taken = self.processed + self.ring.dropped
+        taken = self.processed + self._skipped + self.ring.dropped
         return not self.running and taken >= self.ring.received
 
     @property

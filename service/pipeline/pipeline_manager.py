@@ -304,10 +304,10 @@ class PipelineManager:
             raise self._not_running(device_id)
         return session
 
-    def attach(self, session: DeviceSession, tap: Tap) -> None:
-        """Give a tap all batches of a session from now on."""
+    def attach(self, session: DeviceSession, tap: Tap, *, sampled: bool = False) -> None:
+        """Give a tap all batches of a session from now on; ``sampled``: see DeviceSession."""
         tap.prepare(session.processor.active_calibration)
-        session.attach(tap)
+        session.attach(tap, sampled=sampled)
 
     def detach(self, session: DeviceSession, tap: Tap) -> None:
         """Give a tap no more batches."""

@@ -14,7 +14,7 @@ from threading import Event, Lock, Thread
 from typing import Final, Literal, TypeVar
 
 from compute.errors import LumilineError
-from hardware.driver import Driver
+from hardware.driver import Driver, IdlingDriver
 from hardware.line_frame import LineFrame
 from hardware.link import LinkedDriver, LinkState
 from service.logs import set_device_id
@@ -130,12 +130,18 @@ class ReaderThread:
         """Whether the source waits for the pipeline: a replay as fast as frames are consumed."""
         self._thread = Thread(target=self._run, name=f"reader-{device_id}", daemon=True)
         self._linked = driver if isinstance(driver, LinkedDriver) else None
+        self._idling = driver if isinstance(driver, IdlingDriver) else None
 
     def start(self) -> None:
         """Start to read; the driver is open."""
         if self._linked is not None:
             self._linked.listen(self._link_changed)
         self._thread.start()
+
+    def set_idle(self, *, idle: bool) -> None:
+        """Tell a driver that can save work whether anybody looks at its pixels."""
+        if self._idling is not None:
+            self._idling.idle = idle
 
     def link(self) -> LinkState | None:
         """Return how the link to the device stands; None of a device that cannot be unplugged."""

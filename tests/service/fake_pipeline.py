@@ -167,7 +167,7 @@ class FakePipeline(PipelineManager):
             raise DeviceNotRunning(f'device "{device_id}" does not run')
         return _Running(device_id, self.records, _Processor(), FrameRing(1, int), self.streams)
 
-    def attach(self, session: DeviceSession, tap: Tap) -> None:
+    def attach(self, session: DeviceSession, tap: Tap, *, sampled: bool = False) -> None:
         self.calls.append(("attach", session.device_id))
         if isinstance(
             tap,

@@ -82,7 +82,7 @@ class DriftMonitor:
                 known = None
         if known is None and running is not None and not last:
             tap = IntervalStatisticsTap(wanted)
-            self._live.attach(running, tap)
+            self._live.attach(running, tap, sampled=True)
             self._taps[device_id] = (running, tap)
 
     def _session(self, device_id: str) -> DeviceSession | None:

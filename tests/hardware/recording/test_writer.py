@@ -81,7 +81,7 @@ def recorded(draw: st.DrawFn) -> tuple[DeviceDescription, list[LineFrame]]:
     return description, frames
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(
     source=recorded(),
     compression=st.sampled_from([None, "gzip"]),

@@ -1,0 +1,45 @@
+"""Looks up host names within a time limit, which the operating system's resolver does not have."""
+
+import socket
+from concurrent.futures import Future
+from ipaddress import ip_address
+from threading import Lock, Thread
+from typing import Final
+
+LOOKUP_S: Final = 2.0
+
+_pending: dict[str, "Future[str]"] = {}
+_lock = Lock()
+
+
+def lookup(host: str) -> str:
+    """Return the first address of a host; one that is an address is returned as it is.
+
+    Raises:
+        TimeoutError: no answer within LOOKUP_S.
+        OSError: the name is unknown.
+    """
+    try:
+        return str(ip_address(host))
+    except ValueError:
+        pass
+    # A lookup that hangs keeps its thread: whoever asks again meanwhile waits for the same.
+    with _lock:
+        found = _pending.get(host)
+        if found is None:
+            found = _pending[host] = Future()
+            Thread(target=_run, args=(host, found), name=f"lookup-{host}", daemon=True).start()
+    try:
+        return found.result(LOOKUP_S)
+    except TimeoutError:
+        raise TimeoutError(f"the name {host} was not resolved in {LOOKUP_S:g} s") from None
+
+
+def _run(host: str, found: "Future[str]") -> None:
+    try:
+        found.set_result(str(socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)[0][4][0]))
+    except Exception as error:  # noqa: BLE001 - the waiter gets it
+        found.set_exception(error)
+    finally:
+        with _lock:
+            del _pending[host]

@@ -83,7 +83,7 @@ _HIDDEN: Final = (
     (re.compile(r"(?i)\b((?:api_?key|access_token|token|key|password)=)[^\s&\"']+"), r"\1***"),
 )
 
-_ENCODED_TIMES: Final = 3
+_MAX_DECODINGS: Final = 10
 
 
 def redact(text: str) -> str:
@@ -94,10 +94,15 @@ def redact(text: str) -> str:
 
 
 def decoded(text: str) -> str:
-    """Return a part of an address as it is meant: ``%5F``, and ``%255F``, hide an underscore."""
-    for _ in range(_ENCODED_TIMES):
-        text = unquote(text)
-    return text
+    """Return a part of an address as it is meant: ``%5F``, and ``%255F``, hide an underscore.
+
+    Decoded until nothing is left to decode; what is encoded too often to be meant is hidden.
+    """
+    for _ in range(_MAX_DECODINGS):
+        before, text = text, unquote(text)
+        if text == before:
+            return text
+    return "***"
 
 
 _STANDARD: Final = frozenset(vars(logging.makeLogRecord({}))) | {

@@ -25,6 +25,7 @@ _OF_RESOURCES: Final = ("not-ready",)
 _OF_ALL_REQUESTS: Final = ("credential-in-query", "query-too-long")
 _OF_THOSE_WITH_SCOPE: Final = ("unauthenticated", "missing-scope", "too-many-attempts")
 _OF_CHANGES: Final = ("cross-origin",)
+_OF_STORED_CHANGES: Final = ("database-full", "insufficient-storage")
 _OF_BODIES: Final = (
     *("malformed-json", "duplicate-key", "unsupported-media-type"),
     *("body-too-large", "body-too-slow", "non-finite-value"),
@@ -177,7 +178,8 @@ def _document(app: FastAPI) -> dict[str, Any]:
         for method, operation in item.items():
             if method != "parameters":
                 of_path = _OF_RESOURCES if path.startswith("/api/") else ()
-                others = [*_OF_ALL_REQUESTS, *of_path, *(() if method == "get" else _OF_CHANGES)]
+                changes = () if method == "get" else (*_OF_CHANGES, *_OF_STORED_CHANGES)
+                others = [*_OF_ALL_REQUESTS, *of_path, *changes]
                 _complete(operation, [*others, *_secure(operation)])
     return document
 

@@ -14,6 +14,8 @@ HEAD_S: Final = 10.0
 """Within which a request's head has to arrive."""
 HEAD_BYTES: Final = 64 * 1024
 """Largest head: the request line and all headers."""
+MAX_HEADERS: Final = 100
+"""Headers of one request, trailers with them: each costs more than its bytes."""
 
 
 class LimitedHttpProtocol(HttpToolsProtocol):
@@ -54,6 +56,13 @@ class LimitedHttpProtocol(HttpToolsProtocol):
                 self._refuse(_too_large())
             elif self._waiting is None:
                 self._wait()
+
+    def on_header(self, name: bytes, value: bytes) -> None:
+        """Take a header, or a trailer, unless there are too many."""
+        super().on_header(name, value)
+        if len(self.headers) > MAX_HEADERS:
+            self._too_large = True
+            raise ValueError("too many headers")  # the parser's error: see send_400_response
 
     def on_headers_complete(self) -> None:
         """Begin with a request whose head is there."""
@@ -123,5 +132,6 @@ class LimitedHttpProtocol(HttpToolsProtocol):
 
 def _too_large() -> HeadTooLarge:
     return HeadTooLarge(
-        f"the request line and the headers have more than {HEAD_BYTES} bytes; send fewer"
+        f"the request line and the headers have more than {HEAD_BYTES} bytes, or there are more "
+        f"than {MAX_HEADERS} headers; send fewer"
     )

@@ -27,10 +27,15 @@ NOT_STOPPED: Final = 4
 REASON: Final = "the server is stopping"
 NOT_STARTED: Final = 3
 _LOOK_S: Final = 0.02
+_SIGHUP: Final = getattr(signal, "SIGHUP", None)
+"""None on Windows."""
 
 
 class ShutdownServer(uvicorn.Server):
-    """Stops at the first SIGTERM or SIGINT, and is ended by the second."""
+    """Stops at the first SIGTERM, SIGINT or SIGHUP, and is ended by a second of the first two.
+
+    A terminal that closes sends SIGHUP more than once.
+    """
 
     def __init__(self, config: uvicorn.Config, app: FastAPI) -> None:
         super().__init__(config)
@@ -42,7 +47,7 @@ class ShutdownServer(uvicorn.Server):
         if threading.current_thread() is not threading.main_thread():
             yield
             return
-        before = {sig: signal.signal(sig, self.handle_exit) for sig in HANDLED_SIGNALS}
+        before = {sig: signal.signal(sig, self.handle_exit) for sig in _stop_signals()}
         try:
             yield
         finally:
@@ -52,6 +57,8 @@ class ShutdownServer(uvicorn.Server):
     def handle_exit(self, sig: int, frame: FrameType | None) -> None:
         """Begin to stop; at a second signal end at once."""
         if self.should_exit:
+            if sig == _SIGHUP:
+                return
             signal.signal(sig, signal.SIG_DFL)
             signal.raise_signal(sig)
         # Not within whatever request the signal came in between.
@@ -86,6 +93,13 @@ def run_server(app: FastAPI, options: dict[str, Any]) -> None:
     if not server.started:
         raise SystemExit(NOT_STARTED)
     _log.info("stopped")
+
+
+def _stop_signals() -> list[int]:
+    """Return the signals to stop at; SIGHUP unless it is ignored, as `nohup` has it."""
+    if _SIGHUP is None or signal.getsignal(_SIGHUP) is signal.SIG_IGN:
+        return [*HANDLED_SIGNALS]
+    return [*HANDLED_SIGNALS, _SIGHUP]
 
 
 def _end() -> None:

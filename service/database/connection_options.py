@@ -7,6 +7,8 @@ from psycopg import Connection, OperationalError
 from psycopg.abc import PQGen
 from sqlalchemy import URL, Engine, event
 
+from hardware.name_lookup import lookup
+
 _DRIVER: Final = {
     "connect_timeout": "5",  # its own is two minutes, for which a request would wait
     # A host that is gone, or a network that drops what is sent, is noticed after about 15 s.
@@ -38,7 +40,24 @@ def connect_with_timeout(engine: Engine) -> None:
 
     @event.listens_for(engine, "do_connect")
     def connect(_dialect: object, _record: object, given: Any, named: Any) -> object:
+        check_names(named.get("host") or "")
         return TimeoutConnection.connect(*given, **named)
+
+
+def check_names(hosts: str) -> None:
+    """Look up the hosts of a URL, which the driver does without a time limit.
+
+    Raises:
+        OperationalError: of a name there was no answer in time.
+    """
+    for host in hosts.split(","):
+        if host and not host.startswith(("/", "@")):  # folders of sockets
+            try:
+                lookup(host)
+            except TimeoutError as error:
+                raise OperationalError(str(error)) from error
+            except (OSError, UnicodeError):
+                continue  # the driver says it, and tries the others
 
 
 ANSWER_S: Final = 15.0

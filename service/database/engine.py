@@ -2,6 +2,7 @@
 
 import logging
 import os
+import sqlite3
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -18,13 +19,16 @@ from compute.errors import LumilineError
 from service.database.audited_session import AuditedSession
 from service.database.connection_options import connect_with_timeout, timeouts
 from service.database.models import Base
-from service.problems.errors import NotReady
+from service.problems.errors import DatabaseFull, NotReady
 
 _log = logging.getLogger(__name__)
 
 POOL_TIMEOUT_S = 5
 """How long a request waits for a connection while others have all."""
 _BUSY_TIMEOUT_MS = 5000
+_SQLITE_FULL = (sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR_SHMSIZE)
+"""Codes of SQLite for a disk without room; the second: none for the index of its log."""
+_POSTGRESQL_DISK_FULL = "53100"
 
 
 class Database:
@@ -67,6 +71,7 @@ class Database:
 
         Raises:
             NotReady: the database does not answer, or another process keeps it locked.
+            DatabaseFull: its disk has no room.
         """
         with _answering(), AuditedSession(self._writer) as session, session.begin():
             yield session
@@ -83,17 +88,31 @@ class Database:
 
 @contextmanager
 def _answering() -> Iterator[None]:
-    """Turn the failures of a database that does not answer into NotReady."""
+    """Turn the failures of a database that does not answer into NotReady, or DatabaseFull."""
     try:
         yield
     except (OperationalError, InterfaceError, NoFreeConnection) as error:
         # The driver's text is for the log: it may hold the server's address and user.
-        _log.error("database: %s", error.orig if isinstance(error, DBAPIError) else error)
+        cause = error.orig if isinstance(error, DBAPIError) else error
+        _log.error("database: %s", cause)
+        if _is_full(cause):
+            raise DatabaseFull(
+                "the disk of the database is full, so nothing was stored; make room on it: delete "
+                "recordings or exports",
+                part="database",
+            ) from error
         raise NotReady(
             f"the database is locked or does not answer ({type(error).__name__}); try again, and "
             "look into the server's log when it stays so",
             part="database",
         ) from error
+
+
+def _is_full(cause: BaseException | None) -> bool:
+    return (
+        getattr(cause, "sqlite_errorcode", None) in _SQLITE_FULL
+        or getattr(cause, "sqlstate", None) == _POSTGRESQL_DISK_FULL
+    )
 
 
 Row = TypeVar("Row", bound=Base)

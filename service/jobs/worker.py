@@ -62,8 +62,11 @@ def work(connection: Connection, task: bytes, memory_bytes: int | None) -> None:
 
     The function gets a callable ``(share, stage)`` as its first argument.
     """
-    # Ctrl-C goes to all processes of a terminal; the parent decides what becomes of this one.
+    # Ctrl-C, and its end, go to all processes of a terminal; the parent decides what becomes of
+    # this one.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if hasattr(signal, "SIGHUP"):
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)
     Thread(target=_end_with_parent, daemon=True).start()
     for name in _ONE_THREAD:
         os.environ[name] = "1"

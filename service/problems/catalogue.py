@@ -16,7 +16,7 @@ _STATUS: Final[dict[type[LumilineError], int]] = {
     domain.UnknownFrame: 404,
     drivers.DeviceNotConnected: 409,
     drivers.DeviceChanged: 409,
-    drivers.MissingLibrary: 503,
+    drivers.MissingLibrary: 501,  # until somebody installs it: trying again does not help
 }
 """Statuses of the errors of other packages that are not 422."""
 

@@ -367,6 +367,10 @@ class NotReady(ServiceError, status=503):
     """A part that requests need (database, live pipeline) does not answer."""
 
 
+class DatabaseFull(NotReady, status=507):
+    """The disk of the database is full: nothing was stored, and trying again does not help."""
+
+
 class MalformedJson(ServiceError, status=400):
     """The request's body is not JSON (RFC 8259)."""
 
@@ -384,7 +388,7 @@ class MalformedRequest(ServiceError, status=400):
 
 
 class HeadTooLarge(ServiceError, status=431):
-    """The request line and the headers together are larger than the server's limit."""
+    """The request line and the headers together are too large, or there are too many headers."""
 
 
 class HeadTooSlow(ServiceError, status=408):

@@ -1,5 +1,6 @@
 """Exception handlers that answer with problem documents, application/problem+json (RFC 9457)."""
 
+import errno
 import json
 import logging
 import math
@@ -26,7 +27,7 @@ from service.problems.catalogue import (
     ProblemType,
     problem_type_of,
 )
-from service.problems.errors import BodyTooLarge, BodyTooSlow, MalformedJson
+from service.problems.errors import BodyTooLarge, BodyTooSlow, InsufficientStorage, MalformedJson
 
 _log = logging.getLogger(__name__)
 
@@ -225,6 +226,16 @@ def allowed_methods(request: Request) -> list[str]:
     return sorted(methods)
 
 
+async def _os_error(request: Request, error: Exception) -> Response:
+    """Answer a write to a full disk, or beyond a quota; other errors are unexpected."""
+    assert isinstance(error, OSError)
+    if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+        raise error
+    _log.error("no room on the disk: %s", error)
+    detail = "the disk of the data directory is full; make room on it: delete recordings or exports"
+    return error_response(InsufficientStorage(detail), request.url.path)
+
+
 async def _unexpected_error(request: Request, error: Exception) -> Response:
     # The cause may hold paths, queries or passwords: it goes to the log, a reference to the user.
     reference = secrets.token_hex(4)
@@ -241,6 +252,7 @@ def install_problem_handlers(app: FastAPI) -> None:
     app.add_exception_handler(LumilineError, _domain_error)
     app.add_exception_handler(RequestValidationError, _validation_error)
     app.add_exception_handler(HTTPException, _http_error)
+    app.add_exception_handler(OSError, _os_error)
     app.add_exception_handler(Exception, _unexpected_error)
 
 

@@ -84,7 +84,7 @@ def list_devices(database: DatabaseDep, paging: PagingDep) -> Page[Device]:
 
 @router.operation("POST", "create-device", "Create a device", status_code=201)
 @raises("device-exists", "device-not-connected", "unknown-recording", "unknown-device-profile")
-@raises("invalid-parameter", "invalid-recording")
+@raises("invalid-parameter", "invalid-recording", "missing-library")
 def create_device(
     request: NewDeviceBody, device_service: DeviceServiceDep, response: Response
 ) -> Device:
@@ -108,6 +108,7 @@ def get_device(device_id: DevicePath, database: DatabaseDep) -> Device:
 @router.operation("PATCH /{device_id}", "change-device", "Change a device")
 @raises("unknown-device", "unknown-recording", "unknown-device-profile", "device-in-use")
 @raises("device-running", "device-not-connected", "invalid-parameter", "invalid-recording")
+@raises("missing-library")
 def change_device(
     device_id: DevicePath, request: ChangeBody, device_service: DeviceServiceDep
 ) -> Device:

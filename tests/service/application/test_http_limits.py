@@ -10,7 +10,7 @@ import pytest
 import uvicorn
 
 from service.application import http_limits
-from service.application.http_limits import HEAD_BYTES
+from service.application.http_limits import HEAD_BYTES, MAX_HEADERS
 
 CONNECTIONS = 8
 GET = b"GET / HTTP/1.1\r\nHost: x\r\n\r\n"
@@ -104,6 +104,23 @@ def test_a_head_that_is_too_large(port: int, begin: bytes, end: bytes) -> None:
     tail = (b" HTTP/1.1" if b"?" in begin else b"") + end
     connection = opened(port, begin + b"a" * (HEAD_BYTES + 1) + (tail if end else b""))
     assert problem(everything(connection)) == (431, "/problems/head-too-large")
+
+
+@pytest.mark.parametrize("more", [0, 1])
+def test_head_with_too_many_short_headers_is_refused(port: int, more: int) -> None:
+    headers = b"".join(b"a%d:\r\n" % number for number in range(MAX_HEADERS - 2 + more))
+    head = b"GET / HTTP/1.1\r\nHost: x\r\nConnection: close\r\n" + headers + b"\r\n"
+    found = everything(opened(port, head))
+    if more:
+        assert problem(found) == (431, "/problems/head-too-large")
+    else:
+        assert found.startswith(b"HTTP/1.1 200")
+
+
+def test_many_trailers_of_a_body_end_the_connection(port: int) -> None:
+    head = b"POST / HTTP/1.1\r\nHost: x\r\nTransfer-Encoding: chunked\r\n\r\n0\r\n"
+    trailers = b"".join(b"a%d:\r\n" % number for number in range(10 * MAX_HEADERS))
+    assert b" 200 " not in everything(opened(port, head + trailers + b"\r\n"))
 
 
 def test_a_body_may_be_larger(port: int) -> None:

@@ -15,12 +15,15 @@ from typing import NoReturn
 
 import httpx
 import pytest
+import uvicorn
+from fastapi import FastAPI
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
 from service.api.runs.examples import NEW_CALIBRATION_RUNS
 from service.api.tools.concurrency_limits import MAX_CONCURRENT
 from service.api.tools.examples import NEW_TOOLS
+from service.application.shutdown import ShutdownServer
 from tests.hardware.recording.blocks import read_recording
 
 # As `lumiline serve`; tells on its output that it came to its end.
@@ -172,3 +175,27 @@ def test_a_second_signal_ends_it_at_once(tmp_path: Path):
         process.send_signal(signal.SIGTERM)
         output, _ = process.communicate(timeout=END_S)
     assert (process.returncode, output) == (-signal.SIGTERM, "")
+
+
+@pytest.mark.slow
+def test_server_at_sighup_closes_as_at_sigterm(tmp_path: Path):
+    with server(tmp_path) as (process, _):
+        process.send_signal(signal.SIGHUP)
+        process.send_signal(signal.SIGHUP)  # a terminal that closes sends more than one
+        output, log = process.communicate(timeout=END_S)
+    assert (process.returncode, output) == (0, "after\n"), log
+    assert "SIGHUP: stopping" in log
+    assert sorted(p.name for p in tmp_path.glob("*.sqlite3*")) == ["lumiline.sqlite3"]
+
+
+@pytest.mark.parametrize("ignored", [False, True])
+def test_sighup_that_is_ignored_stays_so(ignored: bool):
+    app = FastAPI()
+    stopping = ShutdownServer(uvicorn.Config(app), app)
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN if ignored else signal.SIG_DFL)
+    try:
+        with stopping.capture_signals():
+            found = signal.getsignal(signal.SIGHUP)
+    finally:
+        signal.signal(signal.SIGHUP, before)
+    assert found == (signal.SIG_IGN if ignored else stopping.handle_exit)

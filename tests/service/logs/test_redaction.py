@@ -72,13 +72,26 @@ def test_a_token_is_hidden_whatever_stands_before(before: str) -> None:
     assert shown.endswith("*** after")
 
 
-@given(st.integers(0, 3))
+@given(st.integers(0, 9))
 def test_what_is_encoded_is_known(times: int) -> None:
     made = make_key()
     text = made.text
     for _ in range(times):
         text = text.replace("%", "%25").replace("_", "%5F")
     assert redact(decoded(text)) == "lumi_***"
+
+
+@pytest.mark.parametrize("times", [1, 4, 9, 10, 11, 60])
+def test_address_with_a_key_encoded_any_number_of_times_is_redacted(times: int) -> None:
+    key = make_key().text
+    text = "".join(f"%{ord(character):02X}" for character in key)
+    text = text.replace("%", "%" + "25" * (times - 1))
+    assert redact(decoded(f"/x?y={text}")) in ("/x?y=lumi_***", "***")
+
+
+def test_address_with_encoded_digits_of_escapes_is_redacted() -> None:
+    key = make_key().text.replace("_", "%25%35%46")
+    assert redact(decoded(key)) == "lumi_***"
 
 
 def test_tracebacks_are_redacted_too() -> None:

@@ -78,7 +78,11 @@ def exchanged(points: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 @pytest.mark.parametrize(
     ("options", "readings"),
-    [({"labels": "repair"}, 0), ({"labels": "exclude"}, -2), ({"loss": "robust"}, -2)],
+    [
+        ({"labels": "repair"}, 0),
+        pytest.param({"labels": "exclude"}, -2, marks=pytest.mark.slow),
+        pytest.param({"loss": "robust"}, -2, marks=pytest.mark.slow),
+    ],
 )
 def test_errors_rest_on_the_readings_that_the_calibration_used(
     sqlite_client: Any, options: dict[str, str], readings: int

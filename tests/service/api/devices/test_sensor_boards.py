@@ -66,5 +66,6 @@ def test_without_aravis_cameras_are_refused_with_what_to_install(
     hardware.genicam.aravis.library.cache_clear()
     answer = sqlite_client.post("/api/v1/devices", json=cameras("10.0.0.5"))
     hardware.genicam.aravis.library.cache_clear()
-    assert (answer.status_code, answer.json()["type"]) == (503, "/problems/missing-library")
+    assert (answer.status_code, answer.json()["type"]) == (501, "/problems/missing-library")
+    assert "retry-after" not in answer.headers
     assert "libaravis-0.8-0" in answer.json()["detail"]

@@ -277,7 +277,7 @@ def test_command_line(taken: Taken, tmp_path: Path) -> None:
         (("--to", "r.h5"), ".igs.mha"),
         (("--to", "there.csv"), "exists"),
         (("--to", "a.igs.mha"), "--tools"),
-        (("--to", "nowhere/a.csv"), "No such file"),
+        (("--to", "nowhere/a.csv"), "there is no folder nowhere"),
         (("--to", "a.csv", "--tools", "none.json"), "cannot be read"),
         (("--to", "a.csv", "--table", "t.h5"), "--calibration"),
     ],

@@ -1,10 +1,12 @@
 """`lumiline calibrate`: cameras from a CSV file of control points, without a server."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, cast
 
 import numpy as np
 import typer
+from rich.markup import escape
 from rich.table import Table
 
 from compute.calibration.assessment.assess import calibrate_and_assess, control_errors
@@ -21,17 +23,22 @@ from compute.errors import InvalidParameter
 from service.cli.json_files import DOCUMENT
 from service.cli.observations_csv import ObservationTable, read_observations
 from service.cli.output import (
+    Force,
+    check_output,
     console,
     error_table,
-    file_errors,
     make_table,
     progress,
     say,
+    whole_file,
     write_file,
 )
 
 if TYPE_CHECKING:
     from compute.camera.field_distortion import Term
+
+MAX_LISTED = 10
+"""Largest number of points that are listed."""
 
 
 def calibrate(
@@ -59,11 +66,14 @@ def calibrate(
     report_figures: Annotated[
         Path | None, typer.Option(help="Folder for the report's figures as PNG.")
     ] = None,
+    force: Force = False,
 ) -> None:
     """Calibrate from a CSV file; print the fit, write the calibration as JSON, and a report."""
     settings = CalibrationSettings(
         parse_distortion(distortion), control_sigma, cast("Loss", loss), cast("LabelPolicy", labels)
     )
+    check_output(output, force=force)
+    check_output(report, force=force)
     table = read_observations(observations)
     sensors = [SensorGeometry(name, pixels, pitch) for name in table.sensors]
     with progress("calibrating", 1.0) as done:
@@ -71,13 +81,13 @@ def calibrate(
             table.points_mm, table.readings_px, sensors, table.sigma_px, settings,
             lambda share, _stage: done(share),
         )  # fmt: skip
-    rows = _error_rows(result, table)
+    rows, unpredicted = _error_rows(result, table)
     console.print(fit_table(result, f"{observations}: {len(table.points_mm)} points"))
     if result.distortion is not None:
         say(f"distortion: {result.distortion.chosen} ({result.distortion.reason})")
     for finding in result.labels:
         kind = "outlier" if finding.kind == "outlier" else "label"
-        say(f"[yellow]{kind}:[/yellow] {label_message(finding)}")
+        say(f"[yellow]{kind}:[/yellow] {escape(label_message(finding, table.labels))}")
     if result.labels and settings.labels == "report":
         console.print("look at them; --labels exclude or --labels repair takes them as they are")
     if rows:
@@ -86,8 +96,13 @@ def calibrate(
         console.print(
             error_table(title, [(label, errors, "") for label, errors, _ in rows], counts)
         )
-        if len(set(counts)) > 1:
-            console.print("the rows are over different readings: some points were not predicted")
+        if unpredicted:
+            names = ", ".join(escape(table.labels[index]) for index in unpredicted[:MAX_LISTED])
+            more = ", ..." if len(unpredicted) > MAX_LISTED else ""
+            say(
+                f"{len(unpredicted)} of {len(table.labels)} points are in no row, because they "
+                f"could not be reconstructed or predicted: {names}{more}"
+            )
     else:
         console.print("fewer than three sensors saw each point: no points were reconstructed")
     for remark in result.diagnosis.remarks if result.diagnosis is not None else ():
@@ -98,27 +113,38 @@ def calibrate(
         _report(observations, table, result, report, report_figures)
 
 
-def _error_rows(result: Calibration, table: ObservationTable) -> list[tuple[str, AxisErrors, int]]:
-    """Return the errors of the control points, fitted and predicted; none without any point.
+def _error_rows(
+    result: Calibration, table: ObservationTable
+) -> tuple[list[tuple[str, AxisErrors, int]], list[int]]:
+    """Return the errors of the control points, fitted and predicted, all over the same readings.
 
-    Each row has its label, its errors, and how many of the used readings it is over.
+    Each row has its label, its errors, and how many of the used readings it is over. Then come
+    the indices of the points that are in no row. There are no rows without any point.
     """
     readings = table.readings_px
-    differences, count = control_errors(result, table.points_mm, readings, table.sigma_px)
-    fitted = AxisErrors.of(differences)
-    if not fitted.points:
-        return []
-    rows = [("fitted", fitted, count)]
-    used, _ = effective_readings(result, readings)
+    differences, _ = control_errors(result, table.points_mm, readings, table.sigma_px)
+    found = [("fitted", differences)]
     for check in result.cross_validation:
-        if check.errors is not None:
-            known = np.array(
-                [(np.nan,) * 3 if row is None else row for row in check.differences_mm]
-            )
-            by_point = check.scheme == "points"
-            label = "leave one out" if by_point else f"{check.groups} blocks left out"
-            rows.append((label, check.errors, count_readings(used, known)))
-    return rows
+        known = np.array([(np.nan,) * 3 if row is None else row for row in check.differences_mm])
+        label = f"{check.groups} blocks left out"
+        found.append(("leave one out" if check.scheme == "points" else label, known))
+    # A cross-validation that predicts less than half of the points says little of the calibration;
+    # it has no row, and takes none of the others' points.
+    points = [int(np.isfinite(errors).all(axis=1).sum()) for _, errors in found]
+    if not points[0]:
+        return [], []
+    for (label, _), count in zip(found, points, strict=True):
+        if 2 * count < points[0]:
+            say(f"{label}: no row, because only {count} of {points[0]} points could be predicted")
+    found = [one for one, count in zip(found, points, strict=True) if 2 * count >= points[0]]
+    finite = np.isfinite(np.hstack([errors for _, errors in found]))
+    common = np.asarray(finite.all(axis=1))
+    used, _ = effective_readings(result, readings)
+    rows = []
+    for label, errors in found:
+        shared = np.where(common[:, None], errors, np.nan)
+        rows.append((label, AxisErrors.of(shared), count_readings(used, shared)))
+    return rows, np.flatnonzero(~common).tolist()
 
 
 def write_calibration(path: Path, calibration: Calibration) -> None:
@@ -132,13 +158,12 @@ def _report(
     from service.api.reports.content import ReportContent
     from service.api.reports.page import write_report
 
-    names = [str(number) for number in range(1, len(table.points_mm) + 1)]
     content = ReportContent(
-        f"Calibration of {source.name}", result, names, table.points_mm, table.readings_px,
-        table.sigma_px, {"file": source.name},
+        f"Calibration of {source.name}", result, list(table.labels), table.points_mm,
+        table.readings_px, table.sigma_px, {"file": source.name},
     )  # fmt: skip
-    with file_errors(page):
-        write_report(content, page, figures)
+    with whole_file(page) as temporary:
+        write_report(content, temporary, figures)
     console.print(f"written: {page}")
 
 
@@ -153,10 +178,10 @@ def fit_table(calibration: Calibration, title: str) -> Table:
     return make_table(headings, rows, title)
 
 
-def label_message(finding: LabelFinding) -> str:
-    """Return what a finding says, in a sentence; points counted from 1."""
+def label_message(finding: LabelFinding, labels: Sequence[str]) -> str:
+    """Return what a finding says, in a sentence, with the points' labels."""
     where = "all sensors" if finding.sensor is None else f"sensor {finding.sensor}"
-    points = [str(point) for point in finding.points]
+    points = [labels[point - 1] for point in finding.points]
     sure = f"probability {finding.probability:.3g}"
     if finding.kind == "outlier":
         off, size = finding.residual_px[0], finding.normalised_residual[0]

@@ -16,7 +16,7 @@ from service.api.drift_checks.messages import in_words, verdict_of
 from service.cli.calibrate import write_calibration
 from service.cli.json_files import read_calibration
 from service.cli.observations_csv import ObservationTable, read_observations
-from service.cli.output import AsJson, console, make_table, print_json, say
+from service.cli.output import AsJson, Force, check_output, console, make_table, print_json, say
 
 EXIT_DRIFTED = 1
 """Exit code where the calibration does not hold, and no update was asked for."""
@@ -44,8 +44,10 @@ def drift(
         str | None, typer.Option(help="Sensors that may have changed, as 'A,B'; left out: all.")
     ] = None,
     as_json: AsJson = False,
+    force: Force = False,
 ) -> None:
     """Check a calibration by still markers; write it brought up to date where that is asked."""
+    check_output(output, force=force)
     checked = read_calibration(calibration).calibration
     still = _stationary_markers(markers, earlier, checked, position_sigma)
     check = check_drift(checked, still)

@@ -10,7 +10,7 @@ from service.api.exports.formats import suffix_of, write_export
 from service.api.exports.from_stream import SUFFIXES, table_from_stream
 from service.api.exports.motion_table import MotionTable
 from service.cli.json_files import CalibrationOption, TableOption, read_active_calibration
-from service.cli.output import console, file_errors, progress
+from service.cli.output import Force, check_output, console, file_errors, progress, whole_file
 from service.cli.tracking_files import read_device, read_tools
 
 
@@ -37,13 +37,13 @@ def export(
     points: Annotated[
         bool, typer.Option("--points", help="C3D, TRC: strobed markers' points, not tracks.")
     ] = False,
+    force: Force = False,
 ) -> None:
     """Export a recording, or a captured stream; what cannot be done ends the command."""
     with file_errors(to, ""):
         # Before minutes of work.
         suffix_of(to)
-        if to.exists():
-            raise InvalidParameter(f"{to} exists; choose another name")
+        check_output(to, force=force)
         if source.suffix.lower() in SUFFIXES:
             for name, file in (
                 ("tools", tools), ("device", device), ("calibration", calibration), ("table", table)
@@ -56,7 +56,8 @@ def export(
             motion = table_from_stream(source)
         else:
             motion = _from_recording(source, tools, device, calibration, table)
-        write_export(motion, to, predicted=predicted, points=points)
+        with whole_file(to) as temporary:
+            write_export(motion, temporary, predicted=predicted, points=points)
     tracks = len(set(motion.tracks.identity.tolist()))
     console.print(
         f"written: {to} ({len(motion)} frames, {len(motion.points.frame)} points, "

@@ -7,6 +7,7 @@ from typing import Annotated, cast
 
 import numpy as np
 import typer
+from rich.markup import escape
 from rich.table import Table
 
 from compute.mapping.build import build_table
@@ -14,7 +15,16 @@ from compute.mapping.measurements import MappingMeasurements
 from compute.mapping.result import MappingMethod, MappingResult, MappingSettings
 from service.cli.json_files import read_calibration
 from service.cli.observations_csv import read_observations
-from service.cli.output import console, fail, file_errors, make_table, progress, say, spec
+from service.cli.output import (
+    Force,
+    check_output,
+    console,
+    make_table,
+    progress,
+    say,
+    spec,
+    whole_file,
+)
 
 
 def map_volume(
@@ -40,10 +50,10 @@ def map_volume(
         bool,
         typer.Option("--calibration-points", help="They are the calibration's own control points."),
     ] = False,
+    force: Force = False,
 ) -> None:
     """Map a volume: build the correction table, print what is known of it, write it as HDF5."""
-    if output.exists():
-        raise fail(f"{output} exists; choose another name, a table is never overwritten")
+    check_output(output, force=force)
     cell_mm = None if pitch is None else (pitch,) * 3
     settings = MappingSettings(cast("MappingMethod", method), cell_mm, penalty_weight)
     parent = read_calibration(calibration)
@@ -62,8 +72,9 @@ def map_volume(
         say(f"sensor {sensor.sensor}: {sensor.coverage}")
         for suspect in sensor.suspects:
             say(
-                f"[yellow]point {suspect.point + 1}:[/yellow] sensor {sensor.sensor} is off by "
-                f"{suspect.left_out_px:.3g} px, {suspect.normalised_error:.1f} standard deviations"
+                f"[yellow]point {escape(table.labels[suspect.point])}:[/yellow] "
+                f"sensor {sensor.sensor} is off by {suspect.left_out_px:.3g} px, "
+                f"{suspect.normalised_error:.1f} standard deviations"
             )
     console.print(f"written: {output}")
 
@@ -76,8 +87,8 @@ def _write(result: MappingResult, device: str, output: Path) -> None:
     content = TableContent(
         result.table, device, datetime.now(UTC), asdict(result.settings), asdict(result.validation)
     )
-    with file_errors(output), output.open("xb") as file:
-        file.write(write_table(content))
+    with whole_file(output) as temporary:
+        temporary.write_bytes(write_table(content))
 
 
 def _summary(result: MappingResult, name: str) -> Table:

@@ -1,6 +1,6 @@
 """Reads a CSV file of readings, one column a sensor: control points or a moved wand."""
 
-import csv
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,12 +11,28 @@ from numpy.typing import NDArray
 
 from compute.camera.model import SensorModel
 from compute.errors import InvalidParameter
+from service.cli.spreadsheet import Cell, NumberFormat, read_spreadsheet
 
 Array = NDArray[np.float64]
 
 POSITION = ("X_mm", "Y_mm", "Z_mm")
 PLACE = ("pose", "marker")
-READING, DEVIATION = "_px", "_sigma_px"
+
+POWERS = {
+    "mm": 0,
+    "cm": 1,
+    "m": 3,
+    "um": -3,
+    "\N{MICRO SIGN}m": -3,
+    "\N{GREEK SMALL LETTER MU}m": -3,
+}
+"""Powers of ten from a unit of length in a heading to mm."""
+
+# As spreadsheets, R and MATLAB write them: X_mm, x [mm], X (mm), x/mm, X in mm, X..mm., X_mm_.
+_UNIT = r"[\s_.,/\[(]+(?:in\s+)?{}[\s_.\])]*"
+_LENGTH = re.compile("([xyz])" + _UNIT.format("(" + "|".join(POWERS) + ")"), re.IGNORECASE)
+_READING = re.compile("(.*[^\\s_.,/\\[(])" + _UNIT.format("(?:px|pixels?)"), re.IGNORECASE)
+_SIGMA = re.compile(r"(.+?)[\s_.,]+sigma", re.IGNORECASE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,22 +72,34 @@ class ObservationTable(ReadingTable):
 
     Args:
         points_mm: shape (N, 3).
+        labels: of the points: their names, or their numbers from 1 where the file has no names.
     """
 
     points_mm: Array
+    labels: tuple[str, ...]
 
 
 def read_observations(path: Path) -> ObservationTable:
     """Read columns ``X_mm, Y_mm, Z_mm``, and for each sensor ``NAME_px`` [, ``NAME_sigma_px``].
 
-    Other columns are left alone; an empty reading means that the sensor did not see the point.
+    Coordinates may be in other units of POWERS. A column ``name`` has the points' labels; other
+    columns are left alone. An empty reading means that the sensor did not see the point.
 
     Raises:
         InvalidParameter: a column is missing, or a cell is not a number.
     """
     file = _File(path, POSITION)
-    points = file.numbers(list(POSITION), optional=False)
-    return ObservationTable(path, file.sensors, *file.readings(), points)
+    readings, sigma, points = file.numbers()
+    if np.isnan(points).any():
+        row, axis = (int(index) for index in np.argwhere(np.isnan(points))[0])
+        cell = file.cells(POSITION[axis])[row]
+        raise InvalidParameter(
+            f'{path}, line {cell.line}: {cell.heading} is "{cell.text}"; it must be a number'
+        )
+    named = [cell.text for cell in file.cells("name")] if "name" in file.columns else []
+    labels = [text or str(number) for number, text in enumerate(named, 1)]
+    numbers = [str(number) for number in range(1, len(points) + 1)]
+    return ObservationTable(path, file.sensors, readings, sigma, points, tuple(labels or numbers))
 
 
 def read_wand(path: Path, markers: int) -> ReadingTable:
@@ -84,12 +112,15 @@ def read_wand(path: Path, markers: int) -> ReadingTable:
             not got, or a pose's marker given twice.
     """
     file = _File(path, PLACE)
-    readings, sigma = file.readings()
+    readings, sigma, _ = file.numbers()
     poses: dict[str, int] = {}
     places: dict[tuple[int, int], int] = {}
-    for line, row in enumerate(file.rows, start=2):
-        pose = poses.setdefault((row["pose"] or "").strip(), len(poses))
-        text = (row["marker"] or "").strip()
+    rows: dict[tuple[int, int], int] = {}
+    for row, (given, marker) in enumerate(
+        zip(file.cells("pose"), file.cells("marker"), strict=True)
+    ):
+        line, text = marker.line, marker.text
+        pose = poses.setdefault(given.text, len(poses))
         if not text.isdigit() or not 1 <= int(text) <= markers:
             raise InvalidParameter(
                 f'{path}, line {line}: marker is "{text}"; it must be from 1 to {markers}'
@@ -97,69 +128,100 @@ def read_wand(path: Path, markers: int) -> ReadingTable:
         place = (pose, int(text) - 1)
         if place in places:
             raise InvalidParameter(
-                f"{path}, line {line}: marker {text} of pose {row['pose']} is given again; it "
+                f"{path}, line {line}: marker {text} of pose {given.text} is given again; it "
                 f"stands in line {places[place]}"
             )
         places[place] = line
+        rows[place] = row
     whole = np.full((2, len(poses), markers, len(file.sensors)), np.nan)
-    for (pose, marker), line in places.items():
-        whole[0, pose, marker] = readings[line - 2]
+    for place, row in rows.items():
+        whole[0][place] = readings[row]
         if sigma is not None:
-            whole[1, pose, marker] = sigma[line - 2]
+            whole[1][place] = sigma[row]
     return ReadingTable(path, file.sensors, whole[0], None if sigma is None else whole[1])
 
 
 class _File:
-    """A CSV file with columns of readings, its sensors and rows."""
+    """A spreadsheet with columns of readings.
+
+    Args:
+        path: the file.
+        required: columns that it must have.
+
+    Attributes:
+        columns: by the name that this module gives it, the index of each column that is used.
+        sensors: names of the sensors, in the order of their columns.
+    """
 
     def __init__(self, path: Path, required: tuple[str, ...]) -> None:
-        self.path = path
-        try:
-            with path.open(newline="", encoding="utf-8-sig") as file:
-                reader = csv.DictReader(file)
-                self._columns = list(reader.fieldnames or ())
-                self.rows = list(reader)
-        except (OSError, UnicodeDecodeError) as error:
-            raise InvalidParameter(f"{path} cannot be read as CSV: {error}") from error
-        missing = [name for name in required if name not in self._columns]
-        self.sensors = tuple(
-            name.removesuffix(READING)
-            for name in self._columns
-            if name.endswith(READING) and not name.endswith(DEVIATION)
-        )
+        self._sheet = sheet = read_spreadsheet(path)
+        self.columns: dict[str, int] = {}
+        self._powers = dict.fromkeys(POSITION, 0)
+        for index, heading in enumerate(sheet.headings):
+            name, power = _recognise(heading)
+            if name in self.columns:
+                raise InvalidParameter(
+                    f'{path} has the columns "{sheet.headings[self.columns[name]]}" (number '
+                    f'{self.columns[name] + 1}) and "{heading}" (number {index + 1}), which both '
+                    f"give {name}; rename or delete one"
+                )
+            if name:
+                self.columns[name] = index
+                self._powers[name] = power
+        readings = [name.removesuffix("_px") for name in self.columns if name.endswith("_px")]
+        self.sensors = tuple(name for name in readings if not name.endswith("_sigma"))
+        missing = [name for name in required if name not in self.columns]
         if missing or not self.sensors:
-            what = f"column {missing[0]}" if missing else f"column of readings (NAME{READING})"
+            what = f"column {missing[0]}" if missing else "column of readings (NAME_px)"
+            lengths = "; X, Y, Z may be in m, cm, mm or um" if required == POSITION else ""
             raise InvalidParameter(
-                f"{path} has no {what}; its columns are {', '.join(self._columns) or 'none'}, and "
-                f"it needs {', '.join(required)} and NAME{READING} for each sensor"
+                f"{path} has no {what}; its columns are {', '.join(sheet.headings) or 'none'}, and "
+                f"it needs {', '.join(required)} and NAME_px for each sensor, separated by commas, "
+                f"semicolons or tabs{lengths}"
             )
+        self._sigma = [f"{name}_sigma_px" for name in self.sensors]
+        given = [f"{name}_px" for name in readings if name.endswith("_sigma")]
+        absent = [name for name in self._sigma if name not in given]
+        orphans = [name for name in given if name not in self._sigma]
+        if orphans:
+            raise InvalidParameter(
+                f"{path} has {orphans[0]} but no {orphans[0].replace('_sigma', '')}; its sensors "
+                f"are {', '.join(self.sensors)}"
+            )
+        if given and absent:
+            raise InvalidParameter(f"{path} has {given[0]} but no {absent[0]}; give all or none")
+        if not given:
+            self._sigma = []
+        self._positions = [name for name in POSITION if name in required]
+        used = [*self._positions, *self._sigma, *(f"{name}_px" for name in self.sensors)]
+        self._format = NumberFormat(sheet, (cell for name in used for cell in self.cells(name)))
 
-    def readings(self) -> tuple[Array, Array | None]:
-        """Return readings (N, S) [px], NaN where empty, and sigma [px] where there is any."""
-        deviations = [name + DEVIATION for name in self.sensors]
-        given = [name for name in deviations if name in self._columns]
-        if given and len(given) != len(self.sensors):
-            absent = next(name for name in deviations if name not in self._columns)
-            raise InvalidParameter(f"{self.path} has {given[0]} but no {absent}; give all or none")
-        readings = self.numbers([name + READING for name in self.sensors], optional=True)
-        return readings, self.numbers(deviations, optional=True) if given else None
+    def cells(self, name: str) -> list[Cell]:
+        """Return the cells of a column."""
+        return [row[self.columns[name]] for row in self._sheet.rows]
 
-    def numbers(self, names: list[str], *, optional: bool) -> Array:
-        """Return columns as an array, shape (rows, names)."""
-        return np.array(
-            [
-                [_number(self.path, line, name, row[name], optional=optional) for name in names]
-                for line, row in enumerate(self.rows, start=2)
-            ]
-        ).reshape(len(self.rows), len(names))
+    def numbers(self) -> tuple[Array, Array | None, Array]:
+        """Return readings (N, S), their sigma or None, and positions (N, 3); NaN where empty."""
+        readings = self._array([f"{name}_px" for name in self.sensors])
+        positions = self._array(self._positions)
+        return readings, self._array(self._sigma) if self._sigma else None, positions
+
+    def _array(self, names: list[str]) -> Array:
+        columns = [
+            [self._format.number(cell, self._powers[name]) for cell in self.cells(name)]
+            for name in names
+        ]
+        return np.array(columns).reshape(len(names), len(self._sheet.rows)).T.copy()
 
 
-def _number(path: Path, line: int, name: str, text: str | None, *, optional: bool) -> float:
-    if optional and not (text or "").strip():
-        return float("nan")
-    try:
-        return float(text or "")
-    except ValueError:
-        raise InvalidParameter(
-            f'{path}, line {line}: {name} is "{text or ""}"; it must be a number'
-        ) from None
+def _recognise(heading: str) -> tuple[str, int]:
+    """Return the name of a column that is used, and its power of ten; an empty name: it is not."""
+    reading = _READING.fullmatch(heading)
+    if reading:
+        sigma = _SIGMA.fullmatch(reading[1])
+        return (f"{sigma[1]}_sigma_px" if sigma else f"{reading[1]}_px"), 0
+    length = _LENGTH.fullmatch(heading)
+    if length:
+        return f"{length[1].upper()}_mm", POWERS[length[2].lower()]
+    name = heading.lower()
+    return (name if name in (*PLACE, "name") else ""), 0

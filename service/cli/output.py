@@ -1,6 +1,8 @@
 """Output of commands: tables, JSON, progress, files, and errors that end a command."""
 
 import json
+import os
+import tempfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, is_dataclass
@@ -17,6 +19,7 @@ if TYPE_CHECKING:
     from compute.calibration.result import AxisErrors
 
 AsJson = Annotated[bool, typer.Option("--json", help="For machines.")]
+Force = Annotated[bool, typer.Option("--force", help="Overwrite files that exist.")]
 
 console = Console()
 progress_console = Console(stderr=True)
@@ -75,17 +78,56 @@ def file_errors(path: Path, doing: str = " cannot be written") -> Iterator[None]
         raise fail(f"{error.filename or path}{doing}: {error.strerror or error}") from error
 
 
-def write_file(path: Path, content: bytes) -> None:
-    """Write a file and say so, or end the command with the reason."""
-    with file_errors(path):
-        path.write_bytes(content)
-    console.print(f"written: {path}")
+def check_output(path: Path | None, *, force: bool) -> None:
+    """End the command before its work where a file could not be written, or would be lost.
 
-
-def check_picture(path: Path | None) -> None:
-    """End the command before its work where its picture could not be written."""
-    if path is not None and not path.parent.is_dir():
+    Args:
+        path: the file; None: nothing is written.
+        force: overwrite it where it exists.
+    """
+    if path is None or _is_special(path):
+        return
+    if path.is_dir():
+        raise fail(f"{path} cannot be written: it is a folder")
+    if not path.parent.is_dir():
         raise fail(f"{path} cannot be written: there is no folder {path.parent}")
+    if not os.access(path.resolve().parent, os.W_OK):
+        raise fail(f"{path} cannot be written: the folder {path.resolve().parent} is read-only")
+    if path.exists() and not force:
+        raise fail(f"{path} exists; choose another name, or overwrite it with --force")
+
+
+@contextmanager
+def whole_file(path: Path) -> Iterator[Path]:
+    """Yield where to write a file, which takes its place only when it is whole.
+
+    A failure leaves what was there before; an OSError ends the command with the reason.
+    """
+    if _is_special(path):
+        with file_errors(path):
+            yield path
+        return
+    target = path.resolve()
+    with (
+        file_errors(path),
+        # Beside the file, as only that is sure to be on the same disk; formats state its name.
+        tempfile.TemporaryDirectory(dir=target.parent, prefix=f".{target.name}.") as folder,
+    ):
+        temporary = Path(folder) / target.name
+        yield temporary
+        temporary.replace(target)
+
+
+def _is_special(path: Path) -> bool:
+    """Whether it is a pipe or a device, such as /dev/stdout."""
+    return path.exists() and not path.is_file() and not path.is_dir()
+
+
+def write_file(path: Path, content: bytes) -> None:
+    """Write a whole file and say so, or end the command with the reason."""
+    with whole_file(path) as temporary:
+        temporary.write_bytes(content)
+    console.print(f"written: {path}")
 
 
 def make_table(

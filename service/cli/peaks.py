@@ -20,13 +20,14 @@ from service.api.line_scans.schema import LinePeak, LineScan, LineScans, PixelNo
 from service.cli.json_files import error_messages
 from service.cli.output import (
     AsJson,
-    check_picture,
+    Force,
+    check_output,
     console,
     fail,
-    file_errors,
     make_table,
     say,
     spec,
+    whole_file,
 )
 from service.cli.scan_files import ScanFile, read_scans
 
@@ -69,9 +70,10 @@ def peaks(
     detail: Annotated[
         bool, typer.Option("--detail", help="In JSON: also model, residuals, steps.")
     ] = False,
+    force: Force = False,
 ) -> None:
     """Find and print the peaks of a file's scans; draw the first of them where wanted."""
-    check_picture(output)
+    check_output(output, force=force)
     if output is not None and output.suffix.lower() != ".png":
         raise fail(f"{output} cannot be written: pictures are PNG, and their names end in .png")
     if detail and not as_json:
@@ -225,8 +227,8 @@ def _draw(read: ScanFile, method: Method, result: LineScans, output: Path) -> No
     count = getattr(method, "average", None) or 1
     detailed = find_peaks(read.scans[:count], method, result.noise, detail=True)
     first = result.model_copy(update={"scans": detailed.scans})
-    with file_errors(output):
-        output.write_bytes(draw_scan(read.scans[0], first, method, read.names[0]))
+    with whole_file(output) as temporary:
+        temporary.write_bytes(draw_scan(read.scans[0], first, method, read.names[0]))
 
 
 def _print(result: LineScans, names: tuple[str, ...]) -> None:

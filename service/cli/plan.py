@@ -15,15 +15,16 @@ from compute.optics.profiles.profile_loader import (
 from compute.planning.plan_result import AccuracyBudget, AxisSummary, Plan
 from service.cli.output import (
     AsJson,
-    check_picture,
+    Force,
+    check_output,
     console,
     fail,
-    file_errors,
     make_table,
     millimetres,
     print_json,
     progress,
     say,
+    whole_file,
 )
 
 
@@ -47,6 +48,7 @@ def plan(
     ] = None,
     output: Annotated[Path | None, typer.Option(help="Draw the plan: a PNG to write.")] = None,
     as_json: AsJson = False,
+    force: Force = False,
 ) -> None:
     """Work out and print a plan; draw it where a file is given. No profile: list them."""
     if profile is None:
@@ -54,7 +56,7 @@ def plan(
             raise fail("--output wants a profile to draw the plan of")
         _list(as_json=as_json)
         return
-    check_picture(output)
+    check_output(output, force=force)
     from compute.planning import plan as planning
 
     device = with_error_sources(load_profile(profile), assume or ())
@@ -63,8 +65,8 @@ def plan(
     if output is not None:
         from service.api.planning.plot import draw_plan
 
-        with file_errors(output):
-            output.write_bytes(draw_plan(result))
+        with whole_file(output) as temporary:
+            temporary.write_bytes(draw_plan(result))
     if as_json:
         print_json(result)
         return

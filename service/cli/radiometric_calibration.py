@@ -11,14 +11,16 @@ from lumiline.client.models import RadiometricCalibration, RadiometricCapture
 from service.cli.json_files import read_json
 from service.cli.output import (
     AsJson,
+    Force,
+    check_output,
     console,
     fail,
-    file_errors,
     make_table,
     print_json,
     progress,
     say,
     spec,
+    whole_file,
 )
 from service.cli.server_session import HERE, DeviceOption, Key, Url, client_session
 
@@ -47,21 +49,21 @@ def estimate(
     light: Light = None,
     temperature: Temperature = None,
     as_json: AsJson = False,
+    force: Force = False,
 ) -> None:
     """Estimate the calibration of each sensor from recordings, without a server."""
     from service.api.radiometric_calibrations.content import sensor_figures
     from service.api.radiometric_calibrations.recorded_frames import estimate_from_recordings
 
-    if output.exists():
-        raise fail(f"{output} exists; choose another name, a calibration is never overwritten")
+    check_output(output, force=force)
     with progress("estimating", quiet=as_json):
         device, found = estimate_from_recordings(
             dark, flat, relative_light=light, temperature_c=temperature
         )
     sensors = {name: one.to_document() for name, one in found.items()}
     content = {"device": device.name, "sensors": sensors}
-    with file_errors(output):
-        output.write_text(json.dumps(content, allow_nan=False), encoding="utf-8")
+    with whole_file(output) as temporary:
+        temporary.write_text(json.dumps(content, allow_nan=False), encoding="utf-8")
     figures = [sensor_figures(name, one).model_dump() for name, one in found.items()]
     if as_json:
         print_json(figures)

@@ -1,4 +1,4 @@
-"""`lumiline record`: records line scans of a simulated device to a file without a server."""
+"""`lumiline record`: records a simulated device with its calibration, without a server."""
 
 import signal
 from dataclasses import replace
@@ -7,10 +7,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from compute.errors import LumilineError
 from service.cli.json_files import SimulationOption, read_settings
-from service.cli.output import console, fail, file_errors, progress
+from service.cli.output import console, fail, file_errors, progress, say
 
 if TYPE_CHECKING:
+    from compute.calibration.result import Calibration
     from hardware.simulated.driver import RenderedDriver
 
 
@@ -22,46 +24,74 @@ def record(
         str | None, typer.Option(help="A device profile: optotrak, ..., or a TOML file.")
     ] = None,
 ) -> None:
-    """Record line scans of the simulated bar, or of a profile's device, to a file."""
+    """Record line scans of the simulated bar, or of a profile's device, to a file.
+
+    The file also holds the simulated device's nominal calibration, so that it can be replayed and
+    exported as it is.
+    """
+    from hardware.recording.layout import NO_CALIBRATION_ROW
     from hardware.recording.writer import RecordingWriter
+    from service.api.recordings.active_calibration_file import dump_active_calibration
+    from service.pipeline.active_calibration import ActiveCalibration
 
     if output.exists():
         raise fail(f"{output} exists; choose another name, a recording is never overwritten")
     with file_errors(output, ""):
         if device is None:
-            driver, doing = _simulated(settings, seconds), "recording"
+            (driver, calibration), doing = _simulated(settings, seconds), "recording"
         else:
-            driver, doing = _profile(device, settings, seconds), "tracing the optics, recording"
+            with progress("tracing the optics"):
+                driver, calibration = _profile(device, settings, seconds)
+            doing = "tracing the scene, recording"
         driver.open()
-        total = max(1, int(seconds * driver.description.frame_rate_hz))
+        description = driver.description
+        total = max(1, int(seconds * description.frame_rate_hz))
         with (
-            RecordingWriter(output, driver.description) as writer,
+            RecordingWriter(output, description) as writer,
             progress(doing, total) as done,
         ):
+            row = NO_CALIBRATION_ROW
+            if calibration is not None:
+                found = ActiveCalibration(f"{description.name}-nominal", calibration)
+                row = writer.put_active_calibration(*dump_active_calibration(found))
             # Ctrl-C ends the frames, so that the file is closed whole and can be read.
             interrupted = signal.signal(signal.SIGINT, lambda *_: driver.close())
             try:
                 for count, frame in enumerate(driver.frames(), start=1):
-                    writer.append(frame)
+                    writer.append(frame, row)
                     done(count)
             finally:
                 signal.signal(signal.SIGINT, interrupted)
     console.print(f"written: {output}")
 
 
-def _simulated(settings: Path | None, seconds: float) -> "RenderedDriver":
+def _simulated(
+    settings: Path | None, seconds: float
+) -> "tuple[RenderedDriver, Calibration | None]":
     from hardware.simulated.driver import SimulatedDriver
     from hardware.simulated.settings import SimulationSettings
+    from service.application.initial_content import nominal_calibration
 
     chosen = read_settings(SimulationSettings, settings)
-    return SimulatedDriver("sim", replace(chosen, realtime=False, duration_s=seconds))
+    driver = SimulatedDriver("sim", replace(chosen, realtime=False, duration_s=seconds))
+    return driver, nominal_calibration()
 
 
-def _profile(device: str, settings: Path | None, seconds: float) -> "RenderedDriver":
+def _profile(
+    device: str, settings: Path | None, seconds: float
+) -> "tuple[RenderedDriver, Calibration | None]":
     from compute.optics.profiles.profile_loader import load_profile
     from hardware.simulated.profile_driver import ProfileDriver
     from hardware.simulated.profile_settings import ProfileSettings
+    from service.application.profile_device import nominal_calibration
 
     profile = load_profile(device)
-    chosen = read_settings(ProfileSettings, settings)
-    return ProfileDriver(profile.name, profile, replace(chosen, realtime=False, duration_s=seconds))
+    chosen = replace(read_settings(ProfileSettings, settings), realtime=False, duration_s=seconds)
+    driver = ProfileDriver(profile.name, profile, chosen)
+    calibration = None
+    if driver.description.readout != "gray-tracks":
+        try:
+            calibration = nominal_calibration(profile)
+        except LumilineError as error:
+            say(f"recorded without a calibration: {error.detail}")
+    return driver, calibration

@@ -12,7 +12,15 @@ from pydantic import ValidationError
 
 from compute.errors import InvalidRecording
 from service.cli.json_files import CalibrationOption, TableOption, read_active_calibration
-from service.cli.output import fail, print_json, progress, say
+from service.cli.output import (
+    Force,
+    check_output,
+    fail,
+    print_json,
+    progress,
+    say,
+    whole_file,
+)
 
 
 def replay(
@@ -27,11 +35,13 @@ def replay(
         int, typer.Option(min=1, max=64, help="Frames that are processed together.")
     ] = 64,
     as_json: Annotated[bool, typer.Option("--json", help="Of --check, for machines.")] = False,
+    force: Force = False,
 ) -> None:
     """Replay a recording; print one JSON message a frame, or whether it gives the live results."""
     if check:
         _check(recording, batch, as_json=as_json)
         return
+    check_output(output, force=force)
     try:
         _replay(recording, calibration, table, output)
     except BrokenPipeError:
@@ -50,7 +60,9 @@ def _replay(path: Path, calibration: Path | None, table: Path | None, output: Pa
     with RecordingReader(path) as reader, ExitStack() as stack:
         target = typer.get_text_stream("stdout")
         if output is not None:
-            target = stack.enter_context(output.open("w", encoding="utf-8"))
+            target = stack.enter_context(
+                stack.enter_context(whole_file(output)).open("w", encoding="utf-8")
+            )
         active = read_active_calibration(calibration, table)
         if active is None and reader.info.state.in_force == 0:
             raise InvalidRecording(f"{path.name} holds no calibration; give one with --calibration")

@@ -10,13 +10,15 @@ from rich.table import Table
 
 from service.cli.output import (
     AsJson,
-    check_picture,
+    Force,
+    check_output,
     console,
     error_table,
     fail,
     make_table,
     print_json,
     progress,
+    whole_file,
 )
 from validation.all_cases import ALL_CASES
 from validation.progress import Listener, progress_listener
@@ -36,10 +38,11 @@ def reproduce(
     trials: Annotated[
         int | None, typer.Option(min=1, help="Number of random trials of a case that has them.")
     ] = None,
+    force: Force = False,
 ) -> None:
     """List the cases, or run one of them, or all; draw the picture of one where it is wanted."""
     if output is not None:
-        _draw(case, output)
+        _draw(case, output, force=force)
     if case is None:
         _list(as_json=as_json)
         return
@@ -82,7 +85,7 @@ def _from(index: int, done: Callable[[float], None]) -> Listener:
     return lambda share, _stage: done(index + share)
 
 
-def _draw(name: str | None, output: Path) -> None:
+def _draw(name: str | None, output: Path, *, force: bool) -> None:
     """Draw a case's picture, or say which cases have one."""
     case = ALL_CASES.get(name) if name is not None else None
     if not isinstance(case, TablesCase) or case.picture is None:
@@ -92,8 +95,9 @@ def _draw(name: str | None, output: Path) -> None:
             if isinstance(other, TablesCase) and other.picture is not None
         ]
         raise fail(f"--output wants a case that has a picture: {', '.join(drawn)}")
-    check_picture(output)
-    case.picture(output)
+    check_output(output, force=force)
+    with whole_file(output) as temporary:
+        case.picture(temporary)
 
 
 def _list(*, as_json: bool) -> None:

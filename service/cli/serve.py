@@ -86,6 +86,7 @@ def server_options(settings: Settings) -> dict[str, Any]:
         "timeout_graceful_shutdown": 5,
         "limit_concurrency": settings.connections,
         "http": "service.application.http_limits:LimitedHttpProtocol",
+        "ws": "service.application.websocket_limits:LimitedWebSocketProtocol",
         # Of a proxy nothing is believed that no setting says is there: see docs/how-to/security.md.
         "proxy_headers": bool(settings.trusted_proxies),
         "forwarded_allow_ips": list(settings.trusted_proxies),

@@ -14,7 +14,7 @@ from compute.errors import InvalidParameter, LumilineError
 from service.cli.calibrate import fit_table, parse_distortion, write_calibration
 from service.cli.json_files import read_calibration
 from service.cli.observations_csv import read_wand
-from service.cli.output import console, make_table, progress, say
+from service.cli.output import Force, check_output, console, make_table, progress, say
 from service.cli.server_session import HERE, Key, Url, client_session
 from service.cli.wand_live import show_coverage, wave_live
 from service.cli.wand_sources import LiveWand, read_recorded_wand
@@ -88,8 +88,10 @@ def wand(
     output: Annotated[Path | None, typer.Option(help="Write the calibration as JSON.")] = None,
     url: Url = HERE,
     key: Key = None,
+    force: Force = False,
 ) -> None:
     """Calibrate from a waved wand; print the fit and what was left out, write it as JSON."""
+    check_output(output, force=force)
     target = Wand(_positions(positions), sigma)
     if (readings is not None) + (recording is not None) + (live is not None) != 1:
         raise InvalidParameter(

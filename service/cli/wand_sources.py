@@ -43,26 +43,16 @@ def read_recorded_wand(
     """
     # The file library and the kernels are loaded by who reads a recording.
     from hardware.recording.reader import RecordingReader
-    from service.api.recordings.reprocessing import reprocess
-    from service.pipeline.active_calibration import NO_ACTIVE_CALIBRATION
-    from service.pipeline.frame_processor import FrameProcessor
-    from service.pipeline.taps import clear_readings
+    from service.cli.readings import recorded_readings
 
     with RecordingReader(path) as reader:
         description = reader.info.description
         sensors = tuple(SensorGeometry(one.name, one.pixels) for one in description.sensors)
         _check_strobed(path.name, markers, description.markers)
         collected = _Exposures(str(path), sensors, markers)
-        processor = FrameProcessor("wand", description, "cpu")
-        count = 0
-        for batch in reprocess(reader, processor, given=NO_ACTIVE_CALIBRATION):
-            for index, frame in enumerate(batch.frames):
-                if frame.marker is not None:
-                    lines = slice(index * len(sensors), (index + 1) * len(sensors))
-                    read = clear_readings(batch, lines, strobed=True)
-                    collected.add(frame.exposure_device_ns, frame.marker, *read)
-            count += len(batch.frames)
-            done(count / max(reader.info.frames, 1))
+        for device_ns, marker, *read in recorded_readings(reader, done):
+            if marker is not None:
+                collected.add(device_ns, marker, *read)
     return collected.table(), sensors
 
 

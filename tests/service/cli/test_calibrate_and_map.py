@@ -113,14 +113,15 @@ def test_errors_are_over_the_readings_that_the_calibration_used(tmp_path: Path) 
     repaired = here("calibrate", wrong, *given, "--labels", "repair").stdout
     by_hand = here("calibrate", right, *given, "--labels", "off").stdout
     assert error_rows(repaired) == error_rows(by_hand)
-    assert error_rows(repaired)["fitted"][-1] == str(19 * 4)
-    assert error_rows(repaired)["leave one out"][-1] == str(19 * 4)
+    # Three points cannot be predicted without their block of space; they are in no row.
+    assert {row[-1] for row in error_rows(repaired).values()} == {str(16 * 4)}
+    assert "3 of 19 points are in no row" in " ".join(repaired.split())
     for options in (("--labels", "exclude"), ("--labels", "off", "--loss", "robust")):
         shown = here("calibrate", wrong, *given, *options).stdout
         rows = error_rows(shown)
-        assert rows["fitted"][-1] == str(19 * 4 - 2), options
-        alike = len({row[-1] for row in rows.values()}) == 1
-        assert alike != ("the rows are over different readings" in shown)
+        missing = "points are in no row" in shown
+        assert (rows["fitted"][-1] == str(19 * 4 - 2)) != missing, options
+        assert len({row[-1] for row in rows.values()}) == 1, options
 
 
 def test_calibrate_refuses_with_a_reason(frame_csv: Path, tmp_path: Path) -> None:
@@ -167,7 +168,7 @@ def test_map_writes_a_table_that_mends_a_plain_calibration(
     for sensor in validation["sensors"]:
         assert sensor["before_rms_px"] > 10.0 * SIGMA_PX
         assert sensor["left_out_rms_px"] < 3.0 * SIGMA_PX
-    assert "never overwritten" in " ".join(here(*given, code=2).stderr.split())
+    assert "--force" in " ".join(here(*given, code=2).stderr.split())
 
 
 def test_map_refuses_with_a_reason(mapping_csv: Path, frame_csv: Path, tmp_path: Path) -> None:
@@ -185,11 +186,39 @@ def test_map_refuses_with_a_reason(mapping_csv: Path, frame_csv: Path, tmp_path:
 def test_findings_are_told_in_words() -> None:
     from compute.calibration.mislabels.repair import LabelFinding
 
+    numbers = [str(number) for number in range(1, 17)]
     exchanged = LabelFinding("exchanged", "cam4", (14, 16), 0.999, (12.0, -11.0), (9.0, -8.0))
-    assert label_message(exchanged) == (
+    assert label_message(exchanged, numbers) == (
         "sensor cam4: the readings of points 14 and 16 are exchanged (probability 0.999)"
     )
     outlier = LabelFinding("outlier", "cam1", (3,), 1.0, (25.0,), (-20.0,))
-    assert "point 3 is an outlier, off by 25 px or 20 sigma" in label_message(outlier)
+    assert "point 3 is an outlier, off by 25 px or 20 sigma" in label_message(outlier, numbers)
     wrong = LabelFinding("wrong-label", "cam2", (4, 7), 0.9, (25.0, None), (20.0, None))
-    assert label_message(wrong).startswith("sensor cam2: the reading labelled 4 is point 7's")
+    assert label_message(wrong, "abcdefgh").startswith(
+        "sensor cam2: the reading labelled d is point g's"
+    )
+
+
+def test_error_rows_points_not_predicted_are_in_no_row(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from types import SimpleNamespace
+    from typing import Any, cast
+
+    from service.cli import calibrate
+
+    full = np.ones((4, 3))
+    readings = np.ones((4, 5))
+    monkeypatch.setattr(calibrate, "control_errors", lambda *_: (full, 20))
+    monkeypatch.setattr(calibrate, "effective_readings", lambda _, used: (used, None))
+    points = SimpleNamespace(scheme="points", groups=4, differences_mm=[None, *full[1:]])
+    blocks = SimpleNamespace(scheme="blocks", groups=2, differences_mm=[None] * 3 + [full[0]])
+    table = SimpleNamespace(points_mm=full, readings_px=readings, sigma_px=None)
+    result = SimpleNamespace(cross_validation=(points, blocks))
+    rows, unpredicted = calibrate._error_rows(cast("Any", result), cast("Any", table))
+    assert [(label, errors.points, count) for label, errors, count in rows] == [
+        ("fitted", 3, 15),
+        ("leave one out", 3, 15),
+    ]
+    assert unpredicted == [0]
+    assert "2 blocks left out: no row, because only 1 of 4" in capsys.readouterr().out

@@ -104,6 +104,29 @@ def test_record_and_replay(frame_csv: Path, tmp_path: Path) -> None:
     assert all(message["points"][0]["position_mm"] for message in messages)
 
 
+def check_replay_and_export(recording: Path) -> None:
+    """Points and an export without any file beside the recording."""
+    messages = [json.loads(line) for line in here("replay", recording).stdout.splitlines()]
+    assert {message["calibration"] for message in messages} == {f"{recording.stem}-nominal"}
+    assert any(message["points"] for message in messages)
+    export = recording.with_suffix(".csv")
+    here("export", recording, "--to", export)
+    assert "point" in export.read_text(encoding="utf-8")
+
+
+def test_record_of_the_simulated_bar_holds_its_calibration(tmp_path: Path) -> None:
+    recording = tmp_path / "sim.h5"
+    here("record", recording, "--seconds", "0.05")
+    check_replay_and_export(recording)
+
+
+@pytest.mark.slow
+def test_record_of_a_profile_holds_its_calibration(tmp_path: Path) -> None:
+    recording = tmp_path / "optotrak.h5"
+    here("record", recording, "--device", "optotrak", "--seconds", "0.02")
+    check_replay_and_export(recording)
+
+
 def test_an_interrupted_recording_is_a_recording(tmp_path: Path) -> None:
     path = tmp_path / "long.h5"
     process = subprocess.Popen(

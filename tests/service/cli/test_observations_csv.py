@@ -52,6 +52,11 @@ def test_round_trip(
         ("X_mm,Y_mm,Z_mm,a_px\n1,2,3,4\n1,two,3,4\n", 'line 3: Y_mm is "two"'),
         ("X_mm,Y_mm,Z_mm,a_px\n1,,3,4\n", 'line 2: Y_mm is ""'),
         ("X_mm,Y_mm,Z_mm,a_px,b_px,a_sigma_px\n1,2,3,4,5,6\n", "no b_sigma_px; give all or none"),
+        ("X_mm,Y_mm,Z_mm,a_px,b_px,a_px\n1,2,3,4,5,6\n", "give a_px; rename or delete one"),
+        ("X_mm,Y_mm,Z_mm,a_px,X_m\n1,2,3,4,5\n", '"X_mm" .number 1. and "X_m" .number 5.'),
+        ("X_mm,Y_mm,Z_mm,a_px,A [px],a [px]\n1,2,3,4,5,6\n", '"a_px" .number 4. and "a .px."'),
+        ("name,X_mm,Y_mm,Z_mm,a_px,Name\np,1,2,3,4,q\n", "both give name"),
+        ("X_mm,Y_mm,Z_mm,a_px,a_sigma_px,b_sigma_px\n1,2,3,4,5,6\n", "b_sigma_px but no b_px"),
     ],
 )
 def test_what_is_wrong_is_said_with_its_place(tmp_path: Path, text: str, message: str) -> None:

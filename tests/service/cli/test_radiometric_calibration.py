@@ -49,7 +49,7 @@ def test_recordings_become_a_file(folder: Path, tmp_path: Path) -> None:
     assert list(written["sensors"]) == [one["sensor"] for one in figures]
     again = run("estimate", *files)
     assert again.exit_code == 2
-    assert "never overwritten" in again.output
+    assert "--force" in again.output
 
 
 def test_recordings_that_are_not_what_they_should_be_are_told(folder: Path, tmp_path: Path) -> None:

@@ -2,7 +2,9 @@
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
+from compute.mapping.cell_support import within_hull
 from compute.mapping.coverage import Coverage
 from compute.mapping.grid import mesh_points
 
@@ -79,3 +81,26 @@ def test_flat_points_have_no_volume():
     coverage = Coverage.of(flat)
     assert coverage.largest_hole is None
     assert coverage.resolution_mm == 0.0
+
+
+@pytest.mark.parametrize("seed", [20, 21, 22])
+def test_coverage_slab_hole_among_regular_points_is_found(seed):
+    # A hole of a third of the volume widens the gap that 95 % of the volume does not reach.
+    points = jittered(7, seed)
+    holed = points[np.abs(points[:, 1] - 50.0) > 17.0]
+    coverage = Coverage.of(holed)
+    positions = at_random(4000, 23)
+    distance = np.abs(positions[:, 1] - 50.0)
+    assert coverage.in_hole(positions[distance < 10.0]).mean() > 0.95
+    assert coverage.in_hole(positions[distance > 35.0]).mean() < 0.02
+
+
+@pytest.mark.parametrize("seed", [24, 25, 26])
+def test_resolution_random_points_is_no_smaller_than_any_gap(seed):
+    points = at_random(200, seed)
+    coverage = Coverage.of(points)
+    positions = at_random(40_000, 27)
+    positions = positions[within_hull(points, positions) & ~coverage.in_hole(positions)]
+    gaps = 2.0 * np.asarray(cKDTree(points).query(positions)[0])
+    # On the hull's surface the largest gap is found on a lattice.
+    assert gaps.max() <= 1.01 * coverage.resolution_mm

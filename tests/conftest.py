@@ -1,9 +1,9 @@
 """For all tests: how examples are generated, and no certificates.
 
-``make test`` generates the same examples each time, the dearest tests new ones:
-LUMILINE_TEST_EXAMPLES is "deterministic" (the default) or "random". Neither keeps examples from
-one run for the next; a failure of random ones prints what reproduces it. Examples have no time
-limit of their own, as machines may be busy.
+``make test`` generates the same few examples each time, ``make test-slow`` many new ones, for the
+same tests: LUMILINE_TEST_EXAMPLES is "deterministic" (the default) or "random". Neither keeps
+examples from one run for the next; a failure of random ones prints what reproduces it. Examples
+have no time limit of their own, as machines may be busy.
 """
 
 import os
@@ -16,7 +16,9 @@ from hypothesis import settings
 os.environ["SSL_CERT_DIR"] = str(Path(__file__).parent)
 os.environ.pop("SSL_CERT_FILE", None)
 
-settings.register_profile("deterministic", deadline=None, derandomize=True, database=None)
+settings.register_profile(
+    "deterministic", deadline=None, derandomize=True, database=None, max_examples=30
+)
 settings.register_profile(
     "random", deadline=None, derandomize=False, database=None, print_blob=True
 )

@@ -6,7 +6,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import replace
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING, Any, Literal, cast
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, cast
 
 import pytest
 
@@ -74,6 +74,8 @@ class PacedSource:
 
 class Socket:
     """The sending half of a websocket."""
+
+    scope: ClassVar[dict[str, Any]] = {}
 
     def __init__(self) -> None:
         self.sent: asyncio.Queue[bytes | str] = asyncio.Queue()

@@ -56,6 +56,7 @@ def exists(dotted: str) -> bool:
     return False
 
 
+@pytest.mark.slow
 def test_generated_reference_has_every_operation_and_command() -> None:
     if importlib.util.find_spec("sphinx") is None:
         pytest.skip("needs the extra `docs`")

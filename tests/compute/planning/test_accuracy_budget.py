@@ -25,7 +25,7 @@ from compute.planning.error_contributions import (
     error_contributions,
 )
 from compute.planning.plan import plan
-from compute.planning.plan_result import AccuracyBudget, BudgetContribution
+from compute.planning.plan_result import AccuracyBudget, BudgetContribution, Plan
 from tests.compute.rig import camera
 from tests.oracles.ideal_sensors import IdealSensor, aimed_sensor, locate
 
@@ -227,8 +227,14 @@ def test_more_and_better_control_points_calibrate_better() -> None:
 
 
 @pytest.fixture(scope="module")
-def usual() -> AccuracyBudget:
-    return budget_of(OPTOTRAK)
+def usual_plan() -> Plan:
+    return plan(OPTOTRAK, grid=3, markers=1)
+
+
+@pytest.fixture(scope="module")
+def usual(usual_plan: Plan) -> AccuracyBudget:
+    assert usual_plan.budget is not None
+    return usual_plan.budget
 
 
 def budget_of(profile: DeviceProfile) -> AccuracyBudget:
@@ -252,11 +258,12 @@ def test_the_total_is_the_root_of_the_sum_of_squares(usual: AccuracyBudget) -> N
         assert usual.total_by_distance_mm[number] ** 2 == pytest.approx(squares)
 
 
-def test_noise_and_fixed_pattern_are_the_plans() -> None:
-    found = plan(OPTOTRAK, grid=3, markers=1)
-    assert found.budget is not None
-    by_name = listed(found.budget)
-    for summary, name in ((found.noise, "noise"), (found.fixed_pattern, "fixed pattern")):
+def test_noise_and_fixed_pattern_are_the_plans(usual_plan: Plan, usual: AccuracyBudget) -> None:
+    by_name = listed(usual)
+    for summary, name in (
+        (usual_plan.noise, "noise"),
+        (usual_plan.fixed_pattern, "fixed pattern"),
+    ):
         assert by_name[name].sigma.worst == pytest.approx(summary.worst, rel=1e-9)
 
 

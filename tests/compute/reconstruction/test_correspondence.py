@@ -100,7 +100,7 @@ def test_doubt_grows_with_what_is_missing() -> None:
     wrong_unmarked = unmarked = 0
     for missing in (0.0, 0.2):
         flags: list[bool] = []
-        for seed in range(60):
+        for seed in range(30):
             readings = project(rig(4), control_points(5, seed=seed))
             readings[rng.random(readings.shape) < missing] = np.nan
             found = match(4, readings, seed)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
@@ -48,7 +48,6 @@ def check(lines, options, noise):
     assert_same(centroid_finder.find(lines), find_peaks_reference(lines, options, noise))
 
 
-@settings(max_examples=60, deadline=None)
 @given(st.integers(64, 4096), st.integers(0, 2**32), centroid_settings, line_noise)
 @example(64, 0, CentroidSettings(), NOISE)
 @example(127, 1, CentroidSettings(), NOISE)
@@ -57,7 +56,6 @@ def test_kernel_matches_reference_on_lines_with_peaks(pixels, seed, options, noi
     check(varied_lines(8, pixels, np.random.default_rng(seed)), options, noise)
 
 
-@settings(max_examples=150, deadline=None)
 @given(
     st.one_of(
         arrays(np.uint16, st.tuples(st.just(2), st.integers(64, 200))),

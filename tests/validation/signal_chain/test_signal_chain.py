@@ -119,12 +119,21 @@ def test_a_quiet_camera_orders_them_with_any_filter(name: str) -> None:
     assert (repeated(name, QUIET).longest == 10).mean() > 0.95
 
 
-def test_jumps_at_the_threshold_explain_order_and_correlations_better() -> None:
-    for name in ("butter4_0.6", "butter4_0.4", "butter11_0.4", "fir4_0.6", "fir4_0.4"):
-        assert ascending_neighbours(columns("C.4")[name].centroid_px) == 9
-        chances = [(repeated(name, lab).ascending == 9).mean() for lab in (MATCHED, JUMPING)]
-        # Some 2.5 and 30 % of 200 repeats: five deviations above one, four below the other.
-        assert chances[0] < 0.08 < 0.17 < chances[1]
+SLOW_FILTERS = ("butter4_0.4", "butter11_0.4", "fir4_0.6", "fir4_0.4")
+
+
+@pytest.mark.parametrize(
+    "name", ["butter4_0.6", *(pytest.param(one, marks=pytest.mark.slow) for one in SLOW_FILTERS)]
+)
+def test_jumps_at_the_threshold_explain_order_better(name: str) -> None:
+    assert ascending_neighbours(columns("C.4")[name].centroid_px) == 9
+    chances = [(repeated(name, lab).ascending == 9).mean() for lab in (MATCHED, JUMPING)]
+    # Some 2.5 and 30 % of 200 repeats: five deviations above one, four below the other.
+    assert chances[0] < 0.08 < 0.17 < chances[1]
+
+
+@pytest.mark.slow
+def test_jumps_at_the_threshold_explain_correlations_better() -> None:
     theirs, matched, jumping = (
         np.array([one(name) for name in FILTERS])
         for one in (

@@ -125,7 +125,13 @@ def test_moving_tools_are_as_uncertain_as_they_say(strobed: bool, covariance: Ar
     assert 1.5 < tip < 5.2
 
 
-@pytest.mark.parametrize("covariance", [None, CALIBRATION], ids=["exact", "calibrated"])
+@pytest.mark.parametrize(
+    "covariance",
+    [
+        pytest.param(None, marks=pytest.mark.slow, id="exact"),
+        pytest.param(CALIBRATION, id="calibrated"),
+    ],
+)
 def test_tools_at_rest_are_never_more_uncertain_than_the_filter_assumes(
     covariance: Array | None,
 ) -> None:
@@ -178,7 +184,7 @@ def test_a_fast_strobed_tool_has_a_pose_at_every_frame() -> None:
 def test_bursts_far_apart_are_followed_around_the_curve() -> None:
     # Four exposures, then 80 ms of other tools': it turns by 0.1 rad until it is seen again.
     ratios = []
-    for seed in range(4):
+    for seed in range(2):
         rng = np.random.default_rng(seed)
         tool = replace(pointer(strobed=True), max_tip_sd_mm=20.0)
         tracker = ToolTracker(CAMERAS, [tool])
@@ -191,7 +197,7 @@ def test_bursts_far_apart_are_followed_around_the_curve() -> None:
                 assert pose.tip_covariance_mm2 is not None
                 off = np.linalg.norm(pose.tip_mm - true.tip_world_mm)
                 ratios.append(off / np.sqrt(np.trace(pose.tip_covariance_mm2)))
-    assert len(ratios) > 150
+    assert len(ratios) > 75
     assert max(ratios) < 4.0
 
 
@@ -262,7 +268,7 @@ def test_a_hidden_tool_is_never_ok_for_longer_than_the_coast(strobed: bool) -> N
 def test_a_tool_that_leaves_is_out_of_view() -> None:
     one = scene([pointer()])
     one.bodies[0].velocity_mm_s = np.array([3000.0, 0.0, 0.0])
-    statuses = [one.together()[0].status for _ in range(500)]
+    statuses = [one.together()[0].status for _ in range(320)]
     assert statuses[1] is PoseStatus.OK
     assert statuses[-1] is PoseStatus.OUT_OF_VIEW
     (pose,) = one.together()
@@ -415,14 +421,16 @@ def test_a_marker_that_is_bent_a_little_makes_no_wrong_pose_ok(strobed: bool) ->
     assert any("does not fit the tool's geometry" in reason for reason in reasons)
 
 
+@pytest.mark.parametrize(
+    "seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))]
+)
 @pytest.mark.parametrize("strobed", [True, False])
-def test_a_tool_that_is_not_bent_stays_ok(strobed: bool) -> None:
-    for seed in range(3):
-        one = scene([pointer(strobed=strobed)], seed=seed)
-        one.bodies[0].velocity_mm_s = np.array([200.0, 0.0, 100.0])
-        one.bodies[0].angular_velocity_rad_s = np.array([0.5, 0.0, 1.0])
-        found = [(one.strobed() if strobed else one.together())[0].valid for _ in range(200)]
-        assert sum(found[16:]) >= len(found[16:]) - 1
+def test_a_tool_that_is_not_bent_stays_ok(strobed: bool, seed: int) -> None:
+    one = scene([pointer(strobed=strobed)], seed=seed)
+    one.bodies[0].velocity_mm_s = np.array([200.0, 0.0, 100.0])
+    one.bodies[0].angular_velocity_rad_s = np.array([0.5, 0.0, 1.0])
+    found = [(one.strobed() if strobed else one.together())[0].valid for _ in range(200)]
+    assert sum(found[16:]) >= len(found[16:]) - 1
 
 
 def test_readings_that_are_left_out_again_and_again_are_told_by_their_marker() -> None:
@@ -445,7 +453,11 @@ def test_readings_that_are_left_out_again_and_again_are_told_by_their_marker() -
     assert pose.valid
 
 
-@pytest.mark.parametrize("sensors", [(a, b) for a in range(4) for b in range(a + 1, 4)])
+@pytest.mark.parametrize(
+    "sensors",
+    [(0, 1), (2, 3)]
+    + [pytest.param(pair, marks=pytest.mark.slow) for pair in ((0, 2), (0, 3), (1, 2), (1, 3))],
+)
 def test_a_strobed_tool_that_two_sensors_see_is_found_or_they_are_too_few(
     sensors: tuple[int, int],
 ) -> None:
@@ -558,7 +570,7 @@ def test_one_marker_alone_soon_tells_the_pose_no_more() -> None:
         (pose,) = one.together()
     assert pose.valid
     rest = ((1, None), (2, None), (3, None))
-    statuses = [one.together(rest)[0].status for _ in range(300)]
+    statuses = [one.together(rest)[0].status for _ in range(150)]
     assert statuses[0] is PoseStatus.OK
     assert statuses[-1] in (PoseStatus.HIGH_ERROR, PoseStatus.MISSING)
 
@@ -606,7 +618,7 @@ def test_lines_that_merge_are_not_read() -> None:
     # Two tools whose lines cross all the time; a merged peak lies up to 0.5 px, ten standard
     # deviations, off both.
     squares_, merged = [], 0
-    for seed in range(4):
+    for seed in range(2):
         one = scene([pointer(), other()], seed=seed)
         for index, true in enumerate(one.bodies):
             true.centroid_mm = MIDDLE_MM + np.array([30.0 * index - 15.0, 20.0 * index, 10.0])
@@ -619,8 +631,8 @@ def test_lines_that_merge_are_not_read() -> None:
                 if pose.valid:
                     squares_.append(normalised(pose, true)[0])
                     merged += pose.readings_used < 16
-    assert merged > 50
-    assert len(squares_) > 600
+    assert merged > 25
+    assert len(squares_) > 300
     # One in a hundred thousand of a chi-square of 6 is above 33.
     assert max(squares_) < 45.0
 

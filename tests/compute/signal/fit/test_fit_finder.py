@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
@@ -205,7 +205,6 @@ any_line = st.one_of(
 )
 
 
-@settings(max_examples=200, deadline=None)
 @given(any_line, st.integers(0, 2**32), st.booleans())
 def test_any_line_gives_defined_peaks(lines, seed, with_shape):
     rng = np.random.default_rng(seed)

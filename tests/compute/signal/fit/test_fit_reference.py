@@ -180,8 +180,8 @@ def test_single_peaks_are_split_as_rarely_as_the_settings_say():
     assert poor <= lines * 1e-3 + 5 * np.sqrt(lines * 1e-3)
 
 
-def test_saturated_peaks_are_fitted_by_their_flanks():
-    lines = 1500
+@pytest.mark.parametrize("lines", [500, pytest.param(1500, marks=pytest.mark.slow)])
+def test_saturated_peaks_are_fitted_by_their_flanks(lines):
     rng = np.random.default_rng(6)
     place = 47.5 + rng.uniform(0.0, 1.0, (lines, 1))
     pixels = measured(scene(place, [3.0 * FULL]), rng, AMBIENT, FULL)

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from compute.pose.rigid_body import PoseStatus
@@ -301,7 +301,6 @@ PARAMETERS = st.one_of(
 )
 
 
-@settings(max_examples=50)
 @given(st.lists(st.tuples(NAMES, PARAMETERS), max_size=40), st.data())
 def test_no_conversation_does_harm(commands: list[tuple[str, str]], data: st.DataObject):
     """Whatever is asked in whatever order while tools come and go: each gets one reply."""

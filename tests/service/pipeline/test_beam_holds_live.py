@@ -82,7 +82,7 @@ def test_from_the_set_up_to_the_stop(client: Client) -> None:
         assert [(one.hold, one.held) for one in hello.holds] == [("chest", True)]
         referred = client.set_beam_hold_reference("chest", frames=20, timeout_s=60.0)
         assert referred.reference is not None
-        assert len(referred.reference["positions_mm"]) == 4
+        assert len(referred.reference.positions_mm) == 4
         went_on = until(stream, held=False)
         assert (went_on.hold, went_on.cause, went_on.reason) == ("chest", "none", None)
         frame = next(one for one in stream if isinstance(one, Frame))
@@ -168,7 +168,7 @@ def test_the_same_by_the_client_for_asyncio(client: Client, hold: str) -> None:
     async def run() -> None:
         async with AsyncClient(client._server.url) as other:
             assert (await other.beam_hold("chest")).id == "chest"
-            assert [one.id for one in await other.beam_holds("sim")] == ["chest"]
+            assert [one.id for one in await other.beam_holds(device="sim")] == ["chest"]
             assert (await other.acknowledge_beam_hold("chest")).hold == "chest"
             async with other.stream("sim", ["holds"], rate_hz=5) as stream:
                 async for frame in stream.frames():

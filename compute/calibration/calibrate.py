@@ -406,8 +406,11 @@ def _estimate_noise(
         variance, dof = (sigma * joint.sigma_ratio) ** 2, joint.redundancy
         if pooled:
             # ``sigma_ratio`` has MIN_REDUNDANCY for less of it.
-            squares = variance * np.maximum(dof, MIN_REDUNDANCY)
-            new = estimate_noise(np.sqrt(squares)[None], np.ones((1, len(dof)), bool), dof).sigma_px
+            size = np.sqrt(variance * np.maximum(dof, MIN_REDUNDANCY))
+            # The redundancy falls with the noise, so that small noise is more probable than by
+            # these degrees of freedom, and the mean of the variance would be too large.
+            new = estimate_noise(size[None], np.ones((1, len(dof)), dtype=np.bool_), dof)
+            new = new.geometric_px
         else:
             # dof - 2: as in ``_fit_statistics``.
             estimated = np.sqrt(variance * dof / np.maximum(dof - 2.0, 1.0))

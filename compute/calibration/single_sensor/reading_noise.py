@@ -25,7 +25,8 @@ MIN_NOISE_PX: Final = 1e-6
 """Smallest noise: exact data still leave rounding."""
 GRID_SIZE: Final = 256
 GRID_MARGIN: Final = 4.0
-"""Factor by which the grid of noise exceeds what single sensors and the prior say."""
+"""Factor by which the grid of noise exceeds what single sensors and the prior's 95 % say; noise
+beyond it is taken for impossible."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,10 +35,12 @@ class NoisePosterior:
 
     Args:
         sigma_px: roots of the posterior means of the variances, shape (S,) [px].
+        geometric_px: exponentials of the posterior means of the logarithms, shape (S,) [px].
         log_evidence: logarithm of the likelihood integrated over the noise.
     """
 
     sigma_px: Array
+    geometric_px: Array
     log_evidence: float
 
 
@@ -89,7 +92,7 @@ def _posterior(log_likelihood: Array, grid: Array) -> NoisePosterior:
     likelihood = np.exp(log_likelihood - largest[:, None])
     prior = np.exp(-0.5 * ((grid - np.log(PRIOR_NOISE_PX)) / PRIOR_LOG_SIGMA) ** 2)
     log_prior = np.log(prior / prior.sum())
-    log_evidence, means = [], []
+    log_evidence, means, logarithms = [], [], []
     for scatter in NOISE_SCATTERS:
         kernel = np.eye(len(grid))
         if scatter > 0.0:
@@ -103,9 +106,12 @@ def _posterior(log_likelihood: Array, grid: Array) -> NoisePosterior:
         others = device - marginal
         others = np.exp(others - others.max(axis=1, keepdims=True)) @ kernel
         each = others * likelihood
-        means.append((each @ np.exp(2.0 * grid)) / each.sum(axis=1))
+        each /= each.sum(axis=1, keepdims=True)
+        means.append(each @ np.exp(2.0 * grid))
+        logarithms.append(each @ grid)
     total = float(np.logaddexp.reduce(log_evidence))
     weight = np.exp(np.array(log_evidence) - total)
-    variance = weight @ np.array(means)
     evidence = total - float(np.log(len(NOISE_SCATTERS))) + float(largest.sum())
-    return NoisePosterior(np.sqrt(variance), evidence)
+    return NoisePosterior(
+        np.sqrt(weight @ np.array(means)), np.exp(weight @ np.array(logarithms)), evidence
+    )

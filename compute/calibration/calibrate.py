@@ -55,6 +55,8 @@ below which "auto" does not estimate it: the residuals do not tell them apart.""
 MIN_CHI2_DOF: Final = 0.5
 """Effective degrees of freedom of a sensor below which chi-square is none: residuals of which a
 prior leaves a thousandth say nothing of the noise."""
+MAX_ASSUMED_DOF: Final = 2.0
+"""Degrees of freedom of all sensors up to which their noise is the prior's more than their own."""
 ZERO_SIGMA: Final = 10.0
 """Distance of a reading of 0 from where the sensor's other readings put the marker, in standard
 deviations, above which they contradict it."""
@@ -295,6 +297,9 @@ def assemble_with_exact_points(
     parameters = _effective_parameters(groups)
     found, factors = [], []
     estimated = fits.unit_px if settings.distortion == "auto" else None
+    source: Literal["residuals", "assumed"] = "residuals"
+    if fits.used(observed).sum() - sum(parameters) <= MAX_ASSUMED_DOF:
+        source = "assumed"
     for column, (model, rows) in enumerate(zip(fits.models, fits.used(observed).T, strict=True)):
         sigma = observed.sigma_px[rows, column] if observed.sigma_known else None
         seen = int(observed.seen[:, column].sum())
@@ -303,7 +308,7 @@ def assemble_with_exact_points(
         )
         if estimated is not None:
             # From all sensors, over all scales of the distortion.
-            fit = replace(fit, sigma_px=float(estimated[column]), sigma_source="residuals")
+            fit = replace(fit, sigma_px=float(estimated[column]), sigma_source=source)
             factor = float(estimated[column] ** 2)
         found.append(fit)
         factors.append(factor * (EFFICIENCY_LOSS if settings.loss == "robust" else 1.0))
@@ -409,8 +414,8 @@ def _estimate_noise(
             size = np.sqrt(variance * np.maximum(dof, MIN_REDUNDANCY))
             # The redundancy falls with the noise, so that small noise is more probable than by
             # these degrees of freedom, and the mean of the variance would be too large.
-            new = estimate_noise(size[None], np.ones((1, len(dof)), dtype=np.bool_), dof)
-            new = new.geometric_px
+            used_once = np.ones((1, len(dof)), dtype=np.bool_)
+            new = estimate_noise(size[None], used_once, dof).geometric_px
         else:
             # dof - 2: as in ``_fit_statistics``.
             estimated = np.sqrt(variance * dof / np.maximum(dof - 2.0, 1.0))

@@ -184,8 +184,8 @@ def _fit_grid_and_noise(
         progress(iteration / (NOISE_ITERATIONS + 1), "scale of the distortion")
         grid = _fit_grid(observed, cameras, prior, weights, noise, point_sigma_px)
         cameras = grid.ended.cameras
-        grid = _integrate_noise(observed, grid, weights, point_sigma_px)
-        last, noise = noise, grid.noise_px
+        last = noise
+        grid, noise = _integrate_noise(observed, grid, weights, point_sigma_px)
         if np.abs(noise / last - 1.0).max() < NOISE_TOLERANCE:
             break
     return grid
@@ -233,8 +233,8 @@ def _fit_grid(
 
 def _integrate_noise(
     observed: ControlObservations, grid: _Grid, weights: Array, point_sigma_px: Array | None
-) -> _Grid:
-    """Return the grid with the noise's posterior mean, and its evidence integrated over the noise.
+) -> tuple[_Grid, Array]:
+    """Return the grid with its evidence integrated over the noise, and the noise, (G, S) [px].
 
     The residuals and their degrees of freedom stay those of the noise with which it was fitted.
     """
@@ -259,7 +259,7 @@ def _integrate_noise(
         found = estimate_noise(residuals[:, part], used[:, part], dof[part], point_sigma_px)
         noise[row] = found.sigma_px
         log_evidence[row] += found.log_evidence - here[part].sum()
-    return replace(grid, noise_px=noise, log_evidence=log_evidence)
+    return replace(grid, noise_px=noise, log_evidence=log_evidence), noise
 
 
 def _describe(grid: _Grid, strength: float, models: tuple[SensorModel, ...]) -> DistortionEstimate:

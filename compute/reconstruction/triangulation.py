@@ -44,6 +44,8 @@ def reconstruct(
     sigma_px: Array,
     parameter_covariance: Array | None = None,
     corrections: CorrectionTable | None = None,
+    *,
+    reliability: bool = True,
 ) -> PointBatch:
     """Reconstruct points from the readings of any three or more sensors.
 
@@ -63,6 +65,7 @@ def reconstruct(
         parameter_covariance: joint covariance of the cameras' parameters, shape (P, P), sensor by
             sensor in the order of ``SensorModel.parameter_names``. None: taken as exact.
         corrections: of the S sensors' readings, over space. None: none.
+        reliability: whether to work out the external reliability; it is NaN otherwise.
 
     Returns:
         The points; those that cannot be had carry NaN and a flag that says why.
@@ -108,19 +111,18 @@ def reconstruct(
     covariance: Array = np.asarray(np.linalg.inv(normal), dtype=np.float64)
 
     limits = chi2_limits(len(cameras))
-    known = ~missing
-    reliability = np.full(len(readings), np.nan)
-    reliability[known] = external_reliability(
-        equations.checks(position[known], known, whitening[known]), used[known]
-    )
+    shift = np.full(len(readings), np.nan)
+    if reliability:
+        known = ~missing
+        checks = equations.checks(position[known], known, whitening[known])
+        shift[known] = external_reliability(checks, used[known])
     flags[~missing & (count == 3)] |= PointFlag.NO_REDUNDANCY
     flags[~missing & (chi2 > limits[count])] |= PointFlag.INCONSISTENT
     if corrections is not None:
         foreign = (used & ~model.inside_hull(position)).any(axis=1)
         flags[~missing & foreign] |= PointFlag.OUTSIDE_MAP
-    for values in (position, covariance, chi2, reliability):
-        values[missing] = np.nan
-    return PointBatch(position, covariance, chi2, reliability, used, flags)
+    position[missing], covariance[missing], chi2[missing] = np.nan, np.nan, np.nan
+    return PointBatch(position, covariance, chi2, shift, used, flags)
 
 
 def reading_variance(

@@ -76,8 +76,8 @@ def capture(
         if not as_json:
             say(f"Hold {tool} still in view of {device}.")
         created = client.capture_tool(
-            tool, device, markers=markers, strobe_markers=slots, seconds=seconds,
-            title=title or tool,
+            id=tool, device=device, title=title or tool, seconds=seconds,
+            markers=markers, strobe_markers=slots,
         )  # fmt: skip
     if as_json:
         print_json(created)

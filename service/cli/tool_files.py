@@ -1,6 +1,7 @@
 """`lumiline tools create` and `capture`: adds tools to a server, from a file or by capture."""
 
 from collections.abc import Iterable
+from contextlib import suppress
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from typing import Annotated, Any, Final
@@ -76,8 +77,8 @@ def capture(
         if not as_json:
             say(f"Hold {tool} still in view of {device}.")
         created = client.capture_tool(
-            tool, device, markers=markers, strobe_markers=slots, seconds=seconds,
-            title=title or tool,
+            id=tool, device=device, title=title or tool, seconds=seconds,
+            markers=markers, strobe_markers=slots,
         )  # fmt: skip
     if as_json:
         print_json(created)
@@ -125,7 +126,12 @@ def _in_order(tools: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
         index: {number[one["reference"]]} if one.get("reference") in number else set()
         for index, one in enumerate(listed)
     }
-    try:
-        return [listed[index] for index in TopologicalSorter(references).static_order()]
-    except CycleError:
-        return listed  # the server says what is wrong with them
+    sorter, ordered = TopologicalSorter(references), list[int]()
+    with suppress(CycleError):
+        sorter.prepare()
+    while ready := sorter.get_ready():
+        ordered += ready
+        sorter.done(*ready)
+    # A ring comes last: the server says what is wrong with it.
+    ordered += [index for index in references if index not in ordered]
+    return [listed[index] for index in ordered]

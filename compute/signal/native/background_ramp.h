@@ -7,6 +7,11 @@
 
 namespace lumiline::signal {
 
+// A background's slope, and the keys of its ranks beside it.
+struct SlopedBackground {
+    int ramp, quartile, sixteenth;
+};
+
 // Whether the darkest groups lie to one side, by the sum of their places 2 g - (groups - 1): beyond
 // 3.2 standard deviations of a random choice, or as far as can be.
 LUMILINE_FN bool is_sloped(int groups, int rank_of_quartile, int contrast) {
@@ -29,13 +34,15 @@ LUMILINE_FN void keys_of_ranks(const int* keys, int count, int first, int second
 // between two of them [1 / ramp_unit counts per pixel]; a quarter of them may be covered by light.
 // The keys of the background's ranks become those beside the line; 0, and they stay, where the line
 // does not explain what the groups differ by.
-LUMILINE_NOINLINE int estimate_ramp(const Search& search, const Scan& scan, const unsigned short* v,
-                                    int* quartile, int* sixteenth) {
+// Search and ranks come and go by value: what is given by reference has to lie in memory, also for
+// the scans without a slope.
+LUMILINE_NOINLINE SlopedBackground estimate_ramp(Search search, int sensor, const unsigned short* v,
+                                                 SlopedBackground level) {
     const int groups = search.groups(), group_step = search.group_step(), part = groups / 4;
     int keys[sample_groups], dark[4], place[4];
     for (int g = 0; g < groups; ++g) {
         keys[g] = search.group_key(v, g, group_step);
-        if (scan.sensor != nullptr) keys[g] = Search::shifted_key(scan, keys[g], g);
+        if (search.corrections != nullptr) keys[g] = search.shifted_key(sensor, keys[g], g);
     }
     for (int q = 0; q < 4; ++q) {
         int key = 0;
@@ -62,16 +69,14 @@ LUMILINE_NOINLINE int estimate_ramp(const Search& search, const Scan& scan, cons
                             + ramp_at(ramp, search.pixels, start + group_pixels - 1));
         keys[g] = larger(keys[g] - rise * sample_groups, g);
     }
-    int level = 0, low = 0;
+    SlopedBackground beside = {ramp, 0, 0};
     keys_of_ranks(keys, groups, Search::rank_of_quartile(groups), Search::rank_of_sixteenth(groups),
-                  &level, &low);
+                  &beside.quartile, &beside.sixteenth);
     if (ramp == 0
-        || level / sample_groups - low / sample_groups
-               >= *quartile / sample_groups - *sixteenth / sample_groups)
-        return 0;
-    *quartile = level;
-    *sixteenth = low;
-    return ramp;
+        || beside.quartile / sample_groups - beside.sixteenth / sample_groups
+               >= level.quartile / sample_groups - level.sixteenth / sample_groups)
+        return level;
+    return beside;
 }
 
 }  // namespace lumiline::signal

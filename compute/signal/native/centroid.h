@@ -40,7 +40,7 @@ LUMILINE_FN bool is_bright(const Search& search, const Scan& scan, int limit, in
 }
 
 // Looks for the run around a maximum by steps to both sides at once. `top` is a peak's maximum when
-// no pixel of its run is higher, nor one to the left as high.
+// no pixel of its run is higher, nor one to the left as high. Of others the run is as far as looked.
 template <class Where, class Pixels>
 LUMILINE_FN bool is_peak(const Search& search, Where where, const Pixels& v, int background,
                          int top, Run& run) {
@@ -73,7 +73,11 @@ LUMILINE_FN bool is_peak(const Search& search, Where where, const Pixels& v, int
             moment -= arm;
             moment2 += step * arm;
         }
-        if (right_value > highest || left_value >= highest) return false;
+        if (right_value > highest || left_value >= highest) {
+            run.left = left;
+            run.right = right;
+            return false;
+        }
     } while (right_value >= least || left_value >= least);
     run = Run{top, left, right, least, sum, moment, moment2, rise > 0};
     return right - left + 1 >= search.min_width_px;

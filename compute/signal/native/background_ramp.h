@@ -30,8 +30,8 @@ LUMILINE_FN void keys_of_ranks(const int* keys, int count, int first, int second
     }
 }
 
-// The median of the slopes between the dark groups of a scan's four quarters, of which a quarter may
-// be covered by light [1 / ramp_unit counts per pixel].
+// The median of the slopes between the dark groups of a scan's four quarters, of which a quarter
+// may be covered by light [1 / ramp_unit counts per pixel].
 LUMILINE_FN int median_ramp(const Search& search, const int* dark, int part, int group_step) {
     long long slopes[6];
     int place[4], count = 0;
@@ -106,10 +106,10 @@ LUMILINE_FN SlopedBackground estimate_ramp(const Search& search, int key, Sloped
         dark[q] = key_of_rank(key, q * part, q * part + part, (part - 1) / 4) / sample_groups;
     const int ramp = median_ramp(search, dark, part, group_step), lane = threadIdx.x % 32;
     const int beside = key_beside(search, ramp, key, lane, group_step);
-    return better_of(level, SlopedBackground{
-                                ramp,
-                                key_of_rank(beside, 0, groups, Search::rank_of_quartile(groups)),
-                                key_of_rank(beside, 0, groups, Search::rank_of_sixteenth(groups))});
+    return better_of(
+        level,
+        SlopedBackground{ramp, key_of_rank(beside, 0, groups, Search::rank_of_quartile(groups)),
+                         key_of_rank(beside, 0, groups, Search::rank_of_sixteenth(groups))});
 }
 #endif
 

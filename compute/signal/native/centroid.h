@@ -40,7 +40,8 @@ LUMILINE_FN bool is_bright(const Search& search, const Scan& scan, int limit, in
 }
 
 // Looks for the run around a maximum by steps to both sides at once. `top` is a peak's maximum when
-// no pixel of its run is higher, nor one to the left as high. Of others the run is as far as looked.
+// no pixel of its run is higher, nor one to the left as high. Of others the run is as far as
+// looked.
 template <class Where, class Pixels>
 LUMILINE_FN bool is_peak(const Search& search, Where where, const Pixels& v, int background,
                          int top, Run& run) {

@@ -53,9 +53,11 @@ struct BrightParts {
     struct Block {
         char pixels[256];
     };
+
     struct Piece {
         char pixels[64];
     };
+
     struct Part {
         char pixels[8];
     };
@@ -147,7 +149,8 @@ LUMILINE_NOINLINE void collect_adjusted_peaks(Search search, Scan scan, int limi
                 if (value < limit || value <= window[top - 1] || value < window[top + 1]
                     || !is_bright(search, scan, limit, top, value, scan.v[top]))
                     continue;
-                Run run = {top, top, top};
+                Run run = {};
+                run.left = run.right = top;
                 PeakRecord found;
                 bool good = measure_adjusted(search, scan, all, window, top, run, found);
                 if (window.cuts(all, run.left, run.right))

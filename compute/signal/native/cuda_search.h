@@ -22,11 +22,11 @@ template <int batch_scans, Length length, Counts counts>
 struct WarpSearch : WarpMemory<batch_scans, length> {
     using Memory = WarpMemory<batch_scans, length>;
     using Memory::await_scans, Memory::await_stage, Memory::before, Memory::begin, Memory::chunks,
-        Memory::end_of_stage, Memory::end_scan, Memory::first_scan, Memory::first_v, Memory::found, Memory::in_shared,
-        Memory::lane, Memory::limits, Memory::load_chunk, Memory::lost, Memory::pixels_of,
-        Memory::run_queue, Memory::scan_at, Memory::scan_blocks, Memory::search, Memory::slots,
-        Memory::stage, Memory::stage_batch, Memory::staged, Memory::step_scans, Memory::stride,
-        Memory::top_queue, Memory::words;
+        Memory::end_of_stage, Memory::end_scan, Memory::first_scan, Memory::first_v, Memory::found,
+        Memory::in_shared, Memory::lane, Memory::limits, Memory::load_chunk, Memory::lost,
+        Memory::pixels_of, Memory::run_queue, Memory::scan_at, Memory::scan_blocks, Memory::search,
+        Memory::slots, Memory::stage, Memory::stage_batch, Memory::staged, Memory::step_scans,
+        Memory::stride, Memory::top_queue, Memory::words;
 
     const int groups, group_step, rank_of_quartile, rank_of_sixteenth, group_chunk;
     SharedMemory<batch_scans>& shared;
@@ -211,9 +211,9 @@ struct WarpSearch : WarpMemory<batch_scans, length> {
         return __funnelshift_l(left, right, 16);
     }
 
-    // Corrects the bright chunks in shared memory and those beside them; the lane's word has a bit for
-    // each of 32 chunks, from chunk `first` of scan `slot` on. Its pixels' raw counts are then those
-    // in global memory.
+    // Corrects the bright chunks in shared memory and those beside them; the lane's word has a bit
+    // for each of 32 chunks, from chunk `first` of scan `slot` on. Its pixels' raw counts are then
+    // those in global memory.
     LUMILINE_FN void correct_chunks(unsigned word, int slot, int first) {
         const int last_word = scan_blocks * 8 - 1, own_word = first / 32;
         const unsigned left = __shfl_up_sync(every, word, 1);
@@ -292,11 +292,10 @@ struct WarpSearch : WarpMemory<batch_scans, length> {
         const unsigned short* v = pixels_of(where, slot);
         const auto pixels = adjusted_pixels(scan, v);
         const int limit = limits[slot];
-        const int least =
-            counts == Counts::corrected
-                ? limit
-                : smaller(raw_limit_of(search, scan, limit, start, start),
-                          raw_limit_of(search, scan, limit, end - 1, end - 1));
+        const int least = counts == Counts::corrected
+                              ? limit
+                              : smaller(raw_limit_of(search, scan, limit, start, start),
+                                        raw_limit_of(search, scan, limit, end - 1, end - 1));
         const unsigned below = (unsigned)(larger(smaller(least, 65536), 1) - 1) * 0x10001u;
         unsigned bright = 0u, tops = 0u;
 #pragma unroll 1

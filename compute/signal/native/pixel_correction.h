@@ -76,8 +76,8 @@ struct AdjustedPixels {
     }
 };
 
-// As AdjustedPixels, of a calibrated sensor and a level background: quicker, since masked pixels are
-// worked out apart.
+// As AdjustedPixels, of a calibrated sensor and a level background: quicker, since masked pixels
+// are worked out apart.
 struct CorrectedPixels {
     const unsigned short* v;
     const SensorCorrection* sensor;

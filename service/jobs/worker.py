@@ -16,12 +16,13 @@ from multiprocessing.connection import Connection, wait
 from threading import Thread
 from typing import Any, Final
 
-_ONE_THREAD: Final = (
+THREAD_VARIABLES: Final = (
     "OMP_NUM_THREADS",
     "OPENBLAS_NUM_THREADS",
     "MKL_NUM_THREADS",
     "NUMBA_NUM_THREADS",
 )
+"""Environment variables that tell numerical libraries, before they are loaded, their threads."""
 _NICENESS: Final = 10
 
 
@@ -100,7 +101,7 @@ def _prepare(memory_bytes: int | None) -> None:
     if hasattr(signal, "SIGHUP"):
         signal.signal(signal.SIGHUP, signal.SIG_IGN)
     Thread(target=_end_with_parent, daemon=True).start()
-    for name in _ONE_THREAD:
+    for name in THREAD_VARIABLES:
         os.environ[name] = "1"
     with contextlib.suppress(OSError):
         os.nice(_NICENESS)  # live devices go first

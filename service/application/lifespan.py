@@ -55,6 +55,7 @@ async def running(
         def at_the_end(close: Callable[[], None]) -> None:
             stack.push_async_callback(run_sync, close)
 
+        at_the_end(app.state.bodies.close)
         database = Database(settings.effective_database_url, query_timeout=True)
         at_the_end(database.close)
         stack.enter_context(server_lock(database))

@@ -40,6 +40,15 @@ class Device(ResponseModel):
     active_radiometric_id: str | None = None
 
 
+class LiveBadPixel(ResponseModel):
+    """A pixel that a device's frames have shown to be bad since it was started."""
+
+    sensor: str
+    pixel: int
+    kind: str
+    since: datetime
+
+
 class DeviceStatus(ResponseModel):
     """State of a device and its counts of frames."""
 
@@ -48,6 +57,7 @@ class DeviceStatus(ResponseModel):
     calibration_id: str | None = None
     table_id: str | None = None
     radiometric_id: str | None = None
+    bad_pixels: list[LiveBadPixel] = []
     frames: int = 0
     frames_lost_device: int = 0
     frames_dropped_ring: int = 0

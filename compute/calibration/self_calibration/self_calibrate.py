@@ -35,7 +35,9 @@ from compute.calibration.self_calibration.pose_screening import (
     screen_poses,
 )
 from compute.calibration.self_calibration.recording_checks import (
+    check_certainty,
     check_count,
+    check_flat_readings,
     check_observed_scale,
     check_recordings,
     check_scale,
@@ -62,7 +64,7 @@ from compute.calibration.self_calibration.uncalibrated_start import (
 from compute.calibration.settings import CalibrationSettings, Distortion, preset_terms
 from compute.camera.field_distortion import Term
 from compute.camera.model import SensorGeometry, SensorModel
-from compute.errors import InvalidParameter, NoConvergence
+from compute.errors import InvalidParameter, NoConvergence, UndeterminedParameters
 from compute.progress import Progress, no_progress
 
 Array = NDArray[np.float64]
@@ -124,6 +126,25 @@ def self_calibrate(
         NoConvergence: the start is too wrong, or the readings contradict one another.
     """
     check_recordings(models, recordings)
+    try:
+        return _calibrate_recordings(
+            models, recordings, initial, directions_deg, distortion, datum, progress
+        )
+    except (UndeterminedParameters, NoConvergence):
+        # A flat wave explains the failure better.
+        check_flat_readings(recordings)
+        raise
+
+
+def _calibrate_recordings(
+    models: Sequence[SensorModel] | Sequence[SensorGeometry],
+    recordings: Sequence[Recording],
+    initial: Initial,
+    directions_deg: Sequence[float] | None,
+    distortion: Distortion,
+    datum: Datum,
+    progress: Progress,
+) -> SelfCalibration:
     sigma_given = {recording.sigma_px is not None for recording in recordings}
     if len(sigma_given) > 1:
         raise InvalidParameter("some recordings have standard deviations and some not; give all")
@@ -164,6 +185,7 @@ def self_calibrate(
             starts = work.screen_poses()
             adjusted = work.adjusted(starts)
     work.check_share(starts)
+    check_certainty(adjusted, [start.poses for start in starts])
     progress(0.95, "world frame")
     placed = _apply_datum(adjusted, begin.reference, starts, recordings, datum)
     scale = device_scale(begin.reference, placed.models) if begin.given else None

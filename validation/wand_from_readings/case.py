@@ -29,7 +29,13 @@ COST_TOLERANCE: Final = 0.02
 """Largest relative excess of chi2 per degree of freedom over that from the true cameras."""
 ERROR_TOLERANCE: Final = 0.1
 """Largest relative difference of the markers' error from that of the same solution."""
-DEGENERATE: Final[tuple[Directions, ...]] = ("all parallel", "all in one plane", "on a cone")
+DEGENERATE: Final[dict[Directions, str]] = {
+    "all parallel": "all parallel",
+    "all in one plane": "all in one plane",
+    "on a cone": "on a cone",
+    "flat cloud": "in one plane",
+}
+"""Degenerate waves, and what their refusal says."""
 Verdict = Literal["same", "lower", "other", "refused"]
 
 
@@ -46,6 +52,7 @@ class Row:
         always: see ``missing``.
         wrong: share of wrong readings.
         exchanged: share of exchanged ends.
+        directions: of the wand.
     """
 
     label: str
@@ -55,6 +62,7 @@ class Row:
     always: bool = False
     wrong: float = 0.01
     exchanged: float = 0.0
+    directions: Directions = "all"
 
 
 ROWS: Final = (
@@ -62,6 +70,7 @@ ROWS: Final = (
     Row("4 to 8 sensors, lenses distort", (4, 8), distorted=True),
     Row("5 to 8 sensors, 1 % of ends exchanged", (5, 8), exchanged=0.01),
     Row("4 sensors, 30 % missing", (4, 4), missing=0.3, always=True),
+    Row("5 to 8 sensors, one end fixed", (5, 8), directions="one end fixed"),
 )
 
 
@@ -97,6 +106,7 @@ def draw_wave(row: Row, seed: int, trial: int) -> Wave:
         missing=row.missing if row.always else float(rng.uniform(0.0, row.missing)),
         wrong=row.wrong,
         exchanged=row.exchanged,
+        directions=row.directions,
     )
 
 
@@ -221,7 +231,7 @@ def degenerate_waves(seed: int, trials: int) -> ResultTable:
         trials: rigs of each kind.
     """
     rows: list[tuple[Cell, ...]] = []
-    for number, kind in enumerate(DEGENERATE):
+    for number, (kind, name) in enumerate(DEGENERATE.items()):
         reasons = []
         for trial in range(trials):
             rng = np.random.default_rng([seed, trial, number])
@@ -231,7 +241,7 @@ def degenerate_waves(seed: int, trials: int) -> ResultTable:
                 wrong=0.0, exchanged=0.0, directions=kind,
             )  # fmt: skip
             reasons.append(judge(wave).reason)
-        named = sum(kind in reason for reason in reasons)
+        named = sum(name in reason for reason in reasons)
         rows.append((kind, trials, sum(map(bool, reasons)), named))
     return ResultTable(
         f"degenerate waves, five sensors, seed {seed}",

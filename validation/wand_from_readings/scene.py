@@ -8,7 +8,9 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-Directions = Literal["all", "all parallel", "all in one plane", "on a cone"]
+Directions = Literal[
+    "all", "all parallel", "all in one plane", "on a cone", "flat cloud", "one end fixed"
+]
 DIRECTION_ERROR_RAD: Final = 0.2
 """Standard deviation of the described directions of the pixels: a glance at the device."""
 
@@ -131,7 +133,8 @@ def random_wave(
         missing: share of readings that are missing.
         wrong: share of readings that are anywhere on the pixels.
         exchanged: share of a sensor's poses in which it has the ends exchanged.
-        directions: of the wand: all, or those of a degenerate wave.
+        directions: of the wand: all, or those of a degenerate wave; "flat cloud": positions and
+            directions in one plane; "one end fixed": all over the sphere about one point.
     """
     middle = bar.centre_mm + rng.uniform(-0.5, 0.5, (poses, 3)) * bar.side_mm
     half = rng.standard_normal((poses, 3))
@@ -142,7 +145,14 @@ def random_wave(
         half -= np.outer(half @ normal, normal) / (normal @ normal)
     elif directions == "on a cone":
         half[:, 2] = 0.7 * np.linalg.norm(half[:, :2], axis=1)
+    elif directions == "flat cloud":
+        normal = np.append(0.3 * rng.standard_normal(2), 1.0)
+        normal /= np.linalg.norm(normal)
+        half -= np.outer(half @ normal, normal)
+        middle -= np.outer((middle - bar.centre_mm) @ normal, normal)
     half *= 0.5 * bar.wand_mm / np.linalg.norm(half, axis=1, keepdims=True)
+    if directions == "one end fixed":
+        middle = bar.centre_mm + half
     markers = np.stack([middle - half, middle + half], axis=1)
     exact = bar.read(markers)
     read = exact + rng.normal(0.0, sigma_px, exact.shape)

@@ -48,6 +48,12 @@ RELATIVE_OFFSET_TOLERANCE: Final = 1e-4
 that comes no further has converged: a hundredth of a standard deviation."""
 UNDAMPED_THRESHOLD: Final = 1e-3
 """Largest damping at which the predicted decrease measures the distance to the minimum."""
+POSE_REFIT_ITERATIONS: Final = 40
+"""Trial steps after which each step also refits the poses to the sensors: a search that takes so
+long follows a curved valley of nearly ambiguous poses (inner iterations: Ruhe and Wedin,
+doi:10.1137/1022057)."""
+POSE_REFIT_STEPS: Final = 3
+POSE_REFIT_DAMPING: Final = 1e-3
 MAX_DAMPING: Final = 1e14
 """Damping at which no step decreases the loss."""
 
@@ -231,6 +237,8 @@ class _Search:
                 if all(model.principal_distance_px > 0.0 for model in trial.models):
                     residuals = trial.residuals()
                     new = total_loss(trial, residuals, self.prior, limit)
+                    if self.iterations > POSE_REFIT_ITERATIONS and np.isfinite(new):
+                        trial, residuals, new = self._refit_poses(trial, residuals, new, limit)
                 # NaN, a point behind a lens, is not better.
                 better = new <= loss
                 ending = (
@@ -256,6 +264,22 @@ class _Search:
                     )
             if ending:
                 return
+
+    def _refit_poses(
+        self, state: AdjustmentState, residuals: list[Array], loss: float, limit: float
+    ) -> tuple[AdjustmentState, list[Array], float]:
+        """Refit poses with the sensors held, as long as that makes the loss smaller."""
+        for _ in range(POSE_REFIT_STEPS):
+            equations = build_normal_equations(state, loss_weights(residuals, limit), self.prior)
+            held = np.zeros(len(self.adjusted_parameters))
+            local = equations.reduced(POSE_REFIT_DAMPING).local_steps(equations, held)
+            trial = state.retract(held, local)
+            found = trial.residuals()
+            new = total_loss(trial, found, self.prior, limit)
+            if not new < loss:  # NaN: a point behind a lens
+                break
+            state, residuals, loss = trial, found, new
+        return state, residuals, loss
 
     def _is_near_minimum(self, equations: NormalEquations, motion: Array | None) -> bool:
         """Return whether the undamped step is negligible (Bates and Watts, doi:10.2307/1268140)."""

@@ -6,9 +6,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.calibration.bundle_adjustment.adjustment_result import AdjustmentResult
 from compute.calibration.bundle_adjustment.pose_set import PoseSet
 from compute.calibration.self_calibration.datum import rotation_between
-from compute.calibration.self_calibration.targets import Recording
+from compute.calibration.self_calibration.targets import Recording, Wand
 from compute.camera.model import SensorGeometry, SensorModel
 from compute.camera.observation_checks import FLATNESS_LIMIT, check_inside
 from compute.errors import DegeneratePoints, InvalidParameter, TooFewPoints
@@ -25,6 +26,13 @@ UNIT_TOLERANCE: Final = 1.6
 CONIC_LIMIT: Final = 0.01
 """Smallest singular value, of the largest, of the squares and products of the directions of known
 lengths: directions in a plane or on a cone have 0, 200 random ones 0.3."""
+WEAK_CONIC_LIMIT: Final = 0.1
+"""The same where the cameras turn out uncertain: noise lifts directions off their cone."""
+DISTANCE_UNCERTAINTY_LIMIT: Final = 0.03
+"""Relative standard deviation of a principal distance from which cameras are uncertain."""
+FLAT_READINGS_LIMIT: Final = 0.05
+"""Third singular value of the readings, of the second: markers in a plane have 0.01 to 0.03, in a
+volume 0.1 and more. Only failures are explained by it: a short bar far away has little, too."""
 
 
 def check_recordings(
@@ -131,11 +139,15 @@ def device_scale(start: Sequence[SensorModel], found: Sequence[SensorModel]) -> 
     return float(np.linalg.lstsq(np.array(rows), np.array(right), rcond=None)[0][0])
 
 
-def check_volume_coverage(pose_sets: Sequence[PoseSet]) -> None:
+def check_volume_coverage(pose_sets: Sequence[PoseSet], conic_limit: float = CONIC_LIMIT) -> None:
     """Check that markers fill a volume and known lengths determine the scale in all directions.
 
     Lengths fix the six scales and shears of space (a symmetric matrix Q with ``d' Q d = 1`` for
     the directions d) unless the directions lie on one cone or plane.
+
+    Args:
+        pose_sets: the poses.
+        conic_limit: see CONIC_LIMIT.
 
     Raises:
         DegeneratePoints: all markers in one plane, or all lengths parallel, in one plane or on a
@@ -155,7 +167,7 @@ def check_volume_coverage(pose_sets: Sequence[PoseSet]) -> None:
     x, y, z = directions.T
     products = np.stack([x * x, y * y, z * z, x * y, y * z, z * x], axis=1)
     singular = np.linalg.svd(products, compute_uv=False)
-    if len(products) >= 6 and singular[5] > CONIC_LIMIT * singular[0]:
+    if len(products) >= 6 and singular[5] > conic_limit * singular[0]:
         return
     direction_shares = np.linalg.svd(directions, compute_uv=False) / np.sqrt(len(directions))
     alike = (
@@ -171,6 +183,60 @@ def check_volume_coverage(pose_sets: Sequence[PoseSet]) -> None:
         "the scale in other directions open; rotate the target in all directions, towards the "
         "sensors too"
     )
+
+
+def check_certainty(adjusted: AdjustmentResult, pose_sets: Sequence[PoseSet]) -> None:
+    """Check that cameras are not uncertain because of the directions of the known lengths.
+
+    Args:
+        adjusted: the solution.
+        pose_sets: its poses.
+
+    Raises:
+        DegeneratePoints: as ``check_volume_coverage``, where a principal distance is uncertain.
+    """
+    variance = np.diagonal(adjusted.sensor_covariance)
+    first = 0
+    worst = 0.0
+    for model in adjusted.models:
+        worst = max(worst, float(np.sqrt(variance[first])) / model.principal_distance_px)
+        first += model.parameter_count
+    if worst > DISTANCE_UNCERTAINTY_LIMIT:
+        check_volume_coverage(pose_sets, WEAK_CONIC_LIMIT)
+
+
+def check_flat_readings(recordings: Sequence[Recording]) -> None:
+    """Check, without cameras, that the markers of wands do not lie in one plane.
+
+    On a bar readings are nearly affine in x/z, y/z and 1/z; in a plane 1/z is affine in the other
+    two, and the readings have two dimensions instead of three.
+
+    Args:
+        recordings: of wands; others are not used.
+
+    Raises:
+        DegeneratePoints: they do.
+    """
+    wands = [one.readings_px for one in recordings if isinstance(one.target, Wand)]
+    if not wands:
+        return
+    readings = np.concatenate([one.reshape(-1, one.shape[2]) for one in wands])
+    readings = readings[np.isfinite(readings).all(axis=1)]
+    if len(readings) <= readings.shape[1]:
+        return
+    # About medians, and without the tenth farthest away: single wrong readings are not depth.
+    centred = readings - np.median(readings, axis=0)
+    plane = np.linalg.svd(centred, full_matrices=False)[2][:2]
+    away = np.linalg.norm(centred - centred @ plane.T @ plane, axis=1)
+    centred = centred[away <= np.quantile(away, 0.9)]
+    singular = np.linalg.svd(centred - centred.mean(axis=0), compute_uv=False)
+    if singular[2] < FLAT_READINGS_LIMIT * singular[1]:
+        raise DegeneratePoints(
+            f"the {len(readings)} markers that all sensors read seem to be all in one plane: their "
+            f"readings vary in two dimensions (singular values {singular[0]:.3g}, "
+            f"{singular[1]:.3g}, {singular[2]:.3g} px), which leaves the sensors' parameters "
+            "undetermined; wave the wand nearer and farther, and towards the sensors too"
+        )
 
 
 def _directions(poses: PoseSet) -> Array:

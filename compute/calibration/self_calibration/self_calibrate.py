@@ -35,7 +35,9 @@ from compute.calibration.self_calibration.pose_screening import (
     screen_poses,
 )
 from compute.calibration.self_calibration.recording_checks import (
+    check_certainty,
     check_count,
+    check_flat_readings,
     check_observed_scale,
     check_recordings,
     check_scale,
@@ -62,12 +64,14 @@ from compute.calibration.self_calibration.uncalibrated_start import (
 from compute.calibration.settings import CalibrationSettings, Distortion, preset_terms
 from compute.camera.field_distortion import Term
 from compute.camera.model import SensorGeometry, SensorModel
-from compute.errors import InvalidParameter, NoConvergence
+from compute.errors import InvalidParameter, NoConvergence, UndeterminedParameters
 from compute.progress import Progress, no_progress
 
 Array = NDArray[np.float64]
 
 REJECTION_ROUNDS: Final = 20
+MAX_ITERATIONS: Final = 800
+"""Trial steps of an adjustment: four sensors that miss many readings leave curved valleys."""
 MIN_SHARE: Final = 0.6
 """Smallest share of the readings that must agree."""
 NOISE_ROUNDS: Final = 2
@@ -122,6 +126,25 @@ def self_calibrate(
         NoConvergence: the start is too wrong, or the readings contradict one another.
     """
     check_recordings(models, recordings)
+    try:
+        return _calibrate_recordings(
+            models, recordings, initial, directions_deg, distortion, datum, progress
+        )
+    except (UndeterminedParameters, NoConvergence):
+        # A flat wave explains the failure better.
+        check_flat_readings(recordings)
+        raise
+
+
+def _calibrate_recordings(
+    models: Sequence[SensorModel] | Sequence[SensorGeometry],
+    recordings: Sequence[Recording],
+    initial: Initial,
+    directions_deg: Sequence[float] | None,
+    distortion: Distortion,
+    datum: Datum,
+    progress: Progress,
+) -> SelfCalibration:
     sigma_given = {recording.sigma_px is not None for recording in recordings}
     if len(sigma_given) > 1:
         raise InvalidParameter("some recordings have standard deviations and some not; give all")
@@ -151,19 +174,18 @@ def self_calibrate(
         if not work.sigma_given:
             work.scale_sigma(sensor_sigma(adjusted, robust=True))
     progress(0.7, "outliers")
-    work.reject_single_outliers()
-    work.repair_exchanges()
-    for _ in range(REJECTION_ROUNDS):
-        starts = work.screen_poses()
-        adjusted = work.adjusted(starts)
-        if not work.reject(adjusted, starts):
-            break
+    starts, adjusted = work.without_outliers()
+    if work.rejected or work.exchanged:
+        # What less accurate cameras took for an outlier may be none.
+        work.restore_readings()
+        starts, adjusted = work.without_outliers()
     if not work.sigma_given:
         for _ in range(NOISE_ROUNDS):
             work.scale_sigma(sensor_sigma(adjusted, robust=False))
             starts = work.screen_poses()
             adjusted = work.adjusted(starts)
     work.check_share(starts)
+    check_certainty(adjusted, [start.poses for start in starts])
     progress(0.95, "world frame")
     placed = _apply_datum(adjusted, begin.reference, starts, recordings, datum)
     scale = device_scale(begin.reference, placed.models) if begin.given else None
@@ -341,6 +363,27 @@ class _SelfCalibrationState:
         """Fit all poses to the current cameras, without contradictory ones."""
         return [screen_poses(self.models, start).consistent for start in self.starts()]
 
+    def without_outliers(self) -> tuple[list[InitialPoses], AdjustmentResult]:
+        """Reject outliers and repair exchanges until none is left; return poses and adjustment."""
+        self.reject_single_outliers()
+        self.repair_exchanges()
+        for _ in range(REJECTION_ROUNDS):
+            starts = self.screen_poses()
+            adjusted = self.adjusted(starts)
+            if not self.reject(adjusted, starts):
+                break
+        return starts, adjusted
+
+    def restore_readings(self) -> None:
+        """Take back all rejections and exchanges."""
+        self.readings = [recording.readings_px.copy() for recording in self.recordings]
+        names = [model.name for model in self.models]
+        for one in self.exchanged:
+            sigma = self.sigma[one.recording - 1][one.pose - 1, :, names.index(one.sensor)]
+            pair = [one.first - 1, one.second - 1]
+            sigma[pair] = sigma[pair[::-1]]
+        self.rejected, self.exchanged = [], []
+
     def reject_single_outliers(self) -> None:
         """Reject the single outlier of each contradictory pose that has one."""
         for number, start in enumerate(self.starts()):
@@ -369,7 +412,11 @@ class _SelfCalibrationState:
         """Adjust all sensors and poses, and keep the cameras."""
         pose_sets = [start.poses for start in starts]
         adjusted = adjust(
-            self.models, pose_sets, prior=lens_offset_prior(self.start, pose_sets), free_datum=True
+            self.models,
+            pose_sets,
+            prior=lens_offset_prior(self.start, pose_sets),
+            free_datum=True,
+            max_iterations=MAX_ITERATIONS,
         )
         self.models = align_to_start(adjusted.models, self.start)
         return adjusted

@@ -5,12 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from compute.calibration.bundle_adjustment.solver import adjust
 from compute.calibration.self_calibration.initial_poses import start_poses
 from compute.calibration.self_calibration.pose_screening import find_exchanges
 from compute.calibration.self_calibration.projective_reconstruction import (
     adjust_projective,
     affine_start,
     dual,
+)
+from compute.calibration.self_calibration.recording_checks import (
+    check_certainty,
+    check_flat_readings,
+    check_volume_coverage,
 )
 from compute.calibration.self_calibration.self_calibrate import self_calibrate
 from compute.calibration.self_calibration.targets import Recording, Wand
@@ -178,3 +184,35 @@ def test_degenerate_waves_are_named(axes: tuple[float, ...], reason: str) -> Non
     read = noisy(rig(), bars(MIDDLE + middles, along), rng)
     with pytest.raises(DegeneratePoints, match=reason):
         self_calibrate(_geometry(), [Recording(WAND, read)])
+
+
+def test_a_flat_cloud_is_known_from_its_readings_alone() -> None:
+    rng = np.random.default_rng(11)
+    middles, along = rng.uniform(-150.0, 150.0, (80, 3)), rng.standard_normal((80, 3))
+    check_flat_readings([Recording(WAND, noisy(rig(), bars(MIDDLE + middles, along), rng))])
+    flat = [1.0, 1.0, 0.0]
+    read = noisy(rig(), bars(MIDDLE + middles * flat, along * flat), rng)
+    read[3, 0, 1] += 700.0
+    with pytest.raises(DegeneratePoints, match="all in one plane"):
+        check_flat_readings([Recording(WAND, read)])
+
+
+def test_uncertain_cameras_are_explained_by_directions_on_a_cone() -> None:
+    rng = np.random.default_rng(12)
+    models = rig()
+    middles, along = rng.uniform(-150.0, 150.0, (80, 3)), rng.standard_normal((80, 3))
+    read = noisy(models, bars(MIDDLE + middles, along), rng)
+    start = start_poses(models, Recording(WAND, read), np.full(read.shape, 1.0)).poses
+    adjusted = adjust(models, [start], free_datum=True)
+    check_certainty(adjusted, [start])
+    along[:, 2] = 0.7 * np.linalg.norm(along[:, :2], axis=1) * rng.uniform(0.9, 1.1, 80)
+    cone = bars(MIDDLE + middles, along)
+    read = noisy(models, cone, rng)
+    start = start_poses(models, Recording(WAND, read), np.full(read.shape, 1.0)).poses
+    check_volume_coverage([start])
+    count = len(adjusted.global_covariance)
+    certain = replace(adjusted, global_covariance=np.eye(count))
+    check_certainty(certain, [start])
+    uncertain = replace(adjusted, global_covariance=1e4 * np.eye(count))
+    with pytest.raises(DegeneratePoints, match="on a cone"):
+        check_certainty(uncertain, [start])

@@ -1,7 +1,7 @@
 """Comatic stripes on a sensor: an asymmetric light integrated over pixels, noise and its bound.
 
 Written from the physics alone, without any code of the project: the stripe is an exponentially
-modified Gaussian (a Gaussian blur of an exponential flare), whose skewness changes along the sensor.
+modified Gaussian (a Gaussian blur of an exponential flare). Its skewness changes along the sensor.
 """
 
 from dataclasses import dataclass
@@ -26,17 +26,7 @@ class ComaticSensor:
 
     def shares(self, position_px: float) -> Array:
         """Return the shares of the light in the pixels; the centre of gravity is the position."""
-        edges = np.arange(self.pixels + 1) - 0.5 - position_px
-        field = 2.0 * position_px / (self.pixels - 1.0) - 1.0
-        tail = self.flare * abs(field)
-        if tail < 1e-3:
-            tail = 1e-3
-        # exponnorm has its Gaussian at zero; its mean is the flare's.
-        mean = tail * self.blur_px
-        sign = 1.0 if field >= 0.0 else -1.0
-        below = exponnorm.cdf(np.sort(sign * edges), tail, loc=-mean, scale=self.blur_px)
-        found = np.diff(below)
-        return found if sign > 0.0 else found[::-1]
+        return self._shifted(position_px, 0.0)
 
     def expected(self, position_px: float, light: float, ambient: float) -> Array:
         """Return the mean electrons of the pixels."""
@@ -54,26 +44,30 @@ class ComaticSensor:
         return np.clip(counts, 0, 65535).astype(np.uint16)
 
     def bound_px(self, position_px: float, light: float, ambient: float) -> float:
-        """Return the Cramer-Rao bound of a position; light and a level are unknown, the shape is not.
+        """Return the Cramer-Rao bound of a position; light and a level are unknown, too.
 
         The shape counts as known at the position: its change along the sensor is no information.
         """
         step = 1e-3
         here = self.shares(position_px)
         # Shifted, not deformed: by a fine grid of the same stripe.
-        by_position = (
-            self._shifted(position_px, step) - self._shifted(position_px, -step)
-        ) / (2.0 * step)
-        variance = light * here + ambient + self.read_electrons**2 + self.electrons_per_count**2 / 12.0
+        by_position = (self._shifted(position_px, step) - self._shifted(position_px, -step)) / (
+            2.0 * step
+        )
+        variance = (
+            light * here + ambient + self.read_electrons**2 + self.electrons_per_count**2 / 12.0
+        )
         jacobian = np.stack([light * by_position, here, np.ones(self.pixels)])
         near = np.abs(np.arange(self.pixels) - position_px) < 40
         jacobian, variance = jacobian[:, near], variance[near]
         return float(np.sqrt(np.linalg.inv((jacobian / variance) @ jacobian.T)[0, 0]))
 
     def _shifted(self, position_px: float, by: float) -> Array:
+        """Return the shares of the stripe of a position that is moved without another shape."""
         field = 2.0 * position_px / (self.pixels - 1.0) - 1.0
         tail = max(self.flare * abs(field), 1e-3)
         sign = 1.0 if field >= 0.0 else -1.0
+        # exponnorm has its Gaussian at zero; its mean is the flare's.
         edges = sign * (np.arange(self.pixels + 1) - 0.5 - position_px - by)
         below = exponnorm.cdf(edges, tail, loc=-tail * self.blur_px, scale=self.blur_px)
         return np.abs(np.diff(below))

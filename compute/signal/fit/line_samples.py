@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.signal.fit.fit_finder import FitFinder
-from compute.signal.fit.fit_settings import FitSettings
+from compute.signal.fit.fit_settings import SURROUNDING_PIXELS, FitSettings
 from compute.signal.peaks import PeakFlag
 from compute.signal.pixel_corrections import PixelCorrections
 from compute.signal.sensor_noise import QUANTISATION_VARIANCE, SensorNoise
@@ -15,7 +15,7 @@ from compute.signal.sensor_noise import QUANTISATION_VARIANCE, SensorNoise
 Array = NDArray[np.float64]
 
 MAX_LINES: Final = 8000
-REACH_WIDTHS: Final = 6.0
+REACH_WIDTHS: Final = 9.0
 """Half a window, in the lines' standard deviations."""
 _BATCH: Final = 512
 _UNCLEAR: Final = (
@@ -62,20 +62,26 @@ class LineSamples:
     def __post_init__(self) -> None:
         self.centre = np.rint(self.position_px)
 
-    def predict(self, share: Array) -> tuple[Array, Array]:
-        """Return expected counts and weights of the pixels by their shares of the light, (L, W)."""
-        away = self.pixel_offset - self.centre[:, None]
-        mean = self.level[:, None] + self.slope[:, None] * away + self.light[:, None] * share
+    def predict(self, share: Array, lines: NDArray[np.intp]) -> tuple[Array, Array]:
+        """Return expected counts and weights of pixels.
+
+        Args:
+            share: of the lines' light, shape (N, W).
+            lines: numbers of the N lines.
+        """
+        away = self.pixel_offset[lines] - self.centre[lines][:, None]
+        mean = self.level[lines][:, None] + self.slope[lines][:, None] * away
+        mean = mean + self.light[lines][:, None] * share
         above = np.maximum(mean - self.offset_counts, 0.0) / self.electrons_per_count
-        variance = self.scale * (self.scale * self.dark_variance + above)
-        return mean, np.where(self.used, 1.0 / variance, 0.0)
+        scale = self.scale[lines]
+        variance = scale * (scale * self.dark_variance + above)
+        return mean, np.where(self.used[lines], 1.0 / variance, 0.0)
 
     def move(self, step: Array) -> None:
-        """Move position, light, level and slope of the lines by steps, shape (L, 4)."""
+        """Move position, light and level of the lines by steps, shape (L, 3)."""
         self.position_px = self.position_px + np.clip(step[:, 0], -_STEP_PX, _STEP_PX)
         self.light = self.light + step[:, 1]
         self.level = self.level + step[:, 2]
-        self.slope = self.slope + step[:, 3]
 
 
 def take_samples(
@@ -116,15 +122,15 @@ def take_samples(
     at = np.rint(near[chosen]).astype(np.intp)[:, None] + np.arange(-reach, reach + 1)
     raw = scans[chosen[:, None], at]
     values, scale = raw.astype(np.float64), np.ones(at.shape)
+    counts = scans[chosen].astype(np.float64)
     if corrections is not None:
-        corrected = np.concatenate(
-            [corrections.correct(scans[rows]) for rows in np.array_split(chosen, 1 + len(chosen) // _BATCH)]
-        )
-        values = np.take_along_axis(corrected, at, axis=1).astype(np.float64)
+        counts = corrections.correct(scans[chosen]).astype(np.float64)
+        values = np.take_along_axis(counts, at, axis=1)
         scale = corrections.scale[0, at].astype(np.float64)
     used = (scale != 0.0) & (raw < noise.full_scale_counts[0])
     gain, read = float(noise.electrons_per_count[0]), float(noise.read_noise_electrons[0])
     level = 0.5 * (values[:, :2].mean(axis=1) + values[:, -2:].mean(axis=1))
+    slope = _surrounding_slope(counts, at[:, 0], at[:, -1])
     return LineSamples(
         values,
         used,
@@ -133,10 +139,26 @@ def take_samples(
         near[chosen],
         amplitude[chosen, 0].astype(np.float64) * sigma * np.sqrt(2.0 * np.pi),
         level,
-        np.zeros(len(chosen)),
+        slope,
         sigma,
         float(reach),
         (read / gain) ** 2 + QUANTISATION_VARIANCE,
         gain,
         float(noise.offset_counts[0]),
     )
+
+
+def _surrounding_slope(counts: Array, first: NDArray[np.intp], last: NDArray[np.intp]) -> Array:
+    """Return the background's slope by SURROUNDING_PIXELS on either side; 0 near the sensor's ends.
+
+    It is not fitted with the line: far from it, slope and shape are hard to tell apart.
+    """
+    pixels = counts.shape[1]
+    side = np.arange(1, SURROUNDING_PIXELS + 1)
+    inside = (first - side[-1] >= 0) & (last + side[-1] < pixels)
+    below, above = (
+        np.median(np.take_along_axis(counts, np.clip(at, 0, pixels - 1), axis=1), axis=1)
+        for at in (first[:, None] - side, last[:, None] + side)
+    )
+    distance = last - first + SURROUNDING_PIXELS + 1.0
+    return np.where(inside, (above - below) / distance, 0.0)

@@ -21,9 +21,10 @@ FIELD_DEGREE: Final = 7
 of the field."""
 NODES: Final = 17
 """Places along the sensor at which shapes are kept."""
-KNOT_WIDTHS: Final = 0.5
-"""Distance of the knots of a shape's spline, in the lines' standard deviations: half a pixel at
-most."""
+MAX_GAP_PART: Final = 0.15
+"""Largest part of the way along the sensor without a line: the shape there would be a guess."""
+KNOT_WIDTHS: Final = 0.4
+"""Distance of the knots of a shape's spline, in the lines' standard deviations."""
 ROUGHNESS: Final = 1.0
 """Standard deviation of the shape's third differences, beside those of a Gaussian: weak, but pixels
 as wide as the line leave some combinations of shape and sub-pixel positions open."""
@@ -63,7 +64,7 @@ def estimate_line_shape(
         corrections: of its pixels; None: counts are taken as they are.
 
     Raises:
-        InvalidParameter: too few usable lines, or lines too sharp.
+        InvalidParameter: too few usable lines, lines too sharp, or a gap between them.
     """
     samples = take_samples(scans, settings, noise, corrections)
     if len(samples.position_px) < MIN_LINES:
@@ -77,6 +78,15 @@ def estimate_line_shape(
             f"the lines have a standard deviation of {samples.width_px:.2g} px; their shape can be "
             f"measured from {MIN_WIDTH_PX:g} px on: sharper ones' shape and sub-pixel positions "
             "cannot be told apart"
+        )
+    place = np.sort(samples.position_px)
+    gaps = np.diff(place)
+    widest = int(np.argmax(gaps))
+    if gaps[widest] > MAX_GAP_PART * (place[-1] - place[0]):
+        raise InvalidParameter(
+            f"no line lies between pixels {place[widest]:.0f} and {place[widest + 1]:.0f}; the "
+            f"lines lie in {place[0]:.0f} to {place[-1]:.0f}, and no gap may be more than "
+            f"{MAX_GAP_PART:.0%} of that: move the marker evenly through the field"
         )
     problem = _ShapeProblem(samples)
     for number in range(MAX_ITERATIONS):
@@ -94,7 +104,7 @@ class _ShapeProblem:
     def __init__(self, samples: LineSamples) -> None:
         self.samples = samples
         width = samples.width_px
-        self.knot = min(KNOT_WIDTHS * width, 0.5)
+        self.knot = KNOT_WIDTHS * width
         half = int(samples.reach_px / self.knot) - 1
         self.knots = np.arange(-half, half + 1) * self.knot
         self.low, self.high = float(samples.position_px.min()), float(samples.position_px.max())
@@ -128,9 +138,13 @@ class _ShapeProblem:
             keep = self.keep[lines]
             clear = (rows - own @ (project @ rows))[keep]
             left = residual - np.einsum("lwa,law,lw->lw", own, project, residual, optimize=True)
-            wide = (field[lines][keep][:, None, :, None] * clear[:, :, None, :]).reshape(-1, total)
-            normal += wide.T @ wide
-            right += wide.T @ left[keep].ravel()
+            pairs = (field[lines][keep][:, :, None] * field[lines][keep][:, None, :]).reshape(
+                -1, orders * orders
+            )
+            squares = (clear.transpose(0, 2, 1) @ clear).reshape(-1, size * size)
+            blocks = (pairs.T @ squares).reshape(orders, orders, size, size)
+            normal += blocks.transpose(0, 2, 1, 3).reshape(total, total)
+            right += (field[lines][keep].T @ np.einsum("lwk,lw->lk", clear, left[keep])).ravel()
         for order in range(orders):
             at = slice(order * size, (order + 1) * size)
             stiff = self.penalty * (orders / (2.0 * order + 1.0))
@@ -202,7 +216,7 @@ class _ShapeProblem:
     def _field(self, position_px: Array) -> Array:
         """Return Legendre polynomials at positions, shape (L, FIELD_DEGREE + 1)."""
         place = (position_px - self.low) / (self.high - self.low) * 2.0 - 1.0
-        return legendre.legvander(np.clip(place, -1.0, 1.0), FIELD_DEGREE)
+        return np.asarray(legendre.legvander(np.clip(place, -1.0, 1.0), FIELD_DEGREE), np.float64)
 
 
 def _density(u: Array) -> Array:

@@ -9,12 +9,11 @@ import numpy as np
 
 from compute.errors import InvalidParameter
 from compute.signal.bad_pixel_monitor import masking_calibration
-from compute.signal.fit.line_shape_estimate import MIN_LINES, estimate_line_shape
+from compute.signal.fit.line_shape_estimate import estimate_line_shape
 from compute.signal.pixel_corrections import PixelCorrections, calibrated_noise
 from compute.signal.radiometric_calibration import RadiometricCalibration
 from compute.signal.sensor_noise import SensorNoise
 from hardware.driver import DeviceDescription
-from service.api.radiometric_calibrations.capture_checks import check_frame_count
 from service.pipeline.detection_stage import FREE_WIDTH_FIT, peak_method
 
 MAX_LINE_FRAMES: Final = 8000
@@ -44,15 +43,15 @@ def with_line_shapes(
 
     with RecordingReader(recording) as reader:
         device, frames = reader.info.description, reader.info.frames
-        check_frame_count(frames, MIN_LINES, recording.name)
         if peak_method(device) != "fit":
             raise InvalidParameter(
                 f"the peaks of {device.name} are not fitted: only fits know a line's shape"
             )
         every = max(frames // MAX_LINE_FRAMES, 1)
-        lines = np.stack(
-            [one.lines for number, one in enumerate(reader.frames()) if number % every == 0]
-        )
+        chosen = [one.lines for number, one in enumerate(reader.frames()) if number % every == 0]
+    if not chosen:
+        raise InvalidParameter(f"{recording.name} holds no frames")
+    lines = np.stack(chosen)
     none = np.zeros(lines.shape[2], np.uint8)
     full_scale = 2**device.bits - 1
     found = {}

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from compute.errors import InvalidParameter
 from compute.signal.centroid_settings import CentroidSettings
@@ -26,9 +27,9 @@ FREE = FitSettings(
 NOISE = SensorNoise.of(10.0, 20.0, 100.0, 65535)
 
 
-def moved(sensor: ComaticSensor, count: int, rng: np.random.Generator) -> np.ndarray:
+def moved(sensor: ComaticSensor, count: int, rng: np.random.Generator) -> NDArray[np.uint16]:
     """Scans of a marker that moves through the field."""
-    position = np.linspace(30.0, sensor.pixels - 31.0, count) + rng.uniform(-0.5, 0.5, count)
+    position = np.linspace(20.0, sensor.pixels - 21.0, count) + rng.uniform(-0.5, 0.5, count)
     return sensor.expose(position, LIGHT, AMBIENT, rng)
 
 
@@ -87,7 +88,7 @@ def test_kernel_and_definition_agree_with_shapes_of_two_sensors() -> None:
 @pytest.mark.slow
 def test_document_gives_the_shape_again_and_others_are_refused() -> None:
     sensor, rng = ComaticSensor(pixels=256), np.random.default_rng(13)
-    scans = moved(sensor, 450, rng)
+    scans = moved(sensor, 600, rng)
     shape = estimate_line_shape(scans, FREE, NOISE)
     again = LineShape.from_document(shape.to_document())
     assert again.light.tobytes() == shape.light.tobytes()
@@ -96,6 +97,8 @@ def test_document_gives_the_shape_again_and_others_are_refused() -> None:
         LineShape.from_document({"light": []})
     with pytest.raises(InvalidParameter, match="400 or more"):
         estimate_line_shape(scans[:100], FREE, NOISE)
-    sharp = moved(replace(sensor, blur_px=0.35), 450, rng)
+    with pytest.raises(InvalidParameter, match="no line lies between pixels"):
+        estimate_line_shape(np.concatenate([scans[:200], scans[-250:]]), FREE, NOISE)
+    sharp = moved(replace(sensor, blur_px=0.35), 600, rng)
     with pytest.raises(InvalidParameter, match=r"cannot be told apart|400 or more"):
         estimate_line_shape(sharp, FREE, NOISE)

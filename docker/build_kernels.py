@@ -27,7 +27,8 @@ def modules() -> Iterator[tuple[Any, int]]:
     from compute.signal.native.scan_kernel import Search, scan_kernel
 
     for search in get_args(Search):
-        yield scan_kernel(search).module, BLOCK_THREADS
+        for corrected in (False, True):
+            yield scan_kernel(search, corrected).module, BLOCK_THREADS
     for has_toroids in (False, True):
         yield ray_kernel(has_toroids).module, RAYS
     for sensors in SENSORS:

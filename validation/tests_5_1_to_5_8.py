@@ -38,8 +38,8 @@ AS_PUBLISHED = "iterative DLT, as published"
 NORMALISED = "iterative DLT, normalised"
 METRIC = "metric (default)"
 LEAVE_ONE_OUT = "metric, leave one out"
-REPAIRED = "metric, labels mended"
-REPAIRED_LEFT_OUT = "metric, labels mended, leave one out"
+REPAIRED = "metric, labels repaired"
+REPAIRED_LEFT_OUT = "metric, labels repaired, leave one out"
 KNOWN_CAMERAS = "known cameras, [5.24]"
 
 
@@ -118,17 +118,17 @@ def _measured(number: str, scales: Sequence[PixelScale]) -> tuple[Column, ...]:
 
 
 def _repaired(data: _Readings, scales: Sequence[PixelScale]) -> tuple[Column, ...]:
-    """Calibrate with the label errors found mended; none where none is found."""
+    """Calibrate with the label errors found repaired; none where none is found."""
     geometry = [scale.geometry for scale in scales]
     findings = find_label_errors(data.points_mm, data.readings_px, geometry).findings
     if not findings:
         return ()
     readings, _ = repair(findings, geometry, data.readings_px)
-    mended = _Readings(data.points_mm, readings)
+    repaired = _Readings(data.points_mm, readings)
     calibration = calibrate(data.points_mm, readings, geometry)
     return (
-        replace(_metric(calibration, mended, scales), label=REPAIRED),
-        Column(REPAIRED_LEFT_OUT, _leave_one_out(calibration, mended, geometry)),
+        replace(_metric(calibration, repaired, scales), label=REPAIRED),
+        Column(REPAIRED_LEFT_OUT, _leave_one_out(calibration, repaired, geometry)),
     )
 
 
@@ -276,7 +276,7 @@ CASES: dict[str, Case] = {
             "calibration frame of 19 LEDs at 1 m, measured",
             "section 5.5, Appendix G",
             _ROUNDED
-            + " Point 17 is 8 px off in cam1, and less so in cam4; mended, cam1's is left out.",
+            + " Point 17 is 8 px off in cam1, and less so in cam4; repaired, cam1's is left out.",
             lambda: _measured("5.4", DFW_V500),
         ),
         Case(

@@ -22,6 +22,7 @@ from compute.calibration.single_sensor.camera_fit import (
     effective_parameters,
 )
 from compute.calibration.single_sensor.distortion_scale import fit_distortion_scale
+from compute.calibration.single_sensor.reading_noise import estimate_noise
 from compute.calibration.single_sensor.sensor_fits import (
     SIGMA_FLOOR_PX,
     ControlObservations,
@@ -29,7 +30,6 @@ from compute.calibration.single_sensor.sensor_fits import (
     fit_distorted,
     fit_metric_cameras,
     fit_undistorted,
-    moderated_variance,
     projected_point_sigma,
     residual_sigma,
 )
@@ -52,14 +52,17 @@ NOISE_TOLERANCE: Final = 0.02
 MIN_NOISE_SHARE: Final = 0.1
 """Standard deviation of readings, relative to what the control points' uncertainty does to them,
 below which "auto" does not estimate it: the residuals do not tell them apart."""
+MIN_CHI2_DOF: Final = 0.5
+"""Effective degrees of freedom of a sensor below which chi-square is none: residuals of which a
+prior leaves a thousandth say nothing of the noise."""
+MAX_ASSUMED_DOF: Final = 2.0
+"""Degrees of freedom of all sensors up to which their noise is the prior's more than their own."""
 ZERO_SIGMA: Final = 10.0
 """Distance of a reading of 0 from where the sensor's other readings put the marker, in standard
 deviations, above which they contradict it."""
 ZERO_SHARE: Final = 0.05
 """The same distance relative to the range of the other readings: distortion that the camera does
 not describe is below 3 % of it."""
-MIN_NOISE_DOF: Final = 2.0
-"""Degrees of freedom of all sensors above which their common noise is estimated."""
 
 
 def calibrate(
@@ -257,7 +260,7 @@ def _fit_statistics(
     source: Literal["given", "residuals", "assumed"]
     if sigma_px is not None:
         source, sigma = "given", float(np.sqrt((sigma_px**2).mean()))
-        if dof > 0:
+        if dof > MIN_CHI2_DOF:
             terms = residuals_px / sigma_px if chi2_terms is None else chi2_terms
             chi2 = float((terms**2).sum())
             chi2_per_dof = chi2 / dof
@@ -293,16 +296,22 @@ def assemble_with_exact_points(
     groups = fits.equation_groups(observed)
     parameters = _effective_parameters(groups)
     found, factors = [], []
+    estimated = fits.unit_px if settings.distortion == "auto" else None
+    source: Literal["residuals", "assumed"] = "residuals"
+    if fits.used(observed).sum() - sum(parameters) <= MAX_ASSUMED_DOF:
+        source = "assumed"
     for column, (model, rows) in enumerate(zip(fits.models, fits.used(observed).T, strict=True)):
         sigma = observed.sigma_px[rows, column] if observed.sigma_known else None
         seen = int(observed.seen[:, column].sum())
         fit, factor = _fit_statistics(
             model, seen, residuals[rows, column], parameters[column], sigma
         )
+        if estimated is not None:
+            # From all sensors, over all scales of the distortion.
+            fit = replace(fit, sigma_px=float(estimated[column]), sigma_source=source)
+            factor = float(estimated[column] ** 2)
         found.append(fit)
         factors.append(factor * (EFFICIENCY_LOSS if settings.loss == "robust" else 1.0))
-    if not observed.sigma_known and settings.distortion == "auto":
-        found, factors = _pool_noise(found, factors, residuals, fits, observed, parameters)
     covariance = np.zeros((first[-1], first[-1]))
     for group in groups:
         for sensor, inverse in zip(group.sensors, group.cofactors, strict=True):
@@ -323,31 +332,6 @@ def _effective_parameters(groups: list[EquationGroup]) -> list[float]:
         )
     }
     return [found[sensor] for sensor in range(len(found))]
-
-
-def _pool_noise(
-    found: list[SensorFit],
-    factors: list[float],
-    residuals_px: Array,
-    fits: SensorFits,
-    observed: ControlObservations,
-    parameters: list[float],
-) -> tuple[list[SensorFit], list[float]]:
-    """Estimate each sensor's noise from its own residuals and the device's."""
-    used = fits.used(observed)
-    dof = np.maximum(used.sum(axis=0) - np.array(parameters), 0.5)
-    squares = np.where(used, residuals_px**2, 0.0).sum(axis=0)
-    variance, total = moderated_variance(squares / dof, dof)
-    if total.min() <= MIN_NOISE_DOF:
-        return found, factors
-    # As in ``_fit_statistics``: the estimate's own uncertainty.
-    variance *= total / (total - 2.0)
-    source: Literal["residuals"] = "residuals"
-    pooled = [
-        replace(fit, sigma_px=sigma, sigma_source=source)
-        for fit, sigma in zip(found, np.sqrt(variance).tolist(), strict=True)
-    ]
-    return pooled, variance.tolist()
 
 
 def _assemble_with_uncertain_points(
@@ -427,12 +411,16 @@ def _estimate_noise(
         variance, dof = (sigma * joint.sigma_ratio) ** 2, joint.redundancy
         if pooled:
             # ``sigma_ratio`` has MIN_REDUNDANCY for less of it.
-            variance = variance * np.maximum(dof, MIN_REDUNDANCY) / np.maximum(dof, MIN_NOISE_DOF)
-            variance, dof = moderated_variance(variance, np.maximum(dof, MIN_NOISE_DOF))
-        # dof - 2: as in ``_fit_statistics``.
-        estimated = np.sqrt(variance * dof / np.maximum(dof - 2.0, 1.0))
-        estimated = np.maximum(estimated, lowest)
-        new = np.where(dof > MIN_REDUNDANCY, estimated, first)
+            size = np.sqrt(variance * np.maximum(dof, MIN_REDUNDANCY))
+            # The redundancy falls with the noise, so that small noise is more probable than by
+            # these degrees of freedom, and the mean of the variance would be too large.
+            used_once = np.ones((1, len(dof)), dtype=np.bool_)
+            new = estimate_noise(size[None], used_once, dof).geometric_px
+        else:
+            # dof - 2: as in ``_fit_statistics``.
+            estimated = np.sqrt(variance * dof / np.maximum(dof - 2.0, 1.0))
+            new = np.where(dof > MIN_REDUNDANCY, estimated, first)
+        new = np.maximum(new, lowest)
         converged = np.abs(new / sigma - 1.0).max() < NOISE_TOLERANCE
         sigma = new
         if converged:

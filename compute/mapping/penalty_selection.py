@@ -46,9 +46,9 @@ class PenaltyPosterior:
         Tests twice the log likelihood ratio of a common factor of all variances against ``limit``.
         The residuals need not show it: a fit that follows the noise leaves none.
         """
-        likeliest = min(self.trials, key=lambda trial: trial.scaled_deviance)
+        most_probable = min(self.trials, key=lambda trial: trial.scaled_deviance)
         least = min(trial.total for trial in self.trials)
-        return likeliest.scale > 1.0 and least - likeliest.scaled_deviance > limit
+        return most_probable.scale > 1.0 and least - most_probable.scaled_deviance > limit
 
 
 def cross_validate_penalties(

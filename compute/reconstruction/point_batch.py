@@ -1,7 +1,7 @@
 """Batch: items as arrays, one row each; PointBatch: reconstructed points, PointEstimate: one."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntFlag
 from functools import cache
 from itertools import compress
@@ -168,6 +168,8 @@ class PointEstimate:
         residual_sigma: root of chi2 per degree of freedom; None without redundancy.
         sensors: names of the sensors used.
         flags: names of the flags that hold, in lower case with hyphens.
+        external_reliability_mm: largest shift of the position by an error of one reading that the
+            others would reveal with a probability of 0.8 [mm]; None: nothing checks a reading.
     """
 
     position_mm: Vector3 | None
@@ -175,6 +177,7 @@ class PointEstimate:
     residual_sigma: float | None
     sensors: tuple[str, ...]
     flags: tuple[str, ...]
+    external_reliability_mm: float | None = field(default=None, kw_only=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,6 +188,9 @@ class PointBatch(Batch):
         position_mm: shape (N, 3) [mm].
         covariance_mm2: shape (N, 3, 3) [mm^2].
         chi2: weighted sum of squared residuals, shape (N,).
+        external_reliability_mm: Baarda's external reliability: largest shift of the point by a
+            minimal detectable error of one reading, shape (N,) [mm]; infinite where nothing checks
+            some reading, as with three sensors.
         used: which sensors each point comes from, shape (N, S).
         flags: PointFlag values, int32, shape (N,).
     """
@@ -192,6 +198,7 @@ class PointBatch(Batch):
     position_mm: Annotated[Array, 3]
     covariance_mm2: Annotated[Array, 3, 3]
     chi2: Array
+    external_reliability_mm: Array
     used: Annotated[NDArray[np.bool_], "S"]
     flags: NDArray[np.int32]
 
@@ -214,6 +221,7 @@ class PointBatch(Batch):
                 sigma if isfinite(sigma) else None,
                 tuple(compress(names, used)),
                 flag_names(PointFlag(flags)),
+                external_reliability_mm=reliability if isfinite(reliability) else None,
             )
-            for position, covariance, sigma, used, flags in rows
+            for position, covariance, sigma, reliability, used, flags in rows
         ]

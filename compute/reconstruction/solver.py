@@ -14,7 +14,7 @@ from compute.measurement.measurement_model import check_calibration
 from compute.reconstruction.native.cuda_launch import MOVED_WORDS, THREADS_PER_BLOCK, CudaLaunch
 from compute.reconstruction.native.definitions import JOB, MAX_POWER, fill_cameras, row_length
 from compute.reconstruction.point_batch import PointBatch
-from compute.reconstruction.triangulation import INCONSISTENCY_SIGNIFICANCE, chi2_limit
+from compute.reconstruction.triangulation import chi2_limits, noncentralities
 from compute.warp_host import check_threads, warp_device, worker_threads
 
 Array = NDArray[np.float64]
@@ -25,8 +25,8 @@ MIN_CAPACITY: Final = 16
 other terms then need no other kernel."""
 POINTS_PER_THREAD: Final = 512
 """Fewest points for which another CPU thread is worth its start."""
-_POINT_BYTES: Final = 108
-"""Bytes of a point's position, covariance, chi2 and flags."""
+_POINT_BYTES: Final = 116
+"""Bytes of a point's position, covariance, chi2, external reliability and flags."""
 
 
 def address(array: NDArray[Any]) -> int:
@@ -79,8 +79,9 @@ class CpuLaunch:
             np.ndarray((count, 3), np.float64, block),
             np.ndarray((count, 3, 3), np.float64, block, 24 * count),
             np.ndarray((count,), np.float64, block, 96 * count),
+            np.ndarray((count,), np.float64, block, 104 * count),
             np.ndarray((count, sensors), np.bool_, block, _POINT_BYTES * count),
-            np.ndarray((count,), np.int32, block, 104 * count),
+            np.ndarray((count,), np.int32, block, 112 * count),
         )
         base = address(block)
         addresses = (
@@ -89,15 +90,16 @@ class CpuLaunch:
             base,
             base + 24 * count,
             base + 96 * count,
-            base + _POINT_BYTES * count,
             base + 104 * count,
+            base + _POINT_BYTES * count,
+            base + 112 * count,
         )
         parts = max(min(self._threads, count // POINTS_PER_THREAD), 1)
         if parts == 1:
             self._prepare(0, addresses, count)
             self._launches[0].launch()
             return points
-        strides = (8 * sensors, 8 * sensors, 24, 72, 8, sensors, 4)
+        strides = (8 * sensors, 8 * sensors, 24, 72, 8, 8, sensors, 4)
         starts = [count * part // parts for part in range(parts + 1)]
         for part in range(parts):
             moved = [
@@ -179,9 +181,8 @@ class PointSolver:
 
         row = row_length(self.sensors, cuda=bool(place.is_cuda))
         fill_cameras(job["cameras"], keep, stack, corrections, row)
-        dofs = range(-3, self.sensors - 2)
-        limits = [chi2_limit(f, INCONSISTENCY_SIGNIFICANCE) for f in dofs]
-        job["chi2_limits"] = keep(np.array(limits))
+        job["chi2_limits"] = keep(chi2_limits(self.sensors))
+        job["noncentralities"] = keep(noncentralities(self.sensors))
         if parameter_covariance is not None:
             spread = stack.covariance_blocks(np.asarray(parameter_covariance))
             job["parameter_covariance"] = keep(spread)

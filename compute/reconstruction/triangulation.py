@@ -13,6 +13,7 @@ from compute.camera.stack import CameraStack
 from compute.mapping.table import CorrectionTable
 from compute.measurement.measurement_model import MeasurementModel
 from compute.reconstruction.point_batch import PointBatch, PointFlag
+from compute.reliability import ReadingChecks, check_readings, noncentrality
 
 Array = NDArray[np.float64]
 
@@ -43,6 +44,8 @@ def reconstruct(
     sigma_px: Array,
     parameter_covariance: Array | None = None,
     corrections: CorrectionTable | None = None,
+    *,
+    reliability: bool = True,
 ) -> PointBatch:
     """Reconstruct points from the readings of any three or more sensors.
 
@@ -62,6 +65,7 @@ def reconstruct(
         parameter_covariance: joint covariance of the cameras' parameters, shape (P, P), sensor by
             sensor in the order of ``SensorModel.parameter_names``. None: taken as exact.
         corrections: of the S sensors' readings, over space. None: none.
+        reliability: whether to work out the external reliability; it is NaN otherwise.
 
     Returns:
         The points; those that cannot be had carry NaN and a flag that says why.
@@ -106,16 +110,19 @@ def reconstruct(
     normal[missing] = np.eye(3)
     covariance: Array = np.asarray(np.linalg.inv(normal), dtype=np.float64)
 
-    limits = np.array(
-        [chi2_limit(sensors - 3, INCONSISTENCY_SIGNIFICANCE) for sensors in range(len(cameras) + 1)]
-    )
+    limits = chi2_limits(len(cameras))
+    shift = np.full(len(readings), np.nan)
+    if reliability:
+        known = ~missing
+        checks = equations.checks(position[known], known, whitening[known])
+        shift[known] = external_reliability(checks, used[known])
     flags[~missing & (count == 3)] |= PointFlag.NO_REDUNDANCY
     flags[~missing & (chi2 > limits[count])] |= PointFlag.INCONSISTENT
     if corrections is not None:
         foreign = (used & ~model.inside_hull(position)).any(axis=1)
         flags[~missing & foreign] |= PointFlag.OUTSIDE_MAP
     position[missing], covariance[missing], chi2[missing] = np.nan, np.nan, np.nan
-    return PointBatch(position, covariance, chi2, used, flags)
+    return PointBatch(position, covariance, chi2, shift, used, flags)
 
 
 def reading_variance(
@@ -160,6 +167,26 @@ class _Equations:
     model: MeasurementModel
     readings_px: Array
 
+    def checks(self, position: Array, index: NDArray[np.bool_], whitening: Array) -> ReadingChecks:
+        """Test the readings of points against one another.
+
+        Args:
+            position: of the points ``index``, shape (N, 3).
+            index: which of the points.
+            whitening: of these points, shape (N, S, S).
+        """
+        return check_readings(*self._rows(position, index), whitening)
+
+    def _rows(
+        self, position: Array, index: NDArray[np.intp] | NDArray[np.bool_] | slice
+    ) -> tuple[Array, Array]:
+        """Return Jacobians (N, S, 3) and residuals (N, S), zeros for readings not used."""
+        readings = self.readings_px[index]
+        residual, jacobian = self.model.residuals(readings, position)
+        unused = np.isnan(readings)
+        residual[unused], jacobian[unused] = 0.0, 0.0
+        return jacobian, residual
+
     def gram(self, position: Array, index: NDArray[np.intp] | slice, whitening: Array) -> Array:
         """Return A' A of A, whitened Jacobians and residuals side by side, shape (N, 4, 4).
 
@@ -168,13 +195,8 @@ class _Equations:
             index: which of the points.
             whitening: of these points, shape (N, S, S).
         """
-        readings = self.readings_px[index]
-        residual, jacobian = self.model.residuals(readings, position)
-        rows = np.empty((*residual.shape, 4))
-        rows[..., :3] = jacobian
-        rows[..., 3] = residual
-        rows[np.isnan(readings)] = 0.0
-        whitened = whitening @ rows
+        jacobian, residual = self._rows(position, index)
+        whitened = whitening @ np.concatenate([jacobian, residual[..., None]], axis=-1)
         gram: Array = whitened.transpose(0, 2, 1) @ whitened
         return gram
 
@@ -231,6 +253,31 @@ def chi2_limit(dof: int, probability: float) -> float:
         probability: between 0 and 1.
     """
     return float(chdtri(dof, probability)) if dof > 0 else float("inf")
+
+
+def chi2_limits(sensors: int) -> Array:
+    """Return the largest chi2 of a consistent point of 0, 1, ... S sensors, shape (S + 1,)."""
+    return np.array([chi2_limit(n - 3, INCONSISTENCY_SIGNIFICANCE) for n in range(sensors + 1)])
+
+
+def noncentralities(sensors: int) -> Array:
+    """Return Baarda's lambda_0 of the chi-square test of 0, 1, ... S sensors, shape (S + 1,)."""
+    return np.array([noncentrality(n - 3, INCONSISTENCY_SIGNIFICANCE) for n in range(sensors + 1)])
+
+
+def external_reliability(checks: ReadingChecks, used: NDArray[np.bool_]) -> Array:
+    """Return the largest shift of each point by a minimal detectable error, shape (N,) [mm].
+
+    Baarda's external reliability (1968); infinite where nothing checks some used reading.
+
+    Args:
+        checks: of the readings of N points.
+        used: which readings count, shape (N, S).
+    """
+    size = checks.detectable_px(noncentralities(used.shape[1])[used.sum(axis=1)][:, None])
+    shift = np.linalg.norm(checks.influence, axis=1) * np.where(used, size, 0.0)
+    largest: Array = shift.max(axis=1, initial=0.0)
+    return largest
 
 
 def squared_distances(difference: Array, covariance: Array) -> Array:

@@ -162,7 +162,7 @@ class PeakFinder:
         address = self._input.ptr if self.cuda else 0
         self._launches = [
             wp.launch(
-                scan_kernel(search),
+                scan_kernel(search, corrections is not None),
                 dim=1,
                 inputs=[address, max_scans, 1, self._records.ptr, batch],
                 device=self._device,

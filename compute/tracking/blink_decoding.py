@@ -78,7 +78,7 @@ class BlinkIdentities:
         marker: index of its word, -1: not sure, int32, shape (T,).
         phase: bit of the word that the first scan shows, int32, shape (T,); of no meaning where
             the marker is not known.
-        confidence: probability that it is the likeliest marker, named or not, shape (T,).
+        confidence: probability that it is the most probable marker, named or not, shape (T,).
         errors: scans in which it was on instead of off or the other way round, by that word,
             int32, shape (T,).
     """
@@ -231,7 +231,7 @@ def _log_likelihood_random(amplitude: Array, known: NDArray[np.bool_], model: Bl
 def _resolve_duplicates(
     marker: NDArray[np.intp], odds: Array, model: BlinkModel
 ) -> NDArray[np.intp]:
-    """Keep a name that several lights have with the likeliest only, if it is so for sure."""
+    """Keep a name that several lights have with the most probable only, if it is so for sure."""
     kept = marker.copy()
     needed = float(np.log(model.confidence_threshold / (1.0 - model.confidence_threshold)))
     for name in np.unique(marker[marker >= 0]):

@@ -57,7 +57,7 @@ class BlinkIdentifier:
         self._known: NDArray[np.bool_] | None = None
         """Where presence or absence of a peak is known, shape (T, S, W)."""
         self._name: dict[int, int] = {}
-        self._doubtful: set[int] = set()
+        self._ambiguous: set[int] = set()
         """Tracks that were AMBIGUOUS at the last exposure."""
         self._last: int | None = None
         self._last_evaluation: int | None = None
@@ -88,12 +88,12 @@ class BlinkIdentifier:
         self._last = sequence
         if lit and len(batch):
             self._record(slot, batch, np.asarray(amplitude, dtype=np.float64), amplitudes, known)
-        doubtful = set(batch.identity[(batch.flags & TrackFlag.AMBIGUOUS) != 0].tolist())
-        for identity in doubtful - self._doubtful:
+        ambiguous = set(batch.identity[(batch.flags & TrackFlag.AMBIGUOUS) != 0].tolist())
+        for identity in ambiguous - self._ambiguous:
             # What it showed before may have been another marker's.
             known[self._identity == identity] = False
             self._name.pop(identity, None)
-        self._doubtful = doubtful
+        self._ambiguous = ambiguous
         # Once in so many exposures, whichever of them is seen.
         if lit and sequence // self._every != self._last_evaluation:
             self._last_evaluation = sequence // self._every
@@ -164,7 +164,7 @@ class BlinkIdentifier:
         }
         for identity, name in list(self._name.items()):
             # A track that may be exchanged at any time is named by what it showed last, only.
-            unsure = identity in self._doubtful and sure.get(name) != identity
+            unsure = identity in self._ambiguous and sure.get(name) != identity
             if unsure or sure.get(name, identity) != identity:
                 del self._name[identity]
         for name, identity in sure.items():

@@ -227,8 +227,8 @@ class CandidateTracks:
         )
         # Where ghosts last, time tells nothing: how many are there that nothing betrays?
         ghosts = self._expected_ghosts(ready[taken], int((lasting & ~taken).sum()))
-        doubtful = ghosts > MAX_GHOSTS
-        if doubtful:
+        ambiguous = ghosts > MAX_GHOSTS
+        if ambiguous:
             good &= old
         # Handed over while it is seen well: what comes next may be merged with others.
         least = np.where(old, MIN_SUPPORT_SENSORS - 1, MIN_SUPPORT_SENSORS)
@@ -237,7 +237,7 @@ class CandidateTracks:
             return None
         found = ready[good]
         markers = kept.rows(found)
-        markers.ambiguous[:] = doubtful
+        markers.ambiguous[:] = ambiguous
         stay = np.ones(len(kept), dtype=np.bool_)
         stay[found] = False
         # What lived on their peaks is a ghost.
@@ -282,7 +282,7 @@ class CandidateTracks:
         return seen, seen + self._kept.missed.sum(axis=1)
 
     def _drop_duplicates(self) -> None:
-        """Of candidates that have come to have the same peaks, keep the likeliest."""
+        """Of candidates that have come to have the same peaks, keep the most probable."""
         kept = self._kept
         sizes, shared = _shared(kept.peaks[:, -4:])
         same = (shared > DUPLICATE_SHARE_THRESHOLD * np.minimum(sizes[:, None], sizes[None])) & (

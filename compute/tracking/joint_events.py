@@ -14,7 +14,7 @@ _LOG_2 = log(2.0)
 MIN_MERGE_PROBABILITY = 1e-4
 """Probability below which two tracks are not considered merged into one peak."""
 NEGLIGIBLE_WEIGHT_RATIO = 1e-6
-"""Partial hypotheses bounded by this fraction of the likeliest one's weight are pruned."""
+"""Partial hypotheses bounded by this fraction of the most probable one's weight are pruned."""
 SHARE_FRACTION_VARIANCE = 1.0 / 12.0
 """Variance of one marker's unknown, uniformly distributed share in a merged peak."""
 
@@ -90,7 +90,7 @@ def event_marginals(
     are extended track by track, and the weight of the pruned ones is bounded.
 
     Each track is read as a peak of its own, shares one with another track, or is missed. Of
-    hypotheses in which the same tracks have the same peaks only the likeliest counts: the average
+    hypotheses with the same peaks for the same tracks only the most probable counts: the average
     over exchanged tracks would draw two that run side by side into one (JPDA*: H. A. P. Blom,
     E. A. Bloem, 10.1109/9.839947). A shared peak lies anywhere between its two markers: it is
     their mean, with the variance of a share that is not known, of which each track takes its own

@@ -1,4 +1,4 @@
-"""ViterbiLinker: points of several exposures linked to the likeliest sequences."""
+"""ViterbiLinker: points of several exposures linked to the most probable sequences."""
 
 from collections import deque
 from dataclasses import dataclass
@@ -33,7 +33,7 @@ _NONE: Final = -1
 
 @dataclass(frozen=True, eq=False)
 class _Layer:
-    """The points of one exposure, each the end of the likeliest sequence that leads to it.
+    """The points of one exposure, each the end of the most probable sequence that leads to it.
 
     Args:
         points: N of them.
@@ -74,7 +74,7 @@ class ViterbiLinker:
 
     In an exposure of N markers on four sensors, N^4 combinations of peaks meet by chance here and
     there. Ghosts of markers that move differ from exposure to exposure, markers go on. Each point
-    is linked to the sequence before it that makes it likeliest: Viterbi's algorithm, with a filter
+    is linked to the sequence before it of highest probability: Viterbi's algorithm, with a filter
     of constant velocity along each sequence (G. D. Forney, 10.1109/PROC.1973.9030).
 
     Args:
@@ -96,7 +96,7 @@ class ViterbiLinker:
     def find(
         self, time_ns: int, peaks: Measurements, free: NDArray[np.bool_]
     ) -> list[PointSequence]:
-        """Return the sequences that end in this exposure, the likeliest first.
+        """Return the sequences that end in this exposure, the most probable first.
 
         Args:
             time_ns: of the exposure, later than the last one's.
@@ -113,7 +113,7 @@ class ViterbiLinker:
         return [self._path(row) for row in rows[np.argsort(-layer.score[rows], kind="stable")]]
 
     def _link(self, points: IntersectionPoints, time_ns: int) -> _Layer:
-        """Return the points of an exposure, each with the likeliest sequence that leads to it."""
+        """Return the points of an exposure, each with the most probable sequence up to it."""
         count = len(points)
         speeds = np.arange(3, _MOVING)
         mean = np.zeros((count, _MOVING))

@@ -1,39 +1,29 @@
 """Client and AsyncClient: requests to a server by HTTP, and its streams."""
 
 import asyncio
+import json
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from datetime import datetime
 from pathlib import Path
 from typing import IO, Any, Generic, TypeVar
 
 import httpx
 
-from lumiline.client.beam_holds import BeamHoldMethods
-from lumiline.client.devices import DeviceMethods
 from lumiline.client.errors import ServerUnreachable, UnreadableMessage, server_problem
-from lumiline.client.exchange import Asynchronous, Blocking, ClientMethod, path_of, result_of
-from lumiline.client.radiometric import RadiometricMethods
-from lumiline.client.recordings import RecordingMethods
-from lumiline.client.registrations import RegistrationMethods
+from lumiline.client.exchange import Asynchronous, Blocking, ClientMethod, path_of, plain, result_of
+from lumiline.client.models import Run
+from lumiline.client.operations import Operations
 from lumiline.client.server import KeyBy, Server
 from lumiline.client.stream import AsyncStream, Stream
 from lumiline.client.stream_state import Content, Mode, StreamRequest, StreamState
-from lumiline.client.tools import ToolMethods
 
 Http = TypeVar("Http", httpx.Client, httpx.AsyncClient)
 AnyStream = TypeVar("AnyStream", Stream, AsyncStream)
 
 
-class _SharedClient(
-    DeviceMethods,
-    ToolMethods,
-    RegistrationMethods,
-    BeamHoldMethods,
-    RecordingMethods,
-    RadiometricMethods,
-    Generic[Http, AnyStream],
-):
+class _SharedClient(Operations, Generic[Http, AnyStream]):
     """Settings, requests and streams of a client; its subclasses add input and output."""
 
     _http_type: type[Http]
@@ -64,24 +54,54 @@ class _SharedClient(
             base_url=self._server.url, headers=self._server.headers, timeout=timeout_s
         )
 
+    def __repr__(self) -> str:
+        """Return its address, and whether it has a key, which has no place in a log."""
+        server = self._server
+        return f"{type(self).__name__}({server.url!r}, key={'***' if server.key else None})"
+
     @ClientMethod
     async def request(
         self,
         method: str,
         path: str,
         *,
-        query: Mapping[str, Any] | None = None,
+        params: Mapping[str, Any] | None = None,
         body: Any = None,
         timeout_s: float | None = None,
     ) -> Any:
-        """Send any request of the server's interface, and return the JSON that it answers.
+        """Send any request to the server, and return the JSON that it answers.
+
+        Args:
+            method: of HTTP.
+            path: from the server's root, such as ``/api/v1/devices``.
+            params: of the query; those that are None are left out.
+            body: sent as JSON; None: nothing.
+            timeout_s: how long the answer is waited for [s]; None: as the client says.
 
         Raises:
             ServerProblem: the server refused.
             ServerUnreachable: it did not answer.
             UnreadableMessage: what it answered is no JSON.
         """
-        return await self._request(method, path, query=query, body=body, timeout_s=timeout_s)
+        return await self._request(method, path, params=params, body=body, timeout_s=timeout_s)
+
+    @ClientMethod
+    async def wait_for_run(
+        self, run_id: str, timeout_s: float = 600.0, every_s: float = 0.2
+    ) -> Run:
+        """Wait until a run has ended.
+
+        Args:
+            run_id: the run.
+            timeout_s: longest time to wait [s]; the run is returned as it is then.
+            every_s: time between two requests [s].
+        """
+        end_s = time.monotonic() + timeout_s
+        while True:
+            found: Run = await self._send(Run, "GET", path_of("/api/v1/runs/{}", run_id))
+            if found.state not in ("queued", "running") or time.monotonic() >= end_s:
+                return found
+            await result_of(self._sleep(every_s))
 
     def stream(
         self,
@@ -121,19 +141,24 @@ class _SharedClient(
         method: str,
         path: str,
         *,
-        query: Mapping[str, Any] | None = None,
+        params: Mapping[str, Any] | None = None,
+        headers: Mapping[str, Any] | None = None,
         body: Any = None,
+        upload: Path | str | None = None,
         timeout_s: float | None = None,
         extra_timeout_s: float = 0.0,
+        text: bool = False,
     ) -> Any:
         what = f"{method} {path}"
-        known = {name: value for name, value in (query or {}).items() if value is not None}
         timeout_s = (self._timeout_s if timeout_s is None else timeout_s) + extra_timeout_s
-        with _connection_errors(what):
-            response = await result_of(
-                self._http.request(method, path, params=known or None, json=body, timeout=timeout_s)
-            )
+        request = self._build(
+            method, path, params, headers, body, upload, timeout_s + _stated_s(body)
+        )
+        with self._connection_errors(what):
+            response = await result_of(self._http.send(request))
         _check(response, response.content)
+        if text:
+            return response.text
         if not response.content:
             return None
         try:
@@ -141,10 +166,18 @@ class _SharedClient(
         except ValueError as error:
             raise UnreadableMessage(f"{what} did not answer JSON") from error
 
-    async def _download(self, file: Path | str, *path: str) -> Path:
-        source, file = path_of(*path), Path(file)
-        with _connection_errors(f"GET {source}"):
-            request = self._http.build_request("GET", source)
+    async def _download(
+        self,
+        method: str,
+        file: Path | str,
+        path: str,
+        *,
+        params: Mapping[str, Any] | None = None,
+        body: Any = None,
+    ) -> Path:
+        file = Path(file)
+        request = self._build(method, path, params, None, body, None, self._timeout_s)
+        with self._connection_errors(f"{method} {path}"):
             response = await result_of(self._http.send(request, stream=True))
             try:
                 if not response.is_success:
@@ -155,6 +188,45 @@ class _SharedClient(
             finally:
                 await self._end(response)
         return file
+
+    def _build(
+        self,
+        method: str,
+        path: str,
+        params: Mapping[str, Any] | None,
+        headers: Mapping[str, Any] | None,
+        body: Any,
+        upload: Path | str | None,
+        timeout_s: float,
+    ) -> httpx.Request:
+        """Return a request; members of its query and its header that are None are left out."""
+        known = {name: _parameter(value) for name, value in (params or {}).items()}
+        content: bytes | None = None
+        sent = {name: str(value) for name, value in (headers or {}).items() if value is not None}
+        if upload is not None:
+            content = Path(upload).read_bytes()
+            sent["Content-Type"] = "application/x-hdf5"
+        elif body is not None:
+            content = json.dumps(body, default=plain, allow_nan=False).encode()
+            sent["Content-Type"] = "application/json"
+        return self._http.build_request(
+            method,
+            path,
+            params={name: value for name, value in known.items() if value is not None} or None,
+            headers=sent,
+            content=content,
+            timeout=timeout_s,
+        )
+
+    @contextmanager
+    def _connection_errors(self, what: str) -> Iterator[None]:
+        """Raise ServerUnreachable where the connection fails or is lost."""
+        try:
+            yield
+        except httpx.TransportError as error:
+            raise ServerUnreachable(
+                f"{self._server.url} did not answer {what}: {error or type(error).__name__}"
+            ) from error
 
 
 class Client(_SharedClient[httpx.Client, Stream], Blocking):
@@ -207,13 +279,17 @@ def _check(response: httpx.Response, body: bytes) -> None:
         raise server_problem(response.status_code, body, retry_after)
 
 
-@contextmanager
-def _connection_errors(what: str) -> Iterator[None]:
-    """Raise ServerUnreachable where the connection fails or is lost."""
-    try:
-        yield
-    except httpx.TransportError as error:
-        raise ServerUnreachable(f"{what}: {error or type(error).__name__}") from error
+def _parameter(value: Any) -> Any:
+    """Return a value as a query has it."""
+    return value.isoformat() if isinstance(value, datetime) else value
+
+
+def _stated_s(body: Any) -> float:
+    """Return how long a request says that the server measures or waits [s]."""
+    if not isinstance(body, Mapping):
+        return 0.0
+    stated = [body.get(name) for name in ("seconds", "timeout_s")]
+    return sum(float(value) for value in stated if isinstance(value, int | float))
 
 
 @contextmanager

@@ -1,22 +1,21 @@
 """Client methods, written once as coroutines: awaited by one client, run at once by the other."""
 
 import inspect
-from collections.abc import Callable, Coroutine, Mapping, Sequence
-from functools import wraps
+from collections.abc import Callable, Coroutine, Hashable, Mapping
+from datetime import datetime
+from functools import cache, wraps
 from pathlib import Path
 from types import MethodType
-from typing import Any, Concatenate, Final, Generic, ParamSpec, Self, TypeVar, overload
+from typing import Any, Concatenate, Final, Generic, ParamSpec, Self, TypeVar, cast, overload
 from urllib.parse import quote
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, TypeAdapter, ValidationError
 
 from lumiline.client.errors import UnreadableMessage
 
 P = ParamSpec("P")
 T = TypeVar("T")
-Model = TypeVar("Model", bound=BaseModel)
 
-API_ROOT: Final = "/api/v1"
 PAGE_SIZE: Final = 200
 """Items that a page of a list has at most."""
 
@@ -37,7 +36,7 @@ def finish(coroutine: Coroutine[Any, Any, T]) -> T:
 
 
 class Exchanges:
-    """Requests of the server's interface, by their paths below its root."""
+    """Requests of the server's interface, by their paths from its root."""
 
     _sleep: Callable[[float], Any]
 
@@ -46,67 +45,76 @@ class Exchanges:
         method: str,
         path: str,
         *,
-        query: Mapping[str, Any] | None = None,
+        params: Mapping[str, Any] | None = None,
+        headers: Mapping[str, Any] | None = None,
         body: Any = None,
+        upload: Path | str | None = None,
         timeout_s: float | None = None,
         extra_timeout_s: float = 0.0,
+        text: bool = False,
     ) -> Any:
-        """Send a request, and return the JSON that is answered.
+        """Send a request, and return what is answered.
 
         Args:
             method: of HTTP.
             path: from the server's root.
-            query: parameters; those that are None are left out.
+            params: of the query; those that are None are left out.
+            headers: of the request; those that are None are left out.
             body: sent as JSON; None: nothing.
+            upload: file that is sent instead.
             timeout_s: how long the answer is waited for [s]; None: as the client says.
             extra_timeout_s: how long the server measures or computes besides [s].
+            text: the answer is text, not JSON.
         """
         raise NotImplementedError
 
-    async def _download(self, file: Path | str, *path: str) -> Path:
-        """Write what is at a path to a file, and return the file's path."""
+    async def _download(
+        self,
+        method: str,
+        file: Path | str,
+        path: str,
+        *,
+        params: Mapping[str, Any] | None = None,
+        body: Any = None,
+    ) -> Path:
+        """Write what is answered to a file, which exists only when it is whole."""
         raise NotImplementedError
 
-    async def _get(
-        self, kind: type[Model], *path: str, inside: str | None = None, **query: Any
-    ) -> Model:
-        """Get what is at a path; arguments as of ``_send``."""
-        return await self._send(kind, "GET", *path, inside=inside, **query)
+    async def _send(self, kind: type[T], method: str, path: str, **request: Any) -> T:
+        """Send a request, and return its answer as a type."""
+        return _read(kind, await self._request(method, path, **request), path)
 
-    async def _get_all(self, kind: type[Model], *path: str, **query: Any) -> list[Model]:
-        """Get a list whole, page by page; raises UnreadableMessage."""
-        found: list[Model] = []
-        while True:
-            part = {**query, "limit": PAGE_SIZE, "offset": len(found)}
-            page = await self._request("GET", path_of(*path), query=part)
+    async def _text(self, method: str, path: str, **request: Any) -> str:
+        """Send a request, and return its answer as it is."""
+        answer: str = await self._request(method, path, text=True, **request)
+        return answer
+
+    async def _get_all(
+        self,
+        kind: type[T],
+        path: str,
+        *,
+        params: Mapping[str, Any] | None = None,
+        limit: int | None = None,
+    ) -> list[T]:
+        """Get a list, page by page: all of it, or its first ``limit`` items.
+
+        Raises:
+            UnreadableMessage: the answer is no page of a list.
+        """
+        found: list[T] = []
+        while limit is None or len(found) < limit:
+            size = PAGE_SIZE if limit is None else min(limit - len(found), PAGE_SIZE)
+            part = {**(params or {}), "limit": size, "offset": len(found)}
+            page = await self._request("GET", path, params=part)
             match page:
                 case {"items": list(items), "total": int(total)}:
                     found += [_read(kind, item, path) for item in items]
                 case _:
-                    raise UnreadableMessage(f"{path_of(*path)} did not answer a list")
+                    raise UnreadableMessage(f"{path} did not answer a list")
             if not items or len(found) >= total:
-                return found
-
-    async def _send(
-        self,
-        kind: type[Model],
-        method: str,
-        /,
-        *path: str,
-        body: Mapping[str, Any] | None = None,
-        inside: str | None = None,
-        extra_timeout_s: float = 0.0,
-        **query: Any,
-    ) -> Model:
-        """Send a request, and return its answer as a model, or a member of it: ``inside``."""
-        answer = await self._request(
-            method, path_of(*path), query=query, body=body, extra_timeout_s=extra_timeout_s
-        )
-        return _read(kind, answer, path, inside)
-
-    async def _delete(self, *path: str) -> None:
-        """Delete what is at a path."""
-        await self._request("DELETE", path_of(*path))
+                break
+        return found
 
 
 class Blocking:
@@ -168,29 +176,41 @@ class ClientMethod(Generic[P, T]):
         return function if client is None else MethodType(function, client)
 
 
-def path_of(*parts: str) -> str:
-    """Return a path below the interface's root."""
-    # Names of recordings have slashes, which are part of their path.
-    return "/".join([API_ROOT, *(quote(part) for part in parts)])
+def path_of(template: str, *names: str) -> str:
+    """Return a path with names in it; those of recordings have slashes, which are part of it."""
+    return template.format(*map(quote, names))
 
 
-def float_rows(points: Sequence[Sequence[float]]) -> list[list[float]]:
-    """Return points as lists of floats, for JSON."""
-    return [list(map(float, point)) for point in points]
+def plain(value: Any) -> Any:
+    """Return a value of a body as JSON has it: models, arrays, times, files' names.
+
+    Raises:
+        TypeError: JSON has nothing like it.
+    """
+    if isinstance(value, BaseModel):
+        return value.model_dump(mode="json")
+    if isinstance(value, datetime):
+        return value.isoformat()
+    if isinstance(value, Path):
+        return str(value)
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    raise TypeError(f"a body has a {type(value).__name__}, which JSON has not")
 
 
-def _read(
-    kind: type[Model], answer: Any, path: tuple[str, ...], inside: str | None = None
-) -> Model:
-    """Return the server's answer, or a member of it, as a model."""
-    if inside is not None:
-        if not isinstance(answer, dict) or inside not in answer:
-            raise UnreadableMessage(f'{path_of(*path)} answered without "{inside}"')
-        answer = answer[inside]
+@cache
+def _adapter(kind: Any) -> TypeAdapter[Any]:
+    return TypeAdapter(kind)
+
+
+def _read(kind: type[T], answer: Any, path: str) -> T:
+    """Return the server's answer as a type."""
     try:
-        return kind.model_validate(answer)
+        found: T = _adapter(cast("Hashable", kind)).validate_python(answer)
     except ValidationError as error:
         first = error.errors()[0]
         raise UnreadableMessage(
-            f"the server's answer is no {kind.__name__}: {first['msg']} at {first['loc']}"
+            f"{path} did not answer a {getattr(kind, '__name__', kind)}: "
+            f"{first['msg']} at {first['loc']}"
         ) from error
+    return found

@@ -107,6 +107,7 @@ class Point:
     position_mm: Vector | None
     covariance_mm2: Matrix | None
     residual_sigma: float | None
+    external_reliability_mm: float | None
     sensors: tuple[str, ...]
     flags: tuple[str, ...]
 

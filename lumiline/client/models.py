@@ -1,30 +1,315 @@
-"""Models of the server's answers; members that a newer server adds are kept as attributes."""
+"""Models of the server's answers; further members of a newer server become attributes."""
+# Made from the OpenAPI document by docs/generators/client_code.py; edit nothing here.
 
 from datetime import datetime
-from typing import Any
+from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict
-
-Vector3 = tuple[float, float, float]
-Quaternion = tuple[float, float, float, float]
-Row6 = tuple[float, float, float, float, float, float]
-Matrix3 = tuple[Vector3, Vector3, Vector3]
-Matrix4 = tuple[tuple[float, float, float, float], ...]
-Matrix6 = tuple[Row6, Row6, Row6, Row6, Row6, Row6]
 
 
 class ResponseModel(BaseModel):
     """Base of the models of the server's answers."""
 
-    model_config = ConfigDict(frozen=True, extra="allow")
+    model_config = ConfigDict(frozen=True, extra="allow", defer_build=True, protected_namespaces=())
+
+
+class CalibrationTarget(ResponseModel):
+    """The thesis's pyramidal calibration frame with 19 markers, at rest (Figure 5.8)."""
+
+    kind: Literal["calibration-frame"]
+    centre_mm: tuple[float, float, float] = (0.0, 0.0, 1500.0)
+    scale: float = 1.0
+
+
+class StillPoints(ResponseModel):
+    """Markers at rest at given points."""
+
+    points_mm: tuple[tuple[float, float, float], ...]
+    kind: Literal["still-points"]
+
+
+class ShiftedPoints(ResponseModel):
+    """Markers on somebody who rests, and moves aside for the last part of every period."""
+
+    points_mm: tuple[tuple[float, float, float], ...]
+    shift_mm: tuple[float, float, float] = (5.0, 0.0, 0.0)
+    period_s: float = 10.0
+    away: float = 0.4
+    moving_s: float = 0.1
+    kind: Literal["shifted-points"]
+
+
+class RotatingBar(ResponseModel):
+    """A bar that turns at constant speed about its middle, a marker at each end (section
+    6.1.2).
+    """
+
+    kind: Literal["rotating-bar"]
+    length_mm: float = 292.0
+    period_s: float = 2.0
+    centre_mm: tuple[float, float, float] = (0.0, 0.0, 1500.0)
+    plane_normal: tuple[float, float, float] = (0.0, 1.0, 0.0)
+
+
+class MovingTool(ResponseModel):
+    """A rigid tool that is moved smoothly in all six degrees of freedom."""
+
+    markers_mm: tuple[tuple[float, float, float], ...]
+    centre_mm: tuple[float, float, float] = (0.0, 0.0, 1500.0)
+    swing_mm: tuple[float, float, float] = (120.0, 90.0, 60.0)
+    turn_rad: tuple[float, float, float] = (0.4, 0.5, 0.6)
+    rest_rad: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    held_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    period_s: float = 6.0
+    phase: float = 0.0
+
+
+class MovingTools(ResponseModel):
+    """Rigid tools in motion; their markers are numbered tool by tool, in order."""
+
+    tools: tuple[MovingTool, ...]
+    moving: bool = True
+    kind: Literal["moving-tools"]
+
+
+class EvenLight(ResponseModel):
+    """Even light on all pixels and no marker, for radiometric calibration."""
+
+    electrons: float = 0.0
+    kind: Literal["even-light"]
+
+
+class StrobeSchedule(ResponseModel):
+    """A cyclic sequence of slots, one exposure each; each slot lights one marker, or all."""
+
+    slots: tuple[int | None, ...]
+
+
+class BlinkSchedule(ResponseModel):
+    """Cyclic code words of the markers, one bit per exposure, each with its own phase."""
+
+    words: tuple[str, ...]
+    low: float = 0.4
+    phases: tuple[int, ...] | None = None
+
+
+class PixelDefects(ResponseModel):
+    """Differences of the pixels and bad pixels, drawn for each sensor from a seed."""
+
+    response_nonuniformity: float = 0.01
+    offset_nonuniformity_counts: float = 2.0
+    dead_pixels: int = 1
+    hot_pixels: int = 1
+    stuck_pixels: int = 1
+    hot_electrons: float = 3000.0
+    seed: int = 1
+
+
+class SimulationSettings(ResponseModel):
+    """What the simulated device shows, and how its sensors see it."""
+
+    scene: (
+        CalibrationTarget
+        | StillPoints
+        | ShiftedPoints
+        | RotatingBar
+        | MovingTools
+        | EvenLight
+        | None
+    ) = None
+    frame_rate_hz: float = 1000.0
+    illumination: str = "strobed"
+    strobe: StrobeSchedule | None = None
+    blink: BlinkSchedule | None = None
+    spot_sigma_px: float = 2.0
+    signal_electrons: float = 100000.0
+    distance_falloff: bool = True
+    ambient_electrons: float = 400.0
+    read_noise_electrons: float = 30.0
+    full_well_electrons: float = 60000.0
+    electrons_per_count: float = 12.0
+    offset_counts: float = 64.0
+    bits: int = 12
+    pixels: PixelDefects | None = None
+    seed: int = 1
+    peaks: str = "fit"
+    duration_s: float | None = None
+    realtime: bool = True
+
+
+class SimulatedSource(ResponseModel):
+    """Line scans from the simulator."""
+
+    kind: Literal["simulated"]
+    settings: SimulationSettings | None = None
+
+
+class ProfileSettings(ResponseModel):
+    """What a profile's device shows, and how it is simulated."""
+
+    scene: (
+        CalibrationTarget
+        | StillPoints
+        | ShiftedPoints
+        | RotatingBar
+        | MovingTools
+        | EvenLight
+        | None
+    ) = None
+    optics: str = "tabulated"
+    frame_rate_hz: float | None = None
+    illumination: str | None = None
+    seed: int = 1
+    pattern_seed: int = 1
+    peaks: str = "fit"
+    duration_s: float | None = None
+    realtime: bool = True
+
+
+class ProfileSource(ResponseModel):
+    """Line scans of a device simulated from its profile: its optics, light and detector."""
+
+    kind: Literal["profile"]
+    profile: str
+    settings: ProfileSettings | None = None
+
+
+class ReplaySource(ResponseModel):
+    """Line scans from a recording in the data directory's folder ``recordings``."""
+
+    kind: Literal["replay"]
+    recording: str
+    speed: float | None = 1.0
+
+
+class SerialSettings(ResponseModel):
+    """Port of a device, and settings sent to it."""
+
+    url: str
+    baudrate: int = 921600
+    silent_after_s: float = 1.0
+    frame_rate_hz: float | None = None
+    exposure_us: float | None = None
+    strobe: StrobeSchedule | None = None
+    peaks: str = "fit"
+
+
+class SerialSource(ResponseModel):
+    """A device on a serial port with the line-scan protocol (docs/reference/serial-
+    protocol.md).
+    """
+
+    kind: Literal["serial"]
+    settings: SerialSettings
+
+
+class Tcd1304Board(ResponseModel):
+    """One board: the sensor's name, and where its serial port is."""
+
+    name: str
+    port: str
+
+
+class Tcd1304Settings(ResponseModel):
+    """The boards, and how their lines are taken."""
+
+    boards: tuple[Tcd1304Board, ...]
+    exposure_us: float = 7388.0
+    averages: int = 1
+    clock_hz: int = 2000000
+    baud_rate: int = 115200
+    gap_ms: float = 50.0
+    saturated_at: int = 0
+    electrons_per_count: float = 30.0
+    read_noise_electrons: float = 75.0
+    peaks: str = "fit"
+
+
+class Tcd1304Source(ResponseModel):
+    """Open TCD1304 boards, each at a serial port (docs/how-to/tcd1304.md)."""
+
+    kind: Literal["tcd1304"]
+    settings: Tcd1304Settings
+
+
+class GenicamCamera(ResponseModel):
+    """One camera: the sensor's name, and its identifier or network address."""
+
+    name: str
+    camera: str
+
+
+class Feature(ResponseModel):
+    """A feature of the camera by its GenICam name, and its value."""
+
+    name: str
+    value: bool | int | float | str
+
+
+class GenicamSettings(ResponseModel):
+    """The cameras, and how they are set."""
+
+    cameras: tuple[GenicamCamera, ...]
+    pitch_um: float
+    pixel_format: str = "Mono8"
+    width: int | None = None
+    offset_x: int = 0
+    lines_per_buffer: int = 1
+    exposure_us: float | None = None
+    line_rate_hz: float | None = None
+    features: tuple[Feature, ...] = ()
+    match_us: float = 500.0
+    electrons_per_count: float = 10.0
+    read_noise_electrons: float = 20.0
+    offset_counts: float = 0.0
+    peaks: str = "fit"
+
+
+class GenicamSource(ResponseModel):
+    """GenICam line-scan cameras, GigE Vision or USB3 Vision (docs/how-to/genicam.md)."""
+
+    kind: Literal["genicam"]
+    settings: GenicamSettings
 
 
 class Sensor(ResponseModel):
-    """A line sensor."""
+    """One line sensor: name, number of pixels, pixel pitch [um]."""
 
     name: str
     pixels: int
     pitch_um: float
+
+
+class ExternalSource(ResponseModel):
+    """No driver: a program of yours reads the sensors and posts peak positions."""
+
+    kind: Literal["external"]
+    sensors: tuple[Sensor, ...]
+
+
+class Blinking(ResponseModel):
+    """The codes that markers show, one bit an exposure, again and again."""
+
+    words: tuple[str, ...]
+    off_level: float = 0.4
+    miss_probability: float = 0.05
+
+
+class Tracking(ResponseModel):
+    """How the markers and tools of a running device are tracked; all has defaults."""
+
+    tracks: str = "never"
+    motion: str = "interacting"
+    acceleration_psd: float = 10000.0
+    jerk_psd: float = 100000000.0
+    coast_s: float = 1.0
+    blinking: Blinking | None = None
+    tool_acceleration_mm_s2: float = 3000.0
+    tool_angular_acceleration_rad_s2: float = 30.0
+    tool_coast_s: float = 0.1
+    tool_tip_sd_mm: float = 1.0
+    tool_max_detectable_sigma: float | None = 15.0
+    volume_mm: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
 
 
 class Device(ResponseModel):
@@ -32,16 +317,49 @@ class Device(ResponseModel):
 
     id: str
     title: str
-    source: dict[str, Any]
+    source: (
+        SimulatedSource
+        | ProfileSource
+        | ReplaySource
+        | SerialSource
+        | Tcd1304Source
+        | GenicamSource
+        | ExternalSource
+    )
     sensors: tuple[Sensor, ...]
     autostart: bool
+    tracking: Tracking
     active_calibration_id: str | None
     active_table_id: str | None
-    active_radiometric_id: str | None = None
+    active_radiometric_id: str | None
+    created_at: datetime
+    updated_at: datetime
+
+
+class LinkCounters(ResponseModel):
+    """Traffic and error counters of a link since the driver was opened."""
+
+    bytes_received: int = 0
+    frames: int = 0
+    frames_garbled: int = 0
+    frames_incomplete: int = 0
+    frames_lost: int = 0
+    reconnects: int = 0
+    clock_restarts: int = 0
+
+
+class LinkState(ResponseModel):
+    """State of a link."""
+
+    state: str
+    reason: str | None = None
+    counters: LinkCounters | None = None
+    clock_uncertainty_us: float | None = None
+    temperature_c: float | None = None
 
 
 class LiveBadPixel(ResponseModel):
-    """A pixel that a device's frames have shown to be bad since it was started."""
+    """A pixel that a device's frames have shown to be bad since it was started; it is masked."""
 
     sensor: str
     pixel: int
@@ -50,23 +368,46 @@ class LiveBadPixel(ResponseModel):
 
 
 class DeviceStatus(ResponseModel):
-    """State of a device and its counts of frames."""
+    """State of a device, and the frames that were lost since it was started, by place."""
 
     state: str
     reason: str | None = None
     calibration_id: str | None = None
     table_id: str | None = None
-    radiometric_id: str | None = None
-    bad_pixels: list[LiveBadPixel] = []
     frames: int = 0
     frames_lost_device: int = 0
     frames_dropped_ring: int = 0
     frames_processed: int = 0
     subscribers: int = 0
+    link: LinkState | None = None
+    frames_not_tracked: int = 0
+    radiometric_id: str | None = None
+    bad_pixels: tuple[LiveBadPixel, ...] = ()
 
 
-class Calibration(ResponseModel):
-    """A calibration without its numbers; ``Client.request`` gets the whole document."""
+class Status(ResponseModel):
+    """What a device is doing."""
+
+    device: str
+    status: DeviceStatus
+
+
+class Activation(ResponseModel):
+    """One move of the pointer to the active calibration."""
+
+    id: int
+    device: str
+    calibration_id: str
+    previous_calibration_id: str | None
+    table_id: str | None
+    previous_table_id: str | None
+    restores_id: int | None
+    activated_at: datetime
+    actor: str | None
+
+
+class CalibrationSummary(ResponseModel):
+    """A calibration without its numbers."""
 
     id: str
     device: str
@@ -74,273 +415,603 @@ class Calibration(ResponseModel):
     provenance: str
     method: str
     note: str
+    point_count: int
+    content_hash: str
+    created_at: datetime
+    retired_at: datetime | None
+
+
+class ParentCalibration(ResponseModel):
+    """The calibration that an updated one was made from."""
+
+    id: str
     content_hash: str
 
 
-class RadiometricSensor(ResponseModel):
+class Reading(ResponseModel):
+    """One reading with its standard deviation."""
+
+    position_px: float
+    sigma_px: float
+
+
+class ControlPoint(ResponseModel):
+    """A point of known position and what the sensors read of it."""
+
+    name: str
+    position_mm: tuple[float, float, float]
+    readings: dict[str, float | Reading]
+
+
+class FieldDistortion(ResponseModel):
+    """A lens's contribution to the field angle u that is read, ``sum a_ij u^i v^j``."""
+
+    terms: tuple[tuple[int, int], ...]
+    coefficients: tuple[float, ...]
+    offset_y_mm: float = 0.0
+    row_behind_mm: float = 0.0
+
+
+class SensorModel(ResponseModel):
+    """One calibrated linear sensor: ``p = p0 + c x/z`` with ``(x, z)`` in the sensor's frame."""
+
+    name: str
+    pixels: int
+    principal_distance_px: float
+    principal_point_px: float
+    rotation_vector_rad: tuple[float, float, float]
+    offset_x_mm: float
+    offset_z_mm: float
+    cubic_per_px2: float = 0.0
+    distortion: FieldDistortion | None = None
+
+
+class SensorFit(ResponseModel):
+    """One sensor's fitted model and how well it fits."""
+
+    model: SensorModel
+    points: int
+    rms_px: float
+    max_px: float
+    sigma_px: float
+    sigma_source: str
+    chi2_per_dof: float | None
+
+
+class CalibrationSettings(ResponseModel):
+    """How a device is calibrated."""
+
+    distortion: str | tuple[tuple[int, int], ...] = "none"
+    control_sigma_mm: float | None = None
+    loss: str = "linear"
+    labels: str = "off"
+
+
+class DistortionEstimate(ResponseModel):
+    """The distortion terms of a calibration, their size, and the reason for them."""
+
+    chosen: str
+    reason: str
+    scale: float | None = None
+    scale_range: tuple[float, float] | None = None
+    edge_px: float | None = None
+    log_evidence_ratio: float | None = None
+
+
+class LabelFinding(ResponseModel):
+    """One label error, or one outlier."""
+
+    kind: str
+    sensor: str | None
+    points: tuple[int, ...]
+    probability: float
+    residual_px: tuple[float | None, ...]
+    normalised_residual: tuple[float | None, ...]
+
+
+class AxisErrors(ResponseModel):
+    """Statistics of differences X, Y, Z, reconstructed minus given points [mm]."""
+
+    points: int
+    mean_absolute_mm: tuple[float, float, float]
+    max_absolute_mm: tuple[float, float, float]
+    mean_mm: tuple[float, float, float]
+    standard_deviation_mm: tuple[float, float, float]
+
+
+class CrossValidation(ResponseModel):
+    """Control points and readings predicted by calibrations fitted without them."""
+
+    scheme: str
+    groups: int
+    errors: AxisErrors | None
+    differences_mm: tuple[tuple[float, float, float] | None, ...]
+    reading_rms_px: tuple[float | None, ...]
+
+
+class SensorDiagnosis(ResponseModel):
+    """How well the control points determine one sensor."""
+
+    sensor: str
+    condition: float
+    weakest: tuple[tuple[str, float], ...]
+    weakest_description: str
+    pixels: tuple[float, float]
+    pixel_share: float
+    field_u: tuple[float, float]
+    field_v: tuple[float, float] | None
+    depth_mm: tuple[float, float]
+
+
+class Suggestion(ResponseModel):
+    """A suggested further control point and the precision with it."""
+
+    position_mm: tuple[float, float, float]
+    mean_sigma_mm: float
+    max_sigma_mm: float
+
+
+class Diagnosis(ResponseModel):
+    """How well control points determine the calibration, and which others would help."""
+
+    sensors: tuple[SensorDiagnosis, ...]
+    mean_sigma_mm: float | None
+    max_sigma_mm: float | None
+    suggestions: tuple[Suggestion, ...]
+    remarks: tuple[str, ...]
+
+
+class Calibration(ResponseModel):
+    """The camera models of one device with their uncertainty."""
+
+    method: str
+    sensors: tuple[SensorFit, ...]
+    covariance: tuple[tuple[float, ...], ...]
+    residuals_px: tuple[tuple[float | None, ...], ...]
+    settings: CalibrationSettings | None = None
+    distortion: DistortionEstimate | None = None
+    reading_weights: tuple[tuple[float | None, ...], ...] | None = None
+    point_shifts_mm: tuple[tuple[float, float, float], ...] | None = None
+    labels: tuple[LabelFinding, ...] = ()
+    cross_validation: tuple[CrossValidation, ...] = ()
+    diagnosis: Diagnosis | None = None
+
+
+class PointErrors(ResponseModel):
+    """Differences between given and reconstructed control points."""
+
+    statistics: AxisErrors | None
+    differences_mm: tuple[tuple[float, float, float] | None, ...]
+    readings: int | None = None
+
+
+class ControlPointErrors(ResponseModel):
+    """How well a calibration reproduces its control points."""
+
+    fitted: PointErrors | None
+    leave_one_out: PointErrors | None
+    blocks_left_out: PointErrors | None = None
+
+
+class CalibrationDocument(ResponseModel):
+    """A calibration, whole."""
+
+    id: str
+    device: str
+    state: str
+    provenance: str
+    method: str
+    note: str
+    point_count: int
+    content_hash: str
+    created_at: datetime
+    retired_at: datetime | None
+    parent: ParentCalibration | None = None
+    points: tuple[ControlPoint, ...]
+    result: Calibration
+    errors: ControlPointErrors
+
+
+class ParameterDifference(ResponseModel):
+    """One parameter of one sensor."""
+
+    sensor: str
+    parameter: str
+    one: float | None
+    other: float | None
+    difference: float
+    sigmas: float | None
+
+
+class PositionDifferences(ResponseModel):
+    """What the second calibration makes of readings that the first explains exactly."""
+
+    points: int
+    low_mm: tuple[float, float, float]
+    high_mm: tuple[float, float, float]
+    mean_mm: tuple[float, float, float]
+    rms_mm: float
+    max_mm: float
+    aligned_rms_mm: float
+    rms_sigma: float | None
+
+
+class SameObservations(ResponseModel):
+    """Both calibrations on the control points of one of them."""
+
+    of: str
+    points: int
+    one_rms_mm: float
+    other_rms_mm: float
+    left_out: bool
+    better: str
+
+
+class Comparison(ResponseModel):
+    """Two calibrations beside one another."""
+
+    parameters: tuple[ParameterDifference, ...]
+    positions: PositionDifferences | None
+    observations: tuple[SameObservations, ...]
+
+
+class ComparisonDocument(ResponseModel):
+    """Two calibrations of one device beside one another."""
+
+    one: str
+    other: str
+    comparison: Comparison
+
+
+class RunProblem(ResponseModel):
+    """Why a run failed: the members of a problem document (RFC 9457)."""
+
+    type: str
+    title: str
+    status: int
+    detail: str
+    context: dict[str, Any] | None = None
+
+
+class Run(ResponseModel):
+    """A computation beside the requests, and what became of it."""
+
+    id: str
+    kind: str
+    device: str
+    state: str
+    progress: float
+    stage: str
+    result_id: str | None
+    result: str | None
+    problem: RunProblem | None
+    created_at: datetime
+    started_at: datetime | None
+    finished_at: datetime | None
+
+
+class CaptureSettings(ResponseModel):
+    """How each target is captured."""
+
+    frames: int = 50
+    marker: int | None = None
+    seen_share: float = 0.8
+    timeout_s: float = 10.0
+
+
+class CapturesTarget(ResponseModel):
+    """A named place at which a marker will be held, or has its own."""
+
+    name: str
+    position_mm: tuple[float, float, float]
+    marker: int | None = None
+
+
+class CapturedSensor(ResponseModel):
+    """What one sensor read of a target."""
+
+    sensor: str
+    frames: int
+    mean_px: float
+    spread_px: float
+    stated_px: float | None
+    sigma_px: float
+
+
+class CapturedTarget(ResponseModel):
+    """What was read of a target."""
+
+    target: str
+    frames: int
+    sensors: tuple[CapturedSensor, ...]
+    captured_at: datetime
+
+
+class Capture(ResponseModel):
+    """A capture session: what is done and what is left."""
+
+    id: str
+    device: str
+    settings: CaptureSettings
+    targets: tuple[CapturesTarget, ...]
+    captured: tuple[CapturedTarget, ...]
+    next: str | None
+    left: int
+    note: str
+    created_at: datetime
+    updated_at: datetime
+
+
+class RadiometricCaptureSettings(ResponseModel):
+    """How dark and flat frames are captured."""
+
+    frames: int = 128
+    levels: int = 6
+    max_level: float = 0.85
+    timeout_s: float = 20.0
+
+
+class CapturedLevel(ResponseModel):
+    """What one sensor read in a capture."""
+
+    sensor: str
+    mean_counts: float
+    noise_counts: float
+    saturated_pixels: int
+    flicker: float
+
+
+class CapturedFrames(ResponseModel):
+    """One dark or flat capture."""
+
+    name: str
+    kind: str
+    frames: int
+    temperature_c: float | None
+    relative_light: float | None
+    full_scale_counts: int
+    sensors: tuple[CapturedLevel, ...]
+    captured_at: datetime
+
+
+class RadiometricCapture(ResponseModel):
+    """A session of dark and flat captures: what is done, and what to do next."""
+
+    id: str
+    device: str
+    settings: RadiometricCaptureSettings
+    captured: tuple[CapturedFrames, ...]
+    next: str | None
+    instruction: str
+    left: int
+    note: str
+    created_at: datetime
+    updated_at: datetime
+
+
+class SensorFigures(ResponseModel):
     """Figures of a sensor's radiometric calibration (EMVA 1288)."""
 
     sensor: str
+    pixels: int
+    captures: int
     gain_electrons_per_count: float
     read_noise_counts: float
     dark_offset_counts: float
+    saturation_counts: int
     prnu: float
     dsnu_counts: float
-    linearity_error: float | None = None
+    linearity_error: float | None
+    illumination_range: float
     bad_pixels: int
-    temperature_c: float | None = None
+    temperature_c: float | None
 
 
-class RadiometricCalibration(ResponseModel):
-    """A radiometric calibration of a device's sensors."""
+class RadiometricCalibrationSummary(ResponseModel):
+    """A radiometric calibration without the numbers of its pixels."""
 
     id: str
     device: str
     active: bool
     origin: str
-    sensors: tuple[RadiometricSensor, ...]
+    sensors: tuple[SensorFigures, ...]
     content_hash: str
     note: str
+    created_at: datetime
 
 
-class RadiometricCapture(ResponseModel):
-    """A session of dark and flat captures; ``instruction`` says what to do now."""
+class RadiometricCalibrationDocument(ResponseModel):
+    """A radiometric calibration, whole."""
 
     id: str
     device: str
-    captured: tuple[dict[str, Any], ...]
-    next: str | None
-    instruction: str
-    left: int
+    active: bool
+    origin: str
+    sensors: tuple[SensorFigures, ...]
+    content_hash: str
+    note: str
+    created_at: datetime
+    content: dict[str, Any]
 
 
-class Estimate(ResponseModel):
-    """A reconstructed point; no position where ``flags`` say why not."""
+class RadiometricActivation(ResponseModel):
+    """One change of the radiometric calibration that a device uses."""
+
+    id: int
+    device: str
+    radiometric_id: str | None
+    previous_radiometric_id: str | None
+    activated_at: datetime
+    actor: str | None
+
+
+class SensorDrift(ResponseModel):
+    """Drift test of one sensor."""
+
+    sensor: str
+    readings: int
+    rms_px: float
+    p_value: float
+    moved: bool
+    parameter: str | None
+    description: str
+    change: float | None
+    change_sigma: float | None
+    p_value_with_change: float | None
+
+
+class DriftCheck(ResponseModel):
+    """Drift test of a device."""
+
+    good: bool
+    p_value: float
+    chi2: float
+    dof: int
+    rigid_motion: bool
+    rotation_rad: float | None
+    translation_mm: float | None
+    sensors: tuple[SensorDrift, ...]
+
+
+class StationaryMarker(ResponseModel):
+    """A still marker as it is stored: with its earlier readings, where it has any."""
 
     name: str
-    position_mm: Vector3 | None
-    covariance_mm2: Matrix3 | None
-    residual_sigma: float | None
+    position_mm: tuple[float, float, float] | None = None
+    readings: dict[str, float | Reading]
+    earlier: dict[str, float | Reading] | None = None
+
+
+class DriftCheckDocument(ResponseModel):
+    """A drift check, whole."""
+
+    id: str
+    device: str
+    calibration: str
+    verdict: str
+    moved: tuple[str, ...]
+    in_words: tuple[str, ...]
+    against: str
+    markers: int
+    capture: str | None
+    earlier_capture: str | None
+    position_sigma_mm: float
+    note: str
+    created_at: datetime
+    check: DriftCheck
+    points: tuple[StationaryMarker, ...]
+
+
+class DriftCheckSummary(ResponseModel):
+    """A drift check and what it found."""
+
+    id: str
+    device: str
+    calibration: str
+    verdict: str
+    moved: tuple[str, ...]
+    in_words: tuple[str, ...]
+    against: str
+    markers: int
+    capture: str | None
+    earlier_capture: str | None
+    position_sigma_mm: float
+    note: str
+    created_at: datetime
+    check: DriftCheck
+
+
+class Grid(ResponseModel):
+    """The box of voxels."""
+
+    origin_mm: tuple[float, float, float]
+    pitch_mm: tuple[float, float, float]
+    cells: tuple[int, int, int]
+
+
+class CorrectionTableDocument(ResponseModel):
+    """A correction table, without its numbers."""
+
+    id: str
+    device: str
+    calibration: str
+    calibration_hash: str
+    content_hash: str
+    active: bool
+    origin: str
+    note: str
     sensors: tuple[str, ...]
-    flags: tuple[str, ...]
-    excluded: tuple[str, ...] = ()
-    detectable_px: dict[str, float | None] = {}
-    external_reliability_mm: float | None = None
+    grid: Grid
+    degree: str
+    valid_share: tuple[float, ...]
+    max_correction_px: tuple[float, ...]
+    settings: dict[str, Any]
+    validation: dict[str, Any]
+    made_at: datetime
+    created_at: datetime
 
 
-class Reconstruction(ResponseModel):
-    """Points computed from readings that were posted."""
+class ReconstructionSummary(ResponseModel):
+    """A reconstruction without its points."""
 
     id: str
     device: str
     calibration_id: str
     table: str | None
-    estimates: tuple[Estimate, ...]
+    point_count: int
+    created_at: datetime
 
 
-class Tip(ResponseModel):
-    """Tip of a tool, in the tool's coordinates."""
+class ObservedPoint(ResponseModel):
+    """A point of unknown position and what the sensors read of it."""
 
-    position_mm: Vector3 | None
-    covariance_mm2: Matrix3 | None = None
-    axis: Vector3 | None = None
-
-
-class Tool(ResponseModel):
-    """A tool."""
-
-    id: str
-    device: str
-    title: str
-    markers_mm: tuple[Vector3, ...]
-    strobe_markers: tuple[int, ...] | None
-    tip: Tip
-    reference: str | None
+    name: str
+    readings: dict[str, float | Reading]
 
 
-class Pose(ResponseModel):
-    """The newest pose of a tool, or why there is none; use it only where ``status`` is OK."""
+class NamedEstimate(ResponseModel):
+    """A reconstructed point under its name."""
 
-    tool: str
-    device: str
-    frame: str
-    status: str
-    reason: str | None
-    exposure_ns: int | None
-    sequence: int | None
-    age_s: float | None
-    translation_mm: Vector3 | None
-    rotation: Matrix3 | None
-    quaternion_wxyz: Quaternion | None
-    covariance: Matrix6 | None
-    tip_mm: Vector3 | None
-    tip_covariance_mm2: Matrix3 | None
+    position_mm: tuple[float, float, float] | None
+    covariance_mm2: (
+        tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
+        | None
+    )
     residual_sigma: float | None
-    markers_used: int
-    readings_used: int
-
-
-class ToolCalibration(ResponseModel):
-    """Result of a pivot or spin calibration."""
-
-    id: str
-    tool: str
-    kind: str
-    applied: bool
-    poses: int
-    outliers: int
-    tip_mm: Vector3 | None
-    axis: Vector3 | None
-    point_mm: Vector3 | None
-    rms_mm: float
-
-
-class MeasuredPoint(ResponseModel):
-    """A point measured with a tool's tip."""
-
-    name: str | None
-    tool: str
-    device: str
-    frame: str
-    position_mm: Vector3
-    covariance_mm2: Matrix3
-    sigma_mm: float
-    drift_mm: float
-    frames: int
-    first_ns: int
-    last_ns: int
-
-
-class FiducialError(ResponseModel):
-    """Registration error at a fiducial."""
-
+    sensors: tuple[str, ...]
+    flags: tuple[str, ...]
     name: str
-    residual_mm: Vector3
-    error_mm: float
+    excluded: tuple[str, ...] = ()
+    detectable_px: dict[str, float | None] | None = None
+    external_reliability_mm: float | None = None
 
 
-class TargetError(ResponseModel):
-    """Predicted registration error at a target."""
-
-    name: str
-    error_mm: float
-    covariance_mm2: Matrix3
-
-
-class FrameMarker(ResponseModel):
-    """One of three markers that make a frame; measured in ``frames`` exposures, or given."""
-
-    name: str
-    measured_mm: Vector3
-    covariance_mm2: Matrix3
-    frames: int | None
-
-
-class SurfaceFit(ResponseModel):
-    """Fit of measured points to a surface, and how well it is conditioned."""
-
-    rms_mm: float
-    iterations: int
-    points: int
-    distance_mm: tuple[float, ...]
-    used: tuple[bool, ...]
-    stiffness_ratio: float
-    weakest_motion: str
-    rotation_deg: float
-    shift_mm: float
-
-
-class Registration(ResponseModel):
-    """A named frame: from paired points, three markers, or a surface."""
-
-    id: str
-    kind: str = "paired-points"
-    device: str
-    reference: str | None
-    parent: str | None = None
-    matrix: Matrix4
-    covariance: Matrix6
-    fre_mm: float | None = None
-    fle_mm: float | None = None
-    residual_sigma: float | None = None
-    fiducials: tuple[FiducialError, ...] = ()
-    markers: tuple[FrameMarker, ...] = ()
-    surface: SurfaceFit | None = None
-    targets: tuple[TargetError, ...]
-    warnings: tuple[str, ...]
-
-
-class FrameState(ResponseModel):
-    """A frame, and whether it is connected now; frames of one root are connected."""
-
-    frame: str
-    kind: str
-    to: str | None
-    connected: bool
-    status: str
-    reason: str | None
-    root: str
-
-
-class Frames(ResponseModel):
-    """A device's coordinate frames at its newest exposure."""
-
-    device: str
-    exposure_ns: int | None
-    sequence: int | None
-    age_s: float | None
-    frames: tuple[FrameState, ...]
-
-
-class FrameTransform(ResponseModel):
-    """The transform from one frame to another now, or why there is none."""
-
-    device: str
-    frame: str
-    to: str
-    status: str
-    reason: str | None
-    path: tuple[str, ...] | None
-    exposure_ns: int | None
-    sequence: int | None
-    age_s: float | None
-    matrix: Matrix4 | None
-    translation_mm: Vector3 | None
-    rotation: Matrix3 | None
-    quaternion_wxyz: Quaternion | None
-    covariance: Matrix6 | None
-
-
-class BeamHold(ResponseModel):
-    """A beam hold."""
+class Reconstruction(ResponseModel):
+    """A reconstruction: readings and estimates, in the order of the points."""
 
     id: str
     device: str
-    title: str
-    watch: dict[str, Any]
-    limits: dict[str, Any]
-    rules: dict[str, Any]
-    reference: dict[str, Any] | None
+    calibration_id: str
+    table: str | None
+    point_count: int
+    created_at: datetime
+    points: tuple[ObservedPoint, ...]
+    estimates: tuple[NamedEstimate, ...]
 
 
-class BeamHoldStatus(ResponseModel):
-    """State of a beam hold; the beam may be on only where ``held`` is false."""
+class UsedCalibration(ResponseModel):
+    """A calibration that results were made with, whole in the file."""
 
-    hold: str
-    device: str
-    held: bool
-    cause: str
-    reason: str | None
-    since_ns: int
-    exposure_ns: int | None
-    sequence: int | None
-    shift_mm: Vector3 | None
-    rotation_rad: Vector3 | None
-    probability: float | None
+    calibration: str | None
+    content_hash: str | None
+    table: str | None
+    radiometric: str | None
+    bad_pixels: int
+    from_frame: int | None
 
 
-class Recording(ResponseModel):
-    """A recording in the server's folder."""
+class RecordingDetail(ResponseModel):
+    """A recording with what its results were made with."""
 
     name: str
     device: str | None
@@ -349,12 +1020,37 @@ class Recording(ResponseModel):
     contents: tuple[str, ...]
     frames: int | None
     duration_s: float | None
+    frames_missing: int | None
+    frames_dropped_compute: int | None
+    frames_dropped_writer: int | None
+    frames_refused: int | None
     size_bytes: int
     started_at: datetime | None
+    changed_at: datetime
+    calibrations: tuple[UsedCalibration, ...]
+
+
+class RecordingDocument(ResponseModel):
+    """A recording. What is null is not known, because the file cannot be read."""
+
+    name: str
+    device: str | None
+    state: str
+    reason: str | None
+    contents: tuple[str, ...]
+    frames: int | None
+    duration_s: float | None
+    frames_missing: int | None
+    frames_dropped_compute: int | None
+    frames_dropped_writer: int | None
+    frames_refused: int | None
+    size_bytes: int
+    started_at: datetime | None
+    changed_at: datetime
 
 
 class Export(ResponseModel):
-    """A file that an export run has made."""
+    """A file that an export run has made, and of what."""
 
     id: str
     format: str
@@ -367,29 +1063,1061 @@ class Export(ResponseModel):
     recording: str | None
 
 
-class RunProblem(ResponseModel):
-    """Why a run failed."""
+class Tip(ResponseModel):
+    """Where a tool's working point is, and how that is known."""
 
-    type: str
+    position_mm: tuple[float, float, float] | None
+    covariance_mm2: (
+        tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
+        | None
+    ) = None
+    calibration: str | None = None
+    axis: tuple[float, float, float] | None = None
+
+
+class ToolLimits(ResponseModel):
+    """When a pose is not good enough to be used."""
+
+    tip_sd_mm: float | None = None
+
+
+class Origin(ResponseModel):
+    """How a tool's geometry is known."""
+
+    kind: str
+    frames: int | None = None
+    sigma_mm: tuple[float, ...] | None = None
+    calibration: str | None = None
+    table: str | None = None
+
+
+class Tool(ResponseModel):
+    """A tool."""
+
+    id: str
+    device: str
     title: str
-    status: int
-    detail: str
+    markers_mm: tuple[tuple[float, float, float], ...]
+    strobe_markers: tuple[int, ...] | None
+    tip: Tip
+    reference: str | None
+    limits: ToolLimits
+    origin: Origin
+    note: str
+    created_at: datetime
+    updated_at: datetime
 
 
-class Run(ResponseModel):
-    """A long computation of the server: an export, a calibration, a map."""
+class Pose(ResponseModel):
+    """The newest pose of a tool, or why there is none."""
+
+    tool: str
+    device: str
+    frame: str
+    status: str
+    reason: str | None
+    exposure_ns: int | None
+    sequence: int | None
+    age_s: float | None
+    calibration: str | None
+    table: str | None
+    translation_mm: tuple[float, float, float] | None
+    rotation: (
+        tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
+        | None
+    )
+    quaternion_wxyz: tuple[float, float, float, float] | None
+    matrix: tuple[tuple[float, float, float, float], ...] | None
+    covariance: (
+        tuple[
+            tuple[float, float, float, float, float, float],
+            tuple[float, float, float, float, float, float],
+            tuple[float, float, float, float, float, float],
+            tuple[float, float, float, float, float, float],
+            tuple[float, float, float, float, float, float],
+            tuple[float, float, float, float, float, float],
+        ]
+        | None
+    )
+    tip_mm: tuple[float, float, float] | None
+    tip_covariance_mm2: (
+        tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
+        | None
+    )
+    residual_sigma: float | None
+    markers_used: int
+    readings_used: int
+    detectable_sigma: float | None
+    external_tip_mm: float | None
+    external_rotation_rad: float | None
+
+
+class NewToolCalibration(ResponseModel):
+    """What a calibration from live poses takes."""
+
+    seconds: float = 10.0
+    poses: int = 500
+    relative: bool = True
+    apply: bool = True
+
+
+class ToolCalibration(ResponseModel):
+    """A pivot or spin calibration and what it found."""
+
+    id: str
+    tool: str
+    device: str
+    kind: str
+    applied: bool
+    poses: int
+    outliers: int
+    tip_mm: tuple[float, float, float] | None
+    tip_covariance_mm2: (
+        tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
+        | None
+    )
+    axis: tuple[float, float, float] | None
+    point_mm: tuple[float, float, float] | None
+    rms_mm: float
+    residual_sigma: float | None
+    smallest_rotation_deg: float
+    calibration: str | None = None
+    table: str | None = None
+    request: NewToolCalibration
+    created_at: datetime
+
+
+class MeasuredPoint(ResponseModel):
+    """A point that a tip was held on; it is not kept."""
+
+    name: str | None
+    tool: str
+    device: str
+    frame: str
+    position_mm: tuple[float, float, float]
+    covariance_mm2: tuple[
+        tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]
+    ]
+    sigma_mm: float
+    drift_mm: float
+    frames: int
+    first_ns: int
+    last_ns: int
+    tip_calibration: str | None
+    calibration: str
+    table: str | None
+
+
+class FiducialError(ResponseModel):
+    """How a fiducial fits."""
+
+    name: str
+    residual_mm: tuple[float, float, float]
+    error_mm: float
+
+
+class FrameMarker(ResponseModel):
+    """One of the three markers that make a frame."""
+
+    name: str
+    measured_mm: tuple[float, float, float]
+    covariance_mm2: tuple[
+        tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]
+    ]
+    frames: int | None
+
+
+class AlternativeSolution(ResponseModel):
+    """Another place where the points lie on the surface about as well."""
+
+    matrix: tuple[tuple[float, float, float, float], ...]
+    rms_mm: float
+
+
+class SurfaceFit(ResponseModel):
+    """How points lie on a surface, and how well it holds them."""
+
+    rms_mm: float
+    iterations: int
+    points: int
+    distance_mm: tuple[float, ...]
+    used: tuple[bool, ...]
+    stiffness_ratio: float
+    weakest_motion: str
+    rotation_deg: float
+    shift_mm: float
+    alternative: AlternativeSolution | None
+
+
+class TargetError(ResponseModel):
+    """What to expect at a target."""
+
+    name: str
+    error_mm: float
+    covariance_mm2: tuple[
+        tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]
+    ]
+
+
+class RegistrationTarget(ResponseModel):
+    """A place in the frame at which the error is asked for."""
+
+    name: str
+    frame_mm: tuple[float, float, float]
+
+
+class Fiducial(ResponseModel):
+    """A point whose place is known in the frame and was measured."""
+
+    name: str
+    frame_mm: tuple[float, float, float]
+    measured_mm: tuple[float, float, float]
+    measured_covariance_mm2: (
+        tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
+        | None
+    ) = None
+
+
+class NewPairedPoints(ResponseModel):
+    """Points whose places are known in the frame, and were measured."""
+
+    id: str
+    device: str
+    targets: tuple[RegistrationTarget, ...] | None = None
+    note: str = ""
+    reference: str | None = None
+    kind: Literal["paired-points"] = "paired-points"
+    fiducials: tuple[Fiducial, ...]
+    frame_sigma_mm: float | None = None
+    measured_sigma_mm: float | None = None
+
+
+class NewThreeMarkers(ResponseModel):
+    """Three markers that make a frame: M1 its origin, M2 on its x axis, M3 at a positive y."""
+
+    id: str
+    device: str
+    targets: tuple[RegistrationTarget, ...] | None = None
+    note: str = ""
+    reference: str | None = None
+    kind: Literal["three-markers"]
+    measured_mm: (
+        tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
+        | None
+    ) = None
+    measured_covariance_mm2: (
+        tuple[
+            tuple[
+                tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]
+            ],
+            tuple[
+                tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]
+            ],
+            tuple[
+                tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]
+            ],
+        ]
+        | None
+    ) = None
+    measured_sigma_mm: float | None = None
+    strobe_markers: tuple[int, int, int] | None = None
+    seconds: float = 1.0
+
+
+class SurfaceSummary(ResponseModel):
+    """A surface that was given: it is not kept, but what tells whether another is the same."""
+
+    kind: str
+    vertices: int
+    triangles: int | None
+    sha256: str
+
+
+class StoredSurfaceRequest(ResponseModel):
+    """What is kept of a request with a surface: of the surface itself what tells it."""
+
+    id: str
+    device: str
+    targets: tuple[RegistrationTarget, ...] | None = None
+    note: str = ""
+    kind: Literal["surface"]
+    parent: str
+    points_mm: tuple[tuple[float, float, float], ...]
+    trim: float = 0.1
+    max_rms_mm: float = 5.0
+    initial_rotation_tolerance_deg: float = 5.0
+    initial_shift_tolerance_mm: float = 5.0
+    surface: SurfaceSummary
+
+
+class Registration(ResponseModel):
+    """A registration: a named frame in which poses can be asked for."""
 
     id: str
     kind: str
     device: str
-    state: str
-    progress: float
-    stage: str
-    result_id: str | None
-    result: str | None
-    problem: RunProblem | None
+    reference: str | None
+    parent: str | None = None
+    parent_created_at: datetime | None = None
+    calibration: str | None = None
+    table: str | None = None
+    matrix: tuple[tuple[float, float, float, float], ...]
+    covariance: tuple[
+        tuple[float, float, float, float, float, float],
+        tuple[float, float, float, float, float, float],
+        tuple[float, float, float, float, float, float],
+        tuple[float, float, float, float, float, float],
+        tuple[float, float, float, float, float, float],
+        tuple[float, float, float, float, float, float],
+    ]
+    fre_mm: float | None = None
+    fle_mm: float | None = None
+    residual_sigma: float | None = None
+    fiducials: tuple[FiducialError, ...] | None = None
+    markers: tuple[FrameMarker, ...] | None = None
+    surface: SurfaceFit | None = None
+    targets: tuple[TargetError, ...]
+    warnings: tuple[str, ...]
+    request: NewPairedPoints | NewThreeMarkers | StoredSurfaceRequest
+    note: str
+    created_at: datetime
 
-    @property
-    def ended(self) -> bool:
-        """Whether it has finished, in whatever way."""
-        return self.state not in ("queued", "running")
+
+class FrameState(ResponseModel):
+    """A frame, and whether it is connected with another one now."""
+
+    frame: str
+    kind: str
+    to: str | None
+    connected: bool
+    status: str
+    reason: str | None
+    root: str
+
+
+class FrameList(ResponseModel):
+    """A device's frames at its newest frame."""
+
+    device: str
+    exposure_ns: int | None
+    sequence: int | None
+    age_s: float | None
+    calibration: str | None
+    table: str | None
+    frames: tuple[FrameState, ...]
+
+
+class FrameTransform(ResponseModel):
+    """The transform from one frame to another at a device's newest frame, or why there is
+    none.
+    """
+
+    device: str
+    frame: str
+    to: str
+    status: str
+    reason: str | None
+    path: tuple[str, ...] | None
+    exposure_ns: int | None
+    sequence: int | None
+    age_s: float | None
+    calibration: str | None
+    table: str | None
+    matrix: tuple[tuple[float, float, float, float], ...] | None
+    translation_mm: tuple[float, float, float] | None
+    rotation: (
+        tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
+        | None
+    )
+    quaternion_wxyz: tuple[float, float, float, float] | None
+    covariance: (
+        tuple[
+            tuple[float, float, float, float, float, float],
+            tuple[float, float, float, float, float, float],
+            tuple[float, float, float, float, float, float],
+            tuple[float, float, float, float, float, float],
+            tuple[float, float, float, float, float, float],
+            tuple[float, float, float, float, float, float],
+        ]
+        | None
+    )
+
+
+class ToolWatch(ResponseModel):
+    """A tool that is fixed to the patient, by its pose."""
+
+    kind: Literal["tool"]
+    tool: str
+    target_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    axes: (
+        tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
+        | None
+    ) = None
+
+
+class StrobedMarkersWatch(ResponseModel):
+    """Strobed markers on the patient, each by its number."""
+
+    kind: Literal["strobed-markers"]
+    markers: tuple[int, ...]
+    min_markers: int | None = None
+
+
+class SimultaneousMarkersWatch(ResponseModel):
+    """Markers on the patient that are lit together, each near its place."""
+
+    kind: Literal["simultaneous-markers"]
+    markers: int
+    min_markers: int | None = None
+    search_radius_mm: float = 30.0
+    observed_as: str = "points"
+
+
+class Limits(ResponseModel):
+    """How far all may move from the reference; at least one of the first three is needed."""
+
+    shift_mm: float | None = None
+    axis_mm: tuple[float, float, float] | None = None
+    rotation_rad: float | None = None
+    probability: float = 0.05
+    release: float = 0.8
+
+
+class Rules(ResponseModel):
+    """When a hold begins and ends, whatever is measured."""
+
+    max_gap_s: float = 0.1
+    settle_s: float = 0.5
+    latched: bool = False
+
+
+class Reference(ResponseModel):
+    """How all was at set-up."""
+
+    id: str
+    kind: str
+    calibration: str | None
+    table: str | None
+    rotation: (
+        tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
+        | None
+    )
+    translation_mm: tuple[float, float, float] | None
+    covariance: (
+        tuple[
+            tuple[float, float, float, float, float, float],
+            tuple[float, float, float, float, float, float],
+            tuple[float, float, float, float, float, float],
+            tuple[float, float, float, float, float, float],
+            tuple[float, float, float, float, float, float],
+            tuple[float, float, float, float, float, float],
+        ]
+        | None
+    )
+    positions_mm: tuple[tuple[float, float, float], ...] | None
+    covariances_mm2: (
+        tuple[
+            tuple[
+                tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]
+            ],
+            ...,
+        ]
+        | None
+    )
+    frames: int | None
+    scatter_mm: float | None
+    set_at: datetime
+
+
+class BeamHold(ResponseModel):
+    """A beam hold."""
+
+    id: str
+    device: str
+    title: str
+    watch: ToolWatch | StrobedMarkersWatch | SimultaneousMarkersWatch
+    limits: Limits
+    rules: Rules
+    reference: Reference | None
+    note: str
+    created_at: datetime
+    updated_at: datetime
+
+
+class BeamHoldStatus(ResponseModel):
+    """Whether the beam is held now, and why."""
+
+    hold: str
+    device: str
+    held: bool
+    cause: str
+    reason: str | None
+    since_ns: int
+    exposure_ns: int | None
+    sequence: int | None
+    shift_mm: tuple[float, float, float] | None
+    rotation_rad: tuple[float, float, float] | None
+    probability: float | None
+
+
+class PixelNoise(ResponseModel):
+    """Conversion and noise of the sensor that the scans come from."""
+
+    electrons_per_count: float
+    read_noise_electrons: float
+    offset_counts: float = 0.0
+    full_scale_counts: int = 65535
+
+
+class LinePeak(ResponseModel):
+    """One peak; what the method does not give is null."""
+
+    position_px: float
+    sigma_px: float | None
+    amplitude: float | None
+    width_px: float | None
+    reduced_chi2: float | None
+    response_sigma: float | None
+    flags: tuple[str, ...]
+
+
+class FitWindow(ResponseModel):
+    """Pixels that were fitted together, and the stripes in them; null where no fit was
+    possible.
+    """
+
+    first_px: int
+    values: tuple[float, ...]
+    used: tuple[bool, ...]
+    model: tuple[float | None, ...]
+    residual_sigma: tuple[float | None, ...]
+    position_px: tuple[float, ...]
+    sigma_px: tuple[float | None, ...]
+    light_counts: tuple[float | None, ...]
+    light_electrons: tuple[float | None, ...]
+    width_px: float | None
+    width_sigma_px: float | None
+    background_counts: float | None
+    slope_counts_per_px: float | None
+    parameters: tuple[str, ...]
+    covariance: tuple[tuple[float | None, ...], ...]
+    chi2: float | None
+    dof: int
+
+
+class Stage(ResponseModel):
+    """A line on its way."""
+
+    name: str
+    unit: str
+    shift_px: float
+    values: tuple[float, ...]
+
+
+class LineScan(ResponseModel):
+    """What was found in one line."""
+
+    index: int
+    sensor: str | None = None
+    background_counts: float
+    noise_counts: float
+    measured_noise_counts: float
+    saturated_pixels: int
+    limit_counts: float | None
+    limit_sigma: float | None
+    further_peaks: int | None
+    peaks: tuple[LinePeak, ...]
+    covariance_px2: tuple[tuple[float, ...], ...] | None
+    windows: tuple[FitWindow, ...] | None
+    stages: tuple[Stage, ...] | None
+
+
+class LineScans(ResponseModel):
+    """What was found in scans."""
+
+    method: str
+    noise: PixelNoise
+    assumed: tuple[str, ...]
+    scans: tuple[LineScan, ...]
+
+
+class DeviceProfileSummary(ResponseModel):
+    """A device in a few words."""
+
+    name: str
+    title: str
+    year: int | None
+    sensor_count: int
+    pixel_count: int
+    max_markers: int
+
+
+class SensorProfile(ResponseModel):
+    """Position and orientation of one line sensor."""
+
+    name: str
+    position_mm: tuple[float, float, float]
+    aim_mm: tuple[float, float, float]
+    measured_direction: tuple[float, float, float]
+    optics: str
+
+
+class PixelRow(ResponseModel):
+    """A row of pixels, centred on the origin of the sensor's frame."""
+
+    count: int
+    pitch_um: float
+    height_um: float
+
+
+class DetectorProfile(ResponseModel):
+    """Detector parameters of a profile."""
+
+    bits: int
+    full_well_electrons: float
+    read_noise_electrons: float
+    dark_current_electrons_per_s: float
+    electrons_per_count: float
+    offset_counts: float
+    quantum_efficiency: float
+    response_nonuniformity: float
+    dark_nonuniformity: float
+    blooming: float
+    ambient_electrons_per_s: float
+    offset_nonuniformity_counts: float = 0.0
+
+
+class LedMarkers(ResponseModel):
+    """Active markers."""
+
+    radiant_intensity_w_per_sr: float
+    wavelength_nm: float
+    spectral_width_nm: float
+    half_angle_rad: float
+    emitter_width_mm: float
+    max_markers: int
+    illumination: str
+
+
+class RetroMarkers(ResponseModel):
+    """Retro-reflective markers with one illuminator; all are lit at once."""
+
+    illuminator_intensity_w_per_sr: float
+    illuminator_position_mm: tuple[float, float, float]
+    wavelength_nm: float
+    spectral_width_nm: float
+    retroreflection_per_sr: float
+    observation_half_angle_rad: float
+    half_angle_rad: float
+    diameter_mm: float
+    max_markers: int
+
+
+class ProfileSectionsRates(ResponseModel):
+    """Line rate and exposure time."""
+
+    line_rate_hz: float
+    exposure_s: float
+
+
+class Volume(ResponseModel):
+    """Working volume, a box along the axes of the world."""
+
+    centre_mm: tuple[float, float, float]
+    size_mm: tuple[float, float, float]
+
+
+class PublishedFigure(ResponseModel):
+    """One published figure of a device."""
+
+    quantity: str
+    axis: str
+    value_mm: float
+    source: str
+    distance_mm: float | None = None
+    note: str = ""
+
+
+class ErrorSources(ResponseModel):
+    """What makes a device inaccurate besides noise; None: the typical value, called assumed."""
+
+    pixels: str | None = None
+    flat_field_residual: float | None = None
+    reading_step_px: float | None = None
+    control_points: int | None = None
+    control_sigma_mm: float | None = None
+    distortion: str | None = None
+    uncorrected_distortion_px: tuple[float, ...] | None = None
+    terms_residual_px: float | None = None
+    map_residual_px: float | None = None
+    optical_centre_depth_mm: float | None = None
+    marker_tilt_rad: float | None = None
+    expansion_per_k: float | None = None
+    focus_expansion_per_k: float | None = None
+    temperature_change_k: float | None = None
+    bar_gradient_k: float | None = None
+    bar_depth_mm: float | None = None
+    timing_s: float | None = None
+    speed_mm_per_s: float | None = None
+
+
+class DeviceProfileDocument(ResponseModel):
+    """A device as published; lengths in mm, angles in rad, times in s."""
+
+    name: str
+    title: str
+    year: int | None
+    sensor_count: int
+    pixel_count: int
+    max_markers: int
+    sources: tuple[str, ...]
+    sensors: tuple[SensorProfile, ...]
+    pixels: PixelRow
+    detector: DetectorProfile
+    markers: LedMarkers | RetroMarkers
+    rates: ProfileSectionsRates
+    volume: Volume
+    published: tuple[PublishedFigure, ...]
+    error_sources: ErrorSources
+    notes: tuple[str, ...]
+    assumed: dict[str, str]
+    toml: str
+
+
+class Box(ResponseModel):
+    """A working volume: a box along the world's axes."""
+
+    centre_mm: tuple[float, float, float]
+    size_mm: tuple[float, float, float]
+
+
+class PlannedSensor(ResponseModel):
+    """One sensor: medians over the points that it sees."""
+
+    name: str
+    position_mm: tuple[float, float, float]
+    scan_electrons: float | None
+    peak_electrons: float | None
+    saturated: float
+    bound_px: float | None
+    centroid_px: float | None
+    fixed_pattern_px: float | None
+    misfit_px: float
+    principal_distance_px: float
+
+
+class AxisSummary(ResponseModel):
+    """Summary of one quantity along X, Y and Z over the points that can be reconstructed [mm]."""
+
+    best: tuple[float, float, float] | None
+    median: tuple[float, float, float] | None
+    worst: tuple[float, float, float] | None
+    centre: tuple[float, float, float] | None
+
+
+class BudgetContribution(ResponseModel):
+    """One source of uncertainty, summarised over the volume."""
+
+    name: str
+    kind: str
+    counted: bool
+    assumed: bool
+    inputs: tuple[str, ...]
+    sigma: AxisSummary
+    rms_mm: float
+    by_distance_mm: tuple[float, ...]
+    share: float
+
+
+class BudgetInput(ResponseModel):
+    """One value that an accuracy budget rests on."""
+
+    name: str
+    value: float | str | tuple[float, ...]
+    unit: str
+    assumed: bool
+    source: str
+
+
+class AccuracyBudget(ResponseModel):
+    """Uncertainty budget of a point's position (GUM, JCGM 100): every source, and their sum."""
+
+    contributions: tuple[BudgetContribution, ...]
+    dominant: str
+    random: AxisSummary
+    systematic: AxisSummary
+    total: AxisSummary
+    total_rms_mm: float
+    distances_mm: tuple[float, ...]
+    total_by_distance_mm: tuple[float, ...]
+    inputs: tuple[BudgetInput, ...]
+
+
+class Coverage(ResponseModel):
+    """Shares of a volume that sensors see."""
+
+    by_count: tuple[float, ...]
+    by_sensor: tuple[float, ...]
+    all_sensors: float
+    three_or_more: float
+
+
+class DataRatesRates(ResponseModel):
+    """Rates of a device with N markers."""
+
+    markers: int
+    illumination: str
+    line_rate_hz: float
+    marker_rate_hz: float
+    points_per_s: float
+    raw_pixels_per_s: float
+    raw_bytes_per_s: float
+    reduced_bytes_per_s: float
+    reduction: float
+
+
+class GhostCount(ResponseModel):
+    """Expected number of wrong combinations that look like markers."""
+
+    markers: int
+    candidates: int
+    expected: float
+    standard_error: float
+
+
+class PlannedPoint(ResponseModel):
+    """One point of the grid."""
+
+    position_mm: tuple[float, float, float]
+    sensors: int
+    saturated: int
+    sd_mm: tuple[float, float, float] | None
+    centroid_sd_mm: tuple[float, float, float] | None
+    dilution_mm: tuple[float, float, float] | None
+    fixed_pattern_mm: tuple[float, float, float] | None
+    distortion_mm: tuple[float, float, float] | None
+    uncertainty_mm: tuple[float, float, float] | None
+
+
+class Plan(ResponseModel):
+    """Predicted performance of a device, from its profile alone."""
+
+    profile: str
+    title: str
+    volume: Box
+    grid: tuple[int, int, int]
+    sensors: tuple[PlannedSensor, ...]
+    noise: AxisSummary
+    centroid: AxisSummary
+    dilution: AxisSummary
+    fixed_pattern: AxisSummary
+    distortion: AxisSummary
+    budget: AccuracyBudget | None
+    coverage: Coverage
+    rates: tuple[DataRatesRates, ...]
+    planar_intersections: tuple[int, ...]
+    ghosts: tuple[GhostCount, ...]
+    points: tuple[PlannedPoint, ...]
+    notes: tuple[str, ...]
+
+
+class ApiKey(ResponseModel):
+    """A key that was given out, without its secret, which is kept nowhere."""
+
+    id: str
+    name: str
+    scopes: tuple[str, ...]
+    state: str
+    created_by: str
+    created_at: datetime
+    expires_at: datetime | None
+    revoked_at: datetime | None
+    last_used_at: datetime | None
+
+
+class CreatedApiKey(ResponseModel):
+    """A key that was just made."""
+
+    id: str
+    name: str
+    scopes: tuple[str, ...]
+    state: str
+    created_by: str
+    created_at: datetime
+    expires_at: datetime | None
+    revoked_at: datetime | None
+    last_used_at: datetime | None
+    key: str
+
+
+class Actor(ResponseModel):
+    """Who acted."""
+
+    kind: str
+    id: str
+    name: str
+
+
+class AuditEntry(ResponseModel):
+    """One change, or an attempt that was refused."""
+
+    id: int
+    at: datetime
+    actor: Actor
+    operation: str
+    outcome: str
+    object_kind: str
+    object_id: str | None
+    before: dict[str, Any] | None
+    after: dict[str, Any] | None
+    detail: str | None
+    request_id: str | None
+    address: str | None
+
+
+class ErrorStatistics(ResponseModel):
+    """Summary of N errors [mm], with the values that ASTM F2554 requires."""
+
+    count: int
+    mean: float
+    standard_deviation: float
+    rms: float
+    percentile_95: float
+    largest: float
+
+
+class SinglePoint(ResponseModel):
+    """Precision of a stationary marker."""
+
+    position_mm: tuple[float, float, float]
+    scatter: ErrorStatistics
+    axes_mm: tuple[float, float, float]
+    stated_mm: float
+    drift_mm_per_min: float
+    drift_sigma_mm_per_min: float
+    bias: float | None
+
+
+class PointToPoint(ResponseModel):
+    """Accuracy of a measured distance."""
+
+    reference_mm: float
+    errors: ErrorStatistics
+    mean_sigma_mm: float
+    normalised_square: float
+    extent_mm: tuple[float, float, float]
+
+
+class QualityCheck(ResponseModel):
+    """What a quality check measured."""
+
+    id: str
+    device: str
+    kind: str
+    calibration_id: str
+    table_id: str | None
+    asked: dict[str, Any]
+    result: SinglePoint | PointToPoint
+    passed: bool | None
+    points: int
+    left_out: int
+    temperature_c: float | None
+    note: str
+    created_at: datetime
+
+
+class ReferenceMarker(ResponseModel):
+    """A strobed marker that is fixed to where the device stands."""
+
+    marker: int
+
+
+class WatchSettings(ResponseModel):
+    """How a device's drift is watched."""
+
+    interval_s: float = 600.0
+    reference: ReferenceMarker | None = None
+
+
+class ChartPoint(ResponseModel):
+    """One value of a control chart."""
+
+    at: datetime
+    value: float
+    average: float
+    signal: str
+
+
+class Chart(ResponseModel):
+    """A control chart: values over time and the limits that they keep while nothing changes."""
+
+    series: str
+    meaning: str
+    unit: str
+    ready: bool
+    baseline: int
+    centre: float | None
+    lower: float | None
+    upper: float | None
+    points: tuple[ChartPoint, ...]
+
+
+class Quality(ResponseModel):
+    """How a device does with what is active now, and what to do about it."""
+
+    device: str
+    calibration_id: str | None
+    table_id: str | None
+    watch: WatchSettings
+    recommendation: str
+    reasons: tuple[str, ...]
+    charts: tuple[Chart, ...]
+
+
+class WatchSample(ResponseModel):
+    """What was seen of a running device in one interval."""
+
+    device: str
+    calibration_id: str
+    table_id: str | None
+    at: datetime
+    seconds: float
+    points: int
+    residual_sigma: float | None
+    inconsistent: int
+    reference_mm: tuple[float, float, float] | None
+    reference_scatter_mm: float | None
+    temperature_c: float | None
+
+
+class Landing(ResponseModel):
+    """Where to go from here."""
+
+    name: str
+    version: str
+    links: dict[str, str]
+
+
+class Health(ResponseModel):
+    """The process answers."""
+
+    status: Literal["ok"] = "ok"
+
+
+class Readiness(ResponseModel):
+    """Requests can be served."""
+
+    status: Literal["ok"] = "ok"
+    limits: tuple[str, ...]
+    failed_devices: int
+    failed: tuple[str, ...] | None
+
+
+class ProblemType(ResponseModel):
+    """What a problem type means."""
+
+    code: str
+    type: str
+    status: int
+    title: str
+    meaning: str

@@ -1,37 +1,23 @@
 """What endpoints take: parts of the application, JSON bodies, ids, filters and pages."""
 
-import email.message
-import json
 from collections.abc import Callable, Coroutine
 from dataclasses import dataclass
-from functools import partial
-from typing import Annotated, Any, Final, TypeVar
+from typing import Annotated, Any, TypeVar
 
-from anyio.to_thread import run_sync
 from fastapi import Depends, Path, Query, Request
 from fastapi.routing import APIRoute
-from pydantic import (
-    GetCoreSchemaHandler,
-    TypeAdapter,
-    ValidationError,
-    ValidatorFunctionWrapHandler,
-)
-from pydantic_core import CoreSchema, ErrorDetails, core_schema
+from pydantic import GetCoreSchemaHandler, TypeAdapter, ValidatorFunctionWrapHandler
+from pydantic_core import CoreSchema, core_schema
 from sqlalchemy import Select, func
 from sqlalchemy.orm import Session
 from starlette.responses import Response
 
 from service.api.base_models import SLUG_PATTERN, Page
+from service.api.json_body import INLINE_BYTES, BodyReader, check_json_body, validate_text
 from service.database.engine import Database
 from service.jobs.run_manager import RunManager
 from service.pipeline.pipeline_manager import PipelineManager
-from service.problems.errors import (
-    BodyTooLarge,
-    DuplicateKey,
-    MalformedJson,
-    NotReady,
-    UnsupportedMediaType,
-)
+from service.problems.errors import NotReady
 from service.settings import Settings
 
 
@@ -144,112 +130,46 @@ class JsonTypes:
         adapter: TypeAdapter[Any] = TypeAdapter(source)
 
         def validate(text: Any, _inner: ValidatorFunctionWrapHandler) -> Any:
-            try:
-                return adapter.validate_json(text, strict=True)
-            except ValidationError as error:
-                if not any(_is_whole_number(item) for item in error.errors()):
-                    raise
-            return adapter.validate_json(_with_whole_numbers(text), strict=True)
+            return text.value if isinstance(text, _Read) else validate_text(adapter, text)
 
         return core_schema.no_info_wrap_validator_function(validate, handler(source))
 
 
-def _is_whole_number(error: ErrorDetails) -> bool:
-    """Whether a strict validation refused 8.0 as an integer, which JSON schema says it is."""
-    found = error["input"]
-    return error["type"] == "int_type" and isinstance(found, float) and found.is_integer()
+@dataclass(frozen=True)
+class _Read:
+    """A body that was validated already."""
 
-
-def _with_whole_numbers(text: str | bytes) -> str:
-    """Write the whole numbers of a JSON text without a decimal point."""
-
-    def number(literal: str) -> float | int:
-        value = float(literal)
-        return int(value) if value.is_integer() else value
-
-    return json.dumps(json.loads(text, parse_float=number))
-
-
-_LARGE_BYTES: Final = 64 * 1024
-_MAX_MEMBERS: Final = 1000
-"""Of one object: each that a model does not know is an error of its own."""
+    value: Any
 
 
 class _JsonRequest(Request):
+    read: _Read | None = None
+
     async def json(self) -> Any:
-        """Return the body's text, for ``FromJson`` to validate."""
-        return await self.body()
+        """Return what ``JsonTypes`` validates: the body's text, or what became of it."""
+        return await self.body() if self.read is None else self.read
 
 
 class JsonRoute(APIRoute):
-    """A route whose body, where it takes one, is ``application/json`` read by ``FromJson``."""
+    """A route whose body, where it takes one, is ``application/json`` read by ``JsonTypes``."""
 
     def get_route_handler(self) -> Callable[[Request], Coroutine[Any, Any, Response]]:
         """Return FastAPI's handler behind the check of the body."""
         handle = super().get_route_handler()
         if self.body_field is None:
             return handle
+        wanted = self.body_field.field_info.annotation
 
         async def strict(request: Request) -> Response:
             request = _JsonRequest(request.scope, request.receive)
             # Here and not in json(), from where FastAPI lets no exception of ours out.
             body = await request.body()
-            check = partial(check_json_body, request.headers.get("content-type"), body)
-            if len(body) > _LARGE_BYTES:  # the server goes on with others meanwhile
-                await run_sync(check)
+            content_type = request.headers.get("content-type")
+            if len(body) > INLINE_BYTES:
+                reader: BodyReader = request.app.state.bodies
+                request.read = _Read(await reader.read(wanted, content_type, body))
             else:
-                check()
+                check_json_body(content_type, body)
             return await handle(request)
 
         return strict
-
-
-def check_json_body(content_type: str | None, body: bytes) -> None:
-    """Check that a body is JSON, says so, and gives no key of an object twice.
-
-    Raises:
-        UnsupportedMediaType, MalformedJson, DuplicateKey.
-        BodyTooLarge: an object has too many members.
-    """
-    if not _is_json(content_type) and (content_type or body):
-        given = f'"{content_type}"' if content_type else "not given"
-        raise UnsupportedMediaType(f"the body's media type is {given}; send application/json")
-    if not body:
-        return
-    try:
-        json.loads(body, object_pairs_hook=_unique)
-    except json.JSONDecodeError as error:
-        found = json.dumps(error.doc[error.pos : error.pos + 20])
-        raise MalformedJson(
-            f"the body is not JSON: {error.msg} at line {error.lineno} column {error.colno}, "
-            f"where it has {found}; send a JSON document"
-        ) from error
-    except UnicodeDecodeError as error:
-        raise MalformedJson(f"the body is not UTF-8: {error.reason}; send UTF-8") from error
-    except RecursionError as error:
-        raise MalformedJson("the body is nested too deeply to be read") from error
-    except ValueError as error:  # an integer of thousands of digits
-        raise MalformedJson(f"the body cannot be read: {error}") from error
-
-
-def _unique(pairs: list[tuple[str, Any]]) -> None:
-    if len(pairs) > _MAX_MEMBERS:
-        raise BodyTooLarge(
-            f"an object of the body has {len(pairs)} members; the limit is {_MAX_MEMBERS}"
-        )
-    seen: set[str] = set()
-    for key, _ in pairs:
-        if key in seen:
-            raise DuplicateKey(
-                f"the key {json.dumps(key)} is given twice in one object; give it once", key=key
-            )
-        seen.add(key)
-
-
-def _is_json(content_type: str | None) -> bool:
-    message = email.message.Message()
-    message["content-type"] = content_type or ""
-    if message.get_content_maintype() != "application" or not content_type:
-        return False
-    subtype = message.get_content_subtype()
-    return subtype == "json" or subtype.endswith("+json")

@@ -16,6 +16,7 @@ from service.api.correction_tables.router import router as correction_tables
 from service.api.devices.router import router as devices
 from service.api.drift_checks.router import router as drift_checks
 from service.api.exports.router import router as exports_router
+from service.api.json_body import BodyReader
 from service.api.line_scans.router import router as line_scans
 from service.api.openapi import install_openapi
 from service.api.planning.router import router as device_profiles
@@ -116,6 +117,7 @@ def create_app(
     app.state.metrics = Metrics()
     app.state.stopping = False
     app.state.reports = ReportCache()
+    app.state.bodies = BodyReader(settings.body_limit_bytes)
     app.state.open_streams = StreamLimit(settings.streams_per_key)
     app.add_middleware(
         BodyLimitMiddleware,

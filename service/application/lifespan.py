@@ -22,6 +22,7 @@ from service.database.server_lock import server_lock
 from service.jobs.run_manager import RunManager
 from service.jobs.store import running_runs
 from service.pipeline.pipeline_manager import PipelineManager
+from service.protocols.metrics.care_collector import CareCollector
 from service.protocols.metrics.collectors import (
     DatabaseCollector,
     LiveCollector,
@@ -54,6 +55,7 @@ async def running(
         def at_the_end(close: Callable[[], None]) -> None:
             stack.push_async_callback(run_sync, close)
 
+        at_the_end(app.state.bodies.close)
         database = Database(settings.effective_database_url, query_timeout=True)
         at_the_end(database.close)
         stack.enter_context(server_lock(database))
@@ -95,6 +97,11 @@ async def running(
             LiveCollector(manager, app.state.streams),
             DatabaseCollector(database, runs.durations),
             RecordingsCollector(recordings),
+            CareCollector(
+                database,
+                settings.data_dir,
+                partial(getattr, app.state.authenticator, "failed_logins"),
+            ),
         )
         await stack.enter_async_context(openigtlink_running(app, settings, recordings))
         await stack.enter_async_context(ndi_running(app, settings))

@@ -105,10 +105,10 @@ def store_profile_device(session: Session, made: ProfileDevice) -> None:
     add_device(session, made.device, made.sensors)
     if result is None:
         return
-    left_over = max(fit.rms_px for fit in result.sensors)
+    residual_rms = max(fit.rms_px for fit in result.sensors)
     note = (
         "Cameras fitted to the profile's traced optics over its working volume; nothing was "
-        f"measured. The optics' distortion beyond them is up to {left_over:.2g} px RMS."
+        f"measured. The optics' distortion beyond them is up to {residual_rms:.2g} px RMS."
     )
     store_nominal(session, identity, result, note)
 

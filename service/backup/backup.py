@@ -9,6 +9,7 @@ from pathlib import Path
 
 from sqlalchemy import Connection
 
+from service.backup.checksum import add_checksum
 from service.backup.consistency import find_inconsistencies
 from service.backup.copy_rows import Told, copy_rows, count_rows
 from service.database.engine import Database
@@ -107,6 +108,7 @@ def _keep(made: Path, file: Path) -> None:
     # A database in WAL mode may be of several files.
     with closing(sqlite3.connect(made)) as connection:
         connection.execute("PRAGMA journal_mode = DELETE")
+    add_checksum(made)
     made.chmod(0o600)
     with made.open("rb") as written:
         os.fsync(written.fileno())

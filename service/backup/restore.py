@@ -1,6 +1,5 @@
 """Restores a backup into a database of either kind in one transaction; revoked keys stay so."""
 
-import shutil
 import sqlite3
 import tempfile
 from collections.abc import Iterator
@@ -16,6 +15,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
 
 from service.backup.backup import back_up, opened
+from service.backup.checksum import copy_checked
 from service.backup.consistency import find_inconsistencies
 from service.backup.copy_rows import Told, copy_rows, count_rows
 from service.database.audited_session import entry
@@ -123,7 +123,7 @@ def _ready(file: Path) -> Iterator[Connection]:
         raise BackupUnusable(f"{file} is no file")
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) / "backup"
-        shutil.copyfile(file, copy)
+        copy_checked(file, copy)
         with opened(copy, file) as connection:
             revision = revision_of(connection)
         updated = Database(f"sqlite:///{copy}")

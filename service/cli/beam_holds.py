@@ -40,12 +40,14 @@ def show_all(
 ) -> None:
     """List beam holds, and whether each is held."""
     with client_session(url, key) as client:
-        listed = [(hold, client.beam_hold_state(hold.id)) for hold in client.beam_holds(device)]
+        listed = [
+            (hold, client.beam_hold_state(hold.id)) for hold in client.beam_holds(device=device)
+        ]
     if as_json:
         print_json([{"hold": hold, "state": state} for hold, state in listed])
         return
     rows = (
-        (hold.id, hold.device, hold.title, hold.watch["kind"], _beam(state.held), state.cause,
+        (hold.id, hold.device, hold.title, hold.watch.kind, _beam(state.held), state.cause,
          _shift(state))
         for hold, state in listed
     )  # fmt: skip

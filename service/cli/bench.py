@@ -13,6 +13,7 @@ BENCHMARKS: Final = {
     "openigtlink": "ten tools at 200 Hz to pyigtl, while another client stalls and leaves",
     "navigation": "simulated optics to an OpenIGTLink client: latency, jitter and tip errors",
     "hold": "a patient who moves, to the signal that holds the beam: latency, missed, false",
+    "hostile-bodies": "the worst bodies of each scope: stalls of a stream, hold statuses, /healthz",
     "signal": "raw scans to peaks: rates and latency beside a memory copy, numba, NumPy, SciPy",
     "points": "readings to points, beside SciPy",
     "pose": "poses of ten tools from readings, beside SciPy; a tracker's step",
@@ -24,7 +25,9 @@ BENCHMARKS: Final = {
     "tracking": "2 to 20 markers tracked from readings, beside Stone Soup's JPDA",
     "simulation": "simulated frames of a profile's device on one core, beside ideal lenses",
 }
-_OF_A_SERVICE: Final = ("live", "load", "openigtlink", "navigation", "hold", "decoder", "clock")
+_OF_A_SERVICE: Final = (
+    *("live", "load", "openigtlink", "navigation", "hold", "hostile-bodies", "decoder", "clock"),
+)
 _MODULES: Final = {
     "points": "triangulation", "reconstruct": "mapped_reconstruction", "rays": "ray_tracing"
 }  # fmt: skip
@@ -54,7 +57,7 @@ def bench(
     elif name not in BENCHMARKS:
         raise fail(f'there is no benchmark "{name}"; there are {", ".join(BENCHMARKS)}')
     elif name in _OF_A_SERVICE:
-        module = import_module(f"service.cli.bench_{name}")
+        module = import_module(f"service.cli.bench_{name.replace('-', '_')}")
         module.run(seconds=seconds, rate_hz=rate, as_json=as_json)
     else:
         options = ["--json"] if as_json else []

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, cast
 
 import numpy as np
 
@@ -88,7 +88,9 @@ def _hold_markers(client: Client, positions_mm: list[list[float]]) -> None:
 
 def _hold_tool(client: Client, _: list[list[float]]) -> None:
     strobe = list(range(len(MARKERS_MM)))
-    client.create_tool(TOOL, DEVICE, MARKERS_MM, title="Patient", strobe_markers=strobe)
+    client.create_tool(
+        id=TOOL, device=DEVICE, markers_mm=MARKERS_MM, title="Patient", strobe_markers=strobe
+    )
     pose = {"rotation": np.eye(3).tolist(), "translation_mm": CENTRE_MM}
     _create(client, "tool", {"kind": "tool", "tool": TOOL}, pose)
 
@@ -100,9 +102,16 @@ _HOLDS: Final[dict[str, Callable[[Client, list[list[float]]], None]]] = {
 """Makes a hold by the markers one by one, and by them as a tool."""
 
 
-def _create(client: Client, name: str, watch: dict[str, Any], reference: dict[str, Any]) -> None:
-    limits = {"shift_mm": LIMIT_MM}
-    client.create_beam_hold(name, DEVICE, watch, limits, rules=RULES, reference=reference)
+def _create(client: Client, name: str, watch: Any, reference: Any) -> None:
+    client.create_beam_hold(
+        id=name,
+        device=DEVICE,
+        title=name,
+        watch=watch,
+        limits={"shift_mm": LIMIT_MM},
+        rules=cast("Any", RULES),
+        reference=reference,
+    )
 
 
 def _show(figures: Figures) -> None:

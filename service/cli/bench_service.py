@@ -70,7 +70,7 @@ def service_of_simulated_device(
 
 def device_counts(client: Client) -> dict[str, Any]:
     """Return the device's state and its counts of frames."""
-    return client.device_status(DEVICE).model_dump()
+    return client.device_status(DEVICE).status.model_dump()
 
 
 def losses(before: dict[str, Any], after: dict[str, Any]) -> dict[str, int]:

@@ -119,7 +119,7 @@ class DemoClient(Client):
             for marker, sensors in observed.items()
         ]
         calibration = self._post_calibration(SIMULATED, points, "simulated calibration frame")
-        self.activate(calibration["id"])
+        self.activate_calibration(calibration["id"])
         return calibration
 
     def stream_bar(self, seconds: float, progress: Callable[[float], None]) -> "BarStream":

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import typer
 from rich.table import Table
 
-from lumiline.client.models import RadiometricCalibration, RadiometricCapture
+from lumiline.client.models import RadiometricCalibrationSummary, RadiometricCapture
 from service.cli.json_files import read_json
 from service.cli.output import (
     AsJson,
@@ -119,7 +119,7 @@ def show_all(
 ) -> None:
     """List the radiometric calibrations of a server."""
     with client_session(url, key) as client:
-        listed = client.radiometric_calibrations(device)
+        listed = client.radiometric_calibrations(device=device)
     if as_json:
         print_json(listed)
         return
@@ -142,7 +142,9 @@ def capture(
 ) -> None:
     """Capture dark and flat frames step by step, and estimate the calibration from them."""
     with client_session(url, key, timeout_s=60.0) as client:
-        session = client.begin_radiometric_capture(device, frames=frames, levels=levels)
+        session = client.create_radiometric_capture(
+            device=device, settings={"frames": frames, "levels": levels}
+        )
         while session.next is not None:
             say(session.instruction)
             answer = typer.prompt("Enter captures, q ends", default="", show_default=False)
@@ -151,7 +153,7 @@ def capture(
                 raise typer.Exit(1)
             session = _captured(client, session, temperature)
         made = client.create_radiometric_calibration(
-            device, {"kind": "capture", "capture": session.id}, radiometric_id=radiometric_id
+            id=radiometric_id, device=device, source={"kind": "capture", "capture": session.id}
         )
     _print_made(made)
 
@@ -164,7 +166,7 @@ def _captured(
 
     try:
         taken: RadiometricCapture = client.capture_radiometric_frames(
-            session.id, session.next, temperature_c=temperature_c
+            session.id, kind=session.next, temperature_c=temperature_c
         )
     except ServerProblem as problem:
         if problem.code != "unusable-radiometric-capture":
@@ -190,9 +192,9 @@ def upload(
         raise fail(f"{file} holds no radiometric calibration; `estimate --output` writes one")
     with client_session(url, key) as client:
         made = client.create_radiometric_calibration(
-            device,
-            {"kind": "document", "sensors": sensors},
-            radiometric_id=radiometric_id,
+            id=radiometric_id,
+            device=device,
+            source={"kind": "document", "sensors": sensors},
             note=note,
         )
     _print_made(made)
@@ -214,7 +216,7 @@ def deactivate(radiometric_id: RadiometricId, url: Url = HERE, key: Key = None) 
     say(f"device {done.device} does not use {done.id}")
 
 
-def _print_made(made: RadiometricCalibration) -> None:
+def _print_made(made: RadiometricCalibrationSummary) -> None:
     console.print(_figures([one.model_dump() for one in made.sensors], made.id))
     say(f"stored as {made.id}; `lumiline radiometric-calibration activate {made.id}` uses it")
 

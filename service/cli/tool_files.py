@@ -1,6 +1,8 @@
 """`lumiline tools create` and `capture`: adds tools to a server, from a file or by capture."""
 
 from collections.abc import Iterable
+from contextlib import suppress
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from typing import Annotated, Any, Final
 
@@ -75,8 +77,8 @@ def capture(
         if not as_json:
             say(f"Hold {tool} still in view of {device}.")
         created = client.capture_tool(
-            tool, device, markers=markers, strobe_markers=slots, seconds=seconds,
-            title=title or tool,
+            id=tool, device=device, title=title or tool, seconds=seconds,
+            markers=markers, strobe_markers=slots,
         )  # fmt: skip
     if as_json:
         print_json(created)
@@ -118,11 +120,18 @@ def _read(path: Path) -> list[dict[str, Any]]:
 
 def _in_order(tools: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
     """Return tools so that each stands behind its reference, where that is among them."""
-    waiting, ordered = list(tools), []
-    while waiting:
-        names = {one.get("id") for one in waiting}
-        free = [one for one in waiting if one.get("reference") not in names - {None}]
-        # In a ring nobody is free: the server says so.
-        ordered += free or waiting
-        waiting = [one for one in waiting if free and all(one is not other for other in free)]
-    return ordered
+    listed = list(tools)
+    number = {one["id"]: index for index, one in enumerate(listed) if one.get("id") is not None}
+    references = {
+        index: {number[one["reference"]]} if one.get("reference") in number else set()
+        for index, one in enumerate(listed)
+    }
+    sorter, ordered = TopologicalSorter(references), list[int]()
+    with suppress(CycleError):
+        sorter.prepare()
+    while ready := sorter.get_ready():
+        ordered += ready
+        sorter.done(*ready)
+    # A ring comes last: the server says what is wrong with it.
+    ordered += [index for index in references if index not in ordered]
+    return [listed[index] for index in ordered]

@@ -1,7 +1,7 @@
 """`lumiline tools`: tools of a running server and their poses, through the client."""
 
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from math import sqrt
 from typing import Annotated, Final
 
@@ -10,7 +10,7 @@ from rich.console import Group
 from rich.live import Live
 from rich.text import Text
 
-from lumiline.client.models import Matrix3, Pose, Vector3
+from lumiline.client.models import Pose
 from service.cli.output import AsJson, console, fail, make_table, print_json, say, spec
 from service.cli.server_session import HERE, DeviceOption, Key, Url, WatchSeconds, client_session
 from service.cli.tool_files import capture, create
@@ -42,7 +42,7 @@ def show_all(
 ) -> None:
     """List tools."""
     with client_session(url, key) as client:
-        listed = client.tools(device)
+        listed = client.tools(device=device)
     if as_json:
         print_json(listed)
         return
@@ -64,7 +64,7 @@ def show_one(
 ) -> None:
     """Show a tool and its newest pose; exit code 1 where that is not OK."""
     with client_session(url, key) as client:
-        shown, pose = client.tool(tool), client.tool_pose(tool, frame)
+        shown, pose = client.tool(tool), client.tool_pose(tool, frame=frame)
     if as_json:
         print_json({"tool": shown, "pose": pose})
     else:
@@ -87,14 +87,14 @@ def watch(
     with client_session(url, key) as client:
         if device is not None:
             client.device(device)  # to be told that there is none, not that it has no tools
-        watched = client.tools(device)
+        watched = client.tools(device=device)
         if not watched:
             raise fail("there are no tools; POST /api/v1/tools makes one (docs/how-to/tools.md)")
 
         def poses() -> Group:
             # In the frame of a tool that tool itself is left out: it is where it is.
             others = (tool for tool in watched if tool.id != frame)
-            return _poses(client.tool_pose(tool.id, frame) for tool in others)
+            return _poses(client.tool_pose(tool.id, frame=frame) for tool in others)
 
         try:
             with Live(poses(), console=console, auto_refresh=False) as shown:
@@ -155,11 +155,11 @@ def _poses(poses: Iterable[Pose]) -> Group:
     return Group(make_table(headings, rows, texts=3, no_wrap=True), *reasons)
 
 
-def _vector(values: Vector3 | None) -> str | None:
+def _vector(values: Sequence[float] | None) -> str | None:
     return None if values is None else " ".join(f"{value:9.2f}" for value in values)
 
 
-def _sigma(covariance: Matrix3 | None) -> str | None:
+def _sigma(covariance: Sequence[Sequence[float]] | None) -> str | None:
     """Return the root of the summed variances of a position."""
     if covariance is None:
         return None

@@ -21,7 +21,7 @@ from service.jobs.worker_process import WorkerProcess
 from service.principal import Act, current_act
 from service.problems.catalogue import PROBLEM_TYPES
 from service.problems.errors import NotReady
-from service.problems.handlers import json_safe
+from service.problems.field_errors import json_safe
 
 BOUNDS_S: Final = (0.5, 1.0, 2.0, 5.0, 10.0, 30.0, 60.0, 300.0, 1800.0, 7200.0)
 """Upper bounds of the classes [s]; one more, without a bound, follows."""

@@ -1,4 +1,4 @@
-"""Main function of a worker process: calls one function and reports through a pipe.
+"""Main functions of worker processes: call functions and report through a pipe.
 
 Imports nothing heavy itself: what it sets for the numerical libraries must be set before they
 are loaded, with the task.
@@ -6,6 +6,7 @@ are loaded, with the task.
 
 import contextlib
 import os
+import pathlib
 import pickle
 import signal
 import traceback
@@ -15,12 +16,13 @@ from multiprocessing.connection import Connection, wait
 from threading import Thread
 from typing import Any, Final
 
-_ONE_THREAD: Final = (
+THREAD_VARIABLES: Final = (
     "OMP_NUM_THREADS",
     "OPENBLAS_NUM_THREADS",
     "MKL_NUM_THREADS",
     "NUMBA_NUM_THREADS",
 )
+"""Environment variables that tell numerical libraries, before they are loaded, their threads."""
 _NICENESS: Final = 10
 
 
@@ -62,41 +64,76 @@ def work(connection: Connection, task: bytes, memory_bytes: int | None) -> None:
 
     The function gets a callable ``(share, stage)`` as its first argument.
     """
+    _prepare(memory_bytes)
+
+    def report_progress(share: float, stage: str) -> None:
+        connection.send(Progress(share, stage))
+
+    message = _outcome(task, report_progress)
+    with contextlib.suppress(BrokenPipeError):
+        connection.send(message)
+    connection.close()
+
+
+def serve(connection: Connection, memory_bytes: int, idle_s: float, peak_bytes: int) -> None:
+    """Run one pickled ``(function, arguments)`` after another; the target of a ``CallProcess``.
+
+    Args:
+        connection: brings the tasks and takes what comes of them.
+        memory_bytes: most memory that the process may take.
+        idle_s: how long it waits for the next task before it ends.
+        peak_bytes: it ends after a task that took more memory, which goes back to the system.
+    """
+    _prepare(memory_bytes)
+    with contextlib.suppress(BrokenPipeError, EOFError):
+        while connection.poll(idle_s):
+            connection.send(_outcome(connection.recv_bytes()))
+            if _peak_memory_bytes() > peak_bytes:
+                break
+    connection.close()
+
+
+def _prepare(memory_bytes: int | None) -> None:
+    """Make this process a worker: polite, of one thread, bounded, ending with its parent."""
     # Ctrl-C, and its end, go to all processes of a terminal; the parent decides what becomes of
     # this one.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if hasattr(signal, "SIGHUP"):
         signal.signal(signal.SIGHUP, signal.SIG_IGN)
     Thread(target=_end_with_parent, daemon=True).start()
-    for name in _ONE_THREAD:
+    for name in THREAD_VARIABLES:
         os.environ[name] = "1"
     with contextlib.suppress(OSError):
         os.nice(_NICENESS)  # live devices go first
     if memory_bytes is not None:
         _limit_memory(memory_bytes)
-    try:
-        message = _outcome(connection, task)
-    except MemoryError:
-        message = Failed(None, "the worker's memory is used up", {})
-    with contextlib.suppress(BrokenPipeError):
-        connection.send(message)
-    connection.close()
 
 
-def _outcome(connection: Connection, task: bytes) -> Message:
+def _outcome(task: bytes, *before: Any) -> Message:
+    """Run a task with ``before`` as its first arguments."""
     from compute.errors import LumilineError
 
     try:
         function, arguments = pickle.loads(task)  # noqa: S301 - from our own parent process
-
-        def report_progress(share: float, stage: str) -> None:
-            connection.send(Progress(share, stage))
-
-        return Done(function(report_progress, *arguments))
+        return Done(function(*before, *arguments))
+    except MemoryError:
+        return Failed(None, "the worker's memory is used up", {})
     except LumilineError as error:
         return Failed(error.code, error.detail, error.context)
     except Exception:  # noqa: BLE001 - the parent decides what to tell
         return Failed(None, traceback.format_exc(), {})
+
+
+def _peak_memory_bytes() -> int:
+    """Return the most memory that this process had; 0 where the system does not tell.
+
+    Not ``ru_maxrss``, which begins with that of the process that started this one.
+    """
+    try:
+        with pathlib.Path("/proc/self/status").open(encoding="ascii") as file:
+            return next(1024 * int(line.split()[1]) for line in file if line.startswith("VmHWM"))
+    except (OSError, StopIteration):
+        return 0
 
 
 def _limit_memory(limit_bytes: int) -> None:

@@ -47,7 +47,8 @@ class BadPixelWatch:
         self._judged = [0] * len(self._names)
         """Scans of each sensor when it was judged last."""
         self._found: dict[tuple[int, int], LiveBadPixel] = {}
-        self._next_s = 0.0
+        self.due_s = 0.0
+        """When the next frame is to be looked at, by ``time.perf_counter`` [s]."""
         self._taken = 0
         self.busy_s = 0.0
         """Time that it has taken so far [s]."""
@@ -58,11 +59,9 @@ class BadPixelWatch:
         return tuple(self._found[key] for key in sorted(self._found))
 
     def take(self, frames: Sequence[LineFrame]) -> bool:
-        """Look at a frame of a batch if it is time for one; return whether a bad pixel is new."""
+        """Look at a frame of a batch; return whether a bad pixel is new."""
         begin = time.perf_counter()
-        if begin < self._next_s:
-            return False
-        self._next_s = begin + SAMPLE_INTERVAL_S
+        self.due_s = begin + SAMPLE_INTERVAL_S
         self._taken += 1
         # Not always the last: batches may follow the strobe.
         frame = frames[self._taken % len(frames)]

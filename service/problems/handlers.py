@@ -3,7 +3,6 @@
 import errno
 import json
 import logging
-import math
 import secrets
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
@@ -28,14 +27,10 @@ from service.problems.catalogue import (
     problem_type_of,
 )
 from service.problems.errors import BodyTooLarge, BodyTooSlow, InsufficientStorage, MalformedJson
+from service.problems.field_errors import FieldErrors, InvalidRequest, field_errors, json_safe
 
 _log = logging.getLogger(__name__)
 
-_INPUT_CHARACTERS = 200
-_MESSAGE_CHARACTERS = 500
-MAX_ERRORS: Final = 50
-"""Errors of one answer; more than a person would mend before trying again."""
-_MAX_ERRORS_IN_DETAIL = 3
 _RETRY_AFTER_S = 5
 _BY_STATUS = {
     404: "not-found",
@@ -53,31 +48,6 @@ SECURITY_HEADERS: Final[Mapping[str, str]] = {
     "Referrer-Policy": "no-referrer",
 }
 """Of all answers; a page that needs another policy for its content sets it itself."""
-
-
-def json_safe(value: Any) -> Any:
-    """Return the value as JSON can hold it: NaN and infinities as text, unknown types by repr."""
-    if value is None or isinstance(value, bool | int | str):
-        return value
-    if isinstance(value, float):
-        if math.isfinite(value):
-            return value
-        return "NaN" if math.isnan(value) else ("Infinity" if value > 0 else "-Infinity")
-    if isinstance(value, Mapping):
-        return {str(key): json_safe(item) for key, item in value.items()}
-    if isinstance(value, list | tuple | set | frozenset):
-        return [json_safe(item) for item in value]
-    if isinstance(value, bytes):
-        return value.decode("utf-8", "replace")
-    return repr(value)
-
-
-def display_value(value: Any) -> str:
-    """Return the value as JSON text, cut to a length that fits a message."""
-    if isinstance(value, float) and not math.isfinite(value):
-        return str(json_safe(value))
-    text = json.dumps(json_safe(value), ensure_ascii=True)
-    return text if len(text) <= _INPUT_CHARACTERS else text[: _INPUT_CHARACTERS - 3] + "..."
 
 
 def problem_response(
@@ -147,47 +117,24 @@ async def _validation_error(request: Request, error: Exception) -> Response:
         reason = item.get("ctx", {}).get("error", item["msg"])
         detail = f"the body is not JSON: {reason}; send a JSON document"
         return error_response(MalformedJson(detail), request.url.path)
-    body = _parsed(error.body)
-    errors = [
-        FieldError(
-            location=[_cut(part) for part in _location(item, body)],
-            message=item["msg"][:_MESSAGE_CHARACTERS],
-            input=display_value(item.get("input")),
-        )
-        for item in found[:MAX_ERRORS]
-    ]
-    not_finite = any(_is_not_finite(item.get("input")) for item in found)
-    kind = problem_type_of(NonFiniteValue) if not_finite else PROBLEM_TYPES["invalid-request"]
-    return problem_response(kind, _summary(errors, len(found)), request.url.path, errors=errors)
+    return _invalid_response(field_errors(found, _parsed(error.body)), request.url.path)
 
 
-def _cut(part: str | int) -> str | int:
-    return part if isinstance(part, int) or len(part) <= 100 else f"{part[:97]}..."
+async def _invalid_request(request: Request, error: Exception) -> Response:
+    assert isinstance(error, InvalidRequest)
+    return _invalid_response(error.errors, request.url.path)
+
+
+def _invalid_response(found: FieldErrors, instance: str) -> Response:
+    code = NonFiniteValue.code if found.not_finite else "invalid-request"
+    return problem_response(
+        PROBLEM_TYPES[code], found.summary(), instance, errors=list(found.errors)
+    )
 
 
 def _parsed(body: Any) -> Any:
     """Return the body, which is the text that was read where it was JSON; see ``JsonTypes``."""
     return json.loads(body) if isinstance(body, bytes) and body else body
-
-
-def _location(item: Mapping[str, Any], body: Any) -> list[str | int]:
-    source, *parts = item["loc"]
-    if source == "body":
-        parts = location_in_body(parts, body, missing=item["type"] == "missing")
-    return [source, *parts]
-
-
-def _is_not_finite(value: Any) -> bool:
-    return isinstance(value, float) and not math.isfinite(value)
-
-
-def _summary(errors: Sequence[FieldError], count: int) -> str:
-    parts = [
-        f"{'.'.join(str(part) for part in item.location)}: {item.message}, got {item.input}"
-        for item in errors[:_MAX_ERRORS_IN_DETAIL]
-    ]
-    more = count - _MAX_ERRORS_IN_DETAIL
-    return "; ".join(parts) + (f"; and {more} more" if more > 0 else "")
 
 
 async def _http_error(request: Request, error: Exception) -> Response:
@@ -251,66 +198,7 @@ def install_problem_handlers(app: FastAPI) -> None:
     """Register the handlers with the application."""
     app.add_exception_handler(LumilineError, _domain_error)
     app.add_exception_handler(RequestValidationError, _validation_error)
+    app.add_exception_handler(InvalidRequest, _invalid_request)
     app.add_exception_handler(HTTPException, _http_error)
     app.add_exception_handler(OSError, _os_error)
     app.add_exception_handler(Exception, _unexpected_error)
-
-
-Location = list[str | int]
-
-_DISCRIMINATORS: Final = ("kind", "method")
-"""Fields by which unions of bodies are told apart."""
-
-
-def location_in_body(location: Sequence[str | int], body: Any, *, missing: bool) -> Location:
-    """Return the path to the value; unchanged where it does not lead through the body.
-
-    Pydantic puts into a location which member of a union it tried, and that is no key of the
-    body: ``source, external, sensors, 1, name`` stands for ``source.sensors[1].name``.
-
-    Args:
-        location: the parts below the body.
-        body: the parsed body.
-        missing: whether the last part is a key that the body lacks.
-    """
-    parts = list(location)
-    last = [parts.pop()] if missing and parts else []
-    found = _path(parts, body)
-    return list(location) if found is None else found + last
-
-
-def _path(parts: Location, value: Any, *, tagged: bool = False) -> Location | None:
-    """Return the parts that lead through the value, None where a needed one does not.
-
-    A member's name may be the same as a key's. Where the value says by a discriminator that it is
-    this member, the first part of the name is the member, and the next is the key. Otherwise of
-    the two readings the one counts that more parts lead on from; as a key where both are as long.
-
-    Args:
-        parts: of the location.
-        value: that they begin at.
-        tagged: whether the part that says which member the value is was passed already.
-    """
-    if not parts:
-        return []
-    part, rest = parts[0], parts[1:]
-    if not tagged and _is_member(value, part):
-        within = _path(rest, value, tagged=True)
-        if within is not None:
-            return within
-    below = _path(rest, value[part]) if _has(value, part) else None
-    beside = None if isinstance(part, int) else _path(rest, value, tagged=tagged)
-    if below is None or (beside is not None and len(beside) > len(below) + 1):
-        return beside
-    return [part, *below]
-
-
-def _is_member(value: Any, part: str | int) -> bool:
-    """Whether a value's own discriminator names this member of a union."""
-    return isinstance(value, dict) and any(value.get(key) == part for key in _DISCRIMINATORS)
-
-
-def _has(value: Any, part: str | int) -> bool:
-    if isinstance(value, dict):
-        return part in value
-    return isinstance(value, list) and isinstance(part, int) and 0 <= part < len(value)

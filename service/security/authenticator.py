@@ -3,11 +3,12 @@
 import hmac
 import logging
 import time
-from collections import OrderedDict
 from collections.abc import Callable
 from datetime import UTC, datetime
 from threading import Lock
 from typing import TYPE_CHECKING, Final
+
+from cachetools import TTLCache
 
 from service.database.engine import Database
 from service.database.models import ApiKeyRow
@@ -24,7 +25,7 @@ MAX_CACHED_KEYS: Final = 1000
 
 
 class KeyCache:
-    """By id: digest, principal and time of the last validation.
+    """By id: digest and principal, for CACHE_LIFETIME_S from the last validation.
 
     Without room for another the one that was used longest ago is forgotten. Thread-safe.
     """
@@ -32,22 +33,20 @@ class KeyCache:
     def __init__(
         self, clock: Callable[[], float] = time.monotonic, max_entries: int = MAX_CACHED_KEYS
     ) -> None:
-        self._clock = clock
-        self._max_entries = max_entries
-        self._found: OrderedDict[str, tuple[str, Principal, float]] = OrderedDict()
+        self._found: TTLCache[str, tuple[str, Principal]] = TTLCache(
+            max_entries, CACHE_LIFETIME_S, clock
+        )
         self._lock = Lock()
 
     def __len__(self) -> int:
         """Keys that are remembered."""
-        return len(self._found)
+        with self._lock:
+            return len(self._found)
 
     def valid(self, key_id: str, digest: str, principal: Principal) -> None:
         """Remember a key that the database has, with this digest, and that is valid."""
         with self._lock:
-            self._found[key_id] = (digest, principal, self._clock())
-            self._found.move_to_end(key_id)
-            while len(self._found) > self._max_entries:
-                self._found.popitem(last=False)
+            self._found[key_id] = (digest, principal)
 
     def forget(self, key_id: str) -> None:
         """Forget a key that is not valid any more."""
@@ -57,9 +56,7 @@ class KeyCache:
     def principal(self, key_id: str, digest: str) -> Principal | None:
         """Return the principal of a cached key, None when there is none; check its expiry, too."""
         with self._lock:
-            stored, principal, at = self._found.get(key_id, ("", None, 0.0))
-        if principal is None or self._clock() - at > CACHE_LIFETIME_S:
-            return None
+            stored, principal = self._found.get(key_id, ("", None))
         return principal if hmac.compare_digest(stored, digest) else None
 
 
@@ -77,6 +74,8 @@ class Authenticator:
     def __init__(self, database: Database, settings: Settings) -> None:
         self._database = database
         self.attempts = LoginThrottle(settings.failed_logins_per_minute)
+        self.failed_logins = 0
+        """Keys and tokens that were not valid, those that had to wait included."""
         self.remembered = KeyCache()
         """So that devices can be stopped while the database does not answer."""
         self._tokens = _oidc_tokens(settings)
@@ -94,6 +93,7 @@ class Authenticator:
                 return self._of_key(credential)
             return self._tokens.principal(credential)
         except Unauthenticated as error:
+            self.failed_logins += 1
             # Only now: others at the same address, behind a router or proxy, have valid keys, and
             # what is random to 256 bits needs no protection from being tried out.
             wait_s = self.attempts.wait_s(address)

@@ -2,11 +2,12 @@
 
 import ipaddress
 import time
-from collections import OrderedDict
 from collections.abc import Callable
 from math import ceil
 from threading import Lock
 from typing import Final
+
+from cachetools import LRUCache
 
 MAX_ADDRESSES: Final = 10_000
 
@@ -14,7 +15,7 @@ MAX_ADDRESSES: Final = 10_000
 class LoginThrottle:
     """A bucket for each address that empties with failures and fills again with time.
 
-    Without room for another address the one that failed longest ago is forgotten.
+    Without room for another address the one that tried longest ago is forgotten.
     """
 
     def __init__(
@@ -25,8 +26,7 @@ class LoginThrottle:
     ) -> None:
         self._per_minute = per_minute
         self._clock = clock
-        self._max_addresses = max_addresses
-        self._spent: OrderedDict[str, tuple[float, float]] = OrderedDict()
+        self._spent: LRUCache[str, tuple[float, float]] = LRUCache(max_addresses)
         self._lock = Lock()
 
     def wait_s(self, address: str) -> int:
@@ -42,9 +42,6 @@ class LoginThrottle:
         with self._lock:
             spent = self._current_count(key)
             self._spent[key] = (spent + 1.0, self._clock())
-            self._spent.move_to_end(key)
-            while len(self._spent) > self._max_addresses:
-                self._spent.popitem(last=False)
 
     def __len__(self) -> int:
         """Addresses that are remembered."""

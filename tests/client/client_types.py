@@ -8,7 +8,7 @@ from typing import Any, assert_type
 
 from lumiline.client import AsyncClient, Client
 from lumiline.client.messages import Frame, Message
-from lumiline.client.models import Device, MeasuredPoint, Pose, Run
+from lumiline.client.models import Device, MeasuredPoint, Pose, Run, Tool
 from lumiline.client.stream import AsyncStream, Stream
 
 
@@ -28,6 +28,19 @@ def blocking(client: Client) -> None:
     client.device()  # type: ignore[call-arg]
     client.stream("sim", ["light"])  # type: ignore[list-item]
     client.weather()  # type: ignore[attr-defined]
+    tool = client.create_tool(id="a", device="sim", title="A", markers_mm=[(0, 0, 0), [1, 0, 0]])
+    assert_type(tool, Tool)
+    assert_type(client.delete_tool("a"), None)
+    client.create_tool(id="a", device="sim", title="A")  # type: ignore[call-arg]
+    client.create_tool(id="a", device="sim", title="A", markers_mm="abc")  # type: ignore[arg-type]
+    client.change_tool("a", colour="red")  # type: ignore[call-arg]
+    client.create_tool(
+        id="a",
+        device="sim",
+        title="A",
+        markers_mm=[(0, 0, 0)],
+        limits={"tip_sd": 1.0},  # type: ignore[typeddict-unknown-key]
+    )
 
 
 async def awaitable(client: AsyncClient) -> None:

@@ -63,7 +63,7 @@ def test_a_key_opens_both_with_asyncio(guarded: str, key: str) -> None:
 def test_a_revoked_key_ends_the_stream_and_is_not_tried_again(guarded: str, key: str) -> None:
     with Client(guarded, key) as client, client.stream("sim", ("status",)) as stream:
         next(stream)
-        client.request("POST", f"/api/v1/keys/{key.split('_')[1]}/revoke")
+        client.revoke_key(key.split("_")[1])
         with pytest.raises(StreamEnded, match="revoked") as caught:
             list(stream)
         assert caught.value.code == 1008

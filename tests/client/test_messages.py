@@ -171,7 +171,8 @@ def test_whatever_refuses_is_a_problem(body: bytes, code: str, detail: str) -> N
 def test_point_and_peak_are_what_the_guide_says() -> None:
     # The stream's own tests compare the server's messages with these sets of names.
     assert {one.name for one in fields(Point)} == {
-        "marker", "position_mm", "covariance_mm2", "residual_sigma", "sensors", "flags",
+        "marker", "position_mm", "covariance_mm2", "residual_sigma",
+        "external_reliability_mm", "sensors", "flags",
     }  # fmt: skip
     assert {one.name for one in fields(Peak)} == {
         "sensor", "position_px", "sigma_px", "amplitude", "width_px", "reduced_chi2", "flags",

@@ -3,6 +3,7 @@
 import asyncio
 import time
 from collections.abc import Callable
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from compute.camera.stack import CameraStack
 from hardware.simulated.simulated_rig import simulated_rig
 from lumiline.client import AsyncClient, Client, ServerProblem, ServerUnreachable, UnreadableMessage
 from lumiline.client import models as d
+from lumiline.client.fiducials import paired_points
 from lumiline.client.server import Server
 
 MARKERS = [(0.0, 0.0, 0.0), (80.0, 0.0, 0.0), (0.0, 60.0, 0.0), (40.0, 30.0, 50.0)]
@@ -43,12 +45,12 @@ def test_devices_and_calibrations(ask: Ask) -> None:
     assert [one.id for one in ask("devices")] == ["sim"]
     assert (device.id, device.active_calibration_id) == ("sim", "sim-nominal")
     assert len(device.sensors) == 4
-    assert device.created_at, "members that the client does not name are kept"
-    assert ask("device_status", "sim").calibration_id == "sim-nominal"
-    found = ask("calibrations", "sim", "active")
+    assert device.created_at.utcoffset() == timedelta(0)
+    assert ask("device_status", "sim").status.calibration_id == "sim-nominal"
+    found = ask("calibrations", device="sim", state="active")
     assert [one.id for one in found] == ["sim-nominal"]
     assert ask("calibration", "sim-nominal").content_hash == found[0].content_hash
-    assert ask("activate", "sim-nominal", expected="sim-nominal").state == "active"
+    assert ask("activate_calibration", "sim-nominal", expected="sim-nominal").state == "active"
 
 
 def test_a_refusal_has_its_code_and_its_reason(ask: Ask) -> None:
@@ -62,7 +64,7 @@ def test_a_refusal_has_its_code_and_its_reason(ask: Ask) -> None:
     assert caught.value.code == "invalid-request"
     assert caught.value.errors[0]["location"] == ["body", "points"]
     with pytest.raises(ServerProblem, match="409 "):
-        ask("roll_back", "sim", expected="another")
+        ask("roll_back_device", "sim", expected="another")
 
 
 def test_points_from_readings(ask: Ask) -> None:
@@ -70,9 +72,14 @@ def test_points_from_readings(ask: Ask) -> None:
     place = np.array([[30.0, -20.0, 1500.0]])
     readings = CameraStack.of(models).project(place)[0]
     given = {
-        model.name: (float(value), 0.05) for model, value in zip(models, readings, strict=True)
+        model.name: {"position_px": value, "sigma_px": 0.05}  # as NumPy has it
+        for model, value in zip(models, readings, strict=True)
     }
-    found = ask("reconstruct", "sim", {"a": given, "b": {models[0].name: 1000.0}})
+    points = [
+        {"name": "a", "readings": given},
+        {"name": "b", "readings": {models[0].name: 1000.0}},
+    ]
+    found = ask("create_reconstruction", device="sim", points=points)
     first, second = found.estimates
     assert first.position_mm == pytest.approx(tuple(place[0]), abs=0.01)
     assert len(first.covariance_mm2) == 3
@@ -82,19 +89,24 @@ def test_points_from_readings(ask: Ask) -> None:
 
 def test_a_list_of_many_pages_is_read_whole(ask: Ask, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("lumiline.client.exchange.PAGE_SIZE", 2)
+    point = {"name": "a", "readings": {simulated_rig()[0].model.name: 1000.0}}
     for _ in range(5):
-        ask("reconstruct", "sim", {"a": {simulated_rig()[0].model.name: 1000.0}})
-    found = ask("reconstructions", "sim")
+        ask("create_reconstruction", device="sim", points=[point])
+    found = ask("reconstructions", device="sim")
     assert len(found) >= 5
+    assert ask("reconstructions", limit=3) == found[:3]
     assert len({one.id for one in found}) == len(found)
 
 
 def test_a_tool_from_its_making_to_its_end(ask: Ask) -> None:
-    made = ask("create_tool", "probe", "sim", MARKERS, tip_mm=[0.0, 0.0, 150.0])
+    made = ask(
+        "create_tool", id="probe", device="sim", title="Probe", markers_mm=np.array(MARKERS),
+        tip_mm=[0.0, 0.0, 150.0],
+    )  # fmt: skip
     try:
         assert made.markers_mm == tuple(MARKERS)
         assert made.tip.position_mm == (0.0, 0.0, 150.0)
-        assert [one.id for one in ask("tools", "sim")] == ["probe"]
+        assert [one.id for one in ask("tools", device="sim")] == ["probe"]
         assert ask("tool", "probe") == made
         pose = ask("tool_pose", "probe")
         # The rotating bar has no such tool: there is a reason, and no pose.
@@ -104,7 +116,7 @@ def test_a_tool_from_its_making_to_its_end(ask: Ask) -> None:
         assert pose.rotation is None
     finally:
         ask("delete_tool", "probe")
-    assert ask("tools", "sim") == []
+    assert ask("tools", device="sim") == []
 
 
 def test_a_registration_tells_its_errors(ask: Ask) -> None:
@@ -112,8 +124,9 @@ def test_a_registration_tells_its_errors(ask: Ask) -> None:
     turned = places @ np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1.0]]).T + [5, 6, 700]
     pairs = {str(one): (a, b) for one, (a, b) in enumerate(zip(places, turned, strict=True))}
     found = ask(
-        "register", "ct", "sim", pairs, {"tumour": (30.0, 30.0, 30.0)}, measured_sigma_mm=0.3
-    )
+        "create_registration", id="ct", device="sim", fiducials=paired_points(pairs),
+        targets=[{"name": "tumour", "frame_mm": (30.0, 30.0, 30.0)}], measured_sigma_mm=0.3,
+    )  # fmt: skip
     try:
         assert np.allclose(np.array(found.matrix)[:3, 3], [5, 6, 700], atol=1e-6)
         assert found.fre_mm < 1e-6
@@ -121,7 +134,7 @@ def test_a_registration_tells_its_errors(ask: Ask) -> None:
         assert ask("registration", "ct").id == "ct"
         assert [one.id for one in ask("registrations")] == ["ct"]
     finally:
-        ask("request", "DELETE", "/api/v1/registrations/ct")
+        ask("delete_registration", "ct")
 
 
 def test_frames_of_markers_and_surfaces(ask: Ask) -> None:
@@ -133,13 +146,18 @@ def test_frames_of_markers_and_surfaces(ask: Ask) -> None:
     on = np.array([(x, y, 0) for x in (-50, 50) for y in (-80, 20, 80)]
                   + [(-70, y, z) for y in (-80, 0, 80) for z in (-20, -90)]
                   + [(x, 100, z) for x in (-50, 50) for z in (-20, -90)])  # fmt: skip
+    three = {"kind": "three-markers", "device": "sim", "measured_sigma_mm": 0.05}
+    mesh = {"kind": "mesh", "vertices_mm": corners, "triangles": sides}
     try:
-        plate = ask("register_markers", "plate", "sim", measured_mm=markers, measured_sigma_mm=0.05)
+        plate = ask("create_registration", id="plate", measured_mm=markers, **three)
         assert (plate.kind, plate.fre_mm) == ("three-markers", None)
         assert [one.name for one in plate.markers] == ["M1", "M2", "M3"]
         assert plate.matrix[0][3] == pytest.approx(10.0)
         moved = on + np.array(markers[0]) + [0.5, -0.3, 0.2]
-        found = ask("register_surface", "box", "sim", "plate", moved, corners, sides, trim=0.0)
+        found = ask(
+            "create_registration", kind="surface", id="box", device="sim", parent="plate",
+            points_mm=moved, surface=mesh, trim=0.0,
+        )  # fmt: skip
         assert (found.kind, found.parent) == ("surface", "plate")
         assert np.allclose(np.array(found.matrix)[:3, 3], [10.5, -20.3, 1500.2], atol=1e-3)
         assert found.surface is not None
@@ -148,15 +166,15 @@ def test_frames_of_markers_and_surfaces(ask: Ask) -> None:
         frames = {one.frame: one for one in ask("frames", "sim").frames}
         assert frames["box"].connected
         assert frames["box"].root == frames["plate"].root == "tracker"
-        between = ask("transform", "sim", "box", "plate")
+        between = ask("frame_transform", "sim", "box", to="plate")
         assert between.path == ("box", "tracker", "plate")
         assert np.allclose(np.array(between.matrix)[:3, 3], [0.5, -0.3, 0.2], atol=1e-3)
         line = [(0.0, 0.0, 0.0), (50.0, 0.0, 0.0), (90.0, 0.0, 0.0)]
         with pytest.raises(ServerProblem, match="collinear-points"):
-            ask("register_markers", "line", "sim", measured_mm=line, measured_sigma_mm=0.05)
+            ask("create_registration", id="line", measured_mm=line, **three)
     finally:
         for name in ("plate", "box"):
-            ask("request", "DELETE", f"/api/v1/registrations/{name}")
+            ask("delete_registration", name)
 
 
 @pytest.mark.slow
@@ -165,7 +183,7 @@ def test_a_recording_from_its_begin_to_a_file(ask: Ask, tmp_path: Path) -> None:
     with pytest.raises(ServerProblem, match="recording-in-progress"):
         ask("download_recording", begun.name, tmp_path / "early.h5")
     ended = ask("stop_recording", begun.name)
-    assert begun.name in [one.name for one in ask("recordings", "sim")]
+    assert begun.name in [one.name for one in ask("recordings", device="sim")]
     assert (ended.name, ended.state) == (begun.name, "complete")
     file = ask("download_recording", begun.name, tmp_path / "bench.h5")
     assert file.stat().st_size == ask("recording", begun.name).size_bytes
@@ -173,17 +191,19 @@ def test_a_recording_from_its_begin_to_a_file(ask: Ask, tmp_path: Path) -> None:
     assert ask("download_recording", begun.name, str(file)) == file
     # Neither of a refused download nor of a complete one is a part left.
     assert [one.name for one in tmp_path.iterdir()] == ["bench.h5"]
-    ask("request", "DELETE", f"/api/v1/recordings/{begun.name}")
+    ask("delete_recording", begun.name)
 
 
 @pytest.fixture(scope="module")
 def exported(server: str) -> d.Run:
     """A run that has exported a recording, in a process of the server's."""
     with Client(server) as client:
-        begun = client.start_recording("sim", "walk.h5", 3000.0)
+        begun = client.start_recording("sim", name="walk.h5", seconds=3000.0)
         client.stop_recording(begun.name)
-        run = client.start_export("walk.h5", "sim", "csv", result_id="walk")
-        assert not run.ended
+        run = client.create_export_run(
+            recording="walk.h5", device="sim", format="csv", result_id="walk"
+        )
+        assert run.state in ("queued", "running")
         return client.wait_for_run(run.id)
 
 
@@ -199,18 +219,18 @@ def test_an_export_from_its_run_to_a_file(ask: Ask, exported: d.Run, tmp_path: P
     with pytest.raises(ServerProblem, match="unknown-export"):
         ask("download_export", "none", tmp_path / "none.csv")
     assert [one.name for one in tmp_path.iterdir()] == ["walk.csv"]
-    other = ask("start_export", "walk.h5", "sim", "trc", tools=[])
+    other = ask("create_export_run", recording="walk.h5", device="sim", format="trc", tools=[])
     assert ask("cancel_run", other.id).state == "cancelled"
-    assert ask("wait_for_run", other.id, timeout_s=0.0).ended
+    assert ask("wait_for_run", other.id, timeout_s=0.0).state == "cancelled"
     with pytest.raises(ServerProblem, match="unknown-export"):
         ask("delete_export", other.id)
 
 
 def test_stop_and_start(ask: Ask) -> None:
-    assert ask("stop_device", "sim").state == "stopped"
-    assert ask("start_device", "sim").state in {"starting", "running"}
+    assert ask("stop_device", "sim").status.state == "stopped"
+    assert ask("start_device", "sim").status.state in {"starting", "running"}
     end = time.monotonic() + 60.0
-    while ask("device_status", "sim").state != "running":
+    while ask("device_status", "sim").status.state != "running":
         assert time.monotonic() < end
         time.sleep(0.02)
 
@@ -239,3 +259,46 @@ def test_a_key_is_shown_nowhere() -> None:
     assert server.stream_url == "ws://a/lumi/api/v1/stream"
     assert server.stream_subprotocols == ["lumiline.v1", "lumiline.bearer.lumi_secret"]
     assert server.stream_headers == {}
+
+
+def test_a_client_is_shown_with_its_address_and_without_its_key() -> None:
+    assert repr(Client("http://a/lumi/")) == "Client('http://a/lumi', key=None)"
+    assert repr(AsyncClient("http://a", "lumi_secret")) == "AsyncClient('http://a', key=***)"
+
+
+def test_an_unreachable_server_is_named() -> None:
+    with (
+        Client("http://127.0.0.1:9", timeout_s=5.0) as client,
+        pytest.raises(ServerUnreachable, match=r"http://127\.0\.0\.1:9 did not answer GET /api/v1"),
+    ):
+        client.devices()
+
+
+def test_times_of_a_query_and_of_answers_are_datetimes(ask: Ask) -> None:
+    begin = datetime.now(UTC) - timedelta(seconds=5)
+    ask("change_device", "sim", title="Simulated")
+    entries = ask("audit", operation="change-device", since=begin, limit=5)
+    assert all(entry.at >= begin for entry in entries)
+    assert len(entries) >= 1
+    assert ask("audit", since=datetime.now(UTC) + timedelta(days=1)) == []
+
+
+def test_answer_of_a_newer_server_keeps_its_further_members(ask: Ask) -> None:
+    answer = ask("request", "GET", "/api/v1/devices/sim", params={"ignored": None})
+    device = d.Device.model_validate({**answer, "weather": "fine"})
+    assert device.model_extra == {"weather": "fine"}
+
+
+def test_metrics_and_pictures_are_answered_as_they_are(ask: Ask, tmp_path: Path) -> None:
+    assert "# TYPE lumiline_" in ask("metrics")
+    picture = ask("quality_picture", "sim", tmp_path / "quality.png")
+    assert picture.read_bytes()[:4] == b"\x89PNG"
+
+
+def test_a_correction_table_that_is_none_is_refused_by_the_server(ask: Ask, tmp_path: Path) -> None:
+    file = tmp_path / "table.h5"
+    file.write_bytes(b"no table")
+    with pytest.raises(ServerProblem) as caught:
+        ask("upload_correction_table", file, id="mine")
+    assert 400 <= caught.value.status < 500
+    assert ask("correction_tables", device="sim") == []

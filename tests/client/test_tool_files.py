@@ -160,14 +160,20 @@ def test_a_tool_that_is_shown(command: Command, server: str) -> None:
     async def together() -> Tool:
         async with AsyncClient(server) as client:
             await client.delete_tool("one")
-            return await client.capture_tool("two", "sim", strobe_markers=[0, 1, 2, 3], seconds=0.8)
+            return await client.capture_tool(
+                id="two", device="sim", title="two", strobe_markers=[0, 1, 2, 3], seconds=0.8
+            )
 
     with Client(server) as client:
         tools = [client.tool("one"), asyncio.run(together())]
         client.delete_tool("two")
-        tools.append(client.capture_tool("three", "sim", strobe_markers=[0, 1, 2, 3], title="T"))
+        tools.append(
+            client.capture_tool(id="three", device="sim", title="T", strobe_markers=[0, 1, 2, 3])
+        )
         with pytest.raises(ServerProblem) as caught:
-            client.capture_tool("four", "sim", strobe_markers=[20, 21, 22], seconds=0.2)
+            client.capture_tool(
+                id="four", device="sim", title="four", strobe_markers=[20, 21, 22], seconds=0.2
+            )
     assert caught.value.code == "invalid-parameter"
     assert "20" in caught.value.detail
     assert [tool.title for tool in tools] == ["one", "two", "T"]

@@ -12,6 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 from lumiline.client import AsyncClient, Client
+from lumiline.client.fiducials import paired_points
 from lumiline.client.messages import Frame, ToolPose
 from lumiline.client.models import MeasuredPoint
 from service.cli import app
@@ -38,7 +39,7 @@ def tool(server: str) -> Iterator[str]:
     before = httpx.get(f"{url}/devices/sim").json()
     httpx.patch(f"{url}/devices/sim", json=asked).raise_for_status()
     with Client(server) as client:
-        client.create_tool("probe", "sim", [(a, b, c) for a, b, c in MARKERS],
+        client.create_tool(id="probe", device="sim", title="Probe", markers_mm=MARKERS,
                            strobe_markers=[0, 1, 2, 3], tip_mm=[0.0, 0.0, 150.0])  # fmt: skip
         client.start_device("sim")
         yield "probe"
@@ -97,17 +98,19 @@ def test_a_registration_gives_a_frame_for_poses(server: str, tool: str) -> None:
     measured = places + np.array([0.0, 0.0, 1000.0])
     pairs = {str(one): (a, b) for one, (a, b) in enumerate(zip(places, measured, strict=True))}
     with Client(server) as client:
-        found = client.register("plan", "sim", pairs, measured_sigma_mm=0.1)
+        found = client.create_registration(
+            id="plan", device="sim", fiducials=paired_points(pairs), measured_sigma_mm=0.1
+        )
         try:
             end = time.monotonic() + 60.0
             while True:
-                inside, outside = (client.tool_pose(tool, one) for one in ("plan", "tracker"))
+                inside, outside = (client.tool_pose(tool, frame=one) for one in ("plan", "tracker"))
                 if inside.translation_mm is not None and outside.translation_mm is not None:
                     break
                 assert time.monotonic() < end, inside.reason
                 time.sleep(0.05)
         finally:
-            client.request("DELETE", "/api/v1/registrations/plan")
+            client.delete_registration("plan")
     assert found.residual_sigma == pytest.approx(0.0, abs=1e-6)
     assert inside.frame == "plan"
     away = np.subtract(outside.translation_mm, inside.translation_mm)
@@ -128,14 +131,15 @@ def test_a_point_is_measured_and_registered(server: str, tool: str) -> None:
             name: (place, np.add(point.position_mm, place))
             for name, place in (("a", (90.0, 0.0, 0.0)), ("b", (0.0, 90.0, 0.0)))
         }
-        made = client.register(
-            "touched", "sim", {"nasion": ((0.0, 0.0, 0.0), point), **beside}, measured_sigma_mm=0.1
-        )
-        client.request("DELETE", "/api/v1/registrations/touched")
+        made = client.create_registration(
+            id="touched", device="sim", measured_sigma_mm=0.1,
+            fiducials=paired_points({"nasion": ((0.0, 0.0, 0.0), point), **beside}),
+        )  # fmt: skip
+        client.delete_registration("touched")
         assert np.allclose(np.array(made.matrix)[:3, 3], point.position_mm, atol=1.0)
-        asked = dict(made.request)["fiducials"][0]
-        assert asked["measured_mm"] == list(point.position_mm)
-        assert asked["measured_covariance_mm2"] == [list(row) for row in point.covariance_mm2]
+        asked = made.request.fiducials[0]
+        assert asked.measured_mm == point.position_mm
+        assert asked.measured_covariance_mm2 == point.covariance_mm2
 
         async def the_same() -> MeasuredPoint:
             async with AsyncClient(server) as other:
@@ -151,9 +155,9 @@ def test_a_point_by_the_command_line(server: str, tool: str) -> None:
     assert result.exit_code == 0, result.output
     assert json.loads(result.output)["name"] == "nasion"
     with Client(server) as client:
-        client.request("PATCH", f"/api/v1/tools/{tool}", body={"tip_mm": None})
+        client.change_tool(tool, tip_mm=None)
         refused = CliRunner().invoke(app, words)
-        client.request("PATCH", f"/api/v1/tools/{tool}", body={"tip_mm": [0.0, 0.0, 150.0]})
+        client.change_tool(tool, tip_mm=[0.0, 0.0, 150.0])
     assert refused.exit_code == 2
     assert "Hold the tip of probe still" in refused.output
     assert "has no tip" in " ".join(refused.output.split())

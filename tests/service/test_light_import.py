@@ -61,3 +61,19 @@ def test_help_loads_nothing_but_the_command_line():
     loaded = loaded_by(help_page)
     assert {"service", "typer"} <= loaded
     assert not loaded & (HEAVY | {"numpy", "scipy", "fastapi", "sqlalchemy", "uvicorn"})
+
+
+def test_command_line_import_leaves_numpy_out_so_that_its_threads_can_be_set():
+    assert "numpy" not in loaded_by("import service.cli")
+
+
+def test_command_line_runs_linear_algebra_in_one_thread_unless_the_environment_says_otherwise():
+    code = (
+        "import os, sys, service.cli\n"
+        "os.environ.pop('OPENBLAS_NUM_THREADS', None); os.environ['OMP_NUM_THREADS'] = '2'\n"
+        "sys.argv = ['lumiline', '--version']\n"
+        "try:\n    service.cli.main()\nexcept SystemExit:\n    pass\n"
+        "print(os.environ['OPENBLAS_NUM_THREADS'], os.environ['OMP_NUM_THREADS'])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "1 2"

@@ -180,9 +180,9 @@ def _repaired(sides: dict[str, Series]) -> ResultTable:
 
 
 def _repaired_figures(series: Series, order: int) -> tuple[float, float, float]:
-    """Return S.D. and largest with the last value mended, S.D. without the last two points."""
-    mended, short = series.measured_px - series.straight_px, series.shortened(2)
-    whole = polynomial_residuals(series.lateral_mm, mended, order)
+    """Return S.D. and largest with the last value repaired, S.D. without the last two points."""
+    repaired, short = series.measured_px - series.straight_px, series.shortened(2)
+    whole = polynomial_residuals(series.lateral_mm, repaired, order)
     rest = polynomial_residuals(short.lateral_mm, short.difference_px, order)
     return whole.sigma, whole.largest, rest.sigma
 

@@ -68,13 +68,13 @@ def _measured_case() -> tuple[tuple[ResultTable, ...], tuple[str, ...]]:
             for row in range(len(table.left))
         ),
     )
-    left_over = {name: rms(residual) for name, (_, residual) in fits.items()}
+    residual_rms = {name: rms(residual) for name, (_, residual) in fits.items()}
     tilted = [
         name
         for name, (fit, _) in fits.items()
         if max(abs(fit.lens_tilt_rad), abs(fit.sensor_tilt_rad)) > 0.99 * TILT_BOUND_RAD
     ]
-    sensible = [value for name, value in left_over.items() if name not in tilted]
+    sensible = [value for name, value in residual_rms.items() if name not in tilted]
     last_rows = np.isnan(table.predicted_px)
     before = np.flatnonzero(last_rows) - 1
     findings = (
@@ -132,7 +132,7 @@ def _simulated_case() -> tuple[tuple[ResultTable, ...], tuple[str, ...]]:
     curves = {_THESIS: thesis, **shown}
     fits = ResultTable(
         "share of each part of the curve at the last point (171.5 mm, 6.5 degrees) [px]",
-        ("curve", "linear", "quadratic", "cubic", "left over RMS"),
+        ("curve", "linear", "quadratic", "cubic", "residual RMS"),
         tuple((name, *_parts(lateral, curve)) for name, curve in curves.items()),
     )
     best = {

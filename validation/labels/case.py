@@ -253,7 +253,7 @@ def _table(title: str, outcomes: Sequence[tuple[Question, Outcome]]) -> ResultTa
 
 
 def _measured_table() -> ResultTable:
-    """Return what is found in the measured frames, and what mending it does to the residuals."""
+    """Return what is found in the measured frames, and what repairing it does to the residuals."""
     rows: list[tuple[Cell, ...]] = []
     geometry = [scale.geometry for scale in DFW_V500]
     for number in ("5.3", "5.4"):
@@ -262,9 +262,9 @@ def _measured_table() -> ResultTable:
             [scale.to_px(test.readings_mm[:, k]) for k, scale in enumerate(DFW_V500)]
         )
         findings = find_label_errors(test.points_mm, readings, geometry).findings
-        mended, _ = repair(findings, geometry, readings)
+        repaired, _ = repair(findings, geometry, readings)
         before = calibrate(test.points_mm, readings, geometry).sensors
-        after = calibrate(test.points_mm, mended, geometry).sensors
+        after = calibrate(test.points_mm, repaired, geometry).sensors
         for k, scale in enumerate(DFW_V500):
             own = [f for f in findings if f.sensor in (scale.name, None)]
             text = "; ".join(f"{f.kind} {', '.join(map(str, f.points))}" for f in own)
@@ -272,7 +272,7 @@ def _measured_table() -> ResultTable:
             rows.append(
                 (f"{number} {scale.name}", text or None, sure, before[k].rms_px, after[k].rms_px)
             )
-    headings = ("test, sensor", "found", "probability", "RMS before, px", "RMS mended, px")
+    headings = ("test, sensor", "found", "probability", "RMS before, px", "RMS repaired, px")
     return ResultTable("measured frames (Appendix G), noise not known", headings, tuple(rows))
 
 

@@ -184,15 +184,15 @@ def _whole(found: Comparison) -> ResultTable:
 
 
 def _by_sensors(found: Comparison) -> ResultTable:
-    """Tell points apart by how many sensors see them, and by whether the map vouches for them."""
+    """Tell points apart by how many sensors see them, and by whether the map supports them."""
     rows: list[tuple[Cell, ...]] = []
     sensors = found.test.sensors
     for row in found.rows[-2:]:
         for label, which in (
             ("four sensors", sensors == 4),
             ("three sensors", sensors == 3),
-            ("vouched for", row.errors.supported),
-            ("not vouched for", ~row.errors.supported),
+            ("supported", row.errors.supported),
+            ("not supported", ~row.errors.supported),
         ):
             if not (which & row.errors.found).any():
                 continue

@@ -63,7 +63,7 @@ class PointErrors:
         difference_mm: reconstructed less true, shape (N, 3) [mm]; NaN where there is no point.
         nees: normalised error squared with the stated covariance, shape (N,).
         bound_mm2: trace of the covariance by the centroids' noise alone, shape (N,) [mm^2].
-        supported: the table vouches for it, shape (N,).
+        supported: the table supports it, shape (N,).
     """
 
     difference_mm: Array

@@ -234,7 +234,7 @@ def _inconsistent_sigma(good: Sequence[Efficiency]) -> str:
         f"{1 + NEES_TOLERANCE:.2f} (+- {(2 / LINES) ** 0.5:.3f} by chance): with the width known "
         f"{beyond(KNOWN_WIDTH)}. As FitSettings comes {beyond(DEFAULT)}. With the width unknown "
         f"{beyond(FITTED)}. In faint light a fitted width varies by about a fifth, and a deviation "
-        "stated for the likeliest width would be too small where that comes out too narrow: their "
+        "stated for the most probable width would be too small where that is too narrow: their "
         "deviations are averaged over the widths that the pixels leave open (FitSettings, Unknown "
         "width)."
     )

@@ -158,26 +158,32 @@ def compute_tables(
         trials: number of rigs.
         seed: of their random numbers.
     """
-    outcomes = run_trials(trials, seed)
+    return summarise(run_trials(trials, seed))
+
+
+def summarise(outcomes: list[Outcome]) -> tuple[tuple[ResultTable, ...], tuple[str, ...]]:
+    """Summarise rigs by the fewest readings of a sensor."""
     rows: list[tuple[Cell, ...]] = []
     honest = True
     for name, low, high in CLASSES:
         of_class = [one for one in outcomes if low <= one.fewest_readings < high]
         nees = np.array([one.nees for one in of_class if one.nees is not None])
         if len(nees) == 0:
-            rows.append((name, len(of_class), 0, None, None, None, None, None))
+            rows.append((name, len(of_class), 0, *[None] * 6))
             continue
         median, below = float(np.median(nees)), 100.0 * float((nees < MAX_NEES).mean())
         honest &= MEDIAN_RANGE[0] <= median <= MEDIAN_RANGE[1] and below >= 95.0
         tail, largest = float(np.quantile(nees, 0.95)), float(nees.max())
         exact = expected_quantile(np.array([o.dof for o in of_class if o.dof is not None]), 0.95)
-        rows.append((name, len(of_class), len(nees), median, tail, exact, largest, below))
+        mean = float(nees.mean())
+        rows.append((name, len(of_class), len(nees), mean, median, tail, exact, largest, below))
     table = ResultTable(
         "Mean normalised error squared of held-out points, by the fewest readings of a sensor",
         (
             "readings",
             "rigs",
             "calibrated",
+            "mean",
             "median",
             "95 %",
             "95 %, exact covariance",

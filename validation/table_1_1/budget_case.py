@@ -189,13 +189,13 @@ def _thesis_5_9(profile: DeviceProfile, figure: PublishedFigure) -> str:
     ratio = METRIC_MM[axis] / predicted(profile, figure)[1]
     return (
         "No row of Table 1.1. The published figures are those of DLT with a wrong label; the same "
-        f"readings, calibrated with seven parameters and labels mended (case test-5.4), leave "
+        f"readings, calibrated with seven parameters and labels repaired (case test-5.4), leave "
         f"{METRIC_MM[axis]:g} mm, {ratio:.2g} times the budget."
     )
 
 
 METRIC_MM: Final = (0.929, 0.995, 3.52)
-"""Mean absolute errors of test-5.4, metric with labels mended, which that case prints."""
+"""Mean absolute errors of test-5.4, metric with labels repaired, which that case prints."""
 
 REASONS: Final[Mapping[str, Callable[[DeviceProfile, PublishedFigure], str]]] = {
     "leo-macellari-1981": _leo,

@@ -29,7 +29,7 @@ class SolvedPoints:
         position_mm: shape (N, 3); NaN: none.
         covariance_mm2: shape (N, 3, 3).
         inconsistent: whether the sensors contradict one another, shape (N,).
-        outside_map: whether the correction table does not vouch for one, shape (N,).
+        outside_map: whether the correction table does not support one, shape (N,).
         left_out: the sensor whose reading was left out as another target's; -1: none, (N,).
     """
 

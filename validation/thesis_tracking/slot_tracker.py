@@ -71,7 +71,7 @@ class SlotTracker(ABC):
     def _groups_to_take(groups: Correspondence, solved: SolvedPoints) -> list[int]:
         """Return the groups that may be markers: those that are ambiguous with four sensors only.
 
-        The likeliest of several groupings may be wrong, and then is contradicted as markers move.
+        The most probable grouping may be wrong, and then is contradicted as markers move.
         """
         agreed = (groups.peaks >= 0).sum(axis=1) >= MIN_AGREEING_SENSORS
         good = solved.found & ~solved.inconsistent & (agreed | ~groups.ambiguous)

@@ -100,7 +100,7 @@ def fitted_errors(
     """
     sigma = measurement_sigma(calibration, readings_px, sigma_px)
     covariance = np.array(calibration.covariance)
-    found = reconstruct(calibration.models, readings_px, sigma, covariance)
+    found = reconstruct(calibration.models, readings_px, sigma, covariance, reliability=False)
     return found.position_mm - points_mm
 
 

@@ -41,7 +41,7 @@ def triangulate(cameras: CameraStack, readings_px: Array) -> Array:
         Positions, shape (..., 3) [mm]; NaN where there is none.
     """
     flat = readings_px.reshape(-1, readings_px.shape[-1])
-    found = reconstruct(cameras, flat, np.ones(flat.shape[1])).position_mm
+    found = reconstruct(cameras, flat, np.ones(flat.shape[1]), reliability=False).position_mm
     lines = triangulate_linear(cameras, flat)
     found = np.where(np.isfinite(found), found, lines)
     behind = np.isfinite(flat) & ~np.isfinite(cameras.project(np.nan_to_num(found)))

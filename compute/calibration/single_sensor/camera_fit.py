@@ -36,6 +36,10 @@ FINAL_OFFSET_TOLERANCE: Final = 1e-4
 """The same for each parameter when all iterations are spent: a hundredth of a standard deviation.
 Where residuals times second derivatives outweigh what little the readings say of a combination of
 parameters, steps shrink without end."""
+FINAL_DECREASE: Final = 0.1
+"""The same for all parameters together where the readings' noise is known: a third of a standard
+deviation. As many readings as parameters leave valleys along which the principal distance changes
+by a factor while the sum of squares falls by hundredths."""
 MAX_DAMPING: Final = 1e12
 OFFSET_SIGMA_V: Final = 0.1
 """Standard deviation of the field angle v (tangent) of the centroid: six degrees. Operators aim a
@@ -214,6 +218,7 @@ def minimise(
     weights: Array,
     prior: LensPrior | None = None,
     iterations: int = MAX_ITERATIONS,
+    variance: float = 0.0,
 ) -> MinimisationResult:
     """Minimise the weighted sums of squares of B cameras by Levenberg-Marquardt.
 
@@ -227,6 +232,8 @@ def minimise(
         weights: 1 / standard deviation, shape (N, B) [1/px]; 0: not seen.
         prior: of the lenses; None: no prior, or no distortion.
         iterations: largest number of trial steps.
+        variance: of readings times weights: 1 for true weights, so that residuals that happen to
+            be small do not ask for more than their noise means; 0: what the residuals tell.
     """
     count = len(cameras)
     used = weights > 0.0
@@ -271,7 +278,8 @@ def minimise(
         damping[index] = np.maximum(damping[index] * np.where(better, 0.1, 10.0), 1e-14)
         if cameras.has_distortion:
             # Curved valleys need damping to the end: what counts is the distance to the minimum.
-            tolerated = RELATIVE_OFFSET_TOLERANCE / DECREASE_TOLERANCE * tolerance[index] * old
+            per_reading = np.maximum(old / np.maximum(part[2].sum(axis=0), 1), variance)
+            tolerated = RELATIVE_OFFSET_TOLERANCE * per_reading
             done |= active.undamped_decrease() <= tolerated + unresolved
         converged[index[done]] = True
         index = index[~done & (damping[index] < MAX_DAMPING)]
@@ -280,8 +288,9 @@ def minimise(
     rest = np.flatnonzero(~converged & np.isfinite(equations.squares))
     if len(rest):
         left = equations.rows(rest)
-        per_reading = left.squares / np.maximum(used.sum(axis=0)[rest], 1)
+        per_reading = np.maximum(left.squares / np.maximum(used.sum(axis=0)[rest], 1), variance)
         tolerated = cameras.width * FINAL_OFFSET_TOLERANCE * per_reading
+        tolerated = np.maximum(tolerated, FINAL_DECREASE * variance)
         tolerated += rounding[rest] * (2.0 * np.sqrt(left.squares) + rounding[rest])
         converged[rest] = left.undamped_decrease() <= tolerated
     return MinimisationResult(state, equations.squares, converged, equations.normal)

@@ -6,7 +6,7 @@ the readings do not determine stay near 0, with the prior's own variance in the 
 of terms is chosen, so that few readings need no other method than many.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -22,12 +22,12 @@ from compute.calibration.single_sensor.camera_fit import (
     minimise,
     start_with_terms,
 )
+from compute.calibration.single_sensor.reading_noise import estimate_noise
 from compute.calibration.single_sensor.sensor_fits import (
     ControlObservations,
     SensorFits,
     check_converged,
     fit_lenses,
-    moderated_variance,
 )
 from compute.camera.model import PARAMETER_COUNT, SensorModel
 from compute.camera.stack import CameraStack
@@ -42,7 +42,8 @@ STRENGTHS: Final = np.array([1e-5, 3e-4, 1e-3, 2e-3, 4e-3, 8e-3, 1.6e-2, 3.2e-2]
 2048 pixels, to a wide lens's."""
 NOISE_ITERATIONS: Final = 3
 NOISE_TOLERANCE: Final = 0.05
-MAX_VARIANCE_ITERATIONS: Final = 30
+MIN_DOF: Final = 1e-3
+"""Smallest degrees of freedom of a sensor's residuals, for rounding."""
 FINAL_ITERATIONS: Final = 10 * MAX_ITERATIONS
 """Largest number of trial steps of the last fit. Few readings leave flat, curved valleys, along
 which the sum of squares falls by thousandths for a thousand steps."""
@@ -58,11 +59,15 @@ class _Grid:
         ended: G S cameras, the first strength's first.
         log_evidence: of all sensors together, shape (G,), up to a constant.
         information: the priors', shape (G S, W).
+        noise_px: of the readings, with each strength another, shape (G, S) [px]; None: known.
+        sigma_px: the readings' standard deviations, shape (N, G S) [px].
     """
 
     ended: MinimisationResult
     log_evidence: Array
     information: Array
+    noise_px: Array | None
+    sigma_px: Array
 
     @property
     def probability(self) -> Array:
@@ -109,25 +114,23 @@ def fit_distortion_scale(
     terms = (AUTO_TERMS,) * sensors
     prior = undistorted.prior
     models, weights = start_with_terms(undistorted.models, terms, prior), undistorted.weights
-    noise = None if observed.sigma_known else _first_noise(observed, undistorted)
+    first_noise = None if observed.sigma_known else _first_noise(observed, undistorted)
     if loss == "robust":
         wide = prior.with_strength(STRENGTHS[-1])
-        scaled = wide if noise is None else wide.scaled(noise)
+        scaled = wide if first_noise is None else wide.scaled(first_noise)
         models, weights = fit_lenses(observed, models, scaled, loss)
-    sigma = _total_sigma(observed, noise, point_sigma_px)
     cameras = CameraStack.of(models).rows(np.tile(np.arange(sensors), len(STRENGTHS)))
-    for iteration in range(NOISE_ITERATIONS if noise is not None else 1):
-        progress(iteration / (NOISE_ITERATIONS + 1), "scale of the distortion")
-        grid = _fit_grid(observed, cameras, prior, np.sqrt(weights) / sigma)
-        cameras = grid.ended.cameras
-        if noise is not None:
-            last = noise
-            noise = _estimate_noise(observed, grid, weights, sigma, point_sigma_px)
-            sigma = _total_sigma(observed, noise, point_sigma_px)
-            if np.abs(noise / last - 1.0).max() < NOISE_TOLERANCE:
-                break
+    if first_noise is None:
+        grid = _fit_grid(observed, cameras, prior, weights, None, None)
+    else:
+        grid = _fit_grid_and_noise(
+            observed, cameras, prior, weights, first_noise, point_sigma_px, progress
+        )
     probability = grid.probability
     strength = float(np.sqrt(probability @ STRENGTHS**2))
+    noise = None if grid.noise_px is None else np.sqrt(probability @ grid.noise_px**2)
+    sigma = _total_sigma(observed, noise, point_sigma_px)
+    cameras = grid.ended.cameras
     nearest = int(np.abs(np.log(STRENGTHS / strength)).argmin())
     rows = np.arange(nearest * sensors, (nearest + 1) * sensors)
     found = cameras.rows(rows).models(models)
@@ -140,6 +143,7 @@ def fit_distortion_scale(
         np.where(observed.seen, np.sqrt(weights) / sigma, 0.0),
         prior,
         FINAL_ITERATIONS,
+        variance=1.0,
     )
     final = ended.cameras.models(starts)
     check_converged(observed, starts, ended.converged)
@@ -165,18 +169,54 @@ def _total_sigma(
     return np.asarray(total if point_sigma_px is None else np.hypot(total, point_sigma_px))
 
 
-def _fit_grid(
-    observed: ControlObservations, cameras: CameraStack, prior: LensPrior, weights: Array
+def _fit_grid_and_noise(
+    observed: ControlObservations,
+    cameras: CameraStack,
+    prior: LensPrior,
+    weights: Array,
+    first_noise: Array,
+    point_sigma_px: Array | None,
+    progress: Progress,
 ) -> _Grid:
+    """Fit cameras with each strength, each with the noise that its own residuals tell."""
+    noise = np.tile(first_noise, (len(STRENGTHS), 1))
+    for iteration in range(NOISE_ITERATIONS):
+        progress(iteration / (NOISE_ITERATIONS + 1), "scale of the distortion")
+        grid = _fit_grid(observed, cameras, prior, weights, noise, point_sigma_px)
+        cameras = grid.ended.cameras
+        last = noise
+        grid, noise = _integrate_noise(observed, grid, weights, point_sigma_px)
+        if np.abs(noise / last - 1.0).max() < NOISE_TOLERANCE:
+            break
+    return grid
+
+
+def _fit_grid(
+    observed: ControlObservations,
+    cameras: CameraStack,
+    prior: LensPrior,
+    weights: Array,
+    noise_px: Array | None,
+    point_sigma_px: Array | None,
+) -> _Grid:
+    """Fit cameras with each strength; noise of shape (G, S) [px], None: known."""
     sensors, count = len(prior.strength), len(STRENGTHS)
     index = np.tile(np.arange(sensors), count)
+    if noise_px is None:
+        sigma = observed.sigma_px[:, index]
+    else:
+        sigma = np.broadcast_to(noise_px.ravel(), (len(observed.points_mm), len(index)))
+        if point_sigma_px is not None:
+            sigma = np.hypot(sigma, point_sigma_px[:, index])
+    used = (observed.seen & (weights > 0.0))[:, index]
     priors = prior.rows(index).with_strength(np.repeat(STRENGTHS, sensors))
     ended = minimise(
         cameras,
         observed.points_mm,
         observed.readings_px[:, index],
-        np.where(observed.seen, weights, 0.0)[:, index],
+        np.where(used, np.sqrt(weights)[:, index] / sigma, 0.0),
         priors,
+        variance=1.0,
     )
     information = priors.gaussian(cameras)[1]
     diagonal = np.arange(cameras.width)
@@ -185,42 +225,41 @@ def _fit_grid(
     log_determinant = np.linalg.slogdet(unit)[1] + 2.0 * np.log(scale).sum(axis=1)
     log_prior = np.log(information[:, PARAMETER_COUNT + 1 :]).sum(axis=1)
     log_evidence = 0.5 * (log_prior - ended.squares - log_determinant)
+    log_evidence -= np.where(used, np.log(sigma), 0.0).sum(axis=0)
     log_evidence = np.where(np.isfinite(log_evidence), log_evidence, -np.inf)
-    return _Grid(ended, log_evidence.reshape(count, sensors).sum(axis=1), information)
+    log_evidence = log_evidence.reshape(count, sensors).sum(axis=1)
+    return _Grid(ended, log_evidence, information, noise_px, sigma)
 
 
-def _estimate_noise(
-    observed: ControlObservations,
-    grid: _Grid,
-    weights: Array,
-    sigma: Array,
-    point_sigma_px: Array | None,
-) -> Array:
-    """Estimate the readings' noise at the most probable strength, shape (S,) [px]."""
+def _integrate_noise(
+    observed: ControlObservations, grid: _Grid, weights: Array, point_sigma_px: Array | None
+) -> tuple[_Grid, Array]:
+    """Return the grid with its evidence integrated over the noise, and the noise, (G, S) [px].
+
+    The residuals and their degrees of freedom stay those of the noise with which it was fitted.
+    """
+    count = len(STRENGTHS)
     sensors = observed.readings_px.shape[1]
-    first = int(grid.log_evidence.argmax()) * sensors
-    rows = np.arange(first, first + sensors)
-    residuals = grid.ended.cameras.rows(rows).project(observed.points_mm) - observed.readings_px
-    used = observed.seen & (weights > 0.0)
-    residuals = np.where(used, residuals * np.sqrt(weights), 0.0)
+    index = np.tile(np.arange(sensors), count)
+    used = (observed.seen & (weights > 0.0))[:, index]
+    residuals = grid.ended.cameras.project(observed.points_mm) - observed.readings_px[:, index]
+    residuals = np.where(used, residuals * np.sqrt(weights)[:, index], 0.0)
     diagonal = np.arange(grid.information.shape[1])
-    scale = 1.0 / np.sqrt(grid.ended.normal[rows][:, diagonal, diagonal])
+    scale = 1.0 / np.sqrt(grid.ended.normal[:, diagonal, diagonal])
     scale = scale[:, :, None] * scale[:, None, :]
-    cofactors = np.linalg.inv(grid.ended.normal[rows] * scale) * scale
-    parameters = effective_parameters(cofactors, grid.information[rows])
-    dof = np.maximum(used.sum(axis=0) - parameters, 0.5)
-    variance = (sigma**2).mean(axis=0)
-    for _ in range(MAX_VARIANCE_ITERATIONS):
-        total = np.broadcast_to(variance, used.shape)
-        if point_sigma_px is not None:
-            total = total + point_sigma_px**2
-        # The noise's share of the residuals, by the ratio of what was found to what is expected.
-        ratio = (residuals**2 / total).sum(axis=0) / dof
-        new = moderated_variance(variance * ratio, dof)[0]
-        if np.abs(new / variance - 1.0).max() < 1e-3:
-            break
-        variance = new
-    return np.asarray(np.sqrt(new))
+    cofactors = np.linalg.inv(grid.ended.normal * scale) * scale
+    dof = used.sum(axis=0) - effective_parameters(cofactors, grid.information)
+    dof = np.maximum(dof, MIN_DOF)
+    share = dof / np.maximum(used.sum(axis=0), 1)
+    logarithms = np.where(used, np.log(grid.sigma_px), 0.0).sum(axis=0)
+    here = -share * logarithms - 0.5 * ((residuals / grid.sigma_px) ** 2).sum(axis=0)
+    noise, log_evidence = np.empty((count, sensors)), grid.log_evidence.copy()
+    for row in range(count):
+        part = slice(row * sensors, (row + 1) * sensors)
+        found = estimate_noise(residuals[:, part], used[:, part], dof[part], point_sigma_px)
+        noise[row] = found.sigma_px
+        log_evidence[row] += found.log_evidence - here[part].sum()
+    return replace(grid, noise_px=noise, log_evidence=log_evidence), noise
 
 
 def _describe(grid: _Grid, strength: float, models: tuple[SensorModel, ...]) -> DistortionEstimate:

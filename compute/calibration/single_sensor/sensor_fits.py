@@ -6,8 +6,6 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
-from scipy.special import digamma, polygamma
 
 from compute.calibration.settings import Loss, free_parameters
 from compute.calibration.single_sensor.camera_fit import (
@@ -53,8 +51,6 @@ MAX_REWEIGHTINGS: Final = 60
 WEIGHT_TOLERANCE: Final = 1e-6
 HUBER_ITERATIONS: Final = 8
 STEPS_PER_REWEIGHTING: Final = 4
-MAX_DEVICE_DOF: Final = 1e4
-"""Degrees of freedom of a device's variance from which its sensors' are one and the same."""
 MAX_BLOCKS: Final = 16
 MIN_BLOCKS: Final = 5
 POINTS_PER_BLOCK: Final = 3
@@ -453,37 +449,6 @@ def fit_lenses(
         return _reweight(observed, starts, prior, multi_start=multi_start)
     models = _minimise(observed, starts, prior, observed.weights, multi_start=multi_start)
     return models, np.ones(observed.readings_px.shape)
-
-
-def moderated_variance(variance: Array, dof: Array) -> tuple[Array, Array]:
-    """Estimate variances of sensors that are alike, each from its own and from the others'.
-
-    Each is the mean of its own and the device's, weighted by their degrees of freedom; those of the
-    device's follow from the variances' own scatter (Smyth, doi:10.2202/1544-6115.1027).
-
-    Args:
-        variance: each sensor's own, shape (S,).
-        dof: their degrees of freedom, positive, shape (S,).
-
-    Returns:
-        The estimates and their degrees of freedom, both shape (S,).
-    """
-    if len(variance) < 2:
-        return variance, dof
-    variance = np.maximum(variance, SIGMA_FLOOR_PX**2)
-    half = 0.5 * dof
-    logarithm = np.log(variance) - digamma(half) + np.log(half)
-    own = polygamma(1, half)
-    share = (1.0 / own) / (1.0 / own).sum()
-    mean = float(share @ logarithm)
-    excess = float(share @ (logarithm - mean) ** 2) * len(dof) / (len(dof) - 1) - float(share @ own)
-    pooled = float((dof * variance).sum() / dof.sum())
-    if excess <= polygamma(1, 0.5 * MAX_DEVICE_DOF):
-        return np.full(len(variance), pooled), np.full(len(variance), dof.sum())
-    device_dof = 2.0 * float(brentq(lambda x: polygamma(1, x) - excess, 1e-6, 0.5 * MAX_DEVICE_DOF))
-    device = float(np.exp(mean + digamma(0.5 * device_dof) - np.log(0.5 * device_dof)))
-    total = device_dof + dof
-    return (device_dof * device + dof * variance) / total, total
 
 
 def residual_sigma(

@@ -336,8 +336,10 @@ class ImmState:
         after = ImmState(
             self.model, widest_state, offsets - offsets[-1], covariances, mode_probabilities
         )
-        likeliest = solved[int(mode_probabilities.argmax())]
-        whitened = np.concatenate([likeliest[:, :1], likeliest[:, 1 + IMM_STATES :]], axis=1)
+        most_probable = solved[int(mode_probabilities.argmax())]
+        whitened = np.concatenate(
+            [most_probable[:, :1], most_probable[:, 1 + IMM_STATES :]], axis=1
+        )
         return ImmUpdate(after, float(mode_probabilities @ nis), float(nis[-1]), whitened)
 
 

@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class ErrorEstimate:
-    """Error probabilities of groups, from a frame and its likeliest set of markers.
+    """Error probabilities of groups, from a frame and its most probable set of markers.
 
     Args:
         solve: triangulates readings.

@@ -108,7 +108,7 @@ class CandidateSet:
             self.cut += int(min(plain, 2.0**62))
 
     def finish(self) -> None:
-        """Make groups of the likeliest set, and one of single remaining peaks."""
+        """Make groups of the most probable set, and one of single remaining peaks."""
         self._decide(inf)
         self._add_single()
 
@@ -183,7 +183,7 @@ class CandidateSet:
         return columns, scores.tolist()
 
     def _decide(self, max_error: float) -> None:
-        """Make groups of the likeliest set's candidates; those only that are wrong more rarely.
+        """Make groups of the most probable set's candidates; those only that are wrong more rarely.
 
         Their peaks are no longer free, and candidates that use them are dropped.
         """

@@ -284,7 +284,7 @@ def _log_ball_volumes(dof: int) -> Array:
 
 
 class UnexplainedPeaks:
-    """Peaks of an exposure that its likeliest set of markers does not explain.
+    """Peaks of an exposure that its most probable set of markers does not explain.
 
     Attributes:
         expected: expected number of them on each sensor, shape (S,).

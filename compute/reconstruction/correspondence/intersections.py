@@ -33,7 +33,7 @@ MAX_PIXELS: Final = 4096.0
 MAX_PREDICTED: Final = 24_000
 """Most readings predicted in an exposure; further triples of sensors wait for the next."""
 MAX_INTERSECTION_POINTS: Final = 600
-"""Points that are returned, the likeliest."""
+"""Points that are returned, the most probable."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""Set packing: the likeliest set of candidates that uses each peak once."""
+"""Set packing: the most probable set of candidates that uses each peak once."""
 
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
@@ -21,7 +21,7 @@ class SetPacking:
     """Set of columns that respects the capacity of every resource.
 
     Args:
-        chosen: indices of the columns of the likeliest set, ascending.
+        chosen: indices of the columns of the most probable set, ascending.
         error_probability: chance that each chosen column is in no true set, in the same order.
         cut: clusters whose sets were not all weighed; their columns have a chance of 1.
     """

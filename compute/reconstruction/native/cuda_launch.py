@@ -16,7 +16,7 @@ the copies takes longer."""
 POINTS_PER_LAUNCH: Final = 1 << 18
 """Most points in the buffers on CUDA; of more, one part after another is brought there."""
 THREADS_PER_BLOCK: Final = 64
-MOVED_WORDS: Final = 7
+MOVED_WORDS: Final = 8
 """Addresses of a job that change from batch to batch, the first of its record."""
 
 
@@ -113,11 +113,11 @@ class CudaLaunch:
 
     def _sizes(self, count: int) -> list[int]:
         """Return the number of values of each array, for ``count`` points."""
-        return [count * n for n in (self._sensors, self._sensors, 3, 9, 1, self._sensors, 1)]
+        return [count * n for n in (self._sensors, self._sensors, 3, 9, 1, 1, self._sensors, 1)]
 
     def _buffers(self, count: int, *, pinned: bool) -> list[Any]:
         wp = self._wp
-        types = [wp.float64] * 5 + [wp.uint8, wp.int32]
+        types = [wp.float64] * 6 + [wp.uint8, wp.int32]
         device = "cpu" if pinned else self._device
         return [
             wp.zeros(size, dtype=dtype, device=device, pinned=pinned)

@@ -22,6 +22,7 @@ from compute.reconstruction.triangulation import (
     UNINFORMATIVE_SIGMA_RATIO,
     WEIGHTING_ITERATIONS,
 )
+from compute.reliability import REDUNDANCY_FLOOR
 
 Array = NDArray[np.float64]
 Keep = Callable[[NDArray[Any]], int]
@@ -59,16 +60,18 @@ CAMERAS: Final = Record(
 POINT_JOB: Final = Record(
     "PointJob",
     {
-        # (N, S), (N, S); then what is written: (N, 3), (N, 9), (N,), (N, S), (N,).
+        # (N, S), (N, S); then what is written: (N, 3), (N, 9), (N,), (N,), (N, S), (N,).
         "readings": "const double*",
         "sigma": "const double*",
         "position": "double*",
         "covariance": "double*",
         "chi2": "double*",
+        "external_reliability": "double*",
         "used": "unsigned char*",
         "flags": "int*",
-        # (S + 1,); (S w, S w) of the cameras' parameters, 0: without covariance.
+        # (S + 1,), (S + 1,); (S w, S w) of the cameras' parameters, 0: without covariance.
         "chi2_limits": "const double*",
+        "noncentralities": "const double*",
         "parameter_covariance": "const double*",
         "cameras": CAMERAS,
     },
@@ -100,6 +103,7 @@ HEADER: Final = header(
             "max_exact_chi2": INTERSECTION_CHI2_TOLERANCE,
             "min_condition": CONDITION_LIMIT,
             "min_singular_ratio": DEGENERATE_RATIO,
+            "min_redundancy": REDUNDANCY_FLOOR,
         }
     ),
 )

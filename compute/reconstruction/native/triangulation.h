@@ -38,7 +38,7 @@ struct Triangulation {
     LUMILINE_FN void set_failed(int why) {
         for (int i = 0; i < 3; ++i) job.position[(long long)number * 3 + i] = not_a_number();
         for (int i = 0; i < 9; ++i) job.covariance[(long long)number * 9 + i] = not_a_number();
-        job.chi2[number] = not_a_number();
+        job.chi2[number] = job.external_reliability[number] = not_a_number();
         job.flags[number] = why;
     }
 
@@ -136,12 +136,9 @@ struct Triangulation {
         return true;
     }
 
-    LUMILINE_FN void equations(const double* at, double* gram) {
-        if (!is_finite(at[0] + at[1] + at[2])) {
-            gram[9] = not_a_number();
-            return;
-        }
-        Lanes p[V], rows[4][V];
+    // Jacobian and residuals at a place, whitened.
+    LUMILINE_FN void whitened_rows(const double* at, Lanes (&rows)[4][V]) {
+        Lanes p[V];
         cameras.project(at, p, rows);
         if (!table.exists()) {
             for (int v = 0; v < V; ++v) rows[3][v] = lanes(target, v) - p[v];
@@ -175,6 +172,15 @@ struct Triangulation {
             for (int column = 0; column < 4; ++column)
                 for (int v = 0; v < V; ++v) rows[column][v] *= lanes(inverse, v);
         }
+    }
+
+    LUMILINE_FN void equations(const double* at, double* gram) {
+        if (!is_finite(at[0] + at[1] + at[2])) {
+            gram[9] = not_a_number();
+            return;
+        }
+        Lanes rows[4][V];
+        whitened_rows(at, rows);
         for (int i = 0, n = 0; i < 4; ++i)
             for (int j = 0; j <= i; ++j, ++n) {
                 Lanes sum = Lanes{};
@@ -214,6 +220,49 @@ struct Triangulation {
             if (!(damping < max_damping)) return false;
         }
         return false;
+    }
+
+    // External reliability: largest shift of the point by an undetected error of one reading, for
+    // its covariance C: compute.reconstruction.triangulation.external_reliability.
+    LUMILINE_FN double external_reliability(const double (&C)[3][3]) {
+        if (count == 3) return infinity();
+        Lanes rows[4][V];
+        whitened_rows(x, rows);
+        // Column s of W' A, for the whitening W and whitened Jacobian A.
+        double y[3][R];
+        for (int i = 0; i < 3; ++i)
+            for (int v = 0; v < V; ++v) ((Lanes*)y[i])[v] = rows[i][v];
+        for (int s = S - 1; s >= 0; --s)
+            for (int i = 0; i < 3; ++i) {
+                if (correlated)
+                    for (int t = s + 1; t < S; ++t) y[i][s] -= covariance[t][s] * y[i][t];
+                y[i][s] *= inverse[s];
+            }
+        double largest = 0.0;
+        for (int s = 0; s < S; ++s) {
+            if (!used[s]) continue;
+            // (W' W)_ss: column s of W is a forward substitution.
+            double column[R], whole = inverse[s] * inverse[s];
+            if (correlated) {
+                column[s] = inverse[s];
+                for (int t = s + 1; t < S; ++t) {
+                    double rest = 0.0;
+                    for (int k = s; k < t; ++k) rest -= covariance[t][k] * column[k];
+                    column[t] = rest * inverse[t];
+                    whole += column[t] * column[t];
+                }
+            }
+            double explained = 0.0, influence = 0.0;
+            for (int i = 0; i < 3; ++i) {
+                const double by = C[i][0] * y[0][s] + C[i][1] * y[1][s] + C[i][2] * y[2][s];
+                explained += y[i][s] * by;
+                influence += by * by;
+            }
+            const double rest = whole - explained;
+            if (!(rest > min_redundancy * whole)) return infinity();
+            largest = larger(largest, influence / rest);
+        }
+        return sqrt(job.noncentralities[count] * largest);
     }
 
     LUMILINE_FN void solve() {
@@ -266,18 +315,20 @@ struct Triangulation {
                 return;
             }
         }
+        double C[3][3];
         for (int i = 0; i < 3; ++i) {
             const double unit[3] = {i == 0 ? 1.0 : 0.0, i == 1 ? 1.0 : 0.0, i == 2 ? 1.0 : 0.0};
             double column[3];
             solve_ldl(l, d, unit, column);
             for (int j = 0; j < 3; ++j)
-                job.covariance[(long long)number * 9 + 3 * j + i] = column[j];
+                job.covariance[(long long)number * 9 + 3 * j + i] = C[j][i] = column[j];
             job.position[(long long)number * 3 + i] = x[i];
         }
         int flags = count == 3 ? flag_no_redundancy : 0;
         if (gram[9] > job.chi2_limits[count]) flags |= flag_inconsistent;
         if (table.exists() && !table.is_valid(x, used)) flags |= flag_outside_map;
         job.chi2[number] = gram[9];
+        job.external_reliability[number] = external_reliability(C);
         job.flags[number] = flags;
     }
 };

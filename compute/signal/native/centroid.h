@@ -19,32 +19,29 @@ constexpr int max_narrow_arm = 15;
 
 // The least raw count at which one of the pixels from `first` to `last` may be bright. A maximum
 // has to reach the limit with its raw count, too: all pixels are compared with one number.
-LUMILINE_FN int raw_limit_of(const unsigned short*, int limit, int, int) { return limit; }
-
-LUMILINE_FN int raw_limit_of(const AdjustedPixels& v, int limit, int first, int last) {
-    return v.ramp == 0 ? limit : limit + ramp_at(v.ramp, v.pixels, v.ramp > 0 ? first : last);
+LUMILINE_FN int raw_limit_of(const Search& search, const Scan& scan, int limit, int first,
+                             int last) {
+    if (scan.ramp == 0) return limit;
+    return limit + ramp_at(scan.ramp, search.pixels, scan.ramp > 0 ? first : last);
 }
 
-// Whether a pixel at the limit is also bright by its raw count, and beside the noise of the
-// background where it lies.
-LUMILINE_FN bool is_bright(const Search&, const Scan&, const unsigned short*, int, int) {
-    return true;
-}
-
-LUMILINE_FN bool is_bright(const Search& search, const Scan& scan, const AdjustedPixels& v,
-                           int limit, int top) {
-    if (v.v[top] < raw_limit_of(v, limit, top, top)) return false;
-    if (v.ramp == 0) return true;
-    const double excess = double(v[top]) - double(scan.background) / level_unit;
+// Whether a pixel, adjusted at the limit, is also bright by its raw count, and beside the noise of
+// the background where it lies.
+LUMILINE_FN bool is_bright(const Search& search, const Scan& scan, int limit, int top, int value,
+                           int raw) {
+    if (raw < raw_limit_of(search, scan, limit, top, top)) return false;
+    if (scan.ramp == 0) return true;
+    const double excess = double(value) - double(scan.background) / level_unit;
     double light =
-        double(scan.background) / level_unit + ramp_at(v.ramp, v.pixels, top) - scan.offset;
+        double(scan.background) / level_unit + ramp_at(scan.ramp, search.pixels, top) - scan.offset;
     if (light < 0.0) light = 0.0;
     return excess * excess
            >= search.detection_sigma * search.detection_sigma * (scan.dark + scan.photon * light);
 }
 
 // Looks for the run around a maximum by steps to both sides at once. `top` is a peak's maximum when
-// no pixel of its run is higher, nor one to the left as high.
+// no pixel of its run is higher, nor one to the left as high. Of others the run is as far as
+// looked.
 template <class Where, class Pixels>
 LUMILINE_FN bool is_peak(const Search& search, Where where, const Pixels& v, int background,
                          int top, Run& run) {
@@ -77,7 +74,11 @@ LUMILINE_FN bool is_peak(const Search& search, Where where, const Pixels& v, int
             moment -= arm;
             moment2 += step * arm;
         }
-        if (right_value > highest || left_value >= highest) return false;
+        if (right_value > highest || left_value >= highest) {
+            run.left = left;
+            run.right = right;
+            return false;
+        }
     } while (right_value >= least || left_value >= least);
     run = Run{top, left, right, least, sum, moment, moment2, rise > 0};
     return right - left + 1 >= search.min_width_px;
@@ -146,10 +147,10 @@ LUMILINE_FN double fast_inverse(double value) {
 }
 
 // The centre of gravity of a run and its standard deviation. Positions and sums are float64, what
-// tells how good they are is float32.
+// tells how good they are is float32. `raw_top` is the maximum's count as it was read.
 template <class Pixels>
 LUMILINE_FN PeakRecord measure(const Search& search, const Scan& scan, const Pixels& v,
-                               const Run& run) {
+                               const Run& run, int raw_top) {
     const int top = run.top, left = run.left, right = run.right, least = run.least;
     const int highest = v[top], left_value = v[left], right_value = v[right];
     const int width_px = right - left + 1;
@@ -257,7 +258,7 @@ LUMILINE_FN PeakRecord measure(const Search& search, const Scan& scan, const Pix
     variance += by_right.slope * by_right.slope * variance_of(behind);
     int flags = left_ends && right_ends ? 0 : flag_clipped;
     if (run.dips && has_valley(search, scan, v, run)) flags |= flag_merged;
-    if (raw_count(v, top) >= scan.full_scale) flags |= flag_saturated;
+    if (raw_top >= scan.full_scale) flags |= flag_saturated;
     const float step = (float)(cut - double(base) / level_unit);
     const float by_phase_left = phase_error(search, at_left, left_arm - at_left.beyond_px, step);
     const float by_phase_right =

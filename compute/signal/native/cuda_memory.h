@@ -53,7 +53,8 @@ struct WarpMemory {
     const unsigned arrival;
     unsigned phase = 0;
 
-    LUMILINE_FN WarpMemory(const Search& from, int number, SharedMemory<batch_scans>& shared)
+    LUMILINE_FN WarpMemory(const Search& from, int first, int end,
+                           SharedMemory<batch_scans>& shared)
         : search(from),
           lane(threadIdx.x % 32),
           before((1u << lane) - 1u),
@@ -65,8 +66,8 @@ struct WarpMemory {
           limits(shared.limits[threadIdx.x / 32]),
           found(shared.found[threadIdx.x / 32]),
           lost(shared.lost[threadIdx.x / 32]),
-          end_scan(smaller(from.scans, (number + 1) * from.scans_per_warp)),
-          first_scan(number * from.scans_per_warp),
+          end_scan(smaller(from.scans, end)),
+          first_scan(first),
           first_v((const unsigned short*)from.scans_address + (long long)first_scan * from.pixels),
           chunks((from.pixels + 7) / 8),
           stride(chunks + 1),
@@ -76,13 +77,17 @@ struct WarpMemory {
                      : scan_blocks == 2             ? batch_scans / 2
                                                     : 1),
           whole(((from.scans_address | (unsigned long long)(from.pixels * 2)) & 15ull) == 0),
-          arrival((unsigned)__cvta_generic_to_shared(shared.arrivals + threadIdx.x / 32)) {
+          arrival((unsigned)__cvta_generic_to_shared(shared.arrivals + threadIdx.x / 32)) {}
+
+    // Before any scan is staged.
+    LUMILINE_FN void begin() {
 #if __CUDA_ARCH__ >= 900
         if (lane == 0) {
             asm volatile("mbarrier.init.shared::cta.b64 [%0], 1;" ::"r"(arrival) : "memory");
             asm volatile("fence.proxy.async.shared::cta;" ::: "memory");
         }
 #endif
+        __syncwarp();
     }
 
     // Brings chunks of one line, from pixel `first` on.

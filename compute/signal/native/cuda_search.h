@@ -14,53 +14,35 @@
 
 namespace lumiline::signal {
 
-// As WarpSearch's find_tops and measure_tops, of pixels that are corrected one by one.
-LUMILINE_NOINLINE unsigned adjusted_tops(AdjustedPixels v, int limit, int start, int end) {
-    unsigned tops = 0u;
-    int left = v[start - 1], own = v[start];
-    for (int p = start; p < end; ++p) {
-        const int right = v[p + 1];
-        if (own >= limit && own > left && own >= right) tops |= 1u << (p - start);
-        left = own;
-        own = right;
-    }
-    return tops;
-}
-
-LUMILINE_NOINLINE bool measure_adjusted(const Search& search, const Scan& scan, int limit, int top,
-                                        PeakRecord* record) {
-    const AdjustedPixels v = scan.adjusted(scan.v, search.pixels);
-    Run run;
-    if (!is_bright(search, scan, v, limit, top)) return false;
-    if (!is_peak(search, Bare{}, v, scan.background, top, run)) return false;
-    *record = measure(search, scan, v, run);
-    return true;
-}
-
 template <int batch_scans, Length length>
+LUMILINE_NOINLINE void search_sloped_scans(Search search, int first_scan, int end_scan,
+                                           SharedMemory<batch_scans>* shared);
+
+template <int batch_scans, Length length, Counts counts>
 struct WarpSearch : WarpMemory<batch_scans, length> {
     using Memory = WarpMemory<batch_scans, length>;
-    using Memory::await_scans, Memory::await_stage, Memory::before, Memory::chunks,
-        Memory::end_of_stage, Memory::first_scan, Memory::first_v, Memory::found, Memory::in_shared,
-        Memory::lane, Memory::limits, Memory::load_chunk, Memory::lost, Memory::pixels_of,
-        Memory::run_queue, Memory::scan_at, Memory::scan_blocks, Memory::search, Memory::slots,
-        Memory::stage, Memory::stage_batch, Memory::staged, Memory::step_scans, Memory::stride,
-        Memory::top_queue, Memory::words;
+    using Memory::await_scans, Memory::await_stage, Memory::before, Memory::begin, Memory::chunks,
+        Memory::end_of_stage, Memory::end_scan, Memory::first_scan, Memory::first_v, Memory::found,
+        Memory::in_shared, Memory::lane, Memory::limits, Memory::load_chunk, Memory::lost,
+        Memory::pixels_of, Memory::run_queue, Memory::scan_at, Memory::scan_blocks, Memory::search,
+        Memory::slots, Memory::stage, Memory::stage_batch, Memory::staged, Memory::step_scans,
+        Memory::stride, Memory::top_queue, Memory::words;
 
     const int groups, group_step, rank_of_quartile, rank_of_sixteenth, group_chunk;
+    SharedMemory<batch_scans>& shared;
     int runs_waiting = 0, tops_waiting = 0;
+    // Whether the lane's scan was left out, since its background has a slope.
+    bool is_left_out = false;
 
-    LUMILINE_FN WarpSearch(const Search& from, int number, SharedMemory<batch_scans>& shared)
-        : Memory(from, number, shared),
+    LUMILINE_FN WarpSearch(const Search& from, int first, int end,
+                           SharedMemory<batch_scans>& own_shared)
+        : Memory(from, first, end, own_shared),
           groups(from.groups()),
           group_step(from.group_step()),
           rank_of_quartile(Search::rank_of_quartile(groups)),
           rank_of_sixteenth(Search::rank_of_sixteenth(groups)),
-          group_chunk(lane * group_step / group_pixels) {
-        __syncwarp();
-        // As early as can be: the rest is worked out meanwhile.
-        stage_batch();
-    }
+          group_chunk(lane * group_step / group_pixels),
+          shared(own_shared) {}
 
     // The least of all lanes' keys.
     LUMILINE_FN int min_of(int key) {
@@ -102,6 +84,25 @@ struct WarpSearch : WarpMemory<batch_scans, length> {
         return search.scan_of(line, search.sensors == 1 ? 0 : line % search.sensors);
     }
 
+    // Scans in shared memory are corrected there.
+    template <class Where>
+    static constexpr bool corrected_in_place = counts == Counts::corrected && bool(Where{});
+
+    LUMILINE_FN bool is_calibrated() {
+        return counts == Counts::corrected
+               || (counts == Counts::adjusted && search.corrections != nullptr);
+    }
+
+    // The key of the lane's group.
+    template <class Where>
+    LUMILINE_FN int group_key(Where where, int slot) {
+        const int key =
+            sum_of(load_chunk(where, pixels_of(where, slot), group_chunk)) * sample_groups + lane;
+        if (!is_calibrated()) return key;
+        const int sensor = search.sensors == 1 ? 0 : (first_scan + slot) % search.sensors;
+        return search.shifted_key(sensor, key, lane);
+    }
+
     // The backgrounds of all scans. A group of the sample is a chunk; its lane keeps the key. One
     // lane a scan works out what follows from it, and returns its background.
     template <class Where>
@@ -109,17 +110,7 @@ struct WarpSearch : WarpMemory<batch_scans, length> {
         int keys[batch_scans];
 #pragma unroll
         for (int slot = 0; slot < batch_scans; ++slot) {
-            keys[slot] = no_key;
-            if (slot < slots && lane < groups)
-                keys[slot] =
-                    sum_of(load_chunk(where, pixels_of(where, slot), group_chunk)) * sample_groups
-                    + lane;
-            if (search.corrections != nullptr && slot < slots && lane < groups) {
-                const int sensor = (first_scan + slot) % search.sensors;
-                keys[slot] = larger(
-                    keys[slot] - search.corrections[sensor].group_shifts[lane] * sample_groups,
-                    lane);
-            }
+            keys[slot] = slot < slots && lane < groups ? group_key(where, slot) : no_key;
         }
         // By repeated minima; those of the lines in turn, since each waits for the one before.
         int quartile = 0, sixteenth = 0;
@@ -149,14 +140,27 @@ struct WarpSearch : WarpMemory<batch_scans, length> {
             const int sum = add_of(taken ? 2 * lane - (groups - 1) : 0);
             if (lane == slot) contrast = sum;
         }
+        const bool sloped = lane < slots && is_sloped(groups, rank_of_quartile, contrast);
+        SlopedBackground beside = {0, quartile, sixteenth};
+        if constexpr (counts == Counts::adjusted) {
+            for (unsigned left = __ballot_sync(every, sloped); left != 0u; left &= left - 1u) {
+                const int slot = __ffs(left) - 1;
+                const SlopedBackground level = {0, __shfl_sync(every, quartile, slot),
+                                                __shfl_sync(every, sixteenth, slot)};
+                const int key = lane < groups ? group_key(where, slot) : no_key;
+                const SlopedBackground better = estimate_ramp(search, key, level);
+                if (lane == slot) beside = better;
+            }
+            scan.ramp = beside.ramp;
+        } else {
+            is_left_out = sloped;
+        }
         if (lane < slots) {
-            if (is_sloped(groups, rank_of_quartile, contrast))
-                scan.ramp =
-                    estimate_ramp(search, scan, pixels_of(where, lane), &quartile, &sixteenth);
-            const Level level = search.level_of(scan, quartile, sixteenth);
+            const Level level = search.level_of(scan, beside.quartile, beside.sixteenth);
             scan.background = level.background;
             scan_at[lane] = scan;
-            limits[lane] = level.limit;
+            // No pixel of a scan that is left out is bright.
+            limits[lane] = is_left_out ? 65536 : level.limit;
             found[lane] = 0;
             lost[lane] = 0;
         }
@@ -168,7 +172,8 @@ struct WarpSearch : WarpMemory<batch_scans, length> {
     // greater of it and the limit less one is not that. `first` is the number of the first chunk.
     LUMILINE_FN void find_bright_chunks(const uint4* block, int there, int slot, int first,
                                         int at) {
-        const int limit = limits[slot], ramp = scan_at[slot].ramp;
+        const int limit = limits[slot];
+        const int ramp = counts == Counts::adjusted ? scan_at[slot].ramp : 0;
         unsigned below = (unsigned)(limit - 1) * 0x10001u;
         auto look = [&](int i, bool inside) {
             uint4 pairs = make_uint4(0u, 0u, 0u, 0u);
@@ -206,6 +211,124 @@ struct WarpSearch : WarpMemory<batch_scans, length> {
         return __funnelshift_l(left, right, 16);
     }
 
+    // Corrects the bright chunks in shared memory and those beside them; the lane's word has a bit
+    // for each of 32 chunks, from chunk `first` of scan `slot` on. Its pixels' raw counts are then
+    // those in global memory.
+    LUMILINE_FN void correct_chunks(unsigned word, int slot, int first) {
+        const int last_word = scan_blocks * 8 - 1, own_word = first / 32;
+        const unsigned left = __shfl_up_sync(every, word, 1);
+        const unsigned right = __shfl_down_sync(every, word, 1);
+        unsigned near = word | word << 1 | word >> 1;
+        if (own_word > 0) near |= left >> 31;
+        if (own_word < last_word && lane < 31) near |= right << 31;
+        if (slot >= slots || first >= chunks)
+            near = 0u;
+        else if (chunks - first < 32)
+            near &= (1u << (chunks - first)) - 1u;
+        if (lane < batch_scans * 8) ((unsigned*)words)[lane] = near;
+        int waiting = 0, place = queue_position(__popc(near), waiting);
+#pragma unroll 1
+        for (; waiting > 0; waiting -= 32, place -= 32) {
+#pragma unroll 1
+            for (; near != 0u && place < 32; ++place, near &= near - 1u)
+                run_queue[place] = slot << 16 | (first + __ffs(near) - 1);
+            __syncwarp();
+            if (lane < waiting) correct_chunk(run_queue[lane] >> 16, run_queue[lane] & 0xffffu);
+            __syncwarp();
+        }
+    }
+
+    LUMILINE_FN CorrectedPixels corrected_pixels(int slot) {
+        const int sensor = scan_at[slot].sensor;
+        return CorrectedPixels{first_v + (long long)slot * search.pixels,
+                               search.corrections + sensor, search.pixel_corrections(sensor),
+                               search.pixels};
+    }
+
+    LUMILINE_FN void correct_chunk(int slot, int chunk) {
+        const CorrectedPixels all = corrected_pixels(slot);
+        const SensorCorrection& sensor = *all.sensor;
+        uint4* at = staged + slot * stride + chunk;
+        const uint4 pairs = *at;
+        const unsigned own[4] = {pairs.x, pairs.y, pairs.z, pairs.w};
+        unsigned corrected[4];
+        PixelCorrection pixels[8];
+#pragma unroll
+        for (int i = 0; i < 8; ++i)
+            pixels[i] = load_correction(all.correction, smaller(chunk * 8 + i, search.pixels - 1));
+        unsigned masked = 0u;
+#pragma unroll
+        for (int i = 0; i < 8; ++i) {
+            const int raw = own[i / 2] >> 16 * (i % 2) & 0xffffu;
+            const float rounded = corrected_count(sensor, pixels[i], raw) + 0.5f;
+            const int value = rounded > 0.0f ? smaller((int)rounded, 65535) : 0;
+            if (i % 2 == 0)
+                corrected[i / 2] = value;
+            else
+                corrected[i / 2] |= value << 16;
+            if (pixels[i].scale == 0.0f || chunk * 8 + i >= search.pixels) masked |= 1u << i;
+        }
+        *at = make_uint4(corrected[0], corrected[1], corrected[2], corrected[3]);
+        for (; masked != 0u; masked &= masked - 1u) {
+            const int i = __ffs(masked) - 1;
+            ((unsigned short*)at)[i] = all[chunk * 8 + i];
+        }
+    }
+
+    // Whether all chunks of a run, and the pixels beside it, are corrected.
+    LUMILINE_FN bool is_corrected(int slot, const Run& run) {
+        const unsigned* bits = (const unsigned*)words + slot * scan_blocks * 8;
+        bool all = true;
+        const int end = smaller((run.right + 1) / 8, chunks - 1);
+        for (int chunk = larger(run.left - 1, 0) / 8; chunk <= end; ++chunk)
+            all = all && (bits[chunk / 32] >> chunk % 32 & 1u) != 0u;
+        return all;
+    }
+
+    // As find_tops, of adjusted pixels: those between the first and the last that may be bright.
+    template <class Where>
+    LUMILINE_FN unsigned adjusted_tops(Where where, int slot, int start, int end) {
+        const Scan& scan = scan_at[slot];
+        const unsigned short* v = pixels_of(where, slot);
+        const auto pixels = adjusted_pixels(scan, v);
+        const int limit = limits[slot];
+        const int least = counts == Counts::corrected
+                              ? limit
+                              : smaller(raw_limit_of(search, scan, limit, start, start),
+                                        raw_limit_of(search, scan, limit, end - 1, end - 1));
+        const unsigned below = (unsigned)(larger(smaller(least, 65536), 1) - 1) * 0x10001u;
+        unsigned bright = 0u, tops = 0u;
+#pragma unroll 1
+        for (int p = start; p < end; p += 8) {
+            const uint4 pairs = load_chunk(where, v, p / 8);
+            const unsigned own[4] = {pairs.x, pairs.y, pairs.z, pairs.w};
+            unsigned bits = 0u;
+#pragma unroll
+            for (int i = 0; i < 4; ++i)
+                bits |= __vminu2(__vmaxu2(own[i], below) ^ below, 0x10001u) << 2 * i;
+            bright |= ((bits | bits >> 15) & 0xffu) << (p - start);
+        }
+        if (bright == 0u) return 0u;
+        const int first = start + __ffs(bright) - 1, last = start + 31 - __clz(bright);
+        int left = pixels[first - 1], own = pixels[first];
+#pragma unroll 1
+        for (int p = first; p <= last; ++p) {
+            const int right = pixels[p + 1];
+            if (own >= limit && own > left && own >= right) tops |= 1u << (p - start);
+            left = own;
+            own = right;
+        }
+        return tops & bright;
+    }
+
+    LUMILINE_FN auto adjusted_pixels(const Scan& scan, const unsigned short* v) {
+        if constexpr (counts == Counts::corrected)
+            return CorrectedPixels{v, search.corrections + scan.sensor,
+                                   search.pixel_corrections(scan.sensor), search.pixels};
+        else
+            return search.adjusted(scan, v);
+    }
+
     // Each lane up to four neighbouring chunks: which of their pixels are bright and a maximum
     // among their neighbours, as bits. Two pixels at a time: a pixel is one when it is greater than
     // the left one, the limit less one, and the right one less one.
@@ -213,9 +336,8 @@ struct WarpSearch : WarpMemory<batch_scans, length> {
     LUMILINE_FN unsigned find_tops(Where where, unsigned entry) {
         const int slot = entry >> 16, start = (entry & 0x1fffu) * 8;
         const int stop = start + (entry >> 13 & 3u) * 8;
-        if (scan_at[slot].is_adjusted())
-            return adjusted_tops(scan_at[slot].adjusted(pixels_of(where, slot), search.pixels),
-                                 limits[slot], start, stop + 8);
+        if constexpr (counts != Counts::raw && !corrected_in_place<Where>)
+            return adjusted_tops(where, slot, start, stop + 8);
         const unsigned below = (unsigned)(limits[slot] - 1) * 0x10001u, ones = 0x10001u;
         const unsigned short* v = pixels_of(where, slot);
         unsigned left = where || start > 0 ? (unsigned)v[start - 1] << 16 : 0u, tops = 0u;
@@ -254,11 +376,28 @@ struct WarpSearch : WarpMemory<batch_scans, length> {
             scan.v = pixels_of(where, slot);
             Run run;
             const int top = entry & 0xffffu;
-            if (scan.is_adjusted()) {
-                good = measure_adjusted(search, scan, limits[slot], top, &record);
-            } else {
+            if constexpr (counts == Counts::raw) {
                 good = is_peak(search, where, scan.v, scan.background, top, run);
-                if (good) record = measure(search, scan, scan.v, run);
+                if (good) record = measure(search, scan, scan.v, run, scan.v[top]);
+            } else if constexpr (corrected_in_place<Where>) {
+                const CorrectedPixels all = corrected_pixels(slot);
+                int raw_top = all.v[top];
+                good = raw_top >= limits[slot];
+                if (good) {
+                    if (raw_top >= scan.full_scale) raw_top = all.raw_count(top);
+                    run = Run{top, top, top};
+                    good = is_peak(search, where, scan.v, scan.background, top, run);
+                    if (!is_corrected(slot, run))
+                        good = measure_corrected(search, scan, all, top, &record);
+                    else if (good)
+                        record = measure(search, scan, scan.v, run, raw_top);
+                }
+            } else {
+                const auto v = adjusted_pixels(scan, scan.v);
+                good = counts == Counts::corrected
+                       || is_bright(search, scan, limits[slot], top, v[top], scan.v[top]);
+                good = good && is_peak(search, where, v, scan.background, top, run);
+                if (good) record = measure(search, scan, v, run, v.raw_count(top));
             }
         }
         // Lanes of the same line; those without a peak are of none.
@@ -290,6 +429,15 @@ struct WarpSearch : WarpMemory<batch_scans, length> {
             }
         }
         __syncwarp();
+    }
+
+    // A peak whose run is longer than what was corrected.
+    static LUMILINE_NOINLINE bool measure_corrected(Search search, Scan scan, CorrectedPixels all,
+                                                    int top, PeakRecord* found) {
+        Run run;
+        if (!is_peak(search, Bare{}, all, scan.background, top, run)) return false;
+        *found = measure(search, scan, all, run, all.raw_count(top));
+        return true;
     }
 
     // Where a lane's entries go: behind those of the lanes before. Adds the number of all.
@@ -381,7 +529,7 @@ struct WarpSearch : WarpMemory<batch_scans, length> {
     LUMILINE_FN int take_short_scans() {
         const Padded where;
         const Scan scan = lane_scan();
-        await_scans();
+        if constexpr (counts != Counts::adjusted) await_scans();
         const int background = estimate_backgrounds(where, scan);
 #pragma unroll 1
         for (int slot = 0, block = 0, at = 0; slot < slots; at += 2) {
@@ -397,7 +545,9 @@ struct WarpSearch : WarpMemory<batch_scans, length> {
         const int slot = scan_blocks == 1 ? own_block : scan_blocks == 2 ? own_block / 2 : 0;
         const int first = (lane - slot * scan_blocks * 8) * 32;
         const bool there = slot < slots && first < chunks;
-        take_chunks(where, there ? ((const unsigned*)words)[lane] : 0u, slot, first, true);
+        const unsigned word = there ? ((const unsigned*)words)[lane] : 0u;
+        if constexpr (corrected_in_place<Padded>) correct_chunks(word, slot, first);
+        take_chunks(where, word, slot, first, true);
         return background;
     }
 
@@ -436,14 +586,44 @@ struct WarpSearch : WarpMemory<batch_scans, length> {
     }
 
     LUMILINE_FN void solve() {
+        begin();
+        // As early as can be: the rest is worked out meanwhile.
+        stage_batch();
         while (slots > 0) {
             finish(in_shared ? take_short_scans() : take_long_scans());
+            if (__any_sync(every, is_left_out)) {
+                search_sloped_scans<batch_scans, length>(search, first_scan, first_scan + slots,
+                                                         &shared);
+                is_left_out = false;
+            }
             first_scan += step_scans;
             first_v += (long long)step_scans * search.pixels;
             stage_batch();
         }
     }
+
+    // A batch that lies in shared memory, or of long scans.
+    LUMILINE_FN void solve_again() {
+        slots = end_scan - first_scan;
+        if (in_shared) {
+            // Part of it may be corrected.
+            for (int slot = 0; slot < slots; ++slot)
+                stage(staged + slot * stride, first_v + slot * search.pixels, 0, chunks);
+            end_of_stage();
+            await_stage(false);
+        }
+        finish(in_shared ? take_short_scans() : take_long_scans());
+    }
 };
+
+// Searches the scans of a batch again, of which some have a background with a slope: few have. It
+// is called, and all that it needs comes by value: neither costs the other scans registers.
+template <int batch_scans, Length length>
+LUMILINE_NOINLINE void search_sloped_scans(Search search, int first_scan, int end_scan,
+                                           SharedMemory<batch_scans>* shared) {
+    WarpSearch<batch_scans, length, Counts::adjusted> again(search, first_scan, end_scan, *shared);
+    again.solve_again();
+}
 
 }  // namespace lumiline::signal
 

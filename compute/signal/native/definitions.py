@@ -44,10 +44,12 @@ SENSOR_CORRECTION: Final = Record(
         "first_bend": "float",
         "second_bend": "float",
         "group_shifts": f"int[{SAMPLE_GROUPS}]",
+        "padding": "int",
     },
 )
 """What is the same for a calibrated sensor's pixels: mean offset, coefficients of nonlinearity, and
-how far the offsets of the background's groups lie above it, summed over a group [counts]."""
+how far the offsets of the background's groups lie above it, summed over a group [counts]. Behind
+them the pixels' records lie on boundaries of 8 bytes."""
 
 PIXEL_CORRECTION: Final = Record("PixelCorrection", {"dark": "float", "scale": "float"})
 """A pixel's count without light, and the reciprocal of its response: 0 where it is masked."""

@@ -50,22 +50,27 @@ class ScanBatch:
 
 
 @cache
-def scan_kernel(search: Search) -> Any:
-    """Return the kernel of a search.
+def scan_kernel(search: Search, corrected: bool) -> Any:
+    """Return the kernel of a search in scans with or without a calibration.
 
     Launch on the CPU with a thread a scan, on CUDA with 32 for every ``scans_per_warp`` scans, in
     blocks of BLOCK_THREADS. ``scans_address`` is that of uint16 pixels, shape (L, P),
     ``records_address`` that of L records: in the device's memory, or in the host's where the
     device reaches it.
+
+    Args:
+        search: which kernel.
+        corrected: whether the scans' sensors have a radiometric calibration.
     """
+    flag = "true" if corrected else "false"
     if search == "fit":
         path, bounds = "compute/signal/fit/native/fit_peaks.h", FIT_LAUNCH_BOUNDS
-        call = f"fit_peaks({_SEARCH}, batch.plan_address, batch.candidates_offset, number);"
+        call = f"fit_peaks<{flag}>({_SEARCH}, batch.plan_address, batch.candidates_offset, number);"
     else:
         path, bounds = "compute/signal/native/find_peaks.h", LAUNCH_BOUNDS
         call = (
             "find_peaks<lumiline::signal::scans_per_batch, "
-            f"lumiline::signal::Length::{search}>({_SEARCH}, number);"
+            f"lumiline::signal::Length::{search}, {flag}>({_SEARCH}, number);"
         )
 
     @wp.func_native(f"lumiline::signal::{call}")  # type: ignore[untyped-decorator]

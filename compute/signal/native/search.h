@@ -9,19 +9,11 @@
 namespace lumiline::signal {
 
 // One row of pixels with the noise of its sensor, its background in 1 / level_unit counts, and the
-// background's slope in 1 / ramp_unit counts per pixel. `sensor` is null without a calibration.
+// background's slope in 1 / ramp_unit counts per pixel.
 struct Scan {
     const unsigned short* v;
     double dark, photon, offset;
-    int full_scale, background, ramp;
-    const SensorCorrection* sensor;
-    const PixelCorrection* correction;
-
-    LUMILINE_FN bool is_adjusted() const { return sensor != nullptr || ramp != 0; }
-
-    LUMILINE_FN AdjustedPixels adjusted(const unsigned short* values, int pixels) const {
-        return AdjustedPixels{values, sensor, correction, pixels, ramp};
-    }
+    int full_scale, background, ramp, sensor;
 };
 
 // A background in 1 / level_unit counts, and the lowest count of a pixel that may be a peak's.
@@ -42,6 +34,9 @@ struct Bare {
 // to choose from the code is shorter, which leaves the compiler more registers.
 enum class Length { block, at_most_short, longer, any };
 
+// Counts as they are, corrected ones, or what may also lie on a background with a slope.
+enum class Counts { raw, corrected, adjusted };
+
 // What a search is given: a batch of scans of `pixels` pixels, of sensor `scan % sensors`.
 struct Search {
     unsigned long long scans_address, records_address;
@@ -58,20 +53,25 @@ struct Search {
     }
 
     LUMILINE_FN Scan scan_of(int scan, int sensor) const {
-        Scan found = {(const unsigned short*)scans_address + (long long)scan * pixels,
-                      dark_variance[sensor],
-                      photon_variance[sensor],
-                      offset[sensor],
-                      full_scale[sensor],
-                      0,
-                      0,
-                      nullptr,
-                      nullptr};
-        if (corrections != nullptr) {
-            found.sensor = corrections + sensor;
-            found.correction = (const PixelCorrection*)(corrections + sensors) + sensor * pixels;
-        }
-        return found;
+        return Scan{(const unsigned short*)scans_address + (long long)scan * pixels,
+                    dark_variance[sensor],
+                    photon_variance[sensor],
+                    offset[sensor],
+                    full_scale[sensor],
+                    0,
+                    0,
+                    sensor};
+    }
+
+    LUMILINE_FN const PixelCorrection* pixel_corrections(int sensor) const {
+        return (const PixelCorrection*)(corrections + sensors) + sensor * pixels;
+    }
+
+    // A scan's pixels, which lie at `v`, corrected and without the background's slope.
+    LUMILINE_FN AdjustedPixels adjusted(const Scan& scan, const unsigned short* v) const {
+        if (corrections == nullptr) return AdjustedPixels{v, nullptr, nullptr, pixels, scan.ramp};
+        return AdjustedPixels{v, corrections + scan.sensor, pixel_corrections(scan.sensor), pixels,
+                              scan.ramp};
     }
 
     // A peak's own threshold, in 1/level_unit counts, and the least count above it.
@@ -110,8 +110,8 @@ struct Search {
     }
 
     // The key of the group's sum less what its pixels' offsets are above the mean one.
-    static LUMILINE_FN int shifted_key(const Scan& scan, int key, int group) {
-        return larger(key - scan.sensor->group_shifts[group] * sample_groups, group);
+    LUMILINE_FN int shifted_key(int sensor, int key, int group) const {
+        return larger(key - corrections[sensor].group_shifts[group] * sample_groups, group);
     }
 
     // Background and limit from the first quartile and the first sixteenth of the keys.

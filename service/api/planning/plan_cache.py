@@ -5,6 +5,8 @@ from pathlib import Path
 from threading import Lock
 from typing import Final, Generic, TypeVar
 
+from cachetools import FIFOCache
+
 from compute.planning.plan import plan
 from compute.planning.plan_result import Plan
 from service.api.concurrency_limit import ConcurrencyLimit
@@ -28,8 +30,7 @@ class ResultCache(Generic[Result]):
 
     def __init__(self, limit: ConcurrencyLimit, kept: int) -> None:
         self._limit = limit
-        self._kept = kept
-        self._found: dict[Hashable, Result] = {}
+        self._found: FIFOCache[Hashable, Result] = FIFOCache(kept)
         self._lock = Lock()
 
     def get(self, key: Hashable, work: Callable[[], Result]) -> Result:
@@ -45,8 +46,6 @@ class ResultCache(Generic[Result]):
             result = work()
         with self._lock:
             self._found[key] = result
-            while len(self._found) > self._kept:
-                del self._found[next(iter(self._found))]  # the oldest
         return result
 
 

@@ -14,7 +14,7 @@ from compute.mapping.table import CorrectionTable
 from compute.measurement.measurement_model import MeasurementModel
 from compute.reconstruction.outlier_exclusion import exclude_outliers
 from compute.reconstruction.point_batch import PointBatch
-from compute.reconstruction.point_reliability import point_reliability
+from compute.reconstruction.point_reliability import detectable_errors
 from compute.reconstruction.triangulation import reconstruct
 from hardware.driver import SensorDescription
 from service.api.base_models import SLUG_PATTERN, Page
@@ -138,7 +138,7 @@ def run_reconstruction(
 
     whole = solve(observed.readings_px, sigma)
     batch = exclude_outliers(solve, whole, observed.readings_px, sigma)
-    reliability = point_reliability(model, batch, observed.readings_px, sigma)
+    detectable_px = detectable_errors(model, batch, observed.readings_px, sigma)
     names = tuple(sensor.name for sensor in sensors)
     return [
         NamedEstimate(
@@ -150,15 +150,13 @@ def run_reconstruction(
                 for name, value, used in zip(names, detectable, used_here, strict=True)
                 if used
             },
-            external_reliability_mm=shift if isfinite(shift) else None,
         )
-        for estimate, point, excluded, used_here, detectable, shift in zip(
+        for estimate, point, excluded, used_here, detectable in zip(
             batch.estimates(names),
             points,
             (whole.used & ~batch.used).tolist(),
             batch.used.tolist(),
-            reliability.detectable_px.tolist(),
-            reliability.external_mm.tolist(),
+            detectable_px.tolist(),
             strict=True,
         )
     ]

@@ -48,14 +48,11 @@ class NamedEstimate(PointEstimate):
         excluded: names of the sensors whose readings were left out as wrong.
         detectable_px: smallest error of each used sensor's reading that would have been found with
             a probability of 0.8 [px]; null: nothing checks the reading.
-        external_reliability_mm: largest shift of the point by an error of that size in one
-            reading [mm]; null: not known, as nothing checks the readings.
     """
 
     name: str
     excluded: tuple[str, ...] = ()
     detectable_px: dict[str, float | None] = field(default_factory=dict)
-    external_reliability_mm: float | None = None
 
 
 class ReconstructionSummary(ResponseModel):
@@ -76,7 +73,7 @@ class Reconstruction(ReconstructionSummary):
     estimates: list[NamedEstimate] = Field(
         description="`position_mm` is null where there is none; `flags` say why: "
         "`too-few-sensors` (three are needed), `degenerate`, `no-convergence`. `outside-map`: the "
-        "correction table does not vouch for a reading there. `reading-excluded`: one or two "
+        "correction table does not support a reading there. `reading-excluded`: one or two "
         "readings contradicted the others and were left out. `inconsistent` with "
         "`not-identifiable`: a reading is wrong, and the others do not tell which."
     )

@@ -126,14 +126,16 @@ class StreamBatch:
                 "position_mm": position if isfinite(position[0]) else None,
                 "covariance_mm2": covariance if isfinite(position[0]) else None,
                 "residual_sigma": residual if isfinite(residual) else None,
+                "external_reliability_mm": shift if isfinite(shift) else None,
                 "sensors": _used(names, tuple(used)),
                 "flags": _flag_names(PointFlag, flags),
             }
-            for frame, position, covariance, residual, used, flags in _zip_lists(
+            for frame, position, covariance, residual, shift, used, flags in _zip_lists(
                 self._owner[part],
                 own.position_mm,
                 own.covariance_mm2,
                 own.residual_sigma(),
+                own.external_reliability_mm,
                 own.used,
                 own.flags,
             )

@@ -68,18 +68,18 @@ def test_variances_are_honest_on_points_never_seen():
 @pytest.mark.slow
 def test_variances_are_honest_where_noise_hides_the_misfit(monkeypatch):
     """How smooth the field is can hardly be told there, and that counts in the variance."""
-    averaged, likeliest = [], []
+    averaged, most_probable = [], []
     for seed in range(40, 45):
         control = measured(places(60, seed), seed, sigma=2.0)
         models, new = calibrated(control).models, places(200, seed + 20, share=0.9)
-        for squares, min_share in ((averaged, 1e-3), (likeliest, 1.0)):
+        for squares, min_share in ((averaged, 1e-3), (most_probable, 1.0)):
             monkeypatch.setattr("compute.mapping.penalty_selection.MIN_SHARE", min_share)
             result = build_table(models, "", control)
             error, variance, inside = correction_errors(result, models, new)
             squares += [np.mean((error**2 / variance)[inside[:, s], s]) for s in range(3)]
     # Of 15 sensors with about ten errors each: a deviation of 0.12.
     assert 0.6 < np.mean(averaged) < 1.35
-    assert np.mean(likeliest) > 1.1 * np.mean(averaged)
+    assert np.mean(most_probable) > 1.1 * np.mean(averaged)
 
 
 def test_deviations_that_are_too_small_are_noticed_and_no_map_follows_the_noise(calibration):
@@ -239,7 +239,7 @@ def test_the_same_measurements_give_the_same_table(control, calibration):
     np.testing.assert_array_equal(again.table.variance_px2, built.table.variance_px2)
 
 
-def test_outside_of_what_a_sensor_saw_nothing_is_vouched_for(control, calibration):
+def test_outside_of_what_a_sensor_saw_nothing_is_supported(control, calibration):
     readings = control.readings_px.copy()
     readings[control.points_mm[:, 0] > 50.0, 0] = np.nan
     half = MappingMeasurements(control.points_mm, readings, control.sigma_px)
@@ -281,7 +281,7 @@ def test_interpolation_goes_through_the_nodes(method, degree):
     assert result.table.grid.cells == (5, 5, 3)
 
 
-def test_missing_nodes_at_the_rim_are_not_vouched_for():
+def test_missing_nodes_at_the_rim_are_not_supported():
     points = lattice((6, 6, 4))
     control = measured(points)
     models = calibrated(control).models

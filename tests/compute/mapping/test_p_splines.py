@@ -228,7 +228,7 @@ def test_surprise_is_the_density_of_left_out_blocks():
     of_other, of_mine = (one.deviances(known_variance=False) for one in (other, mine))
     assert of_other.sum() - of_mine.sum() == pytest.approx(60 * np.log(9.0))
     assert other.scale == pytest.approx(3.0 * mine.scale)
-    # Of all factors it is the likeliest one.
+    # Of all factors it is the most probable one.
     square = mine.standardised**2 / mine.scale**2 + 2.0 * np.log(mine.scale)
     assert (square + mine.log_variance).sum() == pytest.approx(of_mine.sum())
     for factor in (0.9, 1.1):

@@ -21,7 +21,8 @@ template void tracking::associate_frame<3, 0>(unsigned long long);
 template void tracking::associate_frame<4, 8>(unsigned long long);
 template void pose::take_step<3, 0>(unsigned long long);
 template void pose::take_step<4, 8>(unsigned long long);
-template void signal::find_peaks<4, signal::Length::block>(const signal::Search&, int);
+template void signal::find_peaks<4, signal::Length::block, false>(const signal::Search&, int);
+template void signal::find_peaks<4, signal::Length::block, true>(const signal::Search&, int);
 
 }  // namespace lumiline
 

@@ -1,4 +1,4 @@
-"""Lints the kernels' headers: their format, and a host compiler's warnings.
+"""Lints C and C++: the format of the kernels' headers, the firmware and the examples; warnings.
 
 Usage: python -m tests.compute.native.lint
 """
@@ -7,14 +7,19 @@ import subprocess
 import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Final
 
 from tests.compute.native.host import FUNCTIONS, ROOT, compiler, headers, run, write_generated
+
+FOLDERS: Final = ("hardware/serial/firmware", "docs/examples/cpp")
+"""C and C++ besides the kernels'; tests compile them."""
 
 
 def main() -> int:
     """Return the number of complaints, after they are printed."""
     formatter = Path(sys.executable).with_name("clang-format")
-    files = [*headers(), str(FUNCTIONS.relative_to(ROOT))]
+    others = sorted(path for folder in FOLDERS for path in (ROOT / folder).glob("*.[ch]*"))
+    files = [*headers(), str(FUNCTIONS.relative_to(ROOT)), *map(str, others)]
     complaints = int(
         subprocess.run([formatter, "--dry-run", "-Werror", *files], cwd=ROOT).returncode != 0
     )

@@ -107,3 +107,9 @@ def assert_same(found: PointBatch, expected: PointBatch) -> None:
     condition = spectrum[:, 2] / np.maximum(spectrum[:, 0], 1e-14 * spectrum[:, 2])
     assert (apart <= (1e-7 + 1e-14 * condition) * spectrum[:, 2]).all()
     np.testing.assert_allclose(found.chi2[there], expected.chi2[there], rtol=1e-9, atol=1e-9)
+    reliability = found.external_reliability_mm[there], expected.external_reliability_mm[there]
+    both = np.isfinite(reliability).all(axis=0)
+    # Rounding may decide on which side of the least redundancy a reading is.
+    assert (np.isinf(reliability[0]) != np.isinf(reliability[1])).sum() <= 0.01 * len(both)
+    np.testing.assert_allclose(reliability[0][both], reliability[1][both], rtol=1e-6)
+    np.testing.assert_array_equal(np.isnan(found.external_reliability_mm), np.isnan(found.chi2))

@@ -3,14 +3,16 @@
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy import optimize, stats
 
 from compute.camera.stack import CameraStack
 from compute.measurement.measurement_model import MeasurementModel
 from compute.reconstruction.outlier_exclusion import exclude_outliers
 from compute.reconstruction.point_batch import PointBatch, PointFlag
-from compute.reconstruction.point_reliability import point_reliability
+from compute.reconstruction.point_reliability import detectable_errors
 from compute.reconstruction.solver import PointSolver
 from compute.reconstruction.triangulation import reconstruct
+from tests.compute.reconstruction.solver_scenes import parameter_spread
 from validation.reliability.ring import project, ring
 
 Array = NDArray[np.float64]
@@ -113,29 +115,51 @@ def test_errors_of_the_detectable_size_are_found_as_often_as_stated() -> None:
     cameras, place = CameraStack.of(models), np.array([[120.0, -80.0, 60.0]])
     exact, sigma = project(matrices, place), np.full(6, SIGMA_PX)
     point = reconstruct(cameras, exact, sigma)
-    stated = point_reliability(MeasurementModel(cameras), point, exact, sigma)
+    detectable = detectable_errors(MeasurementModel(cameras), point, exact, sigma)[0]
     rng = np.random.default_rng(8)
     shifts = []
     for sensor in range(6):
         noisy = exact + SIGMA_PX * rng.standard_normal((4000, 6))
-        noisy[:, sensor] += stated.detectable_px[0, sensor]
+        noisy[:, sensor] += detectable[sensor]
         flags = reconstruct(cameras, noisy, sigma).flags
         assert ((flags & int(PointFlag.INCONSISTENT)) != 0).mean() == pytest.approx(0.8, abs=0.03)
         moved = exact.copy()
-        moved[0, sensor] += stated.detectable_px[0, sensor]
+        moved[0, sensor] += detectable[sensor]
         shifts.append(np.linalg.norm(reconstruct(cameras, moved, sigma).position_mm - place))
-    assert max(shifts) == pytest.approx(stated.external_mm[0], rel=0.02)
+    assert max(shifts) == pytest.approx(point.external_reliability_mm[0], rel=0.02)
+
+
+def test_external_reliability_with_correlated_readings_is_the_shift_by_a_detectable_error() -> None:
+    """The chi-square that an error of one reading adds says how large it is at the detectable one.
+
+    The non-centrality is SciPy's, found by bisection.
+    """
+    cameras = CameraStack.of(ring(6)[1])
+    rng = np.random.default_rng(6)
+    covariance = parameter_spread(cameras, rng)
+    place, sigma = np.array([[90.0, -150.0, 60.0]]), rng.uniform(0.05, 0.3, 6)
+    exact = project(ring(6)[0], place)
+    start = reconstruct(cameras, exact, sigma, covariance)
+    limit = stats.chi2.isf(1e-4, 3)
+    noncentrality = optimize.brentq(lambda nc: stats.ncx2.sf(limit, 3, nc) - 0.8, 1.0, 100.0)
+    shifts = []
+    for sensor in range(6):
+        moved = exact.copy()
+        moved[0, sensor] += 0.01
+        found = reconstruct(cameras, moved, sigma, covariance)
+        shift = np.linalg.norm(found.position_mm - start.position_mm)
+        shifts.append(shift * np.sqrt(noncentrality / found.chi2[0]))
+    assert start.external_reliability_mm[0] == pytest.approx(max(shifts), rel=1e-3)
 
 
 def test_with_three_sensors_any_error_may_hide() -> None:
     matrices, models = ring(3)
     observed = project(matrices, np.zeros((1, 3)))
     point = reconstruct(models, observed, np.full(3, SIGMA_PX))
-    stated = point_reliability(MeasurementModel.of(models), point, observed, np.full(3, SIGMA_PX))
-    assert np.isinf(stated.detectable_px).all()
-    assert np.isinf(stated.external_mm).all()
+    model = MeasurementModel.of(models)
+    assert np.isinf(detectable_errors(model, point, observed, np.full(3, SIGMA_PX))).all()
+    assert np.isinf(point.external_reliability_mm).all()
     missing = np.full((1, 3), np.nan)
     none = reconstruct(models, missing, np.full(3, SIGMA_PX))
-    stated = point_reliability(MeasurementModel.of(models), none, missing, np.full(3, SIGMA_PX))
-    assert np.isnan(stated.detectable_px).all()
-    assert np.isnan(stated.external_mm).all()
+    assert np.isnan(detectable_errors(model, none, missing, np.full(3, SIGMA_PX))).all()
+    assert np.isnan(none.external_reliability_mm).all()

@@ -1,4 +1,4 @@
-"""Packing: the likeliest set and the chances beside all sets written down."""
+"""Packing: the most probable set and the probabilities beside all sets written down."""
 
 from itertools import combinations
 from math import exp

@@ -68,7 +68,14 @@ def test_threads_share_a_large_batch() -> None:
     made = scene(4, distorted=True, degree=3, calibrated=True, seed=5, count=5001)
     one = solver_of(made, 1).solve(made.readings_px, made.sigma_px)
     many = solver_of(made, 3).solve(made.readings_px, made.sigma_px)
-    for name in ("position_mm", "covariance_mm2", "chi2", "used", "flags"):
+    for name in (
+        "position_mm",
+        "covariance_mm2",
+        "chi2",
+        "external_reliability_mm",
+        "used",
+        "flags",
+    ):
         np.testing.assert_array_equal(getattr(one, name), getattr(many, name))
 
 

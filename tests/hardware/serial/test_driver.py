@@ -524,7 +524,8 @@ def test_what_the_device_says_of_its_temperature_is_kept(
 
 def test_a_pseudo_terminal_is_a_port(tmp_path: Path) -> None:
     link, ended, named = tmp_path / "port", threading.Event(), threading.Event()
-    settings = SimulationSettings(frame_rate_hz=200.0)
+    # Slowly: a terminal's buffer is small, and a busy machine would overflow it.
+    settings = SimulationSettings(frame_rate_hz=25.0)
     server = threading.Thread(
         target=serve_terminal,
         args=(

@@ -1,5 +1,6 @@
 """Backups of either database, restored into either: the same rows, or nothing."""
 
+import os
 import shutil
 import sqlite3
 import stat
@@ -19,6 +20,7 @@ from service.api.radiometric_calibrations.store import activate, add_radiometric
 from service.application.initial_content import seed
 from service.backup import restore as restoring
 from service.backup.backup import back_up
+from service.backup.checksum import CHECKSUM_BYTES, add_checksum
 from service.backup.consistency import find_inconsistencies
 from service.backup.restore import KeyChanges, restore
 from service.cli import app
@@ -267,6 +269,7 @@ DAMAGE = {
 @pytest.mark.parametrize("name", DAMAGE)
 def test_a_damaged_backup_is_refused(backup: Path, tmp_path: Path, name: str) -> None:
     statement, complaint = DAMAGE[name]
+    os.truncate(backup, backup.stat().st_size - CHECKSUM_BYTES)
     with closing(sqlite3.connect(backup)) as connection:
         for (trigger,) in connection.execute(
             "SELECT name FROM sqlite_master WHERE type = 'trigger'"
@@ -274,6 +277,7 @@ def test_a_damaged_backup_is_refused(backup: Path, tmp_path: Path, name: str) ->
             connection.execute(f"DROP TRIGGER {trigger}")
         connection.executescript(statement)
         connection.commit()
+    add_checksum(backup)
     target = Database(f"sqlite:///{tmp_path / 'target.sqlite3'}")
     try:
         with pytest.raises(BackupUnusable, match=complaint) as caught:

@@ -25,6 +25,9 @@ GUIDE = Path(__file__).parents[3] / "docs" / "how-to" / "beam-holds.md"
 MARKERS = [[0.0, 0.0, 0.0], [80.0, 0.0, 0.0], [0.0, 60.0, 0.0], [20.0, 15.0, 40.0]]
 SCENE = {"kind": "moving-tools", "moving": False, "tools": [{"markers_mm": MARKERS}]}
 WATCH = {"kind": "strobed-markers", "markers": [0, 1, 2, 3]}
+CHEST: dict[str, Any] = {
+    "id": "chest", "device": "sim", "title": "chest", "watch": WATCH, "limits": {"shift_mm": 3.0},
+}  # fmt: skip
 # A busy machine leaves out frames: only what a test is about is to hold.
 PATIENT_RULES = {"max_gap_s": 10.0, "settle_s": 0.1}
 
@@ -44,8 +47,8 @@ def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Client]:
 def hold(client: Client) -> Iterator[str]:
     """A hold of 3 mm, set up."""
     members: dict[str, Any] = {"rules": PATIENT_RULES}
-    client.create_beam_hold("chest", "sim", WATCH, {"shift_mm": 3.0}, **members)
-    client.set_beam_hold_reference("chest", 20, 60.0)
+    client.create_beam_hold(**CHEST, **members)
+    client.set_beam_hold_reference("chest", frames=20, timeout_s=60.0)
     yield "chest"
     client.delete_beam_hold("chest")
 
@@ -70,16 +73,16 @@ def wait_for(client: Client, held: bool) -> None:
 @pytest.mark.slow
 def test_from_the_set_up_to_the_stop(client: Client) -> None:
     members: dict[str, Any] = {"rules": PATIENT_RULES}
-    made = client.create_beam_hold("chest", "sim", WATCH, {"shift_mm": 3.0}, **members)
+    made = client.create_beam_hold(**CHEST, **members)
     assert made.reference is None
     with client.stream("sim", ["holds"], rate_hz=5) as stream:
         hello = next(iter(stream))
         assert isinstance(hello, Hello)
         assert hello.holds is not None
         assert [(one.hold, one.held) for one in hello.holds] == [("chest", True)]
-        referred = client.set_beam_hold_reference("chest", 20, 60.0)
+        referred = client.set_beam_hold_reference("chest", frames=20, timeout_s=60.0)
         assert referred.reference is not None
-        assert len(referred.reference["positions_mm"]) == 4
+        assert len(referred.reference.positions_mm) == 4
         went_on = until(stream, held=False)
         assert (went_on.hold, went_on.cause, went_on.reason) == ("chest", "none", None)
         frame = next(one for one in stream if isinstance(one, Frame))
@@ -131,13 +134,13 @@ def test_another_calibration_holds_until_it_is_back(client: Client, hold: str) -
     body = {"id": "again", "device": "sim", "points": _points()}
     client.request("POST", "/api/v1/calibrations", body=body)
     try:
-        client.activate("again")
+        client.activate_calibration("again")
         wait_for(client, held=True)
         state = client.beam_hold_state("chest")
         assert state.cause == "no-data"
         assert f'taken with calibration "{active}", and "again" is active' in str(state.reason)
     finally:
-        client.activate(str(active))
+        client.activate_calibration(str(active))
     wait_for(client, held=False)
 
 
@@ -165,7 +168,7 @@ def test_the_same_by_the_client_for_asyncio(client: Client, hold: str) -> None:
     async def run() -> None:
         async with AsyncClient(client._server.url) as other:
             assert (await other.beam_hold("chest")).id == "chest"
-            assert [one.id for one in await other.beam_holds("sim")] == ["chest"]
+            assert [one.id for one in await other.beam_holds(device="sim")] == ["chest"]
             assert (await other.acknowledge_beam_hold("chest")).hold == "chest"
             async with other.stream("sim", ["holds"], rate_hz=5) as stream:
                 async for frame in stream.frames():

@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from service.problems.handlers import location_in_body
+from service.problems.field_errors import location_in_body
 
 SENSORS = [{"name": "a", "pixels": 1, "pitch_um": 7.0}, {"pixels": 8}]
 

@@ -10,7 +10,7 @@ from sqlalchemy.exc import OperationalError
 
 from service.application.app import create_app
 from service.problems.catalogue import PROBLEM_TYPES
-from service.problems.handlers import display_value, json_safe
+from service.problems.field_errors import display_value, json_safe
 from service.settings import Settings
 from tests.service.fake_pipeline import FakePipeline, TestClient
 

@@ -59,7 +59,7 @@ def test_tables_say_what_was_found(found):
     assert table.column("map") == ("no", "yes", "no", "yes")
     assert table.column("points")[-1] == len(found.test.points_mm) == 300
     rows = _by_sensors(found).rows
-    assert {row[1] for row in rows} >= {"four sensors", "three sensors", "vouched for"}
+    assert {row[1] for row in rows} >= {"four sensors", "three sensors", "supported"}
 
 
 def test_the_optotrak_reaches_what_was_published():

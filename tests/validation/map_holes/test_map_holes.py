@@ -43,7 +43,7 @@ def test_holes_hold_part_of_the_box(shape):
 
 
 @pytest.mark.slow
-def test_a_feature_in_a_sphere_without_measurements_is_not_vouched_for():
+def test_a_feature_in_a_sphere_without_measurements_is_not_supported():
     found = run_trial("jittered", "sphere", np.random.default_rng([1, 5]))
     assert found.resolved
     assert not np.isfinite(found.error_sigma[found.in_hole]).any()

@@ -17,6 +17,8 @@
 namespace lumiline::signal {
 
 // Fits the group that starts with candidate `begin` into `out`; returns the number of peaks.
+// Kernels for scans with and without a calibration are apart: one of both is slower.
+template <bool corrected>
 LUMILINE_FN int fit_group(FitScan& scan, int begin, FittedPeak* out) {
     const int end = end_of_group(scan, begin);
     int first = 0, last = 0;
@@ -25,7 +27,8 @@ LUMILINE_FN int fit_group(FitScan& scan, int begin, FittedPeak* out) {
     scan.slope = 0.0;
     if (scan.plan.surrounded) take_surroundings(scan, begin, end, first, last);
     int written = 0;
-    if (end - begin == 1) written = fit_single(scan, scan.candidates[begin], first, last, out);
+    if (end - begin == 1)
+        written = fit_single<corrected>(scan, scan.candidates[begin], first, last, out);
     if (written == 0) written = fit_jointly(scan, begin, end, first, last, out);
     if (written == 0) {
         for (int k = begin; k < end; ++k) {
@@ -84,6 +87,7 @@ LUMILINE_FN void finish_scan(FitScan& scan, int from, int step) {
 
 #if !defined(__CUDA_ARCH__)
 // Fits the peaks of scan `number`.
+template <bool corrected>
 LUMILINE_FN void fit_candidates(FitScan& scan, int number) {
     if (number >= scan.search.scans) return;
     scan.take_scan(number);
@@ -91,7 +95,7 @@ LUMILINE_FN void fit_candidates(FitScan& scan, int number) {
     const int groups = mark_groups(scan);
     for (int group = 0; group < groups; ++group) {
         FittedPeak fitted[joint_peaks];
-        const int size = fit_group(scan, begin_of_group(scan, group), fitted);
+        const int size = fit_group<corrected>(scan, begin_of_group(scan, group), fitted);
         for (int k = 0; k < size; ++k) place_peak(scan, fitted[k]);
     }
     finish_scan(scan, 0, 1);
@@ -99,6 +103,7 @@ LUMILINE_FN void fit_candidates(FitScan& scan, int number) {
 #else
 // Warp `number` fits the peaks of its scans: each lane marks the groups of one; then each takes one
 // group, in their order.
+template <bool corrected>
 LUMILINE_FN void fit_candidates(FitScan& scan, int number) {
     const int scans = scan.search.scans, scans_per_warp = scan.search.scans_per_warp;
     const int lane = threadIdx.x % 32;
@@ -137,7 +142,7 @@ LUMILINE_FN void fit_candidates(FitScan& scan, int number) {
         int size = 0;
         if (active) {
             scan.take_scan(first_scan + slot);
-            size = fit_group(scan, begin_of_group(scan, group - earlier), fitted);
+            size = fit_group<corrected>(scan, begin_of_group(scan, group - earlier), fitted);
         }
         __syncwarp();
         // Lanes of the same scan; idle ones are of none.
@@ -170,13 +175,14 @@ LUMILINE_FN void fit_candidates(FitScan& scan, int number) {
 
 // Finds the candidates of scan `number` (on CUDA, of the scans of warp `number`) and fits them;
 // `candidates_offset` is where in a scan's record they begin.
+template <bool corrected>
 LUMILINE_FN void fit_peaks(const Search& search, unsigned long long plan_address,
                            int candidates_offset, int number) {
     Search candidates = search;
     candidates.records_address += candidates_offset;
-    find_peaks<candidate_scans_per_batch, Length::any>(candidates, number);
+    find_peaks<candidate_scans_per_batch, Length::any, corrected>(candidates, number);
     FitScan scan(search, plan_address);
-    fit_candidates(scan, number);
+    fit_candidates<corrected>(scan, number);
 }
 
 }  // namespace lumiline::signal

@@ -69,6 +69,9 @@ struct FitScan : Scan {
     // Of the background about the group that is fitted: level to start with, slope per pixel.
     double level = 0.0, slope = 0.0;
     int candidate_count = 0;
+    // Without a calibration there are none.
+    const SensorCorrection* sensor_correction = nullptr;
+    const PixelCorrection* corrections = nullptr;
     const Piece* pieces = nullptr;
     const PieceF* pieces_f = nullptr;
     int* count = nullptr;
@@ -87,10 +90,14 @@ struct FitScan : Scan {
           max_peaks(from.max_peaks) {}
 
     LUMILINE_FN void take_scan(int number) {
-        const int sensor = number % search.sensors;
-        static_cast<Scan&>(*this) = search.scan_of(number, sensor);
-        pieces = all_pieces + (sensor % plan.sensors) * sensor_pieces;
-        pieces_f = all_pieces_f + (sensor % plan.sensors) * sensor_pieces;
+        const int own = number % search.sensors;
+        static_cast<Scan&>(*this) = search.scan_of(number, own);
+        if (search.corrections != nullptr) {
+            sensor_correction = search.corrections + own;
+            corrections = search.pixel_corrections(own);
+        }
+        pieces = all_pieces + (own % plan.sensors) * sensor_pieces;
+        pieces_f = all_pieces_f + (own % plan.sensors) * sensor_pieces;
         count = (int*)search.record_of(number);
         records = (FittedPeak*)(count + 2);
         const int* header = (const int*)(records + max_peaks);
@@ -100,7 +107,7 @@ struct FitScan : Scan {
     }
 
     LUMILINE_FN bool is_masked(int i) const {
-        return sensor != nullptr && correction[i].scale == 0.0f;
+        return corrections != nullptr && corrections[i].scale == 0.0f;
     }
 
     // Whether a pixel counts: neither full nor masked.
@@ -108,15 +115,16 @@ struct FitScan : Scan {
 
     // The pixel's count, corrected where the sensor is calibrated.
     LUMILINE_FN double count_at(int i) const {
-        return sensor == nullptr ? (double)v[i]
-                                 : (double)corrected_count(*sensor, correction[i], v[i]);
+        return corrections == nullptr
+                   ? (double)v[i]
+                   : (double)corrected_count(*sensor_correction, corrections[i], v[i]);
     }
 
     // The variance of a pixel that is `above` counts above the offset.
     LUMILINE_FN double variance_at(int i, double above) const {
         const double light = above > 0.0 ? photon * above : 0.0;
-        if (sensor == nullptr) return dark + light;
-        const double scale = correction[i].scale;
+        if (corrections == nullptr) return dark + light;
+        const double scale = corrections[i].scale;
         return scale * (scale * dark + light);
     }
 

@@ -4,6 +4,7 @@
 #include "compute/native/platform.h"
 #include "compute/signal/fit/native/definitions.gen.h"
 #include "compute/signal/fit/native/fit_scan.h"
+#include "compute/signal/native/centroid.h"
 
 namespace lumiline::signal {
 
@@ -121,35 +122,57 @@ LUMILINE_FN void grown_window_of(const FitScan& scan, int begin, int end, int fi
     }
 }
 
-// Pixels beside a window: their number, sums of counts and of places, by halves.
+// Pixels beside a window: their number, sums of counts and of places.
+struct Half {
+    int used = 0, places = 0;
+    double counts = 0.0;
+
+    LUMILINE_FN void take(const FitScan& scan, int from, int to, int origin) {
+        if (scan.corrections != nullptr) {
+            for (int i = from; i < to; ++i) {
+                if (!scan.is_used(i)) continue;
+                ++used;
+                places += i - origin;
+                counts += scan.count_at(i);
+            }
+            return;
+        }
+        int sum = 0;
+        for (int i = from; i < to; ++i) {
+            const int count = scan.v[i], counts_too = count < scan.full_scale;
+            used += counts_too;
+            places += counts_too ? i - origin : 0;
+            sum += counts_too ? count : 0;
+        }
+        counts = (double)sum;
+    }
+};
+
+// The inner and the outer half of one side. No division: on CUDA that is a subroutine.
 struct Side {
-    int used[2] = {};
-    double counts[2] = {}, places[2] = {};
+    Half halves[2];
 
-    LUMILINE_FN int all() const { return used[0] + used[1]; }
+    LUMILINE_FN int used() const { return halves[0].used + halves[1].used; }
 
-    LUMILINE_FN double count() const { return (counts[0] + counts[1]) / all(); }
+    LUMILINE_FN double counts() const { return halves[0].counts + halves[1].counts; }
 
-    LUMILINE_FN double place() const { return (places[0] + places[1]) / all(); }
+    LUMILINE_FN double places() const { return (double)(halves[0].places + halves[1].places); }
 
     LUMILINE_FN void take(const FitScan& scan, int from, int to, int origin) {
         const int middle = (from + to) / 2;
-        for (int i = from; i < to; ++i) {
-            if (!scan.is_used(i)) continue;
-            const int half = i >= middle;
-            used[half] += 1;
-            counts[half] += scan.count_at(i);
-            places[half] += i - origin;
-        }
+        halves[0].take(scan, from, middle, origin);
+        halves[1].take(scan, middle, to, origin);
     }
 
     // Whether both halves' means lie on a line of this slope, within their noise.
     LUMILINE_FN bool is_straight(double slope, double variance) const {
-        if (used[0] == 0 || used[1] == 0) return false;
-        const double rise = counts[1] / used[1] - counts[0] / used[0];
-        const double run = places[1] / used[1] - places[0] / used[0];
+        const double before = halves[0].used, behind = halves[1].used;
+        if (before == 0.0 || behind == 0.0) return false;
+        // All times both numbers of pixels.
+        const double rise = halves[1].counts * before - halves[0].counts * behind;
+        const double run = halves[1].places * before - halves[0].places * behind;
         const double off = rise - slope * run;
-        return off * off <= surrounding_limit2 * variance * (1.0 / used[0] + 1.0 / used[1]);
+        return off * off <= surrounding_limit2 * variance * (before + behind) * (before * behind);
     }
 };
 
@@ -175,9 +198,12 @@ LUMILINE_FN void take_surroundings(FitScan& scan, int begin, int end, int first,
     Side left, right;
     left.take(scan, from, first, first);
     right.take(scan, last + 1, to, first);
-    if (left.all() < min_surrounding_pixels || right.all() < min_surrounding_pixels) return;
-    const double slope = (right.count() - left.count()) / (right.place() - left.place());
-    const double level = 0.5 * (right.count() + left.count());
+    const double used_left = left.used(), used_right = right.used();
+    if (used_left < min_surrounding_pixels || used_right < min_surrounding_pixels) return;
+    const double of_left = left.counts() * used_right, of_right = right.counts() * used_left;
+    const double run = right.places() * used_left - left.places() * used_right;
+    const double slope = (of_right - of_left) * fast_inverse(run);
+    const double level = 0.5 * (of_right + of_left) * fast_inverse(used_left * used_right);
     const double above = level > scan.offset ? level - scan.offset : 0.0;
     const double variance = scan.dark + scan.photon * above;
     if (!left.is_straight(slope, variance) || !right.is_straight(slope, variance)) return;

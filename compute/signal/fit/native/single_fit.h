@@ -30,15 +30,20 @@ LUMILINE_FN int fit_single_by(const FitScan& scan, const PeakRecord& c, int firs
     const double by_light = scan.photon * (double)c.amplitude;
     if ((double)c.amplitude * (double)c.amplitude > 1e6 * (scan.dark + by_light)) return 0;
     // Without its brightest pixels a fit hangs on little.
-    // Corrected counts and scales of the window: worked out once.
+#if !defined(__CUDA_ARCH__)
+    // Corrected counts and scales of the window, worked out once. CUDA's lanes work them out again:
+    // their arrays would lie in memory.
     float counts[corrected ? max_window : 1], scales[corrected ? max_window : 1];
+#endif
     int used = last - first + 1, masked = 0;
     for (int i = first; i <= last; ++i) {
         bool is_masked = false;
         if (corrected) {
-            const PixelCorrection pixel = scan.correction[i];
-            counts[i - first] = corrected_count(*scan.sensor, pixel, scan.v[i]);
+            const PixelCorrection pixel = load_correction(scan.corrections, i);
+#if !defined(__CUDA_ARCH__)
+            counts[i - first] = corrected_count(*scan.sensor_correction, pixel, scan.v[i]);
             scales[i - first] = pixel.scale;
+#endif
             is_masked = pixel.scale == 0.0f;
         }
         masked += is_masked;
@@ -127,14 +132,22 @@ LUMILINE_FN int fit_single_by(const FitScan& scan, const PeakRecord& c, int firs
             const float above = mean + above_offset;
             float count = (float)(scan.v[i] - base);
             float variance = dark_f + photon_f * (above > 0.0f ? above : 0.0f);
+            float scale = 1.0f;
             if (corrected) {
-                const float scale = scales[i - first];
-                count = counts[i - first] - (float)base;
+#if defined(__CUDA_ARCH__)
+                const PixelCorrection pixel = load_correction(scan.corrections, i);
+                const float own = corrected_count(*scan.sensor_correction, pixel, scan.v[i]);
+                scale = pixel.scale;
+#else
+                const float own = counts[i - first];
+                scale = scales[i - first];
+#endif
+                count = own - (float)base;
                 variance = scale * (scale * dark_f + photon_f * (above > 0.0f ? above : 0.0f));
             }
             variance += shape_error2 * lit * lit;
             // A masked pixel's scale is nothing, and so is its weight.
-            const float weight = corrected && scales[i - first] == 0.0f ? 0.0f : 1.0f / variance;
+            const float weight = corrected && scale == 0.0f ? 0.0f : 1.0f / variance;
             const float residual = count - mean;
             const float weighted = residual * weight;
             chi2 += residual * weighted;
@@ -276,19 +289,13 @@ LUMILINE_FN int fit_single_by(const FitScan& scan, const PeakRecord& c, int firs
 }
 
 template <bool corrected>
-LUMILINE_FN int fit_single_of(const FitScan& scan, const PeakRecord& c, int first, int last,
-                              FittedPeak* out) {
+LUMILINE_FN int fit_single(const FitScan& scan, const PeakRecord& c, int first, int last,
+                           FittedPeak* out) {
     if (scan.plan.width_is_fitted)
         return scan.plan.sloped ? fit_single_by<5, true, corrected>(scan, c, first, last, out)
                                 : fit_single_by<4, true, corrected>(scan, c, first, last, out);
     return scan.plan.sloped ? fit_single_by<5, false, corrected>(scan, c, first, last, out)
                             : fit_single_by<4, false, corrected>(scan, c, first, last, out);
-}
-
-LUMILINE_FN int fit_single(const FitScan& scan, const PeakRecord& c, int first, int last,
-                           FittedPeak* out) {
-    return scan.sensor == nullptr ? fit_single_of<false>(scan, c, first, last, out)
-                                  : fit_single_of<true>(scan, c, first, last, out);
 }
 
 }  // namespace lumiline::signal

@@ -6,7 +6,7 @@ import pytest
 from compute.calibration.single_sensor.distortion_scale import STRENGTHS, fit_distortion_scale
 from compute.calibration.single_sensor.sensor_fits import ControlObservations, fit_undistorted
 from compute.camera.model import SensorGeometry
-from tests.compute.rig import control_points, project, rig
+from tests.compute.rig import control_points, geometry, project, rig
 
 
 def test_copies_of_a_lens_count_as_the_root_of_their_number() -> None:
@@ -30,3 +30,19 @@ def test_copies_of_a_lens_count_as_the_root_of_their_number() -> None:
     # The readings say little, so that the posterior narrows slowly with the number of copies.
     flat = float(np.sqrt((STRENGTHS**2).mean()))
     assert flat > one > four > sixteen > 0.3 * one
+
+
+def test_noise_of_few_readings_is_not_taken_for_distortion() -> None:
+    """Each scale has noise of its own: with one noise for all, small noise and large scale win."""
+    sensors = geometry(rig())
+    for seed in (0, 1, 2, 10):
+        points = control_points(11, seed)
+        exact = project(rig(), points)
+        readings = exact + 0.8 * np.random.default_rng(seed).standard_normal(exact.shape)
+        observed = ControlObservations.of(points, readings, sensors, None)
+        plain = fit_undistorted(observed, "linear")
+        fits, found = fit_distortion_scale(observed, plain, "linear")
+        assert fits.unit_px is not None
+        assert 0.5 < np.sqrt((fits.unit_px**2).mean()) < 1.2
+        assert found.log_evidence_ratio is not None
+        assert found.log_evidence_ratio < 2.0

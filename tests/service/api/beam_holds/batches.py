@@ -58,7 +58,7 @@ def batch(
         "sim", NAMES, calibration, table, tuple(frames), PeakBatch.empty(4 * len(frames), 1),
         PointBatch(
             points, np.broadcast_to(SIGMA_MM**2 * np.eye(3), (size, 3, 3)).copy(), np.ones(size),
-            np.ones((size, 4), np.bool_), np.zeros(size, np.int32),
+            np.full(size, np.inf), np.ones((size, 4), np.bool_), np.zeros(size, np.int32),
         ),
         np.repeat(np.arange(len(frames)), [len(one) for one in places]),
         motion,

@@ -41,6 +41,7 @@ def strobed_batch(
         position,
         np.broadcast_to(SIGMA_MM**2 * np.eye(3), (size, 3, 3)).copy(),
         np.full(size, chi2),
+        np.full(size, np.inf),
         np.ones((size, 4), dtype=np.bool_),
         np.zeros(size, np.int32),
     )

@@ -110,6 +110,7 @@ def tool_batch(
         places,
         np.broadcast_to(SIGMA_MM**2 * np.eye(3), (size, 3, 3)).copy(),
         np.ones(size),
+        np.full(size, np.inf),
         np.ones((size, 4), dtype=np.bool_),
         np.zeros(size, np.int32),
     )

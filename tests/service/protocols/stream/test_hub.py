@@ -43,6 +43,7 @@ def frames_of(sequences: range, device: str = "d", peaks_a_line: int = 0) -> Fra
         position,
         np.broadcast_to(np.eye(3), (count, 3, 3)),
         np.zeros(count),
+        np.full(count, np.inf),
         np.ones((count, 2), dtype=np.bool_),
         np.zeros(count, np.int32),
     )

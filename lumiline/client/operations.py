@@ -1,0 +1,1014 @@
+"""A method for each operation of the server's interface."""
+
+# Made from the OpenAPI document by docs/generators/client_code.py; edit nothing here.
+# ruff: noqa: A002  (parameters have the interface's names)
+from datetime import datetime
+from pathlib import Path
+from typing import Literal, Unpack
+
+from lumiline.client import bodies, models
+from lumiline.client.exchange import ClientMethod, Exchanges, path_of
+
+
+class Operations(Exchanges):
+    """A method for each operation of the server's interface; raises what ``request`` does.
+
+    ``limit``: at most this many items of a list, None: all. ``members``: those of the body, as in
+    the server's documentation.
+    """
+
+    @ClientMethod
+    async def devices(self, *, limit: int | None = None) -> list[models.Device]:
+        """List devices."""
+        return await self._get_all(models.Device, "/api/v1/devices", limit=limit)
+
+    @ClientMethod
+    async def create_device(self, **members: Unpack[bodies.NewDevice]) -> models.Device:
+        """Create a device."""
+        return await self._send(models.Device, "POST", "/api/v1/devices", body=members)
+
+    @ClientMethod
+    async def device(self, device_id: str) -> models.Device:
+        """Read a device."""
+        return await self._send(models.Device, "GET", path_of("/api/v1/devices/{}", device_id))
+
+    @ClientMethod
+    async def change_device(
+        self, device_id: str, /, **members: Unpack[bodies.DeviceChange]
+    ) -> models.Device:
+        """Change a device."""
+        return await self._send(
+            models.Device, "PATCH", path_of("/api/v1/devices/{}", device_id), body=members
+        )
+
+    @ClientMethod
+    async def delete_device(self, device_id: str, *, cascade: bool | None = None) -> None:
+        """Delete a device."""
+        await self._request(
+            "DELETE", path_of("/api/v1/devices/{}", device_id), params={"cascade": cascade}
+        )
+
+    @ClientMethod
+    async def start_device(self, device_id: str) -> models.Status:
+        """Start a device."""
+        return await self._send(
+            models.Status, "POST", path_of("/api/v1/devices/{}/start", device_id)
+        )
+
+    @ClientMethod
+    async def stop_device(self, device_id: str) -> models.Status:
+        """Stop a device."""
+        return await self._send(
+            models.Status, "POST", path_of("/api/v1/devices/{}/stop", device_id)
+        )
+
+    @ClientMethod
+    async def device_status(self, device_id: str) -> models.Status:
+        """What a device is doing."""
+        return await self._send(
+            models.Status, "GET", path_of("/api/v1/devices/{}/status", device_id)
+        )
+
+    @ClientMethod
+    async def roll_back_device(
+        self, device_id: str, *, expected: str | None = None
+    ) -> models.Device:
+        """Go back to what was active before."""
+        return await self._send(
+            models.Device,
+            "POST",
+            path_of("/api/v1/devices/{}/roll-back", device_id),
+            params={"expected": expected},
+        )
+
+    @ClientMethod
+    async def activations(
+        self, device_id: str, *, limit: int | None = None
+    ) -> list[models.Activation]:
+        """History of active calibrations."""
+        return await self._get_all(
+            models.Activation, path_of("/api/v1/devices/{}/activations", device_id), limit=limit
+        )
+
+    @ClientMethod
+    async def calibrations(
+        self,
+        *,
+        device: str | None = None,
+        state: Literal["active", "available", "retired"] | None = None,
+        limit: int | None = None,
+    ) -> list[models.CalibrationSummary]:
+        """List calibrations."""
+        return await self._get_all(
+            models.CalibrationSummary,
+            "/api/v1/calibrations",
+            params={"device": device, "state": state},
+            limit=limit,
+        )
+
+    @ClientMethod
+    async def create_calibration(
+        self, **members: Unpack[bodies.NewCalibration]
+    ) -> models.CalibrationDocument:
+        """Calibrate a device."""
+        return await self._send(
+            models.CalibrationDocument, "POST", "/api/v1/calibrations", body=members
+        )
+
+    @ClientMethod
+    async def calibration(self, calibration_id: str) -> models.CalibrationDocument:
+        """Read a calibration."""
+        return await self._send(
+            models.CalibrationDocument, "GET", path_of("/api/v1/calibrations/{}", calibration_id)
+        )
+
+    @ClientMethod
+    async def compare_calibrations(
+        self, calibration_id: str, other_id: str
+    ) -> models.ComparisonDocument:
+        """Compare two calibrations."""
+        return await self._send(
+            models.ComparisonDocument,
+            "GET",
+            path_of("/api/v1/calibrations/{}/compare/{}", calibration_id, other_id),
+        )
+
+    @ClientMethod
+    async def activate_calibration(
+        self, calibration_id: str, *, expected: str | None = None
+    ) -> models.CalibrationSummary:
+        """Activate a calibration."""
+        return await self._send(
+            models.CalibrationSummary,
+            "POST",
+            path_of("/api/v1/calibrations/{}/activate", calibration_id),
+            params={"expected": expected},
+        )
+
+    @ClientMethod
+    async def retire_calibration(self, calibration_id: str) -> models.CalibrationSummary:
+        """Retire a calibration."""
+        return await self._send(
+            models.CalibrationSummary,
+            "POST",
+            path_of("/api/v1/calibrations/{}/retire", calibration_id),
+        )
+
+    @ClientMethod
+    async def calibration_report(
+        self, calibration_id: str, file: Path | str, *, previous: str | None = None
+    ) -> Path:
+        """The report of a calibration."""
+        return await self._download(
+            "GET",
+            file,
+            path_of("/api/v1/calibrations/{}/report.html", calibration_id),
+            params={"previous": previous},
+        )
+
+    @ClientMethod
+    async def calibration_figure(
+        self, calibration_id: str, figure: str, file: Path | str, *, previous: str | None = None
+    ) -> Path:
+        """One figure of a calibration's report."""
+        return await self._download(
+            "GET",
+            file,
+            path_of("/api/v1/calibrations/{}/report/{}.png", calibration_id, figure),
+            params={"previous": previous},
+        )
+
+    @ClientMethod
+    async def create_calibration_run(
+        self, **members: Unpack[bodies.NewCalibrationRun]
+    ) -> models.Run:
+        """Calibrate a device beside the requests."""
+        return await self._send(models.Run, "POST", "/api/v1/calibration-runs", body=members)
+
+    @ClientMethod
+    async def create_mapping_run(self, **members: Unpack[bodies.NewMappingRun]) -> models.Run:
+        """Map the volume beside the requests."""
+        return await self._send(models.Run, "POST", "/api/v1/mapping-runs", body=members)
+
+    @ClientMethod
+    async def create_self_calibration_run(
+        self, **members: Unpack[bodies.NewSelfCalibrationRun]
+    ) -> models.Run:
+        """Calibrate a device without known coordinates."""
+        return await self._send(models.Run, "POST", "/api/v1/self-calibration-runs", body=members)
+
+    @ClientMethod
+    async def create_update_run(self, **members: Unpack[bodies.NewUpdateRun]) -> models.Run:
+        """Bring a calibration up to date by still markers."""
+        return await self._send(models.Run, "POST", "/api/v1/update-runs", body=members)
+
+    @ClientMethod
+    async def create_export_run(self, **members: Unpack[bodies.NewExportRun]) -> models.Run:
+        """Export a recording beside the requests."""
+        return await self._send(models.Run, "POST", "/api/v1/export-runs", body=members)
+
+    @ClientMethod
+    async def runs(
+        self,
+        *,
+        device: str | None = None,
+        kind: Literal["calibration", "self-calibration", "update", "mapping", "export"]
+        | None = None,
+        state: Literal["queued", "running", "succeeded", "failed", "cancelled", "interrupted"]
+        | None = None,
+        limit: int | None = None,
+    ) -> list[models.Run]:
+        """List runs."""
+        return await self._get_all(
+            models.Run,
+            "/api/v1/runs",
+            params={"device": device, "kind": kind, "state": state},
+            limit=limit,
+        )
+
+    @ClientMethod
+    async def run(self, run_id: str) -> models.Run:
+        """How far a run is."""
+        return await self._send(models.Run, "GET", path_of("/api/v1/runs/{}", run_id))
+
+    @ClientMethod
+    async def delete_run(self, run_id: str) -> None:
+        """Delete a run."""
+        await self._request("DELETE", path_of("/api/v1/runs/{}", run_id))
+
+    @ClientMethod
+    async def cancel_run(self, run_id: str) -> models.Run:
+        """Cancel a run."""
+        return await self._send(models.Run, "POST", path_of("/api/v1/runs/{}/cancel", run_id))
+
+    @ClientMethod
+    async def captures(
+        self, *, device: str | None = None, limit: int | None = None
+    ) -> list[models.Capture]:
+        """List capture sessions."""
+        return await self._get_all(
+            models.Capture, "/api/v1/captures", params={"device": device}, limit=limit
+        )
+
+    @ClientMethod
+    async def create_capture(self, **members: Unpack[bodies.NewCapture]) -> models.Capture:
+        """Begin a capture session."""
+        return await self._send(models.Capture, "POST", "/api/v1/captures", body=members)
+
+    @ClientMethod
+    async def capture(self, capture_id: str) -> models.Capture:
+        """What is captured and what is left."""
+        return await self._send(models.Capture, "GET", path_of("/api/v1/captures/{}", capture_id))
+
+    @ClientMethod
+    async def delete_capture(self, capture_id: str) -> None:
+        """Delete a capture session."""
+        await self._request("DELETE", path_of("/api/v1/captures/{}", capture_id))
+
+    @ClientMethod
+    async def capture_target(self, capture_id: str, *, target: str | None = None) -> models.Capture:
+        """Capture the next target."""
+        return await self._send(
+            models.Capture,
+            "POST",
+            path_of("/api/v1/captures/{}/capture", capture_id),
+            params={"target": target},
+            extra_timeout_s=60.0,
+        )
+
+    @ClientMethod
+    async def radiometric_captures(
+        self, *, device: str | None = None, limit: int | None = None
+    ) -> list[models.RadiometricCapture]:
+        """List sessions of dark and flat captures."""
+        return await self._get_all(
+            models.RadiometricCapture,
+            "/api/v1/radiometric-captures",
+            params={"device": device},
+            limit=limit,
+        )
+
+    @ClientMethod
+    async def create_radiometric_capture(
+        self, **members: Unpack[bodies.NewRadiometricCapture]
+    ) -> models.RadiometricCapture:
+        """Begin dark and flat captures."""
+        return await self._send(
+            models.RadiometricCapture, "POST", "/api/v1/radiometric-captures", body=members
+        )
+
+    @ClientMethod
+    async def radiometric_capture(self, capture_id: str) -> models.RadiometricCapture:
+        """What is captured and what is next."""
+        return await self._send(
+            models.RadiometricCapture, "GET", path_of("/api/v1/radiometric-captures/{}", capture_id)
+        )
+
+    @ClientMethod
+    async def delete_radiometric_capture(self, capture_id: str) -> None:
+        """Delete a session of captures."""
+        await self._request("DELETE", path_of("/api/v1/radiometric-captures/{}", capture_id))
+
+    @ClientMethod
+    async def capture_radiometric_frames(
+        self,
+        capture_id: str,
+        *,
+        kind: Literal["dark", "flat"] | None = None,
+        name: str | None = None,
+        temperature_c: float | None = None,
+        relative_light: float | None = None,
+    ) -> models.RadiometricCapture:
+        """Capture dark or flat frames."""
+        return await self._send(
+            models.RadiometricCapture,
+            "POST",
+            path_of("/api/v1/radiometric-captures/{}/capture", capture_id),
+            params={
+                "kind": kind,
+                "name": name,
+                "temperature_c": temperature_c,
+                "relative_light": relative_light,
+            },
+            extra_timeout_s=120.0,
+        )
+
+    @ClientMethod
+    async def radiometric_calibrations(
+        self, *, device: str | None = None, limit: int | None = None
+    ) -> list[models.RadiometricCalibrationSummary]:
+        """List radiometric calibrations."""
+        return await self._get_all(
+            models.RadiometricCalibrationSummary,
+            "/api/v1/radiometric-calibrations",
+            params={"device": device},
+            limit=limit,
+        )
+
+    @ClientMethod
+    async def create_radiometric_calibration(
+        self, **members: Unpack[bodies.NewRadiometricCalibration]
+    ) -> models.RadiometricCalibrationSummary:
+        """Calibrate the pixels of a device's sensors."""
+        return await self._send(
+            models.RadiometricCalibrationSummary,
+            "POST",
+            "/api/v1/radiometric-calibrations",
+            body=members,
+        )
+
+    @ClientMethod
+    async def radiometric_calibration(
+        self, radiometric_id: str
+    ) -> models.RadiometricCalibrationDocument:
+        """Read a radiometric calibration."""
+        return await self._send(
+            models.RadiometricCalibrationDocument,
+            "GET",
+            path_of("/api/v1/radiometric-calibrations/{}", radiometric_id),
+        )
+
+    @ClientMethod
+    async def activate_radiometric_calibration(
+        self, radiometric_id: str, *, expected: str | None = None
+    ) -> models.RadiometricCalibrationSummary:
+        """Activate a radiometric calibration."""
+        return await self._send(
+            models.RadiometricCalibrationSummary,
+            "POST",
+            path_of("/api/v1/radiometric-calibrations/{}/activate", radiometric_id),
+            params={"expected": expected},
+        )
+
+    @ClientMethod
+    async def deactivate_radiometric_calibration(
+        self, radiometric_id: str
+    ) -> models.RadiometricCalibrationSummary:
+        """Stop using a radiometric calibration."""
+        return await self._send(
+            models.RadiometricCalibrationSummary,
+            "POST",
+            path_of("/api/v1/radiometric-calibrations/{}/deactivate", radiometric_id),
+        )
+
+    @ClientMethod
+    async def radiometric_activations(
+        self, device_id: str, *, limit: int | None = None
+    ) -> list[models.RadiometricActivation]:
+        """History of active radiometric calibrations."""
+        return await self._get_all(
+            models.RadiometricActivation,
+            path_of("/api/v1/devices/{}/radiometric-activations", device_id),
+            limit=limit,
+        )
+
+    @ClientMethod
+    async def create_drift_check(
+        self, calibration_id: str, /, **members: Unpack[bodies.NewDriftCheck]
+    ) -> models.DriftCheckDocument:
+        """Is a calibration still good?."""
+        return await self._send(
+            models.DriftCheckDocument,
+            "POST",
+            path_of("/api/v1/calibrations/{}/drift-checks", calibration_id),
+            body=members,
+        )
+
+    @ClientMethod
+    async def drift_checks(
+        self,
+        *,
+        device: str | None = None,
+        calibration: str | None = None,
+        good: bool | None = None,
+        limit: int | None = None,
+    ) -> list[models.DriftCheckSummary]:
+        """List drift checks."""
+        return await self._get_all(
+            models.DriftCheckSummary,
+            "/api/v1/drift-checks",
+            params={"device": device, "calibration": calibration, "good": good},
+            limit=limit,
+        )
+
+    @ClientMethod
+    async def drift_check(self, check_id: str) -> models.DriftCheckDocument:
+        """Read a drift check."""
+        return await self._send(
+            models.DriftCheckDocument, "GET", path_of("/api/v1/drift-checks/{}", check_id)
+        )
+
+    @ClientMethod
+    async def correction_tables(
+        self, *, device: str | None = None, calibration: str | None = None, limit: int | None = None
+    ) -> list[models.CorrectionTableDocument]:
+        """List correction tables."""
+        return await self._get_all(
+            models.CorrectionTableDocument,
+            "/api/v1/correction-tables",
+            params={"device": device, "calibration": calibration},
+            limit=limit,
+        )
+
+    @ClientMethod
+    async def upload_correction_table(
+        self, file: Path | str, *, id: str | None = None, note: str | None = None
+    ) -> models.CorrectionTableDocument:
+        """Upload a correction table."""
+        return await self._send(
+            models.CorrectionTableDocument,
+            "POST",
+            "/api/v1/correction-tables",
+            upload=file,
+            params={"id": id, "note": note},
+        )
+
+    @ClientMethod
+    async def correction_table(self, table_id: str) -> models.CorrectionTableDocument:
+        """Read a correction table."""
+        return await self._send(
+            models.CorrectionTableDocument, "GET", path_of("/api/v1/correction-tables/{}", table_id)
+        )
+
+    @ClientMethod
+    async def delete_correction_table(self, table_id: str) -> None:
+        """Delete a correction table."""
+        await self._request("DELETE", path_of("/api/v1/correction-tables/{}", table_id))
+
+    @ClientMethod
+    async def download_correction_table(self, table_id: str, file: Path | str) -> Path:
+        """Download a correction table."""
+        return await self._download(
+            "GET", file, path_of("/api/v1/correction-tables/{}/file", table_id)
+        )
+
+    @ClientMethod
+    async def activate_correction_table(
+        self, table_id: str, *, expected: str | None = None
+    ) -> models.CorrectionTableDocument:
+        """Activate a correction table."""
+        return await self._send(
+            models.CorrectionTableDocument,
+            "POST",
+            path_of("/api/v1/correction-tables/{}/activate", table_id),
+            params={"expected": expected},
+        )
+
+    @ClientMethod
+    async def deactivate_correction_table(self, table_id: str) -> models.CorrectionTableDocument:
+        """Stop using a correction table."""
+        return await self._send(
+            models.CorrectionTableDocument,
+            "POST",
+            path_of("/api/v1/correction-tables/{}/deactivate", table_id),
+        )
+
+    @ClientMethod
+    async def reconstructions(
+        self, *, device: str | None = None, limit: int | None = None
+    ) -> list[models.ReconstructionSummary]:
+        """List reconstructions."""
+        return await self._get_all(
+            models.ReconstructionSummary,
+            "/api/v1/reconstructions",
+            params={"device": device},
+            limit=limit,
+        )
+
+    @ClientMethod
+    async def create_reconstruction(
+        self, **members: Unpack[bodies.NewReconstruction]
+    ) -> models.Reconstruction:
+        """Reconstruct points."""
+        return await self._send(
+            models.Reconstruction, "POST", "/api/v1/reconstructions", body=members
+        )
+
+    @ClientMethod
+    async def reconstruction(self, reconstruction_id: str) -> models.Reconstruction:
+        """Read a reconstruction."""
+        return await self._send(
+            models.Reconstruction, "GET", path_of("/api/v1/reconstructions/{}", reconstruction_id)
+        )
+
+    @ClientMethod
+    async def delete_reconstruction(self, reconstruction_id: str) -> None:
+        """Delete a reconstruction."""
+        await self._request("DELETE", path_of("/api/v1/reconstructions/{}", reconstruction_id))
+
+    @ClientMethod
+    async def start_recording(
+        self, device_id: str, /, **members: Unpack[bodies.RecordingsNewRecording]
+    ) -> models.RecordingDetail:
+        """Record a device."""
+        return await self._send(
+            models.RecordingDetail,
+            "POST",
+            path_of("/api/v1/devices/{}/recordings", device_id),
+            body=members,
+        )
+
+    @ClientMethod
+    async def recordings(
+        self, *, device: str | None = None, limit: int | None = None
+    ) -> list[models.RecordingDocument]:
+        """List recordings."""
+        return await self._get_all(
+            models.RecordingDocument, "/api/v1/recordings", params={"device": device}, limit=limit
+        )
+
+    @ClientMethod
+    async def stop_recording(self, name: str) -> models.RecordingDetail:
+        """End a recording."""
+        return await self._send(
+            models.RecordingDetail, "POST", path_of("/api/v1/recordings/{}/stop", name)
+        )
+
+    @ClientMethod
+    async def download_recording(self, name: str, file: Path | str) -> Path:
+        """Download a recording."""
+        return await self._download("GET", file, path_of("/api/v1/recordings/{}/file", name))
+
+    @ClientMethod
+    async def recording(self, name: str) -> models.RecordingDetail:
+        """Read about a recording."""
+        return await self._send(
+            models.RecordingDetail, "GET", path_of("/api/v1/recordings/{}", name)
+        )
+
+    @ClientMethod
+    async def delete_recording(self, name: str) -> None:
+        """Delete a recording."""
+        await self._request("DELETE", path_of("/api/v1/recordings/{}", name))
+
+    @ClientMethod
+    async def exports(self, *, limit: int | None = None) -> list[models.Export]:
+        """List exports."""
+        return await self._get_all(models.Export, "/api/v1/exports", limit=limit)
+
+    @ClientMethod
+    async def export(self, export_id: str) -> models.Export:
+        """Read about an export."""
+        return await self._send(models.Export, "GET", path_of("/api/v1/exports/{}", export_id))
+
+    @ClientMethod
+    async def delete_export(self, export_id: str) -> None:
+        """Delete an export."""
+        await self._request("DELETE", path_of("/api/v1/exports/{}", export_id))
+
+    @ClientMethod
+    async def download_export(self, export_id: str, file: Path | str) -> Path:
+        """Download an export."""
+        return await self._download("GET", file, path_of("/api/v1/exports/{}/file", export_id))
+
+    @ClientMethod
+    async def tools(
+        self, *, device: str | None = None, limit: int | None = None
+    ) -> list[models.Tool]:
+        """List tools."""
+        return await self._get_all(
+            models.Tool, "/api/v1/tools", params={"device": device}, limit=limit
+        )
+
+    @ClientMethod
+    async def create_tool(self, **members: Unpack[bodies.NewTool]) -> models.Tool:
+        """Create a tool of known geometry."""
+        return await self._send(models.Tool, "POST", "/api/v1/tools", body=members)
+
+    @ClientMethod
+    async def capture_tool(self, **members: Unpack[bodies.NewCapturedTool]) -> models.Tool:
+        """Define a tool by showing it."""
+        return await self._send(models.Tool, "POST", "/api/v1/tool-captures", body=members)
+
+    @ClientMethod
+    async def tool(self, tool_id: str) -> models.Tool:
+        """Read a tool."""
+        return await self._send(models.Tool, "GET", path_of("/api/v1/tools/{}", tool_id))
+
+    @ClientMethod
+    async def change_tool(
+        self, tool_id: str, /, **members: Unpack[bodies.ToolChange]
+    ) -> models.Tool:
+        """Change a tool's title, tip, limits or reference."""
+        return await self._send(
+            models.Tool, "PATCH", path_of("/api/v1/tools/{}", tool_id), body=members
+        )
+
+    @ClientMethod
+    async def delete_tool(self, tool_id: str) -> None:
+        """Delete a tool."""
+        await self._request("DELETE", path_of("/api/v1/tools/{}", tool_id))
+
+    @ClientMethod
+    async def tool_pose(self, tool_id: str, *, frame: str | None = None) -> models.Pose:
+        """Where a tool is now."""
+        return await self._send(
+            models.Pose, "GET", path_of("/api/v1/tools/{}/pose", tool_id), params={"frame": frame}
+        )
+
+    @ClientMethod
+    async def calibrate_pivot(
+        self, tool_id: str, /, **members: Unpack[bodies.NewToolCalibration]
+    ) -> models.ToolCalibration:
+        """Find a tool's tip by pivoting it."""
+        return await self._send(
+            models.ToolCalibration,
+            "POST",
+            path_of("/api/v1/tools/{}/pivot-calibrations", tool_id),
+            body=members,
+        )
+
+    @ClientMethod
+    async def calibrate_spin(
+        self, tool_id: str, /, **members: Unpack[bodies.NewToolCalibration]
+    ) -> models.ToolCalibration:
+        """Find a tool's long axis by spinning it."""
+        return await self._send(
+            models.ToolCalibration,
+            "POST",
+            path_of("/api/v1/tools/{}/spin-calibrations", tool_id),
+            body=members,
+        )
+
+    @ClientMethod
+    async def tool_calibrations(
+        self, tool_id: str, *, limit: int | None = None
+    ) -> list[models.ToolCalibration]:
+        """Pivot and spin calibrations of a tool."""
+        return await self._get_all(
+            models.ToolCalibration, path_of("/api/v1/tools/{}/calibrations", tool_id), limit=limit
+        )
+
+    @ClientMethod
+    async def measure_point(
+        self, tool_id: str, /, **members: Unpack[bodies.NewPoint]
+    ) -> models.MeasuredPoint:
+        """Measure a point with a tool's tip."""
+        return await self._send(
+            models.MeasuredPoint, "POST", path_of("/api/v1/tools/{}/points", tool_id), body=members
+        )
+
+    @ClientMethod
+    async def registrations(
+        self, *, device: str | None = None, limit: int | None = None
+    ) -> list[models.Registration]:
+        """List registrations."""
+        return await self._get_all(
+            models.Registration, "/api/v1/registrations", params={"device": device}, limit=limit
+        )
+
+    @ClientMethod
+    async def create_registration(
+        self, **members: Unpack[bodies.NewRegistration]
+    ) -> models.Registration:
+        """Register paired points, three markers, or a surface: a named frame."""
+        return await self._send(
+            models.Registration, "POST", "/api/v1/registrations", body=members, extra_timeout_s=60.0
+        )
+
+    @ClientMethod
+    async def registration(self, registration_id: str) -> models.Registration:
+        """Read a registration."""
+        return await self._send(
+            models.Registration, "GET", path_of("/api/v1/registrations/{}", registration_id)
+        )
+
+    @ClientMethod
+    async def delete_registration(self, registration_id: str) -> None:
+        """Delete a registration."""
+        await self._request("DELETE", path_of("/api/v1/registrations/{}", registration_id))
+
+    @ClientMethod
+    async def frames(self, device_id: str) -> models.FrameList:
+        """A device's frames, and what connects them now."""
+        return await self._send(
+            models.FrameList, "GET", path_of("/api/v1/devices/{}/frames", device_id)
+        )
+
+    @ClientMethod
+    async def frame_transform(
+        self, device_id: str, frame: str, *, to: str | None = None
+    ) -> models.FrameTransform:
+        """The transform from one frame to another now."""
+        return await self._send(
+            models.FrameTransform,
+            "GET",
+            path_of("/api/v1/devices/{}/frames/{}", device_id, frame),
+            params={"to": to},
+        )
+
+    @ClientMethod
+    async def beam_holds(
+        self, *, device: str | None = None, limit: int | None = None
+    ) -> list[models.BeamHold]:
+        """List beam holds."""
+        return await self._get_all(
+            models.BeamHold, "/api/v1/beam-holds", params={"device": device}, limit=limit
+        )
+
+    @ClientMethod
+    async def create_beam_hold(self, **members: Unpack[bodies.NewBeamHold]) -> models.BeamHold:
+        """Create a beam hold."""
+        return await self._send(models.BeamHold, "POST", "/api/v1/beam-holds", body=members)
+
+    @ClientMethod
+    async def beam_hold(self, hold_id: str) -> models.BeamHold:
+        """Read a beam hold."""
+        return await self._send(models.BeamHold, "GET", path_of("/api/v1/beam-holds/{}", hold_id))
+
+    @ClientMethod
+    async def change_beam_hold(
+        self, hold_id: str, /, **members: Unpack[bodies.BeamHoldChange]
+    ) -> models.BeamHold:
+        """Change a beam hold's limits, rules or title."""
+        return await self._send(
+            models.BeamHold, "PATCH", path_of("/api/v1/beam-holds/{}", hold_id), body=members
+        )
+
+    @ClientMethod
+    async def delete_beam_hold(self, hold_id: str) -> None:
+        """Delete a beam hold."""
+        await self._request("DELETE", path_of("/api/v1/beam-holds/{}", hold_id))
+
+    @ClientMethod
+    async def set_beam_hold_reference(
+        self, hold_id: str, /, **members: Unpack[bodies.NewReference]
+    ) -> models.BeamHold:
+        """Say that all is where it is to be."""
+        return await self._send(
+            models.BeamHold,
+            "POST",
+            path_of("/api/v1/beam-holds/{}/reference", hold_id),
+            body=members,
+        )
+
+    @ClientMethod
+    async def remove_beam_hold_reference(self, hold_id: str) -> models.BeamHold:
+        """Take a beam hold's reference away."""
+        return await self._send(
+            models.BeamHold, "DELETE", path_of("/api/v1/beam-holds/{}/reference", hold_id)
+        )
+
+    @ClientMethod
+    async def acknowledge_beam_hold(self, hold_id: str) -> models.BeamHoldStatus:
+        """Acknowledge a latched hold."""
+        return await self._send(
+            models.BeamHoldStatus, "POST", path_of("/api/v1/beam-holds/{}/acknowledge", hold_id)
+        )
+
+    @ClientMethod
+    async def beam_hold_state(self, hold_id: str) -> models.BeamHoldStatus:
+        """Whether the beam is held now."""
+        return await self._send(
+            models.BeamHoldStatus, "GET", path_of("/api/v1/beam-holds/{}/state", hold_id)
+        )
+
+    @ClientMethod
+    async def find_peaks(self, **members: Unpack[bodies.LineScanRequest]) -> models.LineScans:
+        """Find the peaks of scans."""
+        return await self._send(models.LineScans, "POST", "/api/v1/line-scans", body=members)
+
+    @ClientMethod
+    async def draw_peaks(
+        self,
+        file: Path | str,
+        *,
+        scan: int | None = None,
+        **members: Unpack[bodies.LineScanRequest],
+    ) -> Path:
+        """Draw a line and its peaks."""
+        return await self._download(
+            "POST", file, "/api/v1/line-scans.png", body=members, params={"scan": scan}
+        )
+
+    @ClientMethod
+    async def device_profiles(self) -> tuple[models.DeviceProfileSummary, ...]:
+        """List device profiles."""
+        return await self._send(
+            tuple[models.DeviceProfileSummary, ...], "GET", "/api/v1/device-profiles"
+        )
+
+    @ClientMethod
+    async def device_profile(self, name: str) -> models.DeviceProfileDocument:
+        """Read a device profile."""
+        return await self._send(
+            models.DeviceProfileDocument, "GET", path_of("/api/v1/device-profiles/{}", name)
+        )
+
+    @ClientMethod
+    async def plan(self, name: str, *, grid: int | None = None) -> models.Plan:
+        """Plan a device."""
+        return await self._send(
+            models.Plan,
+            "GET",
+            path_of("/api/v1/device-profiles/{}/plan", name),
+            params={"grid": grid},
+        )
+
+    @ClientMethod
+    async def plan_picture(self, name: str, file: Path | str, *, grid: int | None = None) -> Path:
+        """Draw a plan."""
+        return await self._download(
+            "GET", file, path_of("/api/v1/device-profiles/{}/plan.png", name), params={"grid": grid}
+        )
+
+    @ClientMethod
+    async def keys(self, *, limit: int | None = None) -> list[models.ApiKey]:
+        """List keys."""
+        return await self._get_all(models.ApiKey, "/api/v1/keys", limit=limit)
+
+    @ClientMethod
+    async def create_key(self, **members: Unpack[bodies.NewApiKey]) -> models.CreatedApiKey:
+        """Make a key."""
+        return await self._send(models.CreatedApiKey, "POST", "/api/v1/keys", body=members)
+
+    @ClientMethod
+    async def key(self, key_id: str) -> models.ApiKey:
+        """Read a key."""
+        return await self._send(models.ApiKey, "GET", path_of("/api/v1/keys/{}", key_id))
+
+    @ClientMethod
+    async def revoke_key(self, key_id: str) -> models.ApiKey:
+        """Revoke a key."""
+        return await self._send(models.ApiKey, "POST", path_of("/api/v1/keys/{}/revoke", key_id))
+
+    @ClientMethod
+    async def audit(
+        self,
+        *,
+        actor: str | None = None,
+        operation: str | None = None,
+        outcome: Literal["done", "refused"] | None = None,
+        kind: str | None = None,
+        object: str | None = None,
+        since: datetime | None = None,
+        until: datetime | None = None,
+        limit: int | None = None,
+    ) -> list[models.AuditEntry]:
+        """Who changed what."""
+        return await self._get_all(
+            models.AuditEntry,
+            "/api/v1/audit",
+            params={
+                "actor": actor,
+                "operation": operation,
+                "outcome": outcome,
+                "kind": kind,
+                "object": object,
+                "since": since,
+                "until": until,
+            },
+            limit=limit,
+        )
+
+    @ClientMethod
+    async def metrics(self) -> str:
+        """Figures for Prometheus."""
+        return await self._text("GET", "/metrics")
+
+    @ClientMethod
+    async def create_quality_check(
+        self, device_id: str, /, **members: Unpack[bodies.NewQualityCheck]
+    ) -> models.QualityCheck:
+        """How well does a device measure now?."""
+        return await self._send(
+            models.QualityCheck,
+            "POST",
+            path_of("/api/v1/devices/{}/quality-checks", device_id),
+            body=members,
+        )
+
+    @ClientMethod
+    async def quality_checks(
+        self,
+        *,
+        device: str | None = None,
+        kind: Literal["single-point", "point-to-point"] | None = None,
+        limit: int | None = None,
+    ) -> list[models.QualityCheck]:
+        """List quality checks."""
+        return await self._get_all(
+            models.QualityCheck,
+            "/api/v1/quality-checks",
+            params={"device": device, "kind": kind},
+            limit=limit,
+        )
+
+    @ClientMethod
+    async def quality_check(self, check_id: str) -> models.QualityCheck:
+        """Read a quality check."""
+        return await self._send(
+            models.QualityCheck, "GET", path_of("/api/v1/quality-checks/{}", check_id)
+        )
+
+    @ClientMethod
+    async def delete_quality_check(self, check_id: str) -> None:
+        """Delete a quality check."""
+        await self._request("DELETE", path_of("/api/v1/quality-checks/{}", check_id))
+
+    @ClientMethod
+    async def quality(self, device_id: str) -> models.Quality:
+        """Is a device as good as it was?."""
+        return await self._send(
+            models.Quality, "GET", path_of("/api/v1/devices/{}/quality", device_id)
+        )
+
+    @ClientMethod
+    async def quality_picture(self, device_id: str, file: Path | str) -> Path:
+        """The control charts of a device."""
+        return await self._download(
+            "GET", file, path_of("/api/v1/devices/{}/quality.png", device_id)
+        )
+
+    @ClientMethod
+    async def watch(self, device_id: str) -> models.WatchSettings:
+        """How a device's drift is watched."""
+        return await self._send(
+            models.WatchSettings, "GET", path_of("/api/v1/devices/{}/watch", device_id)
+        )
+
+    @ClientMethod
+    async def set_watch(
+        self, device_id: str, /, **members: Unpack[bodies.WatchSettings]
+    ) -> models.WatchSettings:
+        """Say how a device's drift is watched."""
+        return await self._send(
+            models.WatchSettings,
+            "PUT",
+            path_of("/api/v1/devices/{}/watch", device_id),
+            body=members,
+        )
+
+    @ClientMethod
+    async def watch_samples(
+        self, *, device: str | None = None, limit: int | None = None
+    ) -> list[models.WatchSample]:
+        """List what the watch saw."""
+        return await self._get_all(
+            models.WatchSample, "/api/v1/watch-samples", params={"device": device}, limit=limit
+        )
+
+    @ClientMethod
+    async def landing(self) -> models.Landing:
+        """Where to go from here."""
+        return await self._send(models.Landing, "GET", "/")
+
+    @ClientMethod
+    async def health(self) -> models.Health:
+        """Is the process alive?."""
+        return await self._send(models.Health, "GET", "/healthz")
+
+    @ClientMethod
+    async def readiness(self) -> models.Readiness:
+        """Can requests be served?."""
+        return await self._send(models.Readiness, "GET", "/readyz")
+
+    @ClientMethod
+    async def problems(self) -> tuple[models.ProblemType, ...]:
+        """List all problem types."""
+        return await self._send(tuple[models.ProblemType, ...], "GET", "/problems")
+
+    @ClientMethod
+    async def problem(self, code: str) -> models.ProblemType:
+        """What a problem type means."""
+        return await self._send(models.ProblemType, "GET", path_of("/problems/{}", code))

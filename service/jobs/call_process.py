@@ -1,0 +1,106 @@
+"""CallProcess: a process that is kept and answers one call after another, with bounds."""
+
+import multiprocessing
+import pickle
+from collections.abc import Callable
+from threading import Lock
+from typing import TYPE_CHECKING, Any, Final
+
+from service.jobs.worker import Done, Failed, Message, serve
+from service.problems.catalogue import ERRORS
+from service.problems.errors import WorkerEnded
+
+if TYPE_CHECKING:
+    from multiprocessing.connection import Connection
+    from multiprocessing.context import SpawnProcess
+
+_JOIN_S: Final = 5.0
+_IDLE_S: Final = 60.0
+
+
+class CallProcess:
+    """Calls functions in a process, which is started when needed and ends when idle.
+
+    For what would hold the interpreter's lock, and with it all else, for long: starting a process
+    for each call would take longer than the call.
+
+    Args:
+        memory_bytes: most memory that the process may take.
+        peak_bytes: the process ends after a call that took more, and gives it back.
+        idle_s: how long it waits for another call before it ends.
+    """
+
+    def __init__(self, memory_bytes: int, peak_bytes: int, idle_s: float = _IDLE_S) -> None:
+        self._bounds = (memory_bytes, idle_s, peak_bytes)
+        self._lock = Lock()
+        self._process: SpawnProcess | None = None
+        self._pipe: Connection[Any, Any] | None = None
+
+    def call(self, function: Callable[..., Any], *arguments: Any, timeout_s: float) -> Any:
+        """Return ``function(*arguments)``; calls of several threads follow each other.
+
+        Args:
+            function: importable by its name.
+            arguments: what can be pickled.
+            timeout_s: the process is killed after it.
+
+        Raises:
+            WorkerEnded: the process crashed, took too long or too much memory.
+            LumilineError: what the function raised.
+            RuntimeError: it failed otherwise.
+        """
+        task = pickle.dumps((function, arguments))
+        with self._lock:
+            message = self._exchange(task, timeout_s)
+        if isinstance(message, Done):
+            return message.result
+        assert isinstance(message, Failed)
+        if message.code is None:
+            raise RuntimeError(message.detail)
+        raise ERRORS[message.code](message.detail, **message.context)
+
+    def close(self) -> None:
+        """End the process."""
+        with self._lock:
+            self._end()
+
+    def _exchange(self, task: bytes, timeout_s: float) -> Message:
+        kept = self._pipe is not None
+        try:
+            return self._ask(task, timeout_s)
+        except (EOFError, OSError) as error:
+            self._end()
+            if not kept:
+                raise WorkerEnded("the process that computed ended without a result") from error
+        return self._exchange(task, timeout_s)  # the one that was kept had been idle for too long
+
+    def _ask(self, task: bytes, timeout_s: float) -> Message:
+        if self._pipe is None:
+            self._start()
+        assert self._pipe is not None
+        self._pipe.send_bytes(task)
+        if not self._pipe.poll(timeout_s):
+            self._end()
+            raise WorkerEnded(
+                f"it took longer than {timeout_s:g} s and was ended", timeout_s=timeout_s
+            )
+        message: Message = self._pipe.recv()
+        return message
+
+    def _start(self) -> None:
+        context = multiprocessing.get_context("spawn")
+        self._pipe, theirs = context.Pipe()
+        self._process = context.Process(
+            target=serve, args=(theirs, *self._bounds), name="lumiline-calls", daemon=True
+        )
+        self._process.start()
+        theirs.close()
+
+    def _end(self) -> None:
+        if self._process is not None:
+            self._process.kill()
+            self._process.join(_JOIN_S)
+            self._process = None
+        if self._pipe is not None:
+            self._pipe.close()
+            self._pipe = None

@@ -18,6 +18,7 @@ from compute.parameter_checks import require
 from compute.robust_statistics import MAD_TO_SIGMA, biweight
 from compute.signal.capture_statistics import CaptureStatistics
 from compute.signal.centroid_settings import MIN_PIXELS
+from compute.signal.line_shape import LineShape
 
 Array = NDArray[np.float64]
 
@@ -95,6 +96,8 @@ class RadiometricCalibration:
         dark_current_counts_per_s: dark signal per time, shape (N,); None: one exposure only.
         exposure_s: exposure time of the dark captures; None: not known.
         temperature_c: of the sensor; None: not known.
+        line_shape: shape of its lines by position; None: not measured, they are taken for
+            Gaussians.
     """
 
     dark_offset: Array
@@ -114,6 +117,7 @@ class RadiometricCalibration:
     dark_current_counts_per_s: Array | None = None
     exposure_s: float | None = None
     temperature_c: float | None = None
+    line_shape: LineShape | None = None
 
     def __post_init__(self) -> None:
         shape = self.dark_offset.shape
@@ -181,6 +185,8 @@ class RadiometricCalibration:
                 if isinstance(value, np.ndarray)
                 else list(value)
                 if isinstance(value, tuple)
+                else value.to_document()
+                if isinstance(value, LineShape)
                 else value
             )
         return document
@@ -203,6 +209,8 @@ class RadiometricCalibration:
             for name in ("dark_offset", "response", "dark_current_counts_per_s"):
                 if content[name] is not None:
                     content[name] = np.array(content[name], dtype=np.float64)
+            if content["line_shape"] is not None:
+                content["line_shape"] = LineShape.from_document(content["line_shape"])
             content["bad_pixels"] = np.array(content["bad_pixels"], dtype=np.uint8)
             first, second = content["linearity"]
             content["linearity"] = (float(first), float(second))

@@ -72,6 +72,47 @@ def estimate(
         say(f"written: {output}")
 
 
+@radiometric_calibration.command("line-shape")
+def line_shape(
+    recording: Annotated[
+        Path, typer.Argument(help="Recording of one marker, moved over all pixels.")
+    ],
+    output: Annotated[Path, typer.Option(help="JSON file to write; `upload` takes it.")],
+    pixels: Annotated[
+        Path | None, typer.Option(help="JSON file of `estimate`; left out: pixels are alike.")
+    ] = None,
+    as_json: AsJson = False,
+    force: Force = False,
+) -> None:
+    """Measure the shape of the lines of each sensor by position (coma), without a server."""
+    from service.api.radiometric_calibrations.content import content_of, sensor_figures
+    from service.api.radiometric_calibrations.recorded_lines import with_line_shapes
+
+    check_output(output, force=force)
+    known = {} if pixels is None else content_of(read_json(pixels)).sensors
+    with progress("estimating", quiet=as_json):
+        device, found = with_line_shapes(recording, known)
+    sensors = {name: one.to_document() for name, one in found.items()}
+    with whole_file(output) as temporary:
+        text = json.dumps({"device": device.name, "sensors": sensors}, allow_nan=False)
+        temporary.write_text(text, encoding="utf-8")
+    if as_json:
+        print_json([sensor_figures(name, one).model_dump() for name, one in found.items()])
+        return
+    rows = (
+        (
+            name, one.line_shape.lines, f"{one.line_shape.width_px:.3f}",
+            f"{one.line_shape.skewness[0]:+.3f}", f"{one.line_shape.skewness[-1]:+.3f}",
+            f"{one.line_shape.reduced_chi2:.3f}",
+        )
+        for name, one in found.items()
+        if one.line_shape is not None
+    )  # fmt: skip
+    headings = ("sensor", "lines", "width, px", "skewness,\nfirst", "skewness,\nlast", "chi2 / dof")
+    console.print(make_table(headings, rows, str(recording)))
+    say(f"written: {output}")
+
+
 @radiometric_calibration.command("list")
 def show_all(
     device: DeviceOption = None, url: Url = HERE, key: Key = None, as_json: AsJson = False

@@ -3,8 +3,8 @@
 It is the oracle of radiometric calibration and shares no code with what it judges.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from math import erf
 
 import numpy as np
 from numpy.typing import NDArray
@@ -103,26 +103,28 @@ class Sensor:
         return np.asarray(counts)
 
     def position_bound_px(
-        self, position_px: float, width_px: float, light_electrons: float, ambient_electrons: float
+        self,
+        line: Callable[[float], Array],
+        position_px: float,
+        light_electrons: float,
+        ambient_electrons: float,
     ) -> float:
-        """Return the Cramer-Rao bound of a Gaussian line's position in the good pixels [px].
+        """Return the Cramer-Rao bound of a line's position in the good pixels [px].
 
-        The light and a level of the background are unknown too; width, offsets and responses are
+        The light and a level of the background are unknown too; shape, offsets and responses are
         known. Of counts with a mean m and variance V both of which move, the information is
         ``m'm'/V`` (the variance's own is left out).
 
         Args:
+            line: returns the pixels' shares of the light of a line by its position, shape (N,).
             position_px: of the line.
-            width_px: its deviation.
             light_electrons: its light.
             ambient_electrons: light in each pixel beside it.
         """
 
         def mean_of(values: Array) -> Array:
             place, light, ambient = values
-            edges = (np.arange(self.design.pixels + 1) - 0.5 - place) / width_px
-            below = np.array([0.5 * (1.0 + erf(edge / 2.0**0.5)) for edge in edges])
-            return np.asarray((light * np.diff(below) + ambient) * self.response)
+            return np.asarray((light * line(float(place)) + ambient) * self.response)
 
         truth = np.array([position_px, light_electrons, ambient_electrons])
         steps = np.array([1e-4, 1e-4 * light_electrons, 1e-3])

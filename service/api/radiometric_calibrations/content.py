@@ -132,4 +132,7 @@ def sensor_figures(name: str, found: RadiometricCalibration) -> SensorFigures:
         illumination_range=found.illumination_range,
         bad_pixels=int(np.count_nonzero(~found.good)),
         temperature_c=found.temperature_c,
+        line_skewness=None
+        if found.line_shape is None
+        else float(np.max(np.abs(found.line_shape.skewness))),
     )

@@ -161,6 +161,20 @@ class FromDocument(RequestModel):
     )
 
 
+class FromLines(RequestModel):
+    """Measure the shape of lines from a recording of one marker that is moved through the field.
+
+    It is added to the radiometric calibration that the device uses; without one, pixels are taken
+    for equal, with the noise of the device's description.
+    """
+
+    kind: Literal["lines"]
+    recording: RecordingName = Field(
+        description="In the data directory's folder `recordings`; one marker, seen by all sensors, "
+        "moved slowly over all their pixels."
+    )
+
+
 class FromBadPixels(RequestModel):
     """Keep the bad pixels that the frames of the running device have shown (its status).
 
@@ -172,7 +186,7 @@ class FromBadPixels(RequestModel):
 
 
 Origin = Annotated[
-    FromCapture | FromRecordings | FromScans | FromDocument | FromBadPixels,
+    FromCapture | FromRecordings | FromScans | FromDocument | FromBadPixels | FromLines,
     Field(discriminator="kind"),
 ]
 
@@ -207,6 +221,10 @@ class SensorFigures(ResponseModel):
     )
     bad_pixels: int = Field(description="Pixels that are left out of every measurement.")
     temperature_c: float | None
+    line_skewness: float | None = Field(
+        description="Largest skewness of its lines along the sensor; null: not measured, they are "
+        "taken for Gaussians."
+    )
 
 
 class RadiometricCalibrationSummary(ResponseModel):
@@ -215,7 +233,7 @@ class RadiometricCalibrationSummary(ResponseModel):
     id: str
     device: str
     active: bool = Field(description="Whether the device uses it now.")
-    origin: Literal["capture", "recordings", "scans", "document", "bad-pixels"]
+    origin: Literal["capture", "recordings", "scans", "document", "bad-pixels", "lines"]
     sensors: list[SensorFigures]
     content_hash: str
     note: str

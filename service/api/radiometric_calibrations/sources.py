@@ -12,6 +12,7 @@ from compute.signal.radiometric_calibration import RadiometricCalibration
 from hardware.driver import SensorDescription
 from service.api.devices.driver_factory import recording_path
 from service.api.devices.schema import check_sensors
+from service.api.devices.store import active_radiometric_id
 from service.api.radiometric_calibrations import capture_store
 from service.api.radiometric_calibrations.capture_checks import check_flat
 from service.api.radiometric_calibrations.content import (
@@ -21,15 +22,17 @@ from service.api.radiometric_calibrations.content import (
 )
 from service.api.radiometric_calibrations.frame_statistics import FrameStatistics, statistics_of
 from service.api.radiometric_calibrations.recorded_frames import estimate_from_recordings
+from service.api.radiometric_calibrations.recorded_lines import with_line_shapes
 from service.api.radiometric_calibrations.schema import (
     FromBadPixels,
     FromCapture,
     FromDocument,
+    FromLines,
     FromRecordings,
     FromScans,
     NewRadiometricCalibration,
 )
-from service.api.radiometric_calibrations.store import check_content
+from service.api.radiometric_calibrations.store import active_radiometric, check_content
 from service.database.engine import Database
 from service.pipeline.active_calibration import bad_pixel_flags
 from service.pipeline.device_session import DeviceSession
@@ -80,6 +83,12 @@ def content_from(
             }
         case FromDocument() as source:
             found = sensor_calibrations(source.sensors)
+        case FromLines() as source:
+            recorded, found = with_line_shapes(
+                recording_path(source.recording, recordings),
+                _active_sensors(request.device, database),
+            )
+            check_sensors(request.device, sensors, recorded.sensors)
         case FromBadPixels():
             found = _from_bad_pixels(live.session(request.device))
     content = RadiometricContent(request.device, found)
@@ -104,6 +113,12 @@ def _from_capture(
         relative_light=light if len(light) == len(flats) else None,
         temperature_c=float(np.mean(temperatures)) if temperatures else None,
     )
+
+
+def _active_sensors(device: str, database: Database) -> Mapping[str, RadiometricCalibration]:
+    with database.read() as session:
+        active = active_radiometric_id(session, device)
+        return {} if active is None else active_radiometric(session, active).sensors
 
 
 def _from_bad_pixels(running: DeviceSession) -> dict[str, RadiometricCalibration]:

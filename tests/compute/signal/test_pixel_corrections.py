@@ -86,7 +86,9 @@ def test_kernels_agree_with_definition(sensor, device, slope, calibrated):
 def test_masked_pixel_is_left_out_and_said(sensor):
     place = np.full(200, 151.7)
     lines = sensor.expose(line_electrons(place, 60_000.0, 0.0) + 20.0)
-    bound = sensor.position_bound_px(151.7, 1.2, 60_000.0, 20.0)
+    bound = sensor.position_bound_px(
+        lambda at: line_electrons(np.array([at]), 1.0, 0.0)[0], 151.7, 60_000.0, 20.0
+    )
     raw = FitFinder(200, PIXELS, KNOWN, NOISE, device="cpu").find(lines)
     found = FitFinder(
         200, PIXELS, KNOWN, NOISE, device="cpu", corrections=corrections_of(sensor)

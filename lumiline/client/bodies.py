@@ -629,12 +629,21 @@ class FromBadPixels(TypedDict):
     kind: Literal["bad-pixels"]
 
 
+class FromLines(TypedDict):
+    """Measure the shape of lines from a recording of one marker that is moved through the
+    field.
+    """
+
+    kind: Literal["lines"]
+    recording: str
+
+
 class NewRadiometricCalibration(TypedDict):
     """A radiometric calibration to estimate and store."""
 
     id: NotRequired[str | None]
     device: str
-    source: FromCapture | FromRecordings | FromScans | FromDocument | FromBadPixels
+    source: FromCapture | FromRecordings | FromScans | FromDocument | FromBadPixels | FromLines
     note: NotRequired[str]
 
 

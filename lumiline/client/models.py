@@ -805,6 +805,7 @@ class SensorFigures(ResponseModel):
     illumination_range: float
     bad_pixels: int
     temperature_c: float | None
+    line_skewness: float | None
 
 
 class RadiometricCalibrationSummary(ResponseModel):

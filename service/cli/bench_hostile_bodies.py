@@ -28,7 +28,9 @@ def _measure(folder: Path, *, quiet: bool) -> Figures:
     with service_process(folder / "service", settings, quiet=quiet) as service:
         with client_session(service.url, None, 60.0) as client:
             watch = {"kind": "strobed-markers", "markers": [0]}
-            client.create_beam_hold(HOLD, DEVICE, watch, {"shift_mm": 2.0})
+            client.create_beam_hold(
+                id=HOLD, device=DEVICE, title="Patient", watch=watch, limits={"shift_mm": 2.0}
+            )
         with progress(TITLE, quiet=quiet):
             return {
                 f"{count} at once": asyncio.run(

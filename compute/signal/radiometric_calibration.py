@@ -3,13 +3,14 @@
 import hashlib
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from enum import IntFlag
 from typing import Any, Final
 
 import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 from scipy.stats import chi2
 
 from compute.errors import InvalidParameter
@@ -161,6 +162,10 @@ class RadiometricCalibration:
         """Read noise without quantisation [electrons]."""
         variance = max(self.read_noise_counts**2 - 1.0 / 12.0, 0.0)
         return float(np.sqrt(variance)) * self.gain_electrons_per_count
+
+    def with_bad_pixels(self, bad_pixels: NDArray[np.uint8]) -> "RadiometricCalibration":
+        """Return it with further BadPixel flags, uint8, shape (N,)."""
+        return replace(self, bad_pixels=self.bad_pixels | bad_pixels)
 
     def bad_pixel_numbers(self, kind: BadPixel) -> list[int]:
         """Return the pixels with a flag."""
@@ -530,9 +535,7 @@ def running_median(values: Array, half: int = 15) -> Array:
         values: of the pixels, shape (N,).
         half: pixels to either side.
     """
-    padded = np.pad(values, half, mode="reflect")
-    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1)
-    return np.asarray(np.median(windows, axis=1))
+    return np.asarray(median_filter(values, 2 * half + 1, mode="mirror"))
 
 
 def _dark_current(

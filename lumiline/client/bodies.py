@@ -623,12 +623,18 @@ class FromDocument(TypedDict):
     sensors: Mapping[str, Any]
 
 
+class FromBadPixels(TypedDict):
+    """Keep the bad pixels that the frames of the running device have shown (its status)."""
+
+    kind: Literal["bad-pixels"]
+
+
 class NewRadiometricCalibration(TypedDict):
     """A radiometric calibration to estimate and store."""
 
     id: NotRequired[str | None]
     device: str
-    source: FromCapture | FromRecordings | FromScans | FromDocument
+    source: FromCapture | FromRecordings | FromScans | FromDocument | FromBadPixels
     note: NotRequired[str]
 
 

@@ -358,6 +358,15 @@ class LinkState(ResponseModel):
     temperature_c: float | None = None
 
 
+class LiveBadPixel(ResponseModel):
+    """A pixel that a device's frames have shown to be bad since it was started; it is masked."""
+
+    sensor: str
+    pixel: int
+    kind: str
+    since: datetime
+
+
 class DeviceStatus(ResponseModel):
     """State of a device, and the frames that were lost since it was started, by place."""
 
@@ -373,6 +382,7 @@ class DeviceStatus(ResponseModel):
     link: LinkState | None = None
     frames_not_tracked: int = 0
     radiometric_id: str | None = None
+    bad_pixels: tuple[LiveBadPixel, ...] = ()
 
 
 class Status(ResponseModel):
@@ -996,6 +1006,7 @@ class UsedCalibration(ResponseModel):
     content_hash: str | None
     table: str | None
     radiometric: str | None
+    bad_pixels: int
     from_frame: int | None
 
 

@@ -22,6 +22,7 @@ from service.database.server_lock import server_lock
 from service.jobs.run_manager import RunManager
 from service.jobs.store import running_runs
 from service.pipeline.pipeline_manager import PipelineManager
+from service.protocols.metrics.care_collector import CareCollector
 from service.protocols.metrics.collectors import (
     DatabaseCollector,
     LiveCollector,
@@ -96,6 +97,11 @@ async def running(
             LiveCollector(manager, app.state.streams),
             DatabaseCollector(database, runs.durations),
             RecordingsCollector(recordings),
+            CareCollector(
+                database,
+                settings.data_dir,
+                partial(getattr, app.state.authenticator, "failed_logins"),
+            ),
         )
         await stack.enter_async_context(openigtlink_running(app, settings, recordings))
         await stack.enter_async_context(ndi_running(app, settings))

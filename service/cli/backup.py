@@ -9,15 +9,27 @@ from service.backup import backup as whole_backup
 from service.backup import restore as restoration
 from service.backup.consistency import find_inconsistencies
 from service.backup.copy_rows import count_rows
+from service.backup.files import DATABASE, back_up_files, restore_files
 from service.cli.local_database import DataDir, local_database
-from service.cli.output import progress, say
+from service.cli.output import fail, progress, say
 
 
 def backup(
-    file: Annotated[Path, typer.Argument(help="The file to write.")],
+    file: Annotated[Path, typer.Argument(help="The file to write; with --files, the folder.")],
+    files: Annotated[
+        bool, typer.Option("--files", help="With recordings and profiles, in a new folder inside.")
+    ] = False,
+    keep: Annotated[
+        int | None, typer.Option(min=1, help="Of --files: delete all but this many backups.")
+    ] = None,
     data_dir: DataDir = None,
 ) -> None:
     """Write a backup and say what it holds."""
+    if files:
+        _back_up_files(file, keep, data_dir)
+        return
+    if keep is not None:
+        raise fail("--keep is of --files, which makes a folder for each backup")
     with local_database(data_dir, "backup") as (database, _), progress(f"writing {file}"):
         database.check()
         counts = whole_backup.back_up(database, file)
@@ -32,13 +44,20 @@ def restore(
     data_dir: DataDir = None,
 ) -> None:
     """Restore a backup and say what was done."""
+    folder = file if file.is_dir() else None
+    file = file if folder is None else folder / DATABASE
     with local_database(data_dir, "restore") as (database, settings), progress(f"reading {file}"):
         settings.folders.recordings.mkdir(parents=True, exist_ok=True)
         keep_in = settings.data_dir / "backups" if replace else None
         restored = restoration.restore(database, file, keep_in)
+        copied, kept = (0, []) if folder is None else restore_files(folder, settings)
     if restored.kept is not None:
         say(f"what was there is in {restored.kept}")
     say(f"restored: {_to_sentence(restored.counts)}")
+    if folder is not None:
+        say(f"files copied: {copied}")
+    for name in kept:
+        say(f"{name} differs from the backup's, and stays as it is")
     for keys, what in (
         (restored.keys.revoked, "valid in the backup, and stay revoked"),
         (restored.keys.valid, "valid now, and were not before; revoke those that should not be"),
@@ -46,6 +65,16 @@ def restore(
     ):
         if keys:
             say(f"keys {', '.join(keys)}: {what}")
+
+
+def _back_up_files(folder: Path, keep: int | None, data_dir: Path | None) -> None:
+    with (
+        local_database(data_dir, "backup") as (database, settings),
+        progress(f"writing into {folder}"),
+    ):
+        database.check()
+        made, counts = back_up_files(database, settings, folder, keep)
+    say(f"{made}: {_to_sentence(counts)}")
 
 
 def check_database(data_dir: DataDir = None) -> None:

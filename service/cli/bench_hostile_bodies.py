@@ -27,9 +27,12 @@ def _measure(folder: Path, *, quiet: bool) -> Figures:
     settings = {"openigtlink_port": str(port)}
     with service_process(folder / "service", settings, quiet=quiet) as service:
         with client_session(service.url, None, 60.0) as client:
-            watch = {"kind": "strobed-markers", "markers": [0]}
             client.create_beam_hold(
-                id=HOLD, device=DEVICE, title="Patient", watch=watch, limits={"shift_mm": 2.0}
+                id=HOLD,
+                device=DEVICE,
+                title="Hostile bodies",
+                watch={"kind": "strobed-markers", "markers": [0]},
+                limits={"shift_mm": 2.0},
             )
         with progress(TITLE, quiet=quiet):
             return {

@@ -1,21 +1,69 @@
 """ActiveCalibration: what a device reconstructs with; PreparedCalibration: the same, for frames."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from datetime import datetime
 from functools import cached_property
-from typing import Any, Final, Self
+from typing import Any, Final, Literal, Self, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from compute.calibration.result import Calibration, measurement_noise
+from compute.errors import InvalidParameter
 from compute.mapping.table import CorrectionTable
 from compute.measurement.measurement_model import MeasurementModel
 from compute.measurement.measurements import MeasurementNoise
 from compute.reconstruction.solver import PointSolver
-from compute.signal.radiometric_calibration import RadiometricCalibration
+from compute.signal.radiometric_calibration import BadPixel, RadiometricCalibration
 
 Array = NDArray[np.float64]
+
+LiveKind = Literal["hot", "stuck", "dead"]
+
+KINDS: Final[Mapping[BadPixel, LiveKind]] = {
+    BadPixel[one.upper()]: one for one in get_args(LiveKind)
+}
+
+
+@dataclass(frozen=True)
+class LiveBadPixel:
+    """A pixel that a device's frames have shown to be bad since it was started; it is masked.
+
+    Args:
+        sensor: its name.
+        pixel: number of the pixel.
+        kind: hot (far above its neighbours in all frames), stuck (its count never changes), or dead
+            (light passed over its neighbours, and it did not see it).
+        since: exposure of the frame with which it was found.
+    """
+
+    sensor: str
+    pixel: int
+    kind: LiveKind
+    since: datetime
+
+
+def bad_pixel_flags(found: Iterable[LiveBadPixel], sensor: str, pixels: int) -> NDArray[np.uint8]:
+    """Return BadPixel flags of a sensor, uint8, shape (P,).
+
+    Args:
+        found: bad pixels of a device.
+        sensor: the sensor's name.
+        pixels: P.
+
+    Raises:
+        InvalidParameter: the sensor has no such pixel.
+    """
+    flags = np.zeros(pixels, np.uint8)
+    for one in found:
+        if one.sensor == sensor:
+            if not 0 <= one.pixel < pixels:
+                raise InvalidParameter(
+                    f"the bad pixel {one.pixel} is of a sensor {sensor} that has {pixels} pixels"
+                )
+            flags[one.pixel] |= np.uint8(BadPixel[one.kind.upper()])
+    return flags
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +97,7 @@ class ActiveCalibration:
         calibration_hash: the content's hash.
         table_file: the table as it is stored, an HDF5 file.
         radiometric: the radiometric calibration that peaks are found with; None: none.
+        bad_pixels: pixels that are masked beside those of the radiometric calibration.
     """
 
     calibration_id: str | None = None
@@ -59,6 +108,22 @@ class ActiveCalibration:
     calibration_hash: str | None = None
     table_file: bytes | None = None
     radiometric: ActiveRadiometric | None = None
+    bad_pixels: tuple[LiveBadPixel, ...] = ()
+
+    def differs_in_bad_pixels_only(self, other: Self) -> bool:
+        """Whether all but the bad pixels is the same, which are not."""
+        return self.bad_pixels != other.bad_pixels and self._identity == other._identity
+
+    @property
+    def _identity(self) -> tuple[object, ...]:
+        radiometric, calibration = self.radiometric, self.calibration
+        return (
+            self.calibration_id,
+            # Of those that no service stored there is no hash.
+            self.calibration_hash or (None if calibration is None else id(calibration)),
+            self.table_id,
+            radiometric and radiometric.content_hash,
+        )
 
 
 NO_ACTIVE_CALIBRATION: Final = ActiveCalibration()

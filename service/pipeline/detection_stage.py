@@ -27,6 +27,7 @@ from compute.signal.pixel_corrections import PixelCorrections, calibrated_noise
 from compute.signal.radiometric_calibration import RadiometricCalibration
 from compute.signal.sensor_noise import SensorNoise
 from hardware.driver import DeviceDescription
+from service.pipeline.active_calibration import LiveBadPixel, bad_pixel_flags
 from service.problems.errors import UnknownDeviceProfile
 
 _log = logging.getLogger(__name__)
@@ -167,7 +168,7 @@ class DetectionStage:
         sensors, pixels = len(description.sensors), description.sensors[0].pixels
         self._pixels = {sensor.name: sensor.pixels for sensor in description.sensors}
         self._make_find = partial(_find, self.method, description, frames, model, compute_device)
-        self._find = self._make_find([None] * sensors)
+        self._find = self._make_find([None] * sensors, [np.empty(0, np.intp)] * sensors)
         if self._find is not None:
             # Loads the kernel and touches the buffers, before the first frame waits for it.
             self._find(np.zeros((sensors, pixels), np.uint16))
@@ -182,13 +183,22 @@ class DetectionStage:
         )
         """What the peaks' flags mean for points, tracks and tools."""
 
-    def set_radiometric_calibration(self, found: Mapping[str, RadiometricCalibration]) -> None:
-        """Find peaks with the radiometric calibrations of sensors, by name; empty: with none.
+    def set_pixels(
+        self,
+        found: Mapping[str, RadiometricCalibration],
+        bad_pixels: Sequence[LiveBadPixel] = (),
+    ) -> None:
+        """Find peaks with radiometric calibrations, and without bad pixels.
 
         Takes milliseconds: the kernels are loaded already, and buffers are made anew.
 
+        Args:
+            found: radiometric calibrations of sensors, by name; empty: none.
+            bad_pixels: pixels that are masked beside those of the calibrations.
+
         Raises:
-            InvalidParameter: a calibration is of no sensor of the device, or of other pixels.
+            InvalidParameter: a calibration is of no sensor of the device, or of other pixels, or
+                a bad pixel is none of the device's.
         """
         for name, one in found.items():
             if self._pixels.get(name) != one.pixels:
@@ -197,9 +207,19 @@ class DetectionStage:
                     f"the radiometric calibration is of {name} ({one.pixels} px); the device has "
                     f"{listed}"
                 )
+        unknown = {one.sensor for one in bad_pixels} - self._pixels.keys()
+        if unknown:
+            raise InvalidParameter(
+                f"bad pixels are of {', '.join(sorted(unknown))}; the device has "
+                f"{', '.join(self._pixels)}"
+            )
+        masked = [
+            np.flatnonzero(bad_pixel_flags(bad_pixels, name, count))
+            for name, count in self._pixels.items()
+        ]
         if self._find is None:
             return
-        find = self._make_find([found.get(name) for name in self._pixels])
+        find = self._make_find([found.get(name) for name in self._pixels], masked)
         assert find is not None
         find(np.zeros((len(self._pixels), next(iter(self._pixels.values()))), np.uint16))
         self._find = find
@@ -242,6 +262,7 @@ def _find(
     model: ExpectedScans,
     compute_device: str | None,
     calibrations: Sequence[RadiometricCalibration | None],
+    masked: Sequence[NDArray[np.intp]],
 ) -> _Find | None:
     """Return what finds the peaks; None: nothing does.
 
@@ -252,6 +273,7 @@ def _find(
         model: what is known of its lines.
         compute_device: as of FitFinder.
         calibrations: radiometric ones of the sensors; None for one without.
+        masked: further bad pixels of each sensor.
     """
     sensors, pixels = len(description.sensors), description.sensors[0].pixels
     noise = SensorNoise.of(
@@ -261,9 +283,11 @@ def _find(
         2**description.bits - 1,
     )
     corrections = None
-    if any(one is not None for one in calibrations):
+    if any(one is not None for one in calibrations) or any(len(one) for one in masked):
         noise = calibrated_noise(calibrations, noise)
         corrections = PixelCorrections.of(calibrations, pixels, description.offset_counts)
+        for number, bad in enumerate(masked):
+            corrections = corrections.with_masked(number, bad)
     lines = frames * sensors
     if method == "fit":
         sigma = description.line_sigma_px

@@ -19,6 +19,8 @@ from compute.pose.rigid_body import PoseStatus, ToolPose
 from hardware.driver import DeviceDescription
 from hardware.line_frame import LineFrame
 from hardware.link import LinkState
+from service.pipeline.active_calibration import ActiveCalibration
+from service.pipeline.bad_pixel_watch import BadPixelWatch
 from service.pipeline.beam_hold_registry import BeamHoldRegistry
 from service.pipeline.device_status import DeviceState, DeviceStatus
 from service.pipeline.frame_batch import (
@@ -219,6 +221,12 @@ class DeviceSession:
         self.holds = BeamHoldRegistry(streams.publish_hold) if holds is None else holds
         """The beam holds of all devices."""
         self.pose_counts = PoseCounters()
+        self.bad_pixel_watch = (
+            BadPixelWatch(device_id, description)
+            if processor.detection.method in ("fit", "centroid")
+            else None
+        )
+        """Looks for bad pixels; None: scans of these sensors are no lines of light."""
         self._published_s = -MIN_POSE_INTERVAL_S
         self.frames_not_tracked_count = 0
         self.load_shedding = LoadShedding(description.frame_rate_hz)
@@ -267,6 +275,7 @@ class DeviceSession:
             self._offer(batch)
             self.streams.publish_batch(batch)
             self.latency.count((time.time_ns() - frames[0].exposure_host_ns) * 1e-9)
+            self._watch_pixels(frames)
         except Exception as error:  # noqa: BLE001 - becomes the status
             self._fail(error)
             return False
@@ -281,6 +290,34 @@ class DeviceSession:
                 whole -= tracking
         self._batch = max(1, min(MAX_FRAMES, int(BATCH_SECONDS / max(whole / len(frames), 1e-6))))
         return True
+
+    def _watch_pixels(self, frames: Sequence[LineFrame]) -> None:
+        """Mask pixels that are found to be bad, from the next batch on.
+
+        Not of a source that waits for the pipeline: which frames are looked at depends on the time
+        that they take, and its results must not.
+        """
+        watch = self.bad_pixel_watch
+        if watch is None or self.reader is None or self.reader.lossless:
+            return
+        if time.perf_counter() >= watch.due_s and watch.take(frames):
+            active = self.with_bad_pixels(self.processor.active_calibration)
+            # Recordings name what each frame was processed with: a replay gives the same bits.
+            for tap in self.taps:
+                tap.prepare(active)
+            self.processor.set_calibration(active)
+
+    def with_bad_pixels(self, active: ActiveCalibration) -> ActiveCalibration:
+        """Return a calibration with the pixels that were found to be bad since the start."""
+        watch = self.bad_pixel_watch
+        return active if watch is None else replace(active, bad_pixels=watch.found)
+
+    def set_calibration(self, active: ActiveCalibration) -> None:
+        """Switch calibration and table, between two batches; runs in the compute thread."""
+        active = self.with_bad_pixels(active)
+        for tap in self.taps:
+            tap.prepare(active)
+        self.processor.set_calibration(active)
 
     def _idle(self, now_s: float) -> bool:
         """Whether nobody has wanted results for a while; tells the driver when that changes."""
@@ -458,6 +495,7 @@ class DeviceSession:
             link,
             self.frames_not_tracked_count,
             self.processor.radiometric_id,
+            self.processor.active_calibration.bad_pixels,
         )
 
 

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from hardware.link import LinkState
+from service.pipeline.active_calibration import LiveBadPixel
 
 DeviceState = Literal["stopped", "starting", "running", "disconnected", "ended", "failed"]
 
@@ -29,6 +30,8 @@ class DeviceStatus:
         frames_not_tracked: frames whose points were made, but in which markers and tools were not
             tracked, because the compute thread did not keep up.
         radiometric_id: the radiometric calibration that peaks are found with; None: none.
+        bad_pixels: pixels that the frames have shown to be bad since the start; no measurement
+            uses them.
     """
 
     state: DeviceState
@@ -43,3 +46,4 @@ class DeviceStatus:
     link: LinkState | None = None
     frames_not_tracked: int = 0
     radiometric_id: str | None = None
+    bad_pixels: tuple[LiveBadPixel, ...] = ()

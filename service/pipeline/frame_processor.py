@@ -133,10 +133,17 @@ class FrameProcessor:
                     f"{what} is of the sensors {', '.join(sensors)}; the device has "
                     f"{', '.join(self._names)}"
                 )
-        before, radiometric = self.active_calibration.radiometric, active.radiometric
-        if (before and before.content_hash) != (radiometric and radiometric.content_hash):
+        earlier, radiometric = self.active_calibration, active.radiometric
+        before = earlier.radiometric
+        if (before and before.content_hash) != (
+            radiometric and radiometric.content_hash
+        ) or earlier.bad_pixels != active.bad_pixels:
             # Not at every activation of another calibration: it takes milliseconds.
-            self.detection.set_radiometric_calibration(radiometric.sensors if radiometric else {})
+            self.detection.set_pixels(radiometric.sensors if radiometric else {}, active.bad_pixels)
+        if active.differs_in_bad_pixels_only(earlier):
+            # Tracks and tools go on.
+            self.active_calibration = active
+            return
         self._prepared = PreparedCalibration.of(active, self._compute_device)
         self.active_calibration = active
         self._tracking.set_calibration(self._prepared)

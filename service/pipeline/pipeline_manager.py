@@ -257,10 +257,8 @@ class PipelineManager:
         return self._tracked.get(device_id, NO_TRACKING)
 
     def _set(self, session: DeviceSession, active: ActiveCalibration) -> None:
-        """Hand calibration and table to the processor, between two batches in its own thread."""
-        for tap in session.taps:
-            tap.prepare(active)
-        self._compute.submit(lambda: session.processor.set_calibration(active)).result()
+        """Hand calibration and table to the session, between two batches in its own thread."""
+        self._compute.submit(lambda: session.set_calibration(active)).result()
 
     def status(self, device_id: str) -> DeviceStatus:
         """Return the device's status; "stopped" for one never started. Never waits."""

@@ -74,6 +74,8 @@ class Authenticator:
     def __init__(self, database: Database, settings: Settings) -> None:
         self._database = database
         self.attempts = LoginThrottle(settings.failed_logins_per_minute)
+        self.failed_logins = 0
+        """Keys and tokens that were not valid, those that had to wait included."""
         self.remembered = KeyCache()
         """So that devices can be stopped while the database does not answer."""
         self._tokens = _oidc_tokens(settings)
@@ -91,6 +93,7 @@ class Authenticator:
                 return self._of_key(credential)
             return self._tokens.principal(credential)
         except Unauthenticated as error:
+            self.failed_logins += 1
             # Only now: others at the same address, behind a router or proxy, have valid keys, and
             # what is random to 256 bits needs no protection from being tried out.
             wait_s = self.attempts.wait_s(address)

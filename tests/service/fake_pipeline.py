@@ -91,6 +91,8 @@ class FakePipeline(PipelineManager):
         self.busy = 0.0
         self.records: DeviceDescription | None = None
         """What devices are that can be recorded, of which no frame ever comes; None: none can."""
+        self.active = NO_ACTIVE_CALIBRATION
+        """What they process frames with."""
         self.batches: list[FrameBatch] = []
         """What quality checks see of them."""
 
@@ -165,7 +167,9 @@ class FakePipeline(PipelineManager):
     def session(self, device_id: str) -> DeviceSession:
         if self.records is None:
             raise DeviceNotRunning(f'device "{device_id}" does not run')
-        return _Running(device_id, self.records, _Processor(), FrameRing(1, int), self.streams)
+        processor = _Processor()
+        processor.active_calibration = self.active
+        return _Running(device_id, self.records, processor, FrameRing(1, int), self.streams)
 
     def attach(self, session: DeviceSession, tap: Tap, *, sampled: bool = False) -> None:
         self.calls.append(("attach", session.device_id))

@@ -57,6 +57,10 @@ def scan_kernel(search: Search, corrected: bool) -> Any:
     blocks of BLOCK_THREADS. ``scans_address`` is that of uint16 pixels, shape (L, P),
     ``records_address`` that of L records: in the device's memory, or in the host's where the
     device reaches it.
+
+    Args:
+        search: which kernel.
+        corrected: whether the scans' sensors have a radiometric calibration.
     """
     flag = "true" if corrected else "false"
     if search == "fit":

@@ -13,6 +13,7 @@ from service.api.inputs import (
     DeviceFilter,
     DevicePath,
     JsonTypes,
+    LiveDep,
     PagingDep,
     SettingsDep,
     id_in_path,
@@ -73,20 +74,25 @@ def list_radiometric_calibrations(
 @raises("unknown-device", "radiometric-calibration-exists", "sensors-changed", "busy")
 @raises("unknown-radiometric-capture", "radiometric-capture-incomplete")
 @raises("capture-of-another-device", "unknown-recording", "invalid-recording")
-@raises("unusable-radiometric-capture", "invalid-parameter")
+@raises("unusable-radiometric-capture", "device-not-running", "invalid-parameter")
 def create_radiometric_calibration(
-    request: NewBody, database: DatabaseDep, settings: SettingsDep, response: Response
+    request: NewBody,
+    database: DatabaseDep,
+    settings: SettingsDep,
+    live: LiveDep,
+    response: Response,
 ) -> RadiometricCalibrationSummary:
     """Estimate offset, response, noise, gain and bad pixels from dark and flat frames (EMVA 1288).
 
     They come from a session of captures, from recordings, or with the request; or the calibration
-    was estimated elsewhere and is stored as it is. It is stored, not activated.
+    was estimated elsewhere and is stored as it is; or it keeps the bad pixels that the frames of a
+    running device have shown. It is stored, not activated.
     """
     with database.read() as session:
         store.RADIOMETRIC_CALIBRATIONS.check_unused(session, request.id)
         sensors = sensors_of_row(get_device(session, request.device))
     with _limit:
-        content = content_from(request, sensors, database, settings.folders.recordings)
+        content = content_from(request, sensors, database, settings.folders.recordings, live)
     with database.write() as session:
         row = store.add_radiometric_calibration(
             session, content, request.source.kind, request.note, request.id

@@ -161,8 +161,19 @@ class FromDocument(RequestModel):
     )
 
 
+class FromBadPixels(RequestModel):
+    """Keep the bad pixels that the frames of the running device have shown (its status).
+
+    They are added to the radiometric calibration that it uses; without one, all other pixels are
+    taken for equal, with the noise of the data sheet.
+    """
+
+    kind: Literal["bad-pixels"]
+
+
 Origin = Annotated[
-    FromCapture | FromRecordings | FromScans | FromDocument, Field(discriminator="kind")
+    FromCapture | FromRecordings | FromScans | FromDocument | FromBadPixels,
+    Field(discriminator="kind"),
 ]
 
 
@@ -204,7 +215,7 @@ class RadiometricCalibrationSummary(ResponseModel):
     id: str
     device: str
     active: bool = Field(description="Whether the device uses it now.")
-    origin: Literal["capture", "recordings", "scans", "document"]
+    origin: Literal["capture", "recordings", "scans", "document", "bad-pixels"]
     sensors: list[SensorFigures]
     content_hash: str
     note: str

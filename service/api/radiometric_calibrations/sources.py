@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from compute.errors import InvalidParameter
+from compute.signal.bad_pixel_monitor import masking_calibration
 from compute.signal.radiometric_calibration import RadiometricCalibration
 from hardware.driver import SensorDescription
 from service.api.devices.driver_factory import recording_path
@@ -21,6 +22,7 @@ from service.api.radiometric_calibrations.content import (
 from service.api.radiometric_calibrations.frame_statistics import FrameStatistics, statistics_of
 from service.api.radiometric_calibrations.recorded_frames import estimate_from_recordings
 from service.api.radiometric_calibrations.schema import (
+    FromBadPixels,
     FromCapture,
     FromDocument,
     FromRecordings,
@@ -29,6 +31,9 @@ from service.api.radiometric_calibrations.schema import (
 )
 from service.api.radiometric_calibrations.store import check_content
 from service.database.engine import Database
+from service.pipeline.active_calibration import bad_pixel_flags
+from service.pipeline.device_session import DeviceSession
+from service.pipeline.pipeline_manager import PipelineManager
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -39,6 +44,7 @@ def content_from(
     sensors: Sequence[SensorDescription],
     database: Database,
     recordings: Path,
+    live: PipelineManager,
 ) -> RadiometricContent:
     """Return the calibrations of the sensors that a request asks for.
 
@@ -47,6 +53,7 @@ def content_from(
         sensors: the device's.
         database: holds the sessions of captures.
         recordings: the folder of recordings.
+        live: has the running devices.
 
     Raises:
         LumilineError: what the request names does not exist, or nothing can be estimated from it.
@@ -73,6 +80,8 @@ def content_from(
             }
         case FromDocument() as source:
             found = sensor_calibrations(source.sensors)
+        case FromBadPixels():
+            found = _from_bad_pixels(live.session(request.device))
     content = RadiometricContent(request.device, found)
     check_content(content, sensors)
     return content
@@ -95,6 +104,36 @@ def _from_capture(
         relative_light=light if len(light) == len(flats) else None,
         temperature_c=float(np.mean(temperatures)) if temperatures else None,
     )
+
+
+def _from_bad_pixels(running: DeviceSession) -> dict[str, RadiometricCalibration]:
+    """Return the active calibrations of a device, with the bad pixels that its frames have shown.
+
+    Raises:
+        InvalidParameter: there are none.
+    """
+    active, description = running.processor.active_calibration, running.description
+    if not active.bad_pixels:
+        raise InvalidParameter(
+            f'the frames of device "{running.device_id}" have shown no bad pixel since its start; '
+            "its status lists them: let lights move over the sensors for a minute"
+        )
+    found = dict(active.radiometric.sensors) if active.radiometric else {}
+    for name in {one.sensor for one in active.bad_pixels}:
+        pixels = next(sensor.pixels for sensor in description.sensors if sensor.name == name)
+        flags = bad_pixel_flags(active.bad_pixels, name, pixels)
+        found[name] = (
+            found[name].with_bad_pixels(flags)
+            if name in found
+            else masking_calibration(
+                flags,
+                description.electrons_per_count,
+                description.read_noise_electrons,
+                description.offset_counts,
+                2**description.bits - 1,
+            )
+        )
+    return found
 
 
 def _from_scans(

@@ -15,10 +15,12 @@ from service.pipeline.active_calibration import (
     NO_ACTIVE_CALIBRATION,
     ActiveCalibration,
     ActiveRadiometric,
+    LiveBadPixel,
 )
 
 _RESULT: Final = TypeAdapter(Calibration)
-_NOT_HASHED: Final = {"id", "content_hash", "table", "radiometric"}
+_NOT_HASHED: Final = {"id", "content_hash", "table", "radiometric", "bad_pixels"}
+_BAD_PIXELS: Final = TypeAdapter(tuple[LiveBadPixel, ...])
 
 
 def dump_active_calibration(found: ActiveCalibration) -> tuple[bytes, bytes]:
@@ -27,17 +29,20 @@ def dump_active_calibration(found: ActiveCalibration) -> tuple[bytes, bytes]:
     The document has the members of the calibration's content (``result`` and, of one that the
     service stored, ``device``, ``provenance`` and ``points``), and ``id``, ``content_hash`` and
     ``table``, the table's id. `lumiline replay --calibration` takes it. A radiometric calibration
-    is its member ``radiometric``, with ``id``, ``content_hash`` and ``content``; without another
-    calibration it is the only one.
+    is its member ``radiometric``, with ``id``, ``content_hash`` and ``content``, and pixels that
+    the frames had shown to be bad are ``bad_pixels``; without another calibration they are the only
+    ones.
     """
     radiometric = found.radiometric
-    pixels = {} if radiometric is None else {
-        "radiometric": {
+    pixels: dict[str, Any] = {}
+    if radiometric is not None:
+        pixels["radiometric"] = {
             "id": radiometric.radiometric_id,
             "content_hash": radiometric.content_hash,
             "content": radiometric.content,
         }
-    }  # fmt: skip
+    if found.bad_pixels:
+        pixels["bad_pixels"] = _BAD_PIXELS.dump_python(found.bad_pixels, mode="json")
     if found.calibration is None:
         return (json.dumps(pixels, allow_nan=False).encode() if pixels else b""), b""
     content = found.calibration_content
@@ -77,9 +82,9 @@ def load_active_calibration(document: bytes, table: bytes, where: str) -> Active
     """
     if not document:
         return NO_ACTIVE_CALIBRATION
-    radiometric = load_radiometric(document, where)
-    if radiometric is not None and set(json.loads(document)) == {"radiometric"}:
-        return ActiveCalibration(radiometric=radiometric)
+    radiometric, bad_pixels = load_pixels(document, where)
+    if (radiometric or bad_pixels) and set(json.loads(document)) <= {"radiometric", "bad_pixels"}:
+        return ActiveCalibration(radiometric=radiometric, bad_pixels=bad_pixels)
     from service.api.correction_tables.hdf5_file import read_table
 
     try:
@@ -104,11 +109,14 @@ def load_active_calibration(document: bytes, table: bytes, where: str) -> Active
         own_hash,
         table or None,
         radiometric,
+        bad_pixels,
     )
 
 
-def load_radiometric(document: bytes, where: str) -> ActiveRadiometric | None:
-    """Return the radiometric calibration of a document; None: it has none.
+def load_pixels(
+    document: bytes, where: str
+) -> tuple[ActiveRadiometric | None, tuple[LiveBadPixel, ...]]:
+    """Return the radiometric calibration and the bad pixels of a document; None: it has none.
 
     Args:
         document: as of ``dump_active_calibration``.
@@ -118,22 +126,25 @@ def load_radiometric(document: bytes, where: str) -> ActiveRadiometric | None:
         InvalidRecording: it is none, or was changed after it was written.
     """
     if not document:
-        return None
+        return None, ()
     try:
         found = json.loads(document)
-        stored = found.get("radiometric") if isinstance(found, dict) else None
+        if not isinstance(found, dict):
+            return None, ()
+        bad_pixels = _BAD_PIXELS.validate_python(found.get("bad_pixels", ()))
+        stored = found.get("radiometric")
         if stored is None:
-            return None
+            return None, bad_pixels
         content, kept = dict(stored["content"]), str(stored["content_hash"])
         sensors = content_of(content).sensors
         own_hash = content_hash(content)
     except (LumilineError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise InvalidRecording(
-            f"{where} holds a radiometric calibration that is none: {error}"
+            f"{where} holds a radiometric calibration, or bad pixels, that are none: {error}"
         ) from error
     if own_hash != kept:
         raise InvalidRecording(
             f"{where} holds a radiometric calibration whose content has the hash {own_hash}; it "
             f"says {kept[:64]}: it was changed after it was written"
         )
-    return ActiveRadiometric(str(stored.get("id")), sensors, own_hash, content)
+    return ActiveRadiometric(str(stored.get("id")), sensors, own_hash, content), bad_pixels

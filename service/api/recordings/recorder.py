@@ -92,7 +92,7 @@ class Recorder:
 
     def _row(self, found: ActiveCalibration) -> int:
         """Return the row of the active calibration; a new one is sent from another thread."""
-        if found.calibration is None and found.radiometric is None:
+        if found.calibration is None and found.radiometric is None and not found.bad_pixels:
             return NO_CALIBRATION_ROW
         with self._lock:
             row = self._rows.get(found)

@@ -185,7 +185,10 @@ def _used(reader: "RecordingReader") -> list[UsedCalibration]:
         radiometric = str(pixels.get("id")) if isinstance(pixels, dict) else None
         used.append(
             UsedCalibration(
-                **texts, radiometric=radiometric, from_frame=first[0] if first else None
+                **texts,
+                radiometric=radiometric,
+                bad_pixels=len(found.get("bad_pixels", ())),
+                from_frame=first[0] if first else None,
             )
         )
     return used

@@ -12,7 +12,7 @@ from hardware.recording.frame_block import FrameBlock
 from hardware.recording.reader import RecordingReader
 from service.api.recordings.active_calibration_file import (
     load_active_calibration,
-    load_radiometric,
+    load_pixels,
 )
 from service.api.recordings.result_rows import peak_rows, point_rows
 from service.pipeline.active_calibration import NO_ACTIVE_CALIBRATION, ActiveCalibration
@@ -94,8 +94,8 @@ def calibration_intervals(
 
     Args:
         reader: the recording.
-        given: what takes its place; None: nothing does. The radiometric calibration of the
-            recording stays: peaks are found as they were live.
+        given: what takes its place; None: nothing does. The radiometric calibration and the bad
+            pixels of the recording stay: peaks are found as they were live.
 
     Raises:
         InvalidRecording, InvalidTableFile: what is there is none, or was changed.
@@ -113,8 +113,12 @@ def calibration_intervals(
             yield first, end, recorded_calibration(reader, row)
         else:
             document = b"" if row < 0 else reader.in_force(row)[0]
-            radiometric = load_radiometric(document, "the recording")
-            yield first, end, replace(given, radiometric=radiometric or given.radiometric)
+            radiometric, bad_pixels = load_pixels(document, "the recording")
+            yield (
+                first,
+                end,
+                replace(given, radiometric=radiometric or given.radiometric, bad_pixels=bad_pixels),
+            )
 
 
 def compare(

@@ -39,6 +39,9 @@ class UsedCalibration(ResponseModel):
     content_hash: str | None
     table: str | None = Field(description="Id of the correction table used with it.")
     radiometric: str | None = Field(description="Id of the radiometric calibration of the peaks.")
+    bad_pixels: int = Field(
+        description="Masked pixels that the live frames had shown to be bad until then."
+    )
     from_frame: int | None = Field(
         description="The first frame of it, counted from 0; null: none yet."
     )

@@ -173,6 +173,11 @@ class LiveCollector(Collector):
             ("device", "state"),
         )
         yield from members_of(_FRAMES, _by_device(statuses))
+        yield gauge(
+            "bad_pixels",
+            "Pixels that frames have shown to be bad since the device's start; they are masked.",
+            (((name,), float(len(status.bad_pixels))) for name, status in statuses.items()),
+        )
         links = {name: status.link for name, status in statuses.items() if status.link is not None}
         yield gauge(
             "link_connected",

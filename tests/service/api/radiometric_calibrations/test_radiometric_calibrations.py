@@ -1,5 +1,7 @@
 """/api/v1/radiometric-captures and -calibrations: captured, estimated, activated, history."""
 
+from dataclasses import replace
+from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,6 +13,8 @@ from service.api.radiometric_calibrations.examples import (
     NEW_RADIOMETRIC_CALIBRATIONS,
     NEW_RADIOMETRIC_CAPTURES,
 )
+from service.pipeline.active_calibration import LiveBadPixel
+from service.pipeline.device_status import DeviceStatus
 from tests.service.api.radiometric_calibrations.frames import (
     DEFECTS,
     batch_of,
@@ -261,3 +265,40 @@ def test_documents_that_are_none_are_refused(sqlite_client: Any) -> None:
     assert refused(good | {"gain_electrons_per_count": -1.0})["status"] == 422
     assert refused(good, "no such sensor")["type"] == "/problems/sensors-changed"
     assert sqlite_client.get(URL).json()["total"] == 0
+
+
+def test_bad_pixels_of_the_live_frames_become_a_calibration(
+    client: Any, live: FakePipeline
+) -> None:
+    body = {"id": "kept", "device": "sim", "source": {"kind": "bad-pixels"}}
+    assert client.post(URL, json=body).json()["type"] == "/problems/device-not-running"
+    live.records = description()
+    none = client.post(URL, json=body).json()
+    assert none["type"] == "/problems/invalid-parameter"
+    assert "no bad pixel" in none["detail"]
+    client.post(URL, json=EXAMPLE | {"id": "measured"})
+    activate(client, "measured")
+    (measured,) = EXAMPLE["source"]["sensors"]
+    first, other = (
+        LiveBadPixel(name, pixel, "stuck", datetime(2026, 1, 2, tzinfo=UTC))
+        for name, pixel in (
+            (measured, 7),
+            (next(one.name for one in live.records.sensors if one.name != measured), 9),
+        )
+    )
+    live.active = replace(live.in_force["sim"], bad_pixels=(first, other))
+    live.states["sim"] = DeviceStatus("running", bad_pixels=(first, other))
+    status = client.get("/api/v1/devices/sim/status").json()["status"]
+    assert status["bad_pixels"][0] == {
+        "sensor": measured, "pixel": 7, "kind": "stuck", "since": "2026-01-02T00:00:00Z",
+    }  # fmt: skip
+    assert 'lumiline_bad_pixels{device="sim"} 2.0' in client.get("/metrics").text
+    made = client.post(URL, json=body)
+    assert made.status_code == 201, made.text
+    assert made.json()["origin"] == "bad-pixels"
+    sensors = client.get(f"{URL}/kept").json()["content"]["sensors"]
+    assert np.flatnonzero(sensors[measured]["bad_pixels"]).tolist() == [7, 100]
+    assert sensors[measured]["prnu"] == 0.01
+    assert np.flatnonzero(sensors[other.sensor]["bad_pixels"]).tolist() == [9]
+    assert sensors[other.sensor]["gain_electrons_per_count"] == 12.0
+    assert activate(client, "kept").json()["active"] is True

@@ -13,7 +13,7 @@ from hardware.link import LinkCounters, LinkPhase, LinkState
 from hardware.serial.connection import Connection
 from hardware.serial.decoder import Decoder
 from hardware.serial.frame_builder import FrameBuilder
-from hardware.serial.link_watchdog import DescribePolicy, LinkWatchdog
+from hardware.serial.link_watchdog import DescribePolicy, LinkWatchdog, RegularityWatch
 from hardware.serial.messages import Answer, Description, DeviceStatus, Lines, Message
 from hardware.serial.port import CloseSignal, PortDisconnected
 from hardware.serial.settings import SerialSettings
@@ -92,6 +92,7 @@ class SerialSession:
         self._reconnects = 0
         self._incomplete = 0
         self._describe_policy = DescribePolicy()
+        self._regularity = RegularityWatch()
         self._temperature_c: float | None = None
         self._connection: Connection | None = None
         self._name = name
@@ -191,10 +192,14 @@ class SerialSession:
                 self._decoder.complaint = None
                 self._describe_policy.record_frames()
             state, reason = watch.check(now_ns)
-            if state == "garbled" and self._decoder.complaint is not None:
+            stopped = state != "connected"
+            irregular = self._regularity.check(builder.irregular, now_ns)
+            if irregular is not None and not stopped:
+                state, reason = "garbled", irregular
+            elif state == "garbled" and self._decoder.complaint is not None:
                 reason = f"{self._decoder.complaint}; check the device's firmware"
             self._set_state(state, reason)
-            if state != "connected" and self._describe_policy.should_describe(now_ns):
+            if stopped and self._describe_policy.should_describe(now_ns):
                 connection.request_description()
 
     def _bad(self, connection: Connection) -> int:

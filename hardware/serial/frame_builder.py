@@ -1,13 +1,19 @@
 """Builds line frames from messages: reassembly, continuous numbers, times on both clocks."""
 
+from typing import Final
+
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.clock_sync import DeviceClock, host_time_ns
+from hardware.clock_sync import DeviceClock, ExposureTimestamp, host_time_ns
 from hardware.line_frame import FrameFlag, LineFrame
 from hardware.serial.messages import NO_MARKER, Description, Lines, LinesFlag
 
-_SEQUENCE_WRAP = 2**32
+_SEQUENCE_WRAP: Final = 2**32
+_MAX_RATE_HZ: Final = 100_000
+"""No sensor is read more often: numbers that rise faster are no count of exposures."""
+_LATE_NS: Final = 1_000_000_000
+"""How much later than the next an exposure may arrive."""
 
 
 class ExposureAssembler:
@@ -90,7 +96,9 @@ class FrameBuilder:
         clock: maps the device's clock to the host's.
         built: number of frames built.
         lost: exposures missing in the device's sequence numbers.
-        refused: exposures with an invalid marker.
+        refused: exposures with an invalid marker, and those that were sent before.
+        irregular: exposures before which the device's numbers or its clock began anew, stood
+            still, or jumped by more than any sensor is read, while the device stayed connected.
     """
 
     def __init__(self, device: str, description: Description, markers: int) -> None:
@@ -98,9 +106,12 @@ class FrameBuilder:
         self.built = 0
         self.lost = 0
         self.refused = 0
+        self.irregular = 0
         self._device = device
         self._markers = markers
-        self._last_number: int | None = None
+        self._last: tuple[int, int] | None = None
+        self._arrival_ns = 0
+        self._newest_ns = (-1, -(2**63))
         self._sequence = -1
         self._reconnected_description: Description | None = None
 
@@ -111,7 +122,7 @@ class FrameBuilder:
     def build(self, exposed: Lines, arrival_ns: int) -> LineFrame | None:
         """Return the frame of an exposure that arrived at a monotonic time [ns].
 
-        None: its marker is invalid.
+        None: its marker is invalid, or it came before.
 
         Raises:
             InvalidParameter: the clock of the reconnected device wraps too often.
@@ -120,20 +131,28 @@ class FrameBuilder:
         if marker is not None and marker >= self._markers:
             self.refused += 1
             return None
-        last = self._last_number
-        step = 1 if last is None else (exposed.sequence - last) % _SEQUENCE_WRAP
-        backwards = not 0 < step < _SEQUENCE_WRAP // 2
+        last, since_ns = self._last, arrival_ns - self._arrival_ns
+        step = 1 if last is None else (exposed.sequence - last[0]) % _SEQUENCE_WRAP
         came_back, self._reconnected_description = self._reconnected_description, None
+        if (exposed.sequence, exposed.ticks) == last and came_back is None:
+            self.refused += 1
+            return None
+        max_step = 1 + (since_ns + _LATE_NS) * _MAX_RATE_HZ // 1_000_000_000
+        stands = last is not None and exposed.ticks == last[1]
+        jumps = stands or not 0 < step <= min(max_step, _SEQUENCE_WRAP // 2 - 1)
         other = came_back is not None and self.clock.reconfigure(*_clock(came_back), arrival_ns)
-        if backwards and not other:
+        if jumps and not other:
             self.clock.restart(arrival_ns)
         stamp = self.clock.stamp(exposed.ticks, arrival_ns)
-        anew = backwards or other or stamp.restarted
+        anew = jumps or other or stamp.restarted
         if anew:  # the number lost is unknown
             step = 1
-        self._last_number = exposed.sequence
+            self.irregular += came_back is None
+        self._last = (exposed.sequence, exposed.ticks)
+        self._arrival_ns = arrival_ns
         self._sequence += step
         self.lost += step - 1
+        device_ns, host_ns = self._rising(stamp, came_back is not None)
         flags = FrameFlag.OVERFLOW if step > 1 or anew else FrameFlag.NONE
         if exposed.flags & LinesFlag.SATURATED:
             flags |= FrameFlag.SATURATED
@@ -141,9 +160,21 @@ class FrameBuilder:
         return LineFrame(
             self._device,
             self._sequence,
-            stamp.device_ns,
-            host_time_ns(stamp.host_ns),
+            device_ns,
+            host_time_ns(host_ns),
             marker,
             exposed.counts,
             flags,
         )
+
+    def _rising(self, stamp: ExposureTimestamp, came_back: bool) -> tuple[int, int]:
+        """Return an exposure's times, later than those of the one before.
+
+        The host's may be earlier after a reconnection, with another delay of the device.
+        """
+        device_ns, host_ns = self._newest_ns
+        self._newest_ns = (
+            max(stamp.device_ns, device_ns + 1),
+            stamp.host_ns if came_back else max(stamp.host_ns, host_ns + 1),
+        )
+        return self._newest_ns

@@ -1,5 +1,6 @@
 """Link supervision: connected, silent or garbled; when to query and reconfigure a device."""
 
+from collections import deque
 from typing import Final
 
 from hardware.link import LinkPhase
@@ -70,6 +71,36 @@ class LinkWatchdog:
         """Record a frame: earlier errors no longer matter."""
         self._frame_ns = now_ns
         self._bad_ns = self._message_ns = None
+
+
+IRREGULAR_COUNT: Final = 3
+IRREGULAR_NS: Final = 10_000_000_000
+
+
+class RegularityWatch:
+    """Finds devices whose frames arrive but whose numbers or clock begin anew again and again."""
+
+    def __init__(self) -> None:
+        self._count = 0
+        self._times_ns: deque[int] = deque(maxlen=IRREGULAR_COUNT)
+
+    def check(self, count: int, now_ns: int) -> str | None:
+        """Return what is wrong at a time, None: nothing.
+
+        Args:
+            count: of irregular exposures so far.
+            now_ns: monotonic time [ns].
+        """
+        self._times_ns.extend([now_ns] * min(count - self._count, IRREGULAR_COUNT))
+        self._count = count
+        times = self._times_ns
+        if len(times) < IRREGULAR_COUNT or now_ns - times[0] > IRREGULAR_NS:
+            return None
+        return (
+            f"exposures come, but their numbers or ticks began anew {IRREGULAR_COUNT} times or "
+            f"more within {IRREGULAR_NS // 1_000_000_000} s: their times and losses are not known; "
+            "check the device's firmware: the sequence counts each exposure once, the ticks rise"
+        )
 
 
 DESCRIBE_INTERVAL_NS: Final = 1_000_000_000

@@ -16,11 +16,12 @@ from hardware.errors import DeviceChanged, DeviceNotConnected
 from hardware.line_frame import FrameFlag, LineFrame
 from hardware.link import LinkedDriver, LinkState
 from hardware.recording.writer import RecordingWriter
-from hardware.serial import simulated_device
+from hardware.serial import link_watchdog, simulated_device
 from hardware.serial.codec import encode
 from hardware.serial.driver import SerialDriver, check_identity
 from hardware.serial.emulator import serve_terminal
-from hardware.serial.messages import Description, Result
+from hardware.serial.frame_builder import ExposureAssembler
+from hardware.serial.messages import Description, Lines, Result
 from hardware.serial.settings import SerialSettings
 from hardware.serial.simulated_device import SimulatedSerialDevice
 from hardware.simulated.driver import FrameRenderer
@@ -386,6 +387,26 @@ def test_what_is_wrong_with_its_messages_is_told(bar: BenchDevice, watched: Watc
     assert (
         reason == "a description came with gain 0; it must be above 0; check the device's firmware"
     )
+
+
+def test_device_whose_numbers_stand_still_is_not_connected(
+    bar: BenchDevice, watched: Watched, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its frames go on; when the numbers count again, it is connected after a while."""
+    add = ExposureAssembler.add
+
+    def add_with_number(self: ExposureAssembler, part: Lines) -> Lines | None:
+        exposed = add(self, part)
+        return None if exposed is None else replace(exposed, sequence=2**31)
+
+    watched.more(3)
+    monkeypatch.setattr(link_watchdog, "IRREGULAR_NS", 500_000_000)
+    monkeypatch.setattr(ExposureAssembler, "add", add_with_number)
+    assert "their numbers or ticks began anew" in (watched.state("garbled").reason or "")
+    watched.more(3)
+    monkeypatch.setattr(ExposureAssembler, "add", add)
+    watched.state("connected")
+    assert watched.driver.link().counters.frames_lost == 0
 
 
 def test_a_description_out_of_bounds_is_told(

@@ -87,3 +87,49 @@ def test_a_device_that_comes_back_with_another_delay_is_timed_by_that() -> None:
     assert (second.flags, maker.clock.restarts) == (FrameFlag.NONE, 0)
     passed_ns = second.exposure_host_ns - first.exposure_host_ns
     assert passed_ns == pytest.approx(10_000_000 - 250_000_000, abs=50_000_000)
+
+
+def test_exposure_that_is_sent_twice_is_refused() -> None:
+    maker = FrameBuilder("bar", DESCRIPTION, 0)
+    built(maker, 0, 0, 0)
+    lines = whole(0).counts.reshape(2, 4)
+    assert maker.build(Lines(0, 0, NO_MARKER, LinesFlag.NONE, 0, 0, lines), 10_000_000) is None
+    assert (maker.refused, maker.irregular, maker.lost) == (1, 0, 0)
+
+
+@pytest.mark.parametrize("kind", ["numbers", "same number", "ticks", "ticks back", "same ticks"])
+def test_random_numbers_and_ticks_are_irregular_and_poison_no_counter(kind: str) -> None:
+    """Of 500 exposures; losses of the regular ones after them are counted exactly."""
+    maker = FrameBuilder("bar", DESCRIPTION, 0)
+    random = np.random.default_rng(5)
+    first = built(maker, 0, 0, 0)
+    frames = [first]
+    for number in range(1, 500):
+        given, ticks = number, number * STEP
+        if kind == "numbers":
+            given = int(random.integers(2**32))
+        elif kind == "same number":
+            given = 0
+        elif kind == "ticks":
+            ticks = int(random.integers(2**32))
+        elif kind == "ticks back":
+            ticks = 2**31 - number * STEP
+        else:
+            ticks = 0
+        frames.append(built(maker, given, ticks, number * 10_000_000))
+    assert maker.lost == 0
+    assert [frame.sequence for frame in frames] == list(range(500))
+    device, host = (
+        np.array([getattr(frame, f"exposure_{clock}_ns") for frame in frames])
+        for clock in ("device", "host")
+    )
+    assert (np.diff(device) > 0).all()
+    # To the resolution of two clocks that are read one after the other.
+    assert (np.diff(host) > -1_000_000).all()
+    assert maker.irregular > 400
+    # Regular again: the first one may begin anew, the others tell what is lost.
+    built(maker, 1000, 1000 * STEP, 15_000_000_000)
+    irregular, lost = maker.irregular, maker.lost
+    built(maker, 1001, 1001 * STEP, 15_010_000_000)
+    built(maker, 1004, 1004 * STEP, 15_040_000_000)
+    assert (maker.irregular, maker.lost) == (irregular, lost + 2)

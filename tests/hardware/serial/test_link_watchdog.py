@@ -1,6 +1,13 @@
 """LinkWatchdog classifies a link; DescribePolicy queries and reconfigures its device."""
 
-from hardware.serial.link_watchdog import CONFIGURE_INTERVAL_NS, DescribePolicy, LinkWatchdog
+from hardware.serial.link_watchdog import (
+    CONFIGURE_INTERVAL_NS,
+    IRREGULAR_COUNT,
+    IRREGULAR_NS,
+    DescribePolicy,
+    LinkWatchdog,
+    RegularityWatch,
+)
 
 
 def watch() -> LinkWatchdog:
@@ -114,3 +121,14 @@ def test_after_frames_and_connections_it_is_reconfigured_at_once() -> None:
         again(policy)
         assert policy.should_describe(6 * S)
         assert policy.should_configure(6 * S)
+
+
+def test_regularity_watch_tells_resets_that_follow_each_other_only() -> None:
+    rare, often = RegularityWatch(), RegularityWatch()
+    for number in range(1, 20):
+        assert rare.check(number, number * IRREGULAR_NS) is None
+    for number in range(1, IRREGULAR_COUNT):
+        assert often.check(number, number * S) is None
+    assert "began anew" in (often.check(IRREGULAR_COUNT, IRREGULAR_COUNT * S) or "")
+    assert often.check(IRREGULAR_COUNT, S + IRREGULAR_NS) is not None
+    assert often.check(IRREGULAR_COUNT, S + IRREGULAR_NS + 1) is None

@@ -1,0 +1,199 @@
+"""Damaged tables, backups, profiles and tool files: refused with a reason, or read as written.
+
+Bits are flipped, bytes overwritten and ends cut off, at random places; recordings have a test of
+their own (tests/hardware/recording/test_damage.py).
+"""
+
+import json
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from compute.errors import LumilineError
+from service.api.correction_tables.hdf5_file import read_table, write_table
+from service.api.devices.profiles import profile_text
+from service.application.app import create_app
+from service.application.initial_content import seed
+from service.backup.backup import back_up
+from service.backup.restore import restore
+from service.cli import app, tool_files
+from service.cli.output import fail
+from service.database.engine import Database
+from service.database.migration import migrate
+from service.problems.errors import BackupUnusable
+from service.settings import Settings
+from tests.service.api.correction_tables.tables import content as content_of_table
+from tests.service.fake_pipeline import FakePipeline, TestClient
+
+DAMAGES = 1000
+A_FEW = 40
+PLANNED = 50
+
+
+def damaged(whole: bytes, random: np.random.Generator) -> bytes:
+    """Flip one bit or eight, overwrite up to 16 bytes, or cut the end off."""
+    kind = random.integers(4)
+    if kind == 3:
+        return whole[: random.integers(len(whole))]
+    data = bytearray(whole)
+    place = int(random.integers(len(data)))
+    if kind == 2:
+        data[place : place + 16] = random.bytes(len(data[place : place + 16]))
+    else:
+        for at in place + random.integers(0, 16, 1 + 7 * kind):
+            data[min(int(at), len(data) - 1)] ^= 1 << random.integers(8)
+    return bytes(data)
+
+
+def damages(whole: bytes, count: int) -> Iterator[bytes]:
+    """The first ones are the same in each run, a thousand are new ones."""
+    first = 0 if count == A_FEW else int.from_bytes(os.urandom(3))
+    for seed_ in range(first, first + count):
+        found = damaged(whole, np.random.default_rng([23, seed_]))
+        if found != whole:
+            yield found
+
+
+FEW_OR_MANY = pytest.mark.parametrize(
+    "count", [A_FEW, pytest.param(DAMAGES, marks=pytest.mark.slow)]
+)
+
+
+@FEW_OR_MANY
+def test_table_file_that_is_damaged_is_refused_or_the_same(count: int):
+    whole = write_table(content_of_table("0" * 64))
+    expected = read_table(whole)
+    refused = 0
+    for data in damages(whole, count):
+        try:
+            found = read_table(data)
+        except LumilineError:
+            refused += 1
+            continue
+        # What is read is hashed whole; the other bytes are HDF5's own.
+        assert found.header() == expected.header()
+        for name in ("coefficients_px", "variance_px2", "valid"):
+            np.testing.assert_array_equal(getattr(found.table, name), getattr(expected.table, name))
+    assert refused > count / 2
+
+
+@pytest.fixture(scope="module")
+def backup(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    folder = tmp_path_factory.mktemp("backup")
+    database = Database(f"sqlite:///{folder / 'filled.sqlite3'}")
+    migrate(database)
+    with database.write() as session:
+        seed(session)
+    back_up(database, folder / "backup")
+    database.close()
+    return (folder / "backup").read_bytes()
+
+
+@FEW_OR_MANY
+def test_backup_that_is_damaged_is_refused(backup: bytes, tmp_path: Path, count: int):
+    file, target = tmp_path / "damaged", Database(f"sqlite:///{tmp_path / 'target.sqlite3'}")
+    for data in damages(backup, count):
+        file.write_bytes(data)
+        with pytest.raises(BackupUnusable) as caught:
+            restore(target, file, None)
+        assert caught.value.detail.startswith(f"{file} is ")
+    assert not (tmp_path / "target.sqlite3").exists()
+    target.close()
+
+
+PROFILE = "bar"
+
+
+@pytest.mark.slow
+def test_profile_that_is_damaged_leaves_the_list_whole(tmp_path: Path):
+    settings = Settings(data_dir=tmp_path)
+    folder = settings.folders.profiles
+    whole = profile_text(PROFILE, folder).replace(f'"{PROFILE}"', '"own"', 1).encode()
+    with TestClient(create_app(settings, FakePipeline())) as client:
+        names = {one["name"] for one in client.get("/api/v1/device-profiles").json()}
+        folder.mkdir(exist_ok=True)
+        (folder / "sound.toml").write_bytes(whole.replace(b'"own"', b'"sound"', 1))
+        for number, data in enumerate(damages(whole, DAMAGES)):
+            (folder / "own.toml").write_bytes(data)
+            one = client.get("/api/v1/device-profiles/own")
+            listed = client.get("/api/v1/device-profiles")
+            assert one.status_code in (200, 422), data
+            assert listed.status_code == 200, data
+            found = {item["name"] for item in listed.json()}
+            assert found >= names | {"sound"}
+            assert ("own" in found) == (one.status_code == 200)
+            if number % PLANNED == PLANNED - 1:  # what is read as a profile can be planned with
+                plan = client.get("/api/v1/device-profiles/own/plan")
+                assert plan.status_code in (200, 422), data
+
+
+TOOLS = {
+    "items": [
+        {
+            "id": f"probe-{number}",
+            "device": "sim",
+            "title": "Probe \u00e4",
+            "markers_mm": [
+                *([0.0, 0.0, 0.0], [80.0, 0.0, 0.0], [0.0, 60.0, 0.0]),
+                [20.0, 15.0, 40.0 + 30.0 * number],
+            ],
+            "tip_mm": [-150.0, 0.5, 1e-3],
+            "note": "",
+        }
+        for number in range(2)
+    ]
+}
+
+
+@FEW_OR_MANY
+def test_tool_file_that_is_damaged_is_refused_or_holds_tools(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, count: int
+):
+    """The command says what is wrong in a line, or sends what the file has; never a traceback."""
+    file, whole = tmp_path / "tools.json", json.dumps(TOOLS, ensure_ascii=False).encode()
+    settings = Settings(data_dir=tmp_path / "data")
+    with TestClient(create_app(settings, FakePipeline())) as server:
+        monkeypatch.setattr(tool_files, "client_session", partial(_session, server))
+        for data in damages(whole, count):
+            file.write_bytes(data)
+            result = CliRunner().invoke(app, ["tools", "create", str(file)])
+            assert isinstance(result.exception, SystemExit | None), (data, result.exception)
+            assert result.exit_code in (0, 1, 2), data
+            expected = "made: " if result.exit_code == 0 else "error: "
+            assert expected in result.output, data
+            listed = server.get("/api/v1/tools")
+            assert listed.status_code == 200
+            for tool in listed.json()["items"]:
+                assert server.delete(f"/api/v1/tools/{tool['id']}").status_code == 204
+
+
+@contextmanager
+def _session(server: TestClient, *_: Any) -> Iterator[Any]:
+    """A client that sends to the server in this process, and reports as the command's own does."""
+    try:
+        yield _Requests(server)
+    except ServerError as error:
+        raise fail(str(error)) from error
+
+
+class _Requests:
+    def __init__(self, server: TestClient) -> None:
+        self._server = server
+
+    def request(self, method: str, path: str, body: Any) -> Any:
+        answer = self._server.request(method, path, json=body)
+        assert answer.status_code < 500, answer.text
+        if answer.status_code >= 400:
+            raise ServerError(answer.text)
+        return answer.json()
+
+
+class ServerError(Exception):
+    """What the server refused."""

@@ -28,7 +28,8 @@ _MAX_MEMBERS: Final = 1000
 _MAX_VALUES: Final = 2**20
 """Of one body, in lists and objects; a settings' larger body may have one in 8 bytes."""
 _BYTES_PER_VALUE: Final = 8
-_TIMEOUT_S: Final = 20.0
+_TIMEOUT_S: Final = 120.0
+"""Seconds for a body; the largest takes some, and ten times that on a busy machine."""
 _MEMORY_BYTES: Final = 2**30
 _PEAK_BYTES: Final = 256 * 2**20
 _MAX_WAITING: Final = 8

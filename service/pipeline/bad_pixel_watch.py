@@ -48,7 +48,7 @@ class BadPixelWatch:
         """Scans of each sensor when it was judged last."""
         self._found: dict[tuple[int, int], LiveBadPixel] = {}
         self.due_s = 0.0
-        """When the next frame is to be looked at, by ``time.perf_counter`` [s]."""
+        """When the next frame is to be looked at, by ``time.monotonic`` [s]."""
         self._taken = 0
         self.busy_s = 0.0
         """Time that it has taken so far [s]."""
@@ -61,7 +61,7 @@ class BadPixelWatch:
     def take(self, frames: Sequence[LineFrame]) -> bool:
         """Look at a frame of a batch; return whether a bad pixel is new."""
         begin = time.perf_counter()
-        self.due_s = begin + SAMPLE_INTERVAL_S
+        self.due_s = time.monotonic() + SAMPLE_INTERVAL_S
         self._taken += 1
         # Not always the last: batches may follow the strobe.
         frame = frames[self._taken % len(frames)]

@@ -300,7 +300,7 @@ class DeviceSession:
         watch = self.bad_pixel_watch
         if watch is None or self.reader is None or self.reader.lossless:
             return
-        if time.perf_counter() >= watch.due_s and watch.take(frames):
+        if time.monotonic() >= watch.due_s and watch.take(frames):
             active = self.with_bad_pixels(self.processor.active_calibration)
             # Recordings name what each frame was processed with: a replay gives the same bits.
             for tap in self.taps:

@@ -39,7 +39,10 @@ def test_every_panel_has_one_expression() -> None:
 
 def test_age_of_the_calibration_in_use(sqlite_client: Any) -> None:
     assert sqlite_client.post("/api/v1/calibrations/sim-nominal/activate").status_code == 200
-    assert 0.0 <= value(read(sqlite_client), "lumiline_calibration_age_seconds", device="sim") < 600
+    found = sqlite_client.get("/api/v1/calibrations/sim-nominal").json()
+    created = datetime.fromisoformat(found["created_at"])
+    age_s = value(read(sqlite_client), "lumiline_calibration_age_seconds", device="sim")
+    assert 0.0 <= age_s <= (datetime.now(UTC) - created).total_seconds()
     assert "lumiline_drift_check_good{" not in sqlite_client.get("/metrics").text
 
 

@@ -55,7 +55,7 @@ from service.version import package_version
 
 SMALL_BODY_BYTES: Final = 128 * 1024
 """Largest body of an operation that is in neither list below: parsed in some milliseconds."""
-OBSERVATION_BODY_BYTES: Final = 2 * 1024 * 1024
+OBSERVATION_BODY_BYTES: Final = 4 * 1024 * 1024
 """Largest body of readings; 10,000 control points of four sensors have 1.7 MB."""
 _OBSERVATIONS: Final = (
     *("calibrations", "captures", "reconstructions"),

@@ -41,6 +41,11 @@ class LimitedWebSocketProtocol(WebSocketsSansIOProtocol):
         self.resume_writing()
         super().connection_lost(exc)
 
+    def shutdown(self) -> None:
+        """Close the connection; one whose client does not read must not hold up the server."""
+        super().shutdown()
+        self.loop.call_later(LINGER_S, self.transport.abort)
+
     def pause_writing(self) -> None:
         """Begin to wait for the client to read."""
         super().pause_writing()

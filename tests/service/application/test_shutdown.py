@@ -14,13 +14,14 @@ from pathlib import Path
 from typing import NoReturn
 
 import httpx
+import numpy as np
 import pytest
 import uvicorn
 from fastapi import FastAPI
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
-from service.api.runs.examples import NEW_CALIBRATION_RUNS
+from service.api.runs.examples import simulated_points
 from service.api.tools.concurrency_limits import MAX_CONCURRENT
 from service.api.tools.examples import NEW_TOOLS
 from service.application.shutdown import ShutdownServer
@@ -75,11 +76,15 @@ def _drain(stream: ClientConnection) -> NoReturn:
 
 
 def _begin_run(api: str) -> None:
-    """Post a run and return as soon as its process was started, well before it is done."""
-    body = NEW_CALIBRATION_RUNS["frame"]["value"]
-    run = httpx.post(f"{api}/calibration-runs", json=body).json()["id"]
+    """Post a run of a minute and more; return as soon as its process was started."""
+    axis = np.linspace(-80.0, 80.0, 9)
+    grid = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
+    body = {
+        "device": "sim", "calibration": "sim-nominal", "points": simulated_points(grid),
+    }  # fmt: skip
+    run = httpx.post(f"{api}/mapping-runs", json=body, timeout=END_S).json()["id"]
     end = time.monotonic() + END_S
-    while httpx.get(f"{api}/runs/{run}").json()["state"] == "queued":
+    while httpx.get(f"{api}/runs/{run}", timeout=END_S).json()["state"] == "queued":
         assert time.monotonic() < end
         time.sleep(0.02)
 
@@ -103,7 +108,7 @@ def test_a_server_that_is_told_to_stop(tmp_path: Path):
                 "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
                 "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n".encode()
             )
-            for _ in range(200):
+            for _ in range(800):
                 stream.recv()
             _begin_run(f"http://127.0.0.1:{port}/api/v1")
             process.send_signal(signal.SIGTERM)

@@ -167,7 +167,9 @@ class _Equations:
     model: MeasurementModel
     readings_px: Array
 
-    def checks(self, position: Array, index: NDArray[np.bool_], whitening: Array) -> ReadingChecks:
+    def checks(
+        self, position: Array, index: NDArray[np.bool_] | slice, whitening: Array
+    ) -> ReadingChecks:
         """Test the readings of points against one another.
 
         Args:
@@ -274,10 +276,46 @@ def external_reliability(checks: ReadingChecks, used: NDArray[np.bool_]) -> Arra
         checks: of the readings of N points.
         used: which readings count, shape (N, S).
     """
-    size = checks.detectable_px(noncentralities(used.shape[1])[used.sum(axis=1)][:, None])
+    size = _detectable_px(checks, used)
     shift = np.linalg.norm(checks.influence, axis=1) * np.where(used, size, 0.0)
     largest: Array = shift.max(axis=1, initial=0.0)
     return largest
+
+
+def detectable_errors(
+    model: MeasurementModel, points: PointBatch, readings_px: Array, sigma_px: Array
+) -> Array:
+    """Return the minimal detectable bias of each reading of N points, shape (N, S) [px].
+
+    W. Baarda's internal reliability (1968): the error that the chi-square test finds with a
+    probability of 0.8; infinite where the other readings do not check it, NaN where it is not used.
+
+    Args:
+        model: the cameras, their covariance and the correction table.
+        points: N points of these readings.
+        readings_px: shape (N, S) [px].
+        sigma_px: their standard deviations, shape (N, S) or (S,) [px].
+    """
+    detectable = np.full(points.used.shape, np.nan)
+    known = np.isfinite(points.position_mm[:, 0])
+    if not known.any():
+        return detectable
+    position, used = points.position_mm[known], points.used[known]
+    readings = np.where(used, np.asarray(readings_px)[known], np.nan)
+    sigma = np.broadcast_to(sigma_px, points.used.shape)[known]
+    whitening = model.whitening(
+        position, reading_variance(model, readings, sigma, used, position), used
+    )
+    checks = _Equations(model, readings).checks(position, slice(None), whitening)
+    # A raw reading is stretched by the cubic distortion.
+    size = _detectable_px(checks, used) / np.abs(model.cameras.correction_derivative(readings))
+    detectable[known] = np.where(used, size, np.nan)
+    return detectable
+
+
+def _detectable_px(checks: ReadingChecks, used: NDArray[np.bool_]) -> Array:
+    """Return the minimal detectable errors of corrected readings, shape (N, S) [px]."""
+    return checks.detectable_px(noncentralities(used.shape[1])[used.sum(axis=1)][:, None])
 
 
 def squared_distances(difference: Array, covariance: Array) -> Array:

@@ -14,8 +14,7 @@ from compute.mapping.table import CorrectionTable
 from compute.measurement.measurement_model import MeasurementModel
 from compute.reconstruction.outlier_exclusion import exclude_outliers
 from compute.reconstruction.point_batch import PointBatch
-from compute.reconstruction.point_reliability import detectable_errors
-from compute.reconstruction.triangulation import reconstruct
+from compute.reconstruction.triangulation import detectable_errors, reconstruct
 from hardware.driver import SensorDescription
 from service.api.base_models import SLUG_PATTERN, Page
 from service.api.calibrations.calibration_content import observations, result_of

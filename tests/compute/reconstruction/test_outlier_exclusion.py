@@ -9,9 +9,8 @@ from compute.camera.stack import CameraStack
 from compute.measurement.measurement_model import MeasurementModel
 from compute.reconstruction.outlier_exclusion import exclude_outliers
 from compute.reconstruction.point_batch import PointBatch, PointFlag
-from compute.reconstruction.point_reliability import detectable_errors
 from compute.reconstruction.solver import PointSolver
-from compute.reconstruction.triangulation import reconstruct
+from compute.reconstruction.triangulation import detectable_errors, reconstruct
 from tests.compute.reconstruction.solver_scenes import parameter_spread
 from validation.reliability.ring import project, ring
 

@@ -29,7 +29,8 @@ from tests.hardware.recording.blocks import read_recording
 
 # As `lumiline serve`; tells on its output that it came to its end.
 PROGRAM = """
-import sys
+import signal, sys
+signal.signal(signal.SIGHUP, signal.SIG_DFL)  # ignored where the tests run under nohup
 from service.cli.serve import load_settings, server_options
 from service.application.shutdown import run_server
 from service.logs import configured_logging

@@ -24,12 +24,12 @@ def _message(sequence: int, exposure_ns: int) -> dict[str, Any]:
     }
     return {
         "type": "frame",
-        "device": "sim",
+        "device_id": "sim",
         "sequence": sequence,
         "exposure_ns": exposure_ns,
         "device_ns": exposure_ns,
         "marker": 0,
-        "calibration": "sim-nominal",
+        "calibration_id": "sim-nominal",
         "flags": [],
         "points": [point],
     }

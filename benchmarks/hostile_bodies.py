@@ -37,9 +37,9 @@ def filled(head: str, item: str, tail: str, size: int) -> bytes:
 
 
 _SCANS: Final = '{"method": {"method": "fit"}, "scans": '
-_POINTS: Final = '{"device": "sim", "points": ['
+_POINTS: Final = '{"device_id": "sim", "points": ['
 _SURFACE: Final = (
-    '{"kind": "surface", "id": "hostile", "device": "sim", "parent": "none", "points_mm": '
+    '{"kind": "surface", "id": "hostile", "device_id": "sim", "parent_id": "none", "points_mm": '
     '[[0,0,0]], "surface": {"kind": "mesh", "triangles": [[0,1,2]], "vertices_mm": ['
 )
 _POINT: Final = '{"name":"P","position_mm":[1,2,3],"readings":{"left":"x","right":"x"}}'
@@ -81,7 +81,7 @@ def bodies() -> dict[str, tuple[str, str, bytes]]:
         "control points": (write, "calibrations", filled(_POINTS, _POINT, "]}", middle)),
         "members of points": (write, "calibrations", filled(_POINTS, '{"a":0}', "]}", middle)),
         "targets": (
-            write, "captures", filled('{"device": "sim", "targets": [', "{}", "]}", middle),
+            write, "captures", filled('{"device_id": "sim", "targets": [', "{}", "]}", middle),
         ),
         "points of a run": (write, "mapping-runs", filled(_POINTS, "{}", "]}", middle)),
         "vertices": (write, "registrations", filled(_SURFACE, "[0,0,0]", "]}}", large)),
@@ -150,7 +150,7 @@ async def _probe(server: str, heard: Heard) -> None:
 async def _stream(server: str, heard: Heard) -> None:
     from websockets.asyncio.client import connect
 
-    url = f"{server.replace('http', 'ws', 1)}/api/v1/stream?device=sim"
+    url = f"{server.replace('http', 'ws', 1)}/api/v1/stream?device_id=sim"
     # Without pings, at whose time limit the client itself would end a stalled connection.
     async with connect(url, compression=None, max_size=None, ping_interval=None) as stream:
         while True:

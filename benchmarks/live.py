@@ -41,7 +41,7 @@ def receive(url: str, seconds: float) -> Iterator[tuple[dict[str, Any], int]]:
     """Yield the frame messages of a stream and when each was received [ns], for some seconds.
 
     Args:
-        url: the stream's, ``ws://HOST:PORT/api/v1/stream?device=...``; binary messages.
+        url: the stream's, ``ws://HOST:PORT/api/v1/stream?device_id=...``; binary messages.
         seconds: measured from the first frame.
 
     Raises:
@@ -61,7 +61,7 @@ def receive(url: str, seconds: float) -> Iterator[tuple[dict[str, Any], int]]:
             state = message.get("state", "running")
             if state != "running":
                 raise RuntimeError(
-                    f"device {message['device']} is {state}: {message['reason'] or 'start it'}"
+                    f"device {message['device_id']} is {state}: {message['reason'] or 'start it'}"
                 )
             yield message, now
 
@@ -121,7 +121,7 @@ def summarise(
 def main(arguments: list[str] | None = None) -> int:
     """Measure a running service: ``python -m benchmarks.live ws://... [--seconds 60]``."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("url", help="ws://HOST:PORT/api/v1/stream?device=sim")
+    parser.add_argument("url", help="ws://HOST:PORT/api/v1/stream?device_id=sim")
     parser.add_argument("--seconds", type=float, default=60.0)
     chosen = parser.parse_args(arguments)
     figures = measure(chosen.url, chosen.seconds)

@@ -23,8 +23,8 @@ class LinkCounters:
     """Traffic and error counters of a link since the driver was opened.
 
     Args:
-        bytes_received: bytes received.
-        frames: complete frames delivered.
+        received_bytes: bytes received.
+        frames_received: complete frames delivered.
         frames_garbled: messages discarded: damaged, truncated, or of another protocol.
         frames_incomplete: exposures discarded because parts were missing.
         frames_lost: exposures missing in the device's own sequence numbers.
@@ -32,8 +32,8 @@ class LinkCounters:
         clock_restarts: number of resets of the device's clock.
     """
 
-    bytes_received: int = 0
-    frames: int = 0
+    received_bytes: int = 0
+    frames_received: int = 0
     frames_garbled: int = 0
     frames_incomplete: int = 0
     frames_lost: int = 0

@@ -115,7 +115,7 @@ def test_websocket_client(address: str) -> None:
 def test_a_tool_in_a_minute(address: str) -> None:
     _, tour = blocks("bash")
     _, _, tool, pose = answers_to(tour, address)
-    assert tool["id"] == pose["tool"] == "pointer"
+    assert tool["id"] == pose["tool_id"] == "pointer"
     end = time.monotonic() + 60.0
     while pose["status"] != "OK":
         assert time.monotonic() < end, pose

@@ -176,7 +176,7 @@ class Plan:
     corrected for it: neither changes from exposure to exposure. ``budget`` is all of it.
 
     Args:
-        profile: its name.
+        profile_id: its name.
         title: its title.
         volume: the box that was looked at.
         grid: points along X, Y, Z.
@@ -197,7 +197,7 @@ class Plan:
         notes: what was assumed.
     """
 
-    profile: str
+    profile_id: str
     title: str
     volume: Box
     grid: tuple[int, int, int]

@@ -83,7 +83,7 @@ def volume_scans(profile: DeviceProfile, per_side: int = 5) -> VolumeScans:
         raise InvalidParameter(
             f"profile {profile.name} has coded windows or Gray tracks; light lines are the images "
             "of lenses on pixels",
-            profile=profile.name,
+            profile_id=profile.name,
         )
     if per_side < 1:
         raise InvalidParameter(f"per_side is {per_side}; it must be 1 or more", per_side=per_side)

@@ -17,7 +17,7 @@ from pydantic import BaseModel
 Schema = Mapping[str, Any]
 ROOT: Final = Path(__file__).parents[2]
 FOLDER: Final = ROOT / "lumiline" / "client"
-PAGING: Final = frozenset({"limit", "offset"})
+PAGING: Final = frozenset({"limit", "cursor"})
 WAITS_S: Final = {
     "capture-target": 60.0,
     "capture-radiometric-frames": 120.0,

@@ -180,7 +180,7 @@ class _Run:
             wait_us = waiting_us
             while (buffer := stream.take(wait_us)) is not None:
                 wait_us = 0
-                self._report.count(bytes_received=buffer.bytes)
+                self._report.count(received_bytes=buffer.bytes)
                 if buffer.lines is None:
                     self._garbled[index] = True
                     self._report.count(frames_garbled=1)
@@ -235,7 +235,7 @@ class _Run:
     def _frame(self, matched: tuple[CameraScan, ...]) -> LineFrame:
         first = matched[0]
         unmatched, self._matcher.unmatched = self._matcher.unmatched, 0
-        self._report.count(frames=1, frames_incomplete=unmatched)
+        self._report.count(frames_received=1, frames_incomplete=unmatched)
         self._faults.clear()
         self._report.set_state("connected")
         lines = np.stack([line.counts for line in matched])

@@ -134,8 +134,8 @@ class SerialSession:
             state,
             reason,
             LinkCounters(
-                bytes_received=decoder.bytes_received,
-                frames=builder.built,
+                received_bytes=decoder.bytes_received,
+                frames_received=builder.built,
                 frames_garbled=decoder.discarded + builder.refused,
                 frames_incomplete=self._incomplete + open_ones,
                 frames_lost=builder.lost,

@@ -134,8 +134,8 @@ class Tcd1304Driver(ReportingDriver["_Run"]):
         some = any(isinstance(one, BoardScan) for one in outcomes)
         garbled = sum(isinstance(one, BoardFault) and one.phase == "garbled" for one in outcomes)
         self._report.count(
-            bytes_received=received,
-            frames=int(whole),
+            received_bytes=received,
+            frames_received=int(whole),
             frames_garbled=garbled,
             frames_incomplete=int(some and not whole),
             reconnects=back,

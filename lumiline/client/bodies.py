@@ -157,7 +157,7 @@ class ProfileSource(TypedDict):
     """Line scans of a device simulated from its profile: its optics, light and detector."""
 
     kind: Literal["profile"]
-    profile: str
+    profile_id: str
     settings: NotRequired[ProfileSettings]
 
 
@@ -165,7 +165,7 @@ class ReplaySource(TypedDict):
     """Line scans from a recording in the data directory's folder ``recordings``."""
 
     kind: Literal["replay"]
-    recording: str
+    recording_id: str
     speed: NotRequired[float | None]
 
 
@@ -383,7 +383,7 @@ class NewCalibration(TypedDict):
     loss: NotRequired[Literal["linear", "robust"]]
     labels: NotRequired[Literal["off", "report", "exclude", "repair"]]
     id: NotRequired[str | None]
-    device: str
+    device_id: str
     points: Sequence[ControlPoint]
     note: NotRequired[str]
 
@@ -410,10 +410,10 @@ class NewCalibrationRun(TypedDict):
     loss: NotRequired[Literal["linear", "robust"]]
     labels: NotRequired[Literal["off", "report", "exclude", "repair"]]
     points: NotRequired[Sequence[ControlPoint] | None]
-    capture: NotRequired[str | None]
+    capture_id: NotRequired[str | None]
     allow_incomplete: NotRequired[bool]
     id: NotRequired[str | None]
-    device: str
+    device_id: str
     result_id: NotRequired[str | None]
     note: NotRequired[str]
 
@@ -422,11 +422,11 @@ class NewMappingRun(TypedDict):
     """Measurements at known places, from which a correction table is built for a calibration."""
 
     points: NotRequired[Sequence[ControlPoint] | None]
-    capture: NotRequired[str | None]
+    capture_id: NotRequired[str | None]
     allow_incomplete: NotRequired[bool]
     id: NotRequired[str | None]
-    device: str
-    calibration: NotRequired[str | None]
+    device_id: str
+    calibration_id: NotRequired[str | None]
     result_id: NotRequired[str | None]
     method: NotRequired[Literal["b-spline", "trilinear", "tricubic"]]
     pitch_mm: NotRequired[Sequence[float] | None]
@@ -475,8 +475,8 @@ class NewSelfCalibrationRun(TypedDict):
     """Recordings without known coordinates, from which a device is calibrated."""
 
     id: NotRequired[str | None]
-    device: str
-    start: NotRequired[str | None]
+    device_id: str
+    start_calibration_id: NotRequired[str | None]
     initial: NotRequired[Literal["start", "readings"]]
     directions_deg: NotRequired[Mapping[str, float] | None]
     distortion: NotRequired[
@@ -514,16 +514,16 @@ class NewUpdateRun(TypedDict):
     """
 
     points: NotRequired[Sequence[StationaryPoint] | None]
-    capture: NotRequired[str | None]
+    capture_id: NotRequired[str | None]
     allow_incomplete: NotRequired[bool]
     against: NotRequired[Literal["positions", "calibration", "capture"]]
-    earlier_capture: NotRequired[str | None]
+    earlier_capture_id: NotRequired[str | None]
     position_sigma_mm: NotRequired[float]
     id: NotRequired[str | None]
-    device: str
-    calibration: NotRequired[str | None]
+    device_id: str
+    calibration_id: NotRequired[str | None]
     result_id: NotRequired[str | None]
-    drift_check: NotRequired[str | None]
+    drift_check_id: NotRequired[str | None]
     sensors: NotRequired[Sequence[str] | None]
     allowance: NotRequired[Mapping[str, float] | None]
     note: NotRequired[str]
@@ -533,13 +533,13 @@ class NewExportRun(TypedDict):
     """A recording of which points, tracks and tool poses are to be written to a file."""
 
     id: NotRequired[str | None]
-    device: str
-    recording: str
+    device_id: str
+    recording_id: str
     format: Literal["c3d", "trc", "csv", "parquet", "igs.mha"]
     result_id: NotRequired[str | None]
-    tools: NotRequired[Sequence[str] | None]
-    calibration: NotRequired[str | None]
-    table: NotRequired[str | None]
+    tool_ids: NotRequired[Sequence[str] | None]
+    calibration_id: NotRequired[str | None]
+    table_id: NotRequired[str | None]
     predicted: NotRequired[bool]
     points: NotRequired[bool]
 
@@ -565,7 +565,7 @@ class NewCapture(TypedDict):
     """A capture session to begin."""
 
     id: NotRequired[str | None]
-    device: str
+    device_id: str
     targets: Sequence[CapturesTarget]
     settings: NotRequired[CaptureSettings]
     note: NotRequired[str]
@@ -584,7 +584,7 @@ class NewRadiometricCapture(TypedDict):
     """A session of dark and flat captures to begin."""
 
     id: NotRequired[str | None]
-    device: str
+    device_id: str
     settings: NotRequired[RadiometricCaptureSettings]
     note: NotRequired[str]
 
@@ -593,15 +593,15 @@ class FromCapture(TypedDict):
     """Estimate from a session of captures."""
 
     kind: Literal["capture"]
-    capture: str
+    radiometric_capture_id: str
 
 
 class FromRecordings(TypedDict):
     """Estimate from recordings in the data directory's folder ``recordings``."""
 
     kind: Literal["recordings"]
-    dark: str
-    flats: Sequence[str]
+    dark_recording_id: str
+    flat_recording_ids: Sequence[str]
     relative_light: NotRequired[Sequence[float] | None]
     temperature_c: NotRequired[float | None]
 
@@ -635,14 +635,14 @@ class FromLines(TypedDict):
     """
 
     kind: Literal["lines"]
-    recording: str
+    recording_id: str
 
 
 class NewRadiometricCalibration(TypedDict):
     """A radiometric calibration to estimate and store."""
 
     id: NotRequired[str | None]
-    device: str
+    device_id: str
     source: FromCapture | FromRecordings | FromScans | FromDocument | FromBadPixels | FromLines
     note: NotRequired[str]
 
@@ -651,10 +651,10 @@ class NewDriftCheck(TypedDict):
     """A drift check to make."""
 
     points: NotRequired[Sequence[StationaryPoint] | None]
-    capture: NotRequired[str | None]
+    capture_id: NotRequired[str | None]
     allow_incomplete: NotRequired[bool]
     against: NotRequired[Literal["positions", "calibration", "capture"]]
-    earlier_capture: NotRequired[str | None]
+    earlier_capture_id: NotRequired[str | None]
     position_sigma_mm: NotRequired[float]
     id: NotRequired[str | None]
     note: NotRequired[str]
@@ -671,18 +671,18 @@ class NewReconstruction(TypedDict):
     """Readings of which points are computed."""
 
     id: NotRequired[str | None]
-    device: str
-    calibration: NotRequired[str | None]
+    device_id: str
+    calibration_id: NotRequired[str | None]
     points: Sequence[ObservedPoint]
 
 
 class RecordingsNewRecording(TypedDict):
     """What is to be recorded, and until when."""
 
-    name: NotRequired[str | None]
+    id: NotRequired[str | None]
     contents: NotRequired[Sequence[Literal["lines", "results"]]]
-    seconds: NotRequired[float | None]
-    size_bytes: NotRequired[int | None]
+    max_duration_s: NotRequired[float | None]
+    max_size_bytes: NotRequired[int | None]
 
 
 class ToolLimits(TypedDict):
@@ -695,10 +695,10 @@ class NewTool(TypedDict):
     """A tool to create, of known geometry."""
 
     id: str
-    device: str
+    device_id: str
     title: str
     tip_mm: NotRequired[Sequence[float] | None]
-    reference: NotRequired[str | None]
+    reference_id: NotRequired[str | None]
     limits: NotRequired[ToolLimits]
     note: NotRequired[str]
     markers_mm: Sequence[Sequence[float]]
@@ -709,15 +709,15 @@ class NewCapturedTool(TypedDict):
     """A tool to define from what a running device sees of it, held still."""
 
     id: str
-    device: str
+    device_id: str
     title: str
     tip_mm: NotRequired[Sequence[float] | None]
-    reference: NotRequired[str | None]
+    reference_id: NotRequired[str | None]
     limits: NotRequired[ToolLimits]
     note: NotRequired[str]
     strobe_markers: NotRequired[Sequence[int] | None]
     markers: NotRequired[int | None]
-    seconds: NotRequired[float]
+    duration_s: NotRequired[float]
 
 
 class ToolChange(TypedDict):
@@ -725,7 +725,7 @@ class ToolChange(TypedDict):
 
     title: NotRequired[str]
     tip_mm: NotRequired[Sequence[float] | None]
-    reference: NotRequired[str | None]
+    reference_id: NotRequired[str | None]
     limits: NotRequired[ToolLimits]
     note: NotRequired[str]
 
@@ -733,7 +733,7 @@ class ToolChange(TypedDict):
 class NewToolCalibration(TypedDict):
     """What a calibration from live poses takes."""
 
-    seconds: NotRequired[float]
+    duration_s: NotRequired[float]
     poses: NotRequired[int]
     relative: NotRequired[bool]
     apply: NotRequired[bool]
@@ -743,8 +743,8 @@ class NewPoint(TypedDict):
     """A point to measure: hold the tip on it."""
 
     name: NotRequired[str | None]
-    frame: NotRequired[str | None]
-    seconds: NotRequired[float]
+    frame_id: NotRequired[str | None]
+    duration_s: NotRequired[float]
     max_sigma_mm: NotRequired[float]
     max_drift_mm: NotRequired[float]
     timeout_s: NotRequired[float]
@@ -786,10 +786,10 @@ class NewRegistration(TypedDict):
     """A registration to make: a named frame. Without a ``kind`` it is one of paired points."""
 
     id: str
-    device: str
+    device_id: str
     targets: NotRequired[Sequence[RegistrationTarget]]
     note: NotRequired[str]
-    reference: NotRequired[str | None]
+    reference_id: NotRequired[str | None]
     kind: NotRequired[Literal["paired-points"] | Literal["three-markers"] | Literal["surface"]]
     fiducials: NotRequired[Sequence[Fiducial]]
     frame_sigma_mm: NotRequired[float | None]
@@ -797,8 +797,8 @@ class NewRegistration(TypedDict):
     measured_mm: NotRequired[Sequence[Sequence[float]] | None]
     measured_covariance_mm2: NotRequired[Sequence[Sequence[Sequence[float]]] | None]
     strobe_markers: NotRequired[Sequence[int] | None]
-    seconds: NotRequired[float]
-    parent: NotRequired[str]
+    duration_s: NotRequired[float]
+    parent_id: NotRequired[str]
     points_mm: NotRequired[Sequence[Sequence[float]]]
     trim: NotRequired[float]
     max_rms_mm: NotRequired[float]
@@ -811,7 +811,7 @@ class ToolWatch(TypedDict):
     """A tool that is fixed to the patient, by its pose."""
 
     kind: Literal["tool"]
-    tool: str
+    tool_id: str
     target_mm: NotRequired[Sequence[float]]
     axes: NotRequired[Sequence[Sequence[float]] | None]
 
@@ -865,7 +865,7 @@ class NewBeamHold(TypedDict):
     """A beam hold to create. It holds until it has a reference and all was near it."""
 
     id: str
-    device: str
+    device_id: str
     title: str
     watch: ToolWatch | StrobedMarkersWatch | SimultaneousMarkersWatch
     limits: Limits
@@ -1084,7 +1084,7 @@ class MaskMethod(TypedDict):
     method: Literal["mask"]
     estimator: NotRequired[Literal["fit", "correlation"]]
     template: NotRequired[Template | None]
-    profile: NotRequired[str | None]
+    profile_id: NotRequired[str | None]
     sensors: NotRequired[Sequence[str] | None]
 
 
@@ -1123,7 +1123,7 @@ class NewQualityCheck(TypedDict):
     """A quality check to make."""
 
     id: NotRequired[str | None]
-    seconds: NotRequired[float]
+    duration_s: NotRequired[float]
     tolerance_mm: NotRequired[float | None]
     note: NotRequired[str]
     kind: Literal["single-point"] | Literal["point-to-point"]

@@ -288,7 +288,7 @@ def _stated_s(body: Any) -> float:
     """Return how long a request says that the server measures or waits [s]."""
     if not isinstance(body, Mapping):
         return 0.0
-    stated = [body.get(name) for name in ("seconds", "timeout_s")]
+    stated = [body.get(name) for name in ("duration_s", "timeout_s")]
     return sum(float(value) for value in stated if isinstance(value, int | float))
 
 

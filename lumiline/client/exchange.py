@@ -103,16 +103,17 @@ class Exchanges:
             UnreadableMessage: the answer is no page of a list.
         """
         found: list[T] = []
+        cursor: str | None = None
         while limit is None or len(found) < limit:
             size = PAGE_SIZE if limit is None else min(limit - len(found), PAGE_SIZE)
-            part = {**(params or {}), "limit": size, "offset": len(found)}
+            part = {**(params or {}), "limit": size, "cursor": cursor}
             page = await self._request("GET", path, params=part)
             match page:
-                case {"items": list(items), "total": int(total)}:
+                case {"items": list(items), "next_cursor": str() | None as cursor}:
                     found += [_read(kind, item, path) for item in items]
                 case _:
                     raise UnreadableMessage(f"{path} did not answer a list")
-            if not items or len(found) >= total:
+            if cursor is None:
                 break
         return found
 

@@ -14,7 +14,7 @@ Matrix = tuple[Vector, ...]
 class BeamHoldSample:
     """State of a beam hold; the beam may be on only where ``held`` is false."""
 
-    hold: str
+    hold_id: str
     held: bool
     cause: str
     reason: str | None
@@ -29,8 +29,8 @@ class BeamHoldEvent:
     """A change of a beam hold's state or cause; sent at once."""
 
     n: int
-    device: str
-    hold: str
+    device_id: str
+    hold_id: str
     held: bool
     cause: str
     reason: str | None
@@ -50,7 +50,7 @@ class Hello:
     """
 
     version: int
-    device: str
+    device_id: str
     content: tuple[str, ...]
     mode: str
     stream: str
@@ -64,17 +64,17 @@ class Hello:
     state: str
     reason: str | None
     link: str | None
-    calibration: str | None
+    calibration_id: str | None
     holds: tuple[BeamHoldSample, ...] | None = None
-    radiometric: str | None = None
+    radiometric_id: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
-class Status:
+class DeviceState:
     """The device's state changed."""
 
     n: int
-    device: str
+    device_id: str
     state: str
     reason: str | None
     link: str | None = None
@@ -89,7 +89,7 @@ class Status:
 class Missed:
     """Messages that were dropped because this client was too slow: number of the first, count."""
 
-    device: str
+    device_id: str
     messages: int
     first: int
 
@@ -151,7 +151,7 @@ class ToolPose:
     translation, in this order.
     """
 
-    tool: str
+    tool_id: str
     status: str
     reason: str | None
     translation_mm: Vector | None
@@ -180,20 +180,20 @@ class Frame:
     """One exposure; content that was not requested is None."""
 
     n: int
-    device: str
+    device_id: str
     sequence: int
     exposure_ns: int
     device_ns: int
     marker: int | None
-    calibration: str | None
-    table: str | None
+    calibration_id: str | None
+    table_id: str | None
     flags: tuple[str, ...]
     points: tuple[Point, ...] | None = None
     peaks: tuple[Peak, ...] | None = None
     tracks: tuple[Track, ...] | None = None
     tools: tuple[ToolPose, ...] | None = None
     holds: tuple[BeamHoldSample, ...] | None = None
-    radiometric: str | None = None
+    radiometric_id: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,14 +204,14 @@ class UnknownMessage:
     members: Mapping[str, Any] = field(default_factory=dict)
 
 
-Message = Hello | Frame | Status | BeamHoldEvent | Missed | UnknownMessage
+Message = Hello | Frame | DeviceState | BeamHoldEvent | Missed | UnknownMessage
 
 T = TypeVar("T")
 
 _KINDS: Final[dict[str, type[Any]]] = {
     "hello": Hello,
     "frame": Frame,
-    "status": Status,
+    "state": DeviceState,
     "hold": BeamHoldEvent,
     "missed": Missed,
 }

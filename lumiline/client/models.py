@@ -170,7 +170,7 @@ class ProfileSource(ResponseModel):
     """Line scans of a device simulated from its profile: its optics, light and detector."""
 
     kind: Literal["profile"]
-    profile: str
+    profile_id: str
     settings: ProfileSettings | None = None
 
 
@@ -178,7 +178,7 @@ class ReplaySource(ResponseModel):
     """Line scans from a recording in the data directory's folder ``recordings``."""
 
     kind: Literal["replay"]
-    recording: str
+    recording_id: str
     speed: float | None = 1.0
 
 
@@ -339,8 +339,8 @@ class Device(ResponseModel):
 class LinkCounters(ResponseModel):
     """Traffic and error counters of a link since the driver was opened."""
 
-    bytes_received: int = 0
-    frames: int = 0
+    received_bytes: int = 0
+    frames_received: int = 0
     frames_garbled: int = 0
     frames_incomplete: int = 0
     frames_lost: int = 0
@@ -364,39 +364,33 @@ class LiveBadPixel(ResponseModel):
     sensor: str
     pixel: int
     kind: str
-    since: datetime
+    found_at: datetime
 
 
-class DeviceStatus(ResponseModel):
-    """State of a device, and the frames that were lost since it was started, by place."""
+class DeviceStateDocument(ResponseModel):
+    """What a device is doing."""
 
     state: str
     reason: str | None = None
     calibration_id: str | None = None
     table_id: str | None = None
-    frames: int = 0
-    frames_lost_device: int = 0
-    frames_dropped_ring: int = 0
+    frames_received: int = 0
+    frames_lost: int = 0
+    frames_dropped_compute: int = 0
     frames_processed: int = 0
     subscribers: int = 0
     link: LinkState | None = None
     frames_not_tracked: int = 0
     radiometric_id: str | None = None
     bad_pixels: tuple[LiveBadPixel, ...] = ()
-
-
-class Status(ResponseModel):
-    """What a device is doing."""
-
-    device: str
-    status: DeviceStatus
+    device_id: str
 
 
 class Activation(ResponseModel):
     """One move of the pointer to the active calibration."""
 
     id: int
-    device: str
+    device_id: str
     calibration_id: str
     previous_calibration_id: str | None
     table_id: str | None
@@ -410,7 +404,7 @@ class CalibrationSummary(ResponseModel):
     """A calibration without its numbers."""
 
     id: str
-    device: str
+    device_id: str
     state: str
     provenance: str
     method: str
@@ -597,7 +591,7 @@ class CalibrationDocument(ResponseModel):
     """A calibration, whole."""
 
     id: str
-    device: str
+    device_id: str
     state: str
     provenance: str
     method: str
@@ -658,8 +652,8 @@ class Comparison(ResponseModel):
 class ComparisonDocument(ResponseModel):
     """Two calibrations of one device beside one another."""
 
-    one: str
-    other: str
+    calibration_id: str
+    other_calibration_id: str
     comparison: Comparison
 
 
@@ -678,12 +672,12 @@ class Run(ResponseModel):
 
     id: str
     kind: str
-    device: str
+    device_id: str
     state: str
     progress: float
     stage: str
     result_id: str | None
-    result: str | None
+    result_path: str | None
     problem: RunProblem | None
     created_at: datetime
     started_at: datetime | None
@@ -731,7 +725,7 @@ class Capture(ResponseModel):
     """A capture session: what is done and what is left."""
 
     id: str
-    device: str
+    device_id: str
     settings: CaptureSettings
     targets: tuple[CapturesTarget, ...]
     captured: tuple[CapturedTarget, ...]
@@ -778,7 +772,7 @@ class RadiometricCapture(ResponseModel):
     """A session of dark and flat captures: what is done, and what to do next."""
 
     id: str
-    device: str
+    device_id: str
     settings: RadiometricCaptureSettings
     captured: tuple[CapturedFrames, ...]
     next: str | None
@@ -812,7 +806,7 @@ class RadiometricCalibrationSummary(ResponseModel):
     """A radiometric calibration without the numbers of its pixels."""
 
     id: str
-    device: str
+    device_id: str
     active: bool
     origin: str
     sensors: tuple[SensorFigures, ...]
@@ -825,7 +819,7 @@ class RadiometricCalibrationDocument(ResponseModel):
     """A radiometric calibration, whole."""
 
     id: str
-    device: str
+    device_id: str
     active: bool
     origin: str
     sensors: tuple[SensorFigures, ...]
@@ -839,7 +833,7 @@ class RadiometricActivation(ResponseModel):
     """One change of the radiometric calibration that a device uses."""
 
     id: int
-    device: str
+    device_id: str
     radiometric_id: str | None
     previous_radiometric_id: str | None
     activated_at: datetime
@@ -887,15 +881,15 @@ class DriftCheckDocument(ResponseModel):
     """A drift check, whole."""
 
     id: str
-    device: str
-    calibration: str
-    verdict: str
+    device_id: str
+    calibration_id: str
+    status: str
     moved: tuple[str, ...]
     in_words: tuple[str, ...]
     against: str
     markers: int
-    capture: str | None
-    earlier_capture: str | None
+    capture_id: str | None
+    earlier_capture_id: str | None
     position_sigma_mm: float
     note: str
     created_at: datetime
@@ -907,15 +901,15 @@ class DriftCheckSummary(ResponseModel):
     """A drift check and what it found."""
 
     id: str
-    device: str
-    calibration: str
-    verdict: str
+    device_id: str
+    calibration_id: str
+    status: str
     moved: tuple[str, ...]
     in_words: tuple[str, ...]
     against: str
     markers: int
-    capture: str | None
-    earlier_capture: str | None
+    capture_id: str | None
+    earlier_capture_id: str | None
     position_sigma_mm: float
     note: str
     created_at: datetime
@@ -934,8 +928,8 @@ class CorrectionTableDocument(ResponseModel):
     """A correction table, without its numbers."""
 
     id: str
-    device: str
-    calibration: str
+    device_id: str
+    calibration_id: str
     calibration_hash: str
     content_hash: str
     active: bool
@@ -956,9 +950,9 @@ class ReconstructionSummary(ResponseModel):
     """A reconstruction without its points."""
 
     id: str
-    device: str
+    device_id: str
     calibration_id: str
-    table: str | None
+    table_id: str | None
     point_count: int
     created_at: datetime
 
@@ -991,9 +985,9 @@ class Reconstruction(ResponseModel):
     """A reconstruction: readings and estimates, in the order of the points."""
 
     id: str
-    device: str
+    device_id: str
     calibration_id: str
-    table: str | None
+    table_id: str | None
     point_count: int
     created_at: datetime
     points: tuple[ObservedPoint, ...]
@@ -1003,10 +997,10 @@ class Reconstruction(ResponseModel):
 class UsedCalibration(ResponseModel):
     """A calibration that results were made with, whole in the file."""
 
-    calibration: str | None
+    calibration_id: str | None
     content_hash: str | None
-    table: str | None
-    radiometric: str | None
+    table_id: str | None
+    radiometric_id: str | None
     bad_pixels: int
     from_frame: int | None
 
@@ -1014,12 +1008,12 @@ class UsedCalibration(ResponseModel):
 class RecordingDetail(ResponseModel):
     """A recording with what its results were made with."""
 
-    name: str
-    device: str | None
+    id: str
+    device_id: str | None
     state: str
     reason: str | None
     contents: tuple[str, ...]
-    frames: int | None
+    frames_written: int | None
     duration_s: float | None
     frames_missing: int | None
     frames_dropped_compute: int | None
@@ -1027,19 +1021,19 @@ class RecordingDetail(ResponseModel):
     frames_refused: int | None
     size_bytes: int
     started_at: datetime | None
-    changed_at: datetime
+    updated_at: datetime
     calibrations: tuple[UsedCalibration, ...]
 
 
 class RecordingDocument(ResponseModel):
     """A recording. What is null is not known, because the file cannot be read."""
 
-    name: str
-    device: str | None
+    id: str
+    device_id: str | None
     state: str
     reason: str | None
     contents: tuple[str, ...]
-    frames: int | None
+    frames_written: int | None
     duration_s: float | None
     frames_missing: int | None
     frames_dropped_compute: int | None
@@ -1047,7 +1041,7 @@ class RecordingDocument(ResponseModel):
     frames_refused: int | None
     size_bytes: int
     started_at: datetime | None
-    changed_at: datetime
+    updated_at: datetime
 
 
 class Export(ResponseModel):
@@ -1059,9 +1053,9 @@ class Export(ResponseModel):
     media_type: str
     size_bytes: int
     created_at: datetime
-    run: str | None
-    device: str | None
-    recording: str | None
+    run_id: str | None
+    device_id: str | None
+    recording_id: str | None
 
 
 class Tip(ResponseModel):
@@ -1072,7 +1066,7 @@ class Tip(ResponseModel):
         tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
         | None
     ) = None
-    calibration: str | None = None
+    tool_calibration_id: str | None = None
     axis: tuple[float, float, float] | None = None
 
 
@@ -1088,20 +1082,20 @@ class Origin(ResponseModel):
     kind: str
     frames: int | None = None
     sigma_mm: tuple[float, ...] | None = None
-    calibration: str | None = None
-    table: str | None = None
+    calibration_id: str | None = None
+    table_id: str | None = None
 
 
 class Tool(ResponseModel):
     """A tool."""
 
     id: str
-    device: str
+    device_id: str
     title: str
     markers_mm: tuple[tuple[float, float, float], ...]
     strobe_markers: tuple[int, ...] | None
     tip: Tip
-    reference: str | None
+    reference_id: str | None
     limits: ToolLimits
     origin: Origin
     note: str
@@ -1112,16 +1106,16 @@ class Tool(ResponseModel):
 class Pose(ResponseModel):
     """The newest pose of a tool, or why there is none."""
 
-    tool: str
-    device: str
-    frame: str
+    tool_id: str
+    device_id: str
+    frame_id: str
     status: str
     reason: str | None
     exposure_ns: int | None
     sequence: int | None
     age_s: float | None
-    calibration: str | None
-    table: str | None
+    calibration_id: str | None
+    table_id: str | None
     translation_mm: tuple[float, float, float] | None
     rotation: (
         tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
@@ -1156,7 +1150,7 @@ class Pose(ResponseModel):
 class NewToolCalibration(ResponseModel):
     """What a calibration from live poses takes."""
 
-    seconds: float = 10.0
+    duration_s: float = 10.0
     poses: int = 500
     relative: bool = True
     apply: bool = True
@@ -1166,8 +1160,8 @@ class ToolCalibration(ResponseModel):
     """A pivot or spin calibration and what it found."""
 
     id: str
-    tool: str
-    device: str
+    tool_id: str
+    device_id: str
     kind: str
     applied: bool
     poses: int
@@ -1182,8 +1176,8 @@ class ToolCalibration(ResponseModel):
     rms_mm: float
     residual_sigma: float | None
     smallest_rotation_deg: float
-    calibration: str | None = None
-    table: str | None = None
+    calibration_id: str | None = None
+    table_id: str | None = None
     request: NewToolCalibration
     created_at: datetime
 
@@ -1192,9 +1186,9 @@ class MeasuredPoint(ResponseModel):
     """A point that a tip was held on; it is not kept."""
 
     name: str | None
-    tool: str
-    device: str
-    frame: str
+    tool_id: str
+    device_id: str
+    frame_id: str
     position_mm: tuple[float, float, float]
     covariance_mm2: tuple[
         tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]
@@ -1204,9 +1198,9 @@ class MeasuredPoint(ResponseModel):
     frames: int
     first_ns: int
     last_ns: int
-    tip_calibration: str | None
-    calibration: str
-    table: str | None
+    tool_calibration_id: str | None
+    calibration_id: str
+    table_id: str | None
 
 
 class FiducialError(ResponseModel):
@@ -1283,10 +1277,10 @@ class NewPairedPoints(ResponseModel):
     """Points whose places are known in the frame, and were measured."""
 
     id: str
-    device: str
+    device_id: str
     targets: tuple[RegistrationTarget, ...] | None = None
     note: str = ""
-    reference: str | None = None
+    reference_id: str | None = None
     kind: Literal["paired-points"] = "paired-points"
     fiducials: tuple[Fiducial, ...]
     frame_sigma_mm: float | None = None
@@ -1297,10 +1291,10 @@ class NewThreeMarkers(ResponseModel):
     """Three markers that make a frame: M1 its origin, M2 on its x axis, M3 at a positive y."""
 
     id: str
-    device: str
+    device_id: str
     targets: tuple[RegistrationTarget, ...] | None = None
     note: str = ""
-    reference: str | None = None
+    reference_id: str | None = None
     kind: Literal["three-markers"]
     measured_mm: (
         tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
@@ -1322,7 +1316,7 @@ class NewThreeMarkers(ResponseModel):
     ) = None
     measured_sigma_mm: float | None = None
     strobe_markers: tuple[int, int, int] | None = None
-    seconds: float = 1.0
+    duration_s: float = 1.0
 
 
 class SurfaceSummary(ResponseModel):
@@ -1338,11 +1332,11 @@ class StoredSurfaceRequest(ResponseModel):
     """What is kept of a request with a surface: of the surface itself what tells it."""
 
     id: str
-    device: str
+    device_id: str
     targets: tuple[RegistrationTarget, ...] | None = None
     note: str = ""
     kind: Literal["surface"]
-    parent: str
+    parent_id: str
     points_mm: tuple[tuple[float, float, float], ...]
     trim: float = 0.1
     max_rms_mm: float = 5.0
@@ -1356,12 +1350,12 @@ class Registration(ResponseModel):
 
     id: str
     kind: str
-    device: str
-    reference: str | None
-    parent: str | None = None
+    device_id: str
+    reference_id: str | None
+    parent_id: str | None = None
     parent_created_at: datetime | None = None
-    calibration: str | None = None
-    table: str | None = None
+    calibration_id: str | None = None
+    table_id: str | None = None
     matrix: tuple[tuple[float, float, float, float], ...]
     covariance: tuple[
         tuple[float, float, float, float, float, float],
@@ -1387,24 +1381,24 @@ class Registration(ResponseModel):
 class FrameState(ResponseModel):
     """A frame, and whether it is connected with another one now."""
 
-    frame: str
+    id: str
     kind: str
-    to: str | None
+    to_frame_id: str | None
     connected: bool
     status: str
     reason: str | None
-    root: str
+    root_frame_id: str
 
 
 class FrameList(ResponseModel):
     """A device's frames at its newest frame."""
 
-    device: str
+    device_id: str
     exposure_ns: int | None
     sequence: int | None
     age_s: float | None
-    calibration: str | None
-    table: str | None
+    calibration_id: str | None
+    table_id: str | None
     frames: tuple[FrameState, ...]
 
 
@@ -1413,17 +1407,17 @@ class FrameTransform(ResponseModel):
     none.
     """
 
-    device: str
-    frame: str
-    to: str
+    device_id: str
+    frame_id: str
+    to_frame_id: str
     status: str
     reason: str | None
-    path: tuple[str, ...] | None
+    path_frame_ids: tuple[str, ...] | None
     exposure_ns: int | None
     sequence: int | None
     age_s: float | None
-    calibration: str | None
-    table: str | None
+    calibration_id: str | None
+    table_id: str | None
     matrix: tuple[tuple[float, float, float, float], ...] | None
     translation_mm: tuple[float, float, float] | None
     rotation: (
@@ -1448,7 +1442,7 @@ class ToolWatch(ResponseModel):
     """A tool that is fixed to the patient, by its pose."""
 
     kind: Literal["tool"]
-    tool: str
+    tool_id: str
     target_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
     axes: (
         tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
@@ -1497,8 +1491,8 @@ class Reference(ResponseModel):
 
     id: str
     kind: str
-    calibration: str | None
-    table: str | None
+    calibration_id: str | None
+    table_id: str | None
     rotation: (
         tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
         | None
@@ -1534,7 +1528,7 @@ class BeamHold(ResponseModel):
     """A beam hold."""
 
     id: str
-    device: str
+    device_id: str
     title: str
     watch: ToolWatch | StrobedMarkersWatch | SimultaneousMarkersWatch
     limits: Limits
@@ -1548,8 +1542,8 @@ class BeamHold(ResponseModel):
 class BeamHoldStatus(ResponseModel):
     """Whether the beam is held now, and why."""
 
-    hold: str
-    device: str
+    hold_id: str
+    device_id: str
     held: bool
     cause: str
     reason: str | None
@@ -1645,7 +1639,7 @@ class LineScans(ResponseModel):
 class DeviceProfileSummary(ResponseModel):
     """A device in a few words."""
 
-    name: str
+    id: str
     title: str
     year: int | None
     sensor_count: int
@@ -1765,7 +1759,7 @@ class ErrorSources(ResponseModel):
 class DeviceProfileDocument(ResponseModel):
     """A device as published; lengths in mm, angles in rad, times in s."""
 
-    name: str
+    id: str
     title: str
     year: int | None
     sensor_count: int
@@ -1903,7 +1897,7 @@ class PlannedPoint(ResponseModel):
 class Plan(ResponseModel):
     """Predicted performance of a device, from its profile alone."""
 
-    profile: str
+    profile_id: str
     title: str
     volume: Box
     grid: tuple[int, int, int]
@@ -1963,7 +1957,7 @@ class AuditEntry(ResponseModel):
     """One change, or an attempt that was refused."""
 
     id: int
-    at: datetime
+    created_at: datetime
     actor: Actor
     operation: str
     outcome: str
@@ -2013,7 +2007,7 @@ class QualityCheck(ResponseModel):
     """What a quality check measured."""
 
     id: str
-    device: str
+    device_id: str
     kind: str
     calibration_id: str
     table_id: str | None
@@ -2043,7 +2037,7 @@ class WatchSettings(ResponseModel):
 class ChartPoint(ResponseModel):
     """One value of a control chart."""
 
-    at: datetime
+    measured_at: datetime
     value: float
     average: float
     signal: str
@@ -2066,7 +2060,7 @@ class Chart(ResponseModel):
 class Quality(ResponseModel):
     """How a device does with what is active now, and what to do about it."""
 
-    device: str
+    device_id: str
     calibration_id: str | None
     table_id: str | None
     watch: WatchSettings
@@ -2078,11 +2072,11 @@ class Quality(ResponseModel):
 class WatchSample(ResponseModel):
     """What was seen of a running device in one interval."""
 
-    device: str
+    device_id: str
     calibration_id: str
     table_id: str | None
-    at: datetime
-    seconds: float
+    measured_at: datetime
+    duration_s: float
     points: int
     residual_sigma: float | None
     inconsistent: int

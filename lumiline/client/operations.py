@@ -49,24 +49,24 @@ class Operations(Exchanges):
         )
 
     @ClientMethod
-    async def start_device(self, device_id: str) -> models.Status:
+    async def start_device(self, device_id: str) -> models.DeviceStateDocument:
         """Start a device."""
         return await self._send(
-            models.Status, "POST", path_of("/api/v1/devices/{}/start", device_id)
+            models.DeviceStateDocument, "POST", path_of("/api/v1/devices/{}/start", device_id)
         )
 
     @ClientMethod
-    async def stop_device(self, device_id: str) -> models.Status:
+    async def stop_device(self, device_id: str) -> models.DeviceStateDocument:
         """Stop a device."""
         return await self._send(
-            models.Status, "POST", path_of("/api/v1/devices/{}/stop", device_id)
+            models.DeviceStateDocument, "POST", path_of("/api/v1/devices/{}/stop", device_id)
         )
 
     @ClientMethod
-    async def device_status(self, device_id: str) -> models.Status:
+    async def device_state(self, device_id: str) -> models.DeviceStateDocument:
         """What a device is doing."""
         return await self._send(
-            models.Status, "GET", path_of("/api/v1/devices/{}/status", device_id)
+            models.DeviceStateDocument, "GET", path_of("/api/v1/devices/{}/state", device_id)
         )
 
     @ClientMethod
@@ -94,7 +94,7 @@ class Operations(Exchanges):
     async def calibrations(
         self,
         *,
-        device: str | None = None,
+        device_id: str | None = None,
         state: Literal["active", "available", "retired"] | None = None,
         limit: int | None = None,
     ) -> list[models.CalibrationSummary]:
@@ -102,7 +102,7 @@ class Operations(Exchanges):
         return await self._get_all(
             models.CalibrationSummary,
             "/api/v1/calibrations",
-            params={"device": device, "state": state},
+            params={"device_id": device_id, "state": state},
             limit=limit,
         )
 
@@ -124,13 +124,13 @@ class Operations(Exchanges):
 
     @ClientMethod
     async def compare_calibrations(
-        self, calibration_id: str, other_id: str
+        self, calibration_id: str, other_calibration_id: str
     ) -> models.ComparisonDocument:
         """Compare two calibrations."""
         return await self._send(
             models.ComparisonDocument,
             "GET",
-            path_of("/api/v1/calibrations/{}/compare/{}", calibration_id, other_id),
+            path_of("/api/v1/calibrations/{}/compare/{}", calibration_id, other_calibration_id),
         )
 
     @ClientMethod
@@ -156,26 +156,31 @@ class Operations(Exchanges):
 
     @ClientMethod
     async def calibration_report(
-        self, calibration_id: str, file: Path | str, *, previous: str | None = None
+        self, calibration_id: str, file: Path | str, *, previous_calibration_id: str | None = None
     ) -> Path:
         """The report of a calibration."""
         return await self._download(
             "GET",
             file,
             path_of("/api/v1/calibrations/{}/report.html", calibration_id),
-            params={"previous": previous},
+            params={"previous_calibration_id": previous_calibration_id},
         )
 
     @ClientMethod
     async def calibration_figure(
-        self, calibration_id: str, figure: str, file: Path | str, *, previous: str | None = None
+        self,
+        calibration_id: str,
+        figure: str,
+        file: Path | str,
+        *,
+        previous_calibration_id: str | None = None,
     ) -> Path:
         """One figure of a calibration's report."""
         return await self._download(
             "GET",
             file,
             path_of("/api/v1/calibrations/{}/report/{}.png", calibration_id, figure),
-            params={"previous": previous},
+            params={"previous_calibration_id": previous_calibration_id},
         )
 
     @ClientMethod
@@ -211,7 +216,7 @@ class Operations(Exchanges):
     async def runs(
         self,
         *,
-        device: str | None = None,
+        device_id: str | None = None,
         kind: Literal["calibration", "self-calibration", "update", "mapping", "export"]
         | None = None,
         state: Literal["queued", "running", "succeeded", "failed", "cancelled", "interrupted"]
@@ -222,7 +227,7 @@ class Operations(Exchanges):
         return await self._get_all(
             models.Run,
             "/api/v1/runs",
-            params={"device": device, "kind": kind, "state": state},
+            params={"device_id": device_id, "kind": kind, "state": state},
             limit=limit,
         )
 
@@ -243,11 +248,11 @@ class Operations(Exchanges):
 
     @ClientMethod
     async def captures(
-        self, *, device: str | None = None, limit: int | None = None
+        self, *, device_id: str | None = None, limit: int | None = None
     ) -> list[models.Capture]:
         """List capture sessions."""
         return await self._get_all(
-            models.Capture, "/api/v1/captures", params={"device": device}, limit=limit
+            models.Capture, "/api/v1/captures", params={"device_id": device_id}, limit=limit
         )
 
     @ClientMethod
@@ -278,13 +283,13 @@ class Operations(Exchanges):
 
     @ClientMethod
     async def radiometric_captures(
-        self, *, device: str | None = None, limit: int | None = None
+        self, *, device_id: str | None = None, limit: int | None = None
     ) -> list[models.RadiometricCapture]:
         """List sessions of dark and flat captures."""
         return await self._get_all(
             models.RadiometricCapture,
             "/api/v1/radiometric-captures",
-            params={"device": device},
+            params={"device_id": device_id},
             limit=limit,
         )
 
@@ -298,21 +303,25 @@ class Operations(Exchanges):
         )
 
     @ClientMethod
-    async def radiometric_capture(self, capture_id: str) -> models.RadiometricCapture:
+    async def radiometric_capture(self, radiometric_capture_id: str) -> models.RadiometricCapture:
         """What is captured and what is next."""
         return await self._send(
-            models.RadiometricCapture, "GET", path_of("/api/v1/radiometric-captures/{}", capture_id)
+            models.RadiometricCapture,
+            "GET",
+            path_of("/api/v1/radiometric-captures/{}", radiometric_capture_id),
         )
 
     @ClientMethod
-    async def delete_radiometric_capture(self, capture_id: str) -> None:
+    async def delete_radiometric_capture(self, radiometric_capture_id: str) -> None:
         """Delete a session of captures."""
-        await self._request("DELETE", path_of("/api/v1/radiometric-captures/{}", capture_id))
+        await self._request(
+            "DELETE", path_of("/api/v1/radiometric-captures/{}", radiometric_capture_id)
+        )
 
     @ClientMethod
     async def capture_radiometric_frames(
         self,
-        capture_id: str,
+        radiometric_capture_id: str,
         *,
         kind: Literal["dark", "flat"] | None = None,
         name: str | None = None,
@@ -323,7 +332,7 @@ class Operations(Exchanges):
         return await self._send(
             models.RadiometricCapture,
             "POST",
-            path_of("/api/v1/radiometric-captures/{}/capture", capture_id),
+            path_of("/api/v1/radiometric-captures/{}/capture", radiometric_capture_id),
             params={
                 "kind": kind,
                 "name": name,
@@ -335,13 +344,13 @@ class Operations(Exchanges):
 
     @ClientMethod
     async def radiometric_calibrations(
-        self, *, device: str | None = None, limit: int | None = None
+        self, *, device_id: str | None = None, limit: int | None = None
     ) -> list[models.RadiometricCalibrationSummary]:
         """List radiometric calibrations."""
         return await self._get_all(
             models.RadiometricCalibrationSummary,
             "/api/v1/radiometric-calibrations",
-            params={"device": device},
+            params={"device_id": device_id},
             limit=limit,
         )
 
@@ -418,8 +427,8 @@ class Operations(Exchanges):
     async def drift_checks(
         self,
         *,
-        device: str | None = None,
-        calibration: str | None = None,
+        device_id: str | None = None,
+        calibration_id: str | None = None,
         good: bool | None = None,
         limit: int | None = None,
     ) -> list[models.DriftCheckSummary]:
@@ -427,26 +436,30 @@ class Operations(Exchanges):
         return await self._get_all(
             models.DriftCheckSummary,
             "/api/v1/drift-checks",
-            params={"device": device, "calibration": calibration, "good": good},
+            params={"device_id": device_id, "calibration_id": calibration_id, "good": good},
             limit=limit,
         )
 
     @ClientMethod
-    async def drift_check(self, check_id: str) -> models.DriftCheckDocument:
+    async def drift_check(self, drift_check_id: str) -> models.DriftCheckDocument:
         """Read a drift check."""
         return await self._send(
-            models.DriftCheckDocument, "GET", path_of("/api/v1/drift-checks/{}", check_id)
+            models.DriftCheckDocument, "GET", path_of("/api/v1/drift-checks/{}", drift_check_id)
         )
 
     @ClientMethod
     async def correction_tables(
-        self, *, device: str | None = None, calibration: str | None = None, limit: int | None = None
+        self,
+        *,
+        device_id: str | None = None,
+        calibration_id: str | None = None,
+        limit: int | None = None,
     ) -> list[models.CorrectionTableDocument]:
         """List correction tables."""
         return await self._get_all(
             models.CorrectionTableDocument,
             "/api/v1/correction-tables",
-            params={"device": device, "calibration": calibration},
+            params={"device_id": device_id, "calibration_id": calibration_id},
             limit=limit,
         )
 
@@ -505,13 +518,13 @@ class Operations(Exchanges):
 
     @ClientMethod
     async def reconstructions(
-        self, *, device: str | None = None, limit: int | None = None
+        self, *, device_id: str | None = None, limit: int | None = None
     ) -> list[models.ReconstructionSummary]:
         """List reconstructions."""
         return await self._get_all(
             models.ReconstructionSummary,
             "/api/v1/reconstructions",
-            params={"device": device},
+            params={"device_id": device_id},
             limit=limit,
         )
 
@@ -550,36 +563,41 @@ class Operations(Exchanges):
 
     @ClientMethod
     async def recordings(
-        self, *, device: str | None = None, limit: int | None = None
+        self, *, device_id: str | None = None, limit: int | None = None
     ) -> list[models.RecordingDocument]:
         """List recordings."""
         return await self._get_all(
-            models.RecordingDocument, "/api/v1/recordings", params={"device": device}, limit=limit
+            models.RecordingDocument,
+            "/api/v1/recordings",
+            params={"device_id": device_id},
+            limit=limit,
         )
 
     @ClientMethod
-    async def stop_recording(self, name: str) -> models.RecordingDetail:
+    async def stop_recording(self, recording_id: str) -> models.RecordingDetail:
         """End a recording."""
         return await self._send(
-            models.RecordingDetail, "POST", path_of("/api/v1/recordings/{}/stop", name)
+            models.RecordingDetail, "POST", path_of("/api/v1/recordings/{}/stop", recording_id)
         )
 
     @ClientMethod
-    async def download_recording(self, name: str, file: Path | str) -> Path:
+    async def download_recording(self, recording_id: str, file: Path | str) -> Path:
         """Download a recording."""
-        return await self._download("GET", file, path_of("/api/v1/recordings/{}/file", name))
+        return await self._download(
+            "GET", file, path_of("/api/v1/recordings/{}/file", recording_id)
+        )
 
     @ClientMethod
-    async def recording(self, name: str) -> models.RecordingDetail:
+    async def recording(self, recording_id: str) -> models.RecordingDetail:
         """Read about a recording."""
         return await self._send(
-            models.RecordingDetail, "GET", path_of("/api/v1/recordings/{}", name)
+            models.RecordingDetail, "GET", path_of("/api/v1/recordings/{}", recording_id)
         )
 
     @ClientMethod
-    async def delete_recording(self, name: str) -> None:
+    async def delete_recording(self, recording_id: str) -> None:
         """Delete a recording."""
-        await self._request("DELETE", path_of("/api/v1/recordings/{}", name))
+        await self._request("DELETE", path_of("/api/v1/recordings/{}", recording_id))
 
     @ClientMethod
     async def exports(self, *, limit: int | None = None) -> list[models.Export]:
@@ -603,11 +621,11 @@ class Operations(Exchanges):
 
     @ClientMethod
     async def tools(
-        self, *, device: str | None = None, limit: int | None = None
+        self, *, device_id: str | None = None, limit: int | None = None
     ) -> list[models.Tool]:
         """List tools."""
         return await self._get_all(
-            models.Tool, "/api/v1/tools", params={"device": device}, limit=limit
+            models.Tool, "/api/v1/tools", params={"device_id": device_id}, limit=limit
         )
 
     @ClientMethod
@@ -640,10 +658,13 @@ class Operations(Exchanges):
         await self._request("DELETE", path_of("/api/v1/tools/{}", tool_id))
 
     @ClientMethod
-    async def tool_pose(self, tool_id: str, *, frame: str | None = None) -> models.Pose:
+    async def tool_pose(self, tool_id: str, *, frame_id: str | None = None) -> models.Pose:
         """Where a tool is now."""
         return await self._send(
-            models.Pose, "GET", path_of("/api/v1/tools/{}/pose", tool_id), params={"frame": frame}
+            models.Pose,
+            "GET",
+            path_of("/api/v1/tools/{}/pose", tool_id),
+            params={"frame_id": frame_id},
         )
 
     @ClientMethod
@@ -690,11 +711,14 @@ class Operations(Exchanges):
 
     @ClientMethod
     async def registrations(
-        self, *, device: str | None = None, limit: int | None = None
+        self, *, device_id: str | None = None, limit: int | None = None
     ) -> list[models.Registration]:
         """List registrations."""
         return await self._get_all(
-            models.Registration, "/api/v1/registrations", params={"device": device}, limit=limit
+            models.Registration,
+            "/api/v1/registrations",
+            params={"device_id": device_id},
+            limit=limit,
         )
 
     @ClientMethod
@@ -727,23 +751,23 @@ class Operations(Exchanges):
 
     @ClientMethod
     async def frame_transform(
-        self, device_id: str, frame: str, *, to: str | None = None
+        self, device_id: str, frame_id: str, *, to_frame_id: str | None = None
     ) -> models.FrameTransform:
         """The transform from one frame to another now."""
         return await self._send(
             models.FrameTransform,
             "GET",
-            path_of("/api/v1/devices/{}/frames/{}", device_id, frame),
-            params={"to": to},
+            path_of("/api/v1/devices/{}/frames/{}", device_id, frame_id),
+            params={"to_frame_id": to_frame_id},
         )
 
     @ClientMethod
     async def beam_holds(
-        self, *, device: str | None = None, limit: int | None = None
+        self, *, device_id: str | None = None, limit: int | None = None
     ) -> list[models.BeamHold]:
         """List beam holds."""
         return await self._get_all(
-            models.BeamHold, "/api/v1/beam-holds", params={"device": device}, limit=limit
+            models.BeamHold, "/api/v1/beam-holds", params={"device_id": device_id}, limit=limit
         )
 
     @ClientMethod
@@ -822,34 +846,41 @@ class Operations(Exchanges):
         )
 
     @ClientMethod
-    async def device_profiles(self) -> tuple[models.DeviceProfileSummary, ...]:
+    async def device_profiles(
+        self, *, limit: int | None = None
+    ) -> list[models.DeviceProfileSummary]:
         """List device profiles."""
-        return await self._send(
-            tuple[models.DeviceProfileSummary, ...], "GET", "/api/v1/device-profiles"
+        return await self._get_all(
+            models.DeviceProfileSummary, "/api/v1/device-profiles", limit=limit
         )
 
     @ClientMethod
-    async def device_profile(self, name: str) -> models.DeviceProfileDocument:
+    async def device_profile(self, profile_id: str) -> models.DeviceProfileDocument:
         """Read a device profile."""
         return await self._send(
-            models.DeviceProfileDocument, "GET", path_of("/api/v1/device-profiles/{}", name)
+            models.DeviceProfileDocument, "GET", path_of("/api/v1/device-profiles/{}", profile_id)
         )
 
     @ClientMethod
-    async def plan(self, name: str, *, grid: int | None = None) -> models.Plan:
+    async def plan(self, profile_id: str, *, grid: int | None = None) -> models.Plan:
         """Plan a device."""
         return await self._send(
             models.Plan,
             "GET",
-            path_of("/api/v1/device-profiles/{}/plan", name),
+            path_of("/api/v1/device-profiles/{}/plan", profile_id),
             params={"grid": grid},
         )
 
     @ClientMethod
-    async def plan_picture(self, name: str, file: Path | str, *, grid: int | None = None) -> Path:
+    async def plan_picture(
+        self, profile_id: str, file: Path | str, *, grid: int | None = None
+    ) -> Path:
         """Draw a plan."""
         return await self._download(
-            "GET", file, path_of("/api/v1/device-profiles/{}/plan.png", name), params={"grid": grid}
+            "GET",
+            file,
+            path_of("/api/v1/device-profiles/{}/plan.png", profile_id),
+            params={"grid": grid},
         )
 
     @ClientMethod
@@ -876,11 +907,11 @@ class Operations(Exchanges):
     async def audit(
         self,
         *,
-        actor: str | None = None,
+        actor_id: str | None = None,
         operation: str | None = None,
         outcome: Literal["done", "refused"] | None = None,
-        kind: str | None = None,
-        object: str | None = None,
+        object_kind: str | None = None,
+        object_id: str | None = None,
         since: datetime | None = None,
         until: datetime | None = None,
         limit: int | None = None,
@@ -890,11 +921,11 @@ class Operations(Exchanges):
             models.AuditEntry,
             "/api/v1/audit",
             params={
-                "actor": actor,
+                "actor_id": actor_id,
                 "operation": operation,
                 "outcome": outcome,
-                "kind": kind,
-                "object": object,
+                "object_kind": object_kind,
+                "object_id": object_id,
                 "since": since,
                 "until": until,
             },
@@ -922,7 +953,7 @@ class Operations(Exchanges):
     async def quality_checks(
         self,
         *,
-        device: str | None = None,
+        device_id: str | None = None,
         kind: Literal["single-point", "point-to-point"] | None = None,
         limit: int | None = None,
     ) -> list[models.QualityCheck]:
@@ -930,21 +961,21 @@ class Operations(Exchanges):
         return await self._get_all(
             models.QualityCheck,
             "/api/v1/quality-checks",
-            params={"device": device, "kind": kind},
+            params={"device_id": device_id, "kind": kind},
             limit=limit,
         )
 
     @ClientMethod
-    async def quality_check(self, check_id: str) -> models.QualityCheck:
+    async def quality_check(self, quality_check_id: str) -> models.QualityCheck:
         """Read a quality check."""
         return await self._send(
-            models.QualityCheck, "GET", path_of("/api/v1/quality-checks/{}", check_id)
+            models.QualityCheck, "GET", path_of("/api/v1/quality-checks/{}", quality_check_id)
         )
 
     @ClientMethod
-    async def delete_quality_check(self, check_id: str) -> None:
+    async def delete_quality_check(self, quality_check_id: str) -> None:
         """Delete a quality check."""
-        await self._request("DELETE", path_of("/api/v1/quality-checks/{}", check_id))
+        await self._request("DELETE", path_of("/api/v1/quality-checks/{}", quality_check_id))
 
     @ClientMethod
     async def quality(self, device_id: str) -> models.Quality:
@@ -981,11 +1012,14 @@ class Operations(Exchanges):
 
     @ClientMethod
     async def watch_samples(
-        self, *, device: str | None = None, limit: int | None = None
+        self, *, device_id: str | None = None, limit: int | None = None
     ) -> list[models.WatchSample]:
         """List what the watch saw."""
         return await self._get_all(
-            models.WatchSample, "/api/v1/watch-samples", params={"device": device}, limit=limit
+            models.WatchSample,
+            "/api/v1/watch-samples",
+            params={"device_id": device_id},
+            limit=limit,
         )
 
     @ClientMethod
@@ -1004,9 +1038,9 @@ class Operations(Exchanges):
         return await self._send(models.Readiness, "GET", "/readyz")
 
     @ClientMethod
-    async def problems(self) -> tuple[models.ProblemType, ...]:
+    async def problems(self, *, limit: int | None = None) -> list[models.ProblemType]:
         """List all problem types."""
-        return await self._send(tuple[models.ProblemType, ...], "GET", "/problems")
+        return await self._get_all(models.ProblemType, "/problems", limit=limit)
 
     @ClientMethod
     async def problem(self, code: str) -> models.ProblemType:

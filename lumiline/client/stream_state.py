@@ -21,17 +21,17 @@ from lumiline.client.errors import (
 )
 from lumiline.client.messages import (
     BeamHoldEvent,
+    DeviceState,
     Frame,
     Hello,
     Message,
     Missed,
-    Status,
     UnknownMessage,
     messages_of,
 )
 from lumiline.client.server import Server
 
-Content = Literal["points", "peaks", "tracks", "tools", "holds", "status"]
+Content = Literal["points", "peaks", "tracks", "tools", "holds", "state"]
 Mode = Literal["live", "lossless"]
 
 POLICY_CLOSE: Final = 1008
@@ -55,7 +55,7 @@ class StreamRequest:
     def query(self, stream: str | None, after: int | None) -> str:
         """Return the URL query of a connection; a lossless one resumes after a message."""
         values: dict[str, Any] = {
-            "device": self.device,
+            "device_id": self.device,
             "content": ",".join(self.content),
             "encoding": self.encoding,
             "mode": self.mode,
@@ -117,7 +117,7 @@ class StreamState:
 
     def take(self, message: Message) -> Message:
         """Return a message that the program takes now, and note its number."""
-        if isinstance(message, Frame | Status | BeamHoldEvent):
+        if isinstance(message, Frame | DeviceState | BeamHoldEvent):
             self.last_taken = message.n
         elif isinstance(message, Missed):
             self.last_taken = message.last
@@ -149,12 +149,12 @@ class StreamState:
         for message in messages_of(_unpack(payload)):
             if isinstance(message, Hello):
                 self._handle_hello(message)
-            elif isinstance(message, Frame | Status | BeamHoldEvent):
+            elif isinstance(message, Frame | DeviceState | BeamHoldEvent):
                 # After a lost connection the server may repeat; a program gets everything once.
                 if self.last is not None and message.n <= self.last:
                     continue
                 self.last = message.n
-                if isinstance(message, Status):
+                if isinstance(message, DeviceState):
                     self.deleted = message.state == "deleted"
             elif isinstance(message, Missed):
                 self.last = message.last

@@ -1,9 +1,9 @@
-"""Base classes and field types of REST schemas: strict models, ids, texts, times, pages."""
+"""Base classes and field types of REST schemas: strict models, ids, texts, times."""
 
 import json
 import re
 from datetime import datetime
-from typing import Annotated, Any, Final, Generic, TypeVar
+from typing import Annotated, Any, Final, TypeVar
 
 from pydantic import (
     AfterValidator,
@@ -77,30 +77,15 @@ Model = TypeVar("Model", bound=BaseModel)
 def from_attributes(model: type[Model], source: object, /, **members: Any) -> Model:
     """Return a model with the values that an object, such as a row of the database, has.
 
-    A field takes the attribute of its name, or of its name and ``_id`` (``device``: ``device_id``).
-
     Args:
         model: the model.
         source: the object.
         members: fields that it has not, or not as the model has them.
     """
     for name in model.model_fields.keys() - members.keys():
-        attribute = name if hasattr(source, name) else f"{name}_id"
-        if hasattr(source, attribute):
-            members[name] = getattr(source, attribute)
+        if hasattr(source, name):
+            members[name] = getattr(source, name)
     return model.model_validate(members)
-
-
-Item = TypeVar("Item")
-
-
-class Page(ResponseModel, Generic[Item]):
-    """Part of a list, newest first."""
-
-    items: list[Item]
-    total: int = Field(description="Items that the filter matches, on all pages.")
-    limit: int
-    offset: int
 
 
 def absent() -> Any:

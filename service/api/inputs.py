@@ -1,18 +1,16 @@
-"""What endpoints take: parts of the application, JSON bodies, ids, filters and pages."""
+"""What endpoints take: parts of the application, JSON bodies, ids and filters."""
 
 from collections.abc import Callable, Coroutine
 from dataclasses import dataclass
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any
 
 from fastapi import Depends, Path, Query, Request
 from fastapi.routing import APIRoute
 from pydantic import GetCoreSchemaHandler, TypeAdapter, ValidatorFunctionWrapHandler
 from pydantic_core import CoreSchema, core_schema
-from sqlalchemy import Select, func
-from sqlalchemy.orm import Session
 from starlette.responses import Response
 
-from service.api.base_models import SLUG_PATTERN, Page
+from service.api.base_models import SLUG_PATTERN
 from service.api.json_body import INLINE_BYTES, BodyReader, check_json_body, validate_text
 from service.database.engine import Database
 from service.jobs.run_manager import RunManager
@@ -74,46 +72,6 @@ ExpectedActive = Annotated[
         "nothing is changed (409).",
     ),
 ]
-Limit = Annotated[int, Query(ge=1, le=200, description="Most items to return.")]
-Offset = Annotated[int, Query(ge=0, le=2**31 - 1, description="Items to skip.")]
-
-
-Row = TypeVar("Row")
-Item = TypeVar("Item")
-
-
-@dataclass(frozen=True)
-class Paging:
-    """Which part of a list is asked for."""
-
-    limit: Limit = 50
-    offset: Offset = 0
-
-
-PagingDep = Annotated[Paging, Depends()]
-
-
-def page_of(
-    session: Session, listed: Select[Row], paging: Paging, document: Callable[[Row], Item]
-) -> Page[Item]:
-    """Return a page.
-
-    Args:
-        session: the session.
-        listed: the whole list of rows, in its order.
-        paging: the part.
-        document: returns a row as clients see it.
-    """
-    counted: Select[Any] = listed.with_only_columns(
-        func.count(), maintain_column_froms=True
-    ).order_by(None)
-    rows = session.scalars(listed.limit(paging.limit).offset(paging.offset)).all()
-    return Page(
-        items=[document(row) for row in rows],
-        total=session.scalar(counted) or 0,
-        limit=paging.limit,
-        offset=paging.offset,
-    )
 
 
 class JsonTypes:

@@ -22,7 +22,7 @@ Responses = dict[int | str, dict[str, Any]]
 Endpoint = TypeVar("Endpoint", bound=Callable[..., Any])
 
 _OF_RESOURCES: Final = ("not-ready",)
-_OF_ALL_REQUESTS: Final = ("credential-in-query", "query-too-long")
+_OF_ALL_REQUESTS: Final = ("credential-in-query", "query-too-long", "unknown-query-member")
 _OF_THOSE_WITH_SCOPE: Final = ("unauthenticated", "missing-scope", "too-many-attempts")
 _OF_CHANGES: Final = ("cross-origin",)
 _OF_STORED_CHANGES: Final = ("database-full", "insufficient-storage")

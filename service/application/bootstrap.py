@@ -49,7 +49,7 @@ def trace_optics(settings: Settings, database: Database, named: tuple[str, ...])
         assert isinstance(source, ProfileSource)
         _log.info("device %s: tracing its optics, some seconds", identity)
         # Its tables are kept, for the driver to find.
-        profile = find_profile(source.profile, settings.folders.profiles)
+        profile = find_profile(source.profile_id, settings.folders.profiles)
         profile_optics(profile, source.settings.optics)
 
 

@@ -57,8 +57,8 @@ def is_stored(session: Session, profile: DeviceProfile) -> bool:
     if row is None:
         return False
     source = source_of(row)
-    if not isinstance(source, ProfileSource) or source.profile != profile.name:
-        of = f"profile {source.profile}" if isinstance(source, ProfileSource) else source.kind
+    if not isinstance(source, ProfileSource) or source.profile_id != profile.name:
+        of = f"profile {source.profile_id}" if isinstance(source, ProfileSource) else source.kind
         raise InvalidParameter(
             f'name is "{profile.name}", and the device "{identity}" is there already with another '
             f"source ({of}); give the profile another name, or delete that device first",
@@ -81,7 +81,7 @@ def profile_device(profile: DeviceProfile) -> ProfileDevice:
         device = NewDevice(
             id=device_id(profile.name),
             title=profile.title[:200],
-            source=ProfileSource(kind="profile", profile=profile.name),
+            source=ProfileSource(kind="profile", profile_id=profile.name),
         )
     except ValidationError as error:
         first = error.errors()[0]

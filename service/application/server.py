@@ -13,6 +13,7 @@ from starlette.responses import HTMLResponse, JSONResponse, Response
 from service.api.base_models import ResponseModel
 from service.api.inputs import DatabaseDep, RunsDep, SettingsDep
 from service.api.openapi import ResourceRouter, raises
+from service.api.paging import Page, PagingDep, page_of_sequence
 from service.api.recordings.recording_manager import RecordingManager, RecordingsDep
 from service.database.engine import Database
 from service.database.migration import newest_revision, revision_of
@@ -190,9 +191,11 @@ def get_readiness(
 
 
 @router.operation("GET /problems", "list-problems", "List all problem types")
-def list_problems() -> list[ProblemType]:
+def list_problems(paging: PagingDep) -> Page[ProblemType]:
     """All problem types that the server answers with."""
-    return list(PROBLEM_TYPES.values())
+    return page_of_sequence(
+        list(PROBLEM_TYPES.values()), paging, lambda kind: kind, lambda kind: (kind.code,)
+    )
 
 
 @router.operation(

@@ -41,13 +41,13 @@ def show_all(
     """List beam holds, and whether each is held."""
     with client_session(url, key) as client:
         listed = [
-            (hold, client.beam_hold_state(hold.id)) for hold in client.beam_holds(device=device)
+            (hold, client.beam_hold_state(hold.id)) for hold in client.beam_holds(device_id=device)
         ]
     if as_json:
         print_json([{"hold": hold, "state": state} for hold, state in listed])
         return
     rows = (
-        (hold.id, hold.device, hold.title, hold.watch.kind, _beam(state.held), state.cause,
+        (hold.id, hold.device_id, hold.title, hold.watch.kind, _beam(state.held), state.cause,
          _shift(state))
         for hold, state in listed
     )  # fmt: skip
@@ -66,7 +66,7 @@ def show_one(hold: HoldId, url: Url = HERE, key: Key = None, as_json: AsJson = F
     if as_json:
         print_json({"hold": shown, "state": state})
     else:
-        say(f"{shown.id}: {shown.title}, of device {shown.device}")
+        say(f"{shown.id}: {shown.title}, of device {shown.device_id}")
         _show(state)
     if state.held:
         raise typer.Exit(1)
@@ -84,7 +84,7 @@ def watch(
     held = True
     end_s = inf if seconds is None else monotonic() + seconds
     with client_session(url, key) as client:
-        device = client.beam_hold(hold).device
+        device = client.beam_hold(hold).device_id
         with client.stream(device, ["holds"], rate_hz=RATE_HZ) as stream:
             try:
                 for change in _hold_changes(stream, hold, end_s, MAX_SILENCE_S):
@@ -145,8 +145,8 @@ def _receive(stream: Stream, received: "Queue[Message | ClientError | None]") ->
 def _holds(message: Message, hold_id: str) -> Iterator[BeamHoldSample | BeamHoldEvent]:
     """Yield what a message says of a hold: a connection begins with how it stands."""
     if isinstance(message, Hello | Frame):
-        yield from (one for one in message.holds or () if one.hold == hold_id)
-    elif isinstance(message, BeamHoldEvent) and message.hold == hold_id:
+        yield from (one for one in message.holds or () if one.hold_id == hold_id)
+    elif isinstance(message, BeamHoldEvent) and message.hold_id == hold_id:
         yield message
 
 
@@ -156,7 +156,7 @@ def _print_change(
     """Print a change with the time at which it came; None: silence, which holds the beam."""
     now = datetime.now(UTC)
     members: dict[str, Any] = {
-        "hold": hold_id, "held": True, "cause": "no-data", "reason": SILENT
+        "hold_id": hold_id, "held": True, "cause": "no-data", "reason": SILENT
     }  # fmt: skip
     if change is not None:
         members = asdict(change)

@@ -62,7 +62,7 @@ def _measure(folder: Path, seconds: float, *, quiet: bool) -> Figures:
             wait_for_frames(client, before["frames_processed"] + 2 * cycle)
             before = device_counts(client)
             with progress(f"a hold by {name}", seconds, quiet=quiet) as done:
-                heard = listen(f"{service.stream_url}?device={DEVICE}", name, seconds, done)
+                heard = listen(f"{service.stream_url}?device_id={DEVICE}", name, seconds, done)
             after = device_counts(client)
             begin = beginning(heard.shifts, truth)
             holds[name] = {
@@ -89,10 +89,10 @@ def _hold_markers(client: Client, positions_mm: list[list[float]]) -> None:
 def _hold_tool(client: Client, _: list[list[float]]) -> None:
     strobe = list(range(len(MARKERS_MM)))
     client.create_tool(
-        id=TOOL, device=DEVICE, markers_mm=MARKERS_MM, title="Patient", strobe_markers=strobe
+        id=TOOL, device_id=DEVICE, markers_mm=MARKERS_MM, title="Patient", strobe_markers=strobe
     )
     pose = {"rotation": np.eye(3).tolist(), "translation_mm": CENTRE_MM}
-    _create(client, "tool", {"kind": "tool", "tool": TOOL}, pose)
+    _create(client, "tool", {"kind": "tool", "tool_id": TOOL}, pose)
 
 
 _HOLDS: Final[dict[str, Callable[[Client, list[list[float]]], None]]] = {
@@ -105,7 +105,7 @@ _HOLDS: Final[dict[str, Callable[[Client, list[list[float]]], None]]] = {
 def _create(client: Client, name: str, watch: Any, reference: Any) -> None:
     client.create_beam_hold(
         id=name,
-        device=DEVICE,
+        device_id=DEVICE,
         title=name,
         watch=watch,
         limits={"shift_mm": LIMIT_MM},

@@ -29,7 +29,7 @@ def _measure(folder: Path, *, quiet: bool) -> Figures:
         with client_session(service.url, None, 60.0) as client:
             client.create_beam_hold(
                 id=HOLD,
-                device=DEVICE,
+                device_id=DEVICE,
                 title="Hostile bodies",
                 watch={"kind": "strobed-markers", "markers": [0]},
                 limits={"shift_mm": 2.0},

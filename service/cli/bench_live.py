@@ -20,7 +20,7 @@ def _measure(folder: Path, seconds: float, *, quiet: bool) -> Figures:
     from benchmarks.live import measure
 
     with service_process(folder, quiet=quiet) as service:
-        stream = f"{service.stream_url}?device=sim"
+        stream = f"{service.stream_url}?device_id=sim"
         with progress("streaming", seconds, quiet=quiet) as done:
             figures = measure(stream, seconds, done)
     bare = measure_baseline_stream(quiet=quiet)

@@ -65,9 +65,9 @@ def _measure(folder: Path, rate_hz: float, seconds: float, *, quiet: bool) -> Fi
         recording = client.start_recording(DEVICE)
         with _watched_memory(service.pid) as samples:
             before = device_counts(client)
-            received = _received(f"{service.stream_url}?device={DEVICE}", echo, seconds, quiet)
+            received = _received(f"{service.stream_url}?device_id={DEVICE}", echo, seconds, quiet)
             after = device_counts(client)
-        recorded = client.stop_recording(recording.name)
+        recorded = client.stop_recording(recording.id)
     return {
         "rate_hz": rate_hz,
         "seconds": seconds,
@@ -78,7 +78,9 @@ def _measure(folder: Path, rate_hz: float, seconds: float, *, quiet: bool) -> Fi
     }
 
 
-_COUNTED: Final = ("frames", "frames_lost_device", "frames_dropped_ring", "frames_processed")
+_COUNTED: Final = (
+    *("frames_received", "frames_lost", "frames_dropped_compute", "frames_processed"),
+)
 
 
 def _received(stream: str, echo: str, seconds: float, quiet: bool) -> Figures:
@@ -139,9 +141,9 @@ def _show(figures: Figures) -> None:
     device, clients = figures["device"], figures["clients"]
     rows: list[tuple[object, object]] = [
         ("seconds", f"{figures['seconds']:g}"),
-        ("frames", device["frames"]),
-        ("lost in the device or on the way", device["frames_lost_device"]),
-        ("dropped at the reader's ring", device["frames_dropped_ring"]),
+        ("frames", device["frames_received"]),
+        ("lost in the device or on the way", device["frames_lost"]),
+        ("dropped at the reader's ring", device["frames_dropped_compute"]),
     ]
     rows += [
         (f"recording: {name}", value)

@@ -52,7 +52,7 @@ def _measure(folder: Path, seconds: float, *, quiet: bool) -> Figures:
         client,
     ):
         client.create_tool(
-            id=TOOL, device=DEVICE, markers_mm=MARKERS_MM, title="Pointer", tip_mm=TIP_MM,
+            id=TOOL, device_id=DEVICE, markers_mm=MARKERS_MM, title="Pointer", tip_mm=TIP_MM,
             strobe_markers=list(range(len(MARKERS_MM))),
         )  # fmt: skip
         client.start_device(DEVICE)

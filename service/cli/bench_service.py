@@ -70,12 +70,12 @@ def service_of_simulated_device(
 
 def device_counts(client: Client) -> dict[str, Any]:
     """Return the device's state and its counts of frames."""
-    return client.device_status(DEVICE).status.model_dump()
+    return client.device_state(DEVICE).model_dump()
 
 
 def losses(before: dict[str, Any], after: dict[str, Any]) -> dict[str, int]:
     """Return the frames that were lost, and those in which nothing was tracked."""
-    lost = ("frames_lost_device", "frames_dropped_ring")
+    lost = ("frames_lost", "frames_dropped_compute")
     return {
         "frames_lost": sum(after[name] - before[name] for name in lost),
         "frames_not_tracked": after["frames_not_tracked"] - before["frames_not_tracked"],

@@ -63,7 +63,7 @@ class DemoClient(Client):
     def _post_calibration(
         self, device: str, points: list[dict[str, Any]], note: str
     ) -> dict[str, Any]:
-        body = {"device": device, "points": points, "note": note}
+        body = {"device_id": device, "points": points, "note": note}
         calibration: dict[str, Any] = self.request("POST", "/api/v1/calibrations", body=body)
         return calibration
 
@@ -75,7 +75,7 @@ class DemoClient(Client):
 
     def stream_url(self, content: str) -> str:
         """Return the URL of the simulated device's stream."""
-        return f"{self._server.stream_url}?device={SIMULATED}&content={content}"
+        return f"{self._server.stream_url}?device_id={SIMULATED}&content={content}"
 
     def observe_frame(
         self, seconds: float, progress: Callable[[float], None]

@@ -182,7 +182,7 @@ def _recorded_mask(device: "DeviceDescription", sensors: tuple[str, ...] | None)
             "template by --settings"
         )
     names = sensors or tuple(sensor.name for sensor in device.sensors)
-    return MaskMethod(profile=device.profile, sensors=list(names), fit_scale=True)
+    return MaskMethod(profile_id=device.profile, sensors=list(names), fit_scale=True)
 
 
 def _from_file(path: Path) -> Method:

@@ -90,7 +90,7 @@ def _list(*, as_json: bool) -> None:
 def _print(plan: Plan) -> None:
     x, y, z = plan.volume.size_mm
     centre = ", ".join(f"{value:g}" for value in plan.volume.centre_mm)
-    console.print(f"{plan.profile}: {plan.title}", style="bold", highlight=False)
+    console.print(f"{plan.profile_id}: {plan.title}", style="bold", highlight=False)
     say(
         f"volume {x:g} x {y:g} x {z:g} mm about ({centre}) mm, "
         f"{' x '.join(map(str, plan.grid))} points"

@@ -119,12 +119,19 @@ def show_all(
 ) -> None:
     """List the radiometric calibrations of a server."""
     with client_session(url, key) as client:
-        listed = client.radiometric_calibrations(device=device)
+        listed = client.radiometric_calibrations(device_id=device)
     if as_json:
         print_json(listed)
         return
     rows = (
-        (one.id, one.device, "yes" if one.active else "no", one.origin, len(one.sensors), one.note)
+        (
+            one.id,
+            one.device_id,
+            "yes" if one.active else "no",
+            one.origin,
+            len(one.sensors),
+            one.note,
+        )
         for one in listed
     )
     console.print(make_table(("id", "device", "active", "from", "sensors", "note"), rows, texts=6))
@@ -143,7 +150,7 @@ def capture(
     """Capture dark and flat frames step by step, and estimate the calibration from them."""
     with client_session(url, key, timeout_s=60.0) as client:
         session = client.create_radiometric_capture(
-            device=device, settings={"frames": frames, "levels": levels}
+            device_id=device, settings={"frames": frames, "levels": levels}
         )
         while session.next is not None:
             say(session.instruction)
@@ -153,7 +160,9 @@ def capture(
                 raise typer.Exit(1)
             session = _captured(client, session, temperature)
         made = client.create_radiometric_calibration(
-            id=radiometric_id, device=device, source={"kind": "capture", "capture": session.id}
+            id=radiometric_id,
+            device_id=device,
+            source={"kind": "capture", "radiometric_capture_id": session.id},
         )
     _print_made(made)
 
@@ -193,7 +202,7 @@ def upload(
     with client_session(url, key) as client:
         made = client.create_radiometric_calibration(
             id=radiometric_id,
-            device=device,
+            device_id=device,
             source={"kind": "document", "sensors": sensors},
             note=note,
         )
@@ -205,7 +214,7 @@ def activate(radiometric_id: RadiometricId, url: Url = HERE, key: Key = None) ->
     """Find the peaks of its device with it, from the next frame on."""
     with client_session(url, key) as client:
         done = client.activate_radiometric_calibration(radiometric_id)
-    say(f"device {done.device} uses {done.id}")
+    say(f"device {done.device_id} uses {done.id}")
 
 
 @radiometric_calibration.command("deactivate")
@@ -213,7 +222,7 @@ def deactivate(radiometric_id: RadiometricId, url: Url = HERE, key: Key = None) 
     """Let its device go on without it."""
     with client_session(url, key) as client:
         done = client.deactivate_radiometric_calibration(radiometric_id)
-    say(f"device {done.device} does not use {done.id}")
+    say(f"device {done.device_id} does not use {done.id}")
 
 
 def _print_made(made: RadiometricCalibrationSummary) -> None:

@@ -41,10 +41,12 @@ def create(
     with client_session(url, key) as client:
         for tool in tools:
             if device is not None:
-                tool["device"] = device
-            for name in ("id", "device", "markers_mm"):
+                tool["device_id"] = device
+            for name in ("id", "device_id", "markers_mm"):
                 if name not in tool:
-                    option = "" if name == "markers_mm" else f", or give --{name}"
+                    option = (
+                        "" if name == "markers_mm" else f", or give --{name.removesuffix('_id')}"
+                    )
                     raise fail(f"{file}: a tool has no {name}; write it there{option}")
             answer = client.request("POST", "/api/v1/tools", body={"title": tool["id"], **tool})
             created.append(Tool.model_validate(answer))
@@ -77,7 +79,7 @@ def capture(
         if not as_json:
             say(f"Hold {tool} still in view of {device}.")
         created = client.capture_tool(
-            id=tool, device=device, title=title or tool, seconds=seconds,
+            id=tool, device_id=device, title=title or tool, duration_s=seconds,
             markers=markers, strobe_markers=slots,
         )  # fmt: skip
     if as_json:
@@ -89,7 +91,7 @@ def capture(
 
 
 def _say_created(tool: Tool) -> None:
-    say(f"made: {tool.id}, {len(tool.markers_mm)} markers, of device {tool.device}")
+    say(f"made: {tool.id}, {len(tool.markers_mm)} markers, of device {tool.device_id}")
 
 
 def _numbers(text: str) -> list[int]:
@@ -123,7 +125,7 @@ def _in_order(tools: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
     listed = list(tools)
     number = {one["id"]: index for index, one in enumerate(listed) if one.get("id") is not None}
     references = {
-        index: {number[one["reference"]]} if one.get("reference") in number else set()
+        index: {number[one["reference_id"]]} if one.get("reference_id") in number else set()
         for index, one in enumerate(listed)
     }
     sorter, ordered = TopologicalSorter(references), list[int]()

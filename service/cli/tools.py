@@ -42,15 +42,15 @@ def show_all(
 ) -> None:
     """List tools."""
     with client_session(url, key) as client:
-        listed = client.tools(device=device)
+        listed = client.tools(device_id=device)
     if as_json:
         print_json(listed)
         return
     rows = (
         (
-            tool.id, tool.device, tool.title, len(tool.markers_mm),
+            tool.id, tool.device_id, tool.title, len(tool.markers_mm),
             None if tool.strobe_markers is None else " ".join(map(str, tool.strobe_markers)),
-            _vector(tool.tip.position_mm), tool.reference or "tracker",
+            _vector(tool.tip.position_mm), tool.reference_id or "tracker",
         )
         for tool in listed
     )  # fmt: skip
@@ -64,7 +64,7 @@ def show_one(
 ) -> None:
     """Show a tool and its newest pose; exit code 1 where that is not OK."""
     with client_session(url, key) as client:
-        shown, pose = client.tool(tool), client.tool_pose(tool, frame=frame)
+        shown, pose = client.tool(tool), client.tool_pose(tool, frame_id=frame)
     if as_json:
         print_json({"tool": shown, "pose": pose})
     else:
@@ -87,14 +87,14 @@ def watch(
     with client_session(url, key) as client:
         if device is not None:
             client.device(device)  # to be told that there is none, not that it has no tools
-        watched = client.tools(device=device)
+        watched = client.tools(device_id=device)
         if not watched:
             raise fail("there are no tools; POST /api/v1/tools makes one (docs/how-to/tools.md)")
 
         def poses() -> Group:
             # In the frame of a tool that tool itself is left out: it is where it is.
             others = (tool for tool in watched if tool.id != frame)
-            return _poses(client.tool_pose(tool.id, frame=frame) for tool in others)
+            return _poses(client.tool_pose(tool.id, frame_id=frame) for tool in others)
 
         try:
             with Live(poses(), console=console, auto_refresh=False) as shown:
@@ -127,14 +127,14 @@ def measure(
         if not as_json:
             say(f"Hold the tip of {tool} still on the point.")
         point = client.measure_point(
-            tool, frame=frame, name=name, timeout_s=timeout, seconds=seconds
+            tool, frame_id=frame, name=name, timeout_s=timeout, duration_s=seconds
         )
     if as_json:
         print_json(point)
         return
     row = (
-        point.name or None, point.frame, _vector(point.position_mm), _sigma(point.covariance_mm2),
-        f"{point.sigma_mm:.3f}", point.frames,
+        point.name or None, point.frame_id, _vector(point.position_mm),
+        _sigma(point.covariance_mm2), f"{point.sigma_mm:.3f}", point.frames,
     )  # fmt: skip
     headings = ("point", "in", "position [mm]", "sd [mm]", "scatter [mm]", "frames")
     console.print(make_table(headings, [row], texts=2, no_wrap=True))
@@ -146,11 +146,11 @@ def _poses(poses: Iterable[Pose]) -> Group:
     for pose in poses:
         style = _STYLES.get(pose.status, "red")
         rows.append((
-            pose.tool, pose.frame, f"[{style}]{pose.status}[/{style}]", _vector(pose.tip_mm),
+            pose.tool_id, pose.frame_id, f"[{style}]{pose.status}[/{style}]", _vector(pose.tip_mm),
             _sigma(pose.tip_covariance_mm2), spec(pose.age_s, ".2f"),
         ))  # fmt: skip
         if pose.reason:
-            reasons.append(Text(f"{pose.tool}: {pose.reason}"))
+            reasons.append(Text(f"{pose.tool_id}: {pose.reason}"))
     headings = ("tool", "in", "status", "tip [mm]", "sd [mm]", "age [s]")
     return Group(make_table(headings, rows, texts=3, no_wrap=True), *reasons)
 

@@ -146,7 +146,7 @@ class Resource(Generic[Row]):
         if row is None:
             path = self.path or f"/api/v1/{self.key.replace('_', '-')}s"
             detail = f'there is no {self._name} "{identity}"; GET {path} lists them'
-            raise self.unknown(detail, **{self.key: identity})
+            raise self.unknown(detail, **{f"{self.key}_id": identity})
         return row
 
     def newest_first(self, **columns: object) -> Select[Row]:
@@ -172,7 +172,9 @@ class Resource(Generic[Row]):
         return self.name or self.key.replace("_", " ")
 
     def _taken(self, identity: str) -> LumilineError:
-        return self.exists(f'{self._name} "{identity}" {self.taken}', **{self.key: identity})
+        return self.exists(
+            f'{self._name} "{identity}" {self.taken}', **{f"{self.key}_id": identity}
+        )
 
 
 def insert(session: Session, row: object, taken: Exception) -> None:

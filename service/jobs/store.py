@@ -111,8 +111,8 @@ def _claimed(kind: Kind, result_id: str, run_id: str | None) -> LumilineError:
     return error(
         f'{which} is to make {what} "{result_id}"; choose another result_id, leave it out, '
         "or cancel that run",
-        run=run_id,
-        result=result_id,
+        run_id=run_id,
+        result_id=result_id,
     )
 
 
@@ -194,7 +194,7 @@ def delete_run(session: Session, run_id: str) -> None:
     row = RUNS.get(session, run_id, lock=True)
     if row.state in OPEN:
         raise RunNotEnded(
-            f'run "{run_id}" is {row.state}; cancel it first, or wait for its end', run=run_id
+            f'run "{run_id}" is {row.state}; cancel it first, or wait for its end', run_id=run_id
         )
     session.delete(row)
     session.flush()

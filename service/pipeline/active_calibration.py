@@ -41,7 +41,7 @@ class LiveBadPixel:
     sensor: str
     pixel: int
     kind: LiveKind
-    since: datetime
+    found_at: datetime
 
 
 def bad_pixel_flags(found: Iterable[LiveBadPixel], sensor: str, pixels: int) -> NDArray[np.uint8]:

@@ -38,9 +38,9 @@ class DeviceStatus:
     reason: str | None = None
     calibration_id: str | None = None
     table_id: str | None = None
-    frames: int = 0
-    frames_lost_device: int = 0
-    frames_dropped_ring: int = 0
+    frames_received: int = 0
+    frames_lost: int = 0
+    frames_dropped_compute: int = 0
     frames_processed: int = 0
     subscribers: int = 0
     link: LinkState | None = None

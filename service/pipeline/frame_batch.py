@@ -179,7 +179,7 @@ class FrameBatch:
 def pose_members(pose: ToolPose) -> dict[str, Any]:
     """Return a pose as JSON values: the members of ToolPose, and its rotation as a quaternion."""
     return {
-        "tool": pose.tool,
+        "tool_id": pose.tool,
         "status": pose.status.value,
         "reason": pose.reason,
         "translation_mm": _values(pose.translation_mm),

@@ -376,9 +376,9 @@ class PipelineManager:
             return DeviceNotRunning(
                 f'device "{device_id}" is disconnected: {status.reason}; connect it, and it goes '
                 "on by itself",
-                device=device_id,
+                device_id=device_id,
             )
         return DeviceNotRunning(
             f'device "{device_id}" does not run; start it to capture what it sees',
-            device=device_id,
+            device_id=device_id,
         )

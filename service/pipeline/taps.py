@@ -138,7 +138,7 @@ class SingleCalibrationTap:
             raise CalibrationSwitched(
                 f'another calibration or table of device "{device_id}" was activated while '
                 f"{during}",
-                device=device_id,
+                device_id=device_id,
             )
 
     def calibration_used(self, device_id: str, during: str) -> tuple[str, str | None]:
@@ -153,7 +153,7 @@ class SingleCalibrationTap:
         if calibration_id is None:
             raise NoActiveCalibration(
                 f'device "{device_id}" has no active calibration, and so no points; activate one',
-                device=device_id,
+                device_id=device_id,
             )
         return calibration_id, table_id
 
@@ -199,7 +199,7 @@ def collect(
                 raise DeviceNotRunning(
                     f'device "{session.device_id}" stopped or was lost while it was measured; '
                     "start it and try again",
-                    device=session.device_id,
+                    device_id=session.device_id,
                 )
     finally:
         live.detach(session, tap)

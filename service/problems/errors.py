@@ -271,6 +271,10 @@ class QueryTooLong(ServiceError, status=414):
     """The part of the address after the question mark is too long; send less."""
 
 
+class UnknownQueryMember(ServiceError, status=422):
+    """The part of the address after the question mark has a name that is not known there."""
+
+
 class TooManyAttempts(ServiceError, status=429):
     """Too many requests of this address came with keys that are not valid; wait."""
 

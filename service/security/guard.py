@@ -1,14 +1,14 @@
 """Guard: ASGI middleware that authenticates a request and checks its operation's scope.
 
-It stands before the router, so that nothing of a request is read for who may not ask. It finds
-the route as the router does; `confirm`, a dependency of every route, checks that both found the
-same one.
+It stands before the router, so that nothing of a request is read for who may not ask, and refuses
+members of a query that the operation does not know. It finds the route as the router does;
+`confirm`, a dependency of every route, checks that both found the same one.
 """
 
 import json
 from collections.abc import Callable, Iterable
 from functools import partial
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from anyio.to_thread import run_sync
 from fastapi.routing import RouteContext, iter_route_contexts
@@ -25,6 +25,7 @@ from service.problems.handlers import error_response, refuse
 from service.security.audit_entry import record_act, record_repeats
 from service.security.credential import check_query, credential_of, why_not_local
 from service.security.operation_scopes import OPERATION_SCOPES, PUBLIC, WRITE_SCOPES
+from service.security.query_members import check_members, query_members
 from service.security.refusal_aggregation import RefusalAggregator
 from service.settings import Settings
 
@@ -37,6 +38,15 @@ _OPERATION: Final = "lumiline.operation"
 _SAFE: Final = frozenset({"GET", "HEAD", "OPTIONS"})
 _Matches = Callable[[Scope], tuple[Match, Scope]]
 _REALM: Final = 'Bearer realm="lumiline"'
+
+
+class _Route(NamedTuple):
+    """A route: its operation, its path's template, and the names that its query may have."""
+
+    operation: str
+    path: str
+    matches: _Matches
+    query: tuple[str, ...] | None
 
 
 def operation_of(route: RouteContext | BaseRoute) -> str:
@@ -77,7 +87,7 @@ class Guard:
     def __init__(self, app: ASGIApp, settings: Settings) -> None:
         self._app = app
         self._settings = settings
-        self._routes: tuple[tuple[str, str, _Matches], ...] | None = None
+        self._routes: tuple[_Route, ...] | None = None
         self._refusals: RefusalAggregator | None = None
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -87,20 +97,23 @@ class Guard:
             return
         headers = Headers(scope=scope)
         record = request_record(scope)
-        operation, record.route = self._operation(scope)
-        if operation is None:  # no such path, or not by this method: the router says so
+        route = self._route(scope)
+        if route is None:  # no such path, or not by this method: the router says so
             await self._app(scope, receive, send)
             return
+        operation, record.route = route.operation, route.path
         scope[_OPERATION] = operation
         address = (scope.get("client") or ("unknown",))[0]
         act = Act(LOCAL, operation, record.id, address)
         try:
             check_query(scope["query_string"])
             if OPERATION_SCOPES[operation] == PUBLIC:
+                check_members(scope["query_string"], route.query)
                 await self._app(scope, receive, send)
                 return
             act.principal = await self._principal(scope, headers, address)
             await self._check_scope(scope, act)
+            check_members(scope["query_string"], route.query)
         except LumilineError as error:
             await _refuse(error, scope, receive, send)
             return
@@ -113,17 +126,18 @@ class Guard:
         finally:
             current_act.reset(token)
 
-    def _operation(self, scope: Scope) -> tuple[str | None, str | None]:
-        """Return the operation and its path's template; None where the router finds none."""
+    def _route(self, scope: Scope) -> _Route | None:
+        """Return the route of a request; None where the router finds none."""
         if self._routes is None:
             found = check_complete(scope["app"].routes)
             self._routes = tuple(
-                (operation_of(route), str(route.path), route.matches) for route in found
+                _Route(operation_of(one), str(one.path), one.matches, query_members(one))
+                for one in found
             )
-        for operation, path, matches in self._routes:
-            if matches(scope)[0] == Match.FULL:
-                return operation, path
-        return None, None
+        for route in self._routes:
+            if route.matches(scope)[0] == Match.FULL:
+                return route
+        return None
 
     async def _principal(self, scope: Scope, headers: Headers, address: str) -> Principal:
         credential = credential_of(headers, websocket=scope["type"] == "websocket")

@@ -26,7 +26,7 @@ def calibrate(client: Any, name: str) -> None:
     """Post a calibration of the frame and make it the active one."""
     body = {
         "id": name,
-        "device": "sim",
+        "device_id": "sim",
         "points": NEW_CALIBRATIONS["frame"]["value"]["points"],
         "distortion": "none",
     }

@@ -104,7 +104,7 @@ async def walk(
         try:
             live.set_tracking_config("sim", tracked)
             live.start_device("sim", source, ActiveCalibration("nominal", exact()))
-            query = {"device": "sim", "content": content, "encoding": "json"}
+            query = {"device_id": "sim", "content": content, "encoding": "json"}
             subscription = hub.subscribe(parse_stream_request(query))
             sender = asyncio.create_task(router._forward(cast("WebSocket", socket), subscription))
             last: bytes | str = ""

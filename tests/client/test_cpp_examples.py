@@ -47,7 +47,7 @@ def tracked(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Client, 
         scene = {"kind": "moving-tools", "tools": [{"markers_mm": MARKERS}]}
         source = {"kind": "simulated", "settings": {"frame_rate_hz": 100, "scene": scene}}
         client.change_device("sim", source=source)
-        client.create_tool(id="probe", device="sim", title="Probe", markers_mm=MARKERS,
+        client.create_tool(id="probe", device_id="sim", title="Probe", markers_mm=MARKERS,
                            strobe_markers=[0, 1, 2, 3])  # fmt: skip
         client.start_device("sim")
         end = time.monotonic() + 60.0

@@ -26,28 +26,41 @@ class Answers(Operations, Blocking):
 
 
 @pytest.mark.parametrize(
-    "page", [None, [], {}, {"items": {}, "total": 0}, {"items": []}, {"items": [], "total": "2"}]
+    "page",
+    [
+        None,
+        [],
+        {},
+        {"items": {}, "next_cursor": None},
+        {"items": []},
+        {"items": [], "next_cursor": 2},
+    ],
 )
 def test_list_answer_is_no_page_raises(page: Any) -> None:
     with pytest.raises(UnreadableMessage, match="/api/v1/devices did not answer a list"):
         Answers(page).devices()
 
 
-@pytest.mark.parametrize("answer", [None, [], "status", {}, {"device": "sim", "status": {}}])
+@pytest.mark.parametrize("answer", [None, [], "state", {}, {"device_id": "sim", "state": {}}])
 def test_answer_of_another_model_raises(answer: Any) -> None:
-    with pytest.raises(UnreadableMessage, match=r"/status did not answer a Status: .* at "):
-        Answers(answer).device_status("sim")
+    with pytest.raises(
+        UnreadableMessage, match=r"/state did not answer a DeviceStateDocument: .* at "
+    ):
+        Answers(answer).device_state("sim")
 
 
 def test_list_of_two_pages_is_requested_from_the_next_item_on() -> None:
-    pages = [{"items": [{"id": str(n)} for n in part], "total": 3} for part in ((0, 1), (2,))]
+    pages = [
+        {"items": [{"id": str(n)} for n in part], "next_cursor": cursor}
+        for part, cursor in (((0, 1), "behind-1"), ((2,), None))
+    ]
     client = Answers(*pages)
-    query = {"device": "sim"}
+    query = {"device_id": "sim"}
     found = finish(client._get_all(models.ResponseModel, "/list", params=query))
     assert [one.model_dump()["id"] for one in found] == ["0", "1", "2"]
     assert [query for _, query in client.requests] == [
-        {"device": "sim", "limit": 200, "offset": 0},
-        {"device": "sim", "limit": 200, "offset": 2},
+        {"device_id": "sim", "limit": 200, "cursor": None},
+        {"device_id": "sim", "limit": 200, "cursor": "behind-1"},
     ]
 
 
@@ -98,10 +111,10 @@ def test_every_method_is_written_once() -> None:
 
 
 def test_signature_of_a_method_names_its_result() -> None:
-    signature = inspect.signature(Client.device_status)
+    signature = inspect.signature(Client.device_state)
     assert list(signature.parameters) == ["self", "device_id"]
-    assert signature.return_annotation is models.Status
-    assert Client.device_status.__doc__ == "What a device is doing."
+    assert signature.return_annotation is models.DeviceStateDocument
+    assert Client.device_state.__doc__ == "What a device is doing."
 
 
 def test_models_of_answers_are_in_one_module() -> None:

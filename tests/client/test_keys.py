@@ -45,23 +45,23 @@ def test_without_a_key_both_interfaces_refuse(guarded: str) -> None:
 def test_a_key_opens_both(guarded: str, key: str, by: KeyBy) -> None:
     with Client(guarded, key, key_by=by) as client:
         assert [one.id for one in client.devices()] == ["sim"]
-        with client.stream("sim", ("status",)) as stream:
+        with client.stream("sim", ("state",)) as stream:
             assert stream.hello is not None
-            assert stream.hello.device == "sim"
+            assert stream.hello.device_id == "sim"
 
 
 def test_a_key_opens_both_with_asyncio(guarded: str, key: str) -> None:
     async def run() -> None:
         async with AsyncClient(guarded, key, key_by="subprotocol") as client:
             assert [one.id for one in await client.devices()] == ["sim"]
-            async with client.stream("sim", ("status",)) as stream:
+            async with client.stream("sim", ("state",)) as stream:
                 assert stream.hello is not None
 
     asyncio.run(run())
 
 
 def test_a_revoked_key_ends_the_stream_and_is_not_tried_again(guarded: str, key: str) -> None:
-    with Client(guarded, key) as client, client.stream("sim", ("status",)) as stream:
+    with Client(guarded, key) as client, client.stream("sim", ("state",)) as stream:
         next(stream)
         client.revoke_key(key.split("_")[1])
         with pytest.raises(StreamEnded, match="revoked") as caught:

@@ -14,11 +14,11 @@ from compute.pose.rigid_body import PoseStatus
 from compute.pose.rigid_body import ToolPose as ServerPose
 from lumiline.client.errors import UnreadableMessage, server_problem
 from lumiline.client.messages import (
+    DeviceState,
     Frame,
     Missed,
     Peak,
     Point,
-    Status,
     ToolPose,
     Track,
     UnknownMessage,
@@ -27,17 +27,17 @@ from lumiline.client.messages import (
 from lumiline.client.server import Server
 from lumiline.client.stream_state import StreamRequest, StreamState
 from service.pipeline.frame_batch import pose_members
-from service.protocols.stream.messages import bundle, encode, missed_message, status_message
+from service.protocols.stream.messages import bundle, encode, missed_message, state_message
 
 HEAD: dict[str, Any] = {
-    "type": "frame", "device": "sim", "sequence": 7, "exposure_ns": 1, "device_ns": 2,
-    "marker": None, "calibration": None, "table": None, "flags": [], "n": 5,
+    "type": "frame", "device_id": "sim", "sequence": 7, "exposure_ns": 1, "device_ns": 2,
+    "marker": None, "calibration_id": None, "table_id": None, "flags": [], "n": 5,
 }  # fmt: skip
 HELLO: dict[str, Any] = {
-    "type": "hello", "version": 1, "device": "sim", "content": ["points"], "mode": "lossless",
+    "type": "hello", "version": 1, "device_id": "sim", "content": ["points"], "mode": "lossless",
     "stream": "abc", "next": 5, "resumed": False, "sensors": ["a"], "frame_rate_hz": 50.0,
     "markers": 2, "readout": "lines", "method": "fit", "state": "running", "reason": None,
-    "link": None, "calibration": None,
+    "link": None, "calibration_id": None,
 }  # fmt: skip
 
 numbers = st.floats(-1e6, 1e6)
@@ -60,7 +60,7 @@ def test_a_pose_of_the_server_is_read_whole(
     assert isinstance(frame, Frame)
     assert frame.tools is not None
     (read,) = frame.tools
-    assert (read.tool, read.status, read.reason) == ("probe", "HIGH_ERROR", "too far off")
+    assert (read.tool_id, read.status, read.reason) == ("probe", "HIGH_ERROR", "too far off")
     assert not read.valid
     assert read.translation_mm == read.tip_mm == tuple(place)
     assert read.rotation == ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
@@ -133,7 +133,7 @@ def test_a_program_gets_every_message_once_and_says_where_it_is() -> None:
 
     def numbers_of(*messages: dict[str, Any]) -> list[int]:
         taken = [one for message in messages for one in stream.decode(msgpack.packb(message))]
-        return [one.n for one in taken if isinstance(one, Frame | Status)]
+        return [one.n for one in taken if isinstance(one, Frame | DeviceState)]
 
     assert numbers_of(HELLO, {**HEAD, "n": 5}, {**HEAD, "n": 6}) == [5, 6]
     assert stream.url.endswith("stream=abc&after=6")
@@ -143,7 +143,7 @@ def test_a_program_gets_every_message_once_and_says_where_it_is() -> None:
     lost = missed_message("sim", 10, 8)
     assert stream.decode(msgpack.packb(lost)) == [Missed("sim", 10, 8)]
     assert stream.last == 17
-    told = {**status_message("sim", "stopped", None), "n": 18}
+    told = {**state_message("sim", "stopped", None), "n": 18}
     assert numbers_of(told) == [18]
     # The server was started anew: its numbers begin again, and all of them are new.
     assert numbers_of({**HELLO, "stream": "def", "next": 1}, {**HEAD, "n": 1}) == [1]

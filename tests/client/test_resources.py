@@ -46,8 +46,8 @@ def test_devices_and_calibrations(ask: Ask) -> None:
     assert (device.id, device.active_calibration_id) == ("sim", "sim-nominal")
     assert len(device.sensors) == 4
     assert device.created_at.utcoffset() == timedelta(0)
-    assert ask("device_status", "sim").status.calibration_id == "sim-nominal"
-    found = ask("calibrations", device="sim", state="active")
+    assert ask("device_state", "sim").calibration_id == "sim-nominal"
+    found = ask("calibrations", device_id="sim", state="active")
     assert [one.id for one in found] == ["sim-nominal"]
     assert ask("calibration", "sim-nominal").content_hash == found[0].content_hash
     assert ask("activate_calibration", "sim-nominal", expected="sim-nominal").state == "active"
@@ -60,7 +60,7 @@ def test_a_refusal_has_its_code_and_its_reason(ask: Ask) -> None:
     assert "nobody" in caught.value.detail
     assert "nobody" in str(caught.value)
     with pytest.raises(ServerProblem) as caught:
-        ask("request", "POST", "/api/v1/reconstructions", body={"device": "sim", "points": []})
+        ask("request", "POST", "/api/v1/reconstructions", body={"device_id": "sim", "points": []})
     assert caught.value.code == "invalid-request"
     assert caught.value.errors[0]["location"] == ["body", "points"]
     with pytest.raises(ServerProblem, match="409 "):
@@ -79,7 +79,7 @@ def test_points_from_readings(ask: Ask) -> None:
         {"name": "a", "readings": given},
         {"name": "b", "readings": {models[0].name: 1000.0}},
     ]
-    found = ask("create_reconstruction", device="sim", points=points)
+    found = ask("create_reconstruction", device_id="sim", points=points)
     first, second = found.estimates
     assert first.position_mm == pytest.approx(tuple(place[0]), abs=0.01)
     assert len(first.covariance_mm2) == 3
@@ -91,8 +91,8 @@ def test_a_list_of_many_pages_is_read_whole(ask: Ask, monkeypatch: pytest.Monkey
     monkeypatch.setattr("lumiline.client.exchange.PAGE_SIZE", 2)
     point = {"name": "a", "readings": {simulated_rig()[0].model.name: 1000.0}}
     for _ in range(5):
-        ask("create_reconstruction", device="sim", points=[point])
-    found = ask("reconstructions", device="sim")
+        ask("create_reconstruction", device_id="sim", points=[point])
+    found = ask("reconstructions", device_id="sim")
     assert len(found) >= 5
     assert ask("reconstructions", limit=3) == found[:3]
     assert len({one.id for one in found}) == len(found)
@@ -100,23 +100,23 @@ def test_a_list_of_many_pages_is_read_whole(ask: Ask, monkeypatch: pytest.Monkey
 
 def test_a_tool_from_its_making_to_its_end(ask: Ask) -> None:
     made = ask(
-        "create_tool", id="probe", device="sim", title="Probe", markers_mm=np.array(MARKERS),
+        "create_tool", id="probe", device_id="sim", title="Probe", markers_mm=np.array(MARKERS),
         tip_mm=[0.0, 0.0, 150.0],
     )  # fmt: skip
     try:
         assert made.markers_mm == tuple(MARKERS)
         assert made.tip.position_mm == (0.0, 0.0, 150.0)
-        assert [one.id for one in ask("tools", device="sim")] == ["probe"]
+        assert [one.id for one in ask("tools", device_id="sim")] == ["probe"]
         assert ask("tool", "probe") == made
         pose = ask("tool_pose", "probe")
         # The rotating bar has no such tool: there is a reason, and no pose.
-        assert (pose.tool, pose.frame) == ("probe", "tracker")
+        assert (pose.tool_id, pose.frame_id) == ("probe", "tracker")
         assert pose.status != "OK"
         assert pose.reason
         assert pose.rotation is None
     finally:
         ask("delete_tool", "probe")
-    assert ask("tools", device="sim") == []
+    assert ask("tools", device_id="sim") == []
 
 
 def test_a_registration_tells_its_errors(ask: Ask) -> None:
@@ -124,7 +124,7 @@ def test_a_registration_tells_its_errors(ask: Ask) -> None:
     turned = places @ np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1.0]]).T + [5, 6, 700]
     pairs = {str(one): (a, b) for one, (a, b) in enumerate(zip(places, turned, strict=True))}
     found = ask(
-        "create_registration", id="ct", device="sim", fiducials=paired_points(pairs),
+        "create_registration", id="ct", device_id="sim", fiducials=paired_points(pairs),
         targets=[{"name": "tumour", "frame_mm": (30.0, 30.0, 30.0)}], measured_sigma_mm=0.3,
     )  # fmt: skip
     try:
@@ -146,7 +146,7 @@ def test_frames_of_markers_and_surfaces(ask: Ask) -> None:
     on = np.array([(x, y, 0) for x in (-50, 50) for y in (-80, 20, 80)]
                   + [(-70, y, z) for y in (-80, 0, 80) for z in (-20, -90)]
                   + [(x, 100, z) for x in (-50, 50) for z in (-20, -90)])  # fmt: skip
-    three = {"kind": "three-markers", "device": "sim", "measured_sigma_mm": 0.05}
+    three = {"kind": "three-markers", "device_id": "sim", "measured_sigma_mm": 0.05}
     mesh = {"kind": "mesh", "vertices_mm": corners, "triangles": sides}
     try:
         plate = ask("create_registration", id="plate", measured_mm=markers, **three)
@@ -155,15 +155,15 @@ def test_frames_of_markers_and_surfaces(ask: Ask) -> None:
         assert plate.matrix[0][3] == pytest.approx(10.0)
         moved = on + np.array(markers[0]) + [0.5, -0.3, 0.2]
         found = ask(
-            "create_registration", kind="surface", id="box", device="sim", parent="plate",
+            "create_registration", kind="surface", id="box", device_id="sim", parent_id="plate",
             points_mm=moved, surface=mesh, trim=0.0,
         )  # fmt: skip
-        assert (found.kind, found.parent) == ("surface", "plate")
+        assert (found.kind, found.parent_id) == ("surface", "plate")
         assert np.allclose(np.array(found.matrix)[:3, 3], [10.5, -20.3, 1500.2], atol=1e-3)
         assert found.surface is not None
         assert found.surface.rms_mm < 1e-3
         assert len(found.surface.distance_mm) == len(on)
-        frames = {one.frame: one for one in ask("frames", "sim").frames}
+        frames = {one.id: one for one in ask("frames", "sim").frames}
         assert frames["box"].connected
         assert frames["box"].root == frames["plate"].root == "tracker"
         between = ask("frame_transform", "sim", "box", to="plate")
@@ -179,29 +179,29 @@ def test_frames_of_markers_and_surfaces(ask: Ask) -> None:
 
 @pytest.mark.slow
 def test_a_recording_from_its_begin_to_a_file(ask: Ask, tmp_path: Path) -> None:
-    begun = ask("start_recording", "sim", seconds=3000.0)
+    begun = ask("start_recording", "sim", max_duration_s=3000.0)
     with pytest.raises(ServerProblem, match="recording-in-progress"):
-        ask("download_recording", begun.name, tmp_path / "early.h5")
-    ended = ask("stop_recording", begun.name)
-    assert begun.name in [one.name for one in ask("recordings", device="sim")]
-    assert (ended.name, ended.state) == (begun.name, "complete")
-    file = ask("download_recording", begun.name, tmp_path / "bench.h5")
-    assert file.stat().st_size == ask("recording", begun.name).size_bytes
+        ask("download_recording", begun.id, tmp_path / "early.h5")
+    ended = ask("stop_recording", begun.id)
+    assert begun.id in [one.id for one in ask("recordings", device_id="sim")]
+    assert (ended.id, ended.state) == (begun.id, "complete")
+    file = ask("download_recording", begun.id, tmp_path / "bench.h5")
+    assert file.stat().st_size == ask("recording", begun.id).size_bytes
     assert file.read_bytes()[:8] == b"\x89HDF\r\n\x1a\n"
-    assert ask("download_recording", begun.name, str(file)) == file
+    assert ask("download_recording", begun.id, str(file)) == file
     # Neither of a refused download nor of a complete one is a part left.
     assert [one.name for one in tmp_path.iterdir()] == ["bench.h5"]
-    ask("delete_recording", begun.name)
+    ask("delete_recording", begun.id)
 
 
 @pytest.fixture(scope="module")
 def exported(server: str) -> d.Run:
     """A run that has exported a recording, in a process of the server's."""
     with Client(server) as client:
-        begun = client.start_recording("sim", name="walk.h5", seconds=3000.0)
-        client.stop_recording(begun.name)
+        begun = client.start_recording("sim", id="walk.h5", max_duration_s=3000.0)
+        client.stop_recording(begun.id)
         run = client.create_export_run(
-            recording="walk.h5", device="sim", format="csv", result_id="walk"
+            recording_id="walk.h5", device_id="sim", format="csv", result_id="walk"
         )
         assert run.state in ("queued", "running")
         return client.wait_for_run(run.id)
@@ -211,7 +211,7 @@ def test_an_export_from_its_run_to_a_file(ask: Ask, exported: d.Run, tmp_path: P
     assert (exported.state, exported.result_id) == ("succeeded", "walk"), exported.problem
     assert ask("wait_for_run", exported.id) == exported
     found = ask("export", "walk")
-    assert (found.run, found.recording, found.format) == (exported.id, "walk.h5", "csv")
+    assert (found.run_id, found.recording_id, found.format) == (exported.id, "walk.h5", "csv")
     assert found in ask("exports")
     file = ask("download_export", "walk", tmp_path / "walk.csv")
     assert file.stat().st_size == found.size_bytes
@@ -219,7 +219,9 @@ def test_an_export_from_its_run_to_a_file(ask: Ask, exported: d.Run, tmp_path: P
     with pytest.raises(ServerProblem, match="unknown-export"):
         ask("download_export", "none", tmp_path / "none.csv")
     assert [one.name for one in tmp_path.iterdir()] == ["walk.csv"]
-    other = ask("create_export_run", recording="walk.h5", device="sim", format="trc", tools=[])
+    other = ask(
+        "create_export_run", recording_id="walk.h5", device_id="sim", format="trc", tool_ids=[]
+    )
     assert ask("cancel_run", other.id).state == "cancelled"
     assert ask("wait_for_run", other.id, timeout_s=0.0).state == "cancelled"
     with pytest.raises(ServerProblem, match="unknown-export"):
@@ -227,10 +229,10 @@ def test_an_export_from_its_run_to_a_file(ask: Ask, exported: d.Run, tmp_path: P
 
 
 def test_stop_and_start(ask: Ask) -> None:
-    assert ask("stop_device", "sim").status.state == "stopped"
-    assert ask("start_device", "sim").status.state in {"starting", "running"}
+    assert ask("stop_device", "sim").state == "stopped"
+    assert ask("start_device", "sim").state in {"starting", "running"}
     end = time.monotonic() + 60.0
-    while ask("device_status", "sim").status.state != "running":
+    while ask("device_state", "sim").state != "running":
         assert time.monotonic() < end
         time.sleep(0.02)
 
@@ -278,7 +280,7 @@ def test_times_of_a_query_and_of_answers_are_datetimes(ask: Ask) -> None:
     begin = datetime.now(UTC) - timedelta(seconds=5)
     ask("change_device", "sim", title="Simulated")
     entries = ask("audit", operation="change-device", since=begin, limit=5)
-    assert all(entry.at >= begin for entry in entries)
+    assert all(entry.created_at >= begin for entry in entries)
     assert len(entries) >= 1
     assert ask("audit", since=datetime.now(UTC) + timedelta(days=1)) == []
 
@@ -301,4 +303,4 @@ def test_a_correction_table_that_is_none_is_refused_by_the_server(ask: Ask, tmp_
     with pytest.raises(ServerProblem) as caught:
         ask("upload_correction_table", file, id="mine")
     assert 400 <= caught.value.status < 500
-    assert ask("correction_tables", device="sim") == []
+    assert ask("correction_tables", device_id="sim") == []

@@ -10,7 +10,7 @@ import pytest
 from websockets.exceptions import ConnectionClosedError
 
 from lumiline.client import AsyncClient, Client, ServerProblem, ServerUnreachable
-from lumiline.client.messages import Frame, Hello, Message, Status
+from lumiline.client.messages import DeviceState, Frame, Hello, Message
 
 Collect = Callable[..., list[Message]]
 
@@ -40,7 +40,7 @@ def frames_of(messages: list[Message]) -> list[Frame]:
 def test_a_greeting_and_then_frames_of_what_was_asked_for(collect: Collect) -> None:
     hello, *rest = collect(20, "sim", ("points", "peaks"))
     assert isinstance(hello, Hello)
-    assert (hello.device, hello.state, hello.calibration) == ("sim", "running", "sim-nominal")
+    assert (hello.device_id, hello.state, hello.calibration_id) == ("sim", "running", "sim-nominal")
     assert hello.content == ("peaks", "points")
     assert len(hello.sensors) == 4
     frames = frames_of(rest)
@@ -152,19 +152,19 @@ def test_states_come_as_messages_and_a_deleted_device_ends_its_streams(server: s
     source = {"kind": "simulated", "settings": {"frame_rate_hz": 50}}
     body = {"id": "brief", "title": "Brief", "source": source}
     httpx.post(f"{server}/api/v1/devices", json=body).raise_for_status()
-    with Client(server) as client, client.stream("brief", ("status",)) as stream:
+    with Client(server) as client, client.stream("brief", ("state",)) as stream:
         assert stream.hello is not None
         assert stream.hello.state == "stopped"
         client.start_device("brief")
         httpx.delete(f"{server}/api/v1/devices/brief").raise_for_status()
-        states = [message.state for message in stream if isinstance(message, Status)]
+        states = [message.state for message in stream if isinstance(message, DeviceState)]
     # The iteration has ended by itself.
     assert states[0] == "starting"
     assert states[-1] == "deleted"
 
 
 def test_a_stream_can_be_closed_while_it_waits(server: str) -> None:
-    with Client(server).stream("sim", ("status",)) as stream:
+    with Client(server).stream("sim", ("state",)) as stream:
         next(stream)
         timer = threading.Timer(0.2, stream.close)
         timer.start()

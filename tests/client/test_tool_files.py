@@ -35,7 +35,7 @@ def command(server: str) -> Iterator[Command]:
     yield run
     with Client(server) as client:
         while found := client.tools():
-            referred = {tool.reference for tool in found}
+            referred = {tool.reference_id for tool in found}
             for tool in found:
                 if tool.id not in referred:
                     client.delete_tool(tool.id)
@@ -62,9 +62,9 @@ def test_the_example_is_made(command: Command, server: str) -> None:
 def test_what_one_server_sends_another_takes(command: Command, server: str, tmp_path: Path) -> None:
     """With the reference behind what refers to it, as an alphabetical list may have it."""
     tools = [
-        {"id": "a", "device": "sim", "markers_mm": MARKERS, "strobe_markers": [0, 1, 2, 3],
-         "reference": "b", "limits": {"tip_sd_mm": 0.7}, "tip_mm": [0, 0, 150], "title": "A"},
-        {"id": "b", "device": "sim", "markers_mm": MARKERS, "strobe_markers": [4, 5, 6, 7]},
+        {"id": "a", "device_id": "sim", "markers_mm": MARKERS, "strobe_markers": [0, 1, 2, 3],
+         "reference_id": "b", "limits": {"tip_sd_mm": 0.7}, "tip_mm": [0, 0, 150], "title": "A"},
+        {"id": "b", "device_id": "sim", "markers_mm": MARKERS, "strobe_markers": [4, 5, 6, 7]},
     ]  # fmt: skip
     made = json.loads(command("create", written(tmp_path, tools), "--json").stdout)
     assert [one["id"] for one in made] == ["b", "a"]
@@ -94,16 +94,16 @@ def test_another_id_and_device(command: Command, server: str) -> None:
         ([], "holds no tools"),
         ("3", "holds no tools"),
         ([1], "each tool must be an object"),
-        ({"device": "sim", "markers_mm": MARKERS}, "has no id; write it there, or give --id"),
+        ({"device_id": "sim", "markers_mm": MARKERS}, "has no id; write it there, or give --id"),
         ({"id": "x", "markers_mm": MARKERS}, "or give --device"),
-        ({"id": "x", "device": "sim"}, "has no markers_mm"),
-        ({"id": "x", "device": "sim", "markers_mm": MARKERS, "colour": 1}, "colour"),
-        ({"id": "x", "device": "sim", "markers_mm": MARKERS[:2]}, "markers_mm"),
+        ({"id": "x", "device_id": "sim"}, "has no markers_mm"),
+        ({"id": "x", "device_id": "sim", "markers_mm": MARKERS, "colour": 1}, "colour"),
+        ({"id": "x", "device_id": "sim", "markers_mm": MARKERS[:2]}, "markers_mm"),
         (
-            {"id": "x", "device": "sim", "markers_mm": [[0, 0, 0], [50, 0, 0], [99, 0, 0]]},
+            {"id": "x", "device_id": "sim", "markers_mm": [[0, 0, 0], [50, 0, 0], [99, 0, 0]]},
             "lie on a line",
         ),
-        ({"id": "x", "device": "sim", "markers_mm": MARKERS, "reference": "x"}, "reference"),
+        ({"id": "x", "device_id": "sim", "markers_mm": MARKERS, "reference_id": "x"}, "reference"),
     ],
 )
 def test_what_is_refused(command: Command, tmp_path: Path, content: Any, words: str) -> None:
@@ -127,11 +127,11 @@ def test_those_before_a_refused_one_are_made(command: Command, server: str, tmp_
 
 
 def test_references_come_first() -> None:
-    chain = [{"id": "a", "reference": "b"}, {"id": "b", "reference": "c"}, {"id": "c"}]
+    chain = [{"id": "a", "reference_id": "b"}, {"id": "b", "reference_id": "c"}, {"id": "c"}]
     assert [one["id"] for one in _in_order(chain)] == ["c", "b", "a"]
-    ring = [{"id": "a", "reference": "b"}, {"id": "b", "reference": "a"}, {"id": "c"}]
+    ring = [{"id": "a", "reference_id": "b"}, {"id": "b", "reference_id": "a"}, {"id": "c"}]
     assert [one["id"] for one in _in_order(ring)] == ["c", "a", "b"]
-    elsewhere = [{"id": "a", "reference": "patient"}]
+    elsewhere = [{"id": "a", "reference_id": "patient"}]
     assert _in_order(elsewhere) == elsewhere
 
 
@@ -161,18 +161,22 @@ def test_a_tool_that_is_shown(command: Command, server: str) -> None:
         async with AsyncClient(server) as client:
             await client.delete_tool("one")
             return await client.capture_tool(
-                id="two", device="sim", title="two", strobe_markers=[0, 1, 2, 3], seconds=0.8
+                id="two", device_id="sim", title="two", strobe_markers=[0, 1, 2, 3], duration_s=0.8
             )
 
     with Client(server) as client:
         tools = [client.tool("one"), asyncio.run(together())]
         client.delete_tool("two")
         tools.append(
-            client.capture_tool(id="three", device="sim", title="T", strobe_markers=[0, 1, 2, 3])
+            client.capture_tool(id="three", device_id="sim", title="T", strobe_markers=[0, 1, 2, 3])
         )
         with pytest.raises(ServerProblem) as caught:
             client.capture_tool(
-                id="four", device="sim", title="four", strobe_markers=[20, 21, 22], seconds=0.2
+                id="four",
+                device_id="sim",
+                title="four",
+                strobe_markers=[20, 21, 22],
+                duration_s=0.2,
             )
     assert caught.value.code == "invalid-parameter"
     assert "20" in caught.value.detail

@@ -39,7 +39,7 @@ def tool(server: str) -> Iterator[str]:
     before = httpx.get(f"{url}/devices/sim").json()
     httpx.patch(f"{url}/devices/sim", json=asked).raise_for_status()
     with Client(server) as client:
-        client.create_tool(id="probe", device="sim", title="Probe", markers_mm=MARKERS,
+        client.create_tool(id="probe", device_id="sim", title="Probe", markers_mm=MARKERS,
                            strobe_markers=[0, 1, 2, 3], tip_mm=[0.0, 0.0, 150.0])  # fmt: skip
         client.start_device("sim")
         yield "probe"
@@ -68,7 +68,7 @@ def test_a_pose_in_the_stream_is_that_of_the_request(server: str, tool: str) -> 
             assert time.monotonic() < end, asked.reason
             time.sleep(0.05)
     check(frame, streamed)
-    assert (asked.tool, asked.frame) == (tool, "tracker")
+    assert (asked.tool_id, asked.frame_id) == (tool, "tracker")
     # The tool rests: the newest pose is another frame's, of the same place.
     assert asked.translation_mm == pytest.approx(streamed.translation_mm, abs=0.5)
     assert asked.tip_mm == pytest.approx(streamed.tip_mm, abs=1.0)
@@ -99,12 +99,14 @@ def test_a_registration_gives_a_frame_for_poses(server: str, tool: str) -> None:
     pairs = {str(one): (a, b) for one, (a, b) in enumerate(zip(places, measured, strict=True))}
     with Client(server) as client:
         found = client.create_registration(
-            id="plan", device="sim", fiducials=paired_points(pairs), measured_sigma_mm=0.1
+            id="plan", device_id="sim", fiducials=paired_points(pairs), measured_sigma_mm=0.1
         )
         try:
             end = time.monotonic() + 60.0
             while True:
-                inside, outside = (client.tool_pose(tool, frame=one) for one in ("plan", "tracker"))
+                inside, outside = (
+                    client.tool_pose(tool, frame_id=one) for one in ("plan", "tracker")
+                )
                 if inside.translation_mm is not None and outside.translation_mm is not None:
                     break
                 assert time.monotonic() < end, inside.reason
@@ -112,7 +114,7 @@ def test_a_registration_gives_a_frame_for_poses(server: str, tool: str) -> None:
         finally:
             client.delete_registration("plan")
     assert found.residual_sigma == pytest.approx(0.0, abs=1e-6)
-    assert inside.frame == "plan"
+    assert inside.frame_id == "plan"
     away = np.subtract(outside.translation_mm, inside.translation_mm)
     assert np.allclose(away, [0.0, 0.0, 1000.0], atol=0.5)
 
@@ -121,7 +123,7 @@ def test_a_point_is_measured_and_registered(server: str, tool: str) -> None:
     """The tool of the fixture is at rest, and its tip with it."""
     with Client(server) as client:
         point = measured(client, tool)
-        assert (point.name, point.frame, point.tool) == ("nasion", "tracker", tool)
+        assert (point.name, point.frame_id, point.tool_id) == ("nasion", "tracker", tool)
         assert point.last_ns > point.first_ns
         pose = client.tool_pose(tool)
         while pose.tip_mm is None:
@@ -132,7 +134,7 @@ def test_a_point_is_measured_and_registered(server: str, tool: str) -> None:
             for name, place in (("a", (90.0, 0.0, 0.0)), ("b", (0.0, 90.0, 0.0)))
         }
         made = client.create_registration(
-            id="touched", device="sim", measured_sigma_mm=0.1,
+            id="touched", device_id="sim", measured_sigma_mm=0.1,
             fiducials=paired_points({"nasion": ((0.0, 0.0, 0.0), point), **beside}),
         )  # fmt: skip
         client.delete_registration("touched")
@@ -165,7 +167,7 @@ def test_a_point_by_the_command_line(server: str, tool: str) -> None:
 
 # A machine that is busy loses frames, and takes its time.
 ASKED: dict[str, Any] = {
-    "frame": "tracker", "name": "nasion", "timeout_s": 60.0, "seconds": 0.1,
+    "frame_id": "tracker", "name": "nasion", "timeout_s": 60.0, "duration_s": 0.1,
     "max_sigma_mm": 2.0, "max_drift_mm": 2.0,
 }  # fmt: skip
 

@@ -263,23 +263,25 @@ def _() -> Sent:
 @builds("calibration of another device")
 def _() -> Sent:
     points = [{"name": "P", "readings": {"A": 1.0, "B": 2.0, "C": 3.0}}]
-    return post_reconstruction({"device": "bar", "calibration": "sim-nominal", "points": points})
+    return post_reconstruction(
+        {"device_id": "bar", "calibration_id": "sim-nominal", "points": points}
+    )
 
 
-builds("unknown calibration")(lambda: post_reconstruction(reconstruction(calibration="nothing")))
-builds("retired calibration")(lambda: post_reconstruction(reconstruction(calibration="old")))
+builds("unknown calibration")(lambda: post_reconstruction(reconstruction(calibration_id="nothing")))
+builds("retired calibration")(lambda: post_reconstruction(reconstruction(calibration_id="old")))
 builds("device without active calibration")(
-    lambda: post_reconstruction(reconstruction(device="bar"))
+    lambda: post_reconstruction(reconstruction(device_id="bar"))
 )
 builds("empty list of points")(lambda: post_reconstruction(reconstruction(points=[])))
-builds("unknown device")(lambda: post_calibration(calibration(device="nothing")))
+builds("unknown device")(lambda: post_calibration(calibration(device_id="nothing")))
 builds("unknown device to reconstruct")(
-    lambda: post_reconstruction(reconstruction(device="nothing"))
+    lambda: post_reconstruction(reconstruction(device_id="nothing"))
 )
 builds("calibration id taken")(lambda: post_calibration(calibration() | {"id": "sim-nominal"}))
 builds("body not JSON")(lambda: raw(b"points=3"))
-builds("body cut short")(lambda: raw(b'{"device": "sim"'))
-builds("body not UTF-8")(lambda: raw(b'{"device": "\xff\xfe"}'))
+builds("body cut short")(lambda: raw(b'{"device_id": "sim"'))
+builds("body not UTF-8")(lambda: raw(b'{"device_id": "\xff\xfe"}'))
 builds("body nested too deeply")(lambda: raw(b"[" * 30_000))
 builds("no body")(lambda: Sent("POST", "/api/v1/calibrations"))
 builds("body declared as a form")(lambda: raw(b"points=3", "application/x-www-form-urlencoded"))
@@ -307,7 +309,7 @@ builds("unknown field of the simulator")(lambda: simulated({"colour": "red"}))
 @builds("missing field")
 def _() -> Sent:
     body = calibration()
-    del body["device"]
+    del body["device_id"]
     return post_calibration(body)
 
 
@@ -345,7 +347,7 @@ def _() -> Sent:
 
 
 def replay(name: str) -> Sent:
-    return post_device(external(source={"kind": "replay", "recording": name}))
+    return post_device(external(source={"kind": "replay", "recording_id": name}))
 
 
 builds("unknown recording")(lambda: replay("none.h5"))
@@ -353,7 +355,7 @@ builds("recording outside the folder")(lambda: replay("../lumiline.sqlite3"))
 
 
 def of_profile(profile: str, **settings: Json) -> Json:
-    return {"kind": "profile", "profile": profile, "settings": settings}
+    return {"kind": "profile", "profile_id": profile, "settings": settings}
 
 
 builds("unknown profile of a device")(lambda: post_device(external(source=of_profile("nothing"))))
@@ -457,10 +459,10 @@ builds("drift check read by an unknown sensor")(
 builds("unknown drift check")(lambda: Sent("GET", "/api/v1/drift-checks/nothing"))
 builds("update by nothing")(lambda: post_update(points=None))
 builds("update by an unknown drift check")(
-    lambda: Sent("POST", "/api/v1/update-runs", {"device": "sim", "drift_check": "nothing"})
+    lambda: Sent("POST", "/api/v1/update-runs", {"device_id": "sim", "drift_check_id": "nothing"})
 )
 builds("update of what no camera has")(lambda: post_update(allowance={"colour": 1.0}))
-builds("update of a calibration of another device")(lambda: post_update(device="bar"))
+builds("update of a calibration of another device")(lambda: post_update(device_id="bar"))
 
 
 def upload(data: bytes, query: str = "", media_type: str = MEDIA_TYPE) -> Sent:
@@ -498,14 +500,14 @@ def flat(points: Json) -> Json:
 
 
 builds("neither points nor a capture for a run")(lambda: post_run(points=None))
-builds("both points and a capture for a run")(lambda: post_run(capture="begun"))
+builds("both points and a capture for a run")(lambda: post_run(capture_id="begun"))
 builds("coplanar points for a run")(lambda: post_run(points=flat(calibration()["points"])))
 builds("distortion of too high an order")(lambda: post_run(distortion=[[3, 0], [50, 50]]))
 builds("unknown distortion")(lambda: post_run(distortion="everything"))
 builds("result id of a run taken")(lambda: post_run(result_id="sim-nominal"))
-builds("capture of nothing for a run")(lambda: post_run(points=None, capture="nothing"))
+builds("capture of nothing for a run")(lambda: post_run(points=None, capture_id="nothing"))
 builds("capture with targets left for a run")(
-    lambda: post_run(points=None, capture="begun", device="bar")
+    lambda: post_run(points=None, capture_id="begun", device_id="bar")
 )
 builds("unknown run")(lambda: Sent("GET", "/api/v1/runs/nothing"))
 builds("unknown run cancelled")(lambda: Sent("POST", "/api/v1/runs/nothing/cancel"))
@@ -522,8 +524,8 @@ def _() -> Sent:
     return post_mapping(points=flat(copy.deepcopy(NEW_MAPPING_RUNS["grid"]["value"]["points"])))
 
 
-builds("map for a calibration of another device")(lambda: post_mapping(device="bar"))
-builds("map for a retired calibration")(lambda: post_mapping(calibration="old"))
+builds("map for a calibration of another device")(lambda: post_mapping(device_id="bar"))
+builds("map for a retired calibration")(lambda: post_mapping(calibration_id="old"))
 builds("pitch of a map too fine")(lambda: post_mapping(pitch_mm=[0.001] * 3))
 builds("pitch of a map through every value")(
     lambda: post_mapping(method="trilinear", pitch_mm=[10, 10, 10])
@@ -600,7 +602,7 @@ builds("figure that a report has not")(
 
 def post_capture(**changes: Any) -> Sent:
     target = {"name": "P1", "position_mm": [0.0, 0.0, 1500.0]}
-    body = {"id": "begun", "device": "bar", "targets": [target]} | changes
+    body = {"id": "begun", "device_id": "bar", "targets": [target]} | changes
     return Sent("POST", "/api/v1/captures", body)
 
 
@@ -653,7 +655,7 @@ def bad_input_client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
             assert send(client, sent).is_success
         retired = client.get("/api/v1/calibrations/old").json()["content_hash"]
         foreign = write_table(content(retired))
-        of_bar = calibration(device="bar") | {"id": "of-bar"}
+        of_bar = calibration(device_id="bar") | {"id": "of-bar"}
         for point in of_bar["points"]:
             values = list(point["readings"].values())
             point["readings"] = dict(zip("ABCD", values, strict=True))

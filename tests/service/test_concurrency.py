@@ -29,7 +29,7 @@ def at_once(requests: list[Any]) -> list[Any]:
 def test_activations_make_one_chain_that_ends_where_the_live_side_is(client: Any, live: Any):
     points = simulated_points(2.0 * calibration_target_points_mm()[::2])
     for name in ("a", "b"):
-        body = {"id": name, "device": "sim", "points": points}
+        body = {"id": name, "device_id": "sim", "points": points}
         assert client.post("/api/v1/calibrations", json=body).status_code == 201
     names = ["a", "b", "sim-nominal"] * THREADS
     answers = at_once(
@@ -72,7 +72,7 @@ def test_one_of_many_gets_the_id(client: Any):
     }
     for path, body in (
         ("/api/v1/devices", device),
-        ("/api/v1/reconstructions", {"id": "new", "device": "sim", "points": points}),
+        ("/api/v1/reconstructions", {"id": "new", "device_id": "sim", "points": points}),
     ):
         answers = at_once(
             [lambda path=path, body=body: client.post(path, json=body) for _ in range(THREADS)]
@@ -85,7 +85,7 @@ def test_a_calibration_retired_at_the_same_moment_is_not_active(client: Any):
     points = simulated_points(2.0 * calibration_target_points_mm()[::2])
     for number in range(4):
         name = f"c{number}"
-        client.post("/api/v1/calibrations", json={"id": name, "device": "sim", "points": points})
+        client.post("/api/v1/calibrations", json={"id": name, "device_id": "sim", "points": points})
         activated, retired = at_once(
             [
                 lambda name=name: client.post(f"/api/v1/calibrations/{name}/activate"),
@@ -102,7 +102,7 @@ def test_a_second_activation_waits_until_the_first_is_live(
 ):
     points = simulated_points(2.0 * calibration_target_points_mm()[::2])
     for name in ("a", "b"):
-        body = {"id": name, "device": "sim", "points": points}
+        body = {"id": name, "device_id": "sim", "points": points}
         client.post("/api/v1/calibrations", json=body)
     entered, go = Event(), Event()
     record = live.set_calibration
@@ -128,7 +128,7 @@ def test_a_second_activation_waits_until_the_first_is_live(
 
 def test_activating_sees_a_retirement_that_came_first(client: Any):
     points = simulated_points(2.0 * calibration_target_points_mm()[::2])
-    client.post("/api/v1/calibrations", json={"id": "a", "device": "sim", "points": points})
+    client.post("/api/v1/calibrations", json={"id": "a", "device_id": "sim", "points": points})
     database = client.app.state.database
 
     def activate() -> None:

@@ -138,7 +138,7 @@ TOOLS = {
     "items": [
         {
             "id": f"probe-{number}",
-            "device": "sim",
+            "device_id": "sim",
             "title": "Probe \u00e4",
             "markers_mm": [
                 *([0.0, 0.0, 0.0], [80.0, 0.0, 0.0], [0.0, 60.0, 0.0]),

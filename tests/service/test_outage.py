@@ -57,7 +57,7 @@ def assert_not_ready(answer: Any) -> None:
     [
         ("GET", "/api/v1/devices", None),
         ("GET", "/api/v1/devices/sim", None),
-        ("GET", "/api/v1/devices/sim/status", None),
+        ("GET", "/api/v1/devices/sim/state", None),
         ("PATCH", "/api/v1/devices/sim", {"title": "New"}),
         ("DELETE", "/api/v1/devices/sim", None),
         ("POST", "/api/v1/devices/sim/start", None),
@@ -84,7 +84,7 @@ def test_the_log_says_what_the_database_said(cut_off: Any, caplog: pytest.LogCap
 def test_a_running_device_is_stopped(cut_off: Any, live: FakePipeline):
     assert live.status("sim").state == "running"
     answer = cut_off.post("/api/v1/devices/sim/stop")
-    assert (answer.status_code, answer.json()["status"]["state"]) == (200, "stopped")
+    assert (answer.status_code, answer.json()["state"]) == (200, "stopped")
     assert live.calls[-1] == ("stop", "sim")
     # Whether there is such a device only the database knows.
     assert_not_ready(cut_off.post("/api/v1/devices/nobody/stop"))

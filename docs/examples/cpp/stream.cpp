@@ -43,7 +43,7 @@ int main(int count, char** arguments) {
                     request.set(beast::http::field::authorization, "Bearer " + key);
                 }));
         }
-        stream.handshake(host + ":" + port, "/api/v1/stream?content=points&device=" + device);
+        stream.handshake(host + ":" + port, "/api/v1/stream?content=points&device_id=" + device);
         for (;;) {
             beast::flat_buffer buffer;
             stream.read(buffer);
@@ -52,7 +52,7 @@ int main(int count, char** arguments) {
             const std::string type = message.at("type");
             if (type == "frame")
                 show(message);
-            else if (type == "status")
+            else if (type == "state")
                 std::cerr << "device: " << message.at("state") << ' ' << message.at("reason")
                           << '\n';
             else if (type == "missed")

@@ -9,9 +9,10 @@ from fastapi import Depends, Query
 from pydantic import BeforeValidator, Field
 from sqlalchemy import Select, select
 
-from service.api.base_models import Moment, Page, RequestMoment, ResponseModel, from_attributes
-from service.api.inputs import DatabaseDep, PagingDep, page_of
+from service.api.base_models import Moment, RequestMoment, ResponseModel, from_attributes
+from service.api.inputs import DatabaseDep
 from service.api.openapi import ResourceRouter
+from service.api.paging import LATEST_FIRST, Page, PagingDep, page_of
 from service.database.models import AuditRow
 
 router = ResourceRouter("/api/v1/audit", "keys")
@@ -46,7 +47,7 @@ class AuditEntry(ResponseModel):
     """One change, or an attempt that was refused."""
 
     id: int
-    at: Moment
+    created_at: Moment
     actor: Actor
     operation: str = Field(description="The operation's id in the OpenAPI document, or a command.")
     outcome: Outcome
@@ -59,31 +60,29 @@ class AuditEntry(ResponseModel):
     address: str | None
 
 
-def _text(max_length: int, description: str, alias: str | None = None) -> Any:
-    return Query(
-        max_length=max_length, pattern=r"^[^\u0000]*$", description=description, alias=alias
-    )
+def _text(max_length: int, description: str) -> Any:
+    return Query(max_length=max_length, pattern=r"^[^\u0000]*$", description=description)
 
 
 @dataclass(frozen=True)
 class AuditFilter:
     """Which entries are asked for: those that agree with all that is given."""
 
-    actor: Annotated[str | None, _text(200, "Only of this key id, subject or user.")] = None
+    actor_id: Annotated[str | None, _text(200, "Only of this key id, subject or user.")] = None
     operation: Annotated[str | None, _text(64, "Only this operation's.")] = None
     outcome: Annotated[Outcome | None, Query(description="Only these.")] = None
-    kind: Annotated[str | None, _text(32, "Only objects of this kind: device, ...")] = None
-    object_id: Annotated[str | None, _text(200, "Only of this object.", "object")] = None
+    object_kind: Annotated[str | None, _text(32, "Only objects of this kind: device, ...")] = None
+    object_id: Annotated[str | None, _text(200, "Only of this object.")] = None
     since: Annotated[QueryMoment | None, Query(description="From this moment on.")] = None
     until: Annotated[QueryMoment | None, Query(description="Before this moment.")] = None
 
     def entries(self) -> Select[AuditRow]:
-        """Return the entries, newest first."""
+        """Return the entries."""
         conditions = (
-            (AuditRow.actor_id, eq, self.actor),
+            (AuditRow.actor_id, eq, self.actor_id),
             (AuditRow.operation, eq, self.operation),
             (AuditRow.outcome, eq, self.outcome),
-            (AuditRow.object_kind, eq, self.kind),
+            (AuditRow.object_kind, eq, self.object_kind),
             (AuditRow.object_id, eq, self.object_id),
             (AuditRow.at, ge, self.since),
             (AuditRow.at, lt, self.until),
@@ -91,7 +90,7 @@ class AuditFilter:
         given = [
             compare(column, value) for column, compare, value in conditions if value is not None
         ]
-        return select(AuditRow).where(*given).order_by(AuditRow.id.desc())
+        return select(AuditRow).where(*given)
 
 
 @router.operation("GET", "list-audit", "Who changed what")
@@ -100,9 +99,9 @@ def list_audit(
 ) -> Page[AuditEntry]:
     """Changes, and attempts that were refused, newest first. Nothing is ever removed."""
     with database.read() as session:
-        return page_of(session, chosen.entries(), paging, _document)
+        return page_of(session, chosen.entries(), paging, _document, LATEST_FIRST)
 
 
 def _document(row: AuditRow) -> AuditEntry:
     actor = {name: getattr(row, f"actor_{name}") for name in Actor.model_fields}
-    return from_attributes(AuditEntry, row, actor=actor)
+    return from_attributes(AuditEntry, row, created_at=row.at, actor=actor)

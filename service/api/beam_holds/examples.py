@@ -7,7 +7,7 @@ NEW_BEAM_HOLDS: Final[dict[str, Any]] = {
         "summary": "Three strobed markers on a chest, each within 3 mm of its place",
         "value": {
             "id": "chest",
-            "device": "sim",
+            "device_id": "sim",
             "title": "Chest",
             "watch": {"kind": "strobed-markers", "markers": [4, 5, 6]},
             "limits": {"shift_mm": 3.0},
@@ -19,9 +19,9 @@ NEW_BEAM_HOLDS: Final[dict[str, Any]] = {
         "description": "The tool `patient` is that of the examples of tools.",
         "value": {
             "id": "head",
-            "device": "sim",
+            "device_id": "sim",
             "title": "Head",
-            "watch": {"kind": "tool", "tool": "patient", "target_mm": [45, -80, 30]},
+            "watch": {"kind": "tool", "tool_id": "patient", "target_mm": [45, -80, 30]},
             "limits": {"shift_mm": 1.5, "axis_mm": [1, 1, 1], "rotation_rad": 0.02},
             "reference": {
                 "rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],

@@ -61,7 +61,7 @@ def to_spec(watch: Watch) -> Spec:
     if isinstance(watch, ToolWatch):
         if watch.axes is not None:
             Transform(np.array(watch.axes), np.zeros(3))
-        return WatchedTool(watch.tool, watch.target_mm, watch.axes)
+        return WatchedTool(watch.tool_id, watch.target_mm, watch.axes)
     count = watch.markers if isinstance(watch, SimultaneousMarkersWatch) else len(watch.markers)
     least = count if watch.min_markers is None else watch.min_markers
     if least > count:
@@ -185,8 +185,8 @@ def _reference(stored: dict[str, Any]) -> HoldReference:
     return HoldReference(
         stored["id"],
         datetime.fromisoformat(stored["set_at"]),
-        stored["calibration"],
-        stored["table"],
+        stored["calibration_id"],
+        stored["table_id"],
         pose,
         positions,
         covariances,

@@ -133,13 +133,13 @@ def capture_reference(
         raise CalibrationSwitched(
             f'another calibration or table of device "{device_id}" was activated while the '
             "reference was measured; measure it again",
-            device=device_id,
+            device_id=device_id,
         )
     calibration_id, table_id = tap.active_ids or (None, None)
     if tap.active_ids is not None and calibration_id is None:
         raise NoActiveCalibration(
             f'device "{device_id}" has no active calibration, and so no places; activate one',
-            device=device_id,
+            device_id=device_id,
         )
     if tap.frames < asked.frames or calibration_id is None:
         raise NoObservation(

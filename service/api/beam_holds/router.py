@@ -6,7 +6,7 @@ from typing import Annotated
 from fastapi import Body, Path, Response
 
 from compute.pose.beam_hold import BeamHoldCause
-from service.api.base_models import SLUG_PATTERN, Page
+from service.api.base_models import SLUG_PATTERN
 from service.api.beam_holds import store
 from service.api.beam_holds.examples import BEAM_HOLD_IDS, CHANGES, NEW_BEAM_HOLDS, REFERENCES
 from service.api.beam_holds.monitor_config import to_spec, to_watch
@@ -23,10 +23,9 @@ from service.api.inputs import (
     DeviceFilter,
     JsonTypes,
     LiveDep,
-    PagingDep,
-    page_of,
 )
 from service.api.openapi import ResourceRouter, raises
+from service.api.paging import BY_ID, Page, PagingDep, page_of
 from service.api.tools import concurrency_limits
 from service.database.models import HoldRow
 from service.pipeline.frame_batch import BeamHoldState
@@ -44,11 +43,11 @@ BeamHoldPath = Annotated[
 
 @router.operation("GET /beam-holds", "list-beam-holds", "List beam holds")
 def list_beam_holds(
-    database: DatabaseDep, paging: PagingDep, device: DeviceFilter = None
+    database: DatabaseDep, paging: PagingDep, device_id: DeviceFilter = None
 ) -> Page[BeamHold]:
     """Holds by id."""
     with database.read() as session:
-        return page_of(session, store.holds(device), paging, store.document)
+        return page_of(session, store.holds(device_id), paging, store.document, BY_ID)
 
 
 @router.operation("POST /beam-holds", "create-beam-hold", "Create a beam hold", status_code=201)
@@ -62,7 +61,7 @@ def create_beam_hold(
     The beam is held from the first: until there is a reference, and all was near it for as long
     as `settle_s`.
     """
-    with device_service.tools_change(request.device) as session:
+    with device_service.tools_change(request.device_id) as session:
         made = _set_up(live, store.add_beam_hold(session, request))
     response.headers["Location"] = f"/api/v1/beam-holds/{made.id}"
     return made
@@ -211,4 +210,4 @@ def state_of(live: PipelineManager, device_id: str, hold_id: str) -> BeamHoldSta
     members = {
         name: getattr(now, name) for name in BeamHoldStatus.model_fields if hasattr(now, name)
     }
-    return BeamHoldStatus(hold=hold_id, device=device_id, **members)
+    return BeamHoldStatus(**members | {"device_id": device_id})

@@ -82,7 +82,7 @@ class ToolWatch(RequestModel):
     """A tool that is fixed to the patient, by its pose."""
 
     kind: Literal["tool"]
-    tool: Slug
+    tool_id: Slug
     target_mm: Position = Field(
         default=(0.0, 0.0, 0.0),
         description="The point to be irradiated, in the tool's coordinates.",
@@ -181,7 +181,7 @@ class NewBeamHold(RequestModel):
     """A beam hold to create. It holds until it has a reference and all was near it."""
 
     id: Slug = Field(description="Unique among all holds.")
-    device: Slug
+    device_id: Slug
     title: Text200
     watch: Watch
     limits: Limits
@@ -226,11 +226,11 @@ class Reference(ResponseModel):
 
     id: str = Field(description="Another for each reference that was taken.")
     kind: Literal["given", "captured"]
-    calibration: str | None = Field(
+    calibration_id: str | None = Field(
         description="Active then. With another calibration the reference is not used, and the beam "
         "is held; null: none was."
     )
-    table: str | None = Field(description="The table active then; as `calibration`.")
+    table_id: str | None = Field(description="The table active then; as `calibration_id`.")
     rotation: Matrix3 | None
     translation_mm: Position | None
     covariance: Matrix6 | None
@@ -247,7 +247,7 @@ class BeamHold(ResponseModel):
     """A beam hold."""
 
     id: str
-    device: str
+    device_id: str
     title: str
     watch: Watch
     limits: Limits
@@ -261,8 +261,8 @@ class BeamHold(ResponseModel):
 class BeamHoldStatus(ResponseModel):
     """Whether the beam is held now, and why."""
 
-    hold: str
-    device: str
+    hold_id: str
+    device_id: str
     held: bool = Field(description="Only false lets the beam go on.")
     cause: BeamHoldCause
     reason: str | None = Field(description="The cause in words; null while it is not held.")

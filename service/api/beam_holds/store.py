@@ -8,6 +8,7 @@ from sqlalchemy import Select, func, select
 from sqlalchemy.orm import Session
 
 from compute.errors import InvalidParameter
+from service.api.base_models import from_attributes
 from service.api.beam_holds.monitor_config import to_limits, to_spec, to_watch, validate_reference
 from service.api.beam_holds.schema import (
     BeamHold,
@@ -61,20 +62,20 @@ def get_same_beam_hold(
         raise BeamHoldReplaced(
             f'the reference of hold "{hold_id}" was changed or taken away while this one was '
             "measured, which was not kept; do it again",
-            hold=hold_id,
+            hold_id=hold_id,
         )
     if row.created_at != created_at:
         raise BeamHoldReplaced(
             f'hold "{hold_id}" was deleted and created again while its reference was measured, '
             "which was not kept; do it again",
-            hold=hold_id,
+            hold_id=hold_id,
         )
     return row
 
 
 def holds(device_id: str | None) -> Select[HoldRow]:
-    """Return those that the filter matches, by id."""
-    found = select(HoldRow).order_by(HoldRow.id)
+    """Return those that the filter matches."""
+    found = select(HoldRow)
     return found if device_id is None else found.where(HoldRow.device_id == device_id)
 
 
@@ -88,7 +89,7 @@ def add_beam_hold(session: Session, request: NewBeamHold) -> HoldRow:
         InvalidParameter: what is asked contradicts itself, or the tool is another device's.
     """
     BEAM_HOLDS.check_unused(session, request.id)
-    device = request.device
+    device = request.device_id
     count = session.scalar(
         select(func.count()).select_from(HoldRow).where(HoldRow.device_id == device)
     )
@@ -100,17 +101,17 @@ def add_beam_hold(session: Session, request: NewBeamHold) -> HoldRow:
     watch = request.watch
     to_spec(watch)
     to_limits(request.limits, request.rules, watch)
-    tool_id = watch.tool if isinstance(watch, ToolWatch) else None
+    tool_id = watch.tool_id if isinstance(watch, ToolWatch) else None
     if tool_id is not None:
         tool = TOOLS.get(session, tool_id)
         if tool.device_id != device:
             raise InvalidParameter(
                 f'tool "{tool_id}" is of device "{tool.device_id}"; a hold of "{device}" watches '
                 "its own",
-                tool=tool_id,
+                tool_id=tool_id,
             )
     now = datetime.now(UTC)
-    members = request.model_dump(mode="json", exclude={"device", "reference"})
+    members = request.model_dump(mode="json", exclude={"device_id", "reference"})
     row = HoldRow(
         device_id=device, tool_id=tool_id, reference=None, created_at=now, updated_at=now, **members
     )
@@ -160,8 +161,8 @@ def complete_reference(
     """Return a reference as it is stored, with its id, time, calibration and table."""
     own = {
         "id": f"reference-{secrets.token_hex(8)}",
-        "calibration": calibration,
-        "table": table,
+        "calibration_id": calibration,
+        "table_id": table,
         "set_at": datetime.now(UTC).isoformat(),
     }
     return Reference.model_validate(members | own).model_dump(mode="json")
@@ -169,5 +170,4 @@ def complete_reference(
 
 def document(row: HoldRow) -> BeamHold:
     """Return a hold as clients see it."""
-    members = {name: getattr(row, name) for name in BeamHold.model_fields if name != "device"}
-    return BeamHold(device=row.device_id, **members)
+    return from_attributes(BeamHold, row)

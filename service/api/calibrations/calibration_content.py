@@ -69,7 +69,7 @@ def run_calibration(request: NewCalibration, sensors: Sequence[SensorDescription
             f"most {MAX_LEAVE_ONE_OUT_POINTS} points",
             points=len(request.points),
         )
-    return calibration_outcome(no_progress, request.device, request.points, sensors, settings)
+    return calibration_outcome(no_progress, request.device_id, request.points, sensors, settings)
 
 
 def calibration_outcome(

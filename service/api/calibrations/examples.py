@@ -37,7 +37,7 @@ NEW_CALIBRATIONS: Final[dict[str, Any]] = {
         "summary": "The calibration frame's 19 markers, as the simulated device reads them",
         "value": {
             "id": "sim-frame",
-            "device": "sim",
+            "device_id": "sim",
             "points": _FRAME,
             "note": "Readings rounded to 0.01 px, without standard deviations",
         },

@@ -5,7 +5,6 @@ from typing import Annotated
 from fastapi import Body, Query
 from starlette.responses import JSONResponse
 
-from service.api.base_models import Page
 from service.api.calibrations import store
 from service.api.calibrations.calibration_content import result_of, run_calibration
 from service.api.calibrations.examples import NEW_CALIBRATIONS
@@ -25,11 +24,10 @@ from service.api.inputs import (
     DeviceFilter,
     ExpectedActive,
     JsonTypes,
-    PagingDep,
     id_in_path,
-    page_of,
 )
 from service.api.openapi import ResourceRouter, raises
+from service.api.paging import Page, PagingDep, page_of
 from service.problems.errors import CalibrationOfAnotherDevice
 
 router = ResourceRouter("/api/v1/calibrations", "calibrations")
@@ -45,14 +43,14 @@ RetiredPath = Annotated[
 def list_calibrations(
     database: DatabaseDep,
     paging: PagingDep,
-    device: DeviceFilter = None,
+    device_id: DeviceFilter = None,
     state: Annotated[State | None, Query(description="Only those in this state.")] = None,
 ) -> Page[CalibrationSummary]:
     """Calibrations without their numbers, newest first."""
     with database.read() as session:
         return page_of(
             session,
-            store.calibrations(device, state),
+            store.calibrations(device_id, state),
             paging,
             lambda row: store.summary(session, row),
         )
@@ -75,14 +73,14 @@ def create_calibration(request: NewCalibrationBody, database: DatabaseDep) -> JS
     reconstructed with the result, and each by a calibration without it (at most 100 points).
     """
     with database.read() as session:
-        sensors = sensors_of_row(get_device(session, request.device))
+        sensors = sensors_of_row(get_device(session, request.device_id))
         store.CALIBRATIONS.check_unused(session, request.id)
     outcome = run_calibration(request, sensors)
     with database.write() as session:
         # The run held no lock: the device may have been given other sensors meanwhile.
-        device = get_device(session, request.device, lock=True)
+        device = get_device(session, request.device_id, lock=True)
         check_sensors(device.id, sensors_of_row(device), sensors)
-        row = store.add_calibration(session, request.device, outcome, request.note, request.id)
+        row = store.add_calibration(session, request.device_id, outcome, request.note, request.id)
         made = store.document(session, row)
     location = {"Location": f"/api/v1/calibrations/{made['id']}"}
     return JSONResponse(made, 201, location)
@@ -107,11 +105,13 @@ def get_calibration(calibration_id: CalibrationPath, database: DatabaseDep) -> J
 
 
 @router.operation(
-    "GET /{calibration_id}/compare/{other_id}", "compare-calibrations", "Compare two calibrations"
+    "GET /{calibration_id}/compare/{other_calibration_id}",
+    "compare-calibrations",
+    "Compare two calibrations",
 )
 @raises("unknown-calibration", "calibration-of-another-device", "sensors-changed")
 def compare_calibrations(
-    calibration_id: CalibrationPath, other_id: OtherPath, database: DatabaseDep
+    calibration_id: CalibrationPath, other_calibration_id: OtherPath, database: DatabaseDep
 ) -> ComparisonDocument:
     """Two calibrations of one device: parameters in standard deviations, positions over the control
     points' box, and which is better on the same observations.
@@ -119,19 +119,23 @@ def compare_calibrations(
     from service.api.calibrations.comparison import compare
 
     with database.read() as session:
-        rows = [store.CALIBRATIONS.get(session, name) for name in (calibration_id, other_id)]
+        rows = [
+            store.CALIBRATIONS.get(session, name) for name in (calibration_id, other_calibration_id)
+        ]
         if rows[0].device_id != rows[1].device_id:
             raise CalibrationOfAnotherDevice(
                 f'calibration "{rows[1].id}" is of device "{rows[1].device_id}"; "{rows[0].id}" is '
                 f'of device "{rows[0].device_id}": compare calibrations of one device',
-                calibration=rows[1].id,
+                calibration_id=rows[1].id,
             )
         sensors = sensors_of_row(get_device(session, rows[0].device_id))
         for row in rows:
             check_sensors(row.device_id, sensors, result_of(row.content).models)
         held = [store.with_control_points(row, sensors) for row in rows]
     return ComparisonDocument(
-        one=calibration_id, other=other_id, comparison=compare(held[0], held[1])
+        calibration_id=calibration_id,
+        other_calibration_id=other_calibration_id,
+        comparison=compare(held[0], held[1]),
     )
 
 

@@ -123,7 +123,7 @@ class NewCalibration(CalibrationOptions):
     """Control points from which a device is calibrated."""
 
     id: Slug | None = Field(default=None, description="Left out or null: the server makes one.")
-    device: Slug
+    device_id: Slug
     points: Annotated[list[ControlPoint], Field(max_length=MAX_POINTS), FIRST_ERROR_ONLY]
     note: Note = ""
 
@@ -169,7 +169,7 @@ class CalibrationSummary(ResponseModel):
     """A calibration without its numbers."""
 
     id: str
-    device: str
+    device_id: str
     state: State
     provenance: Provenance = Field(
         description="`fitted`: from control points. `self-calibrated`: from targets at unknown "
@@ -202,6 +202,6 @@ class CalibrationDocument(CalibrationSummary):
 class ComparisonDocument(ResponseModel):
     """Two calibrations of one device beside one another."""
 
-    one: str
-    other: str
+    calibration_id: str
+    other_calibration_id: str
     comparison: Comparison

@@ -125,8 +125,8 @@ def retire(session: Session, calibration_id: str) -> CalibrationRow:
         raise CalibrationActive(
             f'calibration "{row.id}" is the active one of device "{row.device_id}"; activate '
             "another one before retiring it",
-            calibration=row.id,
-            device=row.device_id,
+            calibration_id=row.id,
+            device_id=row.device_id,
         )
     if row.retired_at is None:
         row.retired_at = datetime.now(UTC)
@@ -153,7 +153,8 @@ def document(session: Session, row: CalibrationRow) -> dict[str, Any]:
     members that came later, and they would not be in its hash.
     """
     shown = summary(session, row).model_dump(mode="json")
-    return shown | {"parent": None} | row.content | {"errors": row.errors}
+    content = {name: value for name, value in row.content.items() if name != "device"}
+    return shown | {"parent": None} | content | {"errors": row.errors}
 
 
 def with_control_points(row: CalibrationRow, sensors: list[Sensor]) -> CalibrationWithControlPoints:

@@ -17,7 +17,7 @@ NEW_CAPTURES: Final[dict[str, Any]] = {
         "19 times `capture`, and a calibration run of the session.",
         "value": {
             "id": "sim-capture",
-            "device": "sim",
+            "device_id": "sim",
             "targets": [
                 {"name": f"P{number + 1}", "position_mm": place, "marker": number}
                 for number, place in enumerate(_PLACES)

@@ -9,7 +9,6 @@ from typing import Annotated
 import numpy as np
 from fastapi import Body, Query, Response
 
-from service.api.base_models import Page
 from service.api.captures import store
 from service.api.captures.averaging import average
 from service.api.captures.examples import NEW_CAPTURES
@@ -26,11 +25,10 @@ from service.api.inputs import (
     DeviceFilter,
     JsonTypes,
     LiveDep,
-    PagingDep,
     id_in_path,
-    page_of,
 )
 from service.api.openapi import ResourceRouter, raises
+from service.api.paging import Page, PagingDep, page_of
 from service.problems.errors import (
     Busy,
     NoObservation,
@@ -47,12 +45,12 @@ _guard = Lock()
 
 @router.operation("GET", "list-captures", "List capture sessions")
 def list_captures(
-    database: DatabaseDep, paging: PagingDep, device: DeviceFilter = None
+    database: DatabaseDep, paging: PagingDep, device_id: DeviceFilter = None
 ) -> Page[Capture]:
     """Capture sessions, newest first."""
     with database.read() as session:
         return page_of(
-            session, store.CAPTURES.newest_first(device_id=device), paging, store.document
+            session, store.CAPTURES.newest_first(device_id=device_id), paging, store.document
         )
 
 
@@ -62,10 +60,10 @@ def create_capture(request: NewCaptureBody, database: DatabaseDep, response: Res
     """Name the places at which a marker will be held, in the order in which they will be visited.
 
     Then, for each: place the marker, hold it, POST `capture`. When all are done, name the session
-    as `capture` of a calibration or mapping run.
+    as `capture_id` of a calibration or mapping run.
     """
     with database.write() as session:
-        device = get_device(session, request.device, lock=True)
+        device = get_device(session, request.device_id, lock=True)
         made = store.document(store.add_capture(session, request, device))
     response.headers["Location"] = f"/api/v1/captures/{made.id}"
     return made

@@ -53,7 +53,7 @@ class NewCapture(RequestModel):
     """A capture session to begin."""
 
     id: Slug | None = Field(default=None, description="Left out or null: the server makes one.")
-    device: Slug
+    device_id: Slug
     targets: Annotated[list[Target], Field(min_length=1, max_length=MAX_TARGETS), FIRST_ERROR_ONLY]
     settings: CaptureSettings = Field(default_factory=CaptureSettings)
     note: Note = ""
@@ -85,7 +85,7 @@ class Capture(ResponseModel):
     """A capture session: what is done and what is left."""
 
     id: str
-    device: str
+    device_id: str
     settings: CaptureSettings
     targets: list[Target]
     captured: list[CapturedTarget] = Field(description="In the order of the targets.")

@@ -82,7 +82,7 @@ def next_target(row: CaptureRow, name: str | None) -> Target:
             raise UnknownTarget(
                 f'session "{row.id}" has no target "{name}"; it has '
                 f"{', '.join(target.name for target in targets)[:300]}",
-                capture=row.id,
+                capture_id=row.id,
                 target=name,
             )
         return found
@@ -91,7 +91,7 @@ def next_target(row: CaptureRow, name: str | None) -> Target:
         raise CaptureComplete(
             f'all {len(targets)} targets of session "{row.id}" are captured; name one to capture '
             "it again, or post a run",
-            capture=row.id,
+            capture_id=row.id,
         )
     return found
 
@@ -105,8 +105,8 @@ def check_device(session: Session, row: CaptureRow | RadiometricCaptureRow, devi
     if row.device_id != device_id:
         raise CaptureOfAnotherDevice(
             f'session "{row.id}" is of device "{row.device_id}", not of "{device_id}"',
-            capture=row.id,
-            device=row.device_id,
+            capture_id=row.id,
+            device_id=row.device_id,
         )
     check_sensors_now(session, row)
 
@@ -119,7 +119,7 @@ def check_sensors_now(session: Session, row: CaptureRow | RadiometricCaptureRow)
         raise CaptureOfAnotherDevice(
             f'session "{row.id}" was begun with other sensors than device "{row.device_id}" has '
             "now; begin a new one",
-            capture=row.id,
+            capture_id=row.id,
         )
 
 
@@ -167,7 +167,7 @@ def captured_points(
         raise CaptureIncomplete(
             f'{len(left)} of {len(row.targets)} targets of session "{row.id}" are not captured: '
             f"{', '.join(left)[:300]}; capture them, or say allow_incomplete",
-            capture=row.id,
+            capture_id=row.id,
             left=len(left),
         )
     points = []

@@ -6,7 +6,7 @@ from fastapi import Query, Request
 from fastapi.concurrency import run_in_threadpool
 from starlette.responses import JSONResponse, Response
 
-from service.api.base_models import SLUG_PATTERN, Page
+from service.api.base_models import SLUG_PATTERN
 from service.api.correction_tables import store
 from service.api.correction_tables.store import CorrectionTableDocument
 from service.api.correction_tables.table_content import MEDIA_TYPE
@@ -16,11 +16,10 @@ from service.api.inputs import (
     DatabaseDep,
     DeviceFilter,
     ExpectedActive,
-    PagingDep,
     id_in_path,
-    page_of,
 )
 from service.api.openapi import ResourceRouter, raises
+from service.api.paging import Page, PagingDep, page_of
 from service.database.engine import Database
 from service.problems.errors import UnsupportedMediaType
 
@@ -41,8 +40,8 @@ SparePath = Annotated[
 def list_tables(
     database: DatabaseDep,
     paging: PagingDep,
-    device: DeviceFilter = None,
-    calibration: Annotated[
+    device_id: DeviceFilter = None,
+    calibration_id: Annotated[
         str | None, Query(pattern=SLUG_PATTERN, description="Only those of this calibration.")
     ] = None,
 ) -> Page[CorrectionTableDocument]:
@@ -50,7 +49,7 @@ def list_tables(
     with database.read() as session:
         return page_of(
             session,
-            store.TABLES.newest_first(device_id=device, calibration_id=calibration),
+            store.TABLES.newest_first(device_id=device_id, calibration_id=calibration_id),
             paging,
             lambda row: store.document(session, row),
         )

@@ -57,8 +57,8 @@ class CorrectionTableDocument(ResponseModel):
     """A correction table, without its numbers."""
 
     id: str
-    device: str
-    calibration: str = Field(description="The calibration it belongs to, its parent.")
+    device_id: str
+    calibration_id: str = Field(description="The calibration it belongs to, its parent.")
     calibration_hash: str = Field(description="The parent's content hash.")
     content_hash: str = Field(description="Of the table with its provenance; see the guide.")
     active: bool = Field(description="Whether the device uses it now.")
@@ -102,8 +102,8 @@ def find_parent(session: Session, content: TableContent) -> CalibrationRow:
         raise TableOfAnotherCalibration(
             f'the table is of device "{content.device[:63]}", its calibration "{rows[0].id}" of '
             f'"{rows[0].device_id}"; upload it as it was downloaded',
-            calibration=rows[0].id,
-            device=rows[0].device_id,
+            calibration_id=rows[0].id,
+            device_id=rows[0].device_id,
         )
     check_sensor_names(rows[0], content)
     return rows[0]
@@ -116,7 +116,7 @@ def check_sensor_names(calibration: CalibrationRow, content: TableContent) -> No
         raise TableOfAnotherCalibration(
             f"the table is of the sensors {', '.join(content.table.sensors)[:200]}, and its "
             f'calibration "{calibration.id}" of {", ".join(names)}',
-            calibration=calibration.id,
+            calibration_id=calibration.id,
         )
 
 
@@ -199,7 +199,7 @@ def activate_table(session: Session, table_id: str) -> CorrectionTableRow:
         raise NoActiveCalibration(
             f'device "{row.device_id}" has no active calibration; activate the table\'s, '
             f'"{row.calibration_id}"',
-            device=row.device_id,
+            device_id=row.device_id,
         )
     calibration = CALIBRATIONS.get(session, pointer.calibration_id)
     if calibration.content_hash != row.calibration_hash:
@@ -208,8 +208,8 @@ def activate_table(session: Session, table_id: str) -> CorrectionTableRow:
             f'{row.calibration_hash[:12]}...); active is "{calibration.id}" '
             f"({calibration.content_hash[:12]}...): activate that calibration first, or a table "
             "made with this one",
-            table=row.id,
-            calibration=row.calibration_id,
+            table_id=row.id,
+            calibration_id=row.calibration_id,
             active_calibration=calibration.id,
         )
     move_pointer(session, row.device_id, Target(calibration.id, row.id))
@@ -246,7 +246,7 @@ def delete_table(session: Session, table_id: str) -> None:
         raise CorrectionTableInUse(
             f'correction table "{table_id}" is named by {listed}, which would lose what they say; '
             "only tables that were never used can be deleted",
-            table=table_id,
+            table_id=table_id,
             **uses,
         )
     session.delete(row)

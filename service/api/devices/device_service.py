@@ -292,7 +292,7 @@ def _only_with(device_id: str, stored: Sequence[Sensor]) -> Accept:
                 f'device "{device_id}" is stored with the sensors {listed(stored)}; what is '
                 f"connected has {listed(description.sensors)}; connect the right one, or send its "
                 "source anew, which reads its sensors",
-                device=device_id,
+                device_id=device_id,
             )
 
     return accept
@@ -330,7 +330,7 @@ def _check_precondition(
         raise ActivationConflict(
             f'device "{device_id}" uses the calibration {shown}, not "{expected}" as '
             "the request expects; look at its activations, and ask again",
-            device=device_id,
+            device_id=device_id,
             expected=expected,
             active=None if now is None else now.calibration_id,
         )
@@ -338,7 +338,7 @@ def _check_precondition(
         raise ActivationConflict(
             f'another request was first, and device "{device_id}" uses the calibration '
             f"{shown} now; look at its activations, and ask again",
-            device=device_id,
+            device_id=device_id,
             active=None if now is None else now.calibration_id,
         )
 

@@ -37,19 +37,19 @@ def make_driver(device_id: str, source: Source, folders: DataFolders) -> Driver:
         raise DeviceWithoutDriver(
             f'device "{device_id}" is external and has no driver to start; post its readings to '
             "/api/v1/reconstructions",
-            device=device_id,
+            device_id=device_id,
         )
     if isinstance(source, ReplaySource):
         from hardware.replay import ReplayDriver
 
         return ReplayDriver(
-            device_id, recording_path(source.recording, folders.recordings), source.speed
+            device_id, recording_path(source.recording_id, folders.recordings), source.speed
         )
     if isinstance(source, ProfileSource):
         from hardware.simulated.profile_driver import ProfileDriver
         from service.api.devices.profiles import find_profile
 
-        profile = find_profile(source.profile, folders.profiles)
+        profile = find_profile(source.profile_id, folders.profiles)
         return ProfileDriver(device_id, profile, source.settings)
     if isinstance(source, SerialSource):
         from hardware.serial.driver import SerialDriver
@@ -80,7 +80,7 @@ def recording_path(name: str, recordings_dir: Path) -> Path:
         raise UnknownRecording(
             f'there is no recording "{name}"; put the file into the data directory\'s folder '
             "recordings",
-            recording=name,
+            recording_id=name,
         )
     return path
 

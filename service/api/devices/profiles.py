@@ -47,7 +47,9 @@ def profile_text(name: str, profiles_dir: Path) -> str:
         return stored_profile_path(name, profiles_dir).read_text("utf-8")
     except (OSError, ValueError) as error:  # ValueError: not UTF-8
         reason = error.strerror if isinstance(error, OSError) else error
-        raise InvalidParameter(f'profile "{name}" cannot be read: {reason}', profile=name) from None
+        raise InvalidParameter(
+            f'profile "{name}" cannot be read: {reason}', profile_id=name
+        ) from None
 
 
 def find_profile(name: str, profiles_dir: Path) -> DeviceProfile:

@@ -4,20 +4,26 @@ from typing import Annotated, Any, Final
 
 from fastapi import Body, Query, Response
 
-from service.api.base_models import Page, from_attributes
+from service.api.base_models import from_attributes
 from service.api.devices import store
 from service.api.devices.device_service import DeviceServiceDep
-from service.api.devices.schema import Activation, Device, DeviceChange, NewDevice, Status
+from service.api.devices.schema import (
+    Activation,
+    Device,
+    DeviceChange,
+    DeviceStateDocument,
+    NewDevice,
+    state_document,
+)
 from service.api.inputs import (
     DatabaseDep,
     DevicePath,
     ExpectedActive,
     JsonTypes,
-    PagingDep,
     id_in_path,
-    page_of,
 )
 from service.api.openapi import ResourceRouter, raises
+from service.api.paging import BY_ID, LATEST_FIRST, Page, PagingDep, page_of
 
 router = ResourceRouter("/api/v1/devices", "devices")
 
@@ -40,7 +46,7 @@ NEW_DEVICES: Final[dict[str, Any]] = {
             "title": "The thesis's cameras at 1 m",
             "source": {
                 "kind": "profile",
-                "profile": "thesis-5.9",
+                "profile_id": "thesis-5.9",
                 "settings": {
                     "scene": {"kind": "still-points", "points_mm": [[0, -97, 1133]]},
                     "optics": "exact",
@@ -79,7 +85,13 @@ ChangeBody = Annotated[DeviceChange, JsonTypes(), Body(openapi_examples=CHANGES)
 def list_devices(database: DatabaseDep, paging: PagingDep) -> Page[Device]:
     """Devices by id."""
     with database.read() as session:
-        return page_of(session, store.devices(), paging, lambda row: store.document(session, row))
+        return page_of(
+            session,
+            store.devices(),
+            paging,
+            lambda row: store.document(session, row),
+            BY_ID,
+        )
 
 
 @router.operation("POST", "create-device", "Create a device", status_code=201)
@@ -139,26 +151,28 @@ def delete_device(
 @router.operation("POST /{device_id}/start", "start-device", "Start a device")
 @raises("unknown-device", "unknown-recording", "unknown-device-profile", "device-without-driver")
 @raises("sensors-changed", "invalid-parameter", "invalid-recording")
-def start_device(device_id: DevicePath, device_service: DeviceServiceDep) -> Status:
+def start_device(device_id: DevicePath, device_service: DeviceServiceDep) -> DeviceStateDocument:
     """Start the device with its active calibration; one that is running starts anew.
 
     One that is unplugged is "disconnected", with the reason, and runs once it is connected.
     """
-    return Status(device=device_id, status=device_service.start(device_id))
+    return state_document(device_id, device_service.start(device_id))
 
 
 @router.operation("POST /{device_id}/stop", "stop-device", "Stop a device")
 @raises("unknown-device")
-def stop_device(device_id: DevicePath, device_service: DeviceServiceDep) -> Status:
+def stop_device(device_id: DevicePath, device_service: DeviceServiceDep) -> DeviceStateDocument:
     """Stop the device; nothing happens when it is not running."""
-    return Status(device=device_id, status=device_service.stop(device_id))
+    return state_document(device_id, device_service.stop(device_id))
 
 
-@router.operation("GET /{device_id}/status", "get-device-status", "What a device is doing")
+@router.operation("GET /{device_id}/state", "get-device-state", "What a device is doing")
 @raises("unknown-device")
-def get_device_status(device_id: DevicePath, device_service: DeviceServiceDep) -> Status:
+def get_device_state(
+    device_id: DevicePath, device_service: DeviceServiceDep
+) -> DeviceStateDocument:
     """State, frame counters and losses since the device was started."""
-    return Status(device=device_id, status=device_service.status(device_id))
+    return state_document(device_id, device_service.status(device_id))
 
 
 @router.operation(
@@ -191,4 +205,5 @@ def list_activations(
             store.activations(device_id),
             paging,
             lambda row: from_attributes(Activation, row),
+            LATEST_FIRST,
         )

@@ -1,6 +1,7 @@
 """Devices as clients send and receive them."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Annotated, Literal
 
 from pydantic import ConfigDict, Field, StringConstraints
@@ -42,7 +43,7 @@ class ProfileSource(RequestModel):
     """Line scans of a device simulated from its profile: its optics, light and detector."""
 
     kind: Literal["profile"]
-    profile: Annotated[
+    profile_id: Annotated[
         str,
         StringConstraints(pattern=PROFILE_PATTERN),
         Field(description="A device profile's name: see `/api/v1/device-profiles`."),
@@ -54,7 +55,7 @@ class ReplaySource(RequestModel):
     """Line scans from a recording in the data directory's folder ``recordings``."""
 
     kind: Literal["replay"]
-    recording: Annotated[
+    recording_id: Annotated[
         str,
         StringConstraints(max_length=200, pattern=RECORDING_PATTERN),
         Field(description="File name below the folder `recordings`."),
@@ -141,18 +142,23 @@ class Device(ResponseModel):
     updated_at: Moment
 
 
-class Status(ResponseModel):
+@dataclass(frozen=True, kw_only=True)
+class DeviceStateDocument(DeviceStatus):
     """What a device is doing."""
 
-    device: str
-    status: DeviceStatus
+    device_id: str
+
+
+def state_document(device_id: str, status: DeviceStatus) -> DeviceStateDocument:
+    """Return what a device is doing as clients see it."""
+    return DeviceStateDocument(device_id=device_id, **vars(status))
 
 
 class Activation(ResponseModel):
     """One move of the pointer to the active calibration."""
 
     id: int
-    device: str
+    device_id: str
     calibration_id: str
     previous_calibration_id: str | None
     table_id: str | None = Field(description="Its correction table; null: without one.")
@@ -187,7 +193,7 @@ def check_sensors(
         raise SensorsChanged(
             f'device "{device_id}" has the sensors {listed(now)}; the calibration was made for '
             f"{listed(made)}; calibrate the sensors that the device has now",
-            device=device_id,
+            device_id=device_id,
         )
 
 

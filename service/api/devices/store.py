@@ -65,8 +65,8 @@ get_device = DEVICES.get
 
 
 def devices() -> Select[DeviceRow]:
-    """Return all devices, by id."""
-    return select(DeviceRow).order_by(DeviceRow.id)
+    """Return all devices."""
+    return select(DeviceRow)
 
 
 def add_device(session: Session, request: NewDevice, sensors: list[Sensor]) -> DeviceRow:
@@ -128,7 +128,7 @@ def change_device(
             raise DeviceRunning(
                 f'device "{device_id}" is running, and the new source has other sensors; stop the '
                 "device first",
-                device=device_id,
+                device_id=device_id,
             )
         row.source = _SOURCE.dump_python(change.source, mode="json")
         row.sensors = described
@@ -209,7 +209,7 @@ def _refuse_if_used(
             if count
         ]
         raise DeviceInUse(
-            f'device "{device_id}" has {", ".join(listed)}; {why}', device=device_id, **counts
+            f'device "{device_id}" has {", ".join(listed)}; {why}', device_id=device_id, **counts
         )
 
 
@@ -336,7 +336,7 @@ def check_not_retired(row: CalibrationRow) -> None:
         raise CalibrationRetired(
             f'calibration "{row.id}" was retired on {row.retired_at:%Y-%m-%d}; activate one that '
             "is available",
-            calibration=row.id,
+            calibration_id=row.id,
         )
 
 
@@ -380,7 +380,7 @@ def previous_activation(session: Session, device_id: str) -> Target:
         raise NothingToRollBack(
             f'device "{device_id}" has no activation before the present one; activate a '
             "calibration by its id",
-            device=device_id,
+            device_id=device_id,
         )
     return Target(earlier.calibration_id, earlier.table_id, earlier.restores_id or earlier.id)
 

@@ -41,10 +41,10 @@ def resolve_stationary_markers(
             without earlier readings; an earlier session that is not asked for, or missing.
         UnknownCapture, CaptureOfAnotherDevice, CaptureIncomplete: as they say.
     """
-    if (given.earlier_capture is None) == (given.against == "capture"):
-        state = "missing" if given.earlier_capture is None else "given"
+    if (given.earlier_capture_id is None) == (given.against == "capture"):
+        state = "missing" if given.earlier_capture_id is None else "given"
         raise InvalidParameter(
-            f"earlier_capture is {state} against {given.against}; it goes with against capture"
+            f"earlier_capture_id is {state} against {given.against}; it goes with against capture"
         )
     points = _points(session, calibration.device_id, given)
     if given.against == "positions":
@@ -56,11 +56,13 @@ def resolve_stationary_markers(
                     point=point.name,
                 )
         return [_marker(point, None) for point in points]
-    if given.earlier_capture is not None:
+    if given.earlier_capture_id is not None:
         earlier = _by_name(
-            captured_points(session, given.earlier_capture, calibration.device_id, incomplete=True)
+            captured_points(
+                session, given.earlier_capture_id, calibration.device_id, incomplete=True
+            )
         )
-        where = f'the earlier session "{given.earlier_capture}"'
+        where = f'the earlier session "{given.earlier_capture_id}"'
     else:
         earlier = _of_calibration(calibration, sensors)
         where = f'the control points of calibration "{calibration.id}"'
@@ -77,17 +79,19 @@ def resolve_stationary_markers(
 def _points(
     session: Session, device_id: str, given: StationaryMarkersRequest
 ) -> list[StationaryPoint]:
-    if (given.points is None) == (given.capture is None):
+    if (given.points is None) == (given.capture_id is None):
         which = "neither" if given.points is None else "both"
-        raise InvalidParameter(f"of points and capture {which} are given; give one of them")
+        raise InvalidParameter(f"of points and capture_id {which} are given; give one of them")
     if given.points is not None:
         return given.points
-    assert given.capture is not None
-    captured = captured_points(session, given.capture, device_id, incomplete=given.allow_incomplete)
+    assert given.capture_id is not None
+    captured = captured_points(
+        session, given.capture_id, device_id, incomplete=given.allow_incomplete
+    )
     if not captured:
         raise InvalidParameter(
-            f'nothing is captured yet in session "{given.capture}"; capture its targets first',
-            capture=given.capture,
+            f'nothing is captured yet in session "{given.capture_id}"; capture its targets first',
+            capture_id=given.capture_id,
         )
     return [
         StationaryPoint(name=point.name, position_mm=point.position_mm, readings=point.readings)

@@ -4,7 +4,7 @@ from typing import Annotated
 
 from fastapi import Body, Query, Response
 
-from service.api.base_models import SLUG_PATTERN, Page
+from service.api.base_models import SLUG_PATTERN
 from service.api.calibrations.calibration_content import result_of
 from service.api.calibrations.store import get_calibration
 from service.api.devices.schema import check_sensors
@@ -19,11 +19,10 @@ from service.api.inputs import (
     DatabaseDep,
     DeviceFilter,
     JsonTypes,
-    PagingDep,
     id_in_path,
-    page_of,
 )
 from service.api.openapi import ResourceRouter, raises
+from service.api.paging import Page, PagingDep, page_of
 
 router = ResourceRouter("/api/v1", "drift-checks")
 
@@ -73,8 +72,8 @@ def create_drift_check(
 def list_drift_checks(
     database: DatabaseDep,
     paging: PagingDep,
-    device: DeviceFilter = None,
-    calibration: Annotated[
+    device_id: DeviceFilter = None,
+    calibration_id: Annotated[
         str | None, Query(pattern=SLUG_PATTERN, description="Only those of this calibration.")
     ] = None,
     good: Annotated[
@@ -84,13 +83,13 @@ def list_drift_checks(
     """A device's drift over time, newest first, without the readings."""
     with database.read() as session:
         return page_of(
-            session, store.drift_checks(device, calibration, good), paging, store.summary
+            session, store.drift_checks(device_id, calibration_id, good), paging, store.summary
         )
 
 
-@router.operation("GET /drift-checks/{check_id}", "get-drift-check", "Read a drift check")
+@router.operation("GET /drift-checks/{drift_check_id}", "get-drift-check", "Read a drift check")
 @raises("unknown-drift-check")
-def get_drift_check(check_id: DriftCheckPath, database: DatabaseDep) -> DriftCheckDocument:
+def get_drift_check(drift_check_id: DriftCheckPath, database: DatabaseDep) -> DriftCheckDocument:
     """One check with its readings."""
     with database.read() as session:
-        return store.document(store.DRIFT_CHECKS.get(session, check_id))
+        return store.document(store.DRIFT_CHECKS.get(session, drift_check_id))

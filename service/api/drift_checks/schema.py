@@ -35,9 +35,11 @@ class StationaryMarkersRequest(RequestModel):
     """Still markers read again, and what they are compared with."""
 
     points: Annotated[list[StationaryPoint], Field(min_length=1, max_length=MAX_MARKERS)] | None = (
-        Field(default=None, description="Give these, or `capture`.")
+        Field(default=None, description="Give these, or `capture_id`.")
     )
-    capture: Slug | None = Field(default=None, description="A capture session, in place of points.")
+    capture_id: Slug | None = Field(
+        default=None, description="A capture session, in place of points."
+    )
     allow_incomplete: bool = Field(
         default=False, description="Take a capture session of which targets are missing."
     )
@@ -48,7 +50,7 @@ class StationaryMarkersRequest(RequestModel):
         "`capture`: what the targets of an earlier session read, both for markers that have not "
         "moved since. These two are finer: what the calibration itself is wrong by drops out.",
     )
-    earlier_capture: Slug | None = Field(
+    earlier_capture_id: Slug | None = Field(
         default=None, description="The earlier session, `against` capture."
     )
     position_sigma_mm: Annotated[float, Field(ge=0, le=1000)] = Field(
@@ -67,9 +69,9 @@ class DriftCheckSummary(ResponseModel):
     """A drift check and what it found."""
 
     id: str
-    device: str
-    calibration: str
-    verdict: Verdict = Field(
+    device_id: str
+    calibration_id: str
+    status: Verdict = Field(
         description="`good`: the markers read as the calibration expects, within its uncertainty. "
         "`sensors-moved`: those listed. `moved-as-a-whole`: the markers, or the device, as one "
         "rigid whole. `off`: they do not read as expected, and no single sensor stands out."
@@ -78,8 +80,8 @@ class DriftCheckSummary(ResponseModel):
     in_words: list[str]
     against: Against
     markers: int
-    capture: str | None
-    earlier_capture: str | None
+    capture_id: str | None
+    earlier_capture_id: str | None
     position_sigma_mm: float
     note: str
     created_at: Moment

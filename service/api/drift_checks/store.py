@@ -52,8 +52,8 @@ def add_drift_check(
         given={
             "against": request.against,
             "markers": len(markers),
-            "capture": request.capture,
-            "earlier_capture": request.earlier_capture,
+            "capture_id": request.capture_id,
+            "earlier_capture_id": request.earlier_capture_id,
             "position_sigma_mm": request.position_sigma_mm,
         },
         points=_MARKERS.dump_python(markers, mode="json"),
@@ -82,7 +82,7 @@ def document(row: DriftCheckRow) -> DriftCheckDocument:
 def _judged(row: DriftCheckRow) -> dict[str, Any]:
     check = _CHECK.validate_python(row.result)
     return row.given | {
-        "verdict": verdict_of(check),
+        "status": verdict_of(check),
         "moved": moved_sensors(check),
         "in_words": in_words(check),
         "check": check,

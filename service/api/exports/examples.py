@@ -7,8 +7,8 @@ NEW_EXPORT_RUNS: Final[dict[str, Any]] = {
         "summary": "Points, tracks and poses as rows of a CSV file",
         "value": {
             "id": "earlier-export",
-            "device": "sim",
-            "recording": "earlier.h5",
+            "device_id": "sim",
+            "recording_id": "earlier.h5",
             "format": "csv",
             "result_id": "earlier-table",
         },

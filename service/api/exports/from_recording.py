@@ -58,7 +58,7 @@ def table_from_recording(
     info = reader.info
     if given is None and info.state.in_force == 0:
         raise InvalidRecording(
-            "the recording holds no calibration; give one: `calibration`, or --calibration"
+            "the recording holds no calibration; give one: `calibration_id`, or --calibration"
         )
     description = info.description
     processor = FrameProcessor("export", description, "cpu")

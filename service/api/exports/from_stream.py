@@ -43,11 +43,11 @@ def table_from_stream(path: Path) -> MotionTable:
             for number, line in enumerate(file, start=1):
                 try:
                     for message in _frames(line):
-                        device = device or str(message["device"])
+                        device = device or str(message["device_id"])
                         builder = builder or TableBuilder(device, 0.0, ())
-                        if message["device"] != device or message["sequence"] <= last:
+                        if message["device_id"] != device or message["sequence"] <= last:
                             raise InvalidParameter(
-                                f"{path} has frame {message['sequence']} of {message['device']} "
+                                f"{path} has frame {message['sequence']} of {message['device_id']} "
                                 f"behind frame {last} of {device}, in line {number}; an export is "
                                 "of one device, from one connection, in order"
                             )
@@ -76,7 +76,7 @@ def _frames(line: str) -> Iterator[dict[str, Any]]:
         yield message
     elif message["type"] == "frames":
         for frame in message["frames"]:
-            yield {"device": message["device"], **frame}
+            yield {"device_id": message["device_id"], **frame}
 
 
 def _add(builder: TableBuilder, message: dict[str, Any]) -> None:
@@ -114,7 +114,7 @@ def _add(builder: TableBuilder, message: dict[str, Any]) -> None:
 
 def _pose(tool: dict[str, Any], message: dict[str, Any]) -> ToolPose:
     return ToolPose(
-        str(tool["tool"]),
+        str(tool["tool_id"]),
         PoseStatus(tool["status"]),
         tool["reason"],
         int(message["exposure_ns"]),

@@ -35,7 +35,7 @@ class ExportRepository:
         self.free_bytes = free_bytes
 
     def all(self) -> list[ExportFile]:
-        """Return all files, the newest first."""
+        """Return all files."""
         found = []
         for path in self.folder.glob("*.*"):
             name = _split_name(path)
@@ -45,7 +45,7 @@ class ExportRepository:
                 found.append(_document(path, *name))
             except OSError:
                 continue  # deleted meanwhile
-        return sorted(found, key=lambda one: (-one.created_at.timestamp(), one.id))
+        return found
 
     def find(self, export_id: str) -> tuple[Path, ExportFile]:
         """Return an export's path and document; raises UnknownExport."""
@@ -56,7 +56,7 @@ class ExportRepository:
             except OSError:
                 continue
         raise UnknownExport(
-            f'there is no export "{export_id}"; GET /api/v1/exports lists them', export=export_id
+            f'there is no export "{export_id}"; GET /api/v1/exports lists them', export_id=export_id
         )
 
     def check_unused(self, export_id: str | None) -> None:
@@ -70,7 +70,7 @@ class ExportRepository:
         raise ExportExists(
             f'export "{export_id}" exists already; choose another result_id, leave it out, or '
             "delete that one",
-            export=export_id,
+            export_id=export_id,
         )
 
     def check_space(self) -> None:
@@ -121,7 +121,7 @@ class ExportRepository:
 
     def _path(self, export_id: str, kind: Format) -> Path:
         if re.fullmatch(SLUG_PATTERN, export_id) is None:
-            raise InvalidParameter(f'"{export_id}" is not an id of an export', export=export_id)
+            raise InvalidParameter(f'"{export_id}" is not an id of an export', export_id=export_id)
         return self.folder / f"{export_id}.{kind}"
 
 

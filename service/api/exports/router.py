@@ -7,12 +7,13 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session
 from starlette.responses import FileResponse
 
-from service.api.base_models import SLUG_PATTERN, Page
+from service.api.base_models import SLUG_PATTERN
 from service.api.exports.examples import EXPORT_IDS
 from service.api.exports.repository import MEDIA_TYPES, ExportRepository
 from service.api.exports.schema import Export, ExportFile
-from service.api.inputs import DatabaseDep, Limit, Offset
+from service.api.inputs import DatabaseDep
 from service.api.openapi import ResourceRouter, raises
+from service.api.paging import Page, PagingDep, page_of_sequence
 from service.database.models import RunRow
 
 router = ResourceRouter("/api/v1", "recordings")
@@ -34,14 +35,15 @@ ExportPath = Annotated[
 
 
 @router.operation("GET /exports", "list-exports", "List exports")
-def list_exports(
-    exports: ExportsDep, database: DatabaseDep, limit: Limit = 50, offset: Offset = 0
-) -> Page[Export]:
+def list_exports(exports: ExportsDep, database: DatabaseDep, paging: PagingDep) -> Page[Export]:
     """Files that export runs have made and nobody has deleted, the newest first."""
-    found = exports.all()
     with database.read() as session:
-        items = [_with_run(session, one) for one in found[offset : offset + limit]]
-    return Page(items=items, total=len(found), limit=limit, offset=offset)
+        return page_of_sequence(
+            exports.all(),
+            paging,
+            lambda found: _with_run(session, found),
+            lambda found: (-round(found.created_at.timestamp() * 1e6), found.id),
+        )
 
 
 @router.operation("GET /exports/{export_id}", "get-export", "Read about an export")
@@ -88,7 +90,7 @@ def _with_run(session: Session, found: ExportFile) -> Export:
     row = session.scalars(query).first()
     return Export(
         **dict(found),
-        run=None if row is None else row.id,
-        device=None if row is None else row.device_id,
-        recording=None if row is None else row.request["recording"],
+        run_id=None if row is None else row.id,
+        device_id=None if row is None else row.device_id,
+        recording_id=None if row is None else row.request["recording_id"],
     )

@@ -15,26 +15,26 @@ class NewExportRun(RequestModel):
     """A recording of which points, tracks and tool poses are to be written to a file."""
 
     id: Slug | None = Field(default=None, description="The run's; left out: the server's choice.")
-    device: Slug = Field(
+    device_id: Slug = Field(
         description="The device whose tools are followed, as its `tracking` says; now, as neither "
         "is in the recording."
     )
-    recording: Annotated[str, StringConstraints(max_length=200, pattern=RECORDING_PATTERN)] = Field(
-        description="File name below the folder `recordings`."
+    recording_id: Annotated[str, StringConstraints(max_length=200, pattern=RECORDING_PATTERN)] = (
+        Field(description="File name below the folder `recordings`.")
     )
     format: Format
     result_id: Slug | None = Field(
         default=None, description="Of the file to be made; left out: the run's id."
     )
-    tools: Annotated[list[Slug], Field(max_length=64)] | None = Field(
+    tool_ids: Annotated[list[Slug], Field(max_length=64)] | None = Field(
         default=None, description="Those of the device that are wanted; null: all."
     )
-    calibration: Slug | None = Field(
+    calibration_id: Slug | None = Field(
         default=None,
         description="Instead of the calibration that was active at each frame; null: that.",
     )
-    table: Slug | None = Field(
-        default=None, description="A correction table of that `calibration`; null: none."
+    table_id: Slug | None = Field(
+        default=None, description="A correction table of that `calibration_id`; null: none."
     )
     predicted: bool = Field(
         default=False, description="C3D and TRC: fill gaps with what the tracker predicts."
@@ -58,6 +58,6 @@ class ExportFile(ResponseModel):
 class Export(ExportFile):
     """A file that an export run has made, and of what."""
 
-    run: str | None = Field(description="The run that made it; null: that was deleted.")
-    device: str | None = Field(description="As the run says.")
-    recording: str | None = Field(description="As the run says.")
+    run_id: str | None = Field(description="The run that made it; null: that was deleted.")
+    device_id: str | None = Field(description="As the run says.")
+    recording_id: str | None = Field(description="As the run says.")

@@ -64,7 +64,8 @@ class MaskMethod(ShadowSettings):
     """The shadow of one marker behind a coded window, at most one a line.
 
     By a weighted fit of the shadow, or by cross-correlation with it ([2.16] to [2.18]) refined by a
-    parabola. What the shadow is like a `template` says, or a `profile` whose sensors have windows.
+    parabola. What the shadow is like a `template` says, or a `profile_id` whose sensors have
+    windows.
     """
 
     method: Literal["mask"] = "mask"
@@ -73,7 +74,7 @@ class MaskMethod(ShadowSettings):
         Field(description="`correlation` gives no standard deviation."),
     ] = "fit"
     template: Annotated[Template | None, Field(description="Of all lines.")] = None
-    profile: Annotated[
+    profile_id: Annotated[
         str | None,
         Field(
             pattern=PROFILE_PATTERN,
@@ -100,12 +101,12 @@ class MaskMethod(ShadowSettings):
 
     @model_validator(mode="after")
     def _one_source(self) -> Self:
-        if (self.template is None) == (self.profile is None):
-            both = "neither" if self.profile is None else "both"
+        if (self.template is None) == (self.profile_id is None):
+            both = "neither" if self.profile_id is None else "both"
             raise InvalidParameter(
                 f"method has {both} of template and profile; give one of them, and not both"
             )
-        if self.sensors is not None and self.profile is None:
+        if self.sensors is not None and self.profile_id is None:
             raise InvalidParameter(
                 "method.sensors are those of a profile; give profile, or leave them out"
             )
@@ -137,7 +138,7 @@ class MaskMethod(ShadowSettings):
         if not shadows:
             raise InvalidParameter(
                 f"profile {profile.name} has no coded windows; give another one, or a template",
-                profile=profile.name,
+                profile_id=profile.name,
             )
         return tuple(shadows[names.index(name)] for name in self.sensors or names)
 
@@ -147,7 +148,7 @@ class MaskMethod(ShadowSettings):
         Raises:
             InvalidParameter: there is no such profile.
         """
-        if self.profile is None:
+        if self.profile_id is None:
             return self
         names = self.sensors
         if names is None:
@@ -155,11 +156,11 @@ class MaskMethod(ShadowSettings):
         return replace(self, sensors=[names[line % len(names)]])
 
     def _found(self, find_profile: FindProfile) -> DeviceProfile:
-        assert self.profile is not None
+        assert self.profile_id is not None
         try:
-            return find_profile(self.profile)
+            return find_profile(self.profile_id)
         except UnknownDeviceProfile as error:
             # A setting among others, and not what the request is about.
             raise InvalidParameter(
-                f"method.profile: {error.detail}", profile=self.profile
+                f"method.profile: {error.detail}", profile_id=self.profile_id
             ) from error

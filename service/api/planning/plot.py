@@ -38,7 +38,7 @@ def draw_plan(plan: Plan) -> bytes:
     with mpl.rc_context({"font.size": 9, "axes.titlesize": 10}):
         figure = Figure(figsize=(14.0, 17.0), layout="constrained")
         FigureCanvasAgg(figure)
-        figure.suptitle(f"{plan.profile}: {plan.title}", fontsize=13)
+        figure.suptitle(f"{plan.profile_id}: {plan.title}", fontsize=13)
         rows = figure.add_gridspec(3, 1, height_ratios=(2.2, 1.0, 1.0))
         maps, below, last = (figure.add_subfigure(rows[row]) for row in range(3))
         _maps(maps.subplots(3, 2), plan)

@@ -45,7 +45,7 @@ GridQuery = Annotated[
 class DeviceProfileSummary(ResponseModel):
     """A device in a few words."""
 
-    name: str
+    id: str
     title: str
     year: int | None = Field(description="Of its publication, where known.")
     sensor_count: int
@@ -101,4 +101,5 @@ def _document(model: type[Model], profile: DeviceProfile, **members: Any) -> Mod
         "max_markers": profile.markers.max_markers,
     }
     fields = {name: getattr(profile, name, None) for name in model.model_fields}
+    fields["id"] = profile.name
     return model(**(fields | counts | members))

@@ -45,7 +45,7 @@ def quality(session: Session, device_id: str) -> Quality:
     watch = store.watch_of(session, device_id)
     if pointer is None:
         return Quality(
-            device=device_id,
+            device_id=device_id,
             calibration_id=None,
             table_id=None,
             watch=watch,
@@ -68,7 +68,7 @@ def quality(session: Session, device_id: str) -> Quality:
             "that does in the watch's settings"
         )
     return Quality(
-        device=device_id,
+        device_id=device_id,
         **using,
         watch=watch,
         recommendation=recommendation,
@@ -177,7 +177,9 @@ def _chart(series: _Series, chart: ControlChart) -> Chart:
         lower=lower if chart.ready else None,
         upper=upper if chart.ready else None,
         points=[
-            ChartPoint(at=at, value=float(value), average=float(average), signal=signal.value)
+            ChartPoint(
+                measured_at=at, value=float(value), average=float(average), signal=signal.value
+            )
             for at, value, average, signal in zip(
                 series.at, chart.values, chart.ewma, chart.alarms, strict=True
             )

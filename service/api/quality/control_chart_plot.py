@@ -25,7 +25,7 @@ def plot_control_charts(found: Quality) -> bytes:
         rows = max(1, len(found.charts))
         figure = Figure(figsize=(9.0, 1.0 + 2.0 * rows), layout="constrained")
         FigureCanvasAgg(figure)
-        title = f"{found.device}, {found.calibration_id or 'no calibration'}"
+        title = f"{found.device_id}, {found.calibration_id or 'no calibration'}"
         figure.suptitle(f"{title}: {found.recommendation}", fontsize=12)
         axes = figure.subplots(rows, 1, squeeze=False)[:, 0]
         for one, chart in zip(axes, found.charts, strict=False):
@@ -39,7 +39,7 @@ def plot_control_charts(found: Quality) -> bytes:
 
 
 def _times(points: Sequence[ChartPoint]) -> list[float]:
-    return [float(date2num(point.at)) for point in points]  # type: ignore[no-untyped-call]
+    return [float(date2num(point.measured_at)) for point in points]  # type: ignore[no-untyped-call]
 
 
 def _draw(axes: Axes, chart: Chart) -> None:

@@ -5,7 +5,6 @@ from typing import Annotated, Any, Final, Literal
 from fastapi import Body, Query
 from starlette.responses import Response
 
-from service.api.base_models import Page
 from service.api.devices.store import get_device
 from service.api.inputs import (
     DatabaseDep,
@@ -13,11 +12,10 @@ from service.api.inputs import (
     DevicePath,
     JsonTypes,
     LiveDep,
-    PagingDep,
     id_in_path,
-    page_of,
 )
 from service.api.openapi import ResourceRouter, raises
+from service.api.paging import LATEST_FIRST, Page, PagingDep, page_of
 from service.api.quality import store
 from service.api.quality.assessment import quality
 from service.api.quality.schema import (
@@ -39,7 +37,7 @@ _NEW_CHECKS: Final[dict[str, Any]] = {
             "markers": [0, 1],
             "reference_mm": 292.0,
             "reference_sigma_mm": 0.05,
-            "seconds": 2.0,
+            "duration_s": 2.0,
             "tolerance_mm": 1.0,
         },
     },
@@ -92,7 +90,7 @@ def create_quality_check(
 def list_quality_checks(
     database: DatabaseDep,
     paging: PagingDep,
-    device: DeviceFilter = None,
+    device_id: DeviceFilter = None,
     kind: Annotated[
         Literal["single-point", "point-to-point"] | None, Query(description="Only this kind.")
     ] = None,
@@ -101,28 +99,30 @@ def list_quality_checks(
     with database.read() as session:
         return page_of(
             session,
-            store.QUALITY_CHECKS.newest_first(device_id=device, kind=kind),
+            store.QUALITY_CHECKS.newest_first(device_id=device_id, kind=kind),
             paging,
             store.document,
         )
 
 
-@router.operation("GET /quality-checks/{check_id}", "get-quality-check", "Read a quality check")
+@router.operation(
+    "GET /quality-checks/{quality_check_id}", "get-quality-check", "Read a quality check"
+)
 @raises("unknown-quality-check")
-def get_quality_check(check_id: CheckPath, database: DatabaseDep) -> QualityCheck:
+def get_quality_check(quality_check_id: CheckPath, database: DatabaseDep) -> QualityCheck:
     """One check."""
     with database.read() as session:
-        return store.document(store.QUALITY_CHECKS.get(session, check_id))
+        return store.document(store.QUALITY_CHECKS.get(session, quality_check_id))
 
 
 @router.operation(
-    "DELETE /quality-checks/{check_id}", "delete-quality-check", "Delete a quality check"
+    "DELETE /quality-checks/{quality_check_id}", "delete-quality-check", "Delete a quality check"
 )
 @raises("unknown-quality-check")
-def delete_quality_check(check_id: CheckPath, database: DatabaseDep) -> None:
+def delete_quality_check(quality_check_id: CheckPath, database: DatabaseDep) -> None:
     """For one that was made wrongly: its values take no part in the charts any more."""
     with database.write() as session:
-        session.delete(store.QUALITY_CHECKS.get(session, check_id))
+        session.delete(store.QUALITY_CHECKS.get(session, quality_check_id))
 
 
 @router.operation(
@@ -177,8 +177,8 @@ def set_watch(device_id: DevicePath, request: WatchBody, database: DatabaseDep) 
 
 @router.operation("GET /watch-samples", "list-watch-samples", "List what the watch saw")
 def list_watch_samples(
-    database: DatabaseDep, paging: PagingDep, device: DeviceFilter = None
+    database: DatabaseDep, paging: PagingDep, device_id: DeviceFilter = None
 ) -> Page[WatchSample]:
     """One for each interval of a running device, newest first."""
     with database.read() as session:
-        return page_of(session, store.samples(device), paging, store.sample)
+        return page_of(session, store.samples(device_id), paging, store.sample, LATEST_FIRST)

@@ -45,7 +45,7 @@ def measure(
     wanted = _markers(asked)
     _check_markers(device_id, wanted, session.description.markers)
     tap = PointTap(wanted, 1 if isinstance(asked, NewSinglePoint) else 2)
-    collect(live, session, tap, asked.seconds, tap.ended)
+    collect(live, session, tap, asked.duration_s, tap.ended)
     during = "it was measured; check again"
     calibration_id, table_id = tap.calibration_used(device_id, during)
     result = _result(tap, asked)

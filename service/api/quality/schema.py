@@ -14,7 +14,7 @@ Millimetres = Annotated[float, Field(gt=0, le=1e5)]
 
 class _Asked(RequestModel):
     id: Slug | None = Field(default=None, description="Left out or null: the server makes one.")
-    seconds: Annotated[float, Field(ge=0.5, le=MAX_SECONDS)] = Field(
+    duration_s: Annotated[float, Field(ge=0.5, le=MAX_SECONDS)] = Field(
         default=10.0, description="How long is measured; the answer comes after that."
     )
     tolerance_mm: Millimetres | None = Field(
@@ -68,7 +68,7 @@ class QualityCheck(ResponseModel):
     """What a quality check measured."""
 
     id: str
-    device: str
+    device_id: str
     kind: Literal["single-point", "point-to-point"]
     calibration_id: str = Field(description="What the points were made with.")
     table_id: str | None
@@ -102,11 +102,11 @@ class WatchSettings(RequestModel):
 class WatchSample(ResponseModel):
     """What was seen of a running device in one interval."""
 
-    device: str
+    device_id: str
     calibration_id: str
     table_id: str | None
-    at: Moment = Field(description="Its end.")
-    seconds: float
+    measured_at: Moment = Field(description="Its end.")
+    duration_s: float
     points: int
     residual_sigma: float | None = Field(
         description="Root of the mean square residual of points with four or more sensors, in "
@@ -123,7 +123,7 @@ class WatchSample(ResponseModel):
 class ChartPoint(ResponseModel):
     """One value of a control chart."""
 
-    at: Moment
+    measured_at: Moment
     value: float
     average: float = Field(description="Exponentially weighted, with the values before.")
     signal: Literal["none", "jump", "drift"]
@@ -146,7 +146,7 @@ class Chart(ResponseModel):
 class Quality(ResponseModel):
     """How a device does with what is active now, and what to do about it."""
 
-    device: str
+    device_id: str
     calibration_id: str | None
     table_id: str | None
     watch: WatchSettings

@@ -92,8 +92,8 @@ def set_watch(session: Session, device_id: str, settings: WatchSettings) -> None
 
 
 def samples(device_id: str | None) -> Select[WatchSampleRow]:
-    """Return what the watch saw, newest first."""
-    found = select(WatchSampleRow).order_by(WatchSampleRow.id.desc())
+    """Return what the watch saw."""
+    found = select(WatchSampleRow)
     return found if device_id is None else found.filter_by(device_id=device_id)
 
 
@@ -124,4 +124,4 @@ def _first_and_newest(
 
 def sample(row: WatchSampleRow) -> WatchSample:
     """Return a sample as clients see it."""
-    return from_attributes(WatchSample, row)
+    return from_attributes(WatchSample, row, measured_at=row.at, duration_s=row.seconds)

@@ -79,14 +79,14 @@ def capture_name(row: RadiometricCaptureRow, kind: Kind, name: str | None) -> st
         raise RadiometricCaptureIncomplete(
             f'session "{row.id}" has no dark capture yet, which flat ones are checked against: '
             "cover the sensors and capture kind=dark first",
-            capture=row.id,
+            capture_id=row.id,
         )
     if name is not None:
         if name not in names or name == DARK:
             raise UnusableRadiometricCapture(
                 f'session "{row.id}" has no flat capture "{name}" to capture again; it has '
                 f"{', '.join(one for one in names if one != DARK) or 'none'}",
-                capture=row.id,
+                capture_id=row.id,
                 name=name,
             )
         return name
@@ -175,7 +175,7 @@ def complete_captures(
         raise RadiometricCaptureIncomplete(
             f'session "{row.id}" has {len(shown.captured)} captures; the dark one and flat ones '
             f"at two levels of light at least are needed. {shown.instruction}",
-            capture=row.id,
+            capture_id=row.id,
             left=shown.left,
         )
     return row, shown.captured, statistics_by_name(row)

@@ -4,7 +4,6 @@ from typing import Annotated
 
 from fastapi import Body, Query, Response
 
-from service.api.base_models import Page
 from service.api.captures.store import check_sensors_now
 from service.api.devices.store import get_device
 from service.api.inputs import (
@@ -12,11 +11,10 @@ from service.api.inputs import (
     DeviceFilter,
     JsonTypes,
     LiveDep,
-    PagingDep,
     id_in_path,
-    page_of,
 )
 from service.api.openapi import ResourceRouter, raises
+from service.api.paging import Page, PagingDep, page_of
 from service.api.radiometric_calibrations import capture_store as store
 from service.api.radiometric_calibrations.capture_checks import (
     Kind,
@@ -45,11 +43,11 @@ CapturePath = Annotated[
 
 @router.operation("GET", "list-radiometric-captures", "List sessions of dark and flat captures")
 def list_captures(
-    database: DatabaseDep, paging: PagingDep, device: DeviceFilter = None
+    database: DatabaseDep, paging: PagingDep, device_id: DeviceFilter = None
 ) -> Page[RadiometricCapture]:
     """Sessions, newest first."""
     with database.read() as session:
-        rows = store.RADIOMETRIC_CAPTURES.newest_first(device_id=device)
+        rows = store.RADIOMETRIC_CAPTURES.newest_first(device_id=device_id)
         return page_of(session, rows, paging, store.document)
 
 
@@ -65,39 +63,41 @@ def create_capture(
     At the end name the session in a radiometric calibration.
     """
     with database.write() as session:
-        device = get_device(session, request.device, lock=True)
+        device = get_device(session, request.device_id, lock=True)
         made = store.document(store.add_capture(session, request, device))
     response.headers["Location"] = f"/api/v1/radiometric-captures/{made.id}"
     return made
 
 
 @router.operation(
-    "GET /{capture_id}", "get-radiometric-capture", "What is captured and what is next"
+    "GET /{radiometric_capture_id}", "get-radiometric-capture", "What is captured and what is next"
 )
 @raises("unknown-radiometric-capture")
-def get_capture(capture_id: CapturePath, database: DatabaseDep) -> RadiometricCapture:
+def get_capture(radiometric_capture_id: CapturePath, database: DatabaseDep) -> RadiometricCapture:
     """One session."""
     with database.read() as session:
-        return store.document(store.RADIOMETRIC_CAPTURES.get(session, capture_id))
+        return store.document(store.RADIOMETRIC_CAPTURES.get(session, radiometric_capture_id))
 
 
 @router.operation(
-    "DELETE /{capture_id}", "delete-radiometric-capture", "Delete a session of captures"
+    "DELETE /{radiometric_capture_id}", "delete-radiometric-capture", "Delete a session of captures"
 )
 @raises("unknown-radiometric-capture")
-def delete_capture(capture_id: CapturePath, database: DatabaseDep) -> None:
+def delete_capture(radiometric_capture_id: CapturePath, database: DatabaseDep) -> None:
     """Delete a session; radiometric calibrations that were estimated from it stay."""
     with database.write() as session:
-        session.delete(store.RADIOMETRIC_CAPTURES.get(session, capture_id, lock=True))
+        session.delete(store.RADIOMETRIC_CAPTURES.get(session, radiometric_capture_id, lock=True))
 
 
 @router.operation(
-    "POST /{capture_id}/capture", "capture-radiometric-frames", "Capture dark or flat frames"
+    "POST /{radiometric_capture_id}/capture",
+    "capture-radiometric-frames",
+    "Capture dark or flat frames",
 )
 @raises("unknown-radiometric-capture", "device-not-running", "capture-of-another-device")
 @raises("radiometric-capture-incomplete", "unusable-radiometric-capture", "not-ready")
 def capture_frames(
-    capture_id: CapturePath,
+    radiometric_capture_id: CapturePath,
     database: DatabaseDep,
     live: LiveDep,
     kind: Annotated[
@@ -134,7 +134,7 @@ def capture_frames(
     drops the flat ones.
     """
     with database.read() as session:
-        row = store.RADIOMETRIC_CAPTURES.get(session, capture_id)
+        row = store.RADIOMETRIC_CAPTURES.get(session, radiometric_capture_id)
         check_sensors_now(session, row)
         sensors = [sensor["name"] for sensor in row.sensors]
         kind = kind or store.document(row).next or "flat"
@@ -158,4 +158,4 @@ def capture_frames(
         wanted, kind, found, sensors, full_scale, temperature_c, relative_light
     )
     with database.write() as session:
-        return store.document(store.keep(session, capture_id, taken, found))
+        return store.document(store.keep(session, radiometric_capture_id, taken, found))

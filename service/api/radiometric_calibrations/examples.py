@@ -14,7 +14,7 @@ NEW_RADIOMETRIC_CAPTURES: Final[dict[str, Any]] = {
         "(docs/how-to/radiometric-calibration.md).",
         "value": {
             "id": "sim-radiometric-capture",
-            "device": "sim",
+            "device_id": "sim",
             "settings": {"frames": 64, "levels": 3},
         },
     },
@@ -46,7 +46,7 @@ NEW_RADIOMETRIC_CALIBRATIONS: Final[dict[str, Any]] = {
         "summary": "Estimated elsewhere: even and odd pixels of one sensor differ",
         "value": {
             "id": "sim-radiometric",
-            "device": "sim",
+            "device_id": "sim",
             "source": {
                 "kind": "document",
                 "sensors": {simulated_sensor_models()[0].name: _document()},

@@ -4,7 +4,7 @@ from typing import Annotated, Final
 
 from fastapi import Body, Query, Response
 
-from service.api.base_models import SLUG_PATTERN, Page, from_attributes
+from service.api.base_models import SLUG_PATTERN, from_attributes
 from service.api.concurrency_limit import ConcurrencyLimit
 from service.api.devices.device_service import DeviceServiceDep
 from service.api.devices.store import get_device, radiometric_activations, sensors_of_row
@@ -14,12 +14,11 @@ from service.api.inputs import (
     DevicePath,
     JsonTypes,
     LiveDep,
-    PagingDep,
     SettingsDep,
     id_in_path,
-    page_of,
 )
 from service.api.openapi import ResourceRouter, raises
+from service.api.paging import LATEST_FIRST, Page, PagingDep, page_of
 from service.api.radiometric_calibrations import store
 from service.api.radiometric_calibrations.examples import NEW_RADIOMETRIC_CALIBRATIONS
 from service.api.radiometric_calibrations.schema import (
@@ -53,13 +52,13 @@ RadiometricPath = Annotated[
     "List radiometric calibrations",
 )
 def list_radiometric_calibrations(
-    database: DatabaseDep, paging: PagingDep, device: DeviceFilter = None
+    database: DatabaseDep, paging: PagingDep, device_id: DeviceFilter = None
 ) -> Page[RadiometricCalibrationSummary]:
     """Radiometric calibrations without the numbers of their pixels, newest first."""
     with database.read() as session:
         return page_of(
             session,
-            store.RADIOMETRIC_CALIBRATIONS.newest_first(device_id=device),
+            store.RADIOMETRIC_CALIBRATIONS.newest_first(device_id=device_id),
             paging,
             lambda row: store.summary(session, row),
         )
@@ -90,7 +89,7 @@ def create_radiometric_calibration(
     """
     with database.read() as session:
         store.RADIOMETRIC_CALIBRATIONS.check_unused(session, request.id)
-        sensors = sensors_of_row(get_device(session, request.device))
+        sensors = sensors_of_row(get_device(session, request.device_id))
     with _limit:
         content = content_from(request, sensors, database, settings.folders.recordings, live)
     with database.write() as session:
@@ -181,4 +180,5 @@ def list_radiometric_activations(
             radiometric_activations(device_id),
             paging,
             lambda row: from_attributes(RadiometricActivation, row),
+            LATEST_FIRST,
         )

@@ -48,7 +48,7 @@ class NewRadiometricCapture(RequestModel):
     """A session of dark and flat captures to begin."""
 
     id: Slug | None = Field(default=None, description="Left out or null: the server makes one.")
-    device: Slug
+    device_id: Slug
     settings: RadiometricCaptureSettings = Field(default_factory=RadiometricCaptureSettings)
     note: Note = ""
 
@@ -82,7 +82,7 @@ class RadiometricCapture(ResponseModel):
     """A session of dark and flat captures: what is done, and what to do next."""
 
     id: str
-    device: str
+    device_id: str
     settings: RadiometricCaptureSettings
     captured: list[CapturedFrames]
     next: Kind | None = Field(description="Kind of the next capture; null: there are enough.")
@@ -118,17 +118,17 @@ class FromCapture(RequestModel):
     """Estimate from a session of captures."""
 
     kind: Literal["capture"]
-    capture: Slug
+    radiometric_capture_id: Slug
 
 
 class FromRecordings(RequestModel):
     """Estimate from recordings in the data directory's folder ``recordings``."""
 
     kind: Literal["recordings"]
-    dark: RecordingName = Field(description="Recorded with covered sensors.")
-    flats: Annotated[list[RecordingName], Field(min_length=MIN_FLATS, max_length=MAX_FLATS)] = (
-        Field(description="Recorded under even light, each with another amount of it.")
-    )
+    dark_recording_id: RecordingName = Field(description="Recorded with covered sensors.")
+    flat_recording_ids: Annotated[
+        list[RecordingName], Field(min_length=MIN_FLATS, max_length=MAX_FLATS)
+    ] = Field(description="Recorded under even light, each with another amount of it.")
     relative_light: Lights | None = None
     temperature_c: Temperature | None = None
 
@@ -169,7 +169,7 @@ class FromLines(RequestModel):
     """
 
     kind: Literal["lines"]
-    recording: RecordingName = Field(
+    recording_id: RecordingName = Field(
         description="In the data directory's folder `recordings`; one marker, seen by all sensors, "
         "moved slowly over all their pixels."
     )
@@ -195,7 +195,7 @@ class NewRadiometricCalibration(RequestModel):
     """A radiometric calibration to estimate and store."""
 
     id: Slug | None = Field(default=None, description="Left out or null: the server makes one.")
-    device: Slug
+    device_id: Slug
     source: Origin
     note: Note = ""
 
@@ -231,7 +231,7 @@ class RadiometricCalibrationSummary(ResponseModel):
     """A radiometric calibration without the numbers of its pixels."""
 
     id: str
-    device: str
+    device_id: str
     active: bool = Field(description="Whether the device uses it now.")
     origin: Literal["capture", "recordings", "scans", "document", "bad-pixels", "lines"]
     sensors: list[SensorFigures]
@@ -252,7 +252,7 @@ class RadiometricActivation(ResponseModel):
     """One change of the radiometric calibration that a device uses."""
 
     id: int
-    device: str
+    device_id: str
     radiometric_id: str | None = Field(description="null: none from then on.")
     previous_radiometric_id: str | None
     activated_at: Moment

@@ -64,10 +64,11 @@ def content_from(
     found: Mapping[str, RadiometricCalibration]
     match request.source:
         case FromCapture() as source:
-            found = _from_capture(source, request.device, database)
+            found = _from_capture(source, request.device_id, database)
         case FromRecordings() as source:
             dark, *flats = (
-                recording_path(name, recordings) for name in (source.dark, *source.flats)
+                recording_path(name, recordings)
+                for name in (source.dark_recording_id, *source.flat_recording_ids)
             )
             recorded, found = estimate_from_recordings(
                 dark,
@@ -75,7 +76,7 @@ def content_from(
                 relative_light=source.relative_light,
                 temperature_c=source.temperature_c,
             )
-            check_sensors(request.device, sensors, recorded.sensors)
+            check_sensors(request.device_id, sensors, recorded.sensors)
         case FromScans() as source:
             found = {
                 name: _from_scans(name, scans.dark, scans.flats, source)
@@ -85,13 +86,13 @@ def content_from(
             found = sensor_calibrations(source.sensors)
         case FromLines() as source:
             recorded, found = with_line_shapes(
-                recording_path(source.recording, recordings),
-                _active_sensors(request.device, database),
+                recording_path(source.recording_id, recordings),
+                _active_sensors(request.device_id, database),
             )
-            check_sensors(request.device, sensors, recorded.sensors)
+            check_sensors(request.device_id, sensors, recorded.sensors)
         case FromBadPixels():
-            found = _from_bad_pixels(live.session(request.device))
-    content = RadiometricContent(request.device, found)
+            found = _from_bad_pixels(live.session(request.device_id))
+    content = RadiometricContent(request.device_id, found)
     check_content(content, sensors)
     return content
 
@@ -100,7 +101,9 @@ def _from_capture(
     source: FromCapture, device: str, database: Database
 ) -> dict[str, RadiometricCalibration]:
     with database.read() as session:
-        row, captured, found = capture_store.complete_captures(session, source.capture, device)
+        row, captured, found = capture_store.complete_captures(
+            session, source.radiometric_capture_id, device
+        )
         names = [sensor["name"] for sensor in row.sensors]
     flats = [one for one in captured if one.kind == "flat"]
     light = [one.relative_light for one in flats if one.relative_light is not None]

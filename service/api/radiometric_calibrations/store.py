@@ -32,10 +32,12 @@ from service.problems.errors import (
 
 RADIOMETRIC_CALIBRATIONS = Resource(
     RadiometricCalibrationRow,
-    "radiometric_calibration",
+    "radiometric",
     UnknownRadiometricCalibration,
     RadiometricCalibrationExists,
-    taken="exists already and is never overwritten; choose another id, or leave it out",
+    "radiometric calibration",
+    "exists already and is never overwritten; choose another id, or leave it out",
+    "/api/v1/radiometric-calibrations",
 )
 
 
@@ -81,7 +83,7 @@ def check_content(content: RadiometricContent, now: Sequence[SensorDescription])
                 f'device "{content.device}" has the sensors {listed(now)}; the radiometric '
                 f'calibration is of "{name}" ({one.pixels} px): calibrate the sensors that the '
                 "device has now",
-                device=content.device,
+                device_id=content.device,
                 sensor=name,
             )
 
@@ -118,7 +120,7 @@ def _move(session: Session, device_id: str, target: str | None, expected: str | 
         raise ActivationConflict(
             f'device "{device_id}" uses the radiometric calibration {shown}, not "{expected}" as '
             "the request expects; look at its radiometric activations, and ask again",
-            device=device_id,
+            device_id=device_id,
             expected=expected,
             active=now,
         )

@@ -12,13 +12,13 @@ _POINTS: Final = [
 NEW_RECONSTRUCTIONS: Final[dict[str, Any]] = {
     "check": {
         "summary": "Three points, readings without standard deviations, the active calibration",
-        "value": {"id": "sim-check", "device": "sim", "points": _POINTS},
+        "value": {"id": "sim-check", "device_id": "sim", "points": _POINTS},
     },
     "weighted": {
         "summary": "One point, each reading with its standard deviation, a named calibration",
         "value": {
-            "device": "sim",
-            "calibration": "sim-nominal",
+            "device_id": "sim",
+            "calibration_id": "sim-nominal",
             "points": [
                 {
                     "name": "tip",

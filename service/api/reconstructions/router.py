@@ -16,13 +16,14 @@ from compute.reconstruction.outlier_exclusion import exclude_outliers
 from compute.reconstruction.point_batch import PointBatch
 from compute.reconstruction.triangulation import detectable_errors, reconstruct
 from hardware.driver import SensorDescription
-from service.api.base_models import SLUG_PATTERN, Page
+from service.api.base_models import SLUG_PATTERN
 from service.api.calibrations.calibration_content import observations, result_of
 from service.api.correction_tables.store import content_of
 from service.api.devices.schema import check_sensors
 from service.api.devices.store import get_device, sensors_of_row
-from service.api.inputs import DatabaseDep, DeviceFilter, JsonTypes, PagingDep, page_of
+from service.api.inputs import DatabaseDep, DeviceFilter, JsonTypes
 from service.api.openapi import ResourceRouter, raises
+from service.api.paging import Page, PagingDep, page_of
 from service.api.reconstructions import store
 from service.api.reconstructions.examples import NEW_RECONSTRUCTIONS
 from service.api.reconstructions.schema import (
@@ -52,11 +53,11 @@ ReconstructionPath = Annotated[
 
 @router.operation("GET", "list-reconstructions", "List reconstructions")
 def list_reconstructions(
-    database: DatabaseDep, paging: PagingDep, device: DeviceFilter = None
+    database: DatabaseDep, paging: PagingDep, device_id: DeviceFilter = None
 ) -> Page[ReconstructionSummary]:
     """Reconstructions without their points, newest first."""
     with database.read() as session:
-        return page_of(session, store.reconstructions(device), paging, store.summary)
+        return page_of(session, store.reconstructions(device_id), paging, store.summary)
 
 
 @router.operation("POST", "create-reconstruction", "Reconstruct points", status_code=201)
@@ -71,15 +72,15 @@ def create_reconstruction(
     A point that cannot be had is no error: its estimate has no position and a flag that says why.
     """
     with database.read() as session:
-        sensors = sensors_of_row(get_device(session, request.device))
+        sensors = sensors_of_row(get_device(session, request.device_id))
         calibration = store.calibration_for(session, request)
         calibration_id, result = calibration.id, result_of(calibration.content)
         table = store.table_for(session, request)
         table_id = None if table is None else table.id
         corrections = None if table is None else content_of(table).table
-    estimates = run_reconstruction(request.device, request.points, sensors, result, corrections)
+    estimates = run_reconstruction(request.device_id, request.points, sensors, result, corrections)
     with database.write() as session:
-        get_device(session, request.device, lock=True)
+        get_device(session, request.device_id, lock=True)
         row = store.add_reconstruction(session, request, calibration_id, table_id, estimates)
         made = store.document(row)
     response.headers["Location"] = f"/api/v1/reconstructions/{made.id}"

@@ -28,8 +28,8 @@ class NewReconstruction(RequestModel):
     """Readings of which points are computed."""
 
     id: Slug | None = Field(default=None, description="Left out or null: the server makes one.")
-    device: Slug
-    calibration: Slug | None = Field(
+    device_id: Slug
+    calibration_id: Slug | None = Field(
         default=None,
         description="One of the device's, without a table; left out or null: its active one, with "
         "its active correction table.",
@@ -59,9 +59,9 @@ class ReconstructionSummary(ResponseModel):
     """A reconstruction without its points."""
 
     id: str
-    device: str
+    device_id: str
     calibration_id: str
-    table: str | None = Field(description="The correction table used with it; null: none.")
+    table_id: str | None = Field(description="The correction table used with it; null: none.")
     point_count: int
     created_at: Moment
 

@@ -40,34 +40,34 @@ def calibration_for(session: Session, request: NewReconstruction) -> Calibration
     Raises:
         NoActiveCalibration, UnknownCalibration, CalibrationOfAnotherDevice, CalibrationRetired.
     """
-    calibration_id = request.calibration or active_id(session, request.device)
+    calibration_id = request.calibration_id or active_id(session, request.device_id)
     if calibration_id is None:
         raise NoActiveCalibration(
-            f'device "{request.device}" has no active calibration; activate one, or name one in '
+            f'device "{request.device_id}" has no active calibration; activate one, or name one in '
             "the request",
-            device=request.device,
+            device_id=request.device_id,
         )
     row = get_calibration(session, calibration_id)
-    if row.device_id != request.device:
+    if row.device_id != request.device_id:
         raise CalibrationOfAnotherDevice(
             f'calibration "{row.id}" belongs to device "{row.device_id}", the readings to device '
-            f'"{request.device}"; use a calibration of "{request.device}"',
-            calibration=row.id,
-            device=request.device,
+            f'"{request.device_id}"; use a calibration of "{request.device_id}"',
+            calibration_id=row.id,
+            device_id=request.device_id,
         )
     if row.retired_at is not None:
         raise CalibrationRetired(
             f'calibration "{row.id}" was retired on {row.retired_at:%Y-%m-%d}; use one that is '
             "available",
-            calibration=row.id,
+            calibration_id=row.id,
         )
     return row
 
 
 def table_for(session: Session, request: NewReconstruction) -> CorrectionTableRow | None:
     """Return the device's active table, None where the request names a calibration itself."""
-    pointer = active(session, request.device)
-    if request.calibration is not None or pointer is None or pointer.table_id is None:
+    pointer = active(session, request.device_id)
+    if request.calibration_id is not None or pointer is None or pointer.table_id is None:
         return None
     return TABLES.get(session, pointer.table_id)
 
@@ -82,7 +82,7 @@ def add_reconstruction(
     """Store a reconstruction; raises ReconstructionExists."""
     row = ReconstructionRow(
         id=request.id or f"rec-{secrets.token_hex(8)}",
-        device_id=request.device,
+        device_id=request.device_id,
         calibration_id=calibration_id,
         table_id=table_id,
         points=_POINTS.dump_python(request.points, mode="json"),
@@ -104,9 +104,9 @@ def summary(row: ReconstructionRow) -> ReconstructionSummary:
     """Return the reconstruction without its points."""
     return ReconstructionSummary(
         id=row.id,
-        device=row.device_id,
+        device_id=row.device_id,
         calibration_id=row.calibration_id,
-        table=row.table_id,
+        table_id=row.table_id,
         point_count=row.point_count,
         created_at=row.created_at,
     )

@@ -109,15 +109,15 @@ class WriteCounters:
 
     Args:
         open: recordings that are being written.
-        frames: frames that are safe in files.
-        dropped: frames that the writer did not keep up with.
+        frames_written: frames that are safe in files.
+        frames_dropped_writer: frames that the writer did not keep up with.
         size_bytes: of the files.
         failed: recordings that could not be written any more.
     """
 
     open: int = 0
-    frames: int = 0
-    dropped: int = 0
+    frames_written: int = 0
+    frames_dropped_writer: int = 0
     size_bytes: int = 0
     failed: int = 0
 
@@ -126,8 +126,8 @@ class WriteCounters:
         return replace(
             self,
             open=self.open + (recorder.status.ended is None),
-            frames=self.frames + recorder.status.state.frames,
-            dropped=self.dropped + recorder.dropped_frames,
+            frames_written=self.frames_written + recorder.status.state.frames,
+            frames_dropped_writer=self.frames_dropped_writer + recorder.dropped_frames,
             size_bytes=self.size_bytes + recorder.status.size_bytes,
             failed=self.failed + recorder.status.failed,
         )
@@ -163,8 +163,8 @@ def writer_job(
         lines="lines" in request.contents,
         results="results" in request.contents,
         provenance=_provenance(session, request, begin),
-        seconds=request.seconds,
-        size_bytes=request.size_bytes,
+        seconds=request.max_duration_s,
+        size_bytes=request.max_size_bytes,
         free_bytes=free_bytes,
         flush_s=flush_s,
         ring_bytes=_ring_bytes(session),

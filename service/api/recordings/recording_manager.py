@@ -10,6 +10,7 @@ from threading import Event, Lock, Thread
 from typing import Annotated, Final
 
 from service.api.inputs import of_application
+from service.api.paging import Page, Paging, page_of_sequence
 from service.api.recordings.recorder import Recorder, WriteCounters, writer_job
 from service.api.recordings.repository import RecordingRepository, unread
 from service.api.recordings.schema import NewRecording, RecordingDetail, RecordingDocument
@@ -71,7 +72,7 @@ class RecordingManager:
         """
         session = self._live.session(device_id)
         begin = datetime.now(UTC)
-        name = request.name or f"{device_id}-{begin:%Y%m%dT%H%M%S-%f}.h5"
+        name = request.id or f"{device_id}-{begin:%Y%m%dT%H%M%S-%f}.h5"
         folder = self.library.folder
         free = shutil.disk_usage(folder).free
         if free < self.free_bytes:
@@ -115,7 +116,7 @@ class RecordingManager:
                 raise RecordingInProgress(
                     f'device "{device_id}" is being recorded to "{busy[device_id]}"; stop that '
                     "first",
-                    recording=busy[device_id],
+                    recording_id=busy[device_id],
                 )
             if name in busy.values():
                 raise _exists(name)
@@ -140,15 +141,26 @@ class RecordingManager:
         """Return a recording; raises UnknownRecording."""
         return self.library.detail(self._document(name))
 
-    def page(
-        self, device_id: str | None, limit: int, offset: int
-    ) -> tuple[list[RecordingDocument], int]:
-        """Return a page of recordings, those that were changed last first, and how many match."""
-        names = self.library.names()
-        if device_id is None:
-            return self._documents(names[offset : offset + limit]), len(names)
-        found = [one for one in self._documents(names) if one.device == device_id]
-        return found[offset : offset + limit], len(found)
+    def open_recording(self, device_id: str) -> str | None:
+        """Return the recording of a device that is being written, None without one."""
+        with self._lock:
+            for name, recorder in self._active.items():
+                if recorder.session.device_id == device_id and recorder.status.ended is None:
+                    return name
+        return None
+
+    def page(self, device_id: str | None, paging: Paging) -> Page[RecordingDocument]:
+        """Return a page of recordings, those that were changed last first."""
+        files = self.library.files()
+        if device_id is not None:
+            files = [
+                (name, changed_ns)
+                for name, changed_ns in files
+                if (found := self._listed(name)) is not None and found.device_id == device_id
+            ]
+        return page_of_sequence(
+            files, paging, lambda file: self._listed(file[0]), lambda file: (-file[1], file[0])
+        )
 
     def finished_path(self, name: str) -> Path:
         """Return the path of a recording that is not being written.
@@ -161,7 +173,7 @@ class RecordingManager:
             recorder, starting = self._active.get(name), name in self._starting
         if starting or (recorder is not None and recorder.status.ended is None):
             raise RecordingInProgress(
-                f'recording "{name}" is being written; stop it first', recording=name
+                f'recording "{name}" is being written; stop it first', recording_id=name
             )
         return path
 
@@ -180,7 +192,7 @@ class RecordingManager:
         device = replayed_by(name)
         if device is not None:
             raise RecordingInUse(
-                f'device "{device}" replays "{name}"; stop the device first', device=device
+                f'device "{device}" replays "{name}"; stop the device first', device_id=device
             )
         path.unlink(missing_ok=True)
         with self._lock:
@@ -245,14 +257,12 @@ class RecordingManager:
                 device = recorder.session.device_id
                 self._past[device] = self._past.get(device, WriteCounters()).with_recorder(recorder)
 
-    def _documents(self, names: list[str]) -> list[RecordingDocument]:
-        found = []
-        for name in names:
-            try:
-                found.append(self._document(name))
-            except (UnknownRecording, OSError):
-                continue  # deleted meanwhile
-        return found
+    def _listed(self, name: str) -> RecordingDocument | None:
+        """Return the document of a recording of a list; None: it was deleted meanwhile."""
+        try:
+            return self._document(name)
+        except (UnknownRecording, OSError):
+            return None
 
     def _document(self, name: str) -> RecordingDocument:
         with self._lock:
@@ -274,20 +284,20 @@ def _of_recorder(name: str, recorder: Recorder) -> RecordingDocument:
     return RecordingDocument(
         **unread("recording", None)
         | {
-            "name": name,
-            "device": job.description.name,
+            "id": name,
+            "device_id": job.description.name,
             "contents": [
                 *(["lines"] if job.lines else []),
                 *(["results"] if job.results else []),
             ],
-            "frames": state.frames,
+            "frames_written": state.frames,
             "frames_missing": state.missing,
             "frames_dropped_compute": state.dropped_compute,
             "frames_dropped_writer": recorder.dropped_frames,
             "frames_refused": state.refused,
             "size_bytes": recorder.status.size_bytes,
             "started_at": datetime.fromisoformat(job.provenance["started_at"]),
-            "changed_at": datetime.now(UTC),
+            "updated_at": datetime.now(UTC),
         }
     )
 
@@ -302,7 +312,7 @@ def _why(session: DeviceSession) -> str:
 def _exists(name: str) -> RecordingExists:
     return RecordingExists(
         f'recording "{name}" exists already and is never overwritten; choose another name',
-        recording=name,
+        recording_id=name,
     )
 
 

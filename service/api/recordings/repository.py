@@ -53,14 +53,13 @@ class RecordingRepository:
         self._kept: dict[str, _CachedDocument] = {}
         self._lock = Lock()
 
-    def names(self) -> list[str]:
-        """Return the names of all recordings, the file that was changed last first."""
-        found = sorted(self._files(), key=lambda one: (-one[1], one[0]))
-        names = [name for name, _ in found]
-        there = set(names)
+    def files(self) -> list[tuple[str, int]]:
+        """Return the names of all recordings, and when their files were changed [ns]."""
+        found = list(self._files())
+        there = {name for name, _ in found}
         with self._lock:
             self._kept = {name: kept for name, kept in self._kept.items() if name in there}
-        return names
+        return found
 
     def path(self, name: str) -> Path:
         """Return a recording's path; raises UnknownRecording."""
@@ -80,9 +79,9 @@ class RecordingRepository:
         if kept is not None and (kept.inode, kept.size, kept.modified_ns) == now:
             return kept.document
         common = {
-            "name": name,
+            "id": name,
             "size_bytes": status.st_size,
-            "changed_at": datetime.fromtimestamp(status.st_mtime, UTC),
+            "updated_at": datetime.fromtimestamp(status.st_mtime, UTC),
         }
         try:
             with _reader(path) as reader:
@@ -98,7 +97,7 @@ class RecordingRepository:
         used: list[UsedCalibration] = []
         if document.state != "unreadable":
             try:
-                with _reader(self.path(document.name)) as reader:
+                with _reader(self.path(document.id)) as reader:
                     used = _used(reader)
             except InvalidRecording as error:
                 document = document.model_copy(update={"reason": error.detail})
@@ -121,7 +120,7 @@ class RecordingRepository:
 def unread(state: State, reason: str | None) -> dict[str, Any]:
     """Return the members of a document that nothing is known of."""
     members = (
-        "device", "frames", "duration_s", "frames_missing", "frames_dropped_compute",
+        "device_id", "frames_written", "duration_s", "frames_missing", "frames_dropped_compute",
         "frames_dropped_writer", "frames_refused", "started_at",
     )  # fmt: skip
     return dict.fromkeys(members) | {"state": state, "reason": reason, "contents": []}
@@ -141,11 +140,11 @@ def _members(info: "RecordingInfo") -> dict[str, Any]:
     if info.results:
         contents.append("results")
     return {
-        "device": info.description.name,
+        "device_id": info.description.name,
         "state": "complete" if info.complete else "incomplete",
         "reason": info.state.reason or None,
         "contents": contents,
-        "frames": info.frames,
+        "frames_written": info.frames,
         "duration_s": info.duration_s,
         "frames_missing": info.lost,
         "frames_dropped_compute": info.state.dropped_compute,
@@ -178,7 +177,7 @@ def _used(reader: "RecordingReader") -> list[UsedCalibration]:
         texts = {
             name: None if found.get(key) is None else str(found[key])
             for name, key in (
-                ("calibration", "id"), ("content_hash", "content_hash"), ("table", "table"),
+                ("calibration_id", "id"), ("content_hash", "content_hash"), ("table_id", "table"),
             )
         }  # fmt: skip
         pixels = found.get("radiometric")
@@ -186,7 +185,7 @@ def _used(reader: "RecordingReader") -> list[UsedCalibration]:
         used.append(
             UsedCalibration(
                 **texts,
-                radiometric=radiometric,
+                radiometric_id=radiometric,
                 bad_pixels=len(found.get("bad_pixels", ())),
                 from_frame=first[0] if first else None,
             )
@@ -204,7 +203,7 @@ def replaying_device(database: Database, live: PipelineManager, name: str) -> st
     for device_id, source in sources:
         if source.get("kind") != "replay":
             continue
-        same = PurePosixPath(str(source.get("recording"))) == PurePosixPath(name)
+        same = PurePosixPath(str(source.get("recording_id"))) == PurePosixPath(name)
         if same and live.status(device_id).state not in _GONE:
             return str(device_id)
     return None

@@ -5,7 +5,6 @@ from typing import Annotated, Any, Final
 from fastapi import Body, Path, Response
 from starlette.responses import FileResponse
 
-from service.api.base_models import Page
 from service.api.devices import store
 from service.api.devices.schema import RECORDING_PATTERN
 from service.api.inputs import (
@@ -13,11 +12,10 @@ from service.api.inputs import (
     DeviceFilter,
     DevicePath,
     JsonTypes,
-    Limit,
     LiveDep,
-    Offset,
 )
 from service.api.openapi import ResourceRouter, raises
+from service.api.paging import Page, PagingDep
 from service.api.recordings.recording_manager import RecordingsDep
 from service.api.recordings.repository import replaying_device
 from service.api.recordings.schema import NewRecording, RecordingDetail, RecordingDocument
@@ -29,7 +27,7 @@ router = ResourceRouter("/api/v1", "recordings")
 _NEW_RECORDINGS: Final[dict[str, Any]] = {
     "whole": {
         "summary": "Lines and results, for a minute",
-        "value": {"name": "first.h5", "contents": ["lines", "results"], "seconds": 60.0},
+        "value": {"id": "first.h5", "contents": ["lines", "results"], "max_duration_s": 60.0},
     },
 }
 _FILE: Final = {MEDIA_TYPE: {"schema": {"type": "string", "format": "binary"}}}
@@ -69,29 +67,28 @@ def start_recording(
     with database.read() as session:
         store.get_device(session, device_id)
     begun = recordings.start(device_id, request)
-    response.headers["Location"] = f"/api/v1/recordings/{begun.name}"
+    response.headers["Location"] = f"/api/v1/recordings/{begun.id}"
     return begun
 
 
 @router.operation("GET /recordings", "list-recordings", "List recordings")
 def list_recordings(
-    recordings: RecordingsDep, device: DeviceFilter = None, limit: Limit = 50, offset: Offset = 0
+    recordings: RecordingsDep, paging: PagingDep, device_id: DeviceFilter = None
 ) -> Page[RecordingDocument]:
     """Files `*.h5` below the folder `recordings`, whoever put them there, the newest first."""
-    items, total = recordings.page(device, limit, offset)
-    return Page(items=items, total=total, limit=limit, offset=offset)
+    return recordings.page(device_id, paging)
 
 
 # The paths that go on from a name come first: a name may have slashes in it.
-@router.operation("POST /recordings/{name:path}/stop", "stop-recording", "End a recording")
+@router.operation("POST /recordings/{recording_id:path}/stop", "stop-recording", "End a recording")
 @raises("unknown-recording")
-def stop_recording(name: BegunPath, recordings: RecordingsDep) -> RecordingDetail:
+def stop_recording(recording_id: BegunPath, recordings: RecordingsDep) -> RecordingDetail:
     """End a recording and close its file; one that has ended stays as it is."""
-    return recordings.stop(name)
+    return recordings.stop(recording_id)
 
 
 @router.operation(
-    "GET /recordings/{name:path}/file",
+    "GET /recordings/{recording_id:path}/file",
     "download-recording",
     "Download a recording",
     responses={
@@ -101,26 +98,28 @@ def stop_recording(name: BegunPath, recordings: RecordingsDep) -> RecordingDetai
     response_class=FileResponse,
 )
 @raises("unknown-recording", "recording-in-progress")
-def download_recording(name: FinishedPath, recordings: RecordingsDep) -> FileResponse:
+def download_recording(recording_id: FinishedPath, recordings: RecordingsDep) -> FileResponse:
     """The file, or the part of it that the header `Range` asks for.
 
     Not while this server writes it: what was sent first and last would not fit together.
     """
-    path = recordings.finished_path(name)
+    path = recordings.finished_path(recording_id)
     return FileResponse(path, media_type=MEDIA_TYPE, filename=path.name)
 
 
-@router.operation("GET /recordings/{name:path}", "get-recording", "Read about a recording")
+@router.operation("GET /recordings/{recording_id:path}", "get-recording", "Read about a recording")
 @raises("unknown-recording")
-def get_recording(name: BegunPath, recordings: RecordingsDep) -> RecordingDetail:
+def get_recording(recording_id: BegunPath, recordings: RecordingsDep) -> RecordingDetail:
     """What is in a recording, what was lost on the way, and why it ended."""
-    return recordings.get(name)
+    return recordings.get(recording_id)
 
 
-@router.operation("DELETE /recordings/{name:path}", "delete-recording", "Delete a recording")
+@router.operation(
+    "DELETE /recordings/{recording_id:path}", "delete-recording", "Delete a recording"
+)
 @raises("unknown-recording", "recording-in-progress", "recording-in-use")
 def delete_recording(
-    name: FinishedPath, database: DatabaseDep, live: LiveDep, recordings: RecordingsDep
+    recording_id: FinishedPath, database: DatabaseDep, live: LiveDep, recordings: RecordingsDep
 ) -> None:
     """Delete the file; not while it is written, or a running device replays it."""
-    recordings.delete(name, lambda wanted: replaying_device(database, live, wanted))
+    recordings.delete(recording_id, lambda wanted: replaying_device(database, live, wanted))

@@ -16,7 +16,7 @@ State = Literal["recording", "complete", "incomplete", "failed", "unreadable"]
 class NewRecording(RequestModel):
     """What is to be recorded, and until when."""
 
-    name: Annotated[str, StringConstraints(max_length=100, pattern=NAME_PATTERN)] | None = Field(
+    id: Annotated[str, StringConstraints(max_length=100, pattern=NAME_PATTERN)] | None = Field(
         default=None, description="File name, ending in .h5; null: device and time."
     )
     contents: Annotated[frozenset[Content], Field(min_length=1)] = Field(
@@ -24,10 +24,10 @@ class NewRecording(RequestModel):
         description="`lines`: the line scans as they came; only with them it can be replayed. "
         "`results`: peaks and points as they are made live.",
     )
-    seconds: Annotated[float, Field(gt=0.0, le=1e6)] | None = Field(
+    max_duration_s: Annotated[float, Field(gt=0.0, le=1e6)] | None = Field(
         default=None, description="Most time, by the device's clock; null: no limit."
     )
-    size_bytes: Annotated[int, Field(ge=2**20, le=2**50)] | None = Field(
+    max_size_bytes: Annotated[int, Field(ge=2**20, le=2**50)] | None = Field(
         default=None, description="About the largest size of the file; null: no limit."
     )
 
@@ -35,10 +35,12 @@ class NewRecording(RequestModel):
 class UsedCalibration(ResponseModel):
     """A calibration that results were made with, whole in the file."""
 
-    calibration: str | None = Field(description="Its id.")
+    calibration_id: str | None = Field(description="Its id.")
     content_hash: str | None
-    table: str | None = Field(description="Id of the correction table used with it.")
-    radiometric: str | None = Field(description="Id of the radiometric calibration of the peaks.")
+    table_id: str | None = Field(description="Id of the correction table used with it.")
+    radiometric_id: str | None = Field(
+        description="Id of the radiometric calibration of the peaks."
+    )
     bad_pixels: int = Field(
         description="Masked pixels that the live frames had shown to be bad until then."
     )
@@ -50,8 +52,8 @@ class UsedCalibration(ResponseModel):
 class RecordingDocument(ResponseModel):
     """A recording. What is null is not known, because the file cannot be read."""
 
-    name: str = Field(description="File name below the folder `recordings`.")
-    device: str | None = Field(description="The device that it is of, as it was called then.")
+    id: str = Field(description="File name below the folder `recordings`.")
+    device_id: str | None = Field(description="The device that it is of, as it was called then.")
     state: State = Field(
         description="`recording`: being written by this server. `complete`: closed by its writer. "
         "`incomplete`: not closed; its writer died, or is another program that still writes: what "
@@ -60,7 +62,7 @@ class RecordingDocument(ResponseModel):
     )
     reason: str | None = Field(description="Why it ended, or cannot be read.")
     contents: list[Content]
-    frames: int | None = Field(description="Frames in the file: safe from a crash.")
+    frames_written: int | None = Field(description="Frames in the file: safe from a crash.")
     duration_s: float | None = Field(description="From the first to the last, device's clock.")
     frames_missing: int | None = Field(
         description="Missing in the sequence from the first frame to the last, for any reason."
@@ -77,7 +79,7 @@ class RecordingDocument(ResponseModel):
     )
     size_bytes: int
     started_at: Moment | None
-    changed_at: Moment
+    updated_at: Moment
 
 
 class RecordingDetail(RecordingDocument):

@@ -120,7 +120,7 @@ def _other(
             raise CalibrationOfAnotherDevice(
                 f'calibration "{found.id}" is of device "{found.device_id}", "{row.id}" of '
                 f'"{row.device_id}"; compare calibrations of one device',
-                calibration=found.id,
+                calibration_id=found.id,
             )
         return found, "chosen"
     before = session.scalars(

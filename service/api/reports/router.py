@@ -81,11 +81,15 @@ def get_report(
     calibration_id: CalibrationPath,
     database: DatabaseDep,
     kept: ReportsDep,
-    previous: PreviousQuery = None,
+    previous_calibration_id: PreviousQuery = None,
 ) -> HTMLResponse:
     """One HTML file that needs nothing else: to read, to print, to keep."""
     page = _rendered(
-        calibration_id, previous, database, kept, lambda content: render_page(content).encode()
+        calibration_id,
+        previous_calibration_id,
+        database,
+        kept,
+        lambda content: render_page(content).encode(),
     )
     return HTMLResponse(page)
 
@@ -106,17 +110,22 @@ def get_figure(
     ],
     database: DatabaseDep,
     kept: ReportsDep,
-    previous: PreviousQuery = None,
+    previous_calibration_id: PreviousQuery = None,
 ) -> Response:
     """The figure as PNG."""
     drawn = _rendered(
-        calibration_id, previous, database, kept, partial(render_figure, figure), f"/{figure}"
+        calibration_id,
+        previous_calibration_id,
+        database,
+        kept,
+        partial(render_figure, figure),
+        f"/{figure}",
     )
     if drawn is None:
         raise NoSuchFigure(
             f'the report of calibration "{calibration_id}" has no figure {figure}: there are no '
             "control points, residuals or other calibration for it",
-            calibration=calibration_id,
+            calibration_id=calibration_id,
             figure=figure,
         )
     return Response(drawn, media_type="image/png")
@@ -124,7 +133,7 @@ def get_figure(
 
 def _rendered(
     calibration_id: str,
-    previous: str | None,
+    previous_calibration_id: str | None,
     database: Database,
     kept: ReportCache,
     render: Callable[[ReportContent], bytes | None],
@@ -132,12 +141,12 @@ def _rendered(
 ) -> bytes | None:
     """Return a part of a report from the cache, else rendered; None: there is nothing for it."""
     with database.read() as session:
-        key = report_key(session, calibration_id, previous) + part
+        key = report_key(session, calibration_id, previous_calibration_id) + part
     rendered = kept.get(key)
     if rendered is None:
         with _limit:
             with database.read() as session:
-                content = assemble_report(session, calibration_id, previous)
+                content = assemble_report(session, calibration_id, previous_calibration_id)
             rendered = render(content)
         if rendered is not None:
             kept.keep(key, rendered)

@@ -16,7 +16,7 @@ NEW_CALIBRATION_RUNS: Final[dict[str, Any]] = {
         "summary": "The calibration frame's 19 markers, as the simulated device reads them",
         "value": {
             "id": "sim-frame-run",
-            "device": "sim",
+            "device_id": "sim",
             "points": _POINTS,
             "note": "Readings rounded to 0.01 px, without standard deviations",
         },
@@ -34,8 +34,8 @@ NEW_MAPPING_RUNS: Final[dict[str, Any]] = {
         "summary": "125 places in the working volume, as the simulated device reads them",
         "value": {
             "id": "sim-map-run",
-            "device": "sim",
-            "calibration": "sim-nominal",
+            "device_id": "sim",
+            "calibration_id": "sim-nominal",
             "points": simulated_points(_GRID @ _TURNED.T),
             "note": "The simulator has no distortion: a map of nothing but rounding",
         },
@@ -47,8 +47,8 @@ NEW_UPDATE_RUNS: Final[dict[str, Any]] = {
         "summary": "Eight of the frame's markers, which stand still, read again",
         "value": {
             "id": "sim-update-run",
-            "device": "sim",
-            "calibration": "sim-nominal",
+            "device_id": "sim",
+            "calibration_id": "sim-nominal",
             "points": STILL_POINTS,
             "position_sigma_mm": 0.05,
         },
@@ -79,7 +79,7 @@ NEW_SELF_CALIBRATION_RUNS: Final[dict[str, Any]] = {
         "summary": "A wand of 300 mm, 60 times as the simulated device reads it",
         "value": {
             "id": "sim-wand-run",
-            "device": "sim",
+            "device_id": "sim",
             "recordings": [
                 {
                     "target": {"kind": "wand", "position_mm": list(_WAND_MM)},

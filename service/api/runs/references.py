@@ -32,7 +32,7 @@ def resolve_points(
     """
     if (points is None) == (capture is None):
         given = "neither" if points is None else "both"
-        raise InvalidParameter(f"of points and capture {given} are given; give one of them")
+        raise InvalidParameter(f"of points and capture_id {given} are given; give one of them")
     if points is not None:
         return points
     assert capture is not None
@@ -51,15 +51,15 @@ def resolve_calibration(session: Session, device_id: str, named: str | None) -> 
         raise NoActiveCalibration(
             f'device "{device_id}" has no active calibration; activate one, or name one '
             "in the request",
-            device=device_id,
+            device_id=device_id,
         )
     row = usable(session, name)
     if row.device_id != device_id:
         raise CalibrationOfAnotherDevice(
             f'calibration "{row.id}" is of device "{row.device_id}"; the measurements are of '
             f'"{device_id}"',
-            calibration=row.id,
-            device=device_id,
+            calibration_id=row.id,
+            device_id=device_id,
         )
     return row
 
@@ -73,27 +73,27 @@ def resolve_markers(
         InvalidParameter: the drift check is of another calibration, or markers are given beside it.
         LumilineError: what is wrong with the markers.
     """
-    if request.drift_check is None:
-        parent = resolve_calibration(session, request.device, request.calibration)
+    if request.drift_check_id is None:
+        parent = resolve_calibration(session, request.device_id, request.calibration_id)
         check_sensors(parent.device_id, sensors, result_of(parent.content).models)
         return (
             parent,
             resolve_stationary_markers(session, parent, sensors, request),
             request.position_sigma_mm,
         )
-    other = {"points", "capture", "earlier_capture", "against", "position_sigma_mm"}
+    other = {"points", "capture_id", "earlier_capture_id", "against", "position_sigma_mm"}
     given = sorted(other & request.model_fields_set)
     if given:
         raise InvalidParameter(
-            f"{given[0]} is given with drift_check, which has its own markers; give one of them"
+            f"{given[0]} is given with drift_check_id, which has its own markers; give one of them"
         )
-    check = DRIFT_CHECKS.get(session, request.drift_check)
-    if request.calibration not in (None, check.calibration_id):
+    check = DRIFT_CHECKS.get(session, request.drift_check_id)
+    if request.calibration_id not in (None, check.calibration_id):
         raise InvalidParameter(
             f'drift check "{check.id}" is of calibration "{check.calibration_id}", not of '
-            f'"{request.calibration}"; post its markers to compare them with another',
-            drift_check=check.id,
-            calibration=check.calibration_id,
+            f'"{request.calibration_id}"; post its markers to compare them with another',
+            drift_check_id=check.id,
+            calibration_id=check.calibration_id,
         )
-    parent = resolve_calibration(session, request.device, check.calibration_id)
+    parent = resolve_calibration(session, request.device_id, check.calibration_id)
     return parent, markers_of(check), float(check.given["position_sigma_mm"])

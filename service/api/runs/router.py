@@ -4,9 +4,9 @@ from typing import Annotated
 
 from fastapi import APIRouter, Query
 
-from service.api.base_models import Page
-from service.api.inputs import DatabaseDep, DeviceFilter, PagingDep, RunsDep, id_in_path, page_of
+from service.api.inputs import DatabaseDep, DeviceFilter, RunsDep, id_in_path
 from service.api.openapi import ResourceRouter, raises
+from service.api.paging import Page, PagingDep, page_of
 from service.api.runs import submit_router
 from service.api.runs.schema import Run, run_document
 from service.jobs import store
@@ -24,7 +24,7 @@ RunPath = Annotated[str, id_in_path("The run's id.", "sim-frame-run", "frame")]
 def list_runs(
     database: DatabaseDep,
     paging: PagingDep,
-    device: DeviceFilter = None,
+    device_id: DeviceFilter = None,
     kind: Annotated[Kind | None, Query(description="Only those of this kind.")] = None,
     state: Annotated[State | None, Query(description="Only those in this state.")] = None,
 ) -> Page[Run]:
@@ -32,7 +32,7 @@ def list_runs(
     with database.read() as session:
         return page_of(
             session,
-            store.RUNS.newest_first(device_id=device, kind=kind, state=state),
+            store.RUNS.newest_first(device_id=device_id, kind=kind, state=state),
             paging,
             run_document,
         )

@@ -50,7 +50,7 @@ class Run(ResponseModel):
 
     id: str
     kind: Kind
-    device: str
+    device_id: str
     state: State = Field(
         description="`interrupted`: the server ended while it ran; post it again. Of the others "
         "`queued` and `running` change by themselves."
@@ -60,7 +60,7 @@ class Run(ResponseModel):
     result_id: str | None = Field(
         description="The calibration, table or export made, once succeeded."
     )
-    result: str | None = Field(description="Its path.")
+    result_path: str | None = Field(description="Its path.")
     problem: RunProblem | None = Field(description="Why it failed.")
     created_at: Moment
     started_at: Moment | None
@@ -71,9 +71,11 @@ class PointsRequest(RequestModel):
     """Control points, or a capture session that holds them."""
 
     points: Annotated[list[ControlPoint], Field(max_length=MAX_POINTS), FIRST_ERROR_ONLY] | None = (
-        Field(default=None, description="Give these, or `capture`.")
+        Field(default=None, description="Give these, or `capture_id`.")
     )
-    capture: Slug | None = Field(default=None, description="A capture session, in place of points.")
+    capture_id: Slug | None = Field(
+        default=None, description="A capture session, in place of points."
+    )
     allow_incomplete: bool = Field(
         default=False, description="Take a capture session of which targets are missing."
     )
@@ -90,7 +92,7 @@ class NewCalibrationRun(PointsRequest, CalibrationOptions):
         default="report", description="As of a calibration; a run reports them by default."
     )
     id: RunId = None
-    device: Slug
+    device_id: Slug
     result_id: CalibrationToMake = None
     note: Note = ""
 
@@ -99,8 +101,8 @@ class NewMappingRun(PointsRequest):
     """Measurements at known places, from which a correction table is built for a calibration."""
 
     id: RunId = None
-    device: Slug
-    calibration: Slug | None = Field(
+    device_id: Slug
+    calibration_id: Slug | None = Field(
         default=None, description="The table's parent; left out: the device's active calibration."
     )
     result_id: Slug | None = Field(
@@ -136,13 +138,13 @@ class NewUpdateRun(StationaryMarkersRequest):
     """
 
     id: RunId = None
-    device: Slug
-    calibration: Slug | None = Field(
+    device_id: Slug
+    calibration_id: Slug | None = Field(
         default=None,
         description="The parent; left out: the drift check's, or the device's active calibration.",
     )
     result_id: CalibrationToMake = None
-    drift_check: Slug | None = Field(
+    drift_check_id: Slug | None = Field(
         default=None,
         description="A drift check of the parent: its markers, in place of points or capture.",
     )
@@ -167,7 +169,7 @@ class NewUpdateRun(StationaryMarkersRequest):
 
 def run_document(row: RunRow) -> Run:
     """Return the run."""
-    result = None
+    path = None
     if row.result_id is not None:
-        result = f"{RESULTS[row.kind]}/{row.result_id}"
-    return from_attributes(Run, row, result=result)
+        path = f"{RESULTS[row.kind]}/{row.result_id}"
+    return from_attributes(Run, row, result_path=path)

@@ -76,8 +76,8 @@ class NewSelfCalibrationRun(RequestModel):
     """Recordings without known coordinates, from which a device is calibrated."""
 
     id: Slug | None = Field(default=None, description="The run's; left out: the server's choice.")
-    device: Slug
-    start: Slug | None = Field(
+    device_id: Slug
+    start_calibration_id: Slug | None = Field(
         default=None,
         description="A calibration that is near, with whose terms of distortion; left out: the "
         "active one, or none with `initial` `readings`.",
@@ -85,7 +85,8 @@ class NewSelfCalibrationRun(RequestModel):
     initial: Literal["start", "readings"] = Field(
         default="start",
         description="`readings`: initial cameras are computed from a wand's readings, of four "
-        "sensors or more; a `start` then gives the frame, and which of two mirror images is right.",
+        "sensors or more; a `start_calibration_id` then gives the frame, and which of two mirror "
+        "images is right.",
     )
     directions_deg: (
         Annotated[dict[SensorName, Annotated[float, Field(ge=-360, le=360)]], Field(max_length=64)]

@@ -123,15 +123,15 @@ def create_calibration_run(request: NewCalibrationRunBody, submission: Submissio
             )
         )
 
-    return submission.run("calibration", request.device, request.id, stored)
+    return submission.run("calibration", request.device_id, request.id, stored)
 
 
 def _points(session: Session, request: NewCalibrationRun | NewMappingRun) -> list[ControlPoint]:
     return resolve_points(
         session,
-        request.device,
+        request.device_id,
         request.points,
-        request.capture,
+        request.capture_id,
         incomplete=request.allow_incomplete,
     )
 
@@ -155,12 +155,12 @@ def create_mapping_run(request: NewMappingRunBody, submission: SubmissionDep) ->
 
     def stored(session: Session, device: DeviceRow) -> dict[str, Any]:
         tables.TABLES.check_unused(session, request.result_id)
-        parent = resolve_calibration(session, request.device, request.calibration)
+        parent = resolve_calibration(session, request.device_id, request.calibration_id)
         return mapping.request_of(
             from_attributes(
                 MappingRequest,
                 request,
-                calibration=parent.id,
+                calibration_id=parent.id,
                 points=_points(session, request),
                 sensors=sensors_of_row(device),
                 settings=request.settings(),
@@ -168,7 +168,7 @@ def create_mapping_run(request: NewMappingRunBody, submission: SubmissionDep) ->
             parent,
         )
 
-    return submission.run("mapping", request.device, request.id, stored)
+    return submission.run("mapping", request.device_id, request.id, stored)
 
 
 @router.operation(
@@ -194,19 +194,19 @@ def create_self_calibration_run(
     def stored(session: Session, device: DeviceRow) -> dict[str, Any]:
         CALIBRATIONS.check_unused(session, request.result_id)
         start = None
-        if request.initial == "start" or request.start is not None:
-            start = resolve_calibration(session, request.device, request.start)
+        if request.initial == "start" or request.start_calibration_id is not None:
+            start = resolve_calibration(session, request.device_id, request.start_calibration_id)
         return self_calibration.request_of(
             from_attributes(
                 SelfCalibrationRequest,
                 request,
-                start=None if start is None else start.id,
+                start_calibration_id=None if start is None else start.id,
                 sensors=sensors_of_row(device),
             ),
             start,
         )
 
-    return submission.run("self-calibration", request.device, request.id, stored)
+    return submission.run("self-calibration", request.device_id, request.id, stored)
 
 
 @router.operation(
@@ -235,7 +235,7 @@ def create_update_run(request: NewUpdateRunBody, submission: SubmissionDep) -> R
             from_attributes(
                 UpdateRequest,
                 request,
-                calibration=parent.id,
+                calibration_id=parent.id,
                 markers=markers,
                 device_sensors=sensors,
                 position_sigma_mm=sigma,
@@ -243,7 +243,7 @@ def create_update_run(request: NewUpdateRunBody, submission: SubmissionDep) -> R
             parent,
         )
 
-    return submission.run("update", request.device, request.id, stored)
+    return submission.run("update", request.device_id, request.id, stored)
 
 
 @exports_router.operation(
@@ -263,18 +263,18 @@ def create_export_run(
 ) -> Run:
     """Follow markers and tools through a recording, in a process of its own, and write a file.
 
-    Follow the run at the header `Location`; when it has succeeded, its `result` is the export, and
-    `result` with `/file` behind it the file. A calibration that is not the recording's makes its
-    points, tracks and poses anew.
+    Follow the run at the header `Location`; when it has succeeded, its `result_path` is that of
+    the export, and with `/file` behind it that of the file. A calibration that is not the
+    recording's makes its points, tracks and poses anew.
     """
-    recordings.finished_path(request.recording)
-    frames = recordings.get(request.recording).frames
+    recordings.finished_path(request.recording_id)
+    frames = recordings.get(request.recording_id).frames_written
     if frames is not None:
-        export.check_length(request.recording, frames)
+        export.check_length(request.recording_id, frames)
     exports.check_space()
 
     def stored(session: Session, device: DeviceRow) -> dict[str, Any]:
         exports.check_unused(request.result_id)
         return export.request_of(session, device, request)
 
-    return submission.run("export", request.device, request.id, stored)
+    return submission.run("export", request.device_id, request.id, stored)

@@ -4,9 +4,9 @@ from typing import Annotated, Any, Final
 
 from fastapi import Body, Request, Response
 
-from service.api.base_models import Page
-from service.api.inputs import DatabaseDep, JsonTypes, PagingDep, id_in_path, page_of
+from service.api.inputs import DatabaseDep, JsonTypes, id_in_path
 from service.api.openapi import ResourceRouter, raises
+from service.api.paging import Page, PagingDep, page_of
 from service.api.security.schema import ApiKey, CreatedApiKey, NewApiKey, created_document, document
 from service.security import store
 

@@ -40,7 +40,7 @@ class Dependencies:
                 raise RegistrationReplaced(
                     f'registration "{name}" was {how} while it was used; what was found is of the '
                     "former one and was not kept; do it again",
-                    registration=name,
+                    registration_id=name,
                 )
 
 

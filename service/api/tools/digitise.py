@@ -65,7 +65,7 @@ def digitise_point(
     if calibration is None:
         raise NoActiveCalibration(
             f'device "{pointer.device}" has no active calibration, and so no poses; activate one',
-            device=pointer.device,
+            device_id=pointer.device,
         )
     found = waiting.end()
     return {
@@ -76,8 +76,8 @@ def digitise_point(
         "frames": found.poses,
         "first_ns": found.first_ns,
         "last_ns": found.last_ns,
-        "calibration": calibration,
-        "table": table,
+        "calibration_id": calibration,
+        "table_id": table,
     }
 
 
@@ -91,7 +91,7 @@ class _Digitiser:
         self._asked = asked
         self._capture = StationaryCapture(
             StationarySettings(
-                seconds=asked.seconds,
+                seconds=asked.duration_s,
                 max_sigma_mm=asked.max_sigma_mm,
                 max_drift_mm=asked.max_drift_mm,
                 max_gap_s=gap_s,
@@ -113,7 +113,7 @@ class _Digitiser:
         if of is not None and self.tap.active_ids is not None:
             why = of.invalid_reason(*self.tap.active_ids)
             if why is not None:
-                raise CalibrationSwitched(why, frame=self._frame.name)
+                raise CalibrationSwitched(why, frame_id=self._frame.name)
         for pose, reference in self.tap.drained():
             if self._found is None:
                 self._put(pose, reference)

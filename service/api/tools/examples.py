@@ -12,7 +12,7 @@ NEW_TOOLS: Final[dict[str, Any]] = {
         "summary": "A pointer with four strobed markers, and a tip 150 mm in front of them",
         "value": {
             "id": "pointer",
-            "device": "sim",
+            "device_id": "sim",
             "title": "Pointer",
             "markers_mm": [[0, 0, 0], [80, 0, 0], [0, 60, 0], [20, 15, 40]],
             "strobe_markers": [0, 1, 2, 3],
@@ -23,7 +23,7 @@ NEW_TOOLS: Final[dict[str, Any]] = {
         "summary": "A reference that is fixed to the patient, its markers lit together",
         "value": {
             "id": "patient",
-            "device": "sim",
+            "device_id": "sim",
             "title": "Patient reference",
             "markers_mm": [[0, 0, 0], [110, 0, 0], [0, 70, 0], [45, 50, 30]],
         },
@@ -35,24 +35,24 @@ CAPTURED_TOOLS: Final[dict[str, Any]] = {
         "description": _LIVE,
         "value": {
             "id": "clamp",
-            "device": "sim",
+            "device_id": "sim",
             "title": "Clamp",
             "strobe_markers": [4, 5, 6],
-            "seconds": 1,
+            "duration_s": 1,
         },
     },
 }
 CHANGES: Final[dict[str, Any]] = {
     "limit": {
         "summary": "Poses relative to the tracker, and a limit",
-        "value": {"reference": None, "limits": {"tip_sd_mm": 0.5}},
+        "value": {"reference_id": None, "limits": {"tip_sd_mm": 0.5}},
     },
 }
 CALIBRATIONS: Final[dict[str, Any]] = {
     "calibration": {
         "summary": "Ten seconds of poses",
         "description": _LIVE,
-        "value": {"seconds": 10, "poses": 500, "apply": True},
+        "value": {"duration_s": 10, "poses": 500, "apply": True},
     },
 }
 _BOX_MM: Final = [[x, y, z] for z in (-120, 0) for y in (-100, 100) for x in (-70, 70)]
@@ -70,7 +70,7 @@ NEW_REGISTRATIONS: Final[dict[str, Any]] = {
         "summary": "Five fiducials of an image, touched with the pointer",
         "value": {
             "id": "image",
-            "device": "sim",
+            "device_id": "sim",
             "fiducials": [
                 {"name": name, "frame_mm": frame, "measured_mm": measured}
                 for name, frame, measured in (
@@ -90,7 +90,7 @@ NEW_REGISTRATIONS: Final[dict[str, Any]] = {
         "value": {
             "id": "plate",
             "kind": "three-markers",
-            "device": "sim",
+            "device_id": "sim",
             "measured_mm": [[10, -20, 1500], [110, -20, 1500], [10, 60, 1500]],
             "measured_sigma_mm": 0.05,
         },
@@ -101,7 +101,7 @@ NEW_REGISTRATIONS: Final[dict[str, Any]] = {
         "value": {
             "id": "plate-now",
             "kind": "three-markers",
-            "device": "sim",
+            "device_id": "sim",
             "strobe_markers": [4, 5, 6],
         },
     },
@@ -112,8 +112,8 @@ NEW_REGISTRATIONS: Final[dict[str, Any]] = {
         "value": {
             "id": "image-by-skin",
             "kind": "surface",
-            "device": "sim",
-            "parent": "image",
+            "device_id": "sim",
+            "parent_id": "image",
             "surface": {"kind": "mesh", "vertices_mm": _BOX_MM, "triangles": _BOX},
             "points_mm": [
                 [round(x + 10.3, 1), round(y - 20.2, 1), round(z + 1500.1, 1)]
@@ -126,6 +126,6 @@ NEW_POINTS: Final[dict[str, Any]] = {
     "landmark": {
         "summary": "A landmark in the tracker's frame, the tip held on it for half a second",
         "description": _LIVE,
-        "value": {"name": "nasion", "frame": "tracker"},
+        "value": {"name": "nasion", "frame_id": "tracker"},
     },
 }

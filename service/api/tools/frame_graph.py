@@ -60,15 +60,15 @@ class DeviceFrames:
         """The members of answers that say when, and with which calibration."""
         entry = self._entry
         if entry is None:
-            names = ("exposure_ns", "sequence", "age_s", "calibration", "table")
+            names = ("exposure_ns", "sequence", "age_s", "calibration_id", "table_id")
             return dict.fromkeys(names)
         by_clock = (time.time_ns() - entry.exposure_ns) * 1e-9
         return {
             "exposure_ns": entry.exposure_ns,
             "sequence": entry.sequence,
             "age_s": max(by_clock, time.monotonic() - entry.arrived_s),
-            "calibration": entry.calibration_id,
-            "table": entry.table_id,
+            "calibration_id": entry.calibration_id,
+            "table_id": entry.table_id,
         }
 
     def root(self, name: str) -> str:
@@ -88,12 +88,19 @@ class DeviceFrames:
             if one not in self.nodes:
                 listed = ", ".join(f'"{known}"' for known in self.nodes)
                 raise UnknownFrame(
-                    f'device "{self.device_id}" has no frame "{one}"; it has {listed}', frame=one
+                    f'device "{self.device_id}" has no frame "{one}"; it has {listed}', frame_id=one
                 )
         members: dict[str, Any] = dict.fromkeys(
-            ("path", "matrix", "translation_mm", "rotation", "quaternion_wxyz", "covariance")
+            (
+                "path_frame_ids",
+                "matrix",
+                "translation_mm",
+                "rotation",
+                "quaternion_wxyz",
+                "covariance",
+            )
         )
-        members |= {"device": self.device_id, "frame": name, "to": to} | self.instant
+        members |= {"device_id": self.device_id, "frame_id": name, "to_frame_id": to} | self.instant
         found = self._found(to, name)
         if found is None:
             status, reason = self._why_not(to, name)
@@ -106,7 +113,7 @@ class DeviceFrames:
         return members | {
             "status": PoseStatus.OK if worst is None else worst.status,
             "reason": None if worst is None or worst.reason is None else _told(worst),
-            "path": list(path),
+            "path_frame_ids": list(path),
             "matrix": transform.matrix.tolist(),
             "translation_mm": transform.translation_mm.tolist(),
             "rotation": transform.rotation.tolist(),
@@ -143,7 +150,7 @@ def device_frames(session: Session, live: PipelineManager, device_id: str) -> De
     entry = live.poses.newest().get(device_id)
     now_ns = time.time_ns()
     active = active_ids(session, device_id)
-    in_force = active["calibration"], active["table"]
+    in_force = active["calibration_id"], active["table_id"]
     if entry is not None and entry.calibration_id is not None:
         in_force = entry.calibration_id, entry.table_id
     nodes = [Node(TRACKER, "tracker", None)]

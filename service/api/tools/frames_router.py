@@ -22,10 +22,10 @@ FramePath = Annotated[
 
 
 @router.operation(
-    "GET /{device_id}/frames", "list-frames", "A device's frames, and what connects them now"
+    "GET /{device_id}/frames", "get-frames", "A device's frames, and what connects them now"
 )
 @raises("unknown-device")
-def list_frames(device_id: DevicePath, database: DatabaseDep, live: LiveDep) -> FrameList:
+def get_frames(device_id: DevicePath, database: DatabaseDep, live: LiveDep) -> FrameList:
     """The tracker's frame, those of the tools, and the registered ones.
 
     Each has one transform, to the tracker or to the tool that it was registered relative to; a
@@ -35,15 +35,16 @@ def list_frames(device_id: DevicePath, database: DatabaseDep, live: LiveDep) -> 
         get_device(session, device_id)
         found = device_frames(session, live, device_id)
     return FrameList(
-        device=device_id,
+        device_id=device_id,
         **found.instant,
         frames=[
             from_attributes(
                 FrameState,
                 node,
-                frame=node.name,
+                id=node.name,
+                to_frame_id=node.to,
                 connected=node.to is None or node.to_from is not None,
-                root=found.root(node.name),
+                root_frame_id=found.root(node.name),
             )
             for node in found.nodes.values()
         ],
@@ -51,26 +52,26 @@ def list_frames(device_id: DevicePath, database: DatabaseDep, live: LiveDep) -> 
 
 
 @router.operation(
-    "GET /{device_id}/frames/{frame}",
+    "GET /{device_id}/frames/{frame_id}",
     "get-frame-transform",
     "The transform from one frame to another now",
 )
 @raises("unknown-device", "unknown-frame")
 def get_frame_transform(
     device_id: DevicePath,
-    frame: FramePath,
+    frame_id: FramePath,
     database: DatabaseDep,
     live: LiveDep,
-    to: Annotated[
+    to_frame_id: Annotated[
         str,
         Query(pattern=SLUG_PATTERN, description="`tracker`, a tool, or a registration."),
     ] = TRACKER,
 ) -> FrameTransform:
-    """Takes coordinates in `frame` to those in `to`, at the device's newest frame.
+    """Takes coordinates in `frame_id` to those in `to_frame_id`, at the device's newest frame.
 
     Always answered with 200: that nothing connects the frames now is a status with a reason.
     """
     with database.read() as session:
         get_device(session, device_id)
         found = device_frames(session, live, device_id)
-        return FrameTransform.model_validate(found.transform(to, frame))
+        return FrameTransform.model_validate(found.transform(to_frame_id, frame_id))

@@ -41,14 +41,14 @@ def capture_geometry(live: PipelineManager, asked: NewCapturedTool) -> tuple[Rig
         InvalidParameter: it is not said which markers are the tool's, or the device has not got
             them.
     """
-    session = live.session(asked.device)
+    session = live.session(asked.device_id)
     strobed, together = _wanted(asked, session.description.markers)
     tap = PointTap(strobed, together)
-    collect(live, session, tap, asked.seconds, tap.ended)
+    collect(live, session, tap, asked.duration_s, tap.ended)
     during = "the tool was captured; capture it again"
-    calibration_id, table_id = tap.calibration_used(asked.device, during)
+    calibration_id, table_id = tap.calibration_used(asked.device_id, during)
     tracks = tap.tracks() if strobed is not None else in_canonical_order(tap.tracks())
-    _check_seen(tracks, strobed, asked.seconds)
+    _check_seen(tracks, strobed, asked.duration_s)
     still = [
         stationary_marker(
             np.round(track.time_s * 1e9).astype(np.int64), track.position_mm, track.covariance_mm2
@@ -62,8 +62,8 @@ def capture_geometry(live: PipelineManager, asked: NewCapturedTool) -> tuple[Rig
             kind="captured",
             frames=min(one.poses for one in still),
             sigma_mm=[float(np.sqrt(np.trace(one.covariance_mm2))) for one in still],
-            calibration=calibration_id,
-            table=table_id,
+            calibration_id=calibration_id,
+            table_id=table_id,
         ),
     )
 
@@ -79,11 +79,11 @@ def _wanted(asked: NewCapturedTool, strobes: int) -> tuple[tuple[int, ...] | Non
         assert asked.markers is not None
         if strobes:
             raise InvalidParameter(
-                f'device "{asked.device}" strobes {strobes} markers; give the tool\'s as '
+                f'device "{asked.device_id}" strobes {strobes} markers; give the tool\'s as '
                 f"strobe_markers, numbers 0 to {strobes - 1}"
             )
         return None, asked.markers
-    check_strobed(asked.device, asked.strobe_markers, strobes)
+    check_strobed(asked.device_id, asked.strobe_markers, strobes)
     return tuple(asked.strobe_markers), len(asked.strobe_markers)
 
 

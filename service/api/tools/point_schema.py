@@ -12,12 +12,12 @@ class NewPoint(RequestModel):
     """A point to measure: hold the tip on it."""
 
     name: Name | None = Field(default=None, description="Goes into the answer; of any use to you.")
-    frame: Slug | None = Field(
+    frame_id: Slug | None = Field(
         default=None,
         description="`tracker`, a tool, or a registration; null: the tool's reference, without "
         "one the tracker.",
     )
-    seconds: Annotated[float, Field(ge=0.05, le=10)] = Field(
+    duration_s: Annotated[float, Field(ge=0.05, le=10)] = Field(
         default=0.5, description="How long the tip has to be still."
     )
     max_sigma_mm: Annotated[float, Field(gt=0, le=100)] = Field(
@@ -34,9 +34,9 @@ class MeasuredPoint(ResponseModel):
     """A point that a tip was held on; it is not kept."""
 
     name: str | None
-    tool: str
-    device: str
-    frame: str = Field(description="That the place is in.")
+    tool_id: str
+    device_id: str
+    frame_id: str = Field(description="That the place is in.")
     position_mm: Position = Field(
         description="The mean: `measured_mm` of a fiducial, or one of `points_mm` on a surface."
     )
@@ -48,8 +48,8 @@ class MeasuredPoint(ResponseModel):
     frames: int = Field(description="That were averaged.")
     first_ns: int = Field(description="Exposure of the first on the host's clock.")
     last_ns: int = Field(description="Of the last.")
-    tip_calibration: str | None = Field(
+    tool_calibration_id: str | None = Field(
         description="The pivot calibration that the tip is from; null: it was given."
     )
-    calibration: str = Field(description="The calibration that was active meanwhile.")
-    table: str | None = Field(description="The correction table active with it; null: none.")
+    calibration_id: str = Field(description="The calibration that was active meanwhile.")
+    table_id: str | None = Field(description="The correction table active with it; null: none.")

@@ -46,9 +46,9 @@ def measure_point(
             raise TipNotCalibrated(
                 f'tool "{tool_id}" has no tip, and its origin is no place to touch with; pivot it '
                 "(pivot-calibrations), or give it tip_mm",
-                tool=tool_id,
+                tool_id=tool_id,
             )
-        frame = frame_of(session, tool, request.frame)
+        frame = frame_of(session, tool, request.frame_id)
         pointer = Pointer(tool_id, tool.device_id, tip_limit_of(session, tool))
         registered = session.get(RegistrationRow, frame.name)
         relied = dependencies(
@@ -62,15 +62,15 @@ def measure_point(
             raise ToolReplaced(
                 f'the tip of tool "{tool_id}" was changed while a point was measured with it; '
                 "measure it again",
-                tool=tool_id,
+                tool_id=tool_id,
             )
     return MeasuredPoint.model_validate(
         found
         | {
             "name": request.name,
-            "tool": tool_id,
-            "device": pointer.device,
-            "frame": frame.name,
-            "tip_calibration": tip.calibration,
+            "tool_id": tool_id,
+            "device_id": pointer.device,
+            "frame_id": frame.name,
+            "tool_calibration_id": tip.tool_calibration_id,
         }
     )

@@ -58,13 +58,13 @@ def frame_of(session: Session, tool: ToolRow, wanted: str | None) -> Frame:
         raise UnknownTool(
             f'no tool and no registration is called "{name}"; a frame is one of these, or '
             f'"{TRACKER}"',
-            frame=name,
+            frame_id=name,
         )
     if found.device_id != tool.device_id:
         raise InvalidParameter(
             f'frame "{name}" is of device "{found.device_id}", and tool "{tool.id}" of '
             f'"{tool.device_id}"; nothing connects them',
-            frame=name,
+            frame_id=name,
         )
     if isinstance(found, RegistrationRow):
         return Frame(
@@ -74,7 +74,7 @@ def frame_of(session: Session, tool: ToolRow, wanted: str | None) -> Frame:
             provenance(session, found),
         )
     if name == tool.id:
-        raise InvalidParameter(f'frame "{name}" is the tool\'s own; ask for another', frame=name)
+        raise InvalidParameter(f'frame "{name}" is the tool\'s own; ask for another', frame_id=name)
     return Frame(name, name)
 
 
@@ -107,13 +107,13 @@ def newest_pose(live: PipelineManager, tool: ToolRow, frame: Frame, max_tip_sd_m
             moved = ToolPose(tool.id, PoseStatus.INVALID, why, moved.exposure_ns, moved.sequence)
     seen = entry is not None
     members: dict[str, Any] = pose_members(moved) | {
-        "device": tool.device_id,
-        "frame": frame.name,
+        "device_id": tool.device_id,
+        "frame_id": frame.name,
         "exposure_ns": moved.exposure_ns if seen else None,
         "sequence": moved.sequence if seen else None,
         "age_s": None if entry is None else _age_s(entry, moved, now_ns),
-        "calibration": None if entry is None else entry.calibration_id,
-        "table": None if entry is None else entry.table_id,
+        "calibration_id": None if entry is None else entry.calibration_id,
+        "table_id": None if entry is None else entry.table_id,
         "matrix": None,
     }
     if moved.rotation is not None and moved.translation_mm is not None:

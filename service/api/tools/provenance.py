@@ -54,15 +54,15 @@ def active_ids(session: Session, device_id: str) -> dict[str, str | None]:
     """Return the ids of the active calibration and table, as measurements store them."""
     pointer = active(session, device_id)
     return {
-        "calibration": None if pointer is None else pointer.calibration_id,
-        "table": None if pointer is None else pointer.table_id,
+        "calibration_id": None if pointer is None else pointer.calibration_id,
+        "table_id": None if pointer is None else pointer.table_id,
     }
 
 
 def provenance(session: Session, row: RegistrationRow) -> Provenance:
     """Return what a registration was measured with."""
-    table = row.result.get("table")
-    if "table" not in row.result:  # stored by a version that did not keep it
+    table = row.result.get("table_id")
+    if "table_id" not in row.result:  # stored by a version that did not keep it
         then = active_at(session, row.device_id, row.created_at)
         table = None if then is None else then.table_id
-    return Provenance(row.id, row.reference_id is None, row.result.get("calibration"), table)
+    return Provenance(row.id, row.reference_id is None, row.result.get("calibration_id"), table)

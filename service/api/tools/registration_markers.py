@@ -66,7 +66,7 @@ def of_markers(live: PipelineManager, request: NewThreeMarkers) -> NewRegistrati
         "warnings": _warnings(found.covariance),
     }
     asked = request.model_dump(mode="json", exclude={"note"})
-    return NewRegistrationRecord(result, asked, request.reference, measured_with)
+    return NewRegistrationRecord(result, asked, request.reference_id, measured_with)
 
 
 def _given_covariances(request: NewThreeMarkers) -> Array:
@@ -106,22 +106,22 @@ def _looked_at(
         )
     if len(set(numbers)) < 3:
         raise InvalidParameter(f"strobe_markers is {list(numbers)}; M1, M2 and M3 are three")
-    session = live.session(request.device)
-    check_strobed(request.device, numbers, session.description.markers)
-    tap = MarkerTap(numbers, request.reference)
-    collect(live, session, tap, request.seconds, tap.ended)
-    used = tap.calibration_used(request.device, "the markers were measured; do it again")
+    session = live.session(request.device_id)
+    check_strobed(request.device_id, numbers, session.description.markers)
+    tap = MarkerTap(numbers, request.reference_id)
+    collect(live, session, tap, request.duration_s, tap.ended)
+    used = tap.calibration_used(request.device_id, "the markers were measured; do it again")
     counts = [len(tap.observations[number]) for number in numbers]
     if min(counts) < MIN_FRAMES:
         listed = ", ".join(f"{one}: {count}" for one, count in zip(numbers, counts, strict=True))
         without = ""
         if tap.without_reference:
             without = (
-                f'; in {tap.without_reference} more the reference "{request.reference}" had no '
+                f'; in {tap.without_reference} more the reference "{request.reference_id}" had no '
                 f"pose to use ({tap.reason})"
             )
         raise NoObservation(
-            f"in {request.seconds:g} s the markers were seen in so many frames: {listed}; each "
+            f"in {request.duration_s:g} s the markers were seen in so many frames: {listed}; each "
             f"must be in at least {MIN_FRAMES}{without}",
             frames=min(counts),
         )

@@ -52,7 +52,7 @@ class _Named(RequestModel):
     id: Slug = Field(
         description="Name of the frame; unique among all registrations and tools. Not `tracker`."
     )
-    device: Slug
+    device_id: Slug
     targets: Annotated[list[Target], Field(max_length=MAX_PAIRS)] = Field(
         default_factory=list, description="Places in the frame at which the error is asked for."
     )
@@ -60,7 +60,7 @@ class _Named(RequestModel):
 
 
 class _Measured(_Named):
-    reference: Slug | None = Field(
+    reference_id: Slug | None = Field(
         default=None,
         description="The tool that the points were measured relative to, such as one that is "
         "fixed to the patient: the frame goes with it. null: the tracker.",
@@ -104,16 +104,16 @@ class NewThreeMarkers(_Measured):
     strobe_markers: tuple[Marker, Marker, Marker] | None = Field(
         default=None, description="Strobed markers that are M1, M2 and M3, to be measured now."
     )
-    seconds: Annotated[float, Field(gt=0, le=60)] = Field(
+    duration_s: Annotated[float, Field(gt=0, le=60)] = Field(
         default=1.0, description="How long strobed markers are looked at."
     )
 
 
 class _SurfaceOptions(_Named):
     kind: Literal["surface"]
-    parent: Slug = Field(
+    parent_id: Slug = Field(
         description="The registration of the same frame that is refined: it is the start, and its "
-        "`reference` that of the new one."
+        "`reference_id` that of the new one."
     )
     points_mm: Annotated[list[Position], Field(min_length=MIN_SURFACE_POINTS), FIRST_ERROR_ONLY] = (
         Field(
@@ -220,21 +220,21 @@ class Registration(ResponseModel):
 
     id: str
     kind: Kind
-    device: str
-    reference: str | None
-    parent: str | None = Field(
+    device_id: str
+    reference_id: str | None
+    parent_id: str | None = Field(
         default=None, description="The registration that this one refined; it may be deleted."
     )
     parent_created_at: Moment | None = None
-    calibration: str | None = Field(
+    calibration_id: str | None = Field(
         default=None,
-        description="Active when it was made. Without a `reference` the frame is one of its world: "
-        "while another is in force, poses in it are `INVALID`.",
+        description="Active when it was made. Without a `reference_id` the frame is one of its "
+        "world: while another is in force, poses in it are `INVALID`.",
     )
-    table: str | None = Field(
+    table_id: str | None = Field(
         default=None,
         description="The correction table that was active with it. While another one, or none, "
-        "is in force, poses in the frame are `INVALID`, with a `reference`, too.",
+        "is in force, poses in the frame are `INVALID`, with a `reference_id`, too.",
     )
     matrix: Matrix4 = Field(
         description="From the frame to where points were measured, 4 x 4, row by row."

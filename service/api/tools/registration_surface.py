@@ -179,7 +179,7 @@ def _check_near(request: NewSurface, rotation_deg: float, shifted_mm: float) -> 
         if most > 0.0 and value > most:
             raise HighError(
                 f"the points lie on the surface {value:.3g} {unit} from where registration "
-                f'"{request.parent}" puts them, and {name} is {most:g}: one of the two is wrong; '
-                f"look which, or give a larger {name}",
+                f'"{request.parent_id}" puts them, and {name} is {most:g}: one of the two is '
+                f"wrong; look which, or give a larger {name}",
                 **{name: most, "found": value},
             )

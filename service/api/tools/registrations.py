@@ -72,11 +72,11 @@ def check_new(session: Session, request: NewAny, reference: str | None) -> None:
     check_free(session, request.id, REGISTRATIONS)
     if reference is not None:
         tool = TOOLS.get(session, reference)
-        if tool.device_id != request.device:
+        if tool.device_id != request.device_id:
             raise InvalidParameter(
                 f'tool "{tool.id}" is of device "{tool.device_id}"; the reference must be of '
-                f'"{request.device}"',
-                reference=tool.id,
+                f'"{request.device_id}"',
+                reference_id=tool.id,
             )
 
 
@@ -88,14 +88,14 @@ def check_parent(session: Session, request: NewSurface, parent: RegistrationRow)
         InvalidParameter: it is another device's, or its frame does not hold with what is active.
     """
     check_new(session, request, None)
-    if parent.device_id != request.device:
+    if parent.device_id != request.device_id:
         raise InvalidParameter(
             f'registration "{parent.id}" is of device "{parent.device_id}", not of '
-            f'"{request.device}"; name one of the same device',
+            f'"{request.device_id}"; name one of the same device',
             parent=parent.id,
         )
-    active = active_ids(session, request.device)
-    why = provenance(session, parent).invalid_reason(active["calibration"], active["table"])
+    active = active_ids(session, request.device_id)
+    why = provenance(session, parent).invalid_reason(active["calibration_id"], active["table_id"])
     if why is not None:
         raise InvalidParameter(f"{why}, and refine that one", parent=parent.id)
 
@@ -112,16 +112,16 @@ def add_registration(
     """
     check_new(session, request, made.reference)
     made.dependencies.check(session)
-    active = active_ids(session, request.device)
-    if made.measured_with not in (None, (active["calibration"], active["table"])):
+    active = active_ids(session, request.device_id)
+    if made.measured_with not in (None, (active["calibration_id"], active["table_id"])):
         raise CalibrationSwitched(
-            f'another calibration or table of device "{request.device}" was activated while '
+            f'another calibration or table of device "{request.device_id}" was activated while '
             f'registration "{request.id}" was made; do it again',
-            device=request.device,
+            device_id=request.device_id,
         )
     row = RegistrationRow(
         id=request.id,
-        device_id=request.device,
+        device_id=request.device_id,
         reference_id=made.reference,
         asked=made.asked,
         result=made.result | active,

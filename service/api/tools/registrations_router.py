@@ -5,19 +5,17 @@ from typing import Annotated
 
 from fastapi import Body, Response
 
-from service.api.base_models import Page
 from service.api.devices.store import get_device
 from service.api.inputs import (
     DatabaseDep,
     DeviceFilter,
     JsonTypes,
     LiveDep,
-    PagingDep,
     SettingsDep,
     id_in_path,
-    page_of,
 )
 from service.api.openapi import ResourceRouter, raises
+from service.api.paging import Page, PagingDep, page_of
 from service.api.tools import concurrency_limits
 from service.api.tools import registrations as store
 from service.api.tools.dependency_check import dependencies
@@ -46,12 +44,12 @@ RegistrationPath = Annotated[
 
 @router.operation("GET", "list-registrations", "List registrations")
 def list_registrations(
-    database: DatabaseDep, paging: PagingDep, device: DeviceFilter = None
+    database: DatabaseDep, paging: PagingDep, device_id: DeviceFilter = None
 ) -> Page[Registration]:
     """Registrations, newest first."""
     with database.read() as session:
         return page_of(
-            session, store.REGISTRATIONS.newest_first(device_id=device), paging, store.document
+            session, store.REGISTRATIONS.newest_first(device_id=device_id), paging, store.document
         )
 
 
@@ -82,10 +80,10 @@ def create_registration(
     them. Hold them still until this answers.
 
     `surface`: points measured on a surface that is known in the frame refine the registration
-    `parent`. Tells how far off it they are, and which motion it holds least.
+    `parent_id`. Tells how far off it they are, and which motion it holds least.
 
     All tell what to expect at targets (TRE). Poses can be asked for in the frame from then on:
-    `GET /api/v1/tools/{id}/pose?frame=ID`.
+    `GET /api/v1/tools/{id}/pose?frame_id=ID`.
     """
     asked = request.root
     if isinstance(asked, NewPairedPoints):
@@ -95,7 +93,7 @@ def create_registration(
     else:
         made = _of_surface(database, settings, asked)
     with database.write() as session:
-        get_device(session, asked.device, lock=True)
+        get_device(session, asked.device_id, lock=True)
         found = store.document(store.add_registration(session, asked, made))
     response.headers["Location"] = f"/api/v1/registrations/{found.id}"
     return found
@@ -105,7 +103,7 @@ def _of_pairs(asked: NewPairedPoints) -> store.NewRegistrationRecord:
     from service.api.tools.registration_pairs import paired
 
     kept = asked.model_dump(mode="json", exclude={"note"})
-    return store.NewRegistrationRecord(paired(asked), kept, asked.reference)
+    return store.NewRegistrationRecord(paired(asked), kept, asked.reference_id)
 
 
 def _of_markers(
@@ -114,9 +112,9 @@ def _of_markers(
     from service.api.tools.registration_markers import of_markers
 
     with database.read() as session:
-        get_device(session, asked.device)
-        store.check_new(session, asked, asked.reference)
-        relied = dependencies(session, [asked.reference])
+        get_device(session, asked.device_id)
+        store.check_new(session, asked, asked.reference_id)
+        relied = dependencies(session, [asked.reference_id])
     if asked.strobe_markers is None:
         return replace(of_markers(live, asked), dependencies=relied)
     with concurrency_limits.captures:
@@ -130,17 +128,17 @@ def _of_surface(
 
     check_size(asked, settings)
     with database.read() as session:
-        get_device(session, asked.device)
-        parent = store.REGISTRATIONS.get(session, asked.parent)
+        get_device(session, asked.device_id)
+        parent = store.REGISTRATIONS.get(session, asked.parent_id)
         store.check_parent(session, asked, parent)
         start = store.frame_from_measured(parent)
-        active = active_ids(session, asked.device)
+        active = active_ids(session, asked.device_id)
         reference, created = parent.reference_id, parent.created_at
         relied = dependencies(session, [reference], [parent])
     with concurrency_limits.surfaces:
         result = refine_by_surface(asked, start)
-    of = {"parent": asked.parent, "parent_created_at": created.isoformat()}
-    with_these = (active["calibration"], active["table"])
+    of = {"parent_id": asked.parent_id, "parent_created_at": created.isoformat()}
+    with_these = (active["calibration_id"], active["table_id"])
     return store.NewRegistrationRecord(
         result | of, stored_request(asked), reference, with_these, relied
     )

@@ -9,7 +9,7 @@ from compute.errors import (
     InvalidParameter,
 )
 from compute.pose.rigid_body import RigidBody
-from service.api.base_models import SLUG_PATTERN, Page
+from service.api.base_models import SLUG_PATTERN
 from service.api.devices.device_service import DeviceService, DeviceServiceDep
 from service.api.devices.store import get_device
 from service.api.inputs import (
@@ -17,11 +17,10 @@ from service.api.inputs import (
     DeviceFilter,
     JsonTypes,
     LiveDep,
-    PagingDep,
     id_in_path,
-    page_of,
 )
 from service.api.openapi import ResourceRouter, raises
+from service.api.paging import BY_ID, Page, PagingDep, page_of
 from service.api.tools import concurrency_limits, store
 from service.api.tools.examples import (
     CALIBRATIONS,
@@ -55,10 +54,12 @@ SpunPath = Annotated[str, id_in_path("The tool's id.", "clamp", "clamp", _CAPTUR
 
 
 @router.operation("GET /tools", "list-tools", "List tools")
-def list_tools(database: DatabaseDep, paging: PagingDep, device: DeviceFilter = None) -> Page[Tool]:
+def list_tools(
+    database: DatabaseDep, paging: PagingDep, device_id: DeviceFilter = None
+) -> Page[Tool]:
     """Tools by id."""
     with database.read() as session:
-        return page_of(session, store.tools(device), paging, store.document)
+        return page_of(session, store.tools(device_id), paging, store.document, BY_ID)
 
 
 @router.operation("POST /tools", "create-tool", "Create a tool of known geometry", status_code=201)
@@ -95,7 +96,7 @@ def capture_tool(
     from service.api.tools.geometry_capture import capture_geometry
 
     with database.read() as session:
-        get_device(session, request.device)
+        get_device(session, request.device_id)
         store.check_new(session, request, request.strobe_markers)
     with concurrency_limits.captures:
         body, origin = capture_geometry(live, request)
@@ -118,9 +119,9 @@ def _add(
     origin: Origin,
     response: Response,
 ) -> Tool:
-    with device_service.tools_change(request.device) as session:
+    with device_service.tools_change(request.device_id) as session:
         store.check_new(session, request, body.strobe_markers)
-        check_geometry(body, store.tools_of(session, request.device))
+        check_geometry(body, store.tools_of(session, request.device_id))
         made = store.document(store.add_tool(session, request, body, origin))
     response.headers["Location"] = f"/api/v1/tools/{made.id}"
     return made
@@ -161,7 +162,7 @@ def get_tool_pose(
     tool_id: ToolPath,
     database: DatabaseDep,
     live: LiveDep,
-    frame: Annotated[
+    frame_id: Annotated[
         str | None,
         Query(
             pattern=SLUG_PATTERN,
@@ -175,7 +176,7 @@ def get_tool_pose(
     """
     with database.read() as session:
         tool = store.TOOLS.get(session, tool_id)
-        wanted = frame_of(session, tool, frame)
+        wanted = frame_of(session, tool, frame_id)
         return newest_pose(live, tool, wanted, max_tip_sd_mm(session, tool))
 
 

@@ -42,13 +42,13 @@ class _Described(RequestModel):
         description="Unique among all tools and registrations; also the name of the tool's frame. "
         f"Not `{TRACKER}`, which is the device's own."
     )
-    device: Slug
+    device_id: Slug
     title: Text200
     tip_mm: Position | None = Field(
         default=None,
         description="The working point in the tool's coordinates; null: its origin.",
     )
-    reference: Slug | None = Field(
+    reference_id: Slug | None = Field(
         default=None,
         description="The tool of the same device that poses are given relative to, such as one "
         "that is fixed to the patient; null: the tracker.",
@@ -82,7 +82,7 @@ class NewCapturedTool(_Described):
         default=None,
         description="How many markers it has, and are in view, when they are lit together.",
     )
-    seconds: float = Field(default=1.0, gt=0, le=60, description="How long it is looked at.")
+    duration_s: float = Field(default=1.0, gt=0, le=60, description="How long it is looked at.")
     tip_mm: Position | None = Field(
         default=None, description="The working point in the coordinates that it will have."
     )
@@ -93,7 +93,7 @@ class ToolChange(RequestModel):
 
     title: Text200 = absent()
     tip_mm: Position | None = Field(default=None, description="null: its origin.")
-    reference: Slug | None = Field(default=None, description="null: the tracker.")
+    reference_id: Slug | None = Field(default=None, description="null: the tracker.")
     limits: ToolLimits = absent()
     note: Note = absent()
 
@@ -105,7 +105,7 @@ class Tip(ResponseModel):
     covariance_mm2: Matrix3 | None = Field(
         default=None, description="null: not known, taken as exact."
     )
-    calibration: str | None = Field(
+    tool_calibration_id: str | None = Field(
         default=None, description="The pivot calibration that it is from; null: it was given."
     )
     axis: Position | None = Field(
@@ -122,8 +122,8 @@ class Origin(ResponseModel):
         default=None,
         description="Standard deviation in space of each captured marker's place [mm].",
     )
-    calibration: str | None = Field(default=None, description="Active during the capture.")
-    table: str | None = Field(
+    calibration_id: str | None = Field(default=None, description="Active during the capture.")
+    table_id: str | None = Field(
         default=None, description="The correction table that was active with it; null: none."
     )
 
@@ -132,12 +132,12 @@ class Tool(ResponseModel):
     """A tool."""
 
     id: str
-    device: str
+    device_id: str
     title: str
     markers_mm: list[Position]
     strobe_markers: list[int] | None
     tip: Tip
-    reference: str | None
+    reference_id: str | None
     limits: ToolLimits
     origin: Origin
     note: str
@@ -148,9 +148,9 @@ class Tool(ResponseModel):
 class Pose(ResponseModel):
     """The newest pose of a tool, or why there is none."""
 
-    tool: str
-    device: str
-    frame: str = Field(
+    tool_id: str
+    device_id: str
+    frame_id: str = Field(
         description=f"What it is relative to: `{TRACKER}`, a tool, or a registration."
     )
     status: PoseStatus = Field(description="Only a pose that is OK is one to use.")
@@ -160,8 +160,10 @@ class Pose(ResponseModel):
     )
     sequence: int | None = Field(description="Number of the frame.")
     age_s: float | None = Field(description="Since the exposure, when this was answered.")
-    calibration: str | None = Field(description="The calibration that was active for this frame.")
-    table: str | None = Field(description="The correction table active with it; null: none.")
+    calibration_id: str | None = Field(
+        description="The calibration that was active for this frame."
+    )
+    table_id: str | None = Field(description="The correction table active with it; null: none.")
     translation_mm: Position | None = Field(description="The tool's origin in the frame.")
     rotation: Matrix3 | None = Field(description="R_frame_tool, row by row.")
     quaternion_wxyz: tuple[float, float, float, float] | None = Field(
@@ -196,7 +198,9 @@ class Pose(ResponseModel):
 class NewToolCalibration(RequestModel):
     """What a calibration from live poses takes."""
 
-    seconds: float = Field(default=10.0, gt=0, le=120, description="How long poses are collected.")
+    duration_s: float = Field(
+        default=10.0, gt=0, le=120, description="How long poses are collected."
+    )
     poses: Annotated[int, Field(ge=10, le=5000)] = Field(
         default=500, description="Poses that are used at most, evenly from all of that time."
     )
@@ -214,8 +218,8 @@ class ToolCalibration(ResponseModel):
     """A pivot or spin calibration and what it found."""
 
     id: str
-    tool: str
-    device: str
+    tool_id: str
+    device_id: str
     kind: Literal["pivot", "spin"]
     applied: bool
     poses: int = Field(description="Poses that were used.")
@@ -234,10 +238,10 @@ class ToolCalibration(ResponseModel):
     smallest_rotation_deg: float = Field(
         description="RMS angle by which the tool swung where it did least."
     )
-    calibration: str | None = Field(
+    calibration_id: str | None = Field(
         default=None, description="Active while poses were collected; null: not kept."
     )
-    table: str | None = Field(
+    table_id: str | None = Field(
         default=None, description="The correction table that was active with it; null: none."
     )
     request: NewToolCalibration

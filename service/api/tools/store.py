@@ -51,7 +51,7 @@ def get_same_tool(session: Session, tool_id: str, created_at: datetime) -> ToolR
         raise ToolReplaced(
             f'tool "{tool_id}" was deleted and created again while it was measured; what was found '
             "is of the former one and was not kept; do it again",
-            tool=tool_id,
+            tool_id=tool_id,
         )
     return row
 
@@ -71,7 +71,7 @@ def check_free(session: Session, identity: str, resource: Resource[Any] = TOOLS)
     for table, what in ((ToolRow, "tool"), (RegistrationRow, "registration")):
         if session.get(table, identity) is not None:
             detail = f'{what} "{identity}" exists already; choose another id'
-            raise resource.exists(detail, **{resource.key: identity})
+            raise resource.exists(detail, **{f"{resource.key}_id": identity})
 
 
 def check_new(
@@ -87,7 +87,7 @@ def check_new(
         InvalidParameter: a marker is named twice, or the reference is another device's.
     """
     check_free(session, request.id)
-    device = request.device
+    device = request.device_id
     count = session.scalar(
         select(func.count()).select_from(ToolRow).where(ToolRow.device_id == device)
     )
@@ -96,7 +96,7 @@ def check_new(
             f'device "{device}" has {count} tools already, as many as it may; delete one',
             tools=count,
         )
-    _check_reference(session, request.id, device, request.reference)
+    _check_reference(session, request.id, device, request.reference_id)
     if strobe_markers is None:
         return
     if len(set(strobe_markers)) != len(strobe_markers):
@@ -109,7 +109,7 @@ def check_new(
             raise MarkersTaken(
                 f'marker {taken[0]} belongs to tool "{other.id}" of device "{device}"; give each '
                 "tool markers of its own",
-                tool=other.id,
+                tool_id=other.id,
                 markers=taken,
             )
 
@@ -124,7 +124,7 @@ def _check_reference(session: Session, tool_id: str, device_id: str, reference: 
         raise InvalidParameter(
             f'tool "{reference}" is of device "{other.device_id}"; a reference must be of the same '
             f'device, "{device_id}"',
-            reference=reference,
+            reference_id=reference,
         )
     chain = [reference]
     while (further := other.reference_id) is not None and further not in chain:
@@ -134,7 +134,7 @@ def _check_reference(session: Session, tool_id: str, device_id: str, reference: 
             raise InvalidParameter(
                 f"tools would be relative to one another: {listed}; name a reference that does "
                 "not lead back",
-                reference=reference,
+                reference_id=reference,
             )
         other = TOOLS.get(session, further)
 
@@ -149,12 +149,12 @@ def add_tool(
     now = datetime.now(UTC)
     row = ToolRow(
         id=request.id,
-        device_id=request.device,
+        device_id=request.device_id,
         title=request.title,
         markers_mm=body.markers_mm.tolist(),
         strobe_markers=None if body.strobe_markers is None else list(body.strobe_markers),
         tip=_given_tip(request.tip_mm),
-        reference_id=request.reference,
+        reference_id=request.reference_id,
         limits=request.limits.model_dump(mode="json"),
         origin=origin.model_dump(mode="json"),
         note=request.note,
@@ -177,9 +177,9 @@ def change_tool(session: Session, row: ToolRow, change: ToolChange) -> ToolRow:
         # The axis of a spin calibration goes with the geometry, not with the tip.
         kept = tip_of(row).axis
         row.tip = _given_tip(change.tip_mm, kept)
-    if "reference" in given:
-        _check_reference(session, row.id, row.device_id, change.reference)
-        row.reference_id = change.reference
+    if "reference_id" in given:
+        _check_reference(session, row.id, row.device_id, change.reference_id)
+        row.reference_id = change.reference_id
     if "limits" in given:
         row.limits = change.limits.model_dump(mode="json")
     row.updated_at = datetime.now(UTC)
@@ -204,7 +204,7 @@ def delete_tool(session: Session, row: ToolRow) -> None:
         select(HoldRow.id).where(HoldRow.tool_id == row.id).order_by(HoldRow.id).limit(1)
     )
     if hold is not None:
-        raise ToolInUse(f'hold "{hold}" watches tool "{row.id}"; delete it first', tool=row.id)
+        raise ToolInUse(f'hold "{hold}" watches tool "{row.id}"; delete it first', tool_id=row.id)
     for table, what in ((ToolRow, "tool"), (RegistrationRow, "registration")):
         user = session.scalar(
             select(table.id).where(table.reference_id == row.id).order_by(table.id).limit(1)
@@ -212,7 +212,7 @@ def delete_tool(session: Session, row: ToolRow) -> None:
         if user is not None:
             raise ToolInUse(
                 f'{what} "{user}" is relative to tool "{row.id}"; delete or change it first',
-                tool=row.id,
+                tool_id=row.id,
             )
     for one in session.scalars(calibrations(row.id)):
         session.delete(one)
@@ -222,12 +222,8 @@ def delete_tool(session: Session, row: ToolRow) -> None:
 
 
 def calibrations(tool_id: str) -> Select[ToolCalibrationRow]:
-    """Return a tool's calibrations, newest first."""
-    return (
-        select(ToolCalibrationRow)
-        .filter_by(tool_id=tool_id)
-        .order_by(ToolCalibrationRow.created_at.desc(), ToolCalibrationRow.id)
-    )
+    """Return a tool's calibrations."""
+    return select(ToolCalibrationRow).filter_by(tool_id=tool_id)
 
 
 def add_calibration(
@@ -265,7 +261,7 @@ def add_calibration(
             found = {
                 "position_mm": result["tip_mm"],
                 "covariance_mm2": result["tip_covariance_mm2"],
-                "calibration": row.id,
+                "tool_calibration_id": row.id,
             }
         tool.tip = Tip.model_validate(tip.model_dump() | found).model_dump(mode="json")
         tool.updated_at = row.created_at

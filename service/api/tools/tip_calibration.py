@@ -36,18 +36,18 @@ def calibrate_tip(
     """
     session = live.session(device_id)
     tap = PoseTap(tool_id, reference if asked.relative else None, MAX_COLLECTED)
-    collect(live, session, tap, asked.seconds, tap.ended)
+    collect(live, session, tap, asked.duration_s, tap.ended)
     tap.check_single(device_id, "poses were collected; do it again")
     chosen = subsample(tap.poses, asked.poses)
     if not chosen:
         seen = ", ".join(f"{status}: {count}" for status, count in tap.statuses.items())
         raise TooFewPoses(
-            f'no pose of tool "{tool_id}" was OK in {asked.seconds:g} s '
+            f'no pose of tool "{tool_id}" was OK in {asked.duration_s:g} s '
             f"({seen or 'no frame came'}{f'; {tap.reason}' if tap.reason else ''})",
             poses=0,
         )
     calibration_id, table_id = tap.active_ids or (None, None)
-    return _found(kind, chosen) | {"calibration": calibration_id, "table": table_id}
+    return _found(kind, chosen) | {"calibration_id": calibration_id, "table_id": table_id}
 
 
 def subsample(poses: list[ToolPose], max_poses: int) -> list[ToolPose]:

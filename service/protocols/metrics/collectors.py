@@ -35,17 +35,17 @@ Members = tuple[tuple[str, str, str], ...]
 """Name, text and member of an object of several metrics; see ``members_of``."""
 
 _FRAMES: Final[Members] = (
-    ("frames_received", "Frames received from the device's driver.", "frames"),
+    ("frames_received", "Frames received from the device's driver.", "frames_received"),
     ("frames_processed", "Frames that were published to streams.", "frames_processed"),
     (
-        "exposures_lost",
+        "frames_lost",
         "Exposures missing in the device's sequence numbers.",
-        "frames_lost_device",
+        "frames_lost",
     ),
     (
-        "frames_dropped",
+        "frames_dropped_compute",
         "Frames dropped in front of the compute thread, which did not keep up.",
-        "frames_dropped_ring",
+        "frames_dropped_compute",
     ),
     (
         "frames_not_tracked",
@@ -54,7 +54,7 @@ _FRAMES: Final[Members] = (
     ),
 )
 _LINKS: Final[Members] = (
-    ("link_received_bytes", "Bytes that came over the link.", "bytes_received"),
+    ("link_received_bytes", "Bytes that came over the link.", "received_bytes"),
     (
         "link_frames_garbled",
         "Messages thrown away: damaged, cut short, or of another protocol.",
@@ -78,11 +78,11 @@ _STREAMS: Final[Members] = (
 )
 _RECORDINGS: Final[Members] = (
     ("recording_written_bytes", "Bytes written to recordings.", "size_bytes"),
-    ("recording_frames_written", "Frames that are safe in recordings.", "frames"),
+    ("recording_frames_written", "Frames that are safe in recordings.", "frames_written"),
     (
-        "recording_frames_dropped",
+        "recording_frames_dropped_writer",
         "Frames missing in recordings because their writer did not keep up.",
-        "dropped",
+        "frames_dropped_writer",
     ),
     (
         "recordings_failed",

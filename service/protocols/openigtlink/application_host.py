@@ -71,9 +71,9 @@ class ApplicationHost:
 
     async def start_recording(self, device_id: str, name: str | None) -> str:
         """Begin to record a device; raises what ``Recordings.start`` raises."""
-        request = NewRecording(name=name)
+        request = NewRecording(id=name)
         begun = await self._in_thread(partial(self._recordings.start, device_id, request))
-        return begun.name
+        return begun.id
 
     async def stop_recording(self, device_id: str) -> str:
         """End the recording of a device; raises UnknownRecording when there is none."""
@@ -121,12 +121,11 @@ class ApplicationHost:
         return tuple(found[:_MAX_ITEMS])
 
     def _stop(self, device_id: str) -> str:
-        items, _ = self._recordings.page(device_id, _MAX_ITEMS, 0)
-        for one in items:
-            if one.state == "recording":
-                done = self._recordings.stop(one.name)
-                return f"{done.frames} frames in {done.name}"
-        raise UnknownRecording(f'device "{device_id}" is not being recorded')
+        recording_id = self._recordings.open_recording(device_id)
+        if recording_id is None:
+            raise UnknownRecording(f'device "{device_id}" is not being recorded')
+        done = self._recordings.stop(recording_id)
+        return f"{done.frames_written} frames in {done.id}"
 
     def _write(self, act: Act, outcome: str, detail: str | None) -> None:
         token = current_act.set(act)

@@ -20,7 +20,7 @@ from service.protocols.stream.messages import (
     StreamBatch,
     describe_message,
     hold_message,
-    status_message,
+    state_message,
 )
 
 KEPT_MESSAGES = 10_000
@@ -213,7 +213,7 @@ class Hub:
         description: DeviceDescription | None = None,
     ) -> None:
         """Tell all clients of a device its state, with the description of one that runs."""
-        message = status_message(device_id, state, reason, link)
+        message = state_message(device_id, state, reason, link)
         self.publish(device_id, message | (describe_message(description) if description else {}))
 
     def publish_hold(self, device_id: str, now: BeamHoldState) -> None:

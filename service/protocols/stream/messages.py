@@ -90,14 +90,14 @@ class StreamBatch:
         return [
             {
                 "type": "frame",
-                "device": self.device_id,
+                "device_id": self.device_id,
                 "sequence": frame.sequence,
                 "exposure_ns": frame.exposure_host_ns,
                 "device_ns": frame.exposure_device_ns,
                 "marker": frame.marker,
-                "calibration": self.calibration_id,
-                "table": self.table_id,
-                "radiometric": self.radiometric_id,
+                "calibration_id": self.calibration_id,
+                "table_id": self.table_id,
+                "radiometric_id": self.radiometric_id,
                 "flags": flag_names(frame.flags),
             }
             for frame in self.frames[first:last]
@@ -277,7 +277,7 @@ def hold_members(now: BeamHoldState) -> dict[str, Any]:
     """Return a beam hold as a message has it: held, where it was held since."""
     now = now.standing
     return {
-        "hold": now.hold_id,
+        "hold_id": now.hold_id,
         "held": now.held,
         "cause": now.cause.value,
         "reason": now.reason,
@@ -292,23 +292,23 @@ def hold_message(device_id: str, now: BeamHoldState) -> dict[str, Any]:
     """Return the message about a change of a beam hold: held, where it was held since."""
     return {
         "type": "hold",
-        "device": device_id,
+        "device_id": device_id,
         **hold_members(now),
         "exposure_ns": now.exposure_ns,
         "sequence": now.sequence,
     }
 
 
-def status_message(
+def state_message(
     device_id: str, state: str, reason: str | None = None, link: str | None = None
 ) -> dict[str, Any]:
     """Return the message about a change of the device's state, or of its link's."""
-    return {"type": "status", "device": device_id, "state": state, "reason": reason, "link": link}
+    return {"type": "state", "device_id": device_id, "state": state, "reason": reason, "link": link}
 
 
 def missed_message(device_id: str, messages: int, first: int) -> dict[str, Any]:
     """Return the message to a slow client: how many messages it lacks, and from which on."""
-    return {"type": "missed", "device": device_id, "messages": messages, "first": first}
+    return {"type": "missed", "device_id": device_id, "messages": messages, "first": first}
 
 
 def describe_message(known: DeviceDescription | None) -> dict[str, Any]:
@@ -335,9 +335,9 @@ def bundle(device_id: str, frames: list[Payload], encoding: Encoding) -> Payload
     if encoding == "msgpack":
         packer = msgpack.Packer(autoreset=False)
         packer.pack_map_header(3)
-        for word in ("type", "frames", "device", device_id, "frames"):
+        for word in ("type", "frames", "device_id", device_id, "frames"):
             packer.pack(word)
         packer.pack_array_header(len(frames))
         return b"".join((packer.bytes(), *cast("list[bytes]", frames)))
-    head = json.dumps({"type": "frames", "device": device_id}, separators=(",", ":"))
+    head = json.dumps({"type": "frames", "device_id": device_id}, separators=(",", ":"))
     return f'{head[:-1]},"frames":[{",".join(cast("list[str]", frames))}]}}'

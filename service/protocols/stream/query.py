@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Final, TypeVar
 
 from compute.errors import InvalidParameter
@@ -9,18 +10,8 @@ from service.api.base_models import checked_slug
 from service.protocols.stream.hub import StreamRequest
 from service.protocols.stream.messages import CONTENTS, ENCODINGS, Content
 
-STATUS: Final = "status"
+STATE: Final = "state"
 """The content that every client gets; by itself, without frames."""
-PARAMETERS: Final = (
-    "device",
-    "content",
-    "encoding",
-    "mode",
-    "rate_hz",
-    "bundle_ms",
-    "stream",
-    "after",
-)
 MODES: Final = ("live", "lossless")
 MAX_RATE_HZ: Final = 100_000.0
 MAX_BUNDLE_MS: Final = 1000.0
@@ -28,20 +19,32 @@ MAX_BUNDLE_MS: Final = 1000.0
 T = TypeVar("T")
 
 
+@dataclass(frozen=True)
+class StreamQuery:
+    """The query of the websocket, as it is sent."""
+
+    device_id: str | None = None
+    content: str | None = None
+    encoding: str | None = None
+    mode: str | None = None
+    rate_hz: str | None = None
+    bundle_ms: str | None = None
+    stream: str | None = None
+    after: str | None = None
+
+    def given(self) -> dict[str, str]:
+        """Return what it has."""
+        return {name: value for name, value in vars(self).items() if value is not None}
+
+
 def parse_stream_request(query: Mapping[str, str]) -> StreamRequest:
     """Return the stream that a query asks for.
 
     Raises:
-        InvalidParameter: it has something that is not known, or that contradicts itself.
+        InvalidParameter: it has something that contradicts itself.
     """
-    unknown = sorted(set(query) - set(PARAMETERS))
-    if unknown:
-        raise InvalidParameter(
-            f'the query has "{unknown[0]}"; it may have {", ".join(PARAMETERS)}',
-            parameter=unknown[0],
-        )
-    if not query.get("device"):
-        raise InvalidParameter("the query names no device; add ?device=ID")
+    if not query.get("device_id"):
+        raise InvalidParameter("the query names no device; add ?device_id=ID")
     lossless = _one_of(query, "mode", MODES) == "lossless"
     rate_hz = _number(query, "rate_hz", MAX_RATE_HZ, "Hz")
     bundle_ms = _number(query, "bundle_ms", MAX_BUNDLE_MS, "ms")
@@ -63,7 +66,7 @@ def parse_stream_request(query: Mapping[str, str]) -> StreamRequest:
             "number n of the last message that you have, or neither"
         )
     return StreamRequest(
-        checked_slug(query["device"]),
+        checked_slug(query["device_id"]),
         _content(query.get("content", "points")),
         _one_of(query, "encoding", ENCODINGS),
         lossless=lossless,
@@ -78,11 +81,11 @@ def _content(text: str) -> frozenset[Content]:
     known = {str(one): one for one in CONTENTS}
     words = text.split(",")
     for word in words:
-        if word != STATUS and word not in known:
+        if word != STATE and word not in known:
             raise InvalidParameter(
-                f'content has "{word}"; it must be one or more of ' + ", ".join((*CONTENTS, STATUS))
+                f'content has "{word}"; it must be one or more of ' + ", ".join((*CONTENTS, STATE))
             )
-    return frozenset(known[word] for word in words if word != STATUS)
+    return frozenset(known[word] for word in words if word != STATE)
 
 
 def _one_of(query: Mapping[str, str], name: str, known: tuple[T, ...]) -> T:

@@ -2,10 +2,10 @@
 
 import asyncio
 from contextlib import ExitStack
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from anyio.to_thread import run_sync
-from fastapi import APIRouter, WebSocket, WebSocketDisconnect
+from fastapi import APIRouter, Depends, WebSocket, WebSocketDisconnect
 from starlette.datastructures import State
 
 from compute.errors import LumilineError
@@ -16,7 +16,7 @@ from service.problems.errors import NotReady, UpgradeRequired
 from service.problems.handlers import problem_response
 from service.protocols.stream.hub import Hub, StreamEnded, StreamRequest, Subscription
 from service.protocols.stream.messages import Payload, describe_message, encode, hold_members
-from service.protocols.stream.query import parse_stream_request
+from service.protocols.stream.query import StreamQuery, parse_stream_request
 from service.security.credential import SUBPROTOCOL, subprotocols
 from service.security.guard import ACT
 
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from service.security.stream_limit import StreamLimit
 
 router = APIRouter()
+StreamQueryDep = Annotated[StreamQuery, Depends()]
 
 ACCESS_CHECK_INTERVAL_S: Final = 2.0
 """How often an open stream is checked against its key's revocation and end."""
@@ -35,7 +36,7 @@ SEND_MANY: Final = "lumiline.send_many"
 
 
 @router.websocket("/api/v1/stream")
-async def stream(websocket: WebSocket) -> None:
+async def stream(websocket: WebSocket, query: StreamQueryDep) -> None:
     """Send a greeting, then frames and status messages, until the client or the service ends.
 
     Query: see ``service.protocols.stream.query`` and docs/reference/stream.md. A request that
@@ -44,7 +45,7 @@ async def stream(websocket: WebSocket) -> None:
     principal: Principal = websocket.scope[ACT].principal
     with ExitStack() as stack:
         try:
-            request = parse_stream_request(websocket.query_params)
+            request = parse_stream_request(query.given())
             await run_sync(websocket.app.state.device_service.status, request.device_id)
             stack.enter_context(websocket.app.state.open_streams.opened(principal))
         except LumilineError as error:
@@ -78,10 +79,10 @@ async def _serve(websocket: WebSocket, request: StreamRequest, principal: Princi
 
 
 @router.get("/api/v1/stream", include_in_schema=False)
-def stream_by_http() -> None:
+def stream_by_http(_query: StreamQueryDep) -> None:
     """Answer a plain HTTP request: 426, this is a websocket."""
     raise UpgradeRequired(
-        "this is a websocket: open it as ws://HOST:PORT/api/v1/stream?device=ID, "
+        "this is a websocket: open it as ws://HOST:PORT/api/v1/stream?device_id=ID, "
         "not as http:// (docs/reference/stream.md describes its messages)"
     )
 
@@ -93,7 +94,7 @@ def _greeting(live: PipelineManager, subscription: Subscription) -> dict[str, An
     greeting = {
         "type": "hello",
         "version": 1,
-        "device": request.device_id,
+        "device_id": request.device_id,
         "content": sorted(request.content),
         "mode": "lossless" if request.lossless else "live",
         "stream": subscription.log.id,
@@ -103,8 +104,8 @@ def _greeting(live: PipelineManager, subscription: Subscription) -> dict[str, An
         "state": status.state,
         "reason": status.reason,
         "link": status.link.state if status.link else None,
-        "calibration": status.calibration_id,
-        "radiometric": status.radiometric_id,
+        "calibration_id": status.calibration_id,
+        "radiometric_id": status.radiometric_id,
     }
     if "holds" in request.content:  # frames, which tell of them too, may never come
         holds = live.holds.of_device(request.device_id)

@@ -151,7 +151,7 @@ def test_frames_have_a_line_of_each_camera_of_the_same_moment(bench: Bench) -> N
         FrameFlag.OVERFLOW,
     ]
     counters = driver.link().counters
-    assert (counters.frames, counters.frames_incomplete, counters.frames_lost) == (3, 2, 1)
+    assert (counters.frames_received, counters.frames_incomplete, counters.frames_lost) == (3, 2, 1)
 
 
 @pytest.mark.parametrize("set_by_ns", [-10_000_000_000, 10_000_000_000])

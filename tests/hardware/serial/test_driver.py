@@ -65,8 +65,8 @@ class Watched:
             time.sleep(0.001)
 
     def more(self, count: int) -> None:
-        wanted = self.driver.link().counters.frames + count
-        self.wait(lambda: self.driver.link().counters.frames >= wanted)
+        wanted = self.driver.link().counters.frames_received + count
+        self.wait(lambda: self.driver.link().counters.frames_received >= wanted)
 
     def state(self, name: str) -> LinkState:
         self.wait(lambda: self.driver.link().state == name)

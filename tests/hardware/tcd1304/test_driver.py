@@ -125,7 +125,7 @@ def test_frames_hold_one_line_of_each_board_in_order() -> None:
             assert frame.flags == FrameFlag.NONE
         assert taken.states == []
         counters = taken.driver.link().counters
-        assert counters.bytes_received == 3 * 7388 * counters.frames
+        assert counters.received_bytes == 3 * 7388 * counters.frames_received
         assert boards[0].requests[0] == Request(14_776, 14_776)
 
 
@@ -340,7 +340,7 @@ def test_opened_again_it_begins_anew() -> None:
         assert list(old) == []
         new = driver.frames()
         assert next(new).sequence == 0
-        assert driver.link().counters.frames == 1
+        assert driver.link().counters.frames_received == 1
         driver.close()
         assert list(new) == []
 

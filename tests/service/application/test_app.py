@@ -39,7 +39,7 @@ def test_a_device_that_cannot_start_keeps_the_server_up(
         caplog.at_level(logging.ERROR),
         TestClient(create_app(sqlite_settings, Broken())) as client,
     ):
-        assert client.get("/api/v1/devices/sim/status").json()["status"]["state"] == "stopped"
+        assert client.get("/api/v1/devices/sim/state").json()["state"] == "stopped"
     assert "device sim was not started" in caplog.text
 
 

@@ -9,7 +9,7 @@ from tests.service.fake_pipeline import FakePipeline, WebSocketDenialResponse
 
 OWN = "http://localhost"
 OTHERS = ["http://evil.example", "http://localhost:81", "http://localhost.evil.example", "null"]
-STREAM = "/api/v1/stream?device=sim"
+STREAM = "/api/v1/stream?device_id=sim"
 
 
 def assert_refused(answer: Any) -> None:

@@ -28,7 +28,7 @@ PROFILES = "/api/v1/device-profiles"
 
 
 def body(profile: str, identity: str = "made", **settings: Any) -> dict[str, Any]:
-    source = {"kind": "profile", "profile": profile, "settings": settings}
+    source = {"kind": "profile", "profile_id": profile, "settings": settings}
     return {"id": identity, "title": "Made", "source": source}
 
 
@@ -61,7 +61,7 @@ def test_a_profile_device_is_created_changed_and_started(client: Any, live: Fake
     changed = client.patch(f"{DEVICES}/made", json={"source": faster}).json()
     assert changed["source"]["settings"]["frame_rate_hz"] == 40
     assert client.get(f"{DEVICES}/made").json() == changed
-    assert client.post(f"{DEVICES}/made/start").json()["status"]["state"] == "running"
+    assert client.post(f"{DEVICES}/made/start").json()["state"] == "running"
     assert live.calls[-1][:3] == ("start", "made", None)
 
 
@@ -81,7 +81,7 @@ def test_a_plan_is_of_the_file_as_it_is_now(sqlite_client: Any, sqlite_settings:
     before = sqlite_client.get(f"{PROFILES}/mine/plan").json()
     keep(sqlite_settings, "mine", text.replace('"200 mW/sr"', '"20 mW/sr"'))
     after = sqlite_client.get(f"{PROFILES}/mine/plan").json()
-    assert (before["profile"], after["profile"]) == ("mine", "mine")
+    assert (before["profile_id"], after["profile_id"]) == ("mine", "mine")
     assert after["noise"]["centre"][2] > 1.5 * before["noise"]["centre"][2]
 
 
@@ -93,9 +93,9 @@ def test_what_is_no_profile_is_not_listed_and_says_why(
     keep(sqlite_settings, "bar", renamed_profile("bar"))  # the built-in one wins
     keep(sqlite_settings, "No Slug", renamed_profile("no-slug"))
     (sqlite_settings.folders.profiles / "latin.toml").write_bytes(b'name = "caf\xe9"')
-    found = sqlite_client.get(PROFILES).json()
-    assert [one["name"] for one in found] == list(profile_names())
-    assert [one["sensor_count"] for one in found if one["name"] == "bar"] == [4]
+    found = sqlite_client.get(PROFILES, params={"limit": 200}).json()["items"]
+    assert [one["id"] for one in found] == list(profile_names())
+    assert [one["sensor_count"] for one in found if one["id"] == "bar"] == [4]
     logged = caplog.text
     for name, part in (
         ("broken", "pixels.pitch"), ("other-name", '"name"'), ("latin", "cannot be read"),
@@ -155,7 +155,7 @@ def test_the_device_is_calibrated_stored_and_started(
     assert prepare(settings, database) == ("thesis-5-9",)
     with TestClient(create_app(settings, live)) as client:
         device = client.get(f"{DEVICES}/thesis-5-9").json()
-        assert device["source"]["profile"] == LENS
+        assert device["source"]["profile_id"] == LENS
         assert device["autostart"] is False
         assert device["active_calibration_id"] == "thesis-5-9-nominal"
         document = client.get("/api/v1/calibrations/thesis-5-9-nominal").json()
@@ -171,7 +171,7 @@ def test_the_device_is_calibrated_stored_and_started(
     again = FakePipeline()
     with TestClient(create_app(settings, again)) as client:
         assert client.get(f"{DEVICES}/thesis-5-9").json() == before
-        assert client.get("/api/v1/calibrations").json()["total"] == 2
+        assert len(client.get("/api/v1/calibrations").json()["items"]) == 2
     assert ("start", "thesis-5-9", "thesis-5-9-nominal") in [call[:3] for call in again.calls]
 
 

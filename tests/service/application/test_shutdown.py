@@ -81,7 +81,7 @@ def _begin_run(api: str) -> None:
     axis = np.linspace(-80.0, 80.0, 9)
     grid = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
     body = {
-        "device": "sim", "calibration": "sim-nominal", "points": simulated_points(grid),
+        "device_id": "sim", "calibration_id": "sim-nominal", "points": simulated_points(grid),
     }  # fmt: skip
     run = httpx.post(f"{api}/mapping-runs", json=body, timeout=END_S).json()["id"]
     end = time.monotonic() + END_S
@@ -93,7 +93,7 @@ def _begin_run(api: str) -> None:
 @pytest.mark.slow
 def test_a_server_that_is_told_to_stop(tmp_path: Path):
     with server(tmp_path) as (process, port):
-        url = f"ws://127.0.0.1:{port}/api/v1/stream?device=sim"
+        url = f"ws://127.0.0.1:{port}/api/v1/stream?device_id=sim"
         recording = httpx.post(
             f"http://127.0.0.1:{port}/api/v1/devices/sim/recordings", json={"name": "a.h5"}
         )
@@ -105,7 +105,7 @@ def test_a_server_that_is_told_to_stop(tmp_path: Path):
             # A client that takes nothing must not hold the end up.
             stalled.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
             stalled.sendall(
-                f"GET /api/v1/stream?device=sim HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\n"
+                f"GET /api/v1/stream?device_id=sim HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\n"
                 "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
                 "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n".encode()
             )
@@ -139,7 +139,7 @@ def test_calibrations_of_tools_that_wait_when_it_is_told(tmp_path: Path):
 
     def pivot(api: str) -> httpx.Response:
         path = f"{api}/tools/{body['id']}/pivot-calibrations"
-        return httpx.post(path, json={"seconds": 120}, timeout=END_S)
+        return httpx.post(path, json={"duration_s": 120}, timeout=END_S)
 
     with (
         server(tmp_path) as (process, port),

@@ -107,7 +107,7 @@ def test_record_and_replay(frame_csv: Path, tmp_path: Path) -> None:
 def check_replay_and_export(recording: Path) -> None:
     """Points and an export without any file beside the recording."""
     messages = [json.loads(line) for line in here("replay", recording).stdout.splitlines()]
-    assert {message["calibration"] for message in messages} == {f"{recording.stem}-nominal"}
+    assert {message["calibration_id"] for message in messages} == {f"{recording.stem}-nominal"}
     assert any(message["points"] for message in messages)
     export = recording.with_suffix(".csv")
     here("export", recording, "--to", export)

@@ -73,7 +73,7 @@ def test_a_knocked_sensor_is_told_and_mended(folder: Path, tmp_path: Path, earli
     assert "Sensor s3 is off by" in bad.output
     assert "rolled about its optical axis, by" in bad.output
     told = json.loads(drift(folder / "knocked.csv", *given, "--json").stdout)
-    assert told["verdict"] == "sensors-moved"
+    assert told["status"] == "sensors-moved"
     assert [one["moved"] for one in told["sensors"]] == [False, False, True, False]
     mended = tmp_path / "mended.json"
     written = drift(folder / "knocked.csv", *given, "--sensors", "s3", "--output", mended)

@@ -23,7 +23,7 @@ def test_as_rest_takes_and_sends_them(tmp_path: Path) -> None:
     taken = {"id": "probe", "markers_mm": MARKERS, "strobe_markers": [0, 1, 2, 5], "note": "x"}
     sent = {
         "items": [
-            taken | {"tip": {"position_mm": [0, 0, -100], "axis": None}, "device": "bar"},
+            taken | {"tip": {"position_mm": [0, 0, -100], "axis": None}, "device_id": "bar"},
             {
                 "id": "ref",
                 "markers_mm": MARKERS,
@@ -43,9 +43,9 @@ def test_as_rest_takes_and_sends_them(tmp_path: Path) -> None:
 
 def test_limits_and_devices_count(tmp_path: Path) -> None:
     strict = {"id": "probe", "markers_mm": MARKERS, "strobe_markers": [0, 1, 2, 5]} | {
-        "limits": {"tip_sd_mm": 0.25}, "device": "bar"
+        "limits": {"tip_sd_mm": 0.25}, "device_id": "bar"
     }  # fmt: skip
-    other = {"id": "ref", "markers_mm": MARKERS, "limits": {"tip_sd_mm": None}, "device": "sim"}
+    other = {"id": "ref", "markers_mm": MARKERS, "limits": {"tip_sd_mm": None}, "device_id": "sim"}
     path = file(tmp_path, [strict, other | {"strobe_markers": [6, 7, 8, 9]}])
     probe, ref = read_tools(path)
     assert (probe.max_tip_sd_mm, ref.max_tip_sd_mm) == (0.25, None)

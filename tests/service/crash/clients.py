@@ -79,13 +79,13 @@ class Clients:
 
     def _calibrate(self, client: httpx.Client, number: int) -> None:
         name = f"{self._name}-{number}"
-        body = {"id": name, "device": "sim", "points": POINTS}
+        body = {"id": name, "device_id": "sim", "points": POINTS}
         made = self._answer(client.post("/api/v1/calibrations", json=body))
         if made is not None:
             self.calibrations[made["id"]] = made["content_hash"]
 
     def _run(self, client: httpx.Client, number: int) -> None:
-        body = {"device": "sim", "points": POINTS, "result_id": f"run-{self._name}-{number}"}
+        body = {"device_id": "sim", "points": POINTS, "result_id": f"run-{self._name}-{number}"}
         made = self._answer(client.post("/api/v1/calibration-runs", json=body))
         if made is not None:
             self.runs.append(made["id"])

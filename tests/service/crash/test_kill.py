@@ -69,14 +69,14 @@ def get(url: str, path: str) -> Any:
 def pages(url: str, path: str) -> list[Any]:
     """All items; runs that are taken up again add some meanwhile, which moves the pages on."""
     found: dict[Any, Any] = {}
-    offset = 0
+    behind = ""
     while True:
         joint = "&" if "?" in path else "?"
-        page = get(url, f"{path}{joint}limit=200&offset={offset}")
-        found |= {item.get("id", item.get("name")): item for item in page["items"]}
-        offset += len(page["items"])
-        if offset >= page["total"] or not page["items"]:
+        page = get(url, f"{path}{joint}limit=200{behind}")
+        found |= {item["id"]: item for item in page["items"]}
+        if page["next_cursor"] is None:
             return list(found.values())
+        behind = f"&cursor={page['next_cursor']}"
 
 
 def check_calibrations(url: str, acknowledged: dict[str, str]) -> None:
@@ -86,7 +86,8 @@ def check_calibrations(url: str, acknowledged: dict[str, str]) -> None:
         assert listed[name] == content_hash
     for name in random.Random().sample(sorted(listed), min(3, len(listed))):
         document = get(url, f"/api/v1/calibrations/{name}")
-        content = {key: document[key] for key in ("device", "provenance", "points", "result")}
+        content = {key: document[key] for key in ("provenance", "points", "result")}
+        content["device"] = document["device_id"]
         text = json.dumps(content, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
         assert hashlib.sha256(text.encode()).hexdigest() == document["content_hash"]
 

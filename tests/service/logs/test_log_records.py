@@ -124,7 +124,7 @@ def accesses(caplog: pytest.LogCaptureFixture) -> list[logging.LogRecord]:
 
 def test_each_request_has_an_id_and_a_line(sqlite_client: Any, caplog: pytest.LogCaptureFixture):
     caplog.set_level(logging.INFO, "service.access")
-    answer = sqlite_client.get("/api/v1/devices/sim?x=1", headers={"x-request-id": "mine-1"})
+    answer = sqlite_client.get("/api/v1/devices?limit=1", headers={"x-request-id": "mine-1"})
     assert answer.headers["x-request-id"] == "mine-1"
     made = sqlite_client.get("/nowhere", headers={"x-request-id": "no good\tone"})
     assert made.status_code == 404
@@ -132,9 +132,9 @@ def test_each_request_has_an_id_and_a_line(sqlite_client: Any, caplog: pytest.Lo
     other = sqlite_client.get("/nowhere")
     assert other.headers["x-request-id"] != made.headers["x-request-id"]
     first, second, _ = accesses(caplog)
-    assert first.getMessage().startswith("GET /api/v1/devices/sim?x=1 200 ")
+    assert first.getMessage().startswith("GET /api/v1/devices?limit=1 200 ")
     fields = vars(first)
-    assert (fields["route"], fields["status"]) == ("/api/v1/devices/{device_id}", 200)
+    assert (fields["route"], fields["status"]) == ("/api/v1/devices", 200)
     assert fields["duration_s"] > 0
     assert (vars(second)["route"], vars(second)["status"]) == (None, 404)
 
@@ -197,7 +197,7 @@ def test_a_failure_has_a_line_and_its_id(
         raise RuntimeError("unforeseen")
 
     monkeypatch.setattr(sqlite_client.app.state.device_service, "status", broken)
-    answer = sqlite_client.get("/api/v1/devices/sim/status", headers={"x-request-id": "f1"})
+    answer = sqlite_client.get("/api/v1/devices/sim/state", headers={"x-request-id": "f1"})
     assert (answer.status_code, answer.headers["x-request-id"]) == (500, "f1")
     assert vars(accesses(caplog)[-1])["status"] == 500
 
@@ -221,7 +221,7 @@ def test_a_websocket_has_a_line_when_it_opens_and_one_when_it_closes(
     scope = {
         "type": "websocket",
         "path": "/stream",
-        "query_string": b"device=sim",
+        "query_string": b"device_id=sim",
         "headers": [(b"x-request-id", b"w1")],
         "client": ("127.0.0.1", 1),
     }
@@ -229,7 +229,7 @@ def test_a_websocket_has_a_line_when_it_opens_and_one_when_it_closes(
     assert sent[0]["headers"] == [(b"a", b"b"), (b"x-request-id", b"w1")]
     assert [(one.kind, one.status, one.route) for one in ended] == [("websocket", 101, "/stream")]
     opened, closed = accesses(caplog)
-    assert opened.getMessage().startswith("WEBSOCKET /stream?device=sim 101 ")
+    assert opened.getMessage().startswith("WEBSOCKET /stream?device_id=sim 101 ")
     assert closed.getMessage().startswith("/stream closed after ")
 
 

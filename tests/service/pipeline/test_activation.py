@@ -55,7 +55,7 @@ def device(server: str) -> str:
                                          *point["position_mm"][1:]]}
                 for point in points
             ]  # fmt: skip
-            body = {"id": name, "device": "still", "points": moved}
+            body = {"id": name, "device_id": "still", "points": moved}
             calibration = client.post("/api/v1/calibrations", json=body)
             assert calibration.status_code == 201, calibration.text
         zero = {"coefficients_px": np.full((4, 8, 7, 6), 3.0)}
@@ -86,7 +86,7 @@ def test_the_stream_switches_between_two_frames_and_loses_none(server: str, devi
     done = threading.Event()
     url = (
         server.replace("http", "ws")
-        + f"/api/v1/stream?device={device}&content=points&encoding=json"
+        + f"/api/v1/stream?device_id={device}&content=points&encoding=json"
     )
 
     def listen() -> None:
@@ -115,17 +115,17 @@ def test_the_stream_switches_between_two_frames_and_loses_none(server: str, devi
         ("calibrations/plain/activate", ("plain", None)),
     ]
     with httpx.Client(base_url=server, timeout=60.0) as client:
-        before = client.get(f"/api/v1/devices/{device}/status").json()["status"]
+        before = client.get(f"/api/v1/devices/{device}/state").json()["status"]
         for path, _ in steps:
             wait_for_more(frames)
             answer = client.post(f"/api/v1/{path}")
             assert answer.status_code == 200, answer.text
         wait_for_more(frames)
-        after = client.get(f"/api/v1/devices/{device}/status").json()["status"]
+        after = client.get(f"/api/v1/devices/{device}/state").json()["status"]
     done.set()
     listener.join(30.0)
     assert missed == []
-    assert after["frames_dropped_ring"] == before["frames_dropped_ring"]
+    assert after["frames_dropped_compute"] == before["frames_dropped_compute"]
     sequences = [frame["sequence"] for frame in frames]
     # A slow machine simulates too few exposures: the device says so in the frame that follows.
     for place in np.flatnonzero(np.diff(sequences) != 1).tolist():
@@ -133,7 +133,7 @@ def test_the_stream_switches_between_two_frames_and_loses_none(server: str, devi
         assert "overflow" in frames[place + 1]["flags"]
     # Nothing of what the device delivered is missing: it is processed, or waits in the ring.
     assert after["frames"] - after["frames_processed"] <= RING_SECONDS * RATE_HZ + MAX_FRAMES
-    used = [(frame["calibration"], frame["table"]) for frame in frames]
+    used = [(frame["calibration_id"], frame["table_id"]) for frame in frames]
     runs = [one for place, one in enumerate(used) if place == 0 or used[place - 1] != one]
     assert runs == [("plain", None), *(wanted for _, wanted in steps)]
     # Every frame was reconstructed by what it names: none half by the old and half by the new.
@@ -153,7 +153,7 @@ def test_a_target_is_captured_from_the_running_device(server: str, device: str):
     with httpx.Client(base_url=server, timeout=60.0) as client:
         body = {
             "id": "live",
-            "device": device,
+            "device_id": device,
             "targets": [{"name": "one", "position_mm": [10.0, 20.0, 1500.0]}],
             "settings": {"frames": 100, "marker": 0},
         }
@@ -168,7 +168,7 @@ def test_a_target_is_captured_from_the_running_device(server: str, device: str):
             assert sensor["spread_px"] == pytest.approx(sensor["stated_px"], rel=0.5)
         by_mean = {one["sensor"]: one["mean_px"] for one in target["sensors"]}
         points = [{"name": "one", "readings": by_mean}]
-        made = client.post("/api/v1/reconstructions", json={"device": device, "points": points})
+        made = client.post("/api/v1/reconstructions", json={"device_id": device, "points": points})
         [estimate] = made.json()["estimates"]
         assert np.allclose(estimate["position_mm"], [10.0, 20.0, 1500.0], atol=1.0)
         wrong = body | {"id": "wrong", "settings": {"frames": 10, "marker": 5, "timeout_s": 0.5}}

@@ -26,7 +26,8 @@ MARKERS = [[0.0, 0.0, 0.0], [80.0, 0.0, 0.0], [0.0, 60.0, 0.0], [20.0, 15.0, 40.
 SCENE = {"kind": "moving-tools", "moving": False, "tools": [{"markers_mm": MARKERS}]}
 WATCH = {"kind": "strobed-markers", "markers": [0, 1, 2, 3]}
 CHEST: dict[str, Any] = {
-    "id": "chest", "device": "sim", "title": "chest", "watch": WATCH, "limits": {"shift_mm": 3.0},
+    "id": "chest", "device_id": "sim", "title": "chest", "watch": WATCH,
+    "limits": {"shift_mm": 3.0},
 }  # fmt: skip
 # A busy machine leaves out frames: only what a test is about is to hold.
 PATIENT_RULES = {"max_gap_s": 10.0, "settle_s": 0.1}
@@ -131,7 +132,7 @@ def test_who_did_not_ask_for_holds_hears_nothing_of_them(client: Client, hold: s
 def test_another_calibration_holds_until_it_is_back(client: Client, hold: str) -> None:
     wait_for(client, held=False)
     active = client.device("sim").active_calibration_id
-    body = {"id": "again", "device": "sim", "points": _points()}
+    body = {"id": "again", "device_id": "sim", "points": _points()}
     client.request("POST", "/api/v1/calibrations", body=body)
     try:
         client.activate_calibration("again")

@@ -47,10 +47,10 @@ def test_device_that_nobody_looks_at_computes_nothing_until_a_tap_comes(
         live.start_device("sim", driver, ActiveCalibration())
         wait_for(lambda: driver.idle)
         before = live.status("sim")
-        wait_for(lambda: live.status("sim").frames >= before.frames + 50)
+        wait_for(lambda: live.status("sim").frames_received >= before.frames_received + 50)
         idle = live.status("sim")
         assert idle.frames_processed == before.frames_processed
-        assert (idle.state, idle.frames_lost_device) == ("running", 0)
+        assert (idle.state, idle.frames_lost) == ("running", 0)
         tap = Tap()
         live.attach(live.session("sim"), tap)
         wait_for(lambda: len(tap.frames) >= 20)
@@ -74,7 +74,7 @@ def test_device_that_is_only_sampled_computes_in_its_part_of_the_interval(
         live.attach(live.session("sim"), tap, sampled=True)
         wait_for(lambda: driver.idle)
         before = live.status("sim")
-        wait_for(lambda: live.status("sim").frames >= before.frames + 50)
+        wait_for(lambda: live.status("sim").frames_received >= before.frames_received + 50)
         assert live.status("sim").frames_processed == before.frames_processed
         monkeypatch.setattr(device_session, "SAMPLE_S", device_session.SAMPLE_INTERVAL_S)
         seen = len(tap.frames)

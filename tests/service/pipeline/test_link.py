@@ -107,10 +107,14 @@ def wait_for(condition: Callable[[], bool], seconds: float = 20.0) -> None:
         time.sleep(0.002)
 
 
-GONE = LinkState("disconnected", "the cable was pulled; trying again", LinkCounters(frames=1))
-SILENT = LinkState("silent", "nothing came for 1 s", LinkCounters(frames=1))
-GARBLED = LinkState("garbled", "what comes is no frame", LinkCounters(frames=1, frames_garbled=9))
-BACK = LinkState("connected", None, LinkCounters(frames=1, reconnects=1))
+GONE = LinkState(
+    "disconnected", "the cable was pulled; trying again", LinkCounters(frames_received=1)
+)
+SILENT = LinkState("silent", "nothing came for 1 s", LinkCounters(frames_received=1))
+GARBLED = LinkState(
+    "garbled", "what comes is no frame", LinkCounters(frames_received=1, frames_garbled=9)
+)
+BACK = LinkState("connected", None, LinkCounters(frames_received=1, reconnects=1))
 
 
 def test_each_change_of_the_link_is_told_behind_the_frames_before_it(live: PipelineManager) -> None:

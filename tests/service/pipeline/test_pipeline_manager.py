@@ -119,7 +119,7 @@ def test_every_frame_becomes_a_message_with_a_point_where_the_marker_is(
         squares.append(error @ np.linalg.solve(np.array(point["covariance_mm2"]), error))
         assert point["marker"] == message["marker"] == message["sequence"] % 2
         assert len(point["sensors"]) == 4
-        assert message["calibration"] == "c1"
+        assert message["calibration_id"] == "c1"
         assert len(message["peaks"]) == 4
     # The stated covariance is that of the errors: chi2 of 3 has mean 3 and variance 6. The peaks'
     # error within a pixel is an average over widths, so it may be off by a fifth of the variance.
@@ -244,7 +244,7 @@ def test_a_saturated_peak_makes_a_doubtful_point(live: PipelineManager) -> None:
 def test_without_a_calibration_there_are_peaks_and_no_points(live: PipelineManager) -> None:
     messages = run_to_the_end(live, simulation(duration_s=0.02), None)
     assert all(message["points"] == [] for message in messages)
-    assert all(message["calibration"] is None for message in messages)
+    assert all(message["calibration_id"] is None for message in messages)
     assert all(len(message["peaks"]) == 4 for message in messages)
 
 
@@ -280,9 +280,9 @@ def test_calibrations_are_switched_between_two_frames(live: PipelineManager) -> 
     ]
     sequences = [message["sequence"] for message in messages]
     assert sequences == list(range(sequences[0], sequences[0] + len(sequences)))
-    assert {message["calibration"] for message in messages} == {"zero", "ten"}
+    assert {message["calibration_id"] for message in messages} == {"zero", "ten"}
     for message in messages:
-        expected = {"zero": 0.0, "ten": 10.0}[message["calibration"]]
+        expected = {"zero": 0.0, "ten": 10.0}[message["calibration_id"]]
         assert message["points"][0]["position_mm"][0] == pytest.approx(expected, abs=0.5)
 
 

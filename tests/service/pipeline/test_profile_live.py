@@ -63,12 +63,12 @@ def messages(api: httpx.Client, device: str, frames: int) -> list[dict[str, Any]
 
 def test_points_are_where_the_markers_are(api: httpx.Client) -> None:
     settings = {"scene": SCENE, "optics": "exact", "frame_rate_hz": 20}
-    source = {"kind": "profile", "profile": LENS, "settings": settings}
+    source = {"kind": "profile", "profile_id": LENS, "settings": settings}
     api.patch("/api/v1/devices/thesis-5-9", json={"source": source}).raise_for_status()
     hello, *frames = messages(api, "thesis-5-9", 8)
     assert hello["readout"] == "lines"
     assert (hello["frame_rate_hz"], hello["markers"]) == (20.0, 0)
-    assert hello["calibration"] == "thesis-5-9-nominal"
+    assert hello["calibration_id"] == "thesis-5-9-nominal"
     for frame in frames:
         assert len(frame["peaks"]) == 8
         assert len(frame["points"]) == 2
@@ -93,12 +93,12 @@ def test_shadows_are_read_and_tracks_are_not(
     api: httpx.Client, profile: str, readout: str, method: str | None
 ) -> None:
     settings = {"optics": "exact", "frame_rate_hz": 20}
-    source = {"kind": "profile", "profile": profile, "settings": settings}
+    source = {"kind": "profile", "profile_id": profile, "settings": settings}
     body = {"id": profile, "title": profile, "source": source}
     api.post("/api/v1/devices", json=body).raise_for_status()
     hello, *frames = messages(api, profile, 4)
     assert (hello["readout"], hello["method"]) == (readout, method)
-    assert hello["calibration"] is None
+    assert hello["calibration_id"] is None
     peaks = 0 if method is None else len(hello["sensors"])
     assert [(len(frame["peaks"]), frame["points"]) for frame in frames] == [(peaks, [])] * 4
     assert [frame["marker"] for frame in frames[:2]] in ([0, 1], [1, 0])

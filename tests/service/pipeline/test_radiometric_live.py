@@ -67,7 +67,7 @@ def test_peaks_are_found_with_it_from_the_next_batch_on(radiometric: ActiveRadio
         position = batch.peaks.position_px[:, 0].reshape(len(seen), -1)
         off = position - truth[[frame.marker or 0 for frame in seen]]
         (header,) = StreamBatch(batch).headers(0, 1)
-        assert header["radiometric"] == batch.radiometric_id
+        assert header["radiometric_id"] == batch.radiometric_id
         return float(np.sqrt(np.nanmean(off**2))), batch.radiometric_id, position.tobytes()
 
     plain, no_id, bits = errors()

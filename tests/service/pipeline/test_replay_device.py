@@ -31,13 +31,13 @@ def recording(tmp_path: Path) -> Path:
 
 def test_replay_device(recording: Path) -> None:
     with serving(recording) as url, httpx.Client(base_url=f"{url}/api/v1", timeout=60.0) as api:
-        source = {"kind": "replay", "recording": "bar.h5", "speed": 2.0}
+        source = {"kind": "replay", "recording_id": "bar.h5", "speed": 2.0}
         body = {"id": "tape", "title": "The bar again", "source": source}
         device = api.post("/devices", json=body)
         assert device.status_code == 201, device.text
         names = [sensor["name"] for sensor in device.json()["sensors"]]
         assert len(names) == 4
-        websocket = url.replace("http", "ws", 1) + "/api/v1/stream?device=tape&encoding=json"
+        websocket = url.replace("http", "ws", 1) + "/api/v1/stream?device_id=tape&encoding=json"
         with connect(f"{websocket}&content=peaks", compression=None) as stream:
             messages: list[dict[str, Any]] = [json.loads(stream.recv(timeout=20.0))]
             assert messages[0]["state"] == "stopped"
@@ -47,5 +47,5 @@ def test_replay_device(recording: Path) -> None:
         frames = [message for message in messages if message["type"] == "frame"]
         assert [frame["sequence"] for frame in frames] == list(range(100))
         assert all({peak["sensor"] for peak in f["peaks"]} == set(names) for f in frames)
-        status = api.get("/devices/tape/status").json()["status"]
+        status = api.get("/devices/tape/state").json()["status"]
         assert (status["state"], status["frames"]) == ("ended", 100)

@@ -59,7 +59,7 @@ def test_a_device_that_is_unplugged_comes_back_to_its_clients(tmp_path: Path) ->
         absent = api.post("/devices", json=body)
         assert absent.status_code == 409, absent.text
         assert absent.json()["type"] == "/problems/device-not-connected"
-        address = f"{url.replace('http', 'ws', 1)}/api/v1/stream?device=bar&encoding=json"
+        address = f"{url.replace('http', 'ws', 1)}/api/v1/stream?device_id=bar&encoding=json"
         with ExitStack() as first, ExitStack() as clients:
             first.enter_context(plugged_in(port))
             made = api.post("/devices", json=body | {"autostart": True})
@@ -73,19 +73,19 @@ def test_a_device_that_is_unplugged_comes_back_to_its_clients(tmp_path: Path) ->
             first.close()
             gone = until(stream, type="status", state="disconnected", link="disconnected")
             assert "trying again" in gone["reason"]
-            status = api.get("/devices/bar/status").json()["status"]
+            status = api.get("/devices/bar/state").json()["status"]
             assert (status["state"], status["link"]["state"]) == ("disconnected", "disconnected")
             assert status["link"]["counters"]["frames"] == status["frames"] > 0
             with plugged_in(port):
                 back = until(stream, type="status", state="running", link="connected")
                 assert (back["reason"], len(back["sensors"])) == (None, 4)
                 assert until(stream, type="frame")["sequence"] > last["sequence"]
-                status = api.get("/devices/bar/status").json()["status"]
+                status = api.get("/devices/bar/state").json()["status"]
                 assert status["link"]["counters"]["reconnects"] == 1
                 assert status["link"]["counters"]["clock_restarts"] == 1
     # The server comes up while the device is away, and the device after it.
     with serving(tmp_path) as url, httpx.Client(base_url=f"{url}/api/v1", timeout=60.0) as api:
-        status = api.get("/devices/bar/status").json()["status"]
+        status = api.get("/devices/bar/state").json()["status"]
         assert status["state"] == "disconnected"
         assert "refused" in status["reason"]
         captured = api.post("/devices/bar/stop").json()["status"]
@@ -94,6 +94,6 @@ def test_a_device_that_is_unplugged_comes_back_to_its_clients(tmp_path: Path) ->
         assert waiting["state"] == "disconnected"
         with plugged_in(port):
             end = time.monotonic() + 30.0
-            while (now := api.get("/devices/bar/status").json()["status"])["state"] != "running":
+            while (now := api.get("/devices/bar/state").json()["status"])["state"] != "running":
                 assert time.monotonic() < end, now
                 time.sleep(0.05)

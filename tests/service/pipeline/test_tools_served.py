@@ -24,7 +24,7 @@ SCENE = {
 }
 TOOL = {
     "id": "pointer",
-    "device": "sim",
+    "device_id": "sim",
     "title": "Pointer",
     "markers_mm": MARKERS,
     "strobe_markers": [0, 1, 2, 3],
@@ -79,7 +79,7 @@ def test_a_tool_from_rest_to_the_stream(server: str):
         assert next_frame(socket, lambda _: True)["tools"] == []
         sent("POST", f"{api}/tools", json=TOOL)
         frame = next_frame(socket, lambda one: one["tools"] and one["tools"][0]["status"] == "OK")
-        assert (frame["tools"][0]["tool"], frame["calibration"]) == ("pointer", "sim-nominal")
+        assert (frame["tools"][0]["tool_id"], frame["calibration_id"]) == ("pointer", "sim-nominal")
         # The truth at that instant: the device's clock is the scene's.
         rotation, origin = MovingTools((PIVOTED,)).pose(0, frame["device_ns"] * 1e-9)
         np.testing.assert_allclose(frame["tools"][0]["translation_mm"], origin, atol=5.0)
@@ -88,14 +88,14 @@ def test_a_tool_from_rest_to_the_stream(server: str):
         pose = sent("GET", f"{api}/tools/pointer/pose")
         assert pose["sequence"] > frame["sequence"]
         assert pose["frame"] == "tracker"
-        answer = sent("POST", f"{api}/tools/pointer/pivot-calibrations", json={"seconds": 2.5})
+        answer = sent("POST", f"{api}/tools/pointer/pivot-calibrations", json={"duration_s": 2.5})
         error = np.linalg.norm(np.subtract(answer["tip_mm"], TIP))
         assert error < 1.0, answer
         assert answer["applied"]
         next_frame(socket, lambda one: tip_is_held(one["tools"][0]))
         sent("DELETE", f"{api}/tools/pointer")
         next_frame(socket, lambda one: one["tools"] == [])
-    status = sent("GET", f"{api}/devices/sim/status")["status"]
+    status = sent("GET", f"{api}/devices/sim/state")["status"]
     assert status["state"] == "running"
     metrics = httpx.get(f"{server}/metrics").text
     assert 'lumiline_tool_frames_total{device="sim",tool="pointer"' not in metrics

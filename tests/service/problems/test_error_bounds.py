@@ -27,22 +27,24 @@ POINT = {"name": "P", "position_mm": [1.0, 2.0, 3.0], "readings": {"vertical": "
 NAMES = [f"s{number:03d}" for number in range(500)]
 
 BODIES = {
-    "wrong readings in many points": ("calibrations", {"device": "sim", "points": [POINT] * 9000}),
-    "empty points": ("calibrations", {"device": "sim", "points": [{}] * 9000}),
+    "wrong readings in many points": (
+        "calibrations", {"device_id": "sim", "points": [POINT] * 9000},
+    ),
+    "empty points": ("calibrations", {"device_id": "sim", "points": [{}] * 9000}),
     "empty points of a reconstruction": (
-        "reconstructions", {"device": "sim", "points": [{}] * 9000},
+        "reconstructions", {"device_id": "sim", "points": [{}] * 9000},
     ),
     "wrong readings in one point": (
         "calibrations",
-        {"device": "sim", "points": [{**POINT, "readings": dict.fromkeys(NAMES, "x")}]},
+        {"device_id": "sim", "points": [{**POINT, "readings": dict.fromkeys(NAMES, "x")}]},
     ),
     "unknown members": ("devices", dict.fromkeys(NAMES, 1)),
     "unknown members with long names": ("devices", {name * 100: "x" * 900 for name in NAMES}),
     "unknown members of a point": (
-        "calibrations", {"device": "sim", "points": [dict.fromkeys(NAMES, 1)] * 100},
+        "calibrations", {"device_id": "sim", "points": [dict.fromkeys(NAMES, 1)] * 100},
     ),
-    "a run's points": ("calibration-runs", {"device": "sim", "points": [{}] * 9000}),
-    "targets": ("captures", {"device": "sim", "targets": [{}] * 9000}),
+    "a run's points": ("calibration-runs", {"device_id": "sim", "points": [{}] * 9000}),
+    "targets": ("captures", {"device_id": "sim", "targets": [{}] * 9000}),
     "scans of texts": ("line-scans", {"method": "fit", "scans": [["x"] * 5000] * 8}),
     "a surface's vertices": (
         "registrations",

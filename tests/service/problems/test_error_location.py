@@ -47,7 +47,7 @@ def test_unions_inside_unions(sqlite_client: Any):
 def test_readings(sqlite_client: Any):
     readings = {"v": "x", "w": {"position_px": "y"}, "position": {"sigma_px": 0}}
     points = [{"name": "a", "position_mm": [1, 2], "readings": readings}]
-    body = {"device": "sim", "points": points}
+    body = {"device_id": "sim", "points": points}
     at = ["body", "points", 0]
     assert locations(sqlite_client.post("/api/v1/calibrations", json=body)) == [
         [*at, "position_mm", 2],
@@ -76,7 +76,7 @@ def test_what_does_not_lead_through_the_body_stays(parts: list[str | int]):
 
 
 def test_a_member_with_the_name_of_a_key_does_not_hide_what_lies_beside_it() -> None:
-    """The source of kind "profile" has a field "profile", which is a text."""
+    """A source of kind "profile" with a field "profile", which is a text."""
     body = {"source": {"kind": "profile", "profile": "bar", "settings": {"frame_rate_hz": -1}}}
     location = ("source", "profile", "settings", "frame_rate_hz")
     found = location_in_body(location, body, missing=False)
@@ -88,12 +88,12 @@ def test_a_member_with_the_name_of_a_key_does_not_hide_what_lies_beside_it() -> 
 def test_a_body_whose_kind_is_also_one_of_its_keys(sqlite_client: Any):
     places = [[0.0, 0.0, 0.0]] * 12
     body = {
-        "id": "skin", "kind": "surface", "device": "sim", "parent": "ct", "points_mm": places,
+        "id": "skin", "kind": "surface", "device_id": "sim", "parent_id": "ct", "points_mm": places,
         "surface": {"kind": "points", "points_mm": places},
     }  # fmt: skip
-    more = {"trim": 0.5, "reference": "pointer"}
+    more = {"trim": 0.5, "reference_id": "pointer"}
     for changes, expected in (
-        (more, [["trim"], ["reference"]]),
+        (more, [["trim"], ["reference_id"]]),
         ({"surface": {"kind": "points", "points": 3}},
          [["surface", "points_mm"], ["surface", "points"]]),
         ({"surface": {"kind": "mesh", "vertices_mm": [[0.0, 0.0, "x"]] * 3, "triangles": []}},
@@ -105,6 +105,6 @@ def test_a_body_whose_kind_is_also_one_of_its_keys(sqlite_client: Any):
         answer = sqlite_client.post("/api/v1/registrations", json=body | changes)
         found = locations(answer)
         assert sorted(found, key=str) == sorted((["body", *one] for one in expected), key=str)
-    without = {name: value for name, value in body.items() if name not in ("surface", "parent")}
+    without = {name: value for name, value in body.items() if name not in ("surface", "parent_id")}
     answer = sqlite_client.post("/api/v1/registrations", json=without)
-    assert locations(answer) == [["body", "parent"], ["body", "surface"]]
+    assert locations(answer) == [["body", "parent_id"], ["body", "surface"]]

@@ -16,7 +16,7 @@ from tests.service.fake_pipeline import FakePipeline, TestClient
 
 
 def test_every_problem_type_has_a_page_for_programs_and_for_people(sqlite_client: Any):
-    listed = sqlite_client.get("/problems").json()
+    listed = sqlite_client.get("/problems", params={"limit": 200}).json()["items"]
     assert {item["code"] for item in listed} == set(PROBLEM_TYPES)
     assert {"coplanar-points", "too-few-points", "unknown-device"} <= set(PROBLEM_TYPES)
     for item in listed:
@@ -77,7 +77,7 @@ def test_an_unexpected_error_gives_a_reference_and_no_secret(
 
     monkeypatch.setattr(sqlite_client.app.state.live, "status", broken)
     with caplog.at_level(logging.ERROR):
-        answer = sqlite_client.get("/api/v1/devices/sim/status")
+        answer = sqlite_client.get("/api/v1/devices/sim/state")
     assert answer.status_code == 500
     assert answer.headers["content-type"] == "application/problem+json"
     assert answer.json()["type"] == "/problems/internal-error"

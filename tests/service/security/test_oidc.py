@@ -362,7 +362,7 @@ def test_a_server_takes_them_beside_keys(
     refused = secured.ask("GET", "/api/v1/keys", token)
     assert (refused.status_code, "token user-7 (ada)" in refused.json()["detail"]) == (403, True)
     assert secured.ask("POST", "/api/v1/devices/sim/stop", token).status_code == 200
-    entries = secured.ask("GET", "/api/v1/audit?actor=user-7", secured.key("admin:keys")).json()
+    entries = secured.ask("GET", "/api/v1/audit?actor_id=user-7", secured.key("admin:keys")).json()
     assert entries["items"][0]["actor"] == {"kind": "token", "id": "user-7", "name": "ada"}
     assert secured.ask("GET", "/api/v1/devices", secured.key("read:stream")).status_code == 200
     wrong = secured.ask("GET", "/api/v1/devices", signed(claims(aud="another")))

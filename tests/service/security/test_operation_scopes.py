@@ -95,7 +95,7 @@ def test_a_route_that_the_guard_did_not_let_in_does_not_run(
             answer = client.get(path)
             assert (answer.status_code, answer.json()["type"]) == (500, "/problems/internal-error")
         with pytest.raises(RuntimeError, match='did not let operation "stream" in'):
-            client.websocket_connect("/api/v1/stream?device=sim").__enter__()
+            client.websocket_connect("/api/v1/stream?device_id=sim").__enter__()
 
 
 def test_every_scope_is_needed_by_something() -> None:

@@ -95,7 +95,7 @@ def test_a_key_cannot_fill_the_log(tmp_path: Any) -> None:
             path = f"/api/v1/devices/d{number}/stop"
             assert secured.ask("POST", path, key).status_code == 403
         assert secured.ask("POST", "/api/v1/devices/sim/start", key).status_code == 403
-        found = refused(secured, actor=key_id(key))
+        found = refused(secured, actor_id=key_id(key))
         assert [one["operation"] for one in found] == ["start-device", "stop-device"]
         assert found[1]["object_id"] == "d0"
     # The server ends, and tells of the others before.
@@ -112,7 +112,7 @@ def test_a_whole_key_in_a_path_is_not_kept_for_good(secured: Secured, encoded: s
     key = secured.key("read:stream")
     path = f"/api/v1/keys/{whole.replace('_', encoded)}/revoke"
     assert secured.ask("POST", path, key).status_code == 403
-    [entry] = refused(secured, actor=key_id(key))
+    [entry] = refused(secured, actor_id=key_id(key))
     assert (entry["object_kind"], entry["object_id"]) == ("key", "lumi_***")
 
 

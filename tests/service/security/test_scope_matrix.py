@@ -82,7 +82,7 @@ def test_every_operation(
 
 def handshake(secured: Secured, row: Row, key: str | None, *, by_header: bool) -> int:
     """Open a websocket and close it; return the status of the answer."""
-    path = "/nowhere" if row.path == "any other path" else f"{row.path}?device=sim"
+    path = "/nowhere" if row.path == "any other path" else f"{row.path}?device_id=sim"
     options: dict[str, Any] = {}
     if key is not None and by_header:
         options = {"headers": {"authorization": f"Bearer {key}"}}

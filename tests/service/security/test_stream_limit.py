@@ -18,7 +18,7 @@ from tests.service.fake_pipeline import WebSocketDenialResponse
 from tests.service.security.conftest import Secured, bearer, key_id
 from tests.service.security.test_scope_matrix import ended_by_the_client
 
-STREAM = "/api/v1/stream?device=sim"
+STREAM = "/api/v1/stream?device_id=sim"
 
 
 @pytest.fixture(autouse=True)

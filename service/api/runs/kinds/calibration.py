@@ -29,7 +29,7 @@ class Request(ResponseModel):
     sensors: list[Sensor]
     settings: CalibrationSettings
     result_id: str | None
-    capture: str | None
+    capture_id: str | None
     note: str
 
 

@@ -51,13 +51,13 @@ class StoredTool(ResponseModel):
 class Request(ResponseModel):
     """What a run keeps of its request, with tools and tracking as they were then."""
 
-    recording: str
+    recording_id: str
     format: Format
     result_id: str | None
     tools: list[StoredTool]
     tracking: Tracking
-    calibration: str | None
-    table: str | None
+    calibration_id: str | None
+    table_id: str | None
     predicted: bool
     points: bool
 
@@ -74,7 +74,7 @@ def request_of(session: "Session", device: "DeviceRow", request: NewExportRun) -
     kept = from_attributes(
         Request,
         request,
-        tools=[_kept(row) for row in _tools(session, device.id, request.tools)],
+        tools=[_kept(row) for row in _tools(session, device.id, request.tool_ids)],
         tracking=tracking_of(device),
     )
     _check_given(session, kept)
@@ -96,7 +96,7 @@ def task(
         UnknownRecording, UnknownCalibration, UnknownCorrectionTable: deleted meanwhile.
     """
     request = Request.model_validate(row.request)
-    recording = recording_path(request.recording, recordings)
+    recording = recording_path(request.recording_id, recordings)
     output = exports.partial_path(row.id, request.format)
     given = _given(session, request)
     return compute, (request, recording, output, given, exports.free_bytes)
@@ -125,7 +125,7 @@ def _tools(session: "Session", device_id: str, wanted: list[str] | None) -> "lis
             raise InvalidParameter(
                 f'tool "{row.id}" is of device "{row.device_id}"; only those of "{device_id}" can '
                 "be followed",
-                tool=row.id,
+                tool_id=row.id,
             )
     return found
 
@@ -140,19 +140,21 @@ def _check_given(session: "Session", request: Request) -> None:
     from service.api.calibrations.store import get_calibration
     from service.api.correction_tables.store import TABLES
 
-    if request.calibration is not None:
-        get_calibration(session, request.calibration)
-    if request.table is None:
+    if request.calibration_id is not None:
+        get_calibration(session, request.calibration_id)
+    if request.table_id is None:
         return
-    if request.calibration is None:
+    if request.calibration_id is None:
         raise InvalidParameter(
-            f'table "{request.table}" needs its calibration: give that, too', table=request.table
+            f'table "{request.table_id}" needs its calibration: give that, too',
+            table_id=request.table_id,
         )
-    parent = TABLES.get(session, request.table).calibration_id
-    if parent != request.calibration:
+    parent = TABLES.get(session, request.table_id).calibration_id
+    if parent != request.calibration_id:
         raise InvalidParameter(
-            f'table "{request.table}" is of calibration "{parent}", not of "{request.calibration}"',
-            table=request.table,
+            f'table "{request.table_id}" is of calibration "{parent}", not of '
+            f'"{request.calibration_id}"',
+            table_id=request.table_id,
         )
 
 
@@ -160,13 +162,15 @@ def _given(session: "Session", request: Request) -> ActiveCalibration | None:
     from service.api.calibrations.store import get_calibration
     from service.api.correction_tables.store import TABLES, content_of
 
-    if request.calibration is None:
+    if request.calibration_id is None:
         return None
-    calibration = get_calibration(session, request.calibration)
+    calibration = get_calibration(session, request.calibration_id)
     table = None
-    if request.table is not None:
-        table = content_of(TABLES.get(session, request.table)).table
-    return ActiveCalibration(calibration.id, result_of(calibration.content), request.table, table)
+    if request.table_id is not None:
+        table = content_of(TABLES.get(session, request.table_id)).table
+    return ActiveCalibration(
+        calibration.id, result_of(calibration.content), request.table_id, table
+    )
 
 
 def compute(
@@ -191,7 +195,7 @@ def compute(
 
     with RecordingReader(recording) as reader:
         frames = reader.info.frames
-        check_length(request.recording, frames)
+        check_length(request.recording_id, frames)
         told = -_TELL_FRAMES
 
         def done(count: int) -> None:

@@ -29,13 +29,13 @@ _SAME_MM: Final = 1e-6
 class Request(ResponseModel):
     """What a run keeps of its request."""
 
-    calibration: str
+    calibration_id: str
     points: list[ControlPoint]
     sensors: list[Sensor]
     settings: MappingSettings
     point_sigma_mm: float
     result_id: str | None
-    capture: str | None
+    capture_id: str | None
     note: str
 
 
@@ -61,7 +61,7 @@ def task(session: "Session", row: "RunRow") -> tuple[Callable[..., Any], tuple[A
     from service.api.calibrations.store import get_calibration
 
     request = Request.model_validate(row.request)
-    calibration = get_calibration(session, request.calibration)
+    calibration = get_calibration(session, request.calibration_id)
     made_from = np.array(
         [point["position_mm"] for point in calibration.content["points"]], dtype=np.float64
     ).reshape(-1, 3)
@@ -81,7 +81,7 @@ def store(session: "Session", row: "RunRow", content: TableContent) -> str:
     from service.api.devices.store import get_device, sensors_of_row
 
     request = Request.model_validate(row.request)
-    calibration = usable(session, request.calibration)
+    calibration = usable(session, request.calibration_id)
     device = get_device(session, row.device_id)
     check_sensors(device.id, sensors_of_row(device), result_of(calibration.content).models)
     return add_table(session, content, calibration, "run", request.note, request.result_id).id

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 class Request(ResponseModel):
     """What a run keeps of its request."""
 
-    start: str | None
+    start_calibration_id: str | None
     initial: Literal["start", "readings"] = "start"
     directions_deg: dict[str, float] | None = None
     distortion: GivenDistortion = "none"
@@ -69,7 +69,11 @@ def task(session: "Session", row: "RunRow") -> tuple[Callable[..., Any], tuple[A
     from service.api.calibrations.store import get_calibration
 
     request = Request.model_validate(row.request)
-    start = None if request.start is None else get_calibration(session, request.start)
+    start = (
+        None
+        if request.start_calibration_id is None
+        else get_calibration(session, request.start_calibration_id)
+    )
     return compute, (request, None if start is None else result_of(start.content).models)
 
 

@@ -32,15 +32,15 @@ if TYPE_CHECKING:
 class Request(ResponseModel):
     """What a run keeps of its request."""
 
-    calibration: str
+    calibration_id: str
     markers: list[StationaryMarker]
     device_sensors: list[Sensor]
     position_sigma_mm: float
     sensors: list[str] | None
     allowance: dict[str, float] | None
     result_id: str | None
-    capture: str | None
-    drift_check: str | None
+    capture_id: str | None
+    drift_check_id: str | None
     note: str
 
 
@@ -63,7 +63,7 @@ def task(session: "Session", row: "RunRow") -> tuple[Callable[..., Any], tuple[A
     from service.api.calibrations.store import get_calibration
 
     request = Request.model_validate(row.request)
-    return compute, (request, result_of(get_calibration(session, request.calibration).content))
+    return compute, (request, result_of(get_calibration(session, request.calibration_id).content))
 
 
 def store(session: "Session", row: "RunRow", result: Calibration) -> str:
@@ -71,7 +71,7 @@ def store(session: "Session", row: "RunRow", result: Calibration) -> str:
     from service.api.calibrations.store import get_calibration
 
     request = Request.model_validate(row.request)
-    parent = get_calibration(session, request.calibration)
+    parent = get_calibration(session, request.calibration_id)
     points, errors = _drift_verdict(request, result)
     content = calibration_content(row.device_id, "updated", points, result) | {
         "parent": {"id": parent.id, "content_hash": parent.content_hash}

@@ -24,16 +24,16 @@ PLACES = {
 }
 CHEST = {
     "id": "chest",
-    "device": "sim",
+    "device_id": "sim",
     "title": "Chest",
     "watch": {"kind": "strobed-markers", "markers": [4, 5, 6]},
     "limits": {"shift_mm": 3.0},
 }
 HEAD = {
     "id": "head",
-    "device": "sim",
+    "device_id": "sim",
     "title": "Head",
-    "watch": {"kind": "tool", "tool": "patient", "target_mm": [0, -80, 0]},
+    "watch": {"kind": "tool", "tool_id": "patient", "target_mm": [0, -80, 0]},
     "limits": {"shift_mm": 1.5, "rotation_rad": 0.02},
 }
 POSE = {"rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]], "translation_mm": [0, 0, 1500]}
@@ -86,7 +86,11 @@ def test_a_hold_from_the_first_to_the_last(client: Any, live: FakePipeline):
     referred = client.post("/api/v1/beam-holds/chest/reference", json=GIVEN)
     assert referred.status_code == 200, referred.text
     taken = referred.json()["reference"]
-    assert (taken["kind"], taken["calibration"], taken["frames"]) == ("given", "sim-nominal", None)
+    assert (taken["kind"], taken["calibration_id"], taken["frames"]) == (
+        "given",
+        "sim-nominal",
+        None,
+    )
     assert taken["positions_mm"] == GIVEN["given"]["positions_mm"]
     why = "it has a new reference, and nothing was measured since"
     assert state(client, "chest")["reason"] == why
@@ -106,9 +110,9 @@ def test_a_hold_from_the_first_to_the_last(client: Any, live: FakePipeline):
     assert (watched.limits.axis_mm, watched.limits.rules.latched) == ((1, 2, 3), True)
     acknowledged = client.post("/api/v1/beam-holds/chest/acknowledge")
     assert (acknowledged.status_code, acknowledged.json()["held"]) == (200, True)
-    listed = client.get("/api/v1/beam-holds", params={"device": "sim"}).json()
+    listed = client.get("/api/v1/beam-holds", params={"device_id": "sim"}).json()
     assert listed["items"] == [changed]
-    assert client.get("/api/v1/beam-holds", params={"device": "other"}).json()["items"] == []
+    assert client.get("/api/v1/beam-holds", params={"device_id": "other"}).json()["items"] == []
     gone = client.delete("/api/v1/beam-holds/chest/reference").json()
     assert gone["reference"] is None
     assert state(client, "chest")["held"]
@@ -125,8 +129,8 @@ def test_a_hold_from_the_first_to_the_last(client: Any, live: FakePipeline):
 
 
 REFUSED: list[tuple[dict[str, Any], dict[str, Any], tuple[int, str], str]] = [
-    (CHEST, {"device": "nothing"}, (404, "unknown-device"), "nothing"),
-    (HEAD, {"watch": {"kind": "tool", "tool": "no"}}, (404, "unknown-tool"), '"no"'),
+    (CHEST, {"device_id": "nothing"}, (404, "unknown-device"), "nothing"),
+    (HEAD, {"watch": {"kind": "tool", "tool_id": "no"}}, (404, "unknown-tool"), '"no"'),
     (CHEST, {"limits": {}}, (422, "invalid-parameter"), "at least one"),
     (CHEST, {"limits": {"rotation_rad": 0.1}}, (422, "invalid-parameter"), "markers do not turn"),
     (
@@ -184,7 +188,7 @@ def test_a_hold_that_cannot_be_says_why(sqlite_client: Any):
         answer = new(sqlite_client, hold, **changes)
         assert code(answer) == expected, (changes, answer.text)
         assert words in answer.json()["detail"], (changes, answer.text)
-    assert sqlite_client.get("/api/v1/beam-holds").json()["total"] == 0
+    assert sqlite_client.get("/api/v1/beam-holds").json()["items"] == []
 
 
 def test_what_is_taken_or_in_use_stays(sqlite_client: Any):
@@ -205,7 +209,7 @@ def test_what_is_taken_or_in_use_stays(sqlite_client: Any):
     )
     assert code(changed) == (422, "invalid-parameter")
     assert sqlite_client.delete("/api/v1/devices/sim?cascade=true").status_code == 204
-    assert sqlite_client.get("/api/v1/beam-holds").json()["total"] == 0
+    assert sqlite_client.get("/api/v1/beam-holds").json()["items"] == []
 
 
 def test_a_reference_of_markers_is_their_mean(client: Any, running: FakePipeline):
@@ -216,7 +220,11 @@ def test_a_reference_of_markers_is_their_mean(client: Any, running: FakePipeline
     )
     assert answer.status_code == 200, answer.text
     taken = answer.json()["reference"]
-    assert (taken["kind"], taken["calibration"], taken["frames"]) == ("captured", "sim-nominal", 40)
+    assert (taken["kind"], taken["calibration_id"], taken["frames"]) == (
+        "captured",
+        "sim-nominal",
+        40,
+    )
     # 0.02 mm along each axis, of 40 frames: six deviations are enough.
     places = np.array(list(PLACES.values()))
     np.testing.assert_allclose(taken["positions_mm"], places, atol=6 * 0.02 / np.sqrt(40))

@@ -108,7 +108,7 @@ def test_stored_calibrations_are_compared(client: Any):
     sensors = [{"name": name, "pixels": 2048, "pitch_um": 14.0} for name in names]
     source = {"kind": "external", "sensors": sensors}
     client.post("/api/v1/devices", json={"id": "bar", "title": "Bar", "source": source})
-    body = NEW_CALIBRATIONS["frame"]["value"] | {"id": "of-bar", "device": "bar"}
+    body = NEW_CALIBRATIONS["frame"]["value"] | {"id": "of-bar", "device_id": "bar"}
     assert client.post("/api/v1/calibrations", json=body).status_code == 201
     refused = client.get("/api/v1/calibrations/sim-frame/compare/of-bar")
     assert refused.json()["type"] == "/problems/calibration-of-another-device"

@@ -38,7 +38,7 @@ def test_a_session_is_captured_target_by_target_and_calibrates(
             place(first, target)
             found = client.post(f"{URL}/sim-capture/capture").json()
         assert (found["next"], found["left"]) == ("P10", 10)
-        early = {"device": "sim", "capture": "sim-capture"}
+        early = {"device_id": "sim", "capture_id": "sim-capture"}
         refused = client.post("/api/v1/calibration-runs", json=early)
         assert refused.json()["type"] == "/problems/capture-incomplete"
         assert "10 of 19" in refused.json()["detail"]
@@ -78,7 +78,7 @@ def test_a_marker_that_was_not_moved_is_told(sqlite_client: Any, live: FakePipel
         for number, name in enumerate("ABC")
     ]
     targets.append({"name": "beside A", "position_mm": [0.05, 0.0, 1500.0]})
-    body = {"id": "steps", "device": "sim", "targets": targets, "settings": {"frames": 20}}
+    body = {"id": "steps", "device_id": "sim", "targets": targets, "settings": {"frames": 20}}
     assert sqlite_client.post(URL, json=body).status_code == 201
 
     def capture(at: int, **query: str) -> Any:
@@ -101,7 +101,7 @@ def test_a_marker_that_was_not_moved_is_told(sqlite_client: Any, live: FakePipel
 def test_a_session_is_deleted(client: Any):
     client.post(URL, json=BODY)
     assert client.delete(f"{URL}/sim-capture").status_code == 204
-    assert client.get(URL).json()["total"] == 0
+    assert client.get(URL).json()["items"] == []
     assert client.delete(f"{URL}/sim-capture").json()["type"] == "/problems/unknown-capture"
 
 
@@ -110,7 +110,7 @@ def test_a_target_names_its_marker_or_takes_the_settings(sqlite_client: Any, liv
         {"name": f"P{number}", "position_mm": [30.0 * number, 0.0, 1500.0]} for number in range(3)
     ]
     targets[1]["marker"] = 7
-    body = {"id": "own", "device": "sim", "targets": targets, "settings": {"marker": 2}}
+    body = {"id": "own", "device_id": "sim", "targets": targets, "settings": {"marker": 2}}
     made = sqlite_client.post(URL, json=body).json()
     assert [target["marker"] for target in made["targets"]] == [None, 7, None]
     for target in targets:
@@ -149,4 +149,4 @@ def test_what_cannot_be_captured_is_told_and_nothing_is_stored(
     assert answer["type"] == "/problems/duplicate-point"
     assert 'targets "P1" and "Q" have the same position' in answer["detail"]
     assert sqlite_client.post(URL, json=BODY).json()["type"] == "/problems/capture-exists"
-    assert sqlite_client.get(URL).json()["total"] == 1
+    assert len(sqlite_client.get(URL).json()["items"]) == 1

@@ -17,7 +17,7 @@ def test_the_frame_of_the_examples_calibrates(tmp_path: Path):
     device = NEW_DEVICES["simulated"]["value"]
     scene = device["source"]["settings"] | {"frame_rate_hz": 2000}
     device = device | {"source": device["source"] | {"settings": scene}}
-    session = NEW_CAPTURES["frame"]["value"] | {"device": "bench", "settings": {"frames": 10}}
+    session = NEW_CAPTURES["frame"]["value"] | {"device_id": "bench", "settings": {"frames": 10}}
     with serving(tmp_path) as url, httpx.Client(base_url=f"{url}/api/v1", timeout=60.0) as client:
         client.post("/devices/sim/stop")
         assert client.post("/devices", json=device).status_code == 201
@@ -36,10 +36,10 @@ def test_the_frame_of_the_examples_calibrates(tmp_path: Path):
         refused = client.post("/captures/wrong/capture")
         assert refused.json()["type"] == "/problems/marker-not-moved"
         client.post("/devices/bench/stop")
-        run = {"id": "captured", "device": "bench", "capture": "sim-capture"} | QUICK
+        run = {"id": "captured", "device_id": "bench", "capture_id": "sim-capture"} | QUICK
         assert client.post("/calibration-runs", json=run).status_code == 202
         with httpx.Client(base_url=url, timeout=60.0) as root:
             done = wait(root, "captured")
             assert done["state"] == "succeeded", done
-            errors = root.get(done["result"]).json()["errors"]["leave_one_out"]["statistics"]
+            errors = root.get(done["result_path"]).json()["errors"]["leave_one_out"]["statistics"]
     assert max(errors["mean_absolute_mm"]) < 0.2

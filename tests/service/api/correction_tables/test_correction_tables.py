@@ -56,7 +56,7 @@ def test_a_table_is_stored_read_and_comes_back_as_it_was(client: Any):
     assert made.headers["location"] == f"{URL}/map"
     document = made.json()
     assert client.get(f"{URL}/map").json() == document
-    assert (document["calibration"], document["active"], document["origin"]) == (
+    assert (document["calibration_id"], document["active"], document["origin"]) == (
         "sim-nominal", False, "upload",
     )  # fmt: skip
     assert document["content_hash"] == given.content_hash()
@@ -71,9 +71,9 @@ def test_a_table_is_stored_read_and_comes_back_as_it_was(client: Any):
     assert read_table(file.content).content_hash() == given.content_hash()
     again = send(client, file.content, id="again")
     assert again.json()["content_hash"] == document["content_hash"]
-    listed = client.get(URL, params={"device": "sim", "calibration": "sim-nominal"}).json()
+    listed = client.get(URL, params={"device_id": "sim", "calibration_id": "sim-nominal"}).json()
     assert [one["id"] for one in listed["items"]] == ["again", "map"]
-    assert client.get(URL, params={"device": "other"}).json()["total"] == 0
+    assert client.get(URL, params={"device_id": "other"}).json()["items"] == []
 
 
 @pytest.mark.slow
@@ -119,7 +119,7 @@ def test_a_table_works_with_a_calibration_of_the_same_content(client: Any, quick
     wanted = made_calibration(client, "first")
     assert made_calibration(client, "second") == wanted
     client.post("/api/v1/calibrations/first/activate")
-    assert send(client, content(wanted), id="map").json()["calibration"] == "first"
+    assert send(client, content(wanted), id="map").json()["calibration_id"] == "first"
     client.post("/api/v1/calibrations/second/activate")
     assert client.post(f"{URL}/map/activate").json()["active"] is True
     assert history(client)[-1] == ("second", "map")
@@ -203,7 +203,7 @@ def test_sensors_of_another_order_are_refused(sqlite_client: Any, quickly: None)
     )
     refused = send(sqlite_client, table)
     assert refused.json()["type"] == "/problems/foreign-correction-table"
-    assert sqlite_client.get(URL).json()["total"] == 0
+    assert sqlite_client.get(URL).json()["items"] == []
 
 
 def crash(_tell: Any, _data: bytes) -> None:

@@ -27,7 +27,7 @@ A_WHILE_S = 0.3
 def with_two(client: Any) -> Any:
     points = simulated_points(2.0 * calibration_target_points_mm()[::2])
     for name in ("a", "b"):
-        body = {"id": name, "device": "sim", "points": points}
+        body = {"id": name, "device_id": "sim", "points": points}
         assert client.post("/api/v1/calibrations", json=body).status_code == 201
     return client
 

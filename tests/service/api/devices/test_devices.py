@@ -101,12 +101,12 @@ def test_a_device_stored_before_lines_were_fitted_keeps_its_method(client: Any):
 
 
 def test_start_and_stop(client: Any, live: Any):
-    assert client.post("/api/v1/devices/sim/stop").json()["status"]["state"] == "stopped"
+    assert client.post("/api/v1/devices/sim/stop").json()["state"] == "stopped"
     started = client.post("/api/v1/devices/sim/start").json()
-    assert started == {"device": "sim", "status": started["status"]}
-    assert started["status"]["state"] == "running"
-    assert started["status"]["calibration_id"] == "sim-nominal"
-    assert client.get("/api/v1/devices/sim/status").json() == started
+    assert started["device_id"] == "sim"
+    assert started["state"] == "running"
+    assert started["calibration_id"] == "sim-nominal"
+    assert client.get("/api/v1/devices/sim/state").json() == started
     assert [call[0] for call in live.calls] == ["start", "stop", "start"]
 
 
@@ -127,13 +127,17 @@ def test_deleting_is_refused_while_calibrations_exist_and_cascades_on_request(
     assert client.delete("/api/v1/devices/sim?cascade=true").status_code == 204
     assert live.calls[-1] == ("forget", "sim")
     assert client.get("/api/v1/devices/sim").status_code == 404
-    assert client.get("/api/v1/calibrations").json()["total"] == 0
+    assert client.get("/api/v1/calibrations").json()["items"] == []
 
 
 def test_deleting_is_refused_while_captures_or_runs_exist(client: Any):
     client.post("/api/v1/devices", json=EXTERNAL)
     sensors = client.get("/api/v1/devices/bar").json()["sensors"]
-    capture = {"id": "held", "device": "bar", "targets": [{"name": "P", "position_mm": [0, 0, 0]}]}
+    capture = {
+        "id": "held",
+        "device_id": "bar",
+        "targets": [{"name": "P", "position_mm": [0, 0, 0]}],
+    }
     assert client.post("/api/v1/captures", json=capture).status_code == 201
     refused = client.delete("/api/v1/devices/bar")
     assert (refused.status_code, refused.json()["type"]) == (409, "/problems/device-in-use")
@@ -149,8 +153,8 @@ def test_deleting_is_refused_while_captures_or_runs_exist(client: Any):
     changed = client.patch("/api/v1/devices/bar", json={"source": source})
     assert changed.status_code == 200, changed.text
     assert client.delete("/api/v1/devices/bar?cascade=true").status_code == 204
-    assert client.get("/api/v1/captures").json()["total"] == 0
-    assert client.get("/api/v1/runs").json()["total"] == 0
+    assert client.get("/api/v1/captures").json()["items"] == []
+    assert client.get("/api/v1/runs").json()["items"] == []
 
 
 def test_a_device_without_calibrations_is_deleted(client: Any):
@@ -162,16 +166,19 @@ def test_a_device_without_calibrations_is_deleted(client: Any):
 def test_pages(client: Any):
     for number in range(4):
         client.post("/api/v1/devices", json=EXTERNAL | {"id": f"bar-{number}"})
-    page = client.get("/api/v1/devices?limit=2&offset=3").json()
-    assert (page["total"], page["limit"], page["offset"]) == (5, 2, 3)
+    page = client.get("/api/v1/devices?limit=3").json()
+    assert [item["id"] for item in page["items"]] == ["bar-0", "bar-1", "bar-2"]
+    last = {"limit": 3, "cursor": page["next_cursor"]}
+    page = client.get("/api/v1/devices", params=last).json()
     assert [item["id"] for item in page["items"]] == ["bar-3", "sim"]
+    assert page["next_cursor"] is None
 
 
 def replay(recording: str) -> dict[str, Any]:
     return {
         "id": "again",
         "title": "Again",
-        "source": {"kind": "replay", "recording": recording},
+        "source": {"kind": "replay", "recording_id": recording},
     }
 
 

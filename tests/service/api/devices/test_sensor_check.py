@@ -52,7 +52,7 @@ def test_sensors_changed_during_the_run_are_a_conflict_and_nothing_is_stored(
     assert [answer.status_code for answer in answers] == [200]
     assert (refused.status_code, refused.json()["type"]) == (409, "/problems/sensors-changed")
     assert "calibrate the sensors that the device has now" in refused.json()["detail"]
-    assert client.get(f"/api/v1/calibrations?device={DEVICE['id']}").json()["total"] == 0
+    assert client.get(f"/api/v1/calibrations?device_id={DEVICE['id']}").json()["items"] == []
 
 
 def test_a_title_changed_during_the_run_is_none(client: Any, monkeypatch: pytest.MonkeyPatch):
@@ -96,7 +96,7 @@ def test_a_calibration_of_other_sensors_reconstructs_nothing(client: Any):
     exchange_sensors(client)
     refused = client.post("/api/v1/reconstructions", json=body | {"id": "again"})
     assert (refused.status_code, refused.json()["type"]) == (409, "/problems/sensors-changed")
-    assert client.get("/api/v1/reconstructions").json()["total"] == 1
+    assert len(client.get("/api/v1/reconstructions").json()["items"]) == 1
 
 
 def test_sensors_of_a_running_device_change_when_it_was_stopped(client: Any, live: FakePipeline):

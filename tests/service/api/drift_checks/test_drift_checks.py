@@ -77,7 +77,7 @@ def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
         TestClient(create_app(settings, FakePipeline())) as running,
     ):
         use_in_process_worker(patch)
-        body = {"id": "measured", "device": "sim", "points": read(MODELS, PLACES, 1)}
+        body = {"id": "measured", "device_id": "sim", "points": read(MODELS, PLACES, 1)}
         made = running.post("/api/v1/calibrations", json=body)
         assert made.status_code == 201, made.text
         body = {"id": "before", "points": read(MODELS, PLACES[:8], 2)}
@@ -92,7 +92,7 @@ def capture(client: Any, name: str, models: tuple[SensorModel, ...], seed: int) 
     """Store a finished capture session of eight targets."""
     points = read(models, PLACES[:8], seed)
     targets = [{key: point[key] for key in ("name", "position_mm")} for point in points]
-    body = {"id": name, "device": "sim", "targets": targets}
+    body = {"id": name, "device_id": "sim", "targets": targets}
     assert client.post("/api/v1/captures", json=body).status_code == 201
     with client.app.state.database.write() as session:
         for point in points:
@@ -128,9 +128,9 @@ def finished(client: Any, run: str) -> Any:
 
 def test_a_device_that_did_not_move_is_good(client: Any):
     found = client.get("/api/v1/drift-checks/before").json()
-    assert (found["verdict"], found["moved"]) == ("good", [])
+    assert (found["status"], found["moved"]) == ("good", [])
     assert found["check"]["dof"] == 8 * len(NAMES)
-    assert found["calibration"] == "measured"
+    assert found["calibration_id"] == "measured"
     assert found["in_words"][0].startswith("The calibration holds (32 readings")
     assert found["points"][7]["name"] == "P8"
 
@@ -140,7 +140,7 @@ def test_a_device_that_did_not_move_is_good(client: Any):
     [
         {"points": read(moved_models(), PLACES[:8], 5)},
         {"points": bare(read(moved_models(), PLACES[:8], 6)), "against": "calibration"},
-        {"capture": "now", "against": "capture", "earlier_capture": "then"},
+        {"capture_id": "now", "against": "capture", "earlier_capture_id": "then"},
     ],
     ids=["positions", "calibration", "capture"],
 )
@@ -149,7 +149,7 @@ def test_the_sensor_that_moved_is_named(client: Any, given: dict[str, Any]):
     assert posted.status_code == 201, posted.text
     found = posted.json()
     assert posted.headers["location"] == f"/api/v1/drift-checks/{found['id']}"
-    assert (found["verdict"], found["moved"]) == ("sensors-moved", [NAMES[MOVED]])
+    assert (found["status"], found["moved"]) == ("sensors-moved", [NAMES[MOVED]])
     drift = found["check"]["sensors"][MOVED]
     assert drift["parameter"] == "rotation_z_rad"
     assert abs(drift["change"] - 3e-3) < 5 * drift["change_sigma"]
@@ -162,7 +162,7 @@ def test_a_frame_that_was_pushed_blames_no_sensor(client: Any):
     # Its names are those of the calibration's control points; it stands 2 mm further.
     points = bare(read(MODELS, PLACES[:8] + np.array([2.0, 0.0, 0.0]), 7))
     found = client.post(URL, json={"points": points, "against": "calibration"}).json()
-    assert (found["verdict"], found["moved"]) == ("moved-as-a-whole", [])
+    assert (found["status"], found["moved"]) == ("moved-as-a-whole", [])
     assert found["check"]["translation_mm"] == pytest.approx(2.0, abs=0.2)
 
 
@@ -172,28 +172,28 @@ def test_the_history_of_a_device_is_listed(client: Any):
         made = client.post(URL, json={"id": f"week-{number}", "points": points})
         assert made.status_code == 201, made.text
     url = "/api/v1/drift-checks"
-    newest = client.get(url, params={"device": "sim", "limit": 3}).json()
+    newest = client.get(url, params={"device_id": "sim", "limit": 3}).json()
     assert [one["id"] for one in newest["items"]] == ["week-2", "week-1", "week-0"]
-    assert [one["verdict"] for one in newest["items"]] == ["good", "sensors-moved", "good"]
+    assert [one["status"] for one in newest["items"]] == ["good", "sensors-moved", "good"]
     assert "points" not in newest["items"][0]
-    good = client.get(url, params={"calibration": "measured", "good": True}).json()
+    good = client.get(url, params={"calibration_id": "measured", "good": True}).json()
     assert {"week-0", "week-2", "before"} <= {one["id"] for one in good["items"]}
     assert "week-1" not in {one["id"] for one in good["items"]}
-    assert client.get(url, params={"calibration": "sim-nominal"}).json()["total"] == 0
+    assert client.get(url, params={"calibration_id": "sim-nominal"}).json()["items"] == []
 
 
 def test_an_update_run_makes_a_calibration_that_holds_again(client: Any):
     points = read(moved_models(), PLACES[:8], 20)
     client.post(URL, json={"id": "drifted", "points": points, "position_sigma_mm": 0.01})
     body = {
-        "id": "mend", "device": "sim", "drift_check": "drifted", "sensors": [NAMES[MOVED]],
+        "id": "mend", "device_id": "sim", "drift_check_id": "drifted", "sensors": [NAMES[MOVED]],
         "result_id": "mended", "note": "it was knocked",
     }  # fmt: skip
     posted = client.post("/api/v1/update-runs", json=body)
     assert posted.status_code == 202, posted.text
     assert posted.headers["location"] == "/api/v1/runs/mend"
     run = finished(client, "mend")
-    assert (run["state"], run["result"]) == ("succeeded", "/api/v1/calibrations/mended"), run
+    assert (run["state"], run["result_path"]) == ("succeeded", "/api/v1/calibrations/mended"), run
     parent = client.get("/api/v1/calibrations/measured").json()
     made = client.get("/api/v1/calibrations/mended").json()
     assert (made["provenance"], made["method"], made["state"]) == ("updated", "update", "available")
@@ -201,21 +201,22 @@ def test_an_update_run_makes_a_calibration_that_holds_again(client: Any):
     assert made["note"] == "it was knocked"
     assert made["errors"]["fitted"]["statistics"]["points"] == 8
     # The recipe of the documentation gives its hash, with the parent in it.
-    hashed = {name: made[name] for name in ("device", "provenance", "points", "result", "parent")}
+    hashed = {name: made[name] for name in ("provenance", "points", "result", "parent")}
+    hashed["device"] = made["device_id"]
     text = json.dumps(hashed, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
     assert hashlib.sha256(text.encode()).hexdigest() == made["content_hash"]
     # Other markers than those that mended it.
     again = {"points": read(moved_models(), PLACES[8:16], 21)}
     mended = client.post("/api/v1/calibrations/mended/drift-checks", json=again).json()
-    assert mended["verdict"] == "good", mended["in_words"]
-    assert client.post(URL, json=again).json()["verdict"] == "sensors-moved"
+    assert mended["status"] == "good", mended["in_words"]
+    assert client.post(URL, json=again).json()["status"] == "sensors-moved"
     assert client.get("/api/v1/devices/sim").json()["active_calibration_id"] == "sim-nominal"
 
 
 def test_an_update_against_earlier_readings_has_no_control_points(client: Any):
     body = {
-        "id": "by-capture", "device": "sim", "calibration": "measured", "capture": "now",
-        "against": "capture", "earlier_capture": "then", "result_id": "by-capture",
+        "id": "by-capture", "device_id": "sim", "calibration_id": "measured", "capture_id": "now",
+        "against": "capture", "earlier_capture_id": "then", "result_id": "by-capture",
         "sensors": [NAMES[MOVED]],
     }  # fmt: skip
     assert client.post("/api/v1/update-runs", json=body).status_code == 202
@@ -231,19 +232,23 @@ def test_an_update_against_earlier_readings_has_no_control_points(client: Any):
     assert changed == [place == MOVED for place in range(len(NAMES))]
     again = {"points": read(moved_models(), PLACES[8:16], 22)}
     found = client.post("/api/v1/calibrations/by-capture/drift-checks", json=again).json()
-    assert found["verdict"] == "good", found["in_words"]
+    assert found["status"] == "good", found["in_words"]
 
 
 @pytest.mark.parametrize(
     ("given", "status", "words"),
     [
-        ({}, 422, "of points and capture neither"),
-        ({"points": read(MODELS, PLACES[:4], 1), "capture": "now"}, 422, "and capture both"),
+        ({}, 422, "of points and capture_id neither"),
+        ({"points": read(MODELS, PLACES[:4], 1), "capture_id": "now"}, 422, "and capture_id both"),
         ({"points": bare(read(MODELS, PLACES[:4], 1))}, 422, '"P1" has no position_mm'),
-        ({"capture": "now", "against": "capture"}, 422, "earlier_capture is missing"),
-        ({"capture": "now", "earlier_capture": "then"}, 422, "earlier_capture is given against"),
-        ({"capture": "nothing"}, 404, '"nothing"'),
-        ({"id": "before", "capture": "now"}, 409, '"before" exists already'),
+        ({"capture_id": "now", "against": "capture"}, 422, "earlier_capture_id is missing"),
+        (
+            {"capture_id": "now", "earlier_capture_id": "then"},
+            422,
+            "earlier_capture_id is given against",
+        ),
+        ({"capture_id": "nothing"}, 404, '"nothing"'),
+        ({"id": "before", "capture_id": "now"}, 409, '"before" exists already'),
         (
             {"points": [{"name": "Q", "readings": {}}], "against": "calibration"},
             422,
@@ -259,11 +264,11 @@ def test_an_update_against_earlier_readings_has_no_control_points(client: Any):
 def test_what_cannot_be_compared_is_refused(
     client: Any, given: dict[str, Any], status: int, words: str
 ):
-    before = client.get("/api/v1/drift-checks").json()["total"]
+    before = len(client.get("/api/v1/drift-checks").json()["items"])
     refused = client.post(URL, json=given)
     assert refused.status_code == status, refused.text
     assert words in refused.json()["detail"]
-    assert client.get("/api/v1/drift-checks").json()["total"] == before
+    assert len(client.get("/api/v1/drift-checks").json()["items"]) == before
 
 
 @pytest.mark.parametrize(
@@ -271,15 +276,15 @@ def test_what_cannot_be_compared_is_refused(
     [
         ({"sensors": ["sixth"]}, 422, "there is no sensor sixth"),
         ({"allowance": {"colour": 1.0}}, 422, "allowance has colour"),
-        ({"capture": "now"}, 422, "capture is given with drift_check"),
-        ({"calibration": "sim-nominal"}, 422, 'is of calibration "measured"'),
-        ({"drift_check": "nothing"}, 404, 'no drift check "nothing"'),
+        ({"capture_id": "now"}, 422, "capture_id is given with drift_check_id"),
+        ({"calibration_id": "sim-nominal"}, 422, 'is of calibration "measured"'),
+        ({"drift_check_id": "nothing"}, 404, 'no drift check "nothing"'),
     ],
 )
 def test_an_update_that_cannot_be_is_refused_when_it_is_posted(
     client: Any, given: dict[str, Any], status: int, words: str
 ):
-    body = {"device": "sim", "drift_check": "before"} | given
+    body = {"device_id": "sim", "drift_check_id": "before"} | given
     refused = client.post("/api/v1/update-runs", json=body)
     assert refused.status_code == status, refused.text
     assert words in refused.json()["detail"]
@@ -297,4 +302,4 @@ def test_a_device_takes_its_drift_checks_with_it(sqlite_client: Any):
     made = sqlite_client.post("/api/v1/calibrations/sim-nominal/drift-checks", json=body)
     assert made.status_code == 201, made.text
     assert sqlite_client.delete("/api/v1/devices/sim?cascade=true").status_code == 204
-    assert sqlite_client.get("/api/v1/drift-checks").json()["total"] == 0
+    assert sqlite_client.get("/api/v1/drift-checks").json()["items"] == []

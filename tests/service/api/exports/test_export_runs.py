@@ -25,7 +25,7 @@ from tests.service.api.runs.test_runs import wait, wait_until
 
 API = "/api/v1"
 TOOL = {
-    "id": "probe", "device": "sim", "title": "Probe", "markers_mm": MARKERS,
+    "id": "probe", "device_id": "sim", "title": "Probe", "markers_mm": MARKERS,
     "tip_mm": PROBE.tip_mm,
 }  # fmt: skip
 
@@ -41,7 +41,7 @@ def walk(sqlite_settings: Settings, sqlite_client: Any, taken: Taken) -> Path:
 
 
 def post(client: Any, **members: Any) -> Any:
-    body = {"id": "r", "device": "sim", "recording": "ward/walk.h5", "format": "csv"}
+    body = {"id": "r", "device_id": "sim", "recording_id": "ward/walk.h5", "format": "csv"}
     return client.post(f"{API}/export-runs", json=body | members)
 
 
@@ -63,34 +63,34 @@ def test_it_makes_what_the_command_line_makes(
     use_in_process_worker(monkeypatch)
     run = ended(sqlite_client, result_id="walk")
     assert (run["state"], run["problem"], run["kind"]) == ("succeeded", None, "export")
-    assert run["result"] == f"{API}/exports/walk"
+    assert run["result_path"] == f"{API}/exports/walk"
     with RecordingReader(walk) as reader:
         write_export(table_from_recording(reader, [PROBE]), tmp_path / "same.csv")
     expected = (tmp_path / "same.csv").read_bytes()
     assert b"tool,probe,OK" in expected
-    whole = sqlite_client.get(f"{run['result']}/file")
+    whole = sqlite_client.get(f"{run['result_path']}/file")
     assert whole.content == expected
     assert whole.headers["content-type"].startswith("text/csv")
     assert whole.headers["content-disposition"] == 'attachment; filename="walk.csv"'
     rest = {"Range": "bytes=100-", "If-Range": whole.headers["etag"]}
-    part = sqlite_client.get(f"{run['result']}/file", headers=rest)
+    part = sqlite_client.get(f"{run['result_path']}/file", headers=rest)
     assert (part.status_code, part.content) == (206, expected[100:])
-    about = sqlite_client.get(run["result"]).json()
+    about = sqlite_client.get(run["result_path"]).json()
     assert about | {"created_at": None} == {
         "id": "walk", "format": "csv", "file_name": "walk.csv", "media_type": "text/csv",
-        "size_bytes": len(expected), "created_at": None, "run": "r", "device": "sim",
-        "recording": "ward/walk.h5",
+        "size_bytes": len(expected), "created_at": None, "run_id": "r", "device_id": "sim",
+        "recording_id": "ward/walk.h5",
     }  # fmt: skip
     assert sqlite_client.get(f"{API}/exports").json()["items"] == [about]
     # The run may go, and what it made stays until it is deleted.
     assert sqlite_client.delete(f"{API}/runs/r").status_code == 204
-    assert sqlite_client.get(run["result"]).json() == about | dict.fromkeys(
-        ("run", "device", "recording")
+    assert sqlite_client.get(run["result_path"]).json() == about | dict.fromkeys(
+        ("run_id", "device_id", "recording_id")
     )
-    assert sqlite_client.delete(run["result"]).status_code == 204
-    assert code(sqlite_client.get(run["result"])) == (404, "unknown-export")
-    assert code(sqlite_client.get(f"{run['result']}/file")) == (404, "unknown-export")
-    assert code(sqlite_client.delete(run["result"])) == (404, "unknown-export")
+    assert sqlite_client.delete(run["result_path"]).status_code == 204
+    assert code(sqlite_client.get(run["result_path"])) == (404, "unknown-export")
+    assert code(sqlite_client.get(f"{run['result_path']}/file")) == (404, "unknown-export")
+    assert code(sqlite_client.delete(run["result_path"])) == (404, "unknown-export")
     assert walk.exists()
     told = sqlite_client.get(f"{API}/audit", params={"operation": "delete-export"}).json()["items"]
     assert [(one["object_kind"], one["object_id"], one["outcome"]) for one in told] == [
@@ -108,8 +108,8 @@ def test_every_format(sqlite_client: Any, walk: Path, monkeypatch: pytest.Monkey
     ):
         identity = kind.replace(".", "-")
         run = ended(sqlite_client, id=identity, format=kind)
-        assert run["result"] == f"{API}/exports/{identity}", run["problem"]
-        found = sqlite_client.get(f"{run['result']}/file")
+        assert run["result_path"] == f"{API}/exports/{identity}", run["problem"]
+        found = sqlite_client.get(f"{run['result_path']}/file")
         assert found.content.startswith(begins)
         assert found.headers["content-type"].partition(";")[0] == media_type
         assert f'filename="{identity}.{kind}"' in found.headers["content-disposition"]
@@ -130,9 +130,9 @@ def test_of_the_tools_those_that_are_wanted_and_with_another_calibration(
     sqlite_client: Any, walk: Path, monkeypatch: pytest.MonkeyPatch
 ):
     use_in_process_worker(monkeypatch)
-    assert ended(sqlite_client, tools=[])["state"] == "succeeded"
+    assert ended(sqlite_client, tool_ids=[])["state"] == "succeeded"
     assert b"tool," not in sqlite_client.get(f"{API}/exports/r/file").content
-    other = ended(sqlite_client, id="s", format="parquet", calibration="sim-nominal")
+    other = ended(sqlite_client, id="s", format="parquet", calibration_id="sim-nominal")
     assert other["problem"] is None
     assert b"sim-nominal" in sqlite_client.get(f"{API}/exports/s/file").content
 
@@ -147,15 +147,15 @@ def test_what_is_refused(
     bar = {"id": "bar", "title": "Bar", "source": {"kind": "simulated"}}
     assert sqlite_client.post(f"{API}/devices", json=bar).status_code == 201
     for members, expected in (
-        ({"device": "none"}, (404, "unknown-device")),
-        ({"recording": "none.h5"}, (404, "unknown-recording")),
-        ({"recording": "../lumiline.sqlite3"}, (422, "invalid-request")),
+        ({"device_id": "none"}, (404, "unknown-device")),
+        ({"recording_id": "none.h5"}, (404, "unknown-recording")),
+        ({"recording_id": "../lumiline.sqlite3"}, (422, "invalid-request")),
         ({"format": "xlsx"}, (422, "invalid-request")),
-        ({"tools": ["none"]}, (404, "unknown-tool")),
-        ({"device": "bar", "tools": ["probe"]}, (422, "invalid-parameter")),
-        ({"calibration": "none"}, (404, "unknown-calibration")),
-        ({"table": "none"}, (422, "invalid-parameter")),
-        ({"calibration": "sim-nominal", "table": "none"}, (404, "unknown-correction-table")),
+        ({"tool_ids": ["none"]}, (404, "unknown-tool")),
+        ({"device_id": "bar", "tool_ids": ["probe"]}, (422, "invalid-parameter")),
+        ({"calibration_id": "none"}, (404, "unknown-calibration")),
+        ({"table_id": "none"}, (422, "invalid-parameter")),
+        ({"calibration_id": "sim-nominal", "table_id": "none"}, (404, "unknown-correction-table")),
         ({"result_id": "taken"}, (409, "export-exists")),
     ):
         assert code(post(sqlite_client, **members)) == expected, members
@@ -192,7 +192,7 @@ def test_of_a_run_that_is_cancelled_nothing_is_left(
     exports.partial_path("r", "csv").write_text("half of it")
     assert sqlite_client.post(f"{API}/runs/r/cancel").json()["state"] == "cancelled"
     wait_until(lambda: not exports.partial_path("r", "csv").exists())
-    assert sqlite_client.get(f"{API}/exports").json()["total"] == 0
+    assert sqlite_client.get(f"{API}/exports").json()["items"] == []
 
 
 def test_what_fails_says_why_and_leaves_nothing(
@@ -203,16 +203,16 @@ def test_what_fails_says_why_and_leaves_nothing(
 
     def problem(run: str) -> str:
         found = wait(sqlite_client, run)
-        assert (found["state"], found["result"]) == ("failed", None)
+        assert (found["state"], found["result_path"]) == ("failed", None)
         kind: str = found["problem"]["type"].rpartition("/")[2]
         return kind
 
     # One run at once: the others are prepared when the first has ended.
-    assert post(sqlite_client, id="first", tools=[]).status_code == 202
+    assert post(sqlite_client, id="first", tool_ids=[]).status_code == 202
     assert post(sqlite_client, id="taken").status_code == 202
     for run in ("broken", "gone"):
         shutil.copy(walk, walk.with_name(f"{run}.h5"))
-        assert post(sqlite_client, id=run, recording=f"ward/{run}.h5").status_code == 202
+        assert post(sqlite_client, id=run, recording_id=f"ward/{run}.h5").status_code == 202
     (exports.folder / "taken.trc").write_text("there")
     walk.with_name("broken.h5").write_bytes(b"nothing")
     walk.with_name("gone.h5").unlink()
@@ -222,7 +222,7 @@ def test_what_fails_says_why_and_leaves_nothing(
     assert problem("gone") == "unknown-recording"
     gate.clear()
     for run in ("second", "full"):
-        assert post(sqlite_client, id=run, tools=[]).status_code == 202
+        assert post(sqlite_client, id=run, tool_ids=[]).status_code == 202
     exports.free_bytes = 2**62
     gate.set()
     assert problem("full") == "insufficient-storage"

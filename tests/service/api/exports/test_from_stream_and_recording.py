@@ -196,10 +196,12 @@ def captured(taken: Taken, path: Path, *, bundled: bool = False) -> Path:
     messages = [
         message for batch in taken.batches for message in frame_messages(StreamBatch(batch), wanted)
     ]
-    lines = [json.dumps({"type": "hello", "device": "sim"})]
+    lines = [json.dumps({"type": "hello", "device_id": "sim"})]
     if bundled:
         lines += [
-            json.dumps({"type": "frames", "device": "sim", "frames": messages[first : first + 7]})
+            json.dumps(
+                {"type": "frames", "device_id": "sim", "frames": messages[first : first + 7]}
+            )
             for first in range(0, len(messages), 7)
         ]
     else:
@@ -227,9 +229,9 @@ def change(message: dict[str, Any], **changed: Any) -> str:
         ("{}", "line 3"),
         ('{"type": "frame"}', "line 3"),
         ({"sequence": 0}, "in order"),
-        ({"device": "other"}, "one device"),
+        ({"device_id": "other"}, "one device"),
         ({"sequence": "x"}, "line 3"),
-        ({"tools": [{"tool": "probe"}]}, "line 3"),
+        ({"tools": [{"tool_id": "probe"}]}, "line 3"),
         ({"points": [{"position_mm": [1, 2], "covariance_mm2": None}]}, "line 3"),
         ({"tracks": [{"id": 1, "marker": None, "state": "odd", "flags": []}]}, "line 3"),
     ],

@@ -130,7 +130,7 @@ def test_a_profile_s_shadows_sensor_by_sensor(sqlite_client: Any) -> None:
     true = dict(zip(names, optics.readings(point)[0], strict=True))
 
     def read(sensors: list[str] | None, order: list[int]) -> list[float]:
-        chosen = {"profile": "coda-mpx30", "sensors": sensors}
+        chosen = {"profile_id": "coda-mpx30", "sensors": sensors}
         request = body(chosen, scans=counts[order].tolist())
         return [scan["peaks"][0]["position_px"] for scan in post(sqlite_client, request)["scans"]]
 
@@ -145,8 +145,8 @@ def test_a_profile_s_shadows_sensor_by_sensor(sqlite_client: Any) -> None:
     pictures = [
         sqlite_client.post(f"{PATH}.png?scan=1", json=body(chosen, scans=counts[order].tolist()))
         for chosen, order in (
-            ({"profile": "coda-mpx30"}, [0, 1, 2]),
-            ({"profile": "coda-mpx30", "sensors": [names[2], names[1]]}, [2, 1]),
+            ({"profile_id": "coda-mpx30"}, [0, 1, 2]),
+            ({"profile_id": "coda-mpx30", "sensors": [names[2], names[1]]}, [2, 1]),
         )
     ]
     assert pictures[0].status_code == 200
@@ -157,18 +157,18 @@ def test_a_profile_s_shadows_sensor_by_sensor(sqlite_client: Any) -> None:
     ("method", "words"),
     [
         ({}, ["method has neither of template and profile"]),
-        ({"template": {"cells": [0.0] * 4 + [1.0] * 4, "reading_px": 1.0}, "profile": "bar"},
+        ({"template": {"cells": [0.0] * 4 + [1.0] * 4, "reading_px": 1.0}, "profile_id": "bar"},
          ["method has both of template and profile"]),
         ({"template": {"cells": [1.0] * 64, "reading_px": 1.0}}, ["must have contrast"]),
         ({"template": {"cells": [0.0] * 9, "per_px": 4, "reading_px": 1.0}}, ["8 pixels or more"]),
         ({"template": {"cells": [1.0] * 7, "reading_px": 1.0}}, ["cells", "at least 8 items"]),
         ({"template": {"cells": [1.0] * 8}}, ["reading_px", "required"]),
-        ({"profile": "bar"}, ["2048"]),
-        ({"profile": "coda-mpx30"}, ["1024 pixels", "2048"]),
-        ({"profile": "coda-mpx30", "sensors": []}, ["sensors", "at least 1 item"]),
+        ({"profile_id": "bar"}, ["2048"]),
+        ({"profile_id": "coda-mpx30"}, ["1024 pixels", "2048"]),
+        ({"profile_id": "coda-mpx30", "sensors": []}, ["sensors", "at least 1 item"]),
         ({"sensors": ["left"], "template": {"cells": [0.0] * 8, "reading_px": 1.0}},
          ["sensors are those of a profile"]),
-        ({"profile": "coda-mpx30", "false_alarms_per_line": 0.0}, ["false_alarms_per_line"]),
+        ({"profile_id": "coda-mpx30", "false_alarms_per_line": 0.0}, ["false_alarms_per_line"]),
     ],
 )  # fmt: skip
 def test_what_is_refused(sqlite_client: Any, method: dict[str, Any], words: list[str]) -> None:
@@ -192,9 +192,9 @@ def test_detail_has_no_more_correlations_than_memory(sqlite_client: Any) -> None
 def test_profiles_that_are_of_no_use(sqlite_client: Any) -> None:
     wide = [[100] * 2048]
     for chosen, words in (
-        ({"profile": "none"}, 'method.profile: there is no device profile "none"'),
-        ({"profile": "bar"}, "bar has no coded windows"),
-        ({"profile": "coda-mpx30", "sensors": ["nose"]}, 'no sensor "nose"; it has left'),
+        ({"profile_id": "none"}, 'method.profile: there is no device profile "none"'),
+        ({"profile_id": "bar"}, "bar has no coded windows"),
+        ({"profile_id": "coda-mpx30", "sensors": ["nose"]}, 'no sensor "nose"; it has left'),
     ):
         for path in (PATH, f"{PATH}.png"):
             answer = sqlite_client.post(path, json=body(chosen, scans=wide))

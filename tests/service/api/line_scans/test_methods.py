@@ -30,7 +30,7 @@ NEEDED: dict[Any, dict[str, Any]] = {
     steps.Median: {"aperture": 3},
     steps.Butterworth: {"order": 4, "cutoff": 0.4},
     steps.Fir: {"taps": 5, "cutoff": 0.4},
-    mask_method.MaskMethod: {"profile": "coda-mpx30"},
+    mask_method.MaskMethod: {"profile_id": "coda-mpx30"},
 }
 # Narrower than compute's, or compute's own bound lies elsewhere: tested below, or no bound there.
 NARROWER = {

@@ -17,9 +17,9 @@ PROFILES = "/api/v1/device-profiles"
 
 
 def test_all_profiles_are_listed(sqlite_client: Any) -> None:
-    found = sqlite_client.get(PROFILES).json()
-    assert [one["name"] for one in found] == list(profile_names())
-    [bar] = [one for one in found if one["name"] == "bar"]
+    found = sqlite_client.get(PROFILES, params={"limit": 200}).json()["items"]
+    assert [one["id"] for one in found] == list(profile_names())
+    [bar] = [one for one in found if one["id"] == "bar"]
     assert (bar["sensor_count"], bar["pixel_count"]) == (4, 2048)
 
 

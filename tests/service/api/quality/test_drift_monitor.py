@@ -60,14 +60,14 @@ def test_what_was_seen_is_stored_when_it_is_due(client: Any, watched: DriftMonit
     assert client.get(WATCH).json() == {"interval_s": 600.0, "reference": None}
     assert client.put(WATCH, json=given).json() == given
     watched.sample()
-    assert client.get("/api/v1/watch-samples").json()["total"] == 0, "it has only begun"
+    assert client.get("/api/v1/watch-samples").json()["items"] == [], "it has only begun"
     watched.sample()
-    (sample,) = client.get("/api/v1/watch-samples?device=sim").json()["items"]
+    (sample,) = client.get("/api/v1/watch-samples?device_id=sim").json()["items"]
     assert (sample["calibration_id"], sample["points"]) == ("sim-nominal", 13)
-    assert sample["seconds"] == pytest.approx(12.0)
+    assert sample["duration_s"] == pytest.approx(12.0)
     assert sample["reference_mm"] == pytest.approx([-146.0, 0.0, 1500.0], abs=0.1)
     watched.sample()
-    assert client.get("/api/v1/watch-samples").json()["total"] == 1, "nothing new was seen"
+    assert len(client.get("/api/v1/watch-samples").json()["items"]) == 1, "nothing new was seen"
     # What was seen is nobody's doing, and not in the audit log.
     entries = client.get("/api/v1/audit").json()["items"]
     assert {entry["object_kind"] for entry in entries if "watch" in entry["object_kind"]} == {
@@ -78,19 +78,19 @@ def test_what_was_seen_is_stored_when_it_is_due(client: Any, watched: DriftMonit
 def test_at_the_end_what_there_is_is_stored(client: Any, watched: DriftMonitor) -> None:
     watched.sample()
     watched.sample()
-    assert client.get("/api/v1/watch-samples").json()["total"] == 0
+    assert client.get("/api/v1/watch-samples").json()["items"] == []
     watched.close()  # its thread never ran
     watched.sample(last=True)
-    assert client.get("/api/v1/watch-samples").json()["total"] == 1
+    assert len(client.get("/api/v1/watch-samples").json()["items"]) == 1
 
 
 def test_a_deleted_device_takes_its_history_with_it(client: Any, watched: DriftMonitor) -> None:
     client.put(WATCH, json={"interval_s": 10.0}).raise_for_status()
     watched.sample()
     watched.sample()
-    assert client.get("/api/v1/watch-samples").json()["total"] == 1
+    assert len(client.get("/api/v1/watch-samples").json()["items"]) == 1
     assert client.delete("/api/v1/devices/sim?cascade=true").is_success
-    assert client.get("/api/v1/watch-samples").json()["total"] == 0
+    assert client.get("/api/v1/watch-samples").json()["items"] == []
     watched.sample(last=True)
 
 
@@ -183,7 +183,7 @@ def test_what_could_not_be_stored_is_stored_later(
         patch.setattr(database, "write", raising(NotReady("locked", part="database")))
         watched.sample()
     watched.sample(last=True)
-    assert client.get("/api/v1/watch-samples").json()["total"] == 1
+    assert len(client.get("/api/v1/watch-samples").json()["items"]) == 1
 
 
 def raising(error: Exception) -> Any:

@@ -10,8 +10,8 @@ from tests.service.api.quality.batches import LENGTH_MM, SIGMA_MM, strobed_batch
 from tests.service.fake_pipeline import FakePipeline
 
 URL = "/api/v1/devices/sim/quality-checks"
-BAR = {"kind": "point-to-point", "markers": [0, 1], "reference_mm": LENGTH_MM, "seconds": 0.5}
-STILL = {"kind": "single-point", "marker": 0, "seconds": 0.5}
+BAR = {"kind": "point-to-point", "markers": [0, 1], "reference_mm": LENGTH_MM, "duration_s": 0.5}
+STILL = {"kind": "single-point", "marker": 0, "duration_s": 0.5}
 
 
 @pytest.fixture
@@ -27,7 +27,7 @@ def test_a_known_distance(client: Any) -> None:
     assert answer.status_code == 201, answer.text
     assert answer.headers["location"] == "/api/v1/quality-checks/bar"
     made = answer.json()
-    assert (made["device"], made["calibration_id"], made["table_id"]) == (
+    assert (made["device_id"], made["calibration_id"], made["table_id"]) == (
         "sim", "sim-nominal", None,
     )  # fmt: skip
     assert (made["passed"], made["points"], made["note"]) == (True, 499, "cold")
@@ -36,9 +36,9 @@ def test_a_known_distance(client: Any) -> None:
     assert made["result"]["normalised_square"] == pytest.approx(1.0, abs=0.2)
     assert made["asked"]["reference_mm"] == LENGTH_MM
     assert client.get("/api/v1/quality-checks/bar").json() == made
-    assert client.get("/api/v1/quality-checks?device=sim").json()["items"] == [made]
-    assert client.get("/api/v1/quality-checks?kind=single-point").json()["total"] == 0
-    audited = client.get("/api/v1/audit?object=bar").json()["items"]
+    assert client.get("/api/v1/quality-checks?device_id=sim").json()["items"] == [made]
+    assert client.get("/api/v1/quality-checks?kind=single-point").json()["items"] == []
+    audited = client.get("/api/v1/audit?object_id=bar").json()["items"]
     assert [entry["operation"] for entry in audited] == ["create-quality-check"]
 
 
@@ -102,7 +102,7 @@ def test_markers_that_are_lit_together(sqlite_client: Any, live: FakePipeline) -
         ({"markers": [1, 1]}, 422, "invalid-request", "marker 1 twice"),
         ({"markers": None}, 422, "invalid-parameter", "strobes 2 markers"),
         ({"reference_mm": 0.0}, 422, "invalid-request", "greater than 0"),
-        ({"seconds": 61.0}, 422, "invalid-request", "less than or equal to 60"),
+        ({"duration_s": 61.0}, 422, "invalid-request", "less than or equal to 60"),
         ({"kind": "three-points"}, 422, "invalid-request", "three-points"),
         ({"id": "taken"}, 409, "quality-check-exists", '"taken"'),
     ],
@@ -114,7 +114,7 @@ def test_what_is_refused(
     answer = sqlite_client.post(URL, json=BAR | change)
     assert (answer.status_code, answer.json()["type"]) == (status, f"/problems/{kind}")
     assert words in answer.text
-    assert sqlite_client.get("/api/v1/quality-checks").json()["total"] == 1
+    assert len(sqlite_client.get("/api/v1/quality-checks").json()["items"]) == 1
 
 
 @pytest.mark.parametrize(
@@ -141,7 +141,7 @@ def test_what_cannot_be_measured(
     answer = sqlite_client.post(URL, json=BAR)
     assert (answer.status_code, answer.json()["type"]) == (status, f"/problems/{kind}")
     assert live.calls[-1] == ("detach", "sim")
-    assert sqlite_client.get("/api/v1/quality-checks").json()["total"] == 0
+    assert sqlite_client.get("/api/v1/quality-checks").json()["items"] == []
 
 
 def test_a_device_that_does_not_run(sqlite_client: Any, live: FakePipeline) -> None:

@@ -57,8 +57,9 @@ def test_guided_captures_become_an_active_calibration(client: Any, live: FakePip
     assert (made.json()["next"], made.json()["left"]) == ("dark", 4)
     assert "Cover all sensors" in made.json()["instruction"]
 
-    early = {"id": "pixels", "device": "sim",
-             "source": {"kind": "capture", "capture": "sim-radiometric-capture"}}  # fmt: skip
+    early = {"id": "pixels", "device_id": "sim",
+             "source": {"kind": "capture",
+                        "radiometric_capture_id": "sim-radiometric-capture"}}  # fmt: skip
     refused = client.post(URL, json=early).json()
     assert refused["type"] == "/problems/radiometric-capture-incomplete"
     assert "Cover all sensors" in refused["detail"]
@@ -130,7 +131,7 @@ def test_moves_are_a_history_that_is_in_the_audit_log(client: Any, live: FakePip
     entries = client.get("/api/v1/audit", params={"limit": 200}).json()["items"]
     moves = [one for one in entries if one["operation"] == "activate-radiometric-calibration"]
     assert {"radiometric_id": "two"} in [one["after"] for one in moves]
-    listed = client.get(URL, params={"device": "sim"}).json()
+    listed = client.get(URL, params={"device_id": "sim"}).json()
     assert [one["id"] for one in listed["items"]] == ["two", "one"]
     assert not any(one["active"] for one in listed["items"])
     refused = client.delete("/api/v1/devices/sim").json()
@@ -221,16 +222,23 @@ def test_from_recordings_of_the_data_directory(
         with RecordingWriter(folder / f"{name}.h5", source.description) as writer:
             for frame in source.frames():
                 writer.append(frame)
-    source_of = {"kind": "recordings", "dark": "dark.h5", "flats": ["low.h5", "high.h5"]}
-    made = sqlite_client.post(URL, json={"id": "r", "device": "sim", "source": source_of})
+    source_of = {
+        "kind": "recordings",
+        "dark_recording_id": "dark.h5",
+        "flat_recording_ids": ["low.h5", "high.h5"],
+    }
+    made = sqlite_client.post(URL, json={"id": "r", "device_id": "sim", "source": source_of})
     assert made.status_code == 201, made.text
     assert made.json()["origin"] == "recordings"
     assert made.json()["sensors"][3]["gain_electrons_per_count"] == pytest.approx(12.0, rel=0.1)
-    swapped = source_of | {"dark": "high.h5", "flats": ["low.h5", "dark.h5"]}
-    refused = sqlite_client.post(URL, json={"device": "sim", "source": swapped}).json()
+    swapped = source_of | {
+        "dark_recording_id": "high.h5",
+        "flat_recording_ids": ["low.h5", "dark.h5"],
+    }
+    refused = sqlite_client.post(URL, json={"device_id": "sim", "source": swapped}).json()
     assert "light in the dark" in refused["detail"]
-    missing = source_of | {"dark": "none.h5"}
-    refused = sqlite_client.post(URL, json={"device": "sim", "source": missing}).json()
+    missing = source_of | {"dark_recording_id": "none.h5"}
+    refused = sqlite_client.post(URL, json={"device_id": "sim", "source": missing}).json()
     assert refused["type"] == "/problems/unknown-recording"
 
 
@@ -241,15 +249,15 @@ def test_from_scans_in_the_request(sqlite_client: Any) -> None:
         "flats": [scans_of(electrons, 16, 1).tolist() for electrons in LEVELS[:2]],
     }
     source = {"kind": "scans", "sensors": {sensor: scans}, "full_scale_counts": 4095}
-    made = sqlite_client.post(URL, json={"device": "sim", "source": source})
+    made = sqlite_client.post(URL, json={"device_id": "sim", "source": source})
     assert made.status_code == 201, made.text
     assert [one["sensor"] for one in made.json()["sensors"]] == [sensor]
     other = source | {"sensors": {"another": scans}}
-    refused = sqlite_client.post(URL, json={"device": "sim", "source": other}).json()
+    refused = sqlite_client.post(URL, json={"device_id": "sim", "source": other}).json()
     assert refused["type"] == "/problems/sensors-changed"
     short = [scans["dark"][0][:100], *scans["dark"][1:]]
     wrong = source | {"sensors": {sensor: scans | {"dark": short}}}
-    refused = sqlite_client.post(URL, json={"device": "sim", "source": wrong}).json()
+    refused = sqlite_client.post(URL, json={"device_id": "sim", "source": wrong}).json()
     assert "all must be of one length" in refused["detail"]
 
 
@@ -258,19 +266,19 @@ def test_documents_that_are_none_are_refused(sqlite_client: Any) -> None:
 
     def refused(document: Any, sensor: str = name) -> Any:
         source = {"kind": "document", "sensors": {sensor: document}}
-        return sqlite_client.post(URL, json={"device": "sim", "source": source}).json()
+        return sqlite_client.post(URL, json={"device_id": "sim", "source": source}).json()
 
     assert "sensor" in refused({})["detail"]
     assert refused(good | {"response": good["response"][:-1]})["status"] == 422
     assert refused(good | {"gain_electrons_per_count": -1.0})["status"] == 422
     assert refused(good, "no such sensor")["type"] == "/problems/sensors-changed"
-    assert sqlite_client.get(URL).json()["total"] == 0
+    assert sqlite_client.get(URL).json()["items"] == []
 
 
 def test_bad_pixels_of_the_live_frames_become_a_calibration(
     client: Any, live: FakePipeline
 ) -> None:
-    body = {"id": "kept", "device": "sim", "source": {"kind": "bad-pixels"}}
+    body = {"id": "kept", "device_id": "sim", "source": {"kind": "bad-pixels"}}
     assert client.post(URL, json=body).json()["type"] == "/problems/device-not-running"
     live.records = description()
     none = client.post(URL, json=body).json()
@@ -288,9 +296,9 @@ def test_bad_pixels_of_the_live_frames_become_a_calibration(
     )
     live.active = replace(live.in_force["sim"], bad_pixels=(first, other))
     live.states["sim"] = DeviceStatus("running", bad_pixels=(first, other))
-    status = client.get("/api/v1/devices/sim/status").json()["status"]
+    status = client.get("/api/v1/devices/sim/state").json()
     assert status["bad_pixels"][0] == {
-        "sensor": measured, "pixel": 7, "kind": "stuck", "since": "2026-01-02T00:00:00Z",
+        "sensor": measured, "pixel": 7, "kind": "stuck", "found_at": "2026-01-02T00:00:00Z",
     }  # fmt: skip
     assert 'lumiline_bad_pixels{device="sim"} 2.0' in client.get("/metrics").text
     made = client.post(URL, json=body)

@@ -115,8 +115,8 @@ def test_recording_on_the_server_becomes_a_calibration(
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "moved.h5").write_bytes(recording.read_bytes())
     made = sqlite_client.post(
-        URL, json={"id": "shaped", "device": "sim",
-                   "source": {"kind": "lines", "recording": "moved.h5"}},
+        URL, json={"id": "shaped", "device_id": "sim",
+                   "source": {"kind": "lines", "recording_id": "moved.h5"}},
     )  # fmt: skip
     assert made.status_code == 201, made.text
     assert made.json()["origin"] == "lines"

@@ -29,7 +29,7 @@ def points(sigma_px: float | None = None) -> list[dict[str, Any]]:
 
 
 def test_points_come_back_where_they_were(client: Any):
-    made = client.post(URL, json={"device": "sim", "points": points(0.003)})
+    made = client.post(URL, json={"device_id": "sim", "points": points(0.003)})
     assert made.status_code == 201
     document = made.json()
     assert client.get(made.headers["location"]).json() == document
@@ -45,7 +45,7 @@ def test_points_come_back_where_they_were(client: Any):
 
 def test_deviations_scale_the_covariance(client: Any):
     def covariance(sigma_px: float) -> Any:
-        made = client.post(URL, json={"device": "sim", "points": points(sigma_px)}).json()
+        made = client.post(URL, json={"device_id": "sim", "points": points(sigma_px)}).json()
         return np.array(made["estimates"][1]["covariance_mm2"])
 
     assert covariance(1.0) == pytest.approx(4 * covariance(0.5), rel=1e-3)
@@ -56,7 +56,7 @@ def test_three_sensors_say_that_there_is_no_redundancy_and_two_make_no_point(cli
     del given[0]["readings"]["vertical"]
     del given[1]["readings"]["vertical"], given[1]["readings"]["horizontal"]
     given[2]["readings"] = {}
-    made = client.post(URL, json={"device": "sim", "points": given}).json()
+    made = client.post(URL, json={"device_id": "sim", "points": given}).json()
     three, two, none = made["estimates"]
     assert three["flags"] == ["no-redundancy"]
     assert three["position_mm"] is not None
@@ -71,7 +71,7 @@ def test_reliability_says_what_four_sensors_check_and_three_do_not(client: Any):
     given = points(0.05)
     given[1]["readings"]["horizontal"]["position_px"] += 40.0
     del given[2]["readings"]["vertical"]
-    made = client.post(URL, json={"device": "sim", "points": given}).json()
+    made = client.post(URL, json={"device_id": "sim", "points": given}).json()
     four, wrong, three = made["estimates"]
     assert set(four["detectable_px"]) == set(four["sensors"])
     assert all(value > 0.05 for value in four["detectable_px"].values())
@@ -87,35 +87,37 @@ def test_the_active_calibration_is_used_unless_one_is_named(client: Any):
     for name in ("first", "second"):
         client.post(
             "/api/v1/calibrations",
-            json={"id": name, "device": "sim", "points": simulated_points(frame)},
+            json={"id": name, "device_id": "sim", "points": simulated_points(frame)},
         )
     client.post("/api/v1/calibrations/first/activate")
 
     def used(**named: str) -> str:
-        made = client.post(URL, json={"device": "sim", "points": points()} | named)
+        made = client.post(URL, json={"device_id": "sim", "points": points()} | named)
         return str(made.json()["calibration_id"])
 
     assert used() == "first"
-    assert used(calibration="second") == "second"
+    assert used(calibration_id="second") == "second"
     client.post("/api/v1/calibrations/second/retire")
-    refused = client.post(URL, json={"device": "sim", "points": points(), "calibration": "second"})
+    refused = client.post(
+        URL, json={"device_id": "sim", "points": points(), "calibration_id": "second"}
+    )
     assert (refused.status_code, refused.json()["type"]) == (409, "/problems/calibration-retired")
 
 
 def test_list_and_delete(client: Any):
     for name in ("one", "two"):
-        client.post(URL, json={"id": name, "device": "sim", "points": points()})
-    page = client.get(f"{URL}?device=sim").json()
+        client.post(URL, json={"id": name, "device_id": "sim", "points": points()})
+    page = client.get(f"{URL}?device_id=sim").json()
     assert [(item["id"], item["point_count"]) for item in page["items"]] == [("two", 3), ("one", 3)]
-    assert client.get(f"{URL}?device=other").json()["total"] == 0
+    assert client.get(f"{URL}?device_id=other").json()["items"] == []
     assert client.delete(f"{URL}/one").status_code == 204
     assert client.get(f"{URL}/one").status_code == 404
     assert client.delete(f"{URL}/one").status_code == 404
-    assert client.get(URL).json()["total"] == 1
+    assert len(client.get(URL).json()["items"]) == 1
 
 
 def test_an_id_is_unique(client: Any):
-    body = {"id": "one", "device": "sim", "points": points()}
+    body = {"id": "one", "device_id": "sim", "points": points()}
     assert client.post(URL, json=body).status_code == 201
     refused = client.post(URL, json=body)
     assert (refused.status_code, refused.json()["type"]) == (409, "/problems/reconstruction-exists")
@@ -131,7 +133,7 @@ def test_differences_are_reconstructed_minus_given(sqlite_client: TestClient) ->
     assert sqlite_client.post("/api/v1/devices", json=device).status_code == 201
     made = sqlite_client.post("/api/v1/calibrations", json=frame).json()
     points = [{"name": p["name"], "readings": p["readings"]} for p in frame["points"]]
-    body = {"device": device["id"], "calibration": made["id"], "points": points}
+    body = {"device_id": device["id"], "calibration_id": made["id"], "points": points}
     estimates = sqlite_client.post("/api/v1/reconstructions", json=body).json()["estimates"]
     for given, estimate, difference in zip(
         frame["points"], estimates, made["errors"]["fitted"]["differences_mm"], strict=True

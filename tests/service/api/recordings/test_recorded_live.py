@@ -115,7 +115,7 @@ def record(
     """Record a device over a change of its calibration, to one with a table, and back."""
     live.start_device("sim", SimulatedDriver("sim", settings), ActiveCalibration("c1", nominal()))
     try:
-        recordings.start("sim", NewRecording(name="r.h5", **request))
+        recordings.start("sim", NewRecording(id="r.h5", **request))
         path = recordings.library.path("r.h5")
         first = recordings.get("r.h5")
         assert (first.state, first.device) == ("recording", "sim")
@@ -126,7 +126,7 @@ def record(
             wait_for(lambda seen=processed_before: live.status("sim").frames_processed > seen + 50)
         done = recordings.stop("r.h5")
         # A busy machine may lose exposures: then somebody has counted them.
-        lost = live.status("sim").frames_lost_device
+        lost = live.status("sim").frames_lost
     finally:
         live.stop_device("sim")
     assert (done.state, done.reason) == ("complete", "stopped by request")
@@ -173,17 +173,17 @@ def test_a_changed_recording_does_not_compare(
 ) -> None:
     settings = SimulationSettings(frame_rate_hz=400.0, scene=THREE)
     live.start_device("sim", SimulatedDriver("sim", settings), ActiveCalibration("c1", nominal()))
-    recordings.start("sim", NewRecording(name="r.h5"))
+    recordings.start("sim", NewRecording(id="r.h5"))
     with pytest.raises(RecordingInProgress, match="is being recorded to"):
-        recordings.start("sim", NewRecording(name="other.h5"))
+        recordings.start("sim", NewRecording(id="other.h5"))
     with pytest.raises(RecordingInProgress, match="is being written"):
         recordings.finished_path("r.h5")
-    wait_for(lambda: (recordings.get("r.h5").frames or 0) > 50)
+    wait_for(lambda: (recordings.get("r.h5").frames_written or 0) > 50)
     live.stop_device("sim")
     wait_for(lambda: recordings.get("r.h5").state == "complete")
     assert recordings.get("r.h5").reason == "the device was stopped"
     with pytest.raises(DeviceNotRunning):
-        recordings.start("sim", NewRecording(name="other.h5"))
+        recordings.start("sim", NewRecording(id="other.h5"))
     with RecordingReader(recordings.finished_path("r.h5")) as reader:
         processor = FrameProcessor("again", reader.info.description, "cpu")
 
@@ -208,7 +208,7 @@ def test_a_source_that_ends_ends_its_recording_with_its_last_frame(
     settings = SimulationSettings(frame_rate_hz=500.0, duration_s=0.6, scene=THREE, realtime=False)
     driver = Gated("sim", settings)
     live.start_device("sim", driver, ActiveCalibration("c1", nominal()))
-    recordings.start("sim", NewRecording(name="r.h5", contents=frozenset({"results"})))
+    recordings.start("sim", NewRecording(id="r.h5", contents=frozenset({"results"})))
     driver.gate.set()
     wait_for(lambda: recordings.get("r.h5").state == "complete")
     found = recordings.get("r.h5")
@@ -221,7 +221,7 @@ def test_a_source_that_ends_ends_its_recording_with_its_last_frame(
             compare(reader, processor)
     live.start_device("sim", SimulatedDriver("sim", settings), ActiveCalibration())
     with pytest.raises(RecordingExists, match="never overwritten"):
-        recordings.start("sim", NewRecording(name="r.h5"))
+        recordings.start("sim", NewRecording(id="r.h5"))
     live.stop_device("sim")
 
 
@@ -258,9 +258,9 @@ def test_a_replay_as_fast_as_taken_drops_nothing(live: PipelineManager, tmp_path
     held = Event()
     live._compute.submit(lambda: held.wait(30.0))
     replay.gate.set()
-    wait_for(lambda: live.status("tape").frames >= MIN_RING_FRAMES)
+    wait_for(lambda: live.status("tape").frames_received >= MIN_RING_FRAMES)
     time.sleep(0.2)  # time to send the rest, if it does not wait
     held.set()
     wait_for(lambda: live.status("tape").state == "ended")
     wait_for(lambda: live.status("tape").frames_processed == 1000)
-    assert live.status("tape").frames_dropped_ring == 0
+    assert live.status("tape").frames_dropped_compute == 0

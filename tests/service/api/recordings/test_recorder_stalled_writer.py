@@ -15,6 +15,7 @@ from hardware.recording.reader import RecordingReader
 from hardware.recording.writer_process.client import WRITER_LATE
 from hardware.simulated.driver import SimulatedDriver
 from hardware.simulated.settings import SimulationSettings
+from service.api.paging import Paging
 from service.api.recordings.recorder import Recorder
 from service.api.recordings.recording_manager import RecordingManager
 from service.api.recordings.schema import NewRecording
@@ -25,6 +26,8 @@ from service.problems.errors import RecordingExists, RecordingInProgress
 from service.protocols.stream.hub import Hub
 from tests.hardware.recording.blocks import read_recording
 from tests.service.pipeline.test_pipeline_manager import nominal, wait_for
+
+FIRST_PAGE = Paging(10, None, "")
 
 HANGS_S = 20.0
 """What has not returned by then waits for the writer."""
@@ -55,8 +58,8 @@ class Stalled:
     """A recording whose process is stopped, as by a disk that does not answer."""
 
     def __init__(self, recordings: RecordingManager, name: str) -> None:
-        recordings.start("sim", NewRecording(name=name))
-        wait_for(lambda: (recordings.get(name).frames or 0) > 0)
+        recordings.start("sim", NewRecording(id=name))
+        wait_for(lambda: (recordings.get(name).frames_written or 0) > 0)
         self._pid = recordings._active[name]._feed.pid
         os.kill(self._pid, signal.SIGSTOP)
 
@@ -93,12 +96,12 @@ def test_activations_frames_and_stops_do_not_wait_for_a_writer_that_stalls(
         recorder = recordings._active["r.h5"]
         returns(lambda: recorder.stop("stopped by request"))
         assert recordings.get("r.h5").state == "recording"
-        assert recordings.page(None, 10, 0)[1] == 1
+        assert len(recordings.page(None, FIRST_PAGE).items) == 1
         assert recordings.written()["sim"].open == 1
     # It goes on, and all that it was given is in the file.
     done = recordings.stop("r.h5")
     assert (done.state, done.reason) == ("complete", "stopped by request")
-    assert [one.calibration for one in done.calibrations][-3:] == ["n0", "n1", "n2"]
+    assert [one.calibration_id for one in done.calibrations][-3:] == ["n0", "n1", "n2"]
     with RecordingReader(recordings.finished_path("r.h5")) as reader:
         last = len(done.calibrations) - 1
         assert reader.in_force(last)[1] == BEYOND_PIPES
@@ -109,8 +112,8 @@ def test_a_writer_that_does_not_stop_is_killed(
     live: PipelineManager, recordings: RecordingManager, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("hardware.recording.writer_process.client.STOP_S", 0.2)
-    recordings.start("sim", NewRecording(name="r.h5"))
-    wait_for(lambda: (recordings.get("r.h5").frames or 0) > 0)
+    recordings.start("sim", NewRecording(id="r.h5"))
+    wait_for(lambda: (recordings.get("r.h5").frames_written or 0) > 0)
     os.kill(recordings._active["r.h5"]._feed.pid, signal.SIGSTOP)
     done = recordings.stop("r.h5")
     assert (done.state, done.reason) == ("failed", WRITER_LATE.format(0.2))
@@ -143,13 +146,13 @@ def test_others_do_not_wait_for_a_recording_that_begins(
         return Recorder(*arguments)
 
     monkeypatch.setattr("service.api.recordings.recording_manager.Recorder", slow)
-    request = NewRecording(name="r.h5")
+    request = NewRecording(id="r.h5")
     first = Thread(target=lambda: recordings.start("sim", request), daemon=True)
     first.start()
     assert begins.wait(HANGS_S)
-    returns(lambda: (recordings.written(), recordings.page(None, 10, 0)))
+    returns(lambda: (recordings.written(), recordings.page(None, FIRST_PAGE)))
     with pytest.raises(RecordingInProgress, match=r'"sim" is being recorded to "r\.h5"'):
-        recordings.start("sim", NewRecording(name="s.h5"))
+        recordings.start("sim", NewRecording(id="s.h5"))
     with pytest.raises(RecordingExists):
         recordings.start("other", request)
     # The file has its name before the process has told of it.
@@ -174,7 +177,7 @@ def test_a_recording_that_begins_while_the_server_ends_is_closed(
         return Recorder(*arguments)
 
     monkeypatch.setattr("service.api.recordings.recording_manager.Recorder", late)
-    recordings.start("sim", NewRecording(name="r.h5"))
+    recordings.start("sim", NewRecording(id="r.h5"))
     wait_for(lambda: read_recording(tmp_path / "r.h5").complete)
     assert read_recording(tmp_path / "r.h5").state.reason == "the server was shut down"
 
@@ -206,8 +209,8 @@ def test_a_tap_that_fails_is_detached_and_the_device_goes_on(
 def test_frames_that_cannot_be_handed_over_end_the_recording_with_the_reason(
     live: PipelineManager, recordings: RecordingManager, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    recordings.start("sim", NewRecording(name="r.h5"))
-    wait_for(lambda: (recordings.get("r.h5").frames or 0) > 0)
+    recordings.start("sim", NewRecording(id="r.h5"))
+    wait_for(lambda: (recordings.get("r.h5").frames_written or 0) > 0)
 
     def fails(_: FrameBatch) -> None:
         raise ValueError("no rows of these")
@@ -222,8 +225,8 @@ def test_frames_that_cannot_be_handed_over_end_the_recording_with_the_reason(
 def test_a_calibration_that_cannot_be_kept_fails_the_recording_only(
     live: PipelineManager, recordings: RecordingManager
 ) -> None:
-    recordings.start("sim", NewRecording(name="r.h5"))
-    wait_for(lambda: (recordings.get("r.h5").frames or 0) > 0)
+    recordings.start("sim", NewRecording(id="r.h5"))
+    wait_for(lambda: (recordings.get("r.h5").frames_written or 0) > 0)
     good = live.session("sim").processor.active_calibration
     content = {"result": float("nan")}
     live.set_calibration("sim", replace(good, calibration_content=content, calibration_hash="h"))

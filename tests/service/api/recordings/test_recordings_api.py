@@ -31,12 +31,12 @@ def wait_for(condition: Callable[[], bool]) -> None:
 @pytest.mark.slow
 def test_a_recording_from_its_begin_to_its_end(tmp_path: Path) -> None:
     with serving(tmp_path) as url, httpx.Client(base_url=url, timeout=60.0) as api:
-        wrong = api.post("/api/v1/devices/sim/recordings", json={"name": "../a.h5"})
+        wrong = api.post("/api/v1/devices/sim/recordings", json={"id": "../a.h5"})
         assert wrong.status_code == 422
-        begun = api.post("/api/v1/devices/sim/recordings", json={"name": "one.h5"})
+        begun = api.post("/api/v1/devices/sim/recordings", json={"id": "one.h5"})
         assert begun.status_code == 201, begun.text
         assert begun.headers["location"] == f"{API}/one.h5"
-        wait_for(lambda: api.get(f"{API}/one.h5").json()["frames"] > 100)
+        wait_for(lambda: api.get(f"{API}/one.h5").json()["frames_written"] > 100)
         for refused in (
             api.get(f"{API}/one.h5/file"),
             api.delete(f"{API}/one.h5"),
@@ -47,9 +47,9 @@ def test_a_recording_from_its_begin_to_its_end(tmp_path: Path) -> None:
         stopped = api.post(f"{API}/one.h5/stop").json()
         assert (stopped["state"], stopped["reason"]) == ("complete", "stopped by request")
         assert api.post(f"{API}/one.h5/stop").json() == stopped
-        assert [one["calibration"] for one in stopped["calibrations"]] == ["sim-nominal"]
+        assert [one["calibration_id"] for one in stopped["calibrations"]] == ["sim-nominal"]
         # A busy machine may lose exposures: then somebody has counted them.
-        lost = api.get("/api/v1/devices/sim/status").json()["status"]["frames_lost_device"]
+        lost = api.get("/api/v1/devices/sim/state").json()["frames_lost"]
         lost += stopped["frames_dropped_compute"] + stopped["frames_dropped_writer"]
         assert stopped["frames_missing"] <= lost
 
@@ -64,7 +64,7 @@ def test_a_recording_from_its_begin_to_its_end(tmp_path: Path) -> None:
         beyond = api.get(f"{API}/one.h5/file", headers={"Range": f"bytes={len(data)}-"})
         assert beyond.status_code == 416
 
-        source = {"kind": "replay", "recording": "one.h5", "speed": 0.01}
+        source = {"kind": "replay", "recording_id": "one.h5", "speed": 0.01}
         tape = {"id": "tape", "title": "Again", "source": source}
         assert api.post("/api/v1/devices", json=tape).status_code == 201
         api.post("/api/v1/devices/tape/start").raise_for_status()
@@ -75,9 +75,9 @@ def test_a_recording_from_its_begin_to_its_end(tmp_path: Path) -> None:
         assert api.get(f"{API}/one.h5").status_code == 404
         assert not path.exists()
 
-        request = {"name": "two.h5", "contents": ["results"]}
+        request = {"id": "two.h5", "contents": ["results"]}
         api.post("/api/v1/devices/sim/recordings", json=request).raise_for_status()
-        wait_for(lambda: api.get(f"{API}/two.h5").json()["frames"] > 0)
+        wait_for(lambda: api.get(f"{API}/two.h5").json()["frames_written"] > 0)
     # The server was shut down meanwhile.
     info = read_recording(tmp_path / "recordings" / "two.h5")
     assert (info.complete, info.state.reason) == (True, "the server was shut down")
@@ -118,20 +118,23 @@ def test_files_that_others_put_there_appear_as_what_they_are(
     outside = folder.parent / "secret.h5"
     write(outside, 3)
     (folder / "link.h5").symlink_to(outside)
-    found = {one["name"]: one for one in listed(sqlite_client)}
-    assert {name: (one["state"], one["frames"]) for name, one in found.items()} == {
+    found = {one["id"]: one for one in listed(sqlite_client)}
+    assert {name: (one["state"], one["frames_written"]) for name, one in found.items()} == {
         "whole.h5": ("complete", 11),
         "sub/cut.h5": ("incomplete", 12),
         "text.h5": ("unreadable", None),
         "other.h5": ("unreadable", None),
     }
     assert "not an HDF5 file" in found["text.h5"]["reason"]
-    assert {one["name"] for one in listed(sqlite_client, device="bar")} == {
+    assert {one["id"] for one in listed(sqlite_client, device_id="bar")} == {
         "whole.h5",
         "sub/cut.h5",
     }
-    assert [len(listed(sqlite_client, limit=3, offset=start)) for start in (0, 3)] == [3, 1]
-    assert sqlite_client.get(f"{API}/sub/cut.h5").json()["frames"] == 12
+    page = sqlite_client.get(API, params={"limit": 3}).json()
+    rest = listed(sqlite_client, limit=3, cursor=page["next_cursor"])
+    assert {one["id"] for one in (*page["items"], *rest)} == set(found)
+    assert len(rest) == 1
+    assert sqlite_client.get(f"{API}/sub/cut.h5").json()["frames_written"] == 12
     assert sqlite_client.get(f"{API}/sub/cut.h5/file").status_code == 200
     for name in ("link.h5", "../secret.h5", "absent.h5", "%2e%2e/secret.h5", "sub"):
         assert sqlite_client.get(f"{API}/{name}/file").status_code in (404, 422), name
@@ -143,17 +146,17 @@ def test_what_is_known_of_a_file_is_read_again_when_it_changes(
     folder: Path, sqlite_client: TestClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     write(folder / "a.h5", 5)
-    assert sqlite_client.get(API).json()["items"][0]["frames"] == 5
+    assert sqlite_client.get(API).json()["items"][0]["frames_written"] == 5
     opened = []
     monkeypatch.setattr(
         "service.api.recordings.repository._reader",
         lambda path: opened.append(path) or RecordingReader(path, columns=False),
     )
-    assert listed(sqlite_client)[0]["frames"] == 5
+    assert listed(sqlite_client)[0]["frames_written"] == 5
     assert opened == []
     write(folder / "b.h5", 6)
     shutil.move(folder / "b.h5", folder / "a.h5")
-    assert listed(sqlite_client)[0]["frames"] == 6
+    assert listed(sqlite_client)[0]["frames_written"] == 6
     assert len(opened) == 1
 
 

@@ -40,9 +40,9 @@ def test_a_run_makes_the_table_that_mends_a_known_error(
     assert posted.status_code == 202, posted.text
     found = wait(client, "sim-map-run")
     assert (found["state"], found["problem"]) == ("succeeded", None)
-    assert found["result"] == "/api/v1/correction-tables/sim-map"
-    table = client.get(found["result"]).json()
-    assert (table["calibration"], table["origin"], table["note"]) == (
+    assert found["result_path"] == "/api/v1/correction-tables/sim-map"
+    table = client.get(found["result_path"]).json()
+    assert (table["calibration_id"], table["origin"], table["note"]) == (
         "sim-nominal", "run", "bent",
     )  # fmt: skip
     assert table["settings"]["points"] == 125
@@ -63,11 +63,11 @@ def test_a_run_makes_the_table_that_mends_a_known_error(
         np.linalg.norm(np.array(estimate["position_mm"]) - place)
         for estimate, place in zip(reconstructed["estimates"], places[:20], strict=True)
     ]
-    assert reconstructed["table"] == "sim-map"
+    assert reconstructed["table_id"] == "sim-map"
     assert max(errors) < 0.2
-    named = with_error(places[:20]) | {"calibration": "sim-nominal"}
+    named = with_error(places[:20]) | {"calibration_id": "sim-nominal"}
     plain = client.post("/api/v1/reconstructions", json=named).json()
-    assert plain["table"] is None
+    assert plain["table_id"] is None
     without = [
         np.linalg.norm(np.array(estimate["position_mm"]) - place)
         for estimate, place in zip(plain["estimates"], places[:20], strict=True)
@@ -81,7 +81,7 @@ def with_error(places: np.ndarray) -> dict[str, Any]:
     readings[:, 0] += [bent(place) for place in places]
     names = [model.name for model in simulated_sensor_models()]
     return {
-        "device": "sim",
+        "device_id": "sim",
         "points": [
             {"name": f"Q{number}", "readings": dict(zip(names, row, strict=True))}
             for number, row in enumerate(readings.tolist())
@@ -95,10 +95,10 @@ def test_a_run_for_a_calibration_that_is_retired_meanwhile_stores_nothing(
 ):
     gate = use_in_process_worker(monkeypatch, closed=True)
     sqlite_client.post("/api/v1/calibrations", json=NEW_CALIBRATIONS["frame"]["value"])
-    body = BODY | {"calibration": "sim-frame"}
+    body = BODY | {"calibration_id": "sim-frame"}
     assert sqlite_client.post(URL, json=body).status_code == 202
     sqlite_client.post("/api/v1/calibrations/sim-frame/retire")
     gate.set()
     found = wait(sqlite_client, "sim-map-run")
     assert found["problem"]["type"] == "/problems/calibration-retired"
-    assert sqlite_client.get("/api/v1/correction-tables").json()["total"] == 0
+    assert sqlite_client.get("/api/v1/correction-tables").json()["items"] == []

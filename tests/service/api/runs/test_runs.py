@@ -26,7 +26,7 @@ QUICK = {"distortion": "none", "labels": "off"}
 
 
 def body(**changes: Any) -> dict[str, Any]:
-    return {"device": "sim", "points": FRAME} | changes
+    return {"device_id": "sim", "points": FRAME} | changes
 
 
 def wait(client: Any, run: str, until: Callable[[Any], bool] | None = None) -> Any:
@@ -74,8 +74,8 @@ def test_a_run_makes_the_calibration_that_a_request_makes(client: Any):
     assert posted.json()["state"] == "queued"
     found = wait(client, "first")
     assert (found["state"], found["progress"], found["problem"]) == ("succeeded", 1.0, None)
-    assert found["result"] == "/api/v1/calibrations/made"
-    made = client.get(found["result"]).json()
+    assert found["result_path"] == "/api/v1/calibrations/made"
+    made = client.get(found["result_path"]).json()
     same = client.post("/api/v1/calibrations", json=body(distortion="auto")).json()
     assert made["note"] == "by a run"
     assert made["state"] == "available"
@@ -87,9 +87,9 @@ def test_a_run_makes_the_calibration_that_a_request_makes(client: Any):
     (entry,) = client.get("/api/v1/audit", params={"object": "made"}).json()["items"]
     assert (entry["actor"]["kind"], entry["operation"]) == ("local", "create-calibration-run")
     assert entry["request_id"] == posted.headers["x-request-id"]
-    listed = client.get("/api/v1/runs", params={"device": "sim", "kind": "calibration"}).json()
+    listed = client.get("/api/v1/runs", params={"device_id": "sim", "kind": "calibration"}).json()
     assert [run["id"] for run in listed["items"]] == ["first"]
-    assert client.get("/api/v1/runs", params={"state": "failed"}).json()["total"] == 0
+    assert client.get("/api/v1/runs", params={"state": "failed"}).json()["items"] == []
 
 
 def test_a_run_that_has_ended_is_deleted(client: Any, computing: Any, tmp_path: Path):
@@ -125,7 +125,7 @@ def test_many_points_are_left_out_in_blocks(sqlite_client: Any, monkeypatch: pyt
     points = simulated_points(np.random.default_rng(5).uniform(-120, 120, (101, 3)))
     posted = sqlite_client.post(URL, json=body(id="many", points=points, **QUICK))
     assert posted.status_code == 202, posted.text
-    made = sqlite_client.get(wait(sqlite_client, "many")["result"]).json()
+    made = sqlite_client.get(wait(sqlite_client, "many")["result_path"]).json()
     assert made["errors"]["leave_one_out"] is None
     [blocks] = made["result"]["cross_validation"]
     assert (blocks["scheme"], blocks["errors"]["points"]) == ("blocks", 101)
@@ -141,7 +141,7 @@ def test_a_failed_run_has_the_problem_of_its_error(sqlite_client: Any, computing
     assert found["problem"]["type"] == "/problems/no-convergence"
     assert found["problem"]["detail"] == "it ran away"
     assert found["problem"]["context"] == {"sensor": "left"}
-    assert found["result"] is None
+    assert found["result_path"] is None
 
 
 def test_an_unexpected_error_is_for_the_log(sqlite_client: Any, computing: Any, caplog: Any):

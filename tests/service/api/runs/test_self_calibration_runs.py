@@ -25,7 +25,7 @@ BODY = NEW_SELF_CALIBRATION_RUNS["wand"]["value"]
 def test_a_wand_calibrates_the_device(client: Any, monkeypatch: pytest.MonkeyPatch):
     use_in_process_worker(monkeypatch)
     monkeypatch.setattr(router, "render_page", report_page)
-    body = BODY | {"result_id": "by-wand", "start": "sim-nominal", "note": "waved"}
+    body = BODY | {"result_id": "by-wand", "start_calibration_id": "sim-nominal", "note": "waved"}
     posted = client.post(URL, json=body)
     assert posted.status_code == 202, posted.text
     found = wait(client, "sim-wand-run")
@@ -69,7 +69,7 @@ def test_what_is_no_wand_is_refused_at_once(sqlite_client: Any):
     assert (kind, "pose 4" in detail) == ("/problems/unknown-sensor", True)
     kind, detail = refused(lambda recording: recording["poses"][3].update(vertical=[1.0, 5000.0]))
     assert (kind, "5000 px" in detail) == ("/problems/reading-outside-sensor", True)
-    assert sqlite_client.get("/api/v1/runs").json()["total"] == 0
+    assert sqlite_client.get("/api/v1/runs").json()["items"] == []
 
 
 @pytest.mark.slow

@@ -23,7 +23,7 @@ from tests.service.fake_pipeline import FakePipeline
 
 SHAPE = np.array([[0.0, 0.0, 0.0], [80.0, 0.0, 0.0], [0.0, 60.0, 0.0], [20.0, 15.0, 40.0]])
 SHOWN = MovingTools((MovingTool(tuple(map(tuple, SHAPE.tolist()))),))
-ASKED = {"id": "shown", "device": "sim", "title": "Shown", "strobe_markers": [0, 1, 2, 3]}
+ASKED = {"id": "shown", "device_id": "sim", "title": "Shown", "strobe_markers": [0, 1, 2, 3]}
 
 
 @pytest.fixture
@@ -47,15 +47,15 @@ def placed() -> dict[int, np.ndarray]:
 def test_a_tool_is_what_it_shows(sqlite_client: Any, running: FakePipeline):
     batch = tool_batch([pivoting("none", 400)], placed())
     running.batches = [replace(batch, table_id="map")]
-    answer = sqlite_client.post("/api/v1/tool-captures", json=ASKED | {"seconds": 0.05})
+    answer = sqlite_client.post("/api/v1/tool-captures", json=ASKED | {"duration_s": 0.05})
     assert answer.status_code == 201, answer.text
     tool = answer.json()
     markers = np.array(tool["markers_mm"])
     # 100 frames of each with 0.02 mm along each axis: 0.002 mm, and six deviations are enough.
     np.testing.assert_allclose(pdist(markers), pdist(SHAPE), atol=6 * np.sqrt(2) * 0.02 / 10)
     np.testing.assert_allclose(markers.mean(axis=0), 0.0, atol=1e-9)
-    assert (tool["origin"]["kind"], tool["origin"]["calibration"]) == ("captured", "sim-nominal")
-    assert (tool["origin"]["table"], tool["origin"]["frames"]) == ("map", 100)
+    assert (tool["origin"]["kind"], tool["origin"]["calibration_id"]) == ("captured", "sim-nominal")
+    assert (tool["origin"]["table_id"], tool["origin"]["frames"]) == ("map", 100)
     # At least the noise over the root of the frames, at most all of it, as if it were common.
     sigma = np.array(tool["origin"]["sigma_mm"])
     assert (sigma > 0.5 * 0.02 * np.sqrt(3) / 10).all()
@@ -77,7 +77,7 @@ def test_a_tool_is_what_it_shows(sqlite_client: Any, running: FakePipeline):
             (422, "invalid-parameter"),
             "numbers 0 to 3",
         ),
-        ({"device": "nothing"}, {}, (404, "unknown-device"), "nothing"),
+        ({"device_id": "nothing"}, {}, (404, "unknown-device"), "nothing"),
     ],
 )
 def test_a_capture_that_cannot_be_says_why(
@@ -90,7 +90,7 @@ def test_a_capture_that_cannot_be_says_why(
 ):
     shown = {marker: placed()[number] for marker, number in points.items()}
     running.batches = [tool_batch([pivoting("none", 60)], shown or None)]
-    request = ASKED | {"seconds": 0.05} | changes
+    request = ASKED | {"duration_s": 0.05} | changes
     answer = sqlite_client.post("/api/v1/tool-captures", json=request)
     assert code(answer) == problem, answer.text
     assert words in answer.json()["detail"]
@@ -100,7 +100,7 @@ def test_a_tool_that_moves_is_not_captured(sqlite_client: Any, running: FakePipe
     batch = tool_batch([pivoting("none", 400)], placed())
     batch.points.position_mm[:, 0] += np.linspace(0.0, 5.0, 400)
     running.batches = [batch]
-    answer = sqlite_client.post("/api/v1/tool-captures", json=ASKED | {"seconds": 0.05})
+    answer = sqlite_client.post("/api/v1/tool-captures", json=ASKED | {"duration_s": 0.05})
     assert code(answer) == (422, "not-stationary")
 
 
@@ -150,7 +150,7 @@ def test_a_pointer_gets_the_tip_that_it_was_pivoted_about(
     answer = client.post("/api/v1/tools/pointer/pivot-calibrations", json={})
     assert answer.status_code == 201, answer.text
     found = answer.json()
-    assert (found["calibration"], found["table"]) == ("sim-nominal", "map")
+    assert (found["calibration_id"], found["table_id"]) == ("sim-nominal", "map")
     covariance = np.array(found["tip_covariance_mm2"])
     error = np.array(found["tip_mm"]) - TIP_MM
     assert error @ np.linalg.solve(covariance, error) < 30.0  # chi-square of 3: 1e-6 beyond it
@@ -159,7 +159,10 @@ def test_a_pointer_gets_the_tip_that_it_was_pivoted_about(
     assert found["rms_mm"] < 0.2
     tip = client.get("/api/v1/tools/pointer").json()["tip"]
     assert tip["position_mm"] == found["tip_mm"]
-    assert (tip["calibration"], tip["covariance_mm2"]) == (found["id"], found["tip_covariance_mm2"])
+    assert (tip["tool_calibration_id"], tip["covariance_mm2"]) == (
+        found["id"],
+        found["tip_covariance_mm2"],
+    )
     (followed,) = running.tracked["sim"].tools
     assert followed.tip_mm == tuple(found["tip_mm"])
     kept = client.get("/api/v1/tools/pointer/calibrations").json()["items"]
@@ -192,7 +195,7 @@ def test_relative_to_the_reference_the_fixed_point_may_move(
 ):
     """The tool pivots in a dimple of a block that is moved meanwhile, with a reference on it."""
     assert made(sqlite_client, PATIENT).status_code == 201
-    assert made(sqlite_client, POINTER, reference="patient").status_code == 201
+    assert made(sqlite_client, POINTER, reference_id="patient").status_code == 201
     rng = np.random.default_rng(8)
     tool, block = [], []
     for one in pivoting("pointer", 100):
@@ -234,7 +237,7 @@ def test_a_pivot_that_says_nothing_is_refused(
     assert made(sqlite_client, POINTER).status_code == 201
     running.batches = [tool_batch([poses])]
     path = "/api/v1/tools/pointer/pivot-calibrations"
-    answer = sqlite_client.post(path, json={"seconds": 0.05})
+    answer = sqlite_client.post(path, json={"duration_s": 0.05})
     assert code(answer) == (422, problem), answer.text
     assert sqlite_client.get("/api/v1/tools/pointer/calibrations").json()["items"] == []
 
@@ -248,7 +251,7 @@ def test_a_calibration_switched_meanwhile_spoils_it(
         tool_batch([pivoting("pointer", 20)], calibration="another"),
     ]
     path = "/api/v1/tools/pointer/pivot-calibrations"
-    answer = sqlite_client.post(path, json={"seconds": 0.05})
+    answer = sqlite_client.post(path, json={"duration_s": 0.05})
     assert code(answer) == (409, "calibration-switched")
 
 
@@ -271,7 +274,7 @@ def registration(measured: np.ndarray, **changes: Any) -> dict[str, Any]:
         {"name": f"F{n}", "frame_mm": one.tolist(), "measured_mm": other.tolist()}
         for n, (one, other) in enumerate(zip(IMAGE, measured, strict=False))
     ]
-    return {"id": "ct", "device": "sim", "fiducials": pairs} | changes
+    return {"id": "ct", "device_id": "sim", "fiducials": pairs} | changes
 
 
 def test_a_registration_and_what_it_is_worth(client: Any):
@@ -306,8 +309,8 @@ def test_a_registration_and_what_it_is_worth(client: Any):
 @pytest.mark.parametrize(
     ("changes", "expected"),
     [
-        ({"device": "nothing"}, (404, "unknown-device")),
-        ({"reference": "nothing"}, (404, "unknown-tool")),
+        ({"device_id": "nothing"}, (404, "unknown-device")),
+        ({"reference_id": "nothing"}, (404, "unknown-tool")),
         ({"id": "tracker"}, (422, "invalid-parameter")),
         ({"fiducials": registration(IMAGE[:2])["fiducials"]}, (422, "invalid-request")),
         (
@@ -364,7 +367,7 @@ def test_no_more_wait_at_once_than_may(sqlite_client: Any, running: FakePipeline
     assert made(sqlite_client, POINTER).status_code == 201
     running.batches = [tool_batch([pivoting("pointer", 5)])]
     body = ASKED | {"strobe_markers": [5, 6, 7]} if path == "tool-captures" else {}
-    request = body | {"seconds": 0.05}
+    request = body | {"duration_s": 0.05}
     with ExitStack() as others:
         for _ in range(concurrency_limits.MAX_CONCURRENT):
             others.enter_context(concurrency_limits.captures)
@@ -386,6 +389,6 @@ def test_a_server_that_stops_says_so_at_once(sqlite_client: Any, running: FakePi
     assert made(sqlite_client, POINTER).status_code == 201
     running.streams.close("the server is stopping")
     path = "/api/v1/tools/pointer/pivot-calibrations"
-    answer = sqlite_client.post(path, json={"seconds": 120})
+    answer = sqlite_client.post(path, json={"duration_s": 120})
     assert code(answer) == (503, "not-ready"), answer.text
     assert "the server is stopping" in answer.json()["detail"]

@@ -53,7 +53,7 @@ def again(client: Any, tool: dict[str, Any]) -> None:
 
 
 def parent(client: Any, **changes: Any) -> None:
-    body = registration(IMAGE + PIVOT_MM, measured_sigma_mm=0.1, reference="patient") | changes
+    body = registration(IMAGE + PIVOT_MM, measured_sigma_mm=0.1, reference_id="patient") | changes
     answer = client.post(URL, json=body)
     assert answer.status_code == 201, answer.text
 
@@ -120,7 +120,7 @@ def test_a_refined_registration_is_of_the_parent_that_it_began_with(
             meanwhile(patch, registration_surface, "refine_by_surface", lambda do=do: do(tools))
             answer = tools.post(URL, json=by_skin())
         if problem is None:
-            assert (answer.status_code, answer.json()["reference"]) == (201, "patient")
+            assert (answer.status_code, answer.json()["reference_id"]) == (201, "patient")
             continue
         assert code(answer) == problem, answer.text
         assert tools.get(f"{URL}/skin").status_code == 404
@@ -129,7 +129,7 @@ def test_a_refined_registration_is_of_the_parent_that_it_began_with(
 def test_markers_are_relative_to_the_tool_that_they_were_measured_with(
     tools: Any, monkeypatch: pytest.MonkeyPatch
 ):
-    body = MARKERS | {"reference": "patient"}
+    body = MARKERS | {"reference_id": "patient"}
     with monkeypatch.context() as patch:
         meanwhile(patch, registration_markers, "of_markers", lambda: reference_again(tools))
         answer = tools.post(URL, json=body)
@@ -156,16 +156,16 @@ def test_a_point_is_of_the_pointer_and_the_frame_that_it_was_begun_with(
     live.batches = [tool_batch([resting("pointer", 700), patient])]
     for frame, do, problem in POINTERS:
         if frame == "ct":
-            parent(tools, reference=None)
+            parent(tools, reference_id=None)
         with monkeypatch.context() as patch:
             meanwhile(patch, digitise, "digitise_point", lambda do=do: do(tools))
             # The reference is 1.5 m from the tip: its turns are tenths of a millimetre there.
-            answer = tools.post(POINTS, json={"frame": frame, "max_sigma_mm": 1.0})
+            answer = tools.post(POINTS, json={"frame_id": frame, "max_sigma_mm": 1.0})
         if frame == "ct":
             tools.delete(f"{URL}/ct")
         if problem is None:
             assert answer.status_code == 200, answer.text
-            assert answer.json()["frame"] == frame
+            assert answer.json()["frame_id"] == frame
             continue
         assert code(answer) == problem, answer.text
         assert "position_mm" not in answer.text

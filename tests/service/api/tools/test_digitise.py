@@ -44,13 +44,13 @@ def asked(client: Any, **body: Any) -> Any:
 def test_a_point_is_the_mean_of_a_still_tip(pointer: Any, running: FakePipeline):
     running.batches = [tool_batch([resting("pointer", 700)])]
     found = asked(pointer, name="nasion")
-    assert (found["name"], found["tool"], found["device"]) == ("nasion", "pointer", "sim")
-    assert (found["frame"], found["calibration"], found["table"]) == (
+    assert (found["name"], found["tool_id"], found["device_id"]) == ("nasion", "pointer", "sim")
+    assert (found["frame_id"], found["calibration_id"], found["table_id"]) == (
         "tracker",
         "sim-nominal",
         None,
     )
-    assert found["tip_calibration"] is None
+    assert found["tool_calibration_id"] is None
     covariance = np.array(found["covariance_mm2"])
     error = np.array(found["position_mm"]) - PIVOT_MM
     assert error @ np.linalg.solve(covariance, error) < 30.0
@@ -66,12 +66,12 @@ def test_a_point_is_the_mean_of_a_still_tip(pointer: Any, running: FakePipeline)
 def test_the_tips_own_covariance_counts(pointer: Any, running: FakePipeline):
     """A tip from a pivot calibration of a tilted pointer: its error is in every place alike."""
     running.batches = [tool_batch([pivoting("pointer", 300)])]
-    calibrated = pointer.post("/api/v1/tools/pointer/pivot-calibrations", json={"seconds": 0.02})
+    calibrated = pointer.post("/api/v1/tools/pointer/pivot-calibrations", json={"duration_s": 0.02})
     assert calibrated.status_code == 201, calibrated.text
     spread = np.array(calibrated.json()["tip_covariance_mm2"])
     running.batches = [tool_batch([resting("pointer", 700)])]
     found = asked(pointer)
-    assert found["tip_calibration"] == calibrated.json()["id"]
+    assert found["tool_calibration_id"] == calibrated.json()["id"]
     turn = rotation_matrix(np.array([0.3, -0.4, 0.5]))
     least = np.linalg.eigvalsh(np.array(found["covariance_mm2"]) - turn @ spread @ turn.T)[0]
     assert least > 0.0
@@ -108,15 +108,15 @@ def test_relative_to_the_patient_who_moves(pointer: Any, running: FakePipeline):
         patient.append(pose("patient", n, turn, np.zeros(3)))
     running.batches = [tool_batch([tip, patient])]
     # The reference is 1.5 m from the tip: its turns, known to 0.2 mrad, are 0.4 mm there.
-    wide = {"max_sigma_mm": 1.0, "seconds": 0.3}
-    found = asked(pointer, frame="patient", **wide)
-    assert found["frame"] == "patient"
+    wide = {"max_sigma_mm": 1.0, "duration_s": 0.3}
+    found = asked(pointer, frame_id="patient", **wide)
+    assert found["frame_id"] == "patient"
     np.testing.assert_allclose(found["position_mm"], PIVOT_MM, atol=0.1)
     assert np.sqrt(np.trace(found["covariance_mm2"])) > 0.3
     # By default relative to the tool's reference.
-    pointer.patch("/api/v1/tools/pointer", json={"reference": "patient"})
-    assert asked(pointer, **wide)["frame"] == "patient"
-    refused = pointer.post(URL, json={"frame": "tracker", "timeout_s": 0.05})
+    pointer.patch("/api/v1/tools/pointer", json={"reference_id": "patient"})
+    assert asked(pointer, **wide)["frame_id"] == "patient"
+    refused = pointer.post(URL, json={"frame_id": "tracker", "timeout_s": 0.05})
     assert code(refused) == (422, "not-stationary"), refused.text
     assert "0.05 s" in refused.json()["detail"]
 
@@ -128,7 +128,7 @@ def test_points_make_a_registration_as_they_stand(pointer: Any, running: FakePip
         running.batches = [
             tool_batch([resting("pointer", 700, at_mm=turn @ place + at, seed=number)])
         ]
-        found = asked(pointer, name=f"F{number}", frame="tracker")
+        found = asked(pointer, name=f"F{number}", frame_id="tracker")
         fiducials.append(
             {
                 "name": found["name"],
@@ -137,14 +137,14 @@ def test_points_make_a_registration_as_they_stand(pointer: Any, running: FakePip
                 "measured_covariance_mm2": found["covariance_mm2"],
             }
         )
-    body = {"id": "ct", "device": "sim", "fiducials": fiducials}
+    body = {"id": "ct", "device_id": "sim", "fiducials": fiducials}
     answer = pointer.post("/api/v1/registrations", json=body)
     assert answer.status_code == 201, answer.text
     matrix = np.array(answer.json()["matrix"])
     np.testing.assert_allclose(matrix[:3, 3], at, atol=0.1)
     np.testing.assert_allclose(matrix[:3, :3], turn, atol=1e-3)
     # In its frame the tip is where the fiducial is.
-    inside = asked(pointer, frame="ct")
+    inside = asked(pointer, frame_id="ct")
     np.testing.assert_allclose(inside["position_mm"], IMAGE[-1], atol=0.1)
 
 
@@ -197,9 +197,9 @@ def test_a_tip_that_nobody_knows_measures_nothing(pointer: Any):
 
 def test_what_cannot_be_asked_for(pointer: Any, live: FakePipeline):
     assert code(pointer.post("/api/v1/tools/nobody/points", json={})) == (404, "unknown-tool")
-    assert code(pointer.post(URL, json={"frame": "nowhere"})) == (404, "unknown-tool")
-    assert code(pointer.post(URL, json={"frame": "pointer"})) == (422, "invalid-parameter")
-    assert code(pointer.post(URL, json={"seconds": 0.0})) == (422, "invalid-request")
+    assert code(pointer.post(URL, json={"frame_id": "nowhere"})) == (404, "unknown-tool")
+    assert code(pointer.post(URL, json={"frame_id": "pointer"})) == (422, "invalid-parameter")
+    assert code(pointer.post(URL, json={"duration_s": 0.0})) == (422, "invalid-request")
     live.records = None
     assert code(pointer.post(URL, json={})) == (409, "device-not-running")
 
@@ -212,8 +212,8 @@ def test_not_with_another_calibration(pointer: Any, running: FakePipeline):
     # The frame was registered with the one before.
     registered(pointer)
     running.batches = [tool_batch([resting("pointer", 700)], calibration="moved")]
-    assert asked(pointer)["calibration"] == "moved"
-    answer = pointer.post(URL, json={"frame": "ct"})
+    assert asked(pointer)["calibration_id"] == "moved"
+    answer = pointer.post(URL, json={"frame_id": "ct"})
     assert code(answer) == (409, "calibration-switched"), answer.text
     assert '"sim-nominal"' in answer.json()["detail"]
     running.batches = [tool_batch([lost(3)], calibration=None)]
@@ -230,7 +230,7 @@ def test_no_more_wait_at_once_than_may(pointer: Any, running: FakePipeline):
         assert code(refused) == (503, "busy"), refused.text
         # Who measures points keeps nobody from calibrating tools.
         path = "/api/v1/tools/pointer/pivot-calibrations"
-        assert pointer.post(path, json={"seconds": 0.02}).status_code != 503
+        assert pointer.post(path, json={"duration_s": 0.02}).status_code != 503
     for _ in range(concurrency_limits.MAX_CONCURRENT + 1):
         asked(pointer)
 
@@ -240,7 +240,7 @@ def test_a_registration_by_a_surface_waits_its_turn(pointer: Any):
     assert pointer.post("/api/v1/registrations", json=body).status_code == 201
     points = (np.random.default_rng(0).normal(size=(20, 3)) * 50.0).tolist()
     request = {
-        "id": "skin", "kind": "surface", "device": "sim", "parent": "ct", "points_mm": points,
+        "id": "skin", "kind": "surface", "device_id": "sim", "parent_id": "ct", "points_mm": points,
         "surface": {"kind": "points", "points_mm": points},
     }  # fmt: skip
     with ExitStack() as others:

@@ -27,11 +27,11 @@ def tools(sqlite_client: Any) -> Any:
 def listed(client: Any) -> dict[str, Any]:
     answer = client.get(URL)
     assert answer.status_code == 200, answer.text
-    return {one["frame"]: one for one in answer.json()["frames"]}
+    return {one["id"]: one for one in answer.json()["frames"]}
 
 
 def between(client: Any, frame: str, to: str | None = None) -> Any:
-    answer = client.get(f"{URL}/{frame}", params={} if to is None else {"to": to})
+    answer = client.get(f"{URL}/{frame}", params={} if to is None else {"to_frame_id": to})
     assert answer.status_code == 200, answer.text
     return answer.json()
 
@@ -41,22 +41,22 @@ def both(live: FakePipeline) -> None:
 
 
 def test_frames_and_what_they_are_connected_by(tools: Any, live: FakePipeline):
-    registered(tools, reference="patient")
+    registered(tools, reference_id="patient")
     registered(tools, id="room")
     both(live)
     answer = tools.get(URL).json()
-    assert (answer["device"], answer["sequence"]) == ("sim", 7)
-    assert (answer["calibration"], answer["table"]) == ("sim-nominal", None)
+    assert (answer["device_id"], answer["sequence"]) == ("sim", 7)
+    assert (answer["calibration_id"], answer["table_id"]) == ("sim-nominal", None)
     assert answer["age_s"] >= 0.0
     frames = listed(tools)
-    assert {name: (one["kind"], one["to"]) for name, one in frames.items()} == {
+    assert {name: (one["kind"], one["to_frame_id"]) for name, one in frames.items()} == {
         "tracker": ("tracker", None),
         "patient": ("tool", "tracker"),
         "pointer": ("tool", "tracker"),
         "ct": ("registration", "patient"),
         "room": ("registration", "tracker"),
     }
-    assert all(one["connected"] and one["root"] == "tracker" for one in frames.values())
+    assert all(one["connected"] and one["root_frame_id"] == "tracker" for one in frames.values())
     assert {one["status"] for one in frames.values()} == {"OK"}
     put(
         live,
@@ -67,16 +67,16 @@ def test_frames_and_what_they_are_connected_by(tools: Any, live: FakePipeline):
     assert (frames["patient"]["connected"], frames["patient"]["status"]) == (False, "MISSING")
     assert frames["patient"]["reason"] == "1 of 4 markers was seen"
     # The image still goes with the patient, wherever that is.
-    assert (frames["ct"]["connected"], frames["ct"]["root"]) == (True, "patient")
-    assert frames["pointer"]["root"] == "tracker"
+    assert (frames["ct"]["connected"], frames["ct"]["root_frame_id"]) == (True, "patient")
+    assert frames["pointer"]["root_frame_id"] == "tracker"
 
 
 def test_a_transform_over_all_of_the_way(tools: Any, live: FakePipeline):
     """From the pointer over the tracker and the patient to the image."""
-    image = np.array(registered(tools, reference="patient")["matrix"])
+    image = np.array(registered(tools, reference_id="patient")["matrix"])
     both(live)
     found = between(tools, "pointer", "ct")
-    assert found["path"] == ["pointer", "tracker", "patient", "ct"]
+    assert found["path_frame_ids"] == ["pointer", "tracker", "patient", "ct"]
     assert (found["status"], found["reason"], found["sequence"]) == ("OK", None, 7)
     own = Transform(TURN, AT, COVARIANCE)
     patient = Transform(OTHER, -AT, COVARIANCE)
@@ -85,19 +85,19 @@ def test_a_transform_over_all_of_the_way(tools: Any, live: FakePipeline):
     np.testing.assert_allclose(found["rotation"], wanted[:3, :3], atol=1e-9)
     np.testing.assert_allclose(found["translation_mm"], wanted[:3, 3], atol=1e-9)
     # It is the pose of the tool in that frame, with its covariance.
-    posed = tools.get("/api/v1/tools/pointer/pose", params={"frame": "ct"}).json()
+    posed = tools.get("/api/v1/tools/pointer/pose", params={"frame_id": "ct"}).json()
     np.testing.assert_allclose(found["matrix"], posed["matrix"], atol=1e-9)
     np.testing.assert_allclose(found["covariance"], posed["covariance"], rtol=1e-6, atol=1e-12)
     np.testing.assert_allclose(found["quaternion_wxyz"], posed["quaternion_wxyz"], atol=1e-9)
     back = between(tools, "ct", "pointer")
     np.testing.assert_allclose(np.array(back["matrix"]) @ wanted, np.eye(4), atol=1e-9)
-    assert back["path"] == found["path"][::-1]
+    assert back["path_frame_ids"] == found["path_frame_ids"][::-1]
 
 
 def test_a_transform_to_the_tracker_and_to_itself(tools: Any, live: FakePipeline):
     both(live)
     found = between(tools, "pointer")
-    assert (found["to"], found["path"]) == ("tracker", ["pointer", "tracker"])
+    assert (found["to_frame_id"], found["path_frame_ids"]) == ("tracker", ["pointer", "tracker"])
     np.testing.assert_allclose(found["covariance"], COVARIANCE, rtol=1e-9, atol=1e-18)
     same = between(tools, "pointer", "pointer")
     np.testing.assert_allclose(same["matrix"], np.eye(4))
@@ -117,7 +117,7 @@ def test_it_is_worth_no_more_than_the_worst_of_its_poses(tools: Any, live: FakeP
 
 
 def test_without_a_way_there_is_a_reason(tools: Any, live: FakePipeline):
-    registered(tools, reference="patient")
+    registered(tools, reference_id="patient")
     put(
         live,
         pose("pointer", 7, TURN, AT),
@@ -126,7 +126,14 @@ def test_without_a_way_there_is_a_reason(tools: Any, live: FakePipeline):
     for frame, to in (("pointer", "ct"), ("ct", "pointer"), ("patient", "tracker")):
         found = between(tools, frame, to)
         assert (found["status"], found["reason"]) == ("OUT_OF_VIEW", 'tool "patient": it left')
-        names = ("path", "matrix", "translation_mm", "rotation", "quaternion_wxyz", "covariance")
+        names = (
+            "path_frame_ids",
+            "matrix",
+            "translation_mm",
+            "rotation",
+            "quaternion_wxyz",
+            "covariance",
+        )
         assert {found[name] for name in names} == {None}
     # What does not go over the patient's pose is there.
     assert between(tools, "ct", "patient")["status"] == "OK"
@@ -165,5 +172,8 @@ def test_frames_that_there_are_not(tools: Any):
     answer = tools.get(f"{URL}/nowhere")
     assert code(answer) == (404, "unknown-frame")
     assert '"tracker", "patient", "pointer"' in answer.json()["detail"]
-    assert code(tools.get(f"{URL}/pointer", params={"to": "nowhere"})) == (404, "unknown-frame")
+    assert code(tools.get(f"{URL}/pointer", params={"to_frame_id": "nowhere"})) == (
+        404,
+        "unknown-frame",
+    )
     assert code(tools.get(f"{URL}/No Slug")) == (422, "invalid-request")

@@ -30,12 +30,12 @@ PLATE = np.array([[10.0, -20.0, 1500.0], [110.0, -20.0, 1500.0], [10.0, 60.0, 15
 MARKERS = {
     "id": "plate",
     "kind": "three-markers",
-    "device": "sim",
+    "device_id": "sim",
     "measured_mm": PLATE.tolist(),
     "measured_sigma_mm": 0.05,
 }
 SHOWN = MovingTools((MovingTool(((0.0, 0.0, 0.0),) * 8),))
-NOW = {"id": "now", "kind": "three-markers", "device": "sim", "seconds": 0.02}
+NOW = {"id": "now", "kind": "three-markers", "device_id": "sim", "duration_s": 0.02}
 
 
 @pytest.fixture
@@ -70,8 +70,8 @@ def by_skin(**changes: Any) -> dict[str, Any]:
     request = {
         "id": "skin",
         "kind": "surface",
-        "device": "sim",
-        "parent": "ct",
+        "device_id": "sim",
+        "parent_id": "ct",
         "points_mm": points.tolist(),
         "surface": surface,
         # Other starts take thirteen times as long.
@@ -97,7 +97,7 @@ def test_three_markers_make_the_frame_of_figure_7_6(client: Any, live: FakePipel
     found = answer.json()
     np.testing.assert_allclose(np.array(found["matrix"])[:3, :3], np.eye(3), atol=1e-12)
     np.testing.assert_allclose(np.array(found["matrix"])[:3, 3], PLATE[0])
-    assert (found["kind"], found["calibration"]) == ("three-markers", "sim-nominal")
+    assert (found["kind"], found["calibration_id"]) == ("three-markers", "sim-nominal")
     assert found["fre_mm"] is found["fle_mm"] is found["surface"] is None
     assert [one["name"] for one in found["markers"]] == ["M1", "M2", "M3"]
     assert found["markers"][2]["measured_mm"] == [10, 60, 1500]
@@ -112,7 +112,7 @@ def test_three_markers_make_the_frame_of_figure_7_6(client: Any, live: FakePipel
     # Poses are given in it.
     assert made(client, POINTER).status_code == 201
     put(live, pose("pointer", 7, np.eye(3), PLATE[0] + [150.0, 10.0, 0.0]))
-    asked = client.get("/api/v1/tools/pointer/pose", params={"frame": "plate"}).json()
+    asked = client.get("/api/v1/tools/pointer/pose", params={"frame_id": "plate"}).json()
     np.testing.assert_allclose(asked["tip_mm"], [0.0, 10.0, 0.0], atol=1e-9)
 
 
@@ -145,7 +145,7 @@ def test_markers_that_make_no_frame_are_refused(sqlite_client: Any):
         answer = sqlite_client.post(URL, json=MARKERS | changes)
         assert code(answer) == (422, problem), answer.text
         assert words in answer.json()["detail"]
-    assert sqlite_client.get(URL).json()["total"] == 0
+    assert sqlite_client.get(URL).json()["items"] == []
 
 
 def test_a_frame_whose_turn_is_hardly_known_is_told_of(sqlite_client: Any):
@@ -173,7 +173,7 @@ def test_three_strobed_markers_measured_now(client: Any, running: FakePipeline):
     np.testing.assert_allclose(places, PLATE, atol=6 * SIGMA_MM / np.sqrt(80))
     assert [one["frames"] for one in found["markers"]] == [80, 80, 80]
     assert found["request"]["strobe_markers"] == [4, 5, 6]
-    assert found["calibration"] == "sim-nominal"
+    assert found["calibration_id"] == "sim-nominal"
     # Exchanged numbers are another frame.
     other = client.post(URL, json=NOW | {"id": "other", "strobe_markers": [5, 4, 6]}).json()
     np.testing.assert_allclose(np.array(other["matrix"])[:3, 3], PLATE[1], atol=0.1)
@@ -194,10 +194,10 @@ def test_relative_to_a_reference_the_patient_may_move(sqlite_client: Any, runnin
     running.batches = [moving]
     request = NOW | {"strobe_markers": [4, 5, 6]}
     assert code(sqlite_client.post(URL, json=request)) == (422, "not-stationary")
-    answer = sqlite_client.post(URL, json=request | {"reference": "patient"})
+    answer = sqlite_client.post(URL, json=request | {"reference_id": "patient"})
     assert answer.status_code == 201, answer.text
     found = answer.json()
-    assert found["reference"] == "patient"
+    assert found["reference_id"] == "patient"
     places = np.array([one["measured_mm"] for one in found["markers"]])
     np.testing.assert_allclose(places, PLATE, atol=0.05)
     # Of what all exposures share, the pose's errors 1.5 m away, no mean makes less.
@@ -211,7 +211,7 @@ def test_a_reference_that_is_not_seen_is_told(sqlite_client: Any, running: FakeP
         ToolPose("patient", PoseStatus.MISSING, "1 of 4 markers was seen", n, n) for n in range(240)
     ]
     running.batches = [strobed(lost)]
-    request = NOW | {"strobe_markers": [4, 5, 6], "reference": "patient"}
+    request = NOW | {"strobe_markers": [4, 5, 6], "reference_id": "patient"}
     answer = sqlite_client.post(URL, json=request)
     assert code(answer) == (409, "nothing-seen"), answer.text
     assert '240 more the reference "patient" had no pose' in answer.json()["detail"]
@@ -223,8 +223,8 @@ NOT_MEASURED: list[tuple[Any, ...]] = [
     ({"strobe_markers": [4, 5, 4]}, (422, "invalid-parameter"), "[4, 5, 4]"),
     ({"strobe_markers": [4, 5, 7]}, (409, "nothing-seen"), "7: 0"),
     ({"measured_sigma_mm": 0.1}, (422, "invalid-parameter"), "leave them out"),
-    ({"reference": "nobody"}, (404, "unknown-tool"), '"nobody"'),
-    ({"device": "nobody"}, (404, "unknown-device"), '"nobody"'),
+    ({"reference_id": "nobody"}, (404, "unknown-tool"), '"nobody"'),
+    ({"device_id": "nobody"}, (404, "unknown-device"), '"nobody"'),
 ]
 
 
@@ -274,7 +274,7 @@ def test_a_surface_refines_a_registration(client: Any):
     assert fit["weakest_motion"].startswith(("a turn about", "a shift along"))
     assert 1.0 < fit["rotation_deg"] < 2.0
     assert fit["alternative"] is None
-    assert (found["kind"], found["parent"]) == ("surface", "ct")
+    assert (found["kind"], found["parent_id"]) == ("surface", "ct")
     assert found["parent_created_at"] == parent["created_at"]
     assert found["targets"][0]["error_mm"] < 0.3
     kept = found["request"]["surface"]
@@ -284,8 +284,8 @@ def test_a_surface_refines_a_registration(client: Any):
     assert client.get(f"{URL}/skin").json() == found
     assert found["warnings"] == []
     # It needs the earlier one no more, and may be refined itself.
-    again = client.post(URL, json=by_skin(id="again", parent="skin")).json()
-    assert again["parent"] == "skin"
+    again = client.post(URL, json=by_skin(id="again", parent_id="skin")).json()
+    assert again["parent_id"] == "skin"
     assert again["surface"]["rotation_deg"] < 0.1
     assert again["request"]["surface"] == kept
     assert client.delete(f"{URL}/ct").status_code == 204
@@ -307,7 +307,7 @@ def test_what_is_further_off_than_it_may_be_is_refused(sqlite_client: Any):
         assert told["context"]["found"] > told["context"][name] == 0.5
         assert words in told["detail"]
         assert f"{name} is 0.5" in told["detail"]
-    assert sqlite_client.get(URL).json()["total"] == 1
+    assert len(sqlite_client.get(URL).json()["items"]) == 1
 
 
 def test_a_surface_of_points_with_their_normals(sqlite_client: Any):
@@ -347,7 +347,7 @@ def test_what_a_surface_does_not_hold_is_refused_with_the_motion(sqlite_client: 
 
 
 NOTHING_REFINED: list[tuple[Any, ...]] = [
-    ({"parent": "nobody"}, (404, "unknown-registration"), '"nobody"'),
+    ({"parent_id": "nobody"}, (404, "unknown-registration"), '"nobody"'),
     ({"id": "ct"}, (409, "registration-exists"), '"ct"'),
     ({"points_mm": [[0, 0, 0]] * 11}, (422, "invalid-request"), ""),
     ({"max_rms_mm": 0.01}, (422, "high-error"), "0.01 mm"),
@@ -376,7 +376,7 @@ def test_a_surface_that_refines_nothing_says_why(sqlite_client: Any):
         answer = sqlite_client.post(URL, json=by_skin(**changes))
         assert code(answer) == problem, answer.text
         assert words in answer.json().get("detail", "")
-    assert sqlite_client.get(URL).json()["total"] == 1
+    assert len(sqlite_client.get(URL).json()["items"]) == 1
 
 
 def test_sizes_have_their_limits(sqlite_client: Any, sqlite_settings: Settings):
@@ -397,9 +397,9 @@ def test_a_frame_of_another_calibration_is_not_refined(sqlite_client: Any):
     with sqlite_client.app.state.database.write() as session:
         row = session.get(RegistrationRow, "ct")
         found = {name: getattr(row, name) for name in ("asked", "note", "created_at", "device_id")}
-        older = row.result | {"calibration": "older"}
+        older = row.result | {"calibration_id": "older"}
         session.add(RegistrationRow(id="older", reference_id=None, result=older, **found))
-    answer = sqlite_client.post(URL, json=by_skin(parent="older"))
+    answer = sqlite_client.post(URL, json=by_skin(parent_id="older"))
     assert code(answer) == (422, "invalid-parameter"), answer.text
     assert '"older"' in answer.json()["detail"]
     assert '"sim-nominal"' in answer.json()["detail"]
@@ -426,7 +426,7 @@ def test_of_those_before_there_were_kinds_all_is_told(client: Any):
     assert found == now | {"id": "then"}
     assert found["kind"] == found["request"]["kind"] == "paired-points"
     # And it may be refined.
-    answer = client.post(URL, json=by_skin(parent="then"))
+    answer = client.post(URL, json=by_skin(parent_id="then"))
     assert answer.status_code == 201, answer.text
 
 

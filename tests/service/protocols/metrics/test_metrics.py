@@ -49,10 +49,12 @@ def value(families: dict[str, Any], name: str, **labels: str) -> float:
 @pytest.fixture
 def busy(live: FakePipeline, sqlite_client: Any, monkeypatch: pytest.MonkeyPatch) -> Any:
     """A server of which every figure has a value."""
-    counters = LinkCounters(bytes_received=12345, frames=50, frames_garbled=2, reconnects=3)
+    counters = LinkCounters(
+        received_bytes=12345, frames_received=50, frames_garbled=2, reconnects=3
+    )
     link = LinkState("garbled", "noise", counters)
     live.states["bar"] = DeviceStatus(
-        "running", frames=100, frames_lost_device=7, frames_dropped_ring=5, frames_processed=90,
+        "running", frames_received=100, frames_lost=7, frames_dropped_compute=5, frames_processed=90,
         link=link, frames_not_tracked=8,
     )  # fmt: skip
     latency = LatencyHistogram()
@@ -63,7 +65,11 @@ def busy(live: FakePipeline, sqlite_client: Any, monkeypatch: pytest.MonkeyPatch
     tools = {"probe": ToolCounts(seen, time.time_ns()), "lost": ToolCounts({}, None)}
     monkeypatch.setattr(live, "pose_counts", lambda: {"bar": tools})
     app = sqlite_client.app
-    written = {"bar": WriteCounters(open=1, frames=80, dropped=4, size_bytes=999, failed=2)}
+    written = {
+        "bar": WriteCounters(
+            open=1, frames_written=80, frames_dropped_writer=4, size_bytes=999, failed=2
+        )
+    }
     monkeypatch.setattr(app.state.recordings, "written", lambda: written)
     begin = datetime.now(UTC)
     for took_s in (3.0, 40.0):
@@ -109,8 +115,8 @@ def test_figures_are_those_of_the_live_side(busy: Any):
     found = read(busy)
     for name, wanted in {
         "frames_received_total": 100,
-        "exposures_lost_total": 7,
-        "frames_dropped_total": 5,
+        "frames_lost_total": 7,
+        "frames_dropped_compute_total": 5,
         "frames_not_tracked_total": 8,
         "frames_processed_total": 90,
         "link_received_bytes_total": 12345,
@@ -119,7 +125,7 @@ def test_figures_are_those_of_the_live_side(busy: Any):
         "link_connected": 0,
         "recordings_open": 1,
         "recording_frames_written_total": 80,
-        "recording_frames_dropped_total": 4,
+        "recording_frames_dropped_writer_total": 4,
         "recording_written_bytes_total": 999,
         "recordings_failed_total": 2,
         "stream_messages_total": 1,

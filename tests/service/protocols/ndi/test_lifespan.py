@@ -64,7 +64,7 @@ def test_tools_of_a_device_that_never_ran(tmp_path: Path):
     with TestClient(app) as client:
         assert client.post("/api/v1/devices/sim/stop").status_code == 200
         tool = {
-            "id": "probe", "device": "sim", "title": "Probe",
+            "id": "probe", "device_id": "sim", "title": "Probe",
             "markers_mm": [[0, 0, 0], [50, 0, 0], [0, 70, 0], [20, 10, 30]],
         }  # fmt: skip
         made = client.post("/api/v1/tools", json=tool)

@@ -118,7 +118,7 @@ def test_two_tools_as_rest_has_them(tmp_path: Path):
                 "/api/v1/tools",
                 json={
                     "id": name,
-                    "device": "sim",
+                    "device_id": "sim",
                     "title": name,
                     "markers_mm": markers,
                     "strobe_markers": [4 * number + slot for slot in range(4)],
@@ -132,7 +132,7 @@ def test_two_tools_as_rest_has_them(tmp_path: Path):
             now = [replace(one, exposure_ns=time.time_ns()) for one in poses]
             app.state.live.poses.put(entry(*now, device="sim"))
             found = [client.get(f"/api/v1/tools/{name}/pose").json() for name in TOOLS]
-            rest = {one["tool"]: one for one in found if one["status"] == "OK"}
+            rest = {one["tool_id"]: one for one in found if one["status"] == "OK"}
         heard = asyncio.run(client_told(app.state.ndi.address[1]))
     assert heard["tools"] == {"1": "probe", "2": "ref"}
     for handle, name in heard["tools"].items():

@@ -76,9 +76,9 @@ def test_tools_of_the_database_are_sent(service: tuple[TestClient, FakePipeline,
     others = [[1.3 * value for value in marker] for marker in MARKERS]
     for body in (
         {"id": "ref", "markers_mm": others},
-        {"id": "probe", "markers_mm": MARKERS, "reference": "ref"},
+        {"id": "probe", "markers_mm": MARKERS, "reference_id": "ref"},
     ):
-        body |= {"device": "sim", "title": "A tool"}
+        body |= {"device_id": "sim", "title": "A tool"}
         answer = client.post("/api/v1/tools", json=body)
         assert answer.status_code == 201, answer.text
     server = client.app.state.openigtlink  # type: ignore[attr-defined]
@@ -106,9 +106,9 @@ def test_limits_of_the_database_hold_relative_to_the_reference(
     others = [[1.3 * value for value in marker] for marker in MARKERS]
     for body in (
         {"id": "ref", "markers_mm": others},
-        {"id": "probe", "markers_mm": MARKERS, "reference": "ref", "limits": {"tip_sd_mm": 0.6}},
+        {"id": "probe", "markers_mm": MARKERS, "reference_id": "ref", "limits": {"tip_sd_mm": 0.6}},
     ):
-        answer = client.post("/api/v1/tools", json=body | {"device": "sim", "title": "A tool"})
+        answer = client.post("/api/v1/tools", json=body | {"device_id": "sim", "title": "A tool"})
         assert answer.status_code == 201, answer.text
     here = {"covariance": np.diag([0.0] * 3 + [0.1] * 3), "tip_mm": pose("probe").translation_mm}
     server = client.app.state.openigtlink  # type: ignore[attr-defined]
@@ -131,7 +131,7 @@ def test_landmarks_know_what_they_were_measured_with(
     points = [[0, 0, 0], [100, 0, 0], [0, 100, 0], [0, 0, 100]]
     pairs = [{"name": str(n), "frame_mm": one, "measured_mm": one} for n, one in enumerate(points)]
     answer = client.post(
-        "/api/v1/registrations", json={"id": "ct", "device": "sim", "fiducials": pairs}
+        "/api/v1/registrations", json={"id": "ct", "device_id": "sim", "fiducials": pairs}
     )
     assert answer.status_code == 201, answer.text
     for number, (in_force, count) in enumerate(

@@ -80,13 +80,13 @@ def test_every_frame_once_and_in_order_with_its_number() -> None:
             hub.subscribe(StreamRequest("d", POINTS, "msgpack", lossless=True)),
         ]
         hub.publish_batch(frames_of(range(5)))
-        hub.publish("d", {"type": "status", "state": "x"})
+        hub.publish("d", {"type": "state", "state": "x"})
         hub.publish_batch(frames_of(range(5, 7)))
         for client in clients:
             messages = await taken(client)
             assert [message["n"] for message in messages] == list(range(8))
             assert sequences(messages) == list(range(7))
-            assert messages[5] == {"type": "status", "state": "x", "n": 5}
+            assert messages[5] == {"type": "state", "state": "x", "n": 5}
             assert [m["points"][0]["position_mm"][0] for m in messages if "points" in m] == list(
                 range(7)
             )
@@ -103,13 +103,13 @@ def test_a_live_client_that_falls_behind_gets_the_newest_and_is_told() -> None:
             hub.publish_batch(frames_of(range(first, first + 4)))
             assert sequences(await taken(quick)) == list(range(first, first + 4))
             if first == 20:
-                hub.publish("d", {"type": "status", "state": "x"})
+                hub.publish("d", {"type": "state", "state": "x"})
                 await taken(quick)
         messages = await taken(slow)
         # 40 frames and a status message: the newest frame is number 40. A status is never left out.
-        assert [message["type"] for message in messages] == ["missed", "status", "missed", "frame"]
-        assert messages[0] == {"type": "missed", "device": "d", "messages": 24, "first": 0}
-        assert messages[2] == {"type": "missed", "device": "d", "messages": 15, "first": 25}
+        assert [message["type"] for message in messages] == ["missed", "state", "missed", "frame"]
+        assert messages[0] == {"type": "missed", "device_id": "d", "messages": 24, "first": 0}
+        assert messages[2] == {"type": "missed", "device_id": "d", "messages": 15, "first": 25}
         assert (messages[3]["sequence"], messages[3]["n"]) == (39, 40)
 
     run(scenario())
@@ -126,7 +126,7 @@ def test_a_lossless_client_lacks_only_what_is_not_kept() -> None:
             hub.publish_batch(frames_of(range(first, first + 4)))
         messages = await taken(client)
         # Eight are kept, in two batches; from the very end it might fall off again at once.
-        assert messages[0] == {"type": "missed", "device": "d", "messages": 17, "first": 3}
+        assert messages[0] == {"type": "missed", "device_id": "d", "messages": 17, "first": 3}
         assert sequences(messages) == list(range(20, 24))
 
     run(scenario())
@@ -230,9 +230,9 @@ def test_at_a_rate_the_newest_frame_and_every_status_at_once() -> None:
         hub.publish_batch(frames_of(range(3)))
         assert sequences(await taken(client)) == [2]
         hub.publish_batch(frames_of(range(3, 6)))
-        hub.publish("d", {"type": "status", "state": "x"})
+        hub.publish("d", {"type": "state", "state": "x"})
         messages = await taken(client)
-        assert [message["type"] for message in messages] == ["status"]
+        assert [message["type"] for message in messages] == ["state"]
         async with asyncio.timeout(5.0):
             later = read(await client.next())
         assert (later["type"], later["sequence"]) == ("frame", 5)
@@ -249,13 +249,13 @@ def test_bundles_hold_every_frame_and_no_status() -> None:
         ]
         hub.publish_batch(frames_of(range(3)))
         hub.publish_batch(frames_of(range(3, 700)))
-        hub.publish("d", {"type": "status", "state": "x"})
+        hub.publish("d", {"type": "state", "state": "x"})
         hub.publish_batch(frames_of(range(700, 702)))
         for client in clients:
             messages = await taken(client)
             kinds = [message["type"] for message in messages]
-            assert kinds == ["frames", "frames", "status", "frames"]
-            assert {message["device"] for message in messages if "frames" in message} == {"d"}
+            assert kinds == ["frames", "frames", "state", "frames"]
+            assert {message["device_id"] for message in messages if "frames" in message} == {"d"}
             frames = [f for message in messages for f in message.get("frames", [])]
             assert sequences(frames) == list(range(702))
             alone = hub.log("d").since(0, 1)[0].payload((POINTS, "json"), 2)
@@ -267,11 +267,11 @@ def test_bundles_hold_every_frame_and_no_status() -> None:
 def test_without_content_there_are_status_messages_only() -> None:
     async def scenario() -> None:
         hub = Hub()
-        hub.publish("d", {"type": "status", "state": "before"})
+        hub.publish("d", {"type": "state", "state": "before"})
         client = hub.subscribe(StreamRequest("d", frozenset(), "json"))
         hub.publish_batch(frames_of(range(3)))
-        hub.publish("d", {"type": "status", "state": "x"})
-        assert [message["type"] for message in await taken(client)] == ["status"]
+        hub.publish("d", {"type": "state", "state": "x"})
+        assert [message["type"] for message in await taken(client)] == ["state"]
         again = hub.subscribe(
             StreamRequest("d", frozenset(), "json", lossless=True, stream=hub.log("d").id, after=0)
         )
@@ -302,7 +302,7 @@ def test_a_deleted_device_ends_its_streams_after_the_last_message() -> None:
         hub.end("d")
         await asyncio.sleep(0)
         kinds = [read(await client.next())["type"] for _ in range(2)]
-        assert kinds == ["frames", "status"]
+        assert kinds == ["frames", "state"]
         with pytest.raises(StreamEnded):
             await client.next()
         # A device of the same name that is made later has a log of its own.
@@ -323,7 +323,7 @@ def test_publishing_to_a_closed_loop_is_no_error() -> None:
 
 @settings(deadline=None, max_examples=60)
 @given(
-    st.lists(st.one_of(st.integers(1, 7), st.just("status"), st.just("read")), max_size=40),
+    st.lists(st.one_of(st.integers(1, 7), st.just("state"), st.just("read")), max_size=40),
     st.integers(1, 20),
     st.booleans(),
 )
@@ -338,8 +338,8 @@ def test_whatever_comes_what_a_client_gets_and_what_it_missed_add_up(
         for event in events:
             if event == "read":
                 got += [one for one in [client._cursor.take(due=True)] if one is not None]
-            elif event == "status":
-                hub.publish("d", {"type": "status", "state": "x"})
+            elif event == "state":
+                hub.publish("d", {"type": "state", "state": "x"})
             else:
                 hub.publish_batch(frames_of(range(sequence, sequence + int(event))))
                 sequence += int(event)
@@ -355,9 +355,9 @@ def test_whatever_comes_what_a_client_gets_and_what_it_missed_add_up(
                 place += 1
         assert place == hub.log("d").next
         if not lossless:
-            statuses = [m for m in (read(one.payload) for one in got) if m["type"] == "status"]
+            statuses = [m for m in (read(one.payload) for one in got) if m["type"] == "state"]
             if kept == 20 and len(events) <= 20 and sequence <= 10:
-                assert len(statuses) == events.count("status")
+                assert len(statuses) == events.count("state")
 
     run(scenario())
 

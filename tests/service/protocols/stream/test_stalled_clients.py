@@ -27,7 +27,7 @@ def open_unread(server: str, query: str) -> socket.socket:
 
 
 def subscribers(server: str) -> int:
-    found: int = httpx.get(f"{server}/api/v1/devices/sim/status").json()["status"]["subscribers"]
+    found: int = httpx.get(f"{server}/api/v1/devices/sim/state").json()["subscribers"]
     return found
 
 

@@ -24,7 +24,7 @@ def stream_url(server: str, query: str) -> str:
 
 
 @contextmanager
-def streaming(server: str, query: str = "device=sim") -> Iterator[ClientConnection]:
+def streaming(server: str, query: str = "device_id=sim") -> Iterator[ClientConnection]:
     with connect(stream_url(server, query), compression=None, max_queue=None) as websocket:
         yield websocket
 
@@ -48,7 +48,7 @@ def check_sequences(frames: list[dict[str, Any]]) -> None:
 
 
 def status(server: str) -> dict[str, Any]:
-    found: dict[str, Any] = httpx.get(f"{server}/api/v1/devices/sim/status").json()["status"]
+    found: dict[str, Any] = httpx.get(f"{server}/api/v1/devices/sim/state").json()
     return found
 
 
@@ -71,9 +71,9 @@ def test_greeting_then_frames_without_a_gap(server: str) -> None:
     with streaming(server) as websocket:
         hello = receive(websocket)
         assert hello["type"] == "hello"
-        assert hello["device"] == "sim"
+        assert hello["device_id"] == "sim"
         assert hello["state"] == "running"
-        assert hello["calibration"] == "sim-nominal"
+        assert hello["calibration_id"] == "sim-nominal"
         assert len(hello["sensors"]) == 4
         assert (hello["readout"], hello["method"]) == ("lines", "fit")
         frames = [receive(websocket) for _ in range(300)]
@@ -92,8 +92,8 @@ def test_greeting_then_frames_without_a_gap(server: str) -> None:
 @pytest.mark.slow
 def test_json_on_request_has_the_same_content(server: str) -> None:
     with (
-        streaming(server, "device=sim&encoding=json&content=points,peaks") as as_json,
-        streaming(server, "device=sim&content=points,peaks") as as_msgpack,
+        streaming(server, "device_id=sim&encoding=json&content=points,peaks") as as_json,
+        streaming(server, "device_id=sim&content=points,peaks") as as_msgpack,
     ):
         text = {}
         for _ in range(400):
@@ -112,7 +112,7 @@ def test_json_on_request_has_the_same_content(server: str) -> None:
 
 
 def test_content_is_what_was_asked_for(server: str) -> None:
-    with streaming(server, "device=sim&content=peaks") as websocket:
+    with streaming(server, "device_id=sim&content=peaks") as websocket:
         receive(websocket)
         frame = receive(websocket)
     assert "points" not in frame
@@ -127,20 +127,20 @@ def test_content_is_what_was_asked_for(server: str) -> None:
 @pytest.mark.parametrize(
     ("query", "code", "kind", "part"),
     [
-        ("device=nobody", 404, "unknown-device", "nobody"),
+        ("device_id=nobody", 404, "unknown-device", "nobody"),
         ("", 422, "invalid-parameter", "device"),
-        ("device=sim&content=poses", 422, "invalid-parameter", "poses"),
-        ("device=sim&encoding=xml", 422, "invalid-parameter", "xml"),
-        ("device=sim&rate=5", 422, "invalid-parameter", "rate_hz"),
-        ("device=sim&rate_hz=0", 422, "invalid-parameter", '"0"'),
-        ("device=sim&rate_hz=nan", 422, "invalid-parameter", '"nan"'),
-        ("device=sim&bundle_ms=5000", 422, "invalid-parameter", "1000 ms"),
-        ("device=sim&rate_hz=5&bundle_ms=5", 422, "invalid-parameter", "bundle_ms"),
-        ("device=sim&rate_hz=5&mode=lossless", 422, "invalid-parameter", "lossless"),
-        ("device=sim&mode=fast", 422, "invalid-parameter", "live or lossless"),
-        ("device=sim&stream=x&after=3", 422, "invalid-parameter", "mode=lossless"),
-        ("device=sim&mode=lossless&after=3", 422, "invalid-parameter", "give both"),
-        ("device=sim&mode=lossless&stream=x&after=-3", 422, "invalid-parameter", '"-3"'),
+        ("device_id=sim&content=poses", 422, "invalid-parameter", "poses"),
+        ("device_id=sim&encoding=xml", 422, "invalid-parameter", "xml"),
+        ("device_id=sim&rate=5", 422, "unknown-query-member", "rate_hz"),
+        ("device_id=sim&rate_hz=0", 422, "invalid-parameter", '"0"'),
+        ("device_id=sim&rate_hz=nan", 422, "invalid-parameter", '"nan"'),
+        ("device_id=sim&bundle_ms=5000", 422, "invalid-parameter", "1000 ms"),
+        ("device_id=sim&rate_hz=5&bundle_ms=5", 422, "invalid-parameter", "bundle_ms"),
+        ("device_id=sim&rate_hz=5&mode=lossless", 422, "invalid-parameter", "lossless"),
+        ("device_id=sim&mode=fast", 422, "invalid-parameter", "live or lossless"),
+        ("device_id=sim&stream=x&after=3", 422, "invalid-parameter", "mode=lossless"),
+        ("device_id=sim&mode=lossless&after=3", 422, "invalid-parameter", "give both"),
+        ("device_id=sim&mode=lossless&stream=x&after=-3", 422, "invalid-parameter", '"-3"'),
     ],
 )
 def test_what_cannot_be_served_is_a_problem_document(
@@ -163,8 +163,8 @@ def test_a_stopped_device_says_so_to_its_clients(server: str) -> None:
         while (message := receive(websocket))["type"] == "frame":
             pass
         assert without_number(message) == {
-            "type": "status",
-            "device": "sim",
+            "type": "state",
+            "device_id": "sim",
             "state": "stopped",
             "reason": None,
             "link": None,
@@ -187,7 +187,7 @@ def test_activation_switches_the_stream_and_loses_no_frame(server: str) -> None:
     points = control_points(20)
     readings = CameraStack.of(models).project(points)
     body = {
-        "device": "sim",
+        "device_id": "sim",
         "points": [
             {
                 "name": f"p{index}",
@@ -202,11 +202,11 @@ def test_activation_switches_the_stream_and_loses_no_frame(server: str) -> None:
         receive(websocket)
         frames = [receive(websocket) for _ in range(50)]
         httpx.post(f"{server}/api/v1/calibrations/{created['id']}/activate").raise_for_status()
-        while frames[-1]["calibration"] != created["id"]:
+        while frames[-1]["calibration_id"] != created["id"]:
             frames.append(receive(websocket))
             assert len(frames) < 20_000
     check_sequences(frames)
-    names = [frame["calibration"] for frame in frames]
+    names = [frame["calibration_id"] for frame in frames]
     assert names == sorted(names, key=lambda name: name != nominal["id"])
 
 
@@ -219,7 +219,7 @@ def test_a_stalled_client_slows_nobody_and_is_told_what_it_missed(query_timeout:
     host, port = server.removeprefix("http://").split(":")
     stalled_socket = socket.create_connection((host, int(port)))
     stalled_socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 65536)
-    url = stream_url(server, "device=sim&content=points,peaks&encoding=json")
+    url = stream_url(server, "device_id=sim&content=points,peaks&encoding=json")
     wanted = 450
     with connect(
         url,
@@ -230,7 +230,7 @@ def test_a_stalled_client_slows_nobody_and_is_told_what_it_missed(query_timeout:
         close_timeout=0.2,
     ) as stalled:
         expected = receive(stalled)["next"]
-        with streaming(server, "device=sim&mode=lossless") as quick:
+        with streaming(server, "device_id=sim&mode=lossless") as quick:
             receive(quick)
             frames = [receive(quick) for _ in range(wanted)]
         told = 0
@@ -248,11 +248,11 @@ def test_a_stalled_client_slows_nobody_and_is_told_what_it_missed(query_timeout:
     # The other got every frame that was processed meanwhile.
     assert [frame["type"] for frame in frames] == ["frame"] * wanted
     lost = frames[-1]["sequence"] - frames[0]["sequence"] + 1 - wanted
-    assert lost <= status(server)["frames_lost_device"]
+    assert lost <= status(server)["frames_lost"]
 
 
 def test_a_lossless_client_that_comes_back_lacks_nothing(server: str) -> None:
-    query = "device=sim&mode=lossless"
+    query = "device_id=sim&mode=lossless"
     with streaming(server, query) as websocket:
         hello = receive(websocket)
         assert (hello["mode"], hello["resumed"]) == ("lossless", False)
@@ -272,7 +272,7 @@ def test_a_lossless_client_that_comes_back_lacks_nothing(server: str) -> None:
 
 
 def test_at_a_rate_a_client_gets_the_newest(server: str) -> None:
-    with streaming(server, "device=sim&rate_hz=20&content=peaks") as websocket:
+    with streaming(server, "device_id=sim&rate_hz=20&content=peaks") as websocket:
         receive(websocket)
         frames = [receive(websocket) for _ in range(12)]
     assert {frame["type"] for frame in frames} == {"frame"}
@@ -283,7 +283,7 @@ def test_at_a_rate_a_client_gets_the_newest(server: str) -> None:
 
 
 def test_status_alone_has_no_frames(server: str) -> None:
-    with streaming(server, "device=sim&content=status&encoding=json") as websocket:
+    with streaming(server, "device_id=sim&content=state&encoding=json") as websocket:
         assert receive(websocket)["content"] == []
         httpx.post(f"{server}/api/v1/devices/sim/stop").raise_for_status()
         assert receive(websocket)["state"] == "stopped"
@@ -318,7 +318,7 @@ def test_the_stream_ends_when_the_client_closes(server: str) -> None:
 
 
 def test_a_plain_http_request_is_told_to_open_a_websocket(server: str) -> None:
-    answer = httpx.get(f"{server}/api/v1/stream?device=sim")
+    answer = httpx.get(f"{server}/api/v1/stream?device_id=sim")
     assert answer.status_code == 426
     assert answer.json()["type"] == "/problems/upgrade-required"
     assert "ws://" in answer.json()["detail"]
@@ -328,7 +328,7 @@ def test_a_deleted_device_ends_its_streams(server: str) -> None:
     source = {"kind": "simulated", "settings": {"frame_rate_hz": 100}}
     body = {"id": "brief", "title": "Brief", "source": source}
     httpx.post(f"{server}/api/v1/devices", json=body).raise_for_status()
-    with streaming(server, "device=brief") as websocket:
+    with streaming(server, "device_id=brief") as websocket:
         hello = receive(websocket)
         assert (hello["state"], hello["sensors"]) == ("stopped", [])
         httpx.post(f"{server}/api/v1/devices/brief/start", timeout=60.0).raise_for_status()
@@ -341,10 +341,10 @@ def test_a_deleted_device_ends_its_streams(server: str) -> None:
             deque((states.append(m) for m in iter(lambda: receive(websocket), None)), maxlen=0)
     assert closed.value.rcvd is not None
     assert closed.value.rcvd.code == 1001
-    assert (states[-1]["type"], states[-1]["state"]) == ("status", "deleted")
+    assert (states[-1]["type"], states[-1]["state"]) == ("state", "deleted")
 
 
 def test_an_id_that_cannot_be_one_is_refused(server: str) -> None:
-    with pytest.raises(InvalidStatus) as caught, connect(stream_url(server, "device=a%00b")):
+    with pytest.raises(InvalidStatus) as caught, connect(stream_url(server, "device_id=a%00b")):
         pass
     assert caught.value.response.status_code == 422

@@ -58,7 +58,7 @@ def messages(content: set[Content], first: int = 0, last: int | None = None) -> 
 def test_each_frame_has_its_own():
     found = messages({"tracks", "tools"})
     assert [[track["id"] for track in one["tracks"]] for one in found] == [[], [1, 2], [], [9], []]
-    assert [[tool["tool"] for tool in one["tools"]] for one in found] == [
+    assert [[tool["tool_id"] for tool in one["tools"]] for one in found] == [
         [], ["pointer", "patient"], [], ["patient"], [],
     ]  # fmt: skip
     assert "points" not in found[0]
@@ -92,7 +92,7 @@ def test_a_pose_as_it_is_sent():
     assert lost == {
         name: None for name in known if name not in ("markers_used", "readings_used")
     } | {
-        "tool": "patient",
+        "tool_id": "patient",
         "status": "MISSING",
         "reason": "1 of 4 markers was seen",
         "markers_used": 0,
@@ -135,7 +135,7 @@ def test_single_frames_and_batches_of_the_log_agree():
 
 
 def test_contents_are_asked_for_by_name():
-    wanted = parse_stream_request({"device": "sim", "content": "tools,tracks,status"})
+    wanted = parse_stream_request({"device_id": "sim", "content": "tools,tracks,state"})
     assert wanted.content == {"tools", "tracks"}
-    with pytest.raises(InvalidParameter, match="points, peaks, tracks, tools, holds, status"):
-        parse_stream_request({"device": "sim", "content": "poses"})
+    with pytest.raises(InvalidParameter, match="points, peaks, tracks, tools, holds, state"):
+        parse_stream_request({"device_id": "sim", "content": "poses"})

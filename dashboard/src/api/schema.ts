@@ -1505,7 +1505,7 @@ export interface components {
         ApiKey: {
             id: string;
             name: string;
-            scopes: ("read:stream" | "read:calibration" | "write:calibration" | "admin:hardware" | "admin:keys")[];
+            scopes: ("read:stream" | "read:calibration" | "read:audit" | "operate:holds" | "operate:devices" | "operate:recordings" | "operate:checks" | "write:tools" | "write:registrations" | "write:holds" | "write:calibrations" | "write:recordings" | "write:results" | "activate:calibrations" | "admin:devices" | "admin:keys")[];
             /** @enum {string} */
             state: "valid" | "expired" | "revoked";
             created_by: string;
@@ -1991,7 +1991,7 @@ export interface components {
         CreatedApiKey: {
             id: string;
             name: string;
-            scopes: ("read:stream" | "read:calibration" | "write:calibration" | "admin:hardware" | "admin:keys")[];
+            scopes: ("read:stream" | "read:calibration" | "read:audit" | "operate:holds" | "operate:devices" | "operate:recordings" | "operate:checks" | "write:tools" | "write:registrations" | "write:holds" | "write:calibrations" | "write:recordings" | "write:results" | "activate:calibrations" | "admin:devices" | "admin:keys")[];
             /** @enum {string} */
             state: "valid" | "expired" | "revoked";
             created_by: string;
@@ -2966,7 +2966,7 @@ export interface components {
         };
         NewApiKey: {
             name: string;
-            scopes: ("read:stream" | "read:calibration" | "write:calibration" | "admin:hardware" | "admin:keys")[];
+            scopes: ("read:stream" | "read:calibration" | "read:audit" | "operate:holds" | "operate:devices" | "operate:recordings" | "operate:checks" | "write:tools" | "write:registrations" | "write:holds" | "write:calibrations" | "write:recordings" | "write:results" | "activate:calibrations" | "admin:devices" | "admin:keys")[];
             expires_at?: string | null;
         };
         NewBeamHold: {

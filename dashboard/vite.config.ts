@@ -9,8 +9,6 @@ export default defineConfig({
   base: "./",
   oxc: { jsx: { runtime: "automatic", importSource: "preact" } },
   build: {
-    outDir: "built",
-    emptyOutDir: true,
     assetsDir: "dashboard",
     // The server's policy allows neither data: addresses nor scripts inside the page.
     assetsInlineLimit: 0,
@@ -23,6 +21,5 @@ export default defineConfig({
     },
   },
   server: { proxy: PROXY },
-  preview: { proxy: PROXY },
   test: { environment: "node", include: ["src/**/*.test.ts"] },
 });

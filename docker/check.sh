@@ -19,10 +19,11 @@ fail() {
 
 # What the images copy, and nothing else.
 mkdir "$work/src"
-for part in compute hardware service lumiline migrations validation benchmarks docker \
-    pyproject.toml constraints.txt README.md LICENSE; do
+for part in compute hardware service lumiline migrations validation benchmarks dashboard \
+    docker pyproject.toml constraints.txt README.md LICENSE MANIFEST.in; do
     grep -qx "!$part" "$source_dir/docker/Dockerfile.dockerignore" || fail "$part is not copied"
-    cp -R "$source_dir/$part" "$work/src/"
+    tar -C "$source_dir" -c --exclude=__pycache__ --exclude=node_modules \
+        --exclude=service/application/dashboard_page "$part" | tar -C "$work/src" -x
 done
 
 # The client is a distribution of its own: no file is in both wheels, and it runs without the server.
@@ -69,6 +70,13 @@ for _ in $(seq 600); do
     sleep 0.2
 done
 LUMILINE_PORT=$port "$work/venv/bin/lumiline-healthcheck" || fail "the service is not healthy"
+# The wheel brings the dashboard, which was built from its sources above.
+"$work/venv/bin/python" -I -c '
+import re, sys, httpx
+url = sys.argv[1]
+script = re.search(r"dashboard/index-[^\"]*\.js", httpx.get(url).raise_for_status().text).group()
+httpx.get(url + script).raise_for_status()
+' "http://127.0.0.1:$port/" || fail "no dashboard is served"
 # A health check that cannot fail would say nothing.
 ! LUMILINE_PORT=1 "$work/venv/bin/lumiline-healthcheck" 2>/dev/null || fail "healthy on port 1"
 kill -TERM "$pid"
@@ -80,4 +88,4 @@ test -z "$written" || fail "written outside of the data directory: $written"
 # All kernels that the start needed were built before it.
 new=$(find "$work/data/cache/warp" -type f -newer "$work/data/cache/stamp")
 test -z "$new" || fail "kernels were built at the start: $new"
-echo "docker/check.sh: both wheels built, installed, prebuilt, started, healthy, stopped"
+echo "docker/check.sh: both wheels built, installed, prebuilt, started, healthy, with the dashboard, stopped"

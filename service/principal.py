@@ -7,20 +7,70 @@ from datetime import datetime
 from typing import Any, Final, Literal, get_args
 
 Scope = Literal[
-    "read:stream", "read:calibration", "write:calibration", "admin:hardware", "admin:keys"
+    "read:stream",
+    "read:calibration",
+    "read:audit",
+    "operate:holds",
+    "operate:devices",
+    "operate:recordings",
+    "operate:checks",
+    "write:tools",
+    "write:registrations",
+    "write:holds",
+    "write:calibrations",
+    "write:recordings",
+    "write:results",
+    "activate:calibrations",
+    "admin:devices",
+    "admin:keys",
 ]
+"""Scopes by what their misuse can break; none includes another."""
 SCOPES: Final[tuple[Scope, ...]] = get_args(Scope)
 
 SCOPE_MEANINGS: Final[Mapping[Scope, str]] = {
     "read:stream": "measure: devices and their state, the stream, tools and their poses, beam "
     "holds, points from posted readings",
-    "read:calibration": "read calibrations, reports, tables, captures, runs and the history",
-    "write:calibration": "make, activate, roll back, retire and delete what belongs to "
-    "calibration; make, change and delete tools, registrations and beam holds, and acknowledge "
-    "these",
-    "admin:hardware": "create, change, delete, start and stop devices",
-    "admin:keys": "make and revoke keys of any scope, and read the audit log",
+    "read:calibration": "read calibrations, reports, tables, captures, checks, runs and history",
+    "read:audit": "read the audit log",
+    "operate:holds": "acknowledge beam holds, and set or remove their references",
+    "operate:devices": "start and stop devices",
+    "operate:recordings": "start and stop recordings",
+    "operate:checks": "measure quality checks and drift checks",
+    "write:tools": "make, change, pivot and delete tools",
+    "write:registrations": "make and delete registrations",
+    "write:holds": "make, change and delete beam holds",
+    "write:calibrations": "make calibrations, correction tables, captures and runs of these, and "
+    "delete what is not active; set the watch of a device, and delete quality checks",
+    "write:recordings": "delete recordings",
+    "write:results": "make and delete exports, cancel and delete runs, delete reconstructions",
+    "activate:calibrations": "activate, deactivate, roll back and retire calibrations and tables",
+    "admin:devices": "create, change and delete devices",
+    "admin:keys": "make keys of any scope, and revoke keys",
 }
+
+SCOPE_RISKS: Final[Mapping[Scope, str]] = {
+    "read:stream": "nothing is changed; what is measured is seen",
+    "read:calibration": "nothing is changed",
+    "read:audit": "nothing is changed; who did what, and from where, is seen",
+    "operate:holds": "a beam is enabled now although the patient is not where they should be; the "
+    "limits stay",
+    "operate:devices": "measurement stops, and beams are held; it starts again with the same "
+    "settings",
+    "operate:recordings": "data are not recorded, or the disk fills",
+    "operate:checks": "a wrong check is stored, and alarms or hides an alarm",
+    "write:tools": "poses of a tool, or its tip, are wrong",
+    "write:registrations": "poses in a registered frame are wrong",
+    "write:holds": "a beam is enabled beyond its limits, in every later session too",
+    "write:calibrations": "a wrong calibration is stored, which nothing uses until it is "
+    "activated; processor time and room are used up; warnings of drift stop",
+    "write:recordings": "recorded data are lost",
+    "write:results": "computed results are lost and must be computed again; the disk fills",
+    "activate:calibrations": "everything that a device measures is wrong",
+    "admin:devices": "a device measures nothing or something else; what belongs to it is deleted "
+    "with it",
+    "admin:keys": "anything: a key with every scope",
+}
+"""What goes wrong when a scope is in the wrong hands."""
 
 
 def known_scopes(names: set[str]) -> frozenset[Scope]:

@@ -9,6 +9,7 @@ import { choose, device, devices, loadDevices } from "./devices";
 import { usePolled } from "./live/polling";
 import { visible } from "./live/visibility";
 import { Administration } from "./screens/administration";
+import { Calibrate } from "./screens/calibrate/calibrate";
 import { Health } from "./screens/health";
 import { Holds } from "./screens/holds";
 import { Recordings } from "./screens/recordings";
@@ -21,6 +22,7 @@ type Name = keyof typeof text.screens;
 
 const SCREENS: Record<Name, ComponentType> = {
   scene: Scene,
+  calibrate: Calibrate,
   tools: Tools,
   holds: Holds,
   recordings: Recordings,

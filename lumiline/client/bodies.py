@@ -1113,7 +1113,22 @@ class NewApiKey(TypedDict):
     name: str
     scopes: Sequence[
         Literal[
-            "read:stream", "read:calibration", "write:calibration", "admin:hardware", "admin:keys"
+            "read:stream",
+            "read:calibration",
+            "read:audit",
+            "operate:holds",
+            "operate:devices",
+            "operate:recordings",
+            "operate:checks",
+            "write:tools",
+            "write:registrations",
+            "write:holds",
+            "write:calibrations",
+            "write:recordings",
+            "write:results",
+            "activate:calibrations",
+            "admin:devices",
+            "admin:keys",
         ]
     ]
     expires_at: NotRequired[datetime | None]

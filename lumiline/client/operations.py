@@ -1025,7 +1025,7 @@ class Operations(Exchanges):
     @ClientMethod
     async def landing(self) -> models.Landing:
         """Where to go from here."""
-        return await self._send(models.Landing, "GET", "/")
+        return await self._send(models.Landing, "GET", "/api/v1")
 
     @ClientMethod
     async def health(self) -> models.Health:

@@ -34,6 +34,7 @@ from service.api.tools.points_router import router as points
 from service.api.tools.registrations_router import router as registrations
 from service.api.tools.router import router as tools
 from service.application.api_pages import router as api_pages
+from service.application.dashboard import router as dashboard
 from service.application.lifespan import running
 from service.application.middleware import (
     BodyLimitMiddleware,
@@ -174,6 +175,7 @@ def _routes() -> tuple[BaseRoute, ...]:
         quality,
         server,
         api_pages,
+        dashboard,
     ):
         every.include_router(router)
     every.add_api_websocket_route("/{path:path}", unknown_websocket)  # the last to be tried

@@ -142,13 +142,14 @@ class Landing(ResponseModel):
     links: dict[str, str]
 
 
-@router.operation("GET /", "get-landing", "Where to go from here")
+@router.operation("GET /api/v1", "get-landing", "Where to go from here")
 def get_landing(request: Request) -> Landing:
     """Links to the documentation and the resources."""
     return Landing(
         name=request.app.title,
         version=request.app.version,
         links={
+            "dashboard": "/",
             "documentation": "/docs",
             "openapi": "/openapi.json",
             "devices": "/api/v1/devices",

@@ -1,12 +1,13 @@
 """Graceful shutdown within a time limit: streams are closed with a reason, work is stopped."""
 
 import asyncio
+import ipaddress
 import logging
 import os
 import signal
 import socket
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import Context
 from types import FrameType
@@ -37,9 +38,24 @@ class ShutdownServer(uvicorn.Server):
     A terminal that closes sends SIGHUP more than once.
     """
 
-    def __init__(self, config: uvicorn.Config, app: FastAPI) -> None:
+    def __init__(
+        self,
+        config: uvicorn.Config,
+        app: FastAPI,
+        listening: Callable[[str], None] | None = None,
+    ) -> None:
         super().__init__(config)
         self._app = app
+        self._listening = listening
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Start; once requests are taken, say where the dashboard is."""
+        await super().startup(sockets)
+        if self.started:
+            url = local_url(self.servers[0].sockets[0].getsockname())
+            _log.info("dashboard: %s", url)
+            if self._listening is not None:
+                self._listening(url)
 
     @contextmanager
     def capture_signals(self) -> Iterator[None]:
@@ -82,13 +98,28 @@ class ShutdownServer(uvicorn.Server):
         await super().shutdown(sockets)
 
 
-def run_server(app: FastAPI, options: dict[str, Any]) -> None:
+def local_url(address: tuple[Any, ...]) -> str:
+    """Return the URL by which a browser on this machine reaches a listening socket."""
+    host = ipaddress.ip_address(address[0].partition("%")[0])
+    if host.is_unspecified:
+        host = ipaddress.ip_address("127.0.0.1" if host.version == 4 else "::1")
+    return f"http://{f'[{host}]' if host.version == 6 else host}:{address[1]}/"
+
+
+def run_server(
+    app: FastAPI, options: dict[str, Any], listening: Callable[[str], None] | None = None
+) -> None:
     """Serve until a signal comes; returns when all is closed.
+
+    Args:
+        app: the application.
+        options: uvicorn's.
+        listening: called with the dashboard's URL once requests are taken.
 
     Raises:
         SystemExit: the server could not start, code 3.
     """
-    server = ShutdownServer(uvicorn.Config(app, **options), app)
+    server = ShutdownServer(uvicorn.Config(app, **options), app, listening)
     server.run()
     if not server.started:
         raise SystemExit(NOT_STARTED)

@@ -41,6 +41,7 @@ def demo(
             _measured_frames(client)
             _simulated_calibration(client)
             _rotating_bar(client, seconds, output / "demo.png")
+        console.print(f"to look at it in the browser: lumiline serve --data-dir {data} --open")
     except (RuntimeError, ClientError) as error:
         raise fail(str(error)) from error
 

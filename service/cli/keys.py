@@ -27,10 +27,7 @@ def create(
     name: Annotated[str, typer.Argument(help="Who or what it is for.")],
     scope: Annotated[
         list[str],
-        typer.Option(
-            help="read:stream, read:calibration, write:calibration, admin:hardware, admin:keys; "
-            "may be given several times. all: every one."
-        ),
+        typer.Option(help=f"{', '.join(SCOPES)}; may be given several times. all: every one."),
     ],
     days: Annotated[
         float | None,

@@ -3,6 +3,8 @@
 import gc
 import json
 import os
+import threading
+import webbrowser
 from pathlib import Path
 from typing import Annotated, Any, Final
 
@@ -28,6 +30,9 @@ def serve(
     compute_device: Annotated[
         str | None, typer.Option(help="Where the pipeline computes: cpu, cuda:0, ...")
     ] = None,
+    open_browser: Annotated[
+        bool, typer.Option("--open", help="Open the dashboard in the browser once all is running.")
+    ] = False,
 ) -> None:
     """Run until interrupted; ends the command with one line when it cannot start."""
     set_private_umask()
@@ -43,7 +48,14 @@ def serve(
     with configured_logging(settings):
         preflight.check_startup(settings)
         preflight.create_bootstrap_key(settings)
-        shutdown.run_server(create_app(settings, started=freeze_gc), server_options(settings))
+        app = create_app(settings, started=freeze_gc)
+        listening = open_dashboard if open_browser else None
+        shutdown.run_server(app, server_options(settings), listening)
+
+
+def open_dashboard(url: str) -> None:
+    """Open the dashboard in the browser; some browsers keep their caller until they end."""
+    threading.Thread(target=webbrowser.open, args=(url,), name="browser", daemon=True).start()
 
 
 def openapi() -> None:

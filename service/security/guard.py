@@ -24,7 +24,7 @@ from service.problems.errors import MissingScope, TooManyAttempts, Unauthenticat
 from service.problems.handlers import error_response, refuse
 from service.security.audit_entry import record_act, record_repeats
 from service.security.credential import check_query, credential_of, why_not_local
-from service.security.operation_scopes import OPERATION_SCOPES, PUBLIC, WRITE_SCOPES
+from service.security.operation_scopes import OPERATION_SCOPES, PUBLIC, RECORDED_SCOPES
 from service.security.query_members import check_members, query_members
 from service.security.refusal_aggregation import RefusalAggregator
 from service.settings import Settings
@@ -185,7 +185,7 @@ class Guard:
 
 def _is_recorded(scope: Scope, operation: str) -> bool:
     changes = scope["type"] == "http" and scope["method"] not in _SAFE
-    return changes and OPERATION_SCOPES[operation] in WRITE_SCOPES
+    return changes and OPERATION_SCOPES[operation] in RECORDED_SCOPES
 
 
 class _Recorded:

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Final, Literal
 
-from service.principal import Scope
+from service.principal import SCOPES, Scope
 
 PUBLIC: Final = "public"
 """Needs no key: it tells nothing of this installation but whether it is up."""
@@ -14,6 +14,9 @@ OPERATION_SCOPES: Final[Mapping[str, Access]] = {
     # The contract and the meaning of problems are the same on every server, and a client needs
     # them before it has a key; health is for supervisors that have none.
     "get-landing": "public",
+    # The page holds nothing; what it shows it asks for with its reader's key.
+    "dashboard": "public",
+    "dashboard-file": "public",
     "get-health": "public",
     "get-readiness": "public",
     "list-problems": "public",
@@ -47,7 +50,7 @@ OPERATION_SCOPES: Final[Mapping[str, Access]] = {
     "create-reconstruction": "read:stream",
     "list-reconstructions": "read:stream",
     "get-reconstruction": "read:stream",
-    "delete-reconstruction": "write:calibration",
+    "delete-reconstruction": "write:results",
     # Who may see the points may see the poses, and what makes sense of them.
     "list-tools": "read:stream",
     "get-tool": "read:stream",
@@ -58,36 +61,37 @@ OPERATION_SCOPES: Final[Mapping[str, Access]] = {
     "get-frame-transform": "read:stream",
     "list-registrations": "read:stream",
     "get-registration": "read:stream",
-    # What a tool is and where its tip is decides what a pose means, as a calibration does; who
-    # calibrates pointers need not be able to stop devices.
-    "create-tool": "write:calibration",
-    "capture-tool": "write:calibration",
-    "change-tool": "write:calibration",
-    "delete-tool": "write:calibration",
-    "calibrate-pivot": "write:calibration",
-    "calibrate-spin": "write:calibration",
-    "create-registration": "write:calibration",
-    "delete-registration": "write:calibration",
-    # Who may see where a patient is may see whether that is within the limits; who may say what
-    # the limits are may say where the patient is to be, and that the beam may go on.
+    # What a tool is and where its tip is decides what a pose means; a registration does so for one
+    # patient, and whoever registers patients need not be able to change tools.
+    "create-tool": "write:tools",
+    "capture-tool": "write:tools",
+    "change-tool": "write:tools",
+    "delete-tool": "write:tools",
+    "calibrate-pivot": "write:tools",
+    "calibrate-spin": "write:tools",
+    "create-registration": "write:registrations",
+    "delete-registration": "write:registrations",
+    # Who may see where a patient is may see whether that is within the limits. Whoever operates
+    # says in each session where the patient is to be and that the beam may go on; what is watched,
+    # and the limits, hold for all sessions.
     "list-beam-holds": "read:stream",
     "get-beam-hold": "read:stream",
     "get-beam-hold-state": "read:stream",
-    "create-beam-hold": "write:calibration",
-    "change-beam-hold": "write:calibration",
-    "delete-beam-hold": "write:calibration",
-    "set-beam-hold-reference": "write:calibration",
-    "remove-beam-hold-reference": "write:calibration",
-    "acknowledge-beam-hold": "write:calibration",
+    "create-beam-hold": "write:holds",
+    "change-beam-hold": "write:holds",
+    "delete-beam-hold": "write:holds",
+    "set-beam-hold-reference": "operate:holds",
+    "remove-beam-hold-reference": "operate:holds",
+    "acknowledge-beam-hold": "operate:holds",
     "list-quality-checks": "read:calibration",
     "get-quality-check": "read:calibration",
     "get-quality": "read:calibration",
     "get-quality-picture": "read:calibration",
     "get-watch": "read:calibration",
     "list-watch-samples": "read:calibration",
-    "create-quality-check": "write:calibration",
-    "delete-quality-check": "write:calibration",
-    "set-watch": "write:calibration",
+    "create-quality-check": "operate:checks",
+    "delete-quality-check": "write:calibrations",
+    "set-watch": "write:calibrations",
     "list-drift-checks": "read:calibration",
     "get-drift-check": "read:calibration",
     "list-calibrations": "read:calibration",
@@ -108,50 +112,50 @@ OPERATION_SCOPES: Final[Mapping[str, Access]] = {
     "list-correction-tables": "read:calibration",
     "get-correction-table": "read:calibration",
     "download-correction-table": "read:calibration",
-    "create-calibration": "write:calibration",
-    "activate-calibration": "write:calibration",
-    "retire-calibration": "write:calibration",
-    "roll-back-device": "write:calibration",
-    "create-calibration-run": "write:calibration",
-    "create-self-calibration-run": "write:calibration",
-    "create-mapping-run": "write:calibration",
-    "create-update-run": "write:calibration",
-    # It costs the server time and room, as other runs do, and changes nothing that is measured.
-    "create-export-run": "write:calibration",
-    "delete-export": "write:calibration",
-    "create-drift-check": "write:calibration",
-    "cancel-run": "write:calibration",
-    "delete-run": "write:calibration",
-    "create-capture": "write:calibration",
-    "capture-target": "write:calibration",
-    "delete-capture": "write:calibration",
-    "create-radiometric-capture": "write:calibration",
-    "capture-radiometric-frames": "write:calibration",
-    "delete-radiometric-capture": "write:calibration",
-    "create-radiometric-calibration": "write:calibration",
-    "activate-radiometric-calibration": "write:calibration",
-    "deactivate-radiometric-calibration": "write:calibration",
-    "upload-correction-table": "write:calibration",
-    "activate-correction-table": "write:calibration",
-    "deactivate-correction-table": "write:calibration",
-    "delete-correction-table": "write:calibration",
-    "create-device": "admin:hardware",
-    "change-device": "admin:hardware",
-    "delete-device": "admin:hardware",
-    "start-device": "admin:hardware",
-    "stop-device": "admin:hardware",
-    "start-recording": "admin:hardware",
-    "stop-recording": "admin:hardware",
-    "delete-recording": "admin:hardware",
+    "create-calibration": "write:calibrations",
+    "activate-calibration": "activate:calibrations",
+    "retire-calibration": "activate:calibrations",
+    "roll-back-device": "activate:calibrations",
+    "create-calibration-run": "write:calibrations",
+    "create-self-calibration-run": "write:calibrations",
+    "create-mapping-run": "write:calibrations",
+    "create-update-run": "write:calibrations",
+    # It costs the server time and room, and changes nothing that is measured.
+    "create-export-run": "write:results",
+    "delete-export": "write:results",
+    "create-drift-check": "operate:checks",
+    "cancel-run": "write:results",
+    "delete-run": "write:results",
+    "create-capture": "write:calibrations",
+    "capture-target": "write:calibrations",
+    "delete-capture": "write:calibrations",
+    "create-radiometric-capture": "write:calibrations",
+    "capture-radiometric-frames": "write:calibrations",
+    "delete-radiometric-capture": "write:calibrations",
+    "create-radiometric-calibration": "write:calibrations",
+    "activate-radiometric-calibration": "activate:calibrations",
+    "deactivate-radiometric-calibration": "activate:calibrations",
+    "upload-correction-table": "write:calibrations",
+    "activate-correction-table": "activate:calibrations",
+    "deactivate-correction-table": "activate:calibrations",
+    "delete-correction-table": "write:calibrations",
+    "create-device": "admin:devices",
+    "change-device": "admin:devices",
+    "delete-device": "admin:devices",
+    "start-device": "operate:devices",
+    "stop-device": "operate:devices",
+    "start-recording": "operate:recordings",
+    "stop-recording": "operate:recordings",
+    "delete-recording": "write:recordings",
     "list-keys": "admin:keys",
     "create-key": "admin:keys",
     "get-key": "admin:keys",
     "revoke-key": "admin:keys",
-    "list-audit": "admin:keys",
+    "list-audit": "read:audit",
 }
 """Every route by its operation id; routes outside the contract by their name."""
 
-WRITE_SCOPES: Final[frozenset[Access]] = frozenset(
-    {"write:calibration", "admin:hardware", "admin:keys"}
+RECORDED_SCOPES: Final[frozenset[Access]] = frozenset(
+    scope for scope in SCOPES if not scope.startswith("read:")
 )
 """Scopes of which every operation that is no GET goes into the audit log."""

@@ -11,6 +11,9 @@ import pytest
 
 from tests.running_server import serving
 
+pytestmark = pytest.mark.slow
+
+
 ROOT = Path(__file__).parents[2]
 TUTORIAL = ROOT / "docs" / "tutorial"
 LESSONS = ("calibrate-and-measure", "track-a-tool")

@@ -68,14 +68,14 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
-    "/api/v1/devices/{device_id}/status": {
+    "/api/v1/devices/{device_id}/state": {
         parameters: {
             query?: never;
             header?: never;
             path?: never;
             cookie?: never;
         };
-        get: operations["get-device-status"];
+        get: operations["get-device-state"];
         put?: never;
         post?: never;
         delete?: never;
@@ -148,7 +148,7 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
-    "/api/v1/calibrations/{calibration_id}/compare/{other_id}": {
+    "/api/v1/calibrations/{calibration_id}/compare/{other_calibration_id}": {
         parameters: {
             query?: never;
             header?: never;
@@ -420,7 +420,7 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
-    "/api/v1/radiometric-captures/{capture_id}": {
+    "/api/v1/radiometric-captures/{radiometric_capture_id}": {
         parameters: {
             query?: never;
             header?: never;
@@ -436,7 +436,7 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
-    "/api/v1/radiometric-captures/{capture_id}/capture": {
+    "/api/v1/radiometric-captures/{radiometric_capture_id}/capture": {
         parameters: {
             query?: never;
             header?: never;
@@ -564,7 +564,7 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
-    "/api/v1/drift-checks/{check_id}": {
+    "/api/v1/drift-checks/{drift_check_id}": {
         parameters: {
             query?: never;
             header?: never;
@@ -724,7 +724,7 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
-    "/api/v1/recordings/{name}/stop": {
+    "/api/v1/recordings/{recording_id}/stop": {
         parameters: {
             query?: never;
             header?: never;
@@ -740,7 +740,7 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
-    "/api/v1/recordings/{name}/file": {
+    "/api/v1/recordings/{recording_id}/file": {
         parameters: {
             query?: never;
             header?: never;
@@ -756,7 +756,7 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
-    "/api/v1/recordings/{name}": {
+    "/api/v1/recordings/{recording_id}": {
         parameters: {
             query?: never;
             header?: never;
@@ -987,7 +987,7 @@ export interface paths {
             path?: never;
             cookie?: never;
         };
-        get: operations["list-frames"];
+        get: operations["get-frames"];
         put?: never;
         post?: never;
         delete?: never;
@@ -996,7 +996,7 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
-    "/api/v1/devices/{device_id}/frames/{frame}": {
+    "/api/v1/devices/{device_id}/frames/{frame_id}": {
         parameters: {
             query?: never;
             header?: never;
@@ -1140,7 +1140,7 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
-    "/api/v1/device-profiles/{name}": {
+    "/api/v1/device-profiles/{profile_id}": {
         parameters: {
             query?: never;
             header?: never;
@@ -1156,7 +1156,7 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
-    "/api/v1/device-profiles/{name}/plan": {
+    "/api/v1/device-profiles/{profile_id}/plan": {
         parameters: {
             query?: never;
             header?: never;
@@ -1172,7 +1172,7 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
-    "/api/v1/device-profiles/{name}/plan.png": {
+    "/api/v1/device-profiles/{profile_id}/plan.png": {
         parameters: {
             query?: never;
             header?: never;
@@ -1300,7 +1300,7 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
-    "/api/v1/quality-checks/{check_id}": {
+    "/api/v1/quality-checks/{quality_check_id}": {
         parameters: {
             query?: never;
             header?: never;
@@ -1380,7 +1380,7 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
-    "/": {
+    "/api/v1": {
         parameters: {
             query?: never;
             header?: never;
@@ -1477,7 +1477,7 @@ export interface components {
         };
         Activation: {
             id: number;
-            device: string;
+            device_id: string;
             calibration_id: string;
             previous_calibration_id: string | null;
             table_id: string | null;
@@ -1505,7 +1505,7 @@ export interface components {
         ApiKey: {
             id: string;
             name: string;
-            scopes: ("read:stream" | "read:calibration" | "write:calibration" | "admin:hardware" | "admin:keys")[];
+            scopes: ("read:stream" | "read:calibration" | "read:audit" | "operate:holds" | "operate:devices" | "operate:recordings" | "operate:checks" | "write:tools" | "write:registrations" | "write:holds" | "write:calibrations" | "write:recordings" | "write:results" | "activate:calibrations" | "admin:devices" | "admin:keys")[];
             /** @enum {string} */
             state: "valid" | "expired" | "revoked";
             created_by: string;
@@ -1524,7 +1524,7 @@ export interface components {
         AuditEntry: {
             id: number;
             /** Format: date-time */
-            at: string;
+            created_at: string;
             actor: components["schemas"]["Actor"];
             operation: string;
             /** @enum {string} */
@@ -1588,7 +1588,7 @@ export interface components {
         };
         BeamHold: {
             id: string;
-            device: string;
+            device_id: string;
             title: string;
             watch: components["schemas"]["ToolWatch"] | components["schemas"]["StrobedMarkersWatch"] | components["schemas"]["SimultaneousMarkersWatch"];
             limits: components["schemas"]["Limits"];
@@ -1609,8 +1609,8 @@ export interface components {
             note?: string;
         };
         BeamHoldStatus: {
-            hold: string;
-            device: string;
+            hold_id: string;
+            device_id: string;
             held: boolean;
             cause: components["schemas"]["BeamHoldCause"];
             reason: string | null;
@@ -1732,7 +1732,7 @@ export interface components {
         };
         CalibrationDocument: {
             id: string;
-            device: string;
+            device_id: string;
             /** @enum {string} */
             state: "active" | "available" | "retired";
             /** @enum {string} */
@@ -1770,7 +1770,7 @@ export interface components {
         };
         CalibrationSummary: {
             id: string;
-            device: string;
+            device_id: string;
             /** @enum {string} */
             state: "active" | "available" | "retired";
             /** @enum {string} */
@@ -1807,7 +1807,7 @@ export interface components {
         };
         Capture: {
             id: string;
-            device: string;
+            device_id: string;
             settings: components["schemas"]["CaptureSettings"];
             targets: components["schemas"]["service__api__captures__schema__Target"][];
             captured: components["schemas"]["CapturedTarget"][];
@@ -1923,7 +1923,7 @@ export interface components {
         };
         ChartPoint: {
             /** Format: date-time */
-            at: string;
+            measured_at: string;
             value: number;
             average: number;
             /** @enum {string} */
@@ -1935,8 +1935,8 @@ export interface components {
             observations: components["schemas"]["SameObservations"][];
         };
         ComparisonDocument: {
-            one: string;
-            other: string;
+            calibration_id: string;
+            other_calibration_id: string;
             comparison: components["schemas"]["Comparison"];
         };
         ControlPoint: {
@@ -1957,8 +1957,8 @@ export interface components {
         };
         CorrectionTableDocument: {
             id: string;
-            device: string;
-            calibration: string;
+            device_id: string;
+            calibration_id: string;
             calibration_hash: string;
             content_hash: string;
             active: boolean;
@@ -1991,7 +1991,7 @@ export interface components {
         CreatedApiKey: {
             id: string;
             name: string;
-            scopes: ("read:stream" | "read:calibration" | "write:calibration" | "admin:hardware" | "admin:keys")[];
+            scopes: ("read:stream" | "read:calibration" | "read:audit" | "operate:holds" | "operate:devices" | "operate:recordings" | "operate:checks" | "write:tools" | "write:registrations" | "write:holds" | "write:calibrations" | "write:recordings" | "write:results" | "activate:calibrations" | "admin:devices" | "admin:keys")[];
             /** @enum {string} */
             state: "valid" | "expired" | "revoked";
             created_by: string;
@@ -2051,7 +2051,7 @@ export interface components {
             tracking?: components["schemas"]["Tracking"];
         };
         DeviceProfileDocument: {
-            name: string;
+            id: string;
             title: string;
             year: number | null;
             sensor_count: number;
@@ -2073,25 +2073,25 @@ export interface components {
             toml: string;
         };
         DeviceProfileSummary: {
-            name: string;
+            id: string;
             title: string;
             year: number | null;
             sensor_count: number;
             pixel_count: number;
             max_markers: number;
         };
-        DeviceStatus: {
+        DeviceStateDocument: {
             /** @enum {string} */
             state: "stopped" | "starting" | "running" | "disconnected" | "ended" | "failed";
             reason?: string | null;
             calibration_id?: string | null;
             table_id?: string | null;
             /** @default 0 */
-            frames: number;
+            frames_received: number;
             /** @default 0 */
-            frames_lost_device: number;
+            frames_lost: number;
             /** @default 0 */
-            frames_dropped_ring: number;
+            frames_dropped_compute: number;
             /** @default 0 */
             frames_processed: number;
             /** @default 0 */
@@ -2100,6 +2100,9 @@ export interface components {
             /** @default 0 */
             frames_not_tracked: number;
             radiometric_id?: string | null;
+            /** @default [] */
+            bad_pixels: components["schemas"]["LiveBadPixel"][];
+            device_id: string;
         };
         Diagnosis: {
             sensors: components["schemas"]["SensorDiagnosis"][];
@@ -2131,17 +2134,17 @@ export interface components {
         };
         DriftCheckDocument: {
             id: string;
-            device: string;
-            calibration: string;
+            device_id: string;
+            calibration_id: string;
             /** @enum {string} */
-            verdict: "good" | "sensors-moved" | "moved-as-a-whole" | "off";
+            status: "good" | "sensors-moved" | "moved-as-a-whole" | "off";
             moved: string[];
             in_words: string[];
             /** @enum {string} */
             against: "positions" | "calibration" | "capture";
             markers: number;
-            capture: string | null;
-            earlier_capture: string | null;
+            capture_id: string | null;
+            earlier_capture_id: string | null;
             position_sigma_mm: number;
             note: string;
             /** Format: date-time */
@@ -2151,17 +2154,17 @@ export interface components {
         };
         DriftCheckSummary: {
             id: string;
-            device: string;
-            calibration: string;
+            device_id: string;
+            calibration_id: string;
             /** @enum {string} */
-            verdict: "good" | "sensors-moved" | "moved-as-a-whole" | "off";
+            status: "good" | "sensors-moved" | "moved-as-a-whole" | "off";
             moved: string[];
             in_words: string[];
             /** @enum {string} */
             against: "positions" | "calibration" | "capture";
             markers: number;
-            capture: string | null;
-            earlier_capture: string | null;
+            capture_id: string | null;
+            earlier_capture_id: string | null;
             position_sigma_mm: number;
             note: string;
             /** Format: date-time */
@@ -2214,9 +2217,9 @@ export interface components {
             size_bytes: number;
             /** Format: date-time */
             created_at: string;
-            run: string | null;
-            device: string | null;
-            recording: string | null;
+            run_id: string | null;
+            device_id: string | null;
+            recording_id: string | null;
         };
         ExternalSource: {
             /**
@@ -2359,12 +2362,12 @@ export interface components {
             dof: number;
         };
         FrameList: {
-            device: string;
+            device_id: string;
             exposure_ns: number | null;
             sequence: number | null;
             age_s: number | null;
-            calibration: string | null;
-            table: string | null;
+            calibration_id: string | null;
+            table_id: string | null;
             frames: components["schemas"]["FrameState"][];
         };
         FrameMarker: {
@@ -2395,27 +2398,27 @@ export interface components {
             frames: number | null;
         };
         FrameState: {
-            frame: string;
+            id: string;
             /** @enum {string} */
             kind: "tracker" | "tool" | "registration";
-            to: string | null;
+            to_frame_id: string | null;
             connected: boolean;
             status: components["schemas"]["PoseStatus"];
             reason: string | null;
-            root: string;
+            root_frame_id: string;
         };
         FrameTransform: {
-            device: string;
-            frame: string;
-            to: string;
+            device_id: string;
+            frame_id: string;
+            to_frame_id: string;
             status: components["schemas"]["PoseStatus"];
             reason: string | null;
-            path: string[] | null;
+            path_frame_ids: string[] | null;
             exposure_ns: number | null;
             sequence: number | null;
             age_s: number | null;
-            calibration: string | null;
-            table: string | null;
+            calibration_id: string | null;
+            table_id: string | null;
             matrix: [
                 number,
                 number,
@@ -2501,13 +2504,20 @@ export interface components {
                 ]
             ] | null;
         };
+        FromBadPixels: {
+            /**
+             * @description discriminator enum property added by openapi-typescript
+             * @enum {string}
+             */
+            kind: "bad-pixels";
+        };
         FromCapture: {
             /**
              * @description discriminator enum property added by openapi-typescript
              * @enum {string}
              */
             kind: "capture";
-            capture: string;
+            radiometric_capture_id: string;
         };
         FromDocument: {
             /**
@@ -2521,14 +2531,22 @@ export interface components {
                 };
             };
         };
+        FromLines: {
+            /**
+             * @description discriminator enum property added by openapi-typescript
+             * @enum {string}
+             */
+            kind: "lines";
+            recording_id: string;
+        };
         FromRecordings: {
             /**
              * @description discriminator enum property added by openapi-typescript
              * @enum {string}
              */
             kind: "recordings";
-            dark: string;
-            flats: string[];
+            dark_recording_id: string;
+            flat_recording_ids: string[];
             relative_light?: number[] | null;
             temperature_c?: number | null;
         };
@@ -2709,9 +2727,9 @@ export interface components {
         };
         LinkCounters: {
             /** @default 0 */
-            bytes_received: number;
+            received_bytes: number;
             /** @default 0 */
-            frames: number;
+            frames_received: number;
             /** @default 0 */
             frames_garbled: number;
             /** @default 0 */
@@ -2730,6 +2748,14 @@ export interface components {
             counters?: components["schemas"]["LinkCounters"];
             clock_uncertainty_us?: number | null;
             temperature_c?: number | null;
+        };
+        LiveBadPixel: {
+            sensor: string;
+            pixel: number;
+            /** @enum {string} */
+            kind: "hot" | "stuck" | "dead";
+            /** Format: date-time */
+            found_at: string;
         };
         Mask: {
             /** @default 5 */
@@ -2761,7 +2787,7 @@ export interface components {
              */
             estimator: "fit" | "correlation";
             template?: components["schemas"]["Template"] | null;
-            profile?: string | null;
+            profile_id?: string | null;
             sensors?: string[] | null;
         };
         MatchedMethod: {
@@ -2785,9 +2811,9 @@ export interface components {
         };
         MeasuredPoint: {
             name: string | null;
-            tool: string;
-            device: string;
-            frame: string;
+            tool_id: string;
+            device_id: string;
+            frame_id: string;
             position_mm: [
                 number,
                 number,
@@ -2815,9 +2841,9 @@ export interface components {
             frames: number;
             first_ns: number;
             last_ns: number;
-            tip_calibration: string | null;
-            calibration: string;
-            table: string | null;
+            tool_calibration_id: string | null;
+            calibration_id: string;
+            table_id: string | null;
         };
         Median: {
             aperture: number;
@@ -2966,12 +2992,12 @@ export interface components {
         };
         NewApiKey: {
             name: string;
-            scopes: ("read:stream" | "read:calibration" | "write:calibration" | "admin:hardware" | "admin:keys")[];
+            scopes: ("read:stream" | "read:calibration" | "read:audit" | "operate:holds" | "operate:devices" | "operate:recordings" | "operate:checks" | "write:tools" | "write:registrations" | "write:holds" | "write:calibrations" | "write:recordings" | "write:results" | "activate:calibrations" | "admin:devices" | "admin:keys")[];
             expires_at?: string | null;
         };
         NewBeamHold: {
             id: string;
-            device: string;
+            device_id: string;
             title: string;
             watch: components["schemas"]["ToolWatch"] | components["schemas"]["StrobedMarkersWatch"] | components["schemas"]["SimultaneousMarkersWatch"];
             limits: components["schemas"]["Limits"];
@@ -2998,7 +3024,7 @@ export interface components {
              */
             labels: "off" | "report" | "exclude" | "repair";
             id?: string | null;
-            device: string;
+            device_id: string;
             points: components["schemas"]["ControlPoint"][];
             /** @default  */
             note: string;
@@ -3021,18 +3047,18 @@ export interface components {
              */
             labels: "off" | "report" | "exclude" | "repair";
             points?: components["schemas"]["ControlPoint"][] | null;
-            capture?: string | null;
+            capture_id?: string | null;
             /** @default false */
             allow_incomplete: boolean;
             id?: string | null;
-            device: string;
+            device_id: string;
             result_id?: string | null;
             /** @default  */
             note: string;
         };
         NewCapture: {
             id?: string | null;
-            device: string;
+            device_id: string;
             targets: components["schemas"]["service__api__captures__schema__Target"][];
             settings?: components["schemas"]["CaptureSettings"];
             /** @default  */
@@ -3040,21 +3066,21 @@ export interface components {
         };
         NewCapturedTool: {
             id: string;
-            device: string;
+            device_id: string;
             title: string;
             tip_mm?: [
                 number,
                 number,
                 number
             ] | null;
-            reference?: string | null;
+            reference_id?: string | null;
             limits?: components["schemas"]["ToolLimits"];
             /** @default  */
             note: string;
             strobe_markers?: number[] | null;
             markers?: number | null;
             /** @default 1 */
-            seconds: number;
+            duration_s: number;
         };
         NewDevice: {
             id: string;
@@ -3066,7 +3092,7 @@ export interface components {
         };
         NewDriftCheck: {
             points?: components["schemas"]["StationaryPoint"][] | null;
-            capture?: string | null;
+            capture_id?: string | null;
             /** @default false */
             allow_incomplete: boolean;
             /**
@@ -3074,7 +3100,7 @@ export interface components {
              * @enum {string}
              */
             against: "positions" | "calibration" | "capture";
-            earlier_capture?: string | null;
+            earlier_capture_id?: string | null;
             /** @default 0 */
             position_sigma_mm: number;
             id?: string | null;
@@ -3083,14 +3109,14 @@ export interface components {
         };
         NewExportRun: {
             id?: string | null;
-            device: string;
-            recording: string;
+            device_id: string;
+            recording_id: string;
             /** @enum {string} */
             format: "c3d" | "trc" | "csv" | "parquet" | "igs.mha";
             result_id?: string | null;
-            tools?: string[] | null;
-            calibration?: string | null;
-            table?: string | null;
+            tool_ids?: string[] | null;
+            calibration_id?: string | null;
+            table_id?: string | null;
             /** @default false */
             predicted: boolean;
             /** @default false */
@@ -3098,12 +3124,12 @@ export interface components {
         };
         NewMappingRun: {
             points?: components["schemas"]["ControlPoint"][] | null;
-            capture?: string | null;
+            capture_id?: string | null;
             /** @default false */
             allow_incomplete: boolean;
             id?: string | null;
-            device: string;
-            calibration?: string | null;
+            device_id: string;
+            calibration_id?: string | null;
             result_id?: string | null;
             /**
              * @default b-spline
@@ -3125,11 +3151,11 @@ export interface components {
         };
         NewPairedPoints: {
             id: string;
-            device: string;
+            device_id: string;
             targets?: components["schemas"]["service__api__tools__registration_schema__Target"][];
             /** @default  */
             note: string;
-            reference?: string | null;
+            reference_id?: string | null;
             /**
              * @default paired-points
              * @constant
@@ -3141,9 +3167,9 @@ export interface components {
         };
         NewPoint: {
             name?: string | null;
-            frame?: string | null;
+            frame_id?: string | null;
             /** @default 0.5 */
-            seconds: number;
+            duration_s: number;
             /** @default 0.5 */
             max_sigma_mm: number;
             /** @default 0.3 */
@@ -3154,7 +3180,7 @@ export interface components {
         NewPointToPoint: {
             id?: string | null;
             /** @default 10 */
-            seconds: number;
+            duration_s: number;
             tolerance_mm?: number | null;
             /** @default  */
             note: string;
@@ -3174,22 +3200,22 @@ export interface components {
         NewQualityCheck: components["schemas"]["NewSinglePoint"] | components["schemas"]["NewPointToPoint"];
         NewRadiometricCalibration: {
             id?: string | null;
-            device: string;
-            source: components["schemas"]["FromCapture"] | components["schemas"]["FromRecordings"] | components["schemas"]["FromScans"] | components["schemas"]["FromDocument"];
+            device_id: string;
+            source: components["schemas"]["FromCapture"] | components["schemas"]["FromRecordings"] | components["schemas"]["FromScans"] | components["schemas"]["FromDocument"] | components["schemas"]["FromBadPixels"] | components["schemas"]["FromLines"];
             /** @default  */
             note: string;
         };
         NewRadiometricCapture: {
             id?: string | null;
-            device: string;
+            device_id: string;
             settings?: components["schemas"]["RadiometricCaptureSettings"];
             /** @default  */
             note: string;
         };
         NewReconstruction: {
             id?: string | null;
-            device: string;
-            calibration?: string | null;
+            device_id: string;
+            calibration_id?: string | null;
             points: components["schemas"]["ObservedPoint"][];
         };
         NewReference: {
@@ -3204,8 +3230,8 @@ export interface components {
         NewRegistration: components["schemas"]["NewPairedPoints"] | components["schemas"]["NewThreeMarkers"] | components["schemas"]["NewSurface"];
         NewSelfCalibrationRun: {
             id?: string | null;
-            device: string;
-            start?: string | null;
+            device_id: string;
+            start_calibration_id?: string | null;
             /**
              * @default start
              * @enum {string}
@@ -3232,7 +3258,7 @@ export interface components {
         NewSinglePoint: {
             id?: string | null;
             /** @default 10 */
-            seconds: number;
+            duration_s: number;
             tolerance_mm?: number | null;
             /** @default  */
             note: string;
@@ -3250,13 +3276,13 @@ export interface components {
         };
         NewSurface: {
             id: string;
-            device: string;
+            device_id: string;
             targets?: components["schemas"]["service__api__tools__registration_schema__Target"][];
             /** @default  */
             note: string;
             /** @constant */
             kind: "surface";
-            parent: string;
+            parent_id: string;
             points_mm: [
                 number,
                 number,
@@ -3274,11 +3300,11 @@ export interface components {
         };
         NewThreeMarkers: {
             id: string;
-            device: string;
+            device_id: string;
             targets?: components["schemas"]["service__api__tools__registration_schema__Target"][];
             /** @default  */
             note: string;
-            reference?: string | null;
+            reference_id?: string | null;
             /** @constant */
             kind: "three-markers";
             measured_mm?: [
@@ -3358,18 +3384,18 @@ export interface components {
                 number
             ] | null;
             /** @default 1 */
-            seconds: number;
+            duration_s: number;
         };
         NewTool: {
             id: string;
-            device: string;
+            device_id: string;
             title: string;
             tip_mm?: [
                 number,
                 number,
                 number
             ] | null;
-            reference?: string | null;
+            reference_id?: string | null;
             limits?: components["schemas"]["ToolLimits"];
             /** @default  */
             note: string;
@@ -3382,7 +3408,7 @@ export interface components {
         };
         NewToolCalibration: {
             /** @default 10 */
-            seconds: number;
+            duration_s: number;
             /** @default 500 */
             poses: number;
             /** @default true */
@@ -3392,7 +3418,7 @@ export interface components {
         };
         NewUpdateRun: {
             points?: components["schemas"]["StationaryPoint"][] | null;
-            capture?: string | null;
+            capture_id?: string | null;
             /** @default false */
             allow_incomplete: boolean;
             /**
@@ -3400,14 +3426,14 @@ export interface components {
              * @enum {string}
              */
             against: "positions" | "calibration" | "capture";
-            earlier_capture?: string | null;
+            earlier_capture_id?: string | null;
             /** @default 0 */
             position_sigma_mm: number;
             id?: string | null;
-            device: string;
-            calibration?: string | null;
+            device_id: string;
+            calibration_id?: string | null;
             result_id?: string | null;
-            drift_check?: string | null;
+            drift_check_id?: string | null;
             sensors?: string[] | null;
             allowance?: {
                 [key: string]: number;
@@ -3426,134 +3452,100 @@ export interface components {
             kind: "given" | "captured";
             frames?: number | null;
             sigma_mm?: number[] | null;
-            calibration?: string | null;
-            table?: string | null;
+            calibration_id?: string | null;
+            table_id?: string | null;
         };
         Page_Activation_: {
             items: components["schemas"]["Activation"][];
-            total: number;
-            limit: number;
-            offset: number;
+            next_cursor: string | null;
         };
         Page_ApiKey_: {
             items: components["schemas"]["ApiKey"][];
-            total: number;
-            limit: number;
-            offset: number;
+            next_cursor: string | null;
         };
         Page_AuditEntry_: {
             items: components["schemas"]["AuditEntry"][];
-            total: number;
-            limit: number;
-            offset: number;
+            next_cursor: string | null;
         };
         Page_BeamHold_: {
             items: components["schemas"]["BeamHold"][];
-            total: number;
-            limit: number;
-            offset: number;
+            next_cursor: string | null;
         };
         Page_CalibrationSummary_: {
             items: components["schemas"]["CalibrationSummary"][];
-            total: number;
-            limit: number;
-            offset: number;
+            next_cursor: string | null;
         };
         Page_Capture_: {
             items: components["schemas"]["Capture"][];
-            total: number;
-            limit: number;
-            offset: number;
+            next_cursor: string | null;
         };
         Page_CorrectionTableDocument_: {
             items: components["schemas"]["CorrectionTableDocument"][];
-            total: number;
-            limit: number;
-            offset: number;
+            next_cursor: string | null;
+        };
+        Page_DeviceProfileSummary_: {
+            items: components["schemas"]["DeviceProfileSummary"][];
+            next_cursor: string | null;
         };
         Page_Device_: {
             items: components["schemas"]["Device"][];
-            total: number;
-            limit: number;
-            offset: number;
+            next_cursor: string | null;
         };
         Page_DriftCheckSummary_: {
             items: components["schemas"]["DriftCheckSummary"][];
-            total: number;
-            limit: number;
-            offset: number;
+            next_cursor: string | null;
         };
         Page_Export_: {
             items: components["schemas"]["Export"][];
-            total: number;
-            limit: number;
-            offset: number;
+            next_cursor: string | null;
+        };
+        Page_ProblemType_: {
+            items: components["schemas"]["ProblemType"][];
+            next_cursor: string | null;
         };
         Page_QualityCheck_: {
             items: components["schemas"]["QualityCheck"][];
-            total: number;
-            limit: number;
-            offset: number;
+            next_cursor: string | null;
         };
         Page_RadiometricActivation_: {
             items: components["schemas"]["RadiometricActivation"][];
-            total: number;
-            limit: number;
-            offset: number;
+            next_cursor: string | null;
         };
         Page_RadiometricCalibrationSummary_: {
             items: components["schemas"]["RadiometricCalibrationSummary"][];
-            total: number;
-            limit: number;
-            offset: number;
+            next_cursor: string | null;
         };
         Page_RadiometricCapture_: {
             items: components["schemas"]["RadiometricCapture"][];
-            total: number;
-            limit: number;
-            offset: number;
+            next_cursor: string | null;
         };
         Page_ReconstructionSummary_: {
             items: components["schemas"]["ReconstructionSummary"][];
-            total: number;
-            limit: number;
-            offset: number;
+            next_cursor: string | null;
         };
         Page_RecordingDocument_: {
             items: components["schemas"]["RecordingDocument"][];
-            total: number;
-            limit: number;
-            offset: number;
+            next_cursor: string | null;
         };
         Page_Registration_: {
             items: components["schemas"]["Registration"][];
-            total: number;
-            limit: number;
-            offset: number;
+            next_cursor: string | null;
         };
         Page_Run_: {
             items: components["schemas"]["Run"][];
-            total: number;
-            limit: number;
-            offset: number;
+            next_cursor: string | null;
         };
         Page_ToolCalibration_: {
             items: components["schemas"]["ToolCalibration"][];
-            total: number;
-            limit: number;
-            offset: number;
+            next_cursor: string | null;
         };
         Page_Tool_: {
             items: components["schemas"]["Tool"][];
-            total: number;
-            limit: number;
-            offset: number;
+            next_cursor: string | null;
         };
         Page_WatchSample_: {
             items: components["schemas"]["WatchSample"][];
-            total: number;
-            limit: number;
-            offset: number;
+            next_cursor: string | null;
         };
         ParameterDifference: {
             sensor: string;
@@ -3597,7 +3589,7 @@ export interface components {
             height_um: number;
         };
         Plan: {
-            profile: string;
+            profile_id: string;
             title: string;
             volume: components["schemas"]["Box"];
             grid: [
@@ -3727,16 +3719,16 @@ export interface components {
             kind: "polynomial";
         };
         Pose: {
-            tool: string;
-            device: string;
-            frame: string;
+            tool_id: string;
+            device_id: string;
+            frame_id: string;
             status: components["schemas"]["PoseStatus"];
             reason: string | null;
             exposure_ns: number | null;
             sequence: number | null;
             age_s: number | null;
-            calibration: string | null;
-            table: string | null;
+            calibration_id: string | null;
+            table_id: string | null;
             translation_mm: [
                 number,
                 number,
@@ -3909,7 +3901,7 @@ export interface components {
              * @enum {string}
              */
             kind: "profile";
-            profile: string;
+            profile_id: string;
             settings?: components["schemas"]["ProfileSettings"];
         };
         PublishedFigure: {
@@ -3924,7 +3916,7 @@ export interface components {
             note: string;
         };
         Quality: {
-            device: string;
+            device_id: string;
             calibration_id: string | null;
             table_id: string | null;
             watch: components["schemas"]["WatchSettings"];
@@ -3935,7 +3927,7 @@ export interface components {
         };
         QualityCheck: {
             id: string;
-            device: string;
+            device_id: string;
             /** @enum {string} */
             kind: "single-point" | "point-to-point";
             calibration_id: string;
@@ -3954,7 +3946,7 @@ export interface components {
         };
         RadiometricActivation: {
             id: number;
-            device: string;
+            device_id: string;
             radiometric_id: string | null;
             previous_radiometric_id: string | null;
             /** Format: date-time */
@@ -3963,10 +3955,10 @@ export interface components {
         };
         RadiometricCalibrationDocument: {
             id: string;
-            device: string;
+            device_id: string;
             active: boolean;
             /** @enum {string} */
-            origin: "capture" | "recordings" | "scans" | "document";
+            origin: "capture" | "recordings" | "scans" | "document" | "bad-pixels" | "lines";
             sensors: components["schemas"]["SensorFigures"][];
             content_hash: string;
             note: string;
@@ -3978,10 +3970,10 @@ export interface components {
         };
         RadiometricCalibrationSummary: {
             id: string;
-            device: string;
+            device_id: string;
             active: boolean;
             /** @enum {string} */
-            origin: "capture" | "recordings" | "scans" | "document";
+            origin: "capture" | "recordings" | "scans" | "document" | "bad-pixels" | "lines";
             sensors: components["schemas"]["SensorFigures"][];
             content_hash: string;
             note: string;
@@ -3990,7 +3982,7 @@ export interface components {
         };
         RadiometricCapture: {
             id: string;
-            device: string;
+            device_id: string;
             settings: components["schemas"]["RadiometricCaptureSettings"];
             captured: components["schemas"]["CapturedFrames"][];
             next: ("dark" | "flat") | null;
@@ -4028,9 +4020,9 @@ export interface components {
         };
         Reconstruction: {
             id: string;
-            device: string;
+            device_id: string;
             calibration_id: string;
-            table: string | null;
+            table_id: string | null;
             point_count: number;
             /** Format: date-time */
             created_at: string;
@@ -4039,21 +4031,21 @@ export interface components {
         };
         ReconstructionSummary: {
             id: string;
-            device: string;
+            device_id: string;
             calibration_id: string;
-            table: string | null;
+            table_id: string | null;
             point_count: number;
             /** Format: date-time */
             created_at: string;
         };
         RecordingDetail: {
-            name: string;
-            device: string | null;
+            id: string;
+            device_id: string | null;
             /** @enum {string} */
             state: "recording" | "complete" | "incomplete" | "failed" | "unreadable";
             reason: string | null;
             contents: ("lines" | "results")[];
-            frames: number | null;
+            frames_written: number | null;
             duration_s: number | null;
             frames_missing: number | null;
             frames_dropped_compute: number | null;
@@ -4062,17 +4054,17 @@ export interface components {
             size_bytes: number;
             started_at: string | null;
             /** Format: date-time */
-            changed_at: string;
+            updated_at: string;
             calibrations: components["schemas"]["UsedCalibration"][];
         };
         RecordingDocument: {
-            name: string;
-            device: string | null;
+            id: string;
+            device_id: string | null;
             /** @enum {string} */
             state: "recording" | "complete" | "incomplete" | "failed" | "unreadable";
             reason: string | null;
             contents: ("lines" | "results")[];
-            frames: number | null;
+            frames_written: number | null;
             duration_s: number | null;
             frames_missing: number | null;
             frames_dropped_compute: number | null;
@@ -4081,14 +4073,14 @@ export interface components {
             size_bytes: number;
             started_at: string | null;
             /** Format: date-time */
-            changed_at: string;
+            updated_at: string;
         };
         Reference: {
             id: string;
             /** @enum {string} */
             kind: "given" | "captured";
-            calibration: string | null;
-            table: string | null;
+            calibration_id: string | null;
+            table_id: string | null;
             rotation: [
                 [
                     number,
@@ -4274,12 +4266,12 @@ export interface components {
             id: string;
             /** @enum {string} */
             kind: "paired-points" | "three-markers" | "surface";
-            device: string;
-            reference: string | null;
-            parent?: string | null;
+            device_id: string;
+            reference_id: string | null;
+            parent_id?: string | null;
             parent_created_at?: string | null;
-            calibration?: string | null;
-            table?: string | null;
+            calibration_id?: string | null;
+            table_id?: string | null;
             matrix: [
                 number,
                 number,
@@ -4355,7 +4347,7 @@ export interface components {
              * @enum {string}
              */
             kind: "replay";
-            recording: string;
+            recording_id: string;
             /** @default 1 */
             speed: number | null;
         };
@@ -4426,13 +4418,13 @@ export interface components {
             id: string;
             /** @enum {string} */
             kind: "calibration" | "self-calibration" | "update" | "mapping" | "export";
-            device: string;
+            device_id: string;
             /** @enum {string} */
             state: "queued" | "running" | "succeeded" | "failed" | "cancelled" | "interrupted";
             progress: number;
             stage: string;
             result_id: string | null;
-            result: string | null;
+            result_path: string | null;
             problem: components["schemas"]["RunProblem"] | null;
             /** Format: date-time */
             created_at: string;
@@ -4515,6 +4507,7 @@ export interface components {
             illumination_range: number;
             bad_pixels: number;
             temperature_c: number | null;
+            line_skewness: number | null;
         };
         SensorFit: {
             model: components["schemas"]["SensorModel"];
@@ -4753,10 +4746,6 @@ export interface components {
                 [key: string]: number | components["schemas"]["Reading"];
             };
         };
-        Status: {
-            device: string;
-            status: components["schemas"]["DeviceStatus"];
-        };
         StillPoints: {
             points_mm: [
                 number,
@@ -4771,13 +4760,13 @@ export interface components {
         };
         StoredSurfaceRequest: {
             id: string;
-            device: string;
+            device_id: string;
             targets?: components["schemas"]["service__api__tools__registration_schema__Target"][];
             /** @default  */
             note: string;
             /** @constant */
             kind: "surface";
-            parent: string;
+            parent_id: string;
             points_mm: [
                 number,
                 number,
@@ -4923,7 +4912,7 @@ export interface components {
                     number
                 ]
             ] | null;
-            calibration?: string | null;
+            tool_calibration_id?: string | null;
             axis?: [
                 number,
                 number,
@@ -4932,7 +4921,7 @@ export interface components {
         };
         Tool: {
             id: string;
-            device: string;
+            device_id: string;
             title: string;
             markers_mm: [
                 number,
@@ -4941,7 +4930,7 @@ export interface components {
             ][];
             strobe_markers: number[] | null;
             tip: components["schemas"]["Tip"];
-            reference: string | null;
+            reference_id: string | null;
             limits: components["schemas"]["ToolLimits"];
             origin: components["schemas"]["Origin"];
             note: string;
@@ -4952,8 +4941,8 @@ export interface components {
         };
         ToolCalibration: {
             id: string;
-            tool: string;
-            device: string;
+            tool_id: string;
+            device_id: string;
             /** @enum {string} */
             kind: "pivot" | "spin";
             applied: boolean;
@@ -4994,8 +4983,8 @@ export interface components {
             rms_mm: number;
             residual_sigma: number | null;
             smallest_rotation_deg: number;
-            calibration?: string | null;
-            table?: string | null;
+            calibration_id?: string | null;
+            table_id?: string | null;
             request: components["schemas"]["NewToolCalibration"];
             /** Format: date-time */
             created_at: string;
@@ -5007,7 +4996,7 @@ export interface components {
                 number,
                 number
             ] | null;
-            reference?: string | null;
+            reference_id?: string | null;
             limits?: components["schemas"]["ToolLimits"];
             note?: string;
         };
@@ -5020,7 +5009,7 @@ export interface components {
              * @enum {string}
              */
             kind: "tool";
-            tool: string;
+            tool_id: string;
             /**
              * @default [
              *       0,
@@ -5106,10 +5095,11 @@ export interface components {
             sigma_mm: number;
         };
         UsedCalibration: {
-            calibration: string | null;
+            calibration_id: string | null;
             content_hash: string | null;
-            table: string | null;
-            radiometric: string | null;
+            table_id: string | null;
+            radiometric_id: string | null;
+            bad_pixels: number;
             from_frame: number | null;
         };
         Valley: {
@@ -5146,12 +5136,12 @@ export interface components {
             sigma_mm: number;
         };
         WatchSample: {
-            device: string;
+            device_id: string;
             calibration_id: string;
             table_id: string | null;
             /** Format: date-time */
-            at: string;
-            seconds: number;
+            measured_at: string;
+            duration_s: number;
             points: number;
             residual_sigma: number | null;
             inconsistent: number;
@@ -5194,7 +5184,7 @@ export interface components {
             marker?: number | null;
         };
         service__api__recordings__schema__NewRecording: {
-            name?: string | null;
+            id?: string | null;
             /**
              * @default [
              *       "lines",
@@ -5202,8 +5192,8 @@ export interface components {
              *     ]
              */
             contents: ("lines" | "results")[];
-            seconds?: number | null;
-            size_bytes?: number | null;
+            max_duration_s?: number | null;
+            max_size_bytes?: number | null;
         };
         service__api__runs__self_calibration_schema__NewRecording: {
             target: components["schemas"]["WandTarget"] | components["schemas"]["BodyTarget"] | components["schemas"]["UnknownTarget"];
@@ -5239,7 +5229,7 @@ export interface components {
             } | null;
         };
         StreamBeamHoldSample: {
-            hold: string;
+            hold_id: string;
             held: boolean;
             cause: string;
             reason: string | null;
@@ -5253,8 +5243,8 @@ export interface components {
         };
         StreamBeamHoldEvent: {
             n: number;
-            device: string;
-            hold: string;
+            device_id: string;
+            hold_id: string;
             held: boolean;
             cause: string;
             reason: string | null;
@@ -5270,7 +5260,7 @@ export interface components {
         };
         StreamHello: {
             version: number;
-            device: string;
+            device_id: string;
             content: string[];
             mode: string;
             stream: string;
@@ -5284,15 +5274,15 @@ export interface components {
             state: string;
             reason: string | null;
             link: string | null;
-            calibration: string | null;
+            calibration_id: string | null;
             /** @default null */
             holds: components["schemas"]["StreamBeamHoldSample"][] | null;
             /** @default null */
-            radiometric: string | null;
+            radiometric_id: string | null;
         };
-        StreamStatus: {
+        StreamDeviceState: {
             n: number;
-            device: string;
+            device_id: string;
             state: string;
             reason: string | null;
             /** @default null */
@@ -5309,7 +5299,7 @@ export interface components {
             method: string | null;
         };
         StreamMissed: {
-            device: string;
+            device_id: string;
             messages: number;
             first: number;
         };
@@ -5318,6 +5308,7 @@ export interface components {
             position_mm: number[] | null;
             covariance_mm2: number[][] | null;
             residual_sigma: number | null;
+            external_reliability_mm: number | null;
             sensors: string[];
             flags: string[];
         };
@@ -5345,7 +5336,7 @@ export interface components {
             dof: number;
         };
         StreamToolPose: {
-            tool: string;
+            tool_id: string;
             status: string;
             reason: string | null;
             translation_mm: number[] | null;
@@ -5370,13 +5361,13 @@ export interface components {
         };
         StreamFrame: {
             n: number;
-            device: string;
+            device_id: string;
             sequence: number;
             exposure_ns: number;
             device_ns: number;
             marker: number | null;
-            calibration: string | null;
-            table: string | null;
+            calibration_id: string | null;
+            table_id: string | null;
             flags: string[];
             /** @default null */
             points: components["schemas"]["StreamPoint"][] | null;
@@ -5389,7 +5380,7 @@ export interface components {
             /** @default null */
             holds: components["schemas"]["StreamBeamHoldSample"][] | null;
             /** @default null */
-            radiometric: string | null;
+            radiometric_id: string | null;
         };
         StreamUnknownMessage: {
             type: string;
@@ -5410,7 +5401,7 @@ export interface operations {
         parameters: {
             query?: {
                 limit?: number;
-                offset?: number;
+                cursor?: string | null;
             };
             header?: never;
             path?: never;
@@ -5574,7 +5565,7 @@ export interface operations {
                     [name: string]: unknown;
                 };
                 content: {
-                    "application/json": components["schemas"]["Status"];
+                    "application/json": components["schemas"]["DeviceStateDocument"];
                 };
             };
             default: {
@@ -5603,7 +5594,7 @@ export interface operations {
                     [name: string]: unknown;
                 };
                 content: {
-                    "application/json": components["schemas"]["Status"];
+                    "application/json": components["schemas"]["DeviceStateDocument"];
                 };
             };
             default: {
@@ -5616,7 +5607,7 @@ export interface operations {
             };
         };
     };
-    "get-device-status": {
+    "get-device-state": {
         parameters: {
             query?: never;
             header?: never;
@@ -5632,7 +5623,7 @@ export interface operations {
                     [name: string]: unknown;
                 };
                 content: {
-                    "application/json": components["schemas"]["Status"];
+                    "application/json": components["schemas"]["DeviceStateDocument"];
                 };
             };
             default: {
@@ -5680,7 +5671,7 @@ export interface operations {
         parameters: {
             query?: {
                 limit?: number;
-                offset?: number;
+                cursor?: string | null;
             };
             header?: never;
             path: {
@@ -5711,10 +5702,10 @@ export interface operations {
     "list-calibrations": {
         parameters: {
             query?: {
-                device?: string | null;
+                device_id?: string | null;
                 state?: ("active" | "available" | "retired") | null;
                 limit?: number;
-                offset?: number;
+                cursor?: string | null;
             };
             header?: never;
             path?: never;
@@ -5806,7 +5797,7 @@ export interface operations {
             header?: never;
             path: {
                 calibration_id: string;
-                other_id: string;
+                other_calibration_id: string;
             };
             cookie?: never;
         };
@@ -5893,7 +5884,7 @@ export interface operations {
     "get-calibration-report": {
         parameters: {
             query?: {
-                previous?: string | null;
+                previous_calibration_id?: string | null;
             };
             header?: never;
             path: {
@@ -5924,7 +5915,7 @@ export interface operations {
     "get-calibration-figure": {
         parameters: {
             query?: {
-                previous?: string | null;
+                previous_calibration_id?: string | null;
             };
             header?: never;
             path: {
@@ -6111,11 +6102,11 @@ export interface operations {
     "list-runs": {
         parameters: {
             query?: {
-                device?: string | null;
+                device_id?: string | null;
                 kind?: ("calibration" | "self-calibration" | "update" | "mapping" | "export") | null;
                 state?: ("queued" | "running" | "succeeded" | "failed" | "cancelled" | "interrupted") | null;
                 limit?: number;
-                offset?: number;
+                cursor?: string | null;
             };
             header?: never;
             path?: never;
@@ -6229,9 +6220,9 @@ export interface operations {
     "list-captures": {
         parameters: {
             query?: {
-                device?: string | null;
+                device_id?: string | null;
                 limit?: number;
-                offset?: number;
+                cursor?: string | null;
             };
             header?: never;
             path?: never;
@@ -6378,9 +6369,9 @@ export interface operations {
     "list-radiometric-captures": {
         parameters: {
             query?: {
-                device?: string | null;
+                device_id?: string | null;
                 limit?: number;
-                offset?: number;
+                cursor?: string | null;
             };
             header?: never;
             path?: never;
@@ -6442,7 +6433,7 @@ export interface operations {
             query?: never;
             header?: never;
             path: {
-                capture_id: string;
+                radiometric_capture_id: string;
             };
             cookie?: never;
         };
@@ -6471,7 +6462,7 @@ export interface operations {
             query?: never;
             header?: never;
             path: {
-                capture_id: string;
+                radiometric_capture_id: string;
             };
             cookie?: never;
         };
@@ -6503,7 +6494,7 @@ export interface operations {
             };
             header?: never;
             path: {
-                capture_id: string;
+                radiometric_capture_id: string;
             };
             cookie?: never;
         };
@@ -6530,9 +6521,9 @@ export interface operations {
     "list-radiometric-calibrations": {
         parameters: {
             query?: {
-                device?: string | null;
+                device_id?: string | null;
                 limit?: number;
-                offset?: number;
+                cursor?: string | null;
             };
             header?: never;
             path?: never;
@@ -6682,7 +6673,7 @@ export interface operations {
         parameters: {
             query?: {
                 limit?: number;
-                offset?: number;
+                cursor?: string | null;
             };
             header?: never;
             path: {
@@ -6746,11 +6737,11 @@ export interface operations {
     "list-drift-checks": {
         parameters: {
             query?: {
-                device?: string | null;
-                calibration?: string | null;
+                device_id?: string | null;
+                calibration_id?: string | null;
                 good?: boolean | null;
                 limit?: number;
-                offset?: number;
+                cursor?: string | null;
             };
             header?: never;
             path?: never;
@@ -6781,7 +6772,7 @@ export interface operations {
             query?: never;
             header?: never;
             path: {
-                check_id: string;
+                drift_check_id: string;
             };
             cookie?: never;
         };
@@ -6808,10 +6799,10 @@ export interface operations {
     "list-correction-tables": {
         parameters: {
             query?: {
-                device?: string | null;
-                calibration?: string | null;
+                device_id?: string | null;
+                calibration_id?: string | null;
                 limit?: number;
-                offset?: number;
+                cursor?: string | null;
             };
             header?: never;
             path?: never;
@@ -7019,9 +7010,9 @@ export interface operations {
     "list-reconstructions": {
         parameters: {
             query?: {
-                device?: string | null;
+                device_id?: string | null;
                 limit?: number;
-                offset?: number;
+                cursor?: string | null;
             };
             header?: never;
             path?: never;
@@ -7170,9 +7161,9 @@ export interface operations {
     "list-recordings": {
         parameters: {
             query?: {
-                device?: string | null;
+                device_id?: string | null;
                 limit?: number;
-                offset?: number;
+                cursor?: string | null;
             };
             header?: never;
             path?: never;
@@ -7203,7 +7194,7 @@ export interface operations {
             query?: never;
             header?: never;
             path: {
-                name: string;
+                recording_id: string;
             };
             cookie?: never;
         };
@@ -7232,7 +7223,7 @@ export interface operations {
             query?: never;
             header?: never;
             path: {
-                name: string;
+                recording_id: string;
             };
             cookie?: never;
         };
@@ -7269,7 +7260,7 @@ export interface operations {
             query?: never;
             header?: never;
             path: {
-                name: string;
+                recording_id: string;
             };
             cookie?: never;
         };
@@ -7298,7 +7289,7 @@ export interface operations {
             query?: never;
             header?: never;
             path: {
-                name: string;
+                recording_id: string;
             };
             cookie?: never;
         };
@@ -7324,7 +7315,7 @@ export interface operations {
         parameters: {
             query?: {
                 limit?: number;
-                offset?: number;
+                cursor?: string | null;
             };
             header?: never;
             path?: never;
@@ -7452,9 +7443,9 @@ export interface operations {
     "list-tools": {
         parameters: {
             query?: {
-                device?: string | null;
+                device_id?: string | null;
                 limit?: number;
-                offset?: number;
+                cursor?: string | null;
             };
             header?: never;
             path?: never;
@@ -7634,7 +7625,7 @@ export interface operations {
     "get-tool-pose": {
         parameters: {
             query?: {
-                frame?: string | null;
+                frame_id?: string | null;
             };
             header?: never;
             path: {
@@ -7732,7 +7723,7 @@ export interface operations {
         parameters: {
             query?: {
                 limit?: number;
-                offset?: number;
+                cursor?: string | null;
             };
             header?: never;
             path: {
@@ -7796,9 +7787,9 @@ export interface operations {
     "list-registrations": {
         parameters: {
             query?: {
-                device?: string | null;
+                device_id?: string | null;
                 limit?: number;
-                offset?: number;
+                cursor?: string | null;
             };
             header?: never;
             path?: never;
@@ -7911,7 +7902,7 @@ export interface operations {
             };
         };
     };
-    "list-frames": {
+    "get-frames": {
         parameters: {
             query?: never;
             header?: never;
@@ -7943,12 +7934,12 @@ export interface operations {
     "get-frame-transform": {
         parameters: {
             query?: {
-                to?: string;
+                to_frame_id?: string;
             };
             header?: never;
             path: {
                 device_id: string;
-                frame: string;
+                frame_id: string;
             };
             cookie?: never;
         };
@@ -7975,9 +7966,9 @@ export interface operations {
     "list-beam-holds": {
         parameters: {
             query?: {
-                device?: string | null;
+                device_id?: string | null;
                 limit?: number;
-                offset?: number;
+                cursor?: string | null;
             };
             header?: never;
             path?: never;
@@ -8309,7 +8300,10 @@ export interface operations {
     };
     "list-device-profiles": {
         parameters: {
-            query?: never;
+            query?: {
+                limit?: number;
+                cursor?: string | null;
+            };
             header?: never;
             path?: never;
             cookie?: never;
@@ -8321,7 +8315,7 @@ export interface operations {
                     [name: string]: unknown;
                 };
                 content: {
-                    "application/json": components["schemas"]["DeviceProfileSummary"][];
+                    "application/json": components["schemas"]["Page_DeviceProfileSummary_"];
                 };
             };
             default: {
@@ -8339,7 +8333,7 @@ export interface operations {
             query?: never;
             header?: never;
             path: {
-                name: string;
+                profile_id: string;
             };
             cookie?: never;
         };
@@ -8370,7 +8364,7 @@ export interface operations {
             };
             header?: never;
             path: {
-                name: string;
+                profile_id: string;
             };
             cookie?: never;
         };
@@ -8401,7 +8395,7 @@ export interface operations {
             };
             header?: never;
             path: {
-                name: string;
+                profile_id: string;
             };
             cookie?: never;
         };
@@ -8429,7 +8423,7 @@ export interface operations {
         parameters: {
             query?: {
                 limit?: number;
-                offset?: number;
+                cursor?: string | null;
             };
             header?: never;
             path?: never;
@@ -8547,15 +8541,15 @@ export interface operations {
     "list-audit": {
         parameters: {
             query?: {
-                actor?: string | null;
+                actor_id?: string | null;
                 operation?: string | null;
                 outcome?: ("done" | "refused") | null;
-                kind?: string | null;
-                object?: string | null;
+                object_kind?: string | null;
+                object_id?: string | null;
                 since?: string | null;
                 until?: string | null;
                 limit?: number;
-                offset?: number;
+                cursor?: string | null;
             };
             header?: never;
             path?: never;
@@ -8645,10 +8639,10 @@ export interface operations {
     "list-quality-checks": {
         parameters: {
             query?: {
-                device?: string | null;
+                device_id?: string | null;
                 kind?: ("single-point" | "point-to-point") | null;
                 limit?: number;
-                offset?: number;
+                cursor?: string | null;
             };
             header?: never;
             path?: never;
@@ -8679,7 +8673,7 @@ export interface operations {
             query?: never;
             header?: never;
             path: {
-                check_id: string;
+                quality_check_id: string;
             };
             cookie?: never;
         };
@@ -8708,7 +8702,7 @@ export interface operations {
             query?: never;
             header?: never;
             path: {
-                check_id: string;
+                quality_check_id: string;
             };
             cookie?: never;
         };
@@ -8853,9 +8847,9 @@ export interface operations {
     "list-watch-samples": {
         parameters: {
             query?: {
-                device?: string | null;
+                device_id?: string | null;
                 limit?: number;
-                offset?: number;
+                cursor?: string | null;
             };
             header?: never;
             path?: never;
@@ -8964,7 +8958,10 @@ export interface operations {
     };
     "list-problems": {
         parameters: {
-            query?: never;
+            query?: {
+                limit?: number;
+                cursor?: string | null;
+            };
             header?: never;
             path?: never;
             cookie?: never;
@@ -8976,7 +8973,7 @@ export interface operations {
                     [name: string]: unknown;
                 };
                 content: {
-                    "application/json": components["schemas"]["ProblemType"][];
+                    "application/json": components["schemas"]["Page_ProblemType_"];
                 };
             };
             default: {

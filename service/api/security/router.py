@@ -17,11 +17,15 @@ _NEW_KEYS: Final[Any] = {
         "summary": "for a program that shows points",
         "value": {"name": "operating room 2", "scopes": ["read:stream"]},
     },
+    "therapist": {
+        "summary": "for the console of a treatment room",
+        "value": {"name": "treatment room 1", "scopes": ["read:stream", "operate:holds"]},
+    },
     "engineer": {
         "summary": "for who calibrates",
         "value": {
             "name": "calibration bench",
-            "scopes": ["read:stream", "read:calibration", "write:calibration"],
+            "scopes": ["read:stream", "read:calibration", "write:calibrations"],
             "expires_at": "2099-12-31T23:59:59Z",
         },
     },

@@ -13,7 +13,7 @@ from service.api.base_models import (
     from_attributes,
 )
 from service.database.models import ApiKeyRow
-from service.principal import Scope
+from service.principal import SCOPES, Scope
 from service.security.store import KeyState, state_of
 
 
@@ -21,7 +21,7 @@ class NewApiKey(RequestModel):
     """A key to make."""
 
     name: Text200 = Field(description="Who or what it is for.")
-    scopes: Annotated[tuple[Scope, ...], Field(min_length=1, max_length=5)] = Field(
+    scopes: Annotated[tuple[Scope, ...], Field(min_length=1, max_length=len(SCOPES))] = Field(
         description="What it may do; none includes another."
     )
     expires_at: RequestMoment | None = Field(

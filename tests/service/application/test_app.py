@@ -44,7 +44,7 @@ def test_a_device_that_cannot_start_keeps_the_server_up(
 
 
 def test_the_landing_pages_links_work(sqlite_client: Any):
-    links = sqlite_client.get("/").json()["links"]
+    links = sqlite_client.get("/api/v1").json()["links"]
     for name, path in links.items():
         if name != "stream":
             assert sqlite_client.get(path).status_code == 200, name

@@ -161,6 +161,7 @@ def test_a_driver_that_repeats_the_password(
     assert_one_line(serve(tmp_path, monkeypatch, url), 1, "bad; password=*** at host")
 
 
+@pytest.mark.slow
 def test_what_streams_keep_is_seldom_collected() -> None:
     """Each second they keep some ten thousand objects more, for ten seconds."""
     collected = []

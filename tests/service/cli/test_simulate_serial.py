@@ -14,6 +14,7 @@ from hardware.serial.settings import SerialSettings
 from service.cli import app
 
 
+@pytest.mark.slow
 def test_a_pseudo_terminal_that_sends_parts(tmp_path: Path) -> None:
     link = tmp_path / "bar"
     process = subprocess.Popen(

@@ -188,6 +188,7 @@ def test_live_wand_collects_poses_of_strobed_ends() -> None:
         list(LiveWand(cast("Any", _Client(2, 0)), "bar", (0, 1)).collect(60.0, 0.0))
 
 
+@pytest.mark.slow
 def test_live_wave_ends_when_it_is_enough(capsys: pytest.CaptureFixture[str]) -> None:
     source = LiveWand(cast("Any", _Client(120)), "bar", (0, 1))
     table = wave_live(source, Wand((0.0, LENGTH_MM)), rig(), 60.0, every_s=0.0)

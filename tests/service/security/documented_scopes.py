@@ -10,6 +10,9 @@ _ROW = re.compile(
 _DOCUMENT = Path(__file__).parents[3] / "docs" / "how-to" / "security.md"
 
 
+_TASK = re.compile(r"^\| ([\w ,]+) \| ((?:`[\w:]+`(?:, )?)+) \|$", re.MULTILINE)
+
+
 class Row(NamedTuple):
     """One operation, how it is asked for, and the scope it needs."""
 
@@ -30,3 +33,10 @@ def documented() -> list[Row]:
         operation, method, path, scope = found.groups()
         rows.append(Row(operation, method, path.strip(" ,"), scope))
     return rows
+
+
+def documented_tasks() -> dict[str, frozenset[str]]:
+    """Return the scopes that the guide proposes for a few tasks."""
+    part = _DOCUMENT.read_text(encoding="utf-8").partition("| who | scopes |")[2]
+    rows = _TASK.findall(part.split("\n\n")[0])
+    return {who: frozenset(re.findall(r"`([\w:]+)`", scopes)) for who, scopes in rows}

@@ -69,8 +69,8 @@ def lost(server: Secured, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
 
 
 def test_a_device_is_stopped_without_the_database(server: Secured, lost: Any) -> None:
-    used = server.key("admin:hardware", "read:stream")
-    reads, unused = server.key("read:stream"), server.key("admin:hardware")
+    used = server.key("operate:devices", "read:stream")
+    reads, unused = server.key("read:stream"), server.key("operate:devices")
     for key in (used, reads):
         assert server.ask("GET", "/api/v1/devices", key).status_code in (200, 403)
     lost()
@@ -85,7 +85,7 @@ def test_a_device_is_stopped_without_the_database(server: Secured, lost: Any) ->
 
 def test_a_key_that_was_taken_back_or_ended_is_not_known(server: Secured, lost: Any) -> None:
     admin = server.key("admin:keys")
-    revoked, ended = server.key("admin:hardware"), server.key("admin:hardware")
+    revoked, ended = server.key("operate:devices"), server.key("operate:devices")
     soon = datetime.now(UTC) + timedelta(seconds=30)
     with server.database.write() as session:
         query = update(ApiKeyRow).where(ApiKeyRow.id == key_id(ended))

@@ -19,7 +19,7 @@ KEY_CHARACTERS = string.ascii_letters + string.digits
 
 @pytest.fixture
 def admin(secured: Secured) -> dict[str, str]:
-    return bearer(secured.key("admin:keys", "admin:hardware", "read:stream"))
+    return bearer(secured.key("admin:keys", "admin:devices", "read:stream"))
 
 
 def test_a_made_key_is_shown_once_and_works(secured: Secured, admin: dict[str, str]) -> None:

@@ -69,7 +69,7 @@ def claims(**changes: Any) -> dict[str, Any]:
         "sub": "user-7",
         "exp": now + 300,
         "iat": now,
-        "scope": "openid read:stream write:calibration",
+        "scope": "openid read:stream write:calibrations",
         "preferred_username": "ada",
     } | changes
     return {name: value for name, value in whole.items() if value is not None}
@@ -86,7 +86,7 @@ def test_a_good_token(issuer: Issuer, key: Any, algorithm: str, kid: str) -> Non
     found = issuer.tokens().principal(signed(claims(), key, algorithm, kid))
     assert (found.kind, found.id, found.name) == ("token", "user-7", "ada")
     # What is no scope of ours means nothing here.
-    assert found.scopes == {"read:stream", "write:calibration"}
+    assert found.scopes == {"read:stream", "write:calibrations"}
     assert found.expires_at is not None
     assert found.expires_at.timestamp() == pytest.approx(time.time() + 300 + LEEWAY_S, abs=5)
 
@@ -101,7 +101,7 @@ def test_a_good_token(issuer: Issuer, key: Any, algorithm: str, kid: str) -> Non
     ],
 )
 def test_scopes_come_from_the_claim_that_is_set(issuer: Issuer, value: Any, scopes: Any) -> None:
-    token = signed(claims(scope="admin:hardware", roles=value))
+    token = signed(claims(scope="admin:devices", roles=value))
     assert issuer.tokens("roles").principal(token).scopes == scopes
 
 
@@ -357,12 +357,12 @@ def test_a_server_takes_them_beside_keys(
 ) -> None:
     authenticator = secured.client.app.state.authenticator
     monkeypatch.setattr(authenticator, "_tokens", issuer.tokens())
-    token = signed(claims(scope="read:stream admin:hardware"))
+    token = signed(claims(scope="read:stream operate:devices"))
     assert secured.ask("GET", "/api/v1/devices", token).status_code == 200
     refused = secured.ask("GET", "/api/v1/keys", token)
     assert (refused.status_code, "token user-7 (ada)" in refused.json()["detail"]) == (403, True)
     assert secured.ask("POST", "/api/v1/devices/sim/stop", token).status_code == 200
-    entries = secured.ask("GET", "/api/v1/audit?actor_id=user-7", secured.key("admin:keys")).json()
+    entries = secured.ask("GET", "/api/v1/audit?actor_id=user-7", secured.key("read:audit")).json()
     assert entries["items"][0]["actor"] == {"kind": "token", "id": "user-7", "name": "ada"}
     assert secured.ask("GET", "/api/v1/devices", secured.key("read:stream")).status_code == 200
     wrong = secured.ask("GET", "/api/v1/devices", signed(claims(aud="another")))

@@ -81,7 +81,7 @@ def test_a_token_opens_what_its_scopes_say(provider: Provider, sqlite_settings: 
         assert client.get("/api/v1/devices").status_code == 401
         assert answer("GET", "/api/v1/devices", provider.token()) == 200
         assert answer("POST", "/api/v1/devices/sim/stop", provider.token()) == 403
-        all_of_it = provider.token(scope="read:stream admin:hardware")
+        all_of_it = provider.token(scope="read:stream operate:devices")
         assert answer("POST", "/api/v1/devices/sim/stop", all_of_it) == 200
         assert answer("GET", "/api/v1/devices", provider.token(aud="other")) == 401
         assert answer("GET", "/api/v1/devices", provider.token(exp=1)) == 401

@@ -1,5 +1,7 @@
 """The table of access: complete, as documented, and in the contract."""
 
+import subprocess
+import sys
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -15,7 +17,7 @@ from service.security.operation_scopes import OPERATION_SCOPES
 from service.settings import Settings
 from tests.service.fake_pipeline import FakePipeline, TestClient
 from tests.service.security.conftest import Secured
-from tests.service.security.documented_scopes import documented
+from tests.service.security.documented_scopes import documented, documented_tasks
 
 
 def test_the_guide_says_what_the_code_does() -> None:
@@ -27,6 +29,20 @@ def test_the_guide_says_what_the_code_does() -> None:
 @cache
 def contract() -> dict[str, Any]:
     return create_app(Settings()).openapi()
+
+
+def test_the_tables_of_the_guide_are_made_from_the_code() -> None:
+    root = Path(__file__).parents[3]
+    command = [sys.executable, root / "docs" / "generators" / "access.py", "--check"]
+    status = subprocess.run(command, cwd=root, check=False).returncode
+    assert status == 0, "run `python docs/generators/access.py`"
+
+
+def test_the_guide_proposes_scopes_that_there_are() -> None:
+    tasks = documented_tasks()
+    assert len(tasks) == 5
+    assert tasks["console of a treatment room"] == {"read:stream", "operate:holds"}
+    assert frozenset[str]().union(*tasks.values()) <= set(SCOPES)
 
 
 def test_the_guide_names_each_request_as_the_contract_does() -> None:

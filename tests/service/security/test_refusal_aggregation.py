@@ -76,7 +76,7 @@ def test_memory_is_bounded_and_nothing_is_lost() -> None:
 
 
 def refused(secured: Secured, **query: str) -> list[dict[str, Any]]:
-    admin = secured.key("admin:keys")
+    admin = secured.key("read:audit")
     answer = secured.client.get(
         "/api/v1/audit", params={"outcome": "refused", "limit": 200, **query},
         headers={"authorization": f"Bearer {admin}"},

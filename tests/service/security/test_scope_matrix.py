@@ -1,4 +1,8 @@
-"""Every route with every scope, and without: allowed where docs/how-to/security.md says so."""
+"""Every route with every credential: allowed where docs/how-to/security.md says so.
+
+Credentials are keys of one scope, of all but one, of the sets that the guide proposes and of the
+former scopes as the migration replaces them; none, and keys that are not valid.
+"""
 
 import time
 from collections.abc import Iterator
@@ -9,11 +13,12 @@ from typing import Any
 import pytest
 from starlette.websockets import WebSocketDisconnect
 
+from migrations.versions.v0013_scopes import REPLACED
 from service.principal import SCOPES
 from service.security.credential import BEARER_SUBPROTOCOL, SUBPROTOCOL
 from tests.service.fake_pipeline import WebSocketDenialResponse
 from tests.service.security.conftest import Secured
-from tests.service.security.documented_scopes import Row, documented
+from tests.service.security.documented_scopes import Row, documented, documented_tasks
 
 ROWS = documented()
 HTTP = [row for row in ROWS if row.method != "websocket"]
@@ -23,15 +28,19 @@ SOCKETS = [row for row in ROWS if row.method == "websocket"]
 WRONG = ("nonsense", "lumi_" + "a" * 12 + "_" + "b" * 43)
 
 
+CREDENTIALS: dict[str, frozenset[str]] = {
+    **{scope: frozenset({scope}) for scope in SCOPES},
+    **{f"all but {scope}": frozenset(SCOPES) - {scope} for scope in SCOPES},
+    **documented_tasks(),
+    **{f"former {scope}": frozenset(scopes) for scope, scopes in REPLACED.items()},
+}
+"""Scopes of the valid keys by name."""
+
+
 @pytest.fixture(scope="module")
 def keys(secured: Secured) -> dict[str, str]:
-    """A key of each scope alone, and one of all the others."""
-    only: dict[str, str] = {scope: secured.key(scope) for scope in SCOPES}
-    others = {
-        f"all but {scope}": secured.key(*(other for other in SCOPES if other != scope))
-        for scope in SCOPES
-    }
-    return only | others
+    """A key of each set of scopes."""
+    return {name: secured.key(*scopes) for name, scopes in CREDENTIALS.items()}  # type: ignore[arg-type]
 
 
 @pytest.fixture(scope="module")
@@ -47,10 +56,6 @@ def ask(secured: Secured, row: Row, key: str | None) -> Any:
     while "{" in path:
         path = path[: path.index("{")] + "nothing" + path[path.index("}") + 1 :]
     return secured.ask(row.method, path, key)
-
-
-def allowed(scope: str, key: str) -> bool:
-    return scope not in key if key.startswith("all but ") else scope == key
 
 
 @pytest.mark.slow
@@ -71,7 +76,7 @@ def test_every_operation(
         assert key is None or key not in refused.text
     for name, key in keys.items():
         answer = ask(secured, row, key)
-        if allowed(row.scope, name):
+        if row.scope in CREDENTIALS[name]:
             assert answer.status_code not in (401, 403, 500), (row, name, answer.text)
         else:
             assert answer.status_code == 403, (row, name, answer.text)
@@ -134,7 +139,7 @@ def test_every_websocket(
     for key in (None, *invalid):
         assert handshake(secured, row, key, by_header=by_header) == 401
     for name, key in keys.items():
-        expected = 101 if allowed(row.scope, name) else 403
+        expected = 101 if row.scope in CREDENTIALS[name] else 403
         assert handshake(secured, row, key, by_header=by_header) == expected
 
 

@@ -15,6 +15,9 @@ from validation.aberrations.lens_set_up import (
 )
 from validation.aberrations.tables_a_1_and_a_2 import TABLE_A1
 
+pytestmark = pytest.mark.slow
+
+
 # As `lumiline reproduce table-A.2` finds it for the whole line; rounded.
 FOUND = SetUp(24.49, -0.035, 0.0168, -0.0465)
 

@@ -1,6 +1,7 @@
 """A seeded part of the case: every calibration ends in the lowest minimum that is known."""
 
 import numpy as np
+import pytest
 
 from validation.calibration_convergence.case import (
     convergence,
@@ -10,6 +11,8 @@ from validation.calibration_convergence.case import (
     tally,
 )
 from validation.calibration_convergence.random_devices import random_device
+
+pytestmark = pytest.mark.slow
 
 
 def test_all_of_a_part_reach_the_global_minimum() -> None:

@@ -3,6 +3,8 @@ import pytest
 from validation.interpolators.case import METHODS, compare_maps, errors_table, findings
 from validation.interpolators.picture import draw
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def found():

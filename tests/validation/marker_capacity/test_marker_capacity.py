@@ -20,6 +20,9 @@ from validation.marker_capacity.monte_carlo import (
 from validation.marker_capacity.rigs import RIGS
 from validation.progress import progress_listener
 
+pytestmark = pytest.mark.slow
+
+
 THREE, FOUR, EIGHT = 0, 1, 7
 
 

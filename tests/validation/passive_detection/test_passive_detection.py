@@ -27,6 +27,9 @@ from validation.passive_detection.detection_rates import (
 )
 from validation.result_tables import TablesCase
 
+pytestmark = pytest.mark.slow
+
+
 SURE = 4.5
 """Standard errors that one of 60 correlated points exceeds once in 2,000 seeds."""
 

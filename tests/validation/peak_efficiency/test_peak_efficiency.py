@@ -49,6 +49,9 @@ from validation.peak_efficiency.non_gaussian import (
 )
 from validation.signal_chain.table_4_4 import close_markers
 
+pytestmark = pytest.mark.slow
+
+
 LINES = 2000
 SEED = 20
 

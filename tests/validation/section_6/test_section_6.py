@@ -40,6 +40,9 @@ from validation.section_6_2.scene import BACKGROUND_ELECTRONS, SEED, scans
 from validation.section_6_2.track_quality import sensor_track_quality, spatial_track_quality
 from validation.thesis_tracking.sensor_track import SensorTrack, TrackEnd
 
+pytestmark = pytest.mark.slow
+
+
 Array = NDArray[np.float64]
 
 SOME = 160

@@ -18,6 +18,9 @@ from tests.compute.tracking.moving_markers import MIDDLE_MM, PIXELS, Sensing, pe
 from validation.thesis_tracking.settings import ThesisMethod, ThesisSettings
 from validation.thesis_tracking.thesis_tracker import ThesisTracker
 
+pytestmark = pytest.mark.slow
+
+
 Array = NDArray[np.float64]
 
 STEP_S = 0.01

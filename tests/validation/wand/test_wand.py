@@ -1,10 +1,13 @@
 """The case wand: 200 poses of a bar against a frame of known points, on seeds of their own."""
 
 import numpy as np
+import pytest
 
 import validation.wand.case as wand
 from validation.all_cases import ALL_CASES
 from validation.wand.scene import aligned_errors, points, wand_markers
+
+pytestmark = pytest.mark.slow
 
 
 def test_200_poses_are_as_good_as_a_frame() -> None:

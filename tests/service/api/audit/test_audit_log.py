@@ -120,7 +120,7 @@ def test_every_change_of_a_device_and_its_calibration(client: Any) -> None:
 
 def test_the_next_reader_of_the_log_knows_who(module_client: Any) -> None:
     with module_client.app.state.database.write() as session:
-        row, made = store.add_key(session, name="ada", scopes=("write:calibration",))
+        row, made = store.add_key(session, name="ada", scopes=("activate:calibrations",))
         identity = row.id
     headers = {"authorization": f"Bearer {made.text}"}
     send(module_client, "POST", "/calibrations/sim-nominal/activate", 200, headers=headers)
@@ -131,7 +131,7 @@ def test_the_next_reader_of_the_log_knows_who(module_client: Any) -> None:
     refused = newest(module_client)
     assert (refused["outcome"], refused["operation"]) == ("refused", "stop-device")
     assert (refused["object_kind"], refused["object_id"]) == ("device", "sim")
-    assert "admin:hardware" in refused["detail"]
+    assert "operate:devices" in refused["detail"]
     assert entries(module_client, actor_id=identity, outcome="refused") == [refused]
     # Reading what one may not read is no attempt to change.
     before = len(entries(module_client))

@@ -68,6 +68,7 @@ def post(client: Any, request: Any) -> Any:
     return answer.json()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fit_scale", [False, True])
 def test_fitted_shadows_are_compute_s(sqlite_client: Any, fit_scale: bool) -> None:
     given_ = template()
@@ -178,6 +179,7 @@ def test_what_is_refused(sqlite_client: Any, method: dict[str, Any], words: list
         assert word in answer.json()["detail"]
 
 
+@pytest.mark.slow
 def test_detail_has_no_more_correlations_than_memory(sqlite_client: Any) -> None:
     long = {"cells": [0.0, 1.0] * 20_000, "reading_px": 0.0}
     request = body({"template": long}, scans=[[100] * 64] * 7, detail=True)

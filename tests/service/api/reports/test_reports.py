@@ -198,6 +198,7 @@ def test_pictures_are_written_beside_it(written: Path, page: str):
         assert file.read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
 def test_many_points_do_not_make_a_large_page(content: ReportContent):
     rows = np.random.default_rng(1).integers(0, 40, 4000)
     calibration = replace(

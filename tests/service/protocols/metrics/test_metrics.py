@@ -54,8 +54,8 @@ def busy(live: FakePipeline, sqlite_client: Any, monkeypatch: pytest.MonkeyPatch
     )
     link = LinkState("garbled", "noise", counters)
     live.states["bar"] = DeviceStatus(
-        "running", frames_received=100, frames_lost=7, frames_dropped_compute=5, frames_processed=90,
-        link=link, frames_not_tracked=8,
+        "running", frames_received=100, frames_lost=7, frames_dropped_compute=5,
+        frames_processed=90, link=link, frames_not_tracked=8,
     )  # fmt: skip
     latency = LatencyHistogram()
     for seconds in (0.0004, 0.0011, 0.0012, 99.0, -1.0):

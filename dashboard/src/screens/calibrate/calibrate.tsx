@@ -1,0 +1,181 @@
+/** Calibrate: light check, targets, capture, run, result, activation, one step after the other. */
+
+import { useSignal } from "@preact/signals";
+import { api, type Schemas, sent } from "../../api/client";
+import { device, type Device, loadDevices } from "../../devices";
+import { usePolled } from "../../live/polling";
+import { text } from "../../text";
+import { time } from "../../ui/format";
+import { Action, Badge, Failure, Panel, Table } from "../../ui/parts";
+import { CaptureSession } from "./capture_session";
+import { LightCheck } from "./light_check";
+import { CalibrationResult } from "./result";
+import { parseTargets, type Target } from "./targets";
+
+type Summary = Schemas["CalibrationSummary"];
+
+export function Calibrate() {
+  const shown = device.value;
+  return shown ? <DeviceCalibration key={shown.id} device={shown} /> : <p class="muted">{text.device.none}</p>;
+}
+
+function DeviceCalibration({ device: shown }: { device: Device }) {
+  const calibration = useSignal<string | null>(null);
+  return (
+    <>
+      <LightCheck device={shown} />
+      <Captures device={shown} calibrated={(id) => (calibration.value = id)} />
+      {calibration.value ? <CalibrationResult key={calibration.value} id={calibration.value} device={shown} /> : null}
+      <Calibrations device={shown} open={(id) => (calibration.value = id)} />
+    </>
+  );
+}
+
+/** The open capture session, or what begins one. */
+function Captures({ device: shown, calibrated }: { device: Device; calibrated: (id: string) => void }) {
+  const session = useSignal<string | null>(null);
+  const captures = usePolled(`captures ${shown.id}`, () =>
+    sent(api.GET("/api/v1/captures", { params: { query: { device: shown.id, limit: 20 } } })),
+  );
+  if (session.value)
+    return (
+      <CaptureSession
+        key={session.value}
+        id={session.value}
+        device={shown}
+        close={() => (session.value = null)}
+        calibrated={calibrated}
+      />
+    );
+  return (
+    <>
+      <NewSession device={shown} begun={(id) => (session.value = id)} />
+      <Panel title={text.calibrate.sessions}>
+        <Failure message={captures.error} />
+        <Table
+          caption={text.calibrate.sessions}
+          columns={[text.calibrate.session, text.calibrate.done, text.column.created, text.column.action]}
+          rows={captures.value?.items ?? []}
+          identity={({ id }) => id}
+          empty={captures.value ? text.calibrate.noSessions : text.loading}
+          row={(one) => [
+            one.id,
+            text.calibrate.progress(one.captured.length, one.targets.length),
+            time(one.created_at),
+            <button type="button" onClick={() => (session.value = one.id)}>
+              {text.calibrate.resume}
+            </button>,
+          ]}
+        />
+      </Panel>
+    </>
+  );
+}
+
+function NewSession({ device: shown, begun }: { device: Device; begun: (id: string) => void }) {
+  const table = useSignal("");
+  const marker = useSignal("");
+  const read = parsed(table.value);
+  const lit = marker.value === "" ? null : Number(marker.value);
+  return (
+    <Panel title={text.calibrate.targets}>
+      <p>{text.calibrate.targetsHelp}</p>
+      <div class="row">
+        <label>
+          {text.calibrate.file}{" "}
+          <input
+            type="file"
+            accept=".csv,.tsv,.txt,text/csv"
+            onChange={(event) => void readFile(event.currentTarget.files?.[0], (content) => (table.value = content))}
+          />
+        </label>
+        <label>
+          {text.calibrate.marker}{" "}
+          <input
+            type="number"
+            min={0}
+            max={65535}
+            value={marker.value}
+            onInput={(event) => (marker.value = event.currentTarget.value)}
+          />
+        </label>
+      </div>
+      <label>
+        {text.calibrate.table}
+        <textarea rows={5} value={table.value} onInput={(event) => (table.value = event.currentTarget.value)} />
+      </label>
+      {typeof read === "string" ? <Failure message={table.value.trim() ? read : null} /> : <p>{text.calibrate.read(read.length)}</p>}
+      <Action
+        label={text.calibrate.begin}
+        kind="primary"
+        operation="POST /api/v1/captures"
+        disabled={typeof read === "string"}
+        run={async () => {
+          if (typeof read === "string") return;
+          const settings = { frames: 50, seen_share: 0.8, timeout_s: 10, marker: lit };
+          const body = { device: shown.id, targets: read, settings, note: "" };
+          begun((await sent(api.POST("/api/v1/captures", { body }))).id);
+        }}
+      />
+    </Panel>
+  );
+}
+
+/** Return the targets of a table, or why there are none. */
+function parsed(table: string): Target[] | string {
+  try {
+    return parseTargets(table);
+  } catch (error) {
+    return (error as Error).message;
+  }
+}
+
+async function readFile(file: File | undefined, take: (content: string) => void): Promise<void> {
+  if (!file) return;
+  const content = new Uint8Array(await file.arrayBuffer());
+  // What spreadsheet programs call Unicode is UTF-16 with a byte order mark.
+  const encoding = content[0] === 0xff && content[1] === 0xfe ? "utf-16le" : content[0] === 0xfe && content[1] === 0xff ? "utf-16be" : "utf-8";
+  take(new TextDecoder(encoding).decode(content));
+}
+
+/** All calibrations of the device: open, activate, roll back. */
+function Calibrations({ device: shown, open }: { device: Device; open: (id: string) => void }) {
+  const calibrations = usePolled(`calibrations ${shown.id} ${shown.active_calibration_id}`, () =>
+    sent(api.GET("/api/v1/calibrations", { params: { query: { device: shown.id, limit: 50 } } })),
+  );
+  const path = { params: { path: { device_id: shown.id } } };
+  return (
+    <Panel
+      title={text.calibrate.calibrations}
+      actions={
+        <Action
+          label={text.calibrate.rollBack}
+          operation="POST /api/v1/devices/{device_id}/roll-back"
+          confirm={text.calibrate.rollBackQuestion}
+          run={() => sent(api.POST("/api/v1/devices/{device_id}/roll-back", path))}
+          done={async () => {
+            await loadDevices();
+            await calibrations.refresh();
+          }}
+        />
+      }
+    >
+      <Failure message={calibrations.error} />
+      <Table
+        caption={text.calibrate.calibrations}
+        columns={[text.column.name, text.column.state, text.calibrate.provenance, text.calibrate.points, text.column.created]}
+        rows={calibrations.value?.items ?? []}
+        identity={({ id }) => id}
+        empty={calibrations.value ? text.calibrate.none : text.loading}
+        select={(id) => open(String(id))}
+        row={(one: Summary) => [
+          one.id,
+          <Badge kind={one.state === "active" ? "good" : "idle"}>{one.state}</Badge>,
+          one.provenance,
+          one.point_count,
+          time(one.created_at),
+        ]}
+      />
+    </Panel>
+  );
+}

@@ -1,0 +1,104 @@
+"""The dashboard in a real browser, against the real service."""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+
+from hardware.simulated.calibration_target import calibration_target_points_mm
+from tests.dashboard.conftest import Visit
+
+pytestmark = pytest.mark.slow
+
+AXE = Path(__file__).parents[2] / "dashboard" / "node_modules" / "axe-core" / "axe.min.js"
+SCREENS = ("Scene", "Calibrate", "Tools", "Beam holds", "Recordings", "Health", "Administration")
+
+
+def show(server: str, scene: dict[str, Any]) -> None:
+    """Let the simulated device show a scene, from its start."""
+    source = {"kind": "simulated", "settings": {"scene": scene}}
+    device = f"{server}/api/v1/devices/sim"
+    httpx.patch(device, json={"source": source}, timeout=60).raise_for_status()
+    httpx.post(f"{device}/start", timeout=60).raise_for_status()
+
+
+def test_scene_shows_the_markers_of_the_running_device(visit: Visit):
+    show(visit.url, {"kind": "rotating-bar"})
+    rows = visit.page.get_by_role("region", name="Points").locator("tbody tr")
+    rows.first.wait_for()
+    assert re.search(r"-?\d+\.\d+, -?\d+\.\d+, -?\d+\.\d+", rows.first.inner_text())
+
+
+def test_device_is_calibrated_by_clicks_alone(visit: Visit):
+    show(visit.url, {"kind": "calibration-frame"})
+    page = visit.page
+    visit.screen("Calibrate")
+    check = page.get_by_role("region", name="Light check")
+    check.last.get_by_text("good", exact=True).first.wait_for()
+    lines = ["name;X [mm];Y [mm];Z [mm];marker"]
+    for number, (x, y, z) in enumerate(calibration_target_points_mm()):
+        lines.append(f"LED {number + 1};{x:.3f};{y:.3f};{z:.3f};{number}".replace(".", ","))
+    page.get_by_label("File").set_input_files(
+        {"name": "frame.csv", "mimeType": "text/csv", "buffer": "\r\n".join(lines).encode("utf-16")}
+    )
+    page.get_by_text("19 targets read.").wait_for()
+    page.get_by_role("button", name="Begin capturing").click()
+    page.get_by_role("button", name="Capture all").click()
+    page.get_by_text("ALL CAPTURED").wait_for()
+    page.get_by_role("button", name="Compute the calibration").click()
+    page.get_by_text("left out one by one: what a new marker will have").wait_for()
+    page.get_by_role("button", name="Activate").click()
+    result = page.get_by_role("region", name=re.compile("^Calibration "))
+    result.get_by_text("active", exact=True).wait_for()
+    device = httpx.get(f"{visit.url}/api/v1/devices/sim").json()
+    found = httpx.get(f"{visit.url}/api/v1/calibrations/{device['active_calibration_id']}").json()
+    assert found["provenance"] == "fitted"
+    # The simulated sensors' readings are good to some hundredths of a pixel.
+    assert max(found["errors"]["leave_one_out"]["statistics"]["mean_absolute_mm"]) < 1.0
+    visit.screen("Scene")
+    page.get_by_role("region", name="Points").locator("tbody tr").first.wait_for()
+
+
+def test_wrong_table_of_targets_is_refused_with_what_to_change(visit: Visit):
+    visit.screen("Calibrate")
+    visit.page.get_by_label("Table").fill("X,Y\n1,2\n")
+    visit.page.get_by_text('There is no column Z in the heading "X,Y".').wait_for()
+    assert visit.page.get_by_role("button", name="Begin capturing").is_disabled()
+
+
+@pytest.mark.parametrize("name", ["<img src=x onerror=alert(1)>", "<script>alert(1)</script>"])
+def test_markup_in_a_title_is_shown_as_text(visit: Visit, name: str):
+    httpx.patch(f"{visit.url}/api/v1/devices/sim", json={"title": name}).raise_for_status()
+    try:
+        visit.page.get_by_role("option", name=name).wait_for(state="attached")
+    finally:
+        body = {"title": "Simulated"}
+        httpx.patch(f"{visit.url}/api/v1/devices/sim", json=body).raise_for_status()
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("screen", SCREENS)
+def test_no_serious_finding_of_axe(visit: Visit, screen: str, scheme: Any):
+    visit.page.emulate_media(color_scheme=scheme)
+    visit.screen(screen)
+    visit.page.get_by_role("heading", name=screen, level=1).wait_for(state="attached")
+    visit.page.wait_for_timeout(1000)
+    visit.page.evaluate(AXE.read_text())
+    found = visit.page.evaluate("axe.run()")
+    assert found["passes"]
+    serious = [
+        (violation["id"], [node["html"] for node in violation["nodes"]])
+        for violation in found["violations"]
+        if violation["impact"] in ("serious", "critical")
+    ]
+    assert not serious
+
+
+@pytest.mark.parametrize("screen", ["Beam holds", "Tools", "Health"])
+def test_screen_fits_a_phone(visit: Visit, screen: str):
+    visit.page.set_viewport_size({"width": 375, "height": 700})
+    visit.screen(screen)
+    visit.page.wait_for_timeout(500)
+    assert visit.page.evaluate("document.documentElement.scrollWidth") <= 375

@@ -127,12 +127,12 @@ function DeviceChoice() {
 }
 
 function DeviceState({ id }: { id: string }) {
-  const status = usePolled(
-    `status ${id}`,
-    () => sent(api.GET("/api/v1/devices/{device_id}/status", { params: { path: { device_id: id } } })),
+  const polled = usePolled(
+    `state ${id}`,
+    () => sent(api.GET("/api/v1/devices/{device_id}/state", { params: { path: { device_id: id } } })),
     2,
   );
-  const now = status.value?.status;
+  const now = polled.value;
   const state = now?.state;
   if (!state) return null;
   const path = { params: { path: { device_id: id } } };
@@ -146,7 +146,7 @@ function DeviceState({ id }: { id: string }) {
           label={text.device.start}
           operation="POST /api/v1/devices/{device_id}/start"
           run={() => sent(api.POST("/api/v1/devices/{device_id}/start", path))}
-          done={status.refresh}
+          done={polled.refresh}
         />
       ) : null}
     </>

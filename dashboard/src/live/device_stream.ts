@@ -57,8 +57,8 @@ export class DeviceStream {
   }
 
   private connect(used: string | null): void {
-    const query = new URLSearchParams({ device: this.device });
-    query.set("content", this.content.length ? this.content.join(",") : "status");
+    const query = new URLSearchParams({ device_id: this.device });
+    query.set("content", this.content.length ? this.content.join(",") : "state");
     if (this.content.length) query.set("rate_hz", String(this.rateHz));
     const address = new URL(`/api/v1/stream?${query}`, location.href);
     address.protocol = address.protocol.replace("http", "ws");
@@ -130,13 +130,13 @@ export class DeviceStream {
           this.frame.value = message;
           if (message.holds) this.setHolds(message.holds);
           break;
-        case "status":
+        case "state":
           this.state.value = message.state;
           this.reason.value = message.reason;
           if (message.state !== "running") this.frame.value = null;
           break;
         case "hold":
-          this.holds.value = new Map(this.holds.value).set(message.hold, message);
+          this.holds.value = new Map(this.holds.value).set(message.hold_id, message);
           break;
         case "missed":
           break;
@@ -145,6 +145,6 @@ export class DeviceStream {
   }
 
   private setHolds(holds: readonly HoldSample[]): void {
-    this.holds.value = new Map(holds.map((hold) => [hold.hold, hold]));
+    this.holds.value = new Map(holds.map((hold) => [hold.hold_id, hold]));
   }
 }

@@ -153,7 +153,7 @@ function Audit() {
         identity={({ id }) => id}
         empty={entries.value ? text.missing : text.loading}
         row={(entry) => [
-          time(entry.at),
+          time(entry.created_at),
           entry.actor.name || entry.actor.id,
           entry.operation,
           [entry.object_kind, entry.object_id].filter(Boolean).join(" "),

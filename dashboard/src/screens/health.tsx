@@ -7,7 +7,7 @@ import { text } from "../text";
 import { significant, time } from "../ui/format";
 import { Action, Badge, Failure, Panel, Table } from "../ui/parts";
 
-type DeviceStatus = Schemas["DeviceStatus"];
+type DeviceStatus = Schemas["DeviceStateDocument"];
 
 interface Row {
   readonly id: string;
@@ -49,13 +49,13 @@ const last = new Map<string, { frames: number; at: number }>();
 async function statuses(): Promise<readonly Row[]> {
   return Promise.all(
     devices.value.map(async ({ id }) => {
-      const { status } = await sent(
-        api.GET("/api/v1/devices/{device_id}/status", { params: { path: { device_id: id } } }),
+      const status = await sent(
+        api.GET("/api/v1/devices/{device_id}/state", { params: { path: { device_id: id } } }),
       );
       const now = performance.now();
       const before = last.get(id);
-      last.set(id, { frames: status.frames, at: now });
-      const rateHz = before && now > before.at ? ((status.frames - before.frames) * 1000) / (now - before.at) : null;
+      last.set(id, { frames: status.frames_received, at: now });
+      const rateHz = before && now > before.at ? ((status.frames_received - before.frames) * 1000) / (now - before.at) : null;
       return { id, status, rateHz: rateHz === null || rateHz < 0 ? null : rateHz };
     }),
   );
@@ -79,9 +79,9 @@ function Devices() {
           </Badge>,
           status.reason ?? status.link?.reason ?? "",
           significant(rateHz, 3),
-          status.frames,
-          status.frames_lost_device,
-          status.frames_dropped_ring,
+          status.frames_received,
+          status.frames_lost,
+          status.frames_dropped_compute,
           status.subscribers,
           status.link?.state ?? text.missing,
           significant(status.link?.clock_uncertainty_us, 2),
@@ -106,7 +106,7 @@ function Runs() {
         row={(run) => [
           run.id,
           run.kind,
-          run.device,
+          run.device_id,
           <span title={run.problem?.detail}>
             <Badge kind={run.state === "succeeded" ? "good" : run.state === "failed" ? "bad" : "idle"}>{run.state}</Badge>
           </span>,

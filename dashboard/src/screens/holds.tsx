@@ -17,14 +17,14 @@ export function Holds() {
     sent(api.GET("/api/v1/beam-holds", { params: { query: { limit: 100 } } })),
   );
   const items = holds.value?.items ?? [];
-  const devices = [...new Set(items.map((hold) => hold.device))];
+  const devices = [...new Set(items.map((hold) => hold.device_id))];
   return (
     <>
       <Failure message={holds.error} />
       {holds.value && !items.length ? <p class="muted">{text.holds.none}</p> : null}
       <div class="board">
         {devices.map((device) => (
-          <DeviceHolds key={device} device={device} holds={items.filter((hold) => hold.device === device)} />
+          <DeviceHolds key={device} device={device} holds={items.filter((hold) => hold.device_id === device)} />
         ))}
       </div>
     </>

@@ -41,17 +41,17 @@ export function Recordings() {
         caption={text.screens.recordings}
         columns={[text.column.name, text.column.device, text.column.state, text.column.frames, text.column.duration, text.column.size, text.column.started, text.column.action]}
         rows={recordings.value?.items ?? []}
-        identity={(recording) => recording.name}
+        identity={(recording) => recording.id}
         empty={recordings.value ? text.recordings.none : text.loading}
         row={(recording) => [
-          recording.name,
-          recording.device ?? text.missing,
+          recording.id,
+          recording.device_id ?? text.missing,
           <span title={recording.reason ?? undefined}>
             <Badge kind={recording.state === "recording" ? "warn" : recording.reason ? "bad" : "idle"}>
               {recording.state}
             </Badge>
           </span>,
-          recording.frames ?? text.missing,
+          recording.frames_written ?? text.missing,
           significant(recording.duration_s, 3),
           bytes(recording.size_bytes),
           time(recording.started_at),
@@ -63,14 +63,14 @@ export function Recordings() {
 }
 
 function Actions({ recording, refresh }: { recording: Recording; refresh: () => Promise<void> }) {
-  const path = { path: { name: recording.name } };
+  const path = { path: { recording_id: recording.id } };
   if (recording.state === "recording")
     return (
       <Action
         label={text.recordings.stop}
         kind="primary"
-        operation="POST /api/v1/recordings/{name}/stop"
-        run={() => sent(api.POST("/api/v1/recordings/{name}/stop", { params: path }))}
+        operation="POST /api/v1/recordings/{recording_id}/stop"
+        run={() => sent(api.POST("/api/v1/recordings/{recording_id}/stop", { params: path }))}
         done={refresh}
       />
     );
@@ -84,15 +84,15 @@ function Actions({ recording, refresh }: { recording: Recording; refresh: () => 
       />
       <Action
         label={text.recordings.save}
-        operation="GET /api/v1/recordings/{name}/file"
-        run={() => save(recording.name)}
+        operation="GET /api/v1/recordings/{recording_id}/file"
+        run={() => save(recording.id)}
       />
       <Action
         label={text.recordings.remove}
         kind="danger"
-        operation="DELETE /api/v1/recordings/{name}"
-        confirm={text.confirm.remove(recording.name)}
-        run={() => sent(api.DELETE("/api/v1/recordings/{name}", { params: path }))}
+        operation="DELETE /api/v1/recordings/{recording_id}"
+        confirm={text.confirm.remove(recording.id)}
+        run={() => sent(api.DELETE("/api/v1/recordings/{recording_id}", { params: path }))}
         done={refresh}
       />
     </div>
@@ -101,12 +101,12 @@ function Actions({ recording, refresh }: { recording: Recording; refresh: () => 
 
 /** Play a recording as a device of its own, which the scene then shows. */
 async function play(recording: Recording): Promise<void> {
-  const id = `replay-${recording.name.replace(/\.[^.]*$/, "").replace(/[^a-z0-9-]+/gi, "-").toLowerCase()}`.slice(0, 60);
+  const id = `replay-${recording.id.replace(/\.[^.]*$/, "").replace(/[^a-z0-9-]+/gi, "-").toLowerCase()}`.slice(0, 60);
   const known = await loadDevices();
   if (!known.some((one) => one.id === id))
     await sent(
       api.POST("/api/v1/devices", {
-        body: { id, title: recording.name, source: { kind: "replay", recording: recording.name } },
+        body: { id, title: recording.id, source: { kind: "replay", recording_id: recording.id } },
       } as never),
     );
   await sent(api.POST("/api/v1/devices/{device_id}/start", { params: { path: { device_id: id } } }));

@@ -26,7 +26,7 @@ function DeviceTools({ id }: { id: string }) {
   const stream = held.current;
   useEffect(() => () => stream.close(), []);
   const tools = usePolled(`tools ${id}`, () =>
-    sent(api.GET("/api/v1/tools", { params: { query: { device: id, limit: 100 } } })),
+    sent(api.GET("/api/v1/tools", { params: { query: { device_id: id, limit: 100 } } })),
   );
   const poses = useThrottled(() => stream.frame.value?.tools ?? [], 4);
   return (
@@ -41,7 +41,7 @@ function DeviceTools({ id }: { id: string }) {
           identity={(tool) => tool.id}
           empty={tools.value ? text.tools.none : text.loading}
           row={(tool) => {
-            const pose = poses.find((one) => one.tool === tool.id);
+            const pose = poses.find((one) => one.tool_id === tool.id);
             return [
               tool.title || tool.id,
               pose ? <Badge kind={pose.status === "OK" ? "good" : pose.translation_mm ? "warn" : "bad"}>{pose.status}</Badge> : text.missing,
@@ -71,7 +71,7 @@ function ToolActions({ tool, tools }: { tool: Tool; tools: Polled<ToolPage> }) {
       <Action
         label={text.tools.pivot}
         operation="POST /api/v1/tools/{tool_id}/pivot-calibrations"
-        run={() => sent(api.POST("/api/v1/tools/{tool_id}/pivot-calibrations", { params: path, body: { seconds: 10, poses: 500, relative: true, apply: true } }))}
+        run={() => sent(api.POST("/api/v1/tools/{tool_id}/pivot-calibrations", { params: path, body: { duration_s: 10, poses: 500, relative: true, apply: true } }))}
         done={tools.refresh}
       />
       <Action
@@ -112,7 +112,7 @@ function DefineTool({ device: shown, tools }: { device: string; tools: Polled<To
           operation="POST /api/v1/tool-captures"
           disabled={!id.value}
           run={() =>
-            sent(api.POST("/api/v1/tool-captures", { body: { id: id.value, device: shown, title: id.value, note: "", seconds: 2, markers: markers.value } }))
+            sent(api.POST("/api/v1/tool-captures", { body: { id: id.value, device_id: shown, title: id.value, note: "", duration_s: 2, markers: markers.value } }))
           }
           done={tools.refresh}
         />

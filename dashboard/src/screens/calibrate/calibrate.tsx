@@ -35,7 +35,7 @@ function DeviceCalibration({ device: shown }: { device: Device }) {
 function Captures({ device: shown, calibrated }: { device: Device; calibrated: (id: string) => void }) {
   const session = useSignal<string | null>(null);
   const captures = usePolled(`captures ${shown.id}`, () =>
-    sent(api.GET("/api/v1/captures", { params: { query: { device: shown.id, limit: 20 } } })),
+    sent(api.GET("/api/v1/captures", { params: { query: { device_id: shown.id, limit: 20 } } })),
   );
   if (session.value)
     return (
@@ -113,7 +113,7 @@ function NewSession({ device: shown, begun }: { device: Device; begun: (id: stri
         run={async () => {
           if (typeof read === "string") return;
           const settings = { frames: 50, seen_share: 0.8, timeout_s: 10, marker: lit };
-          const body = { device: shown.id, targets: read, settings, note: "" };
+          const body = { device_id: shown.id, targets: read, settings, note: "" };
           begun((await sent(api.POST("/api/v1/captures", { body }))).id);
         }}
       />
@@ -141,7 +141,7 @@ async function readFile(file: File | undefined, take: (content: string) => void)
 /** All calibrations of the device: open, activate, roll back. */
 function Calibrations({ device: shown, open }: { device: Device; open: (id: string) => void }) {
   const calibrations = usePolled(`calibrations ${shown.id} ${shown.active_calibration_id}`, () =>
-    sent(api.GET("/api/v1/calibrations", { params: { query: { device: shown.id, limit: 50 } } })),
+    sent(api.GET("/api/v1/calibrations", { params: { query: { device_id: shown.id, limit: 50 } } })),
   );
   const path = { params: { path: { device_id: shown.id } } };
   return (

@@ -207,8 +207,8 @@ function RunPanel({ capture, calibrated }: { capture: Capture; calibrated: (cali
           disabled={active || capture.captured.length === 0}
           run={async () => {
             const body = {
-              device: capture.device,
-              capture: capture.id,
+              device_id: capture.device_id,
+              capture_id: capture.id,
               distortion: "auto" as const,
               loss: "linear" as const,
               labels: "report" as const,

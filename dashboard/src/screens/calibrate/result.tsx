@@ -125,12 +125,12 @@ function Labels({ calibration }: { calibration: Document }) {
 
 function ComparedWith({ active, id }: { active: string; id: string }) {
   const open = useSignal(false);
-  const path = { params: { path: { calibration_id: active, other_id: id } } };
+  const path = { params: { path: { calibration_id: active, other_calibration_id: id } } };
   const comparison = usePolled(
     `compare ${active} ${id} ${open.value}`,
     async () =>
       open.value
-        ? await sent(api.GET("/api/v1/calibrations/{calibration_id}/compare/{other_id}", path))
+        ? await sent(api.GET("/api/v1/calibrations/{calibration_id}/compare/{other_calibration_id}", path))
         : null,
     3600,
   );

@@ -199,7 +199,7 @@ function Selected({ frame, picked }: { frame: Frame | null; picked: Picked | nul
 }
 
 function numbersOf(frame: Frame, picked: Picked): object | null {
-  if (picked.kind === "tool") return frame.tools?.find(({ tool }) => tool === picked.id) ?? null;
+  if (picked.kind === "tool") return frame.tools?.find(({ tool_id }) => tool_id === picked.id) ?? null;
   return (
     frame.tracks?.find((track) => markerName(track) === picked.id) ??
     frame.points?.find((point, index) => pointName(point, index) === picked.id) ??
@@ -223,7 +223,7 @@ function Tables({ frame, state, selected, select }: TablesProps) {
           caption={text.scene.tools}
           columns={[text.column.tool, text.column.status, text.column.tip, text.column.sigma, text.column.residual, text.column.detectable, text.column.reason]}
           rows={frame?.tools ?? []}
-          identity={(tool) => tool.tool}
+          identity={(tool) => tool.tool_id}
           selected={selected}
           select={(id) => select("tool", String(id))}
           empty={text.tools.none}
@@ -273,11 +273,11 @@ function Tables({ frame, state, selected, select }: TablesProps) {
 }
 
 function toolRow(tool: ToolPose, frame: Frame | null, state: SceneState) {
-  const lost = frame && tool.status !== "OK" ? state.lostFor(tool.tool, frame) : null;
+  const lost = frame && tool.status !== "OK" ? state.lostFor(tool.tool_id, frame) : null;
   const ago = lost === null ? null : text.scene.lastSeen(significant(lost, 2));
   const posed = tool.translation_mm !== null;
   return [
-    tool.tool,
+    tool.tool_id,
     <Badge kind={tool.status === "OK" ? "good" : posed ? "warn" : "bad"}>{tool.status}</Badge>,
     position(tool.tip_mm ?? tool.translation_mm, tool.tip_covariance_mm2),
     significant(meanSigma(tool.tip_covariance_mm2), 2),

@@ -3,7 +3,7 @@ import type { Frame, ToolPose } from "../../live/messages";
 import { SceneState } from "./scene_state";
 
 const POSE: ToolPose = {
-  tool: "pointer", status: "OK", reason: null, translation_mm: [1, 2, 3],
+  tool_id: "pointer", status: "OK", reason: null, translation_mm: [1, 2, 3],
   rotation: [[1, 0, 0], [0, 1, 0], [0, 0, 1]], quaternion_wxyz: [1, 0, 0, 0], covariance: null,
   tip_mm: null, tip_covariance_mm2: null, residual_sigma: 1, markers_used: 4, readings_used: 16,
   velocity_mm_s: null, angular_velocity_rad_s: null, detectable_sigma: 4, external_tip_mm: 0.1,

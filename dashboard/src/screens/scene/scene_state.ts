@@ -40,13 +40,13 @@ export class SceneState {
 
   private drawn(pose: ToolPose, at: number): DrawnTool[] {
     if (pose.rotation && pose.translation_mm) {
-      this.lastPoses.set(pose.tool, { pose, at });
-      const label = pose.status === "OK" ? pose.tool : `${pose.tool}: ${pose.reason ?? pose.status}`;
-      return [{ id: pose.tool, pose, ghost: false, label }];
+      this.lastPoses.set(pose.tool_id, { pose, at });
+      const label = pose.status === "OK" ? pose.tool_id : `${pose.tool_id}: ${pose.reason ?? pose.status}`;
+      return [{ id: pose.tool_id, pose, ghost: false, label }];
     }
-    const last = this.lastPoses.get(pose.tool);
-    const label = `${pose.tool}: ${pose.reason ?? pose.status}`;
-    return last ? [{ id: pose.tool, pose: last.pose, ghost: true, label }] : [];
+    const last = this.lastPoses.get(pose.tool_id);
+    const label = `${pose.tool_id}: ${pose.reason ?? pose.status}`;
+    return last ? [{ id: pose.tool_id, pose: last.pose, ghost: true, label }] : [];
   }
 }
 

@@ -18,6 +18,7 @@ from service.api.calibrations.examples import NEW_CALIBRATIONS
 from service.api.correction_tables.hdf5_file import write_table
 from service.api.correction_tables.table_content import MEDIA_TYPE
 from service.api.drift_checks.examples import NEW_DRIFT_CHECKS
+from service.api.paging import Paging
 from service.api.reconstructions.examples import NEW_RECONSTRUCTIONS
 from service.api.runs.examples import NEW_MAPPING_RUNS, NEW_SELF_CALIBRATION_RUNS, NEW_UPDATE_RUNS
 from service.application.app import create_app
@@ -400,6 +401,16 @@ builds("calibration changed")(
 builds("calibration deleted")(lambda: Sent("DELETE", "/api/v1/calibrations/sim-nominal"))
 builds("unknown path")(lambda: Sent("GET", "/api/v1/cameras"))
 builds("page size out of bounds")(lambda: Sent("GET", "/api/v1/calibrations?limit=1000"))
+builds("cursor that is none")(lambda: Sent("GET", "/api/v1/calibrations?cursor=abc"))
+builds("unknown name in the query")(lambda: Sent("GET", "/api/v1/calibrations?device=sim"))
+
+
+@builds("cursor of another list")
+def _() -> Sent:
+    cursor = Paging(1, None, "another").cursor(["2024-02-29T12:00:00+00:00", "sim-nominal"])
+    return Sent("GET", f"/api/v1/calibrations?cursor={cursor}")
+
+
 builds("unknown state")(lambda: Sent("GET", "/api/v1/calibrations?state=broken"))
 builds("unknown reconstruction")(lambda: Sent("GET", "/api/v1/reconstructions/nothing"))
 builds("unknown device profile")(lambda: Sent("GET", "/api/v1/device-profiles/nothing"))

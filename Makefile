@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: demo test test-slow lint docs serve clean help dashboard dashboard-types
+.PHONY: demo test test-slow lint docs serve clean help dashboard dashboard-types screenshots
 
 help:
 	@echo "make demo   the main job, end to end: real service, simulated device, measured frames"
@@ -77,6 +77,10 @@ dashboard: $(NODE_STAMP)
 	$(NODE) node_modules/typescript/bin/tsc --noEmit
 	$(NODE) node_modules/vitest/vitest.mjs run
 	$(BIN)/python dashboard/packaging/page_backend.py
+
+# Needs Chromium.
+screenshots: $(STAMP) $(PAGE)
+	$(BIN)/python docs/generators/screenshots.py
 
 dashboard-types: $(NODE_STAMP)
 	$(BIN)/python dashboard/types/make_types.py

@@ -121,6 +121,8 @@ export const text = {
     unknownReason: "No connection to the server: nothing is known.",
     since: (time: string) => `since ${time}`,
     acknowledge: "Acknowledge",
+    reference: "Measure the reference",
+    referenceQuestion: "Is the patient set up and at rest?",
   },
   recordings: {
     none: "There are no recordings.",

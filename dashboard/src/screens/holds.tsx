@@ -61,6 +61,19 @@ function DeviceHolds({ device, holds }: { device: string; holds: readonly Hold[]
                 }
               />
             ) : null}
+            <Action
+              label={text.holds.reference}
+              operation="POST /api/v1/beam-holds/{hold_id}/reference"
+              confirm={text.holds.referenceQuestion}
+              run={() =>
+                sent(
+                  api.POST("/api/v1/beam-holds/{hold_id}/reference", {
+                    params: { path: { hold_id: hold.id } },
+                    body: { frames: 100, timeout_s: 10, max_scatter_mm: 0.5 },
+                  }),
+                )
+              }
+            />
           </article>
         );
       })}

@@ -178,6 +178,14 @@ function pointName(point: Point, index: number): string {
   return point.marker === null ? `point ${index}` : `marker ${point.marker}`;
 }
 
+/** A value for people; "Copy" has all digits. */
+function shortened(value: unknown): string {
+  if (value === null || value === undefined) return text.missing;
+  if (typeof value === "number") return Number.isInteger(value) ? String(value) : significant(value, 5);
+  if (Array.isArray(value)) return value.length ? value.map((item) => (Array.isArray(item) ? `(${shortened(item)})` : shortened(item))).join(", ") : text.missing;
+  return String(value);
+}
+
 function Selected({ frame, picked }: { frame: Frame | null; picked: Picked | null }) {
   const numbers = frame && picked ? numbersOf(frame, picked) : null;
   return (
@@ -187,7 +195,7 @@ function Selected({ frame, picked }: { frame: Frame | null; picked: Picked | nul
           {Object.entries(numbers).map(([name, value]) => (
             <div key={name}>
               <dt>{name}</dt>
-              <dd>{typeof value === "object" ? JSON.stringify(value) : String(value)}</dd>
+              <dd>{shortened(value)}</dd>
             </div>
           ))}
         </dl>

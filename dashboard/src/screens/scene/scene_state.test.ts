@@ -59,4 +59,18 @@ describe("SceneState", () => {
     state.take(frameOf({ tracks: [track] }));
     expect(state.markers[0]?.tail).toHaveLength(1);
   });
+
+  test("strobed markers stay for a while between their exposures, others do not", () => {
+    const state = new SceneState();
+    const point = (marker: number | null, x: number) => ({ marker, position_mm: [x, 0, 0], covariance_mm2: null, flags: [] });
+    state.take(frameOf({ points: [point(0, 1)] }, 0));
+    state.take(frameOf({ points: [point(1, 2)] }, 0.1));
+    expect(state.markers.map(({ id }) => id)).toEqual(["marker 0", "marker 1"]);
+    state.take(frameOf({ points: [point(1, 3)] }, 0.35));
+    expect(state.markers.map(({ id, position }) => [id, position[0]])).toEqual([["marker 1", 3]]);
+    expect(state.markers[0]?.tail).toHaveLength(2);
+    state.take(frameOf({ points: [point(null, 4)] }, 1));
+    state.take(frameOf({ points: [] }, 1.01));
+    expect(state.markers).toEqual([]);
+  });
 });

@@ -4,21 +4,32 @@ import { type Frame, toMilliseconds, type ToolPose } from "../../live/messages";
 import type { DrawnTool, Marker } from "./scene_view";
 
 const TAIL_POSITIONS = 60;
+/** A strobed marker is lit in few frames; it is shown until it is this old. */
+const STROBED_MS = 300;
 
 /** Remembers what a single frame does not say. */
 export class SceneState {
   markers: readonly Marker[] = [];
   tools: readonly DrawnTool[] = [];
+  private readonly strobed = new Map<string, { marker: Marker; since: number }>();
   private readonly tails = new Map<string, (readonly number[])[]>();
   private readonly lastPoses = new Map<string, { pose: ToolPose; at: number }>();
 
   /** Take a frame. */
   take(frame: Frame): void {
-    const markers = frame.tracks?.length ? trackMarkers(frame) : pointMarkers(frame);
-    const kept = new Set(markers.map(({ id }) => id));
-    for (const id of this.tails.keys()) if (!kept.has(id)) this.tails.delete(id);
-    this.markers = markers.map((marker) => ({ ...marker, tail: this.tailOf(marker) }));
     const at = toMilliseconds(frame.exposure_ns);
+    if (frame.tracks?.length) {
+      this.strobed.clear();
+      this.markers = trackMarkers(frame).map((marker) => this.withTail(marker));
+    } else {
+      const points = pointMarkers(frame).map((marker) => this.withTail(marker));
+      for (const [id, { since }] of this.strobed) if (Math.abs(at - since) > STROBED_MS) this.strobed.delete(id);
+      for (const marker of points) if (marker.id.startsWith("marker ")) this.strobed.set(marker.id, { marker, since: at });
+      const unnamed = points.filter(({ id }) => !this.strobed.has(id));
+      this.markers = [...unnamed, ...[...this.strobed.values()].map(({ marker }) => marker)];
+    }
+    const kept = new Set(this.markers.map(({ id }) => id));
+    for (const id of this.tails.keys()) if (!kept.has(id)) this.tails.delete(id);
     this.tools = (frame.tools ?? []).flatMap((pose) => this.drawn(pose, at));
   }
 
@@ -28,14 +39,14 @@ export class SceneState {
     return last ? Math.max(0, (toMilliseconds(frame.exposure_ns) - last.at) / 1000) : null;
   }
 
-  private tailOf(marker: Omit<Marker, "tail">): readonly (readonly number[])[] {
+  private withTail(marker: Omit<Marker, "tail">): Marker {
     // Points have no identity from frame to frame, but strobed ones have.
-    if (marker.id.startsWith("point ")) return [];
+    if (marker.id.startsWith("point ")) return { ...marker, tail: [] };
     const tail = this.tails.get(marker.id) ?? [];
     tail.push(marker.position);
     if (tail.length > TAIL_POSITIONS) tail.shift();
     this.tails.set(marker.id, tail);
-    return tail;
+    return { ...marker, tail };
   }
 
   private drawn(pose: ToolPose, at: number): DrawnTool[] {

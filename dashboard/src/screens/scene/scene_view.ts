@@ -2,6 +2,7 @@
 
 import {
   AxesHelper,
+  Box3,
   BoxGeometry,
   BufferAttribute,
   BufferGeometry,
@@ -25,6 +26,7 @@ import {
   SphereGeometry,
   Sprite,
   SpriteMaterial,
+  SRGBColorSpace,
   Vector2,
   Vector3,
   WebGLRenderer,
@@ -156,7 +158,7 @@ export class SceneView {
     }
     const matrix = new Matrix4();
     const colour = new Color();
-    const small = Math.max(MIN_RADIUS_MM, this.extent / 120);
+    const small = Math.max(MIN_RADIUS_MM, this.extent / 80);
     markers.forEach((marker, index) => {
       const [x = 0, y = 0, z = 0] = marker.position;
       const factorised = marker.covariance ? cholesky(marker.covariance) : null;
@@ -231,13 +233,16 @@ export class SceneView {
   }
 
   look(view: View): void {
-    const far = this.extent * 2.2;
+    // A sphere of four fifths of the extent fits into the smaller of both angles: what is shown is
+    // long rather than round.
+    const half = (this.camera.fov * Math.PI) / 360;
+    const across = Math.atan(Math.tan(half) * this.camera.aspect);
+    const far = (0.8 * this.extent) / Math.sin(Math.min(half, across));
     const from: Record<View, readonly [number, number, number]> = {
       free: [0.5, 0.45, -0.6], top: [0, 1, 0.0001], front: [0, 0, -1], side: [1, 0, 0],
     };
-    const [x, y, z] = from[view];
     this.controls.target.copy(this.target);
-    this.camera.position.set(this.target.x + x * far, this.target.y + y * far, this.target.z + z * far);
+    this.camera.position.copy(this.target).addScaledVector(new Vector3(...from[view]).normalize(), far);
     this.camera.near = far / 1000;
     this.camera.far = far * 20;
     this.camera.updateProjectionMatrix();
@@ -247,8 +252,8 @@ export class SceneView {
 
   /** Take the centre and the extent of the picture from points [mm]. */
   private frameAll(points: readonly Vector[]): void {
-    this.target.set(...centreOf(points));
-    this.extent = Math.max(100, ...points.map((place) => this.target.distanceTo(new Vector3(...place))));
+    new Box3().setFromPoints(points.map((place) => new Vector3(...place))).getCenter(this.target);
+    this.extent = 1.1 * Math.max(100, ...points.map((place) => this.target.distanceTo(new Vector3(...place))));
   }
 
   private request(): void {
@@ -301,7 +306,7 @@ export class SceneView {
   }
 
   private sensorBody(model: SensorModel, pose: SensorPose): Group {
-    const size = this.extent / 14;
+    const size = this.extent / 9;
     const group = new Group();
     const body = new Mesh(
       new BoxGeometry(size, size / 3, size / 3),
@@ -375,15 +380,15 @@ function sprite(label: string, size: number): Sprite {
   if (context) {
     context.font = "44px sans-serif";
     context.textAlign = "center";
-    context.lineWidth = 6;
-    context.strokeStyle = "#000a";
-    context.fillStyle = "#fff";
+    context.fillStyle = getComputedStyle(document.documentElement).color;
     const shown = label.length > 40 ? `${label.slice(0, 39)}…` : label;
-    context.strokeText(shown, 256, 42);
     context.fillText(shown, 256, 42);
   }
-  const made = new Sprite(new SpriteMaterial({ map: new CanvasTexture(canvas), depthTest: false }));
-  made.scale.set(size * 6, size * 0.75, 1);
+  // As large on the screen whatever the distance.
+  const map = new CanvasTexture(canvas);
+  map.colorSpace = SRGBColorSpace;
+  const made = new Sprite(new SpriteMaterial({ map, depthTest: false, sizeAttenuation: false }));
+  made.scale.set(0.24, 0.03, 1);
   made.position.y = size * 0.6;
   return made;
 }

@@ -159,11 +159,11 @@ def listen(
             message = msgpack.unpackb(payload)
             if message["type"] == "hello":
                 heard.signals += [
-                    HoldSignal(one["hold"], one["held"], one["cause"], now, -1)
+                    HoldSignal(one["hold_id"], one["held"], one["cause"], now, -1)
                     for one in message["holds"]
                 ]
             if message["type"] == "hold":
-                name, held, cause = message["hold"], message["held"], message["cause"]
+                name, held, cause = message["hold_id"], message["held"], message["cause"]
                 heard.signals.append(HoldSignal(name, held, cause, now, message["sequence"]))
             if message.get("state", "running") != "running":
                 raise RuntimeError(f"the device is {message['state']}: {message['reason']}")
@@ -182,7 +182,7 @@ def _keep(heard: ReceivedSignals, message: dict[str, Any], told: str) -> None:
     for frame in message.get("frames", ()):
         heard.frames[frame["sequence"]] = frame["exposure_ns"]
         for one in frame["holds"]:
-            if one["hold"] == told and one["shift_mm"] is not None:
+            if one["hold_id"] == told and one["shift_mm"] is not None:
                 heard.shifts[frame["sequence"]] = one["shift_mm"]
 
 

@@ -29,9 +29,9 @@ SCREENS: Final = {
 BROWSER: Final = ("--disable-background-networking", "--no-first-run", "--use-angle=swiftshader")
 HOLD: Final = {
     "id": "chest",
-    "device": "sim",
+    "device_id": "sim",
     "title": "Chest",
-    "watch": {"kind": "tool", "tool": "pointer"},
+    "watch": {"kind": "tool", "tool_id": "pointer"},
     "limits": {"shift_mm": 2},
 }
 
@@ -44,7 +44,7 @@ def prepare(api: httpx.Client) -> None:
     tool = json.loads((DOCS / "examples" / "tool.json").read_text())
     api.post("/tools", json=tool).raise_for_status()
     api.post("/beam-holds", json=HOLD).raise_for_status()
-    api.post("/devices/sim/recordings", json={"name": "morning.h5"}).raise_for_status()
+    api.post("/devices/sim/recordings", json={"id": "morning.h5"}).raise_for_status()
 
 
 def main() -> int:

@@ -165,9 +165,9 @@ def test_frames_of_markers_and_surfaces(ask: Ask) -> None:
         assert len(found.surface.distance_mm) == len(on)
         frames = {one.id: one for one in ask("frames", "sim").frames}
         assert frames["box"].connected
-        assert frames["box"].root == frames["plate"].root == "tracker"
-        between = ask("frame_transform", "sim", "box", to="plate")
-        assert between.path == ("box", "tracker", "plate")
+        assert frames["box"].root_frame_id == frames["plate"].root_frame_id == "tracker"
+        between = ask("frame_transform", "sim", "box", to_frame_id="plate")
+        assert between.path_frame_ids == ("box", "tracker", "plate")
         assert np.allclose(np.array(between.matrix)[:3, 3], [0.5, -0.3, 0.2], atol=1e-3)
         line = [(0.0, 0.0, 0.0), (50.0, 0.0, 0.0), (90.0, 0.0, 0.0)]
         with pytest.raises(ServerProblem, match="collinear-points"):

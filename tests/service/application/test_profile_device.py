@@ -69,7 +69,8 @@ def test_ones_own_profile_in_the_data_directory(sqlite_client: Any, sqlite_setti
     own = renamed_profile("my.window")
     keep(sqlite_settings, "my.window", own)
     assert sqlite_client.post(DEVICES, json=body("my.window")).status_code == 201
-    listed = [one["name"] for one in sqlite_client.get(PROFILES).json()]
+    page = sqlite_client.get(PROFILES, params={"limit": 200}).json()
+    listed = [one["id"] for one in page["items"]]
     assert listed == sorted([*profile_names(), "my.window"])
     read = sqlite_client.get(f"{PROFILES}/my.window")
     assert (read.status_code, read.json()["toml"]) == (200, own)

@@ -127,7 +127,7 @@ def test_each_frame_of_a_batch_has_its_own_state(bench: Bench):
         [False, True], [True, True], [False, True],
     ]  # fmt: skip
     assert [one.hold_id for one in states[0]] == ["watch", "watch-2"]
-    first = [(one["held"], one["sequence"]) for one in bench.told if one["hold"] == "watch"][1:]
+    first = [(one["held"], one["sequence"]) for one in bench.told if one["hold_id"] == "watch"][1:]
     # The first release was over before anybody could be told of it.
     assert first == [(True, 1), (False, 2)]
     assert [after[0].standing.held for after in states] == [True, True, False]

@@ -80,12 +80,12 @@ def test_from_the_set_up_to_the_stop(client: Client) -> None:
         hello = next(iter(stream))
         assert isinstance(hello, Hello)
         assert hello.holds is not None
-        assert [(one.hold, one.held) for one in hello.holds] == [("chest", True)]
+        assert [(one.hold_id, one.held) for one in hello.holds] == [("chest", True)]
         referred = client.set_beam_hold_reference("chest", frames=20, timeout_s=60.0)
         assert referred.reference is not None
         assert len(referred.reference.positions_mm) == 4
         went_on = until(stream, held=False)
-        assert (went_on.hold, went_on.cause, went_on.reason) == ("chest", "none", None)
+        assert (went_on.hold_id, went_on.cause, went_on.reason) == ("chest", "none", None)
         frame = next(one for one in stream if isinstance(one, Frame))
         assert frame.holds is not None
         assert (frame.holds[0].held, frame.points) == (False, None)
@@ -111,7 +111,7 @@ def test_who_did_not_ask_for_holds_hears_nothing_of_them(client: Client, hold: s
     wait_for(client, held=False)
     with (
         client.stream("sim", ["points"]) as stream,
-        client.stream("sim", ["status"]) as quiet,
+        client.stream("sim", ["state"]) as quiet,
         client.stream("sim", ["holds", "points"]) as asked,
     ):
         for one in (stream, quiet, asked):
@@ -169,12 +169,12 @@ def test_the_same_by_the_client_for_asyncio(client: Client, hold: str) -> None:
     async def run() -> None:
         async with AsyncClient(client._server.url) as other:
             assert (await other.beam_hold("chest")).id == "chest"
-            assert [one.id for one in await other.beam_holds(device="sim")] == ["chest"]
-            assert (await other.acknowledge_beam_hold("chest")).hold == "chest"
+            assert [one.id for one in await other.beam_holds(device_id="sim")] == ["chest"]
+            assert (await other.acknowledge_beam_hold("chest")).hold_id == "chest"
             async with other.stream("sim", ["holds"], rate_hz=5) as stream:
                 async for frame in stream.frames():
                     assert frame.holds is not None
-                    assert frame.holds[0].hold == "chest"
+                    assert frame.holds[0].hold_id == "chest"
                     break
             assert (await other.remove_beam_hold_reference("chest")).reference is None
             assert (await other.beam_hold_state("chest")).held

@@ -185,7 +185,7 @@ def test_a_running_device_takes_another_motion_model_and_streams_both_ends(serve
     source = {"kind": "simulated", "settings": settings}
     sent("PATCH", api, json={"source": source, "tracking": {"tracks": "always"}})
     sent("POST", f"{api}/start")
-    with streaming(server, "device=sim&content=tracks") as socket:
+    with streaming(server, "device_id=sim&content=tracks") as socket:
         before = next_frame(socket, lambda one: len(one["tracks"]) == 2)
         changed = sent("PATCH", api, json={"tracking": {"motion": "velocity"}})
         assert changed["tracking"]["motion"] == "velocity"

@@ -50,12 +50,12 @@ def messages(api: httpx.Client, device: str, frames: int) -> list[dict[str, Any]
     path = f"/api/v1/devices/{device}"
     api.post(f"{path}/start").raise_for_status()
     url = str(api.base_url).replace("http", "ws", 1).rstrip("/")
-    query = f"device={device}&content=points,peaks&encoding=json"
+    query = f"device_id={device}&content=points,peaks&encoding=json"
     with connect(f"{url}/api/v1/stream?{query}", compression=None) as stream:
         found = [json.loads(stream.recv(timeout=30.0)) for _ in range(frames + 1)]
-    status = api.get(f"{path}/status").json()["status"]
+    status = api.get(f"{path}/state").json()
     assert (status["state"], status["reason"]) == ("running", None)
-    assert status["frames"] >= frames
+    assert status["frames_received"] >= frames
     api.post(f"{path}/stop").raise_for_status()
     assert [message["type"] for message in found] == ["hello", *["frame"] * frames]
     return found

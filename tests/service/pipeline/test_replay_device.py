@@ -47,5 +47,5 @@ def test_replay_device(recording: Path) -> None:
         frames = [message for message in messages if message["type"] == "frame"]
         assert [frame["sequence"] for frame in frames] == list(range(100))
         assert all({peak["sensor"] for peak in f["peaks"]} == set(names) for f in frames)
-        status = api.get("/devices/tape/state").json()["status"]
-        assert (status["state"], status["frames"]) == ("ended", 100)
+        status = api.get("/devices/tape/state").json()
+        assert (status["state"], status["frames_received"]) == ("ended", 100)

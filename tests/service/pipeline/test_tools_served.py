@@ -73,7 +73,7 @@ def tip_is_held(tool: dict[str, Any]) -> bool:
 def test_a_tool_from_rest_to_the_stream(server: str):
     api = f"{server}/api/v1"
     assert PIVOTED.markers_mm == MARKERS
-    with streaming(server, "device=sim&content=tools,tracks") as socket:
+    with streaming(server, "device_id=sim&content=tools,tracks") as socket:
         hello = receive(socket)
         assert hello["content"] == ["tools", "tracks"]
         assert next_frame(socket, lambda _: True)["tools"] == []
@@ -95,7 +95,7 @@ def test_a_tool_from_rest_to_the_stream(server: str):
         next_frame(socket, lambda one: tip_is_held(one["tools"][0]))
         sent("DELETE", f"{api}/tools/pointer")
         next_frame(socket, lambda one: one["tools"] == [])
-    status = sent("GET", f"{api}/devices/sim/state")["status"]
+    status = sent("GET", f"{api}/devices/sim/state")
     assert status["state"] == "running"
     metrics = httpx.get(f"{server}/metrics").text
     assert 'lumiline_tool_frames_total{device="sim",tool="pointer"' not in metrics

@@ -88,7 +88,7 @@ def test_requests_say_so(sqlite_client: Any) -> None:
 
 QUERIES = (
     "api_key=abc",
-    "device=sim&access_token=abc",
+    "device_id=sim&access_token=abc",
     "Token=abc",
     "limit=lumi_abcdefghijkl_ABC",
     "lumi_abcdefghijkl_ABC",

@@ -100,7 +100,7 @@ def test_a_key_cannot_fill_the_log(tmp_path: Any) -> None:
         assert found[1]["object_id"] == "d0"
     # The server ends, and tells of the others before.
     with TestClient(create_app(settings, FakePipeline())) as client:
-        found = refused(Secured(client), actor=key_id(key))
+        found = refused(Secured(client), actor_id=key_id(key))
         assert len(found) == 3
         assert (found[0]["operation"], found[0]["object_id"]) == ("stop-device", None)
         assert found[0]["detail"].startswith("19 more of this operation")

@@ -45,7 +45,7 @@ def test_stream_of_client_that_reads_nothing_is_closed_with_code(
     monkeypatch.setattr(websocket_limits, "STALL_S", 0.3)
     monkeypatch.setattr(websocket_limits, "LINGER_S", 60.0)
     wait_for_subscribers(server, 0)
-    with open_unread(server, "device=sim&mode=lossless&content=points,peaks") as connection:
+    with open_unread(server, "device_id=sim&mode=lossless&content=points,peaks") as connection:
         wait_for_subscribers(server, 1)
         wait_for_subscribers(server, 0)
         connection.settimeout(20.0)

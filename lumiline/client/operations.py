@@ -34,18 +34,32 @@ class Operations(Exchanges):
 
     @ClientMethod
     async def change_device(
-        self, device_id: str, /, **members: Unpack[bodies.DeviceChange]
+        self,
+        device_id: str,
+        /,
+        *,
+        if_match: str | None = None,
+        **members: Unpack[bodies.DeviceChange],
     ) -> models.Device:
         """Change a device."""
         return await self._send(
-            models.Device, "PATCH", path_of("/api/v1/devices/{}", device_id), body=members
+            models.Device,
+            "PATCH",
+            path_of("/api/v1/devices/{}", device_id),
+            body=members,
+            headers={"If-Match": if_match},
         )
 
     @ClientMethod
-    async def delete_device(self, device_id: str, *, cascade: bool | None = None) -> None:
+    async def delete_device(
+        self, device_id: str, *, cascade: bool | None = None, if_match: str | None = None
+    ) -> None:
         """Delete a device."""
         await self._request(
-            "DELETE", path_of("/api/v1/devices/{}", device_id), params={"cascade": cascade}
+            "DELETE",
+            path_of("/api/v1/devices/{}", device_id),
+            params={"cascade": cascade},
+            headers={"If-Match": if_match},
         )
 
     @ClientMethod
@@ -627,17 +641,23 @@ class Operations(Exchanges):
 
     @ClientMethod
     async def change_tool(
-        self, tool_id: str, /, **members: Unpack[bodies.ToolChange]
+        self, tool_id: str, /, *, if_match: str | None = None, **members: Unpack[bodies.ToolChange]
     ) -> models.Tool:
         """Change a tool's title, tip, limits or reference."""
         return await self._send(
-            models.Tool, "PATCH", path_of("/api/v1/tools/{}", tool_id), body=members
+            models.Tool,
+            "PATCH",
+            path_of("/api/v1/tools/{}", tool_id),
+            body=members,
+            headers={"If-Match": if_match},
         )
 
     @ClientMethod
-    async def delete_tool(self, tool_id: str) -> None:
+    async def delete_tool(self, tool_id: str, *, if_match: str | None = None) -> None:
         """Delete a tool."""
-        await self._request("DELETE", path_of("/api/v1/tools/{}", tool_id))
+        await self._request(
+            "DELETE", path_of("/api/v1/tools/{}", tool_id), headers={"If-Match": if_match}
+        )
 
     @ClientMethod
     async def tool_pose(self, tool_id: str, *, frame: str | None = None) -> models.Pose:
@@ -758,17 +778,28 @@ class Operations(Exchanges):
 
     @ClientMethod
     async def change_beam_hold(
-        self, hold_id: str, /, **members: Unpack[bodies.BeamHoldChange]
+        self,
+        hold_id: str,
+        /,
+        *,
+        if_match: str | None = None,
+        **members: Unpack[bodies.BeamHoldChange],
     ) -> models.BeamHold:
         """Change a beam hold's limits, rules or title."""
         return await self._send(
-            models.BeamHold, "PATCH", path_of("/api/v1/beam-holds/{}", hold_id), body=members
+            models.BeamHold,
+            "PATCH",
+            path_of("/api/v1/beam-holds/{}", hold_id),
+            body=members,
+            headers={"If-Match": if_match},
         )
 
     @ClientMethod
-    async def delete_beam_hold(self, hold_id: str) -> None:
+    async def delete_beam_hold(self, hold_id: str, *, if_match: str | None = None) -> None:
         """Delete a beam hold."""
-        await self._request("DELETE", path_of("/api/v1/beam-holds/{}", hold_id))
+        await self._request(
+            "DELETE", path_of("/api/v1/beam-holds/{}", hold_id), headers={"If-Match": if_match}
+        )
 
     @ClientMethod
     async def set_beam_hold_reference(
@@ -969,7 +1000,12 @@ class Operations(Exchanges):
 
     @ClientMethod
     async def set_watch(
-        self, device_id: str, /, **members: Unpack[bodies.WatchSettings]
+        self,
+        device_id: str,
+        /,
+        *,
+        if_match: str | None = None,
+        **members: Unpack[bodies.WatchSettings],
     ) -> models.WatchSettings:
         """Say how a device's drift is watched."""
         return await self._send(
@@ -977,6 +1013,7 @@ class Operations(Exchanges):
             "PUT",
             path_of("/api/v1/devices/{}/watch", device_id),
             body=members,
+            headers={"If-Match": if_match},
         )
 
     @ClientMethod

@@ -9,6 +9,7 @@ from fastapi.openapi.utils import get_openapi
 from pydantic.json_schema import models_json_schema
 
 from service.api.inputs import JsonRoute
+from service.api.preconditions import ETAG_HEADER, IF_NONE_MATCH, NOT_MODIFIED, has_etag
 from service.principal import SCOPE_MEANINGS
 from service.problems.catalogue import (
     MEDIA_TYPE,
@@ -102,13 +103,20 @@ class ResourceRouter(APIRouter):
             if endpoint.__annotations__["return"] is None:
                 options.setdefault("status_code", 204)
             codes: Sequence[str] = getattr(endpoint, "problems", ())
+            answers = responses or {}
+            answer = options.get("response_model", endpoint.__annotations__["return"])
+            if has_etag(method, f"{self.prefix}{path}", answer):
+                answers = {**answers, 200: {"headers": ETAG_HEADER, **answers.get(200, {})}}
+                if method == "GET":
+                    answers[304] = NOT_MODIFIED
+                    options["openapi_extra"] = {"parameters": [IF_NONE_MATCH]}
             self.add_api_route(
                 path,
                 endpoint,
                 methods=[method],
                 operation_id=operation_id,
                 summary=summary,
-                responses=_responses(codes) | (responses or {}),
+                responses=_responses(codes) | answers,
                 **options,
             )
             return endpoint
@@ -227,6 +235,10 @@ def _complete(operation: dict[str, Any], others: Sequence[str]) -> None:
         codes.append("invalid-request")
     if operation.get("requestBody"):
         codes += _OF_BODIES
+    if "428" in responses:
+        for parameter in operation["parameters"]:
+            if parameter["name"] == "If-Match":
+                parameter["required"] = True
     for status, response in _responses(codes).items():
         given = responses.get(str(status))
         if given is None:

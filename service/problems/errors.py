@@ -247,6 +247,18 @@ class Busy(ServiceError, status=503):
     """The server does as much of this at once as it may; try again a little later."""
 
 
+class PreconditionFailed(ServiceError, status=412):
+    """The resource was changed after it was read: If-Match has not its ETag. Read it again."""
+
+
+class PreconditionRequired(ServiceError, status=428):
+    """The change needs the header If-Match, so that no other change is undone unseen."""
+
+
+class InvalidPrecondition(ServiceError):
+    """The header If-Match holds neither entity tags in quotes nor `*`."""
+
+
 class ActivationConflict(ServiceError, status=409):
     """Another request changed what the device uses, meanwhile or before; look, and ask again."""
 

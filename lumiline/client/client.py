@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
 from typing import IO, Any, Final, Generic, TypeVar
+from uuid import uuid4
 
 import httpx
 
@@ -155,11 +156,20 @@ class _SharedClient(Operations, Generic[Http, AnyStream]):
         if method in ("PATCH", "PUT") and (headers or {}).get("If-Match") is None:
             headers = {**(headers or {}), "If-Match": await self._etag(path)}
         timeout_s = (self._timeout_s if timeout_s is None else timeout_s) + extra_timeout_s
+        repeatable = "Idempotency-Key" in (headers or {})
+        if repeatable:
+            key = (headers or {})["Idempotency-Key"] or uuid4().hex
+            headers = {**(headers or {}), "Idempotency-Key": key}
         request = self._build(
             method, path, params, headers, body, upload, timeout_s + _stated_s(body)
         )
         with self._connection_errors(what):
-            response = await result_of(self._http.send(request))
+            try:
+                response = await result_of(self._http.send(request))
+            except _LOST as lost:
+                if not repeatable:
+                    raise
+                response = await self._send_again(request, lost, timeout_s)
         self._etags.note(path, response.status_code, response.headers.get("ETag"))
         _check(response, response.content)
         if text:
@@ -170,6 +180,20 @@ class _SharedClient(Operations, Generic[Http, AnyStream]):
             return response.json()
         except ValueError as error:
             raise UnreadableMessage(f"{what} did not answer JSON") from error
+
+    async def _send_again(
+        self, request: httpx.Request, lost: httpx.TransportError, timeout_s: float
+    ) -> httpx.Response:
+        """Send a request again whose answer was lost: by its key it is carried out only once."""
+        end_s = time.monotonic() + timeout_s
+        while time.monotonic() < end_s:
+            await result_of(self._sleep(_PAUSE_S))
+            response: httpx.Response = await result_of(self._http.send(request))
+            if response.status_code != 409 or (
+                server_problem(409, response.content).code != "request-in-progress"
+            ):
+                return response
+        raise lost
 
     async def _etag(self, path: str) -> str:
         """Return the ETag of a resource as this client read it last, or as it is now."""
@@ -298,6 +322,9 @@ class _ETags(dict[str, str]):
 
 
 _MAX_ETAGS: Final = 1000
+_LOST: Final = (httpx.ReadError, httpx.WriteError, httpx.RemoteProtocolError)
+"""Errors after which nobody knows whether the server has carried a request out."""
+_PAUSE_S: Final = 0.5
 
 
 def _check(response: httpx.Response, body: bytes) -> None:

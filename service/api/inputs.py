@@ -13,6 +13,7 @@ from sqlalchemy.orm import Session
 from starlette.responses import Response
 
 from service.api.base_models import SLUG_PATTERN, Page
+from service.api.idempotency import once, takes_key
 from service.api.json_body import INLINE_BYTES, BodyReader, check_json_body, validate_text
 from service.api.preconditions import tagged
 from service.database.engine import Database
@@ -170,7 +171,7 @@ class JsonRoute(APIRoute):
         if "headers" in self.responses.get(200, {}):
             handle = _tagging(handle)
         if self.body_field is None:
-            return handle
+            return once(handle) if takes_key(self.openapi_extra) else handle
         wanted = self.body_field.field_info.annotation
 
         async def strict(request: Request) -> Response:
@@ -185,4 +186,4 @@ class JsonRoute(APIRoute):
                 check_json_body(content_type, body)
             return await handle(request)
 
-        return strict
+        return once(strict) if takes_key(self.openapi_extra) else strict

@@ -8,8 +8,15 @@ from fastapi import APIRouter, FastAPI
 from fastapi.openapi.utils import get_openapi
 from pydantic.json_schema import models_json_schema
 
+from service.api import idempotency
 from service.api.inputs import JsonRoute
-from service.api.preconditions import ETAG_HEADER, IF_NONE_MATCH, NOT_MODIFIED, has_etag
+from service.api.preconditions import (
+    ETAG_HEADER,
+    IF_MATCH_SCHEMA,
+    IF_NONE_MATCH,
+    NOT_MODIFIED,
+    has_etag,
+)
 from service.principal import SCOPE_MEANINGS
 from service.problems.catalogue import (
     MEDIA_TYPE,
@@ -18,6 +25,8 @@ from service.problems.catalogue import (
     ProblemType,
 )
 from service.security.operation_scopes import OPERATION_SCOPES, PUBLIC
+
+_CREATED: Final = (201, 202)
 
 Responses = dict[int | str, dict[str, Any]]
 Endpoint = TypeVar("Endpoint", bound=Callable[..., Any])
@@ -85,6 +94,7 @@ class ResourceRouter(APIRouter):
         summary: str,
         *,
         responses: Responses | None = None,
+        idempotent: bool = True,
         **options: Any,
     ) -> Callable[[Endpoint], Endpoint]:
         """Return a decorator that adds an operation; ``raises`` below it names its problems.
@@ -95,6 +105,8 @@ class ResourceRouter(APIRouter):
             operation_id: its name in the OpenAPI document and the table of scopes.
             summary: of the document.
             responses: other answers of the document.
+            idempotent: whether a POST that creates takes an Idempotency-Key, by which its answer is
+                kept for a day.
             options: as of ``APIRouter.add_api_route``.
         """
         method, _, path = route.partition(" ")
@@ -104,6 +116,10 @@ class ResourceRouter(APIRouter):
                 options.setdefault("status_code", 204)
             codes: Sequence[str] = getattr(endpoint, "problems", ())
             answers = responses or {}
+            if method == "POST" and idempotent and options.get("status_code") in _CREATED:
+                codes = (*codes, *idempotency.PROBLEMS)
+                extra = options.get("openapi_extra", {})
+                options["openapi_extra"] = {**extra, "parameters": [idempotency.PARAMETER]}
             answer = options.get("response_model", endpoint.__annotations__["return"])
             if has_etag(method, f"{self.prefix}{path}", answer):
                 answers = {**answers, 200: {"headers": ETAG_HEADER, **answers.get(200, {})}}
@@ -235,10 +251,9 @@ def _complete(operation: dict[str, Any], others: Sequence[str]) -> None:
         codes.append("invalid-request")
     if operation.get("requestBody"):
         codes += _OF_BODIES
-    if "428" in responses:
-        for parameter in operation["parameters"]:
-            if parameter["name"] == "If-Match":
-                parameter["required"] = True
+    for parameter in operation.get("parameters", ()):
+        if parameter["name"] == "If-Match":
+            parameter |= {"required": "428" in responses, "schema": IF_MATCH_SCHEMA}
     for status, response in _responses(codes).items():
         given = responses.get(str(status))
         if given is None:

@@ -30,6 +30,10 @@ ETAG_HEADER: Final[dict[str, Any]] = {
         "schema": {"type": "string"},
     }
 }
+IF_MATCH_SCHEMA: Final[dict[str, Any]] = {
+    "type": "string",
+    "pattern": r'^(\*|(W/)?"[!#-~]*"(, *(W/)?"[!#-~]*")*)$',
+}
 NOT_MODIFIED: Final[dict[str, Any]] = {
     "description": "The resource is what `If-None-Match` names.",
     "headers": ETAG_HEADER,

@@ -259,6 +259,18 @@ class InvalidPrecondition(ServiceError):
     """The header If-Match holds neither entity tags in quotes nor `*`."""
 
 
+class IdempotencyKeyReused(ServiceError):
+    """The Idempotency-Key belongs to another request of the last 24 hours."""
+
+
+class InvalidIdempotencyKey(ServiceError):
+    """The header Idempotency-Key is not 1 to 255 visible ASCII characters."""
+
+
+class RequestInProgress(ServiceError, status=409):
+    """The same request, by its Idempotency-Key, is being carried out; ask again for its answer."""
+
+
 class ActivationConflict(ServiceError, status=409):
     """Another request changed what the device uses, meanwhile or before; look, and ask again."""
 

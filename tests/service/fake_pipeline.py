@@ -53,7 +53,7 @@ class TestClient(testclient.TestClient):
 
         An If-Match of None is left out.
         """
-        if method in ("PATCH", "PUT"):
+        if method.upper() in ("PATCH", "PUT"):
             headers = {"if-match": "*"} | {
                 name.lower(): value for name, value in dict(options.get("headers") or {}).items()
             }

@@ -121,19 +121,27 @@ def contract(accepted: list[str], *, every_value: bool = True) -> Any:
     return schema
 
 
-PLAIN = contract(["2xx", "404", "409"])
-WITH_RULES = contract(["2xx", "404", "409", "422"])
+# 304, 412: an ETag that is, or is not, the resource's.
+PLAIN = contract(["2xx", "304", "404", "409", "412"])
+WITH_RULES = contract(["2xx", "304", "404", "409", "412", "422"])
 # What they take is what another operation takes, where every value of each setting is tried; a
 # thousand pictures take minutes.
 LIKE_OTHERS = {
     "draw-peaks": (contract(["2xx", "422"], every_value=False), "find-peaks"),
     "get-plan-picture": (contract(["2xx", "404", "409"], every_value=False), "get-plan"),
-    "change-device": (contract(["2xx", "404", "409", "422"], every_value=False), "create-device"),
+    "change-device": (
+        contract(["2xx", "404", "409", "412", "422"], every_value=False),
+        "create-device",
+    ),
 }
-OWN = {"draw-peaks": {"scan"}, "change-device": {"device_id"}}
+OWN = {
+    "draw-peaks": {"scan"},
+    "change-device": {"device_id", "If-Match"},
+    "get-plan-picture": set(),
+}
 """What they take beside, of which some values are drawn only."""
 # Calibrations with all settings, and reports, take about a second each.
-LONG = contract(["2xx", "404", "409", "422"], every_value=False)
+LONG = contract(["2xx", "304", "404", "409", "422"], every_value=False)
 
 
 def not_connected(_: Any) -> None:
@@ -193,6 +201,9 @@ def check_contract(case: Any) -> None:
         return
     fits = case.meta.generation.mode.is_positive
     operation_id = case.operation.definition.raw["operationId"]
+    if fits and "Idempotency-Key" in case.headers:
+        # One of another request is refused.
+        case.headers["Idempotency-Key"] = f"key-{next(fresh)}"
     if fits and operation_id.startswith("create-") and operation_id != "create-key":
         # Ids are examples, or drawn from few: most would be taken, and the rest not looked at.
         case.body["id"] = f"new-{next(fresh)}"

@@ -149,6 +149,11 @@ class Operations(Exchanges):
         )
 
     @ClientMethod
+    async def delete_calibration(self, calibration_id: str) -> None:
+        """Delete a calibration."""
+        await self._request("DELETE", path_of("/api/v1/calibrations/{}", calibration_id))
+
+    @ClientMethod
     async def compare_calibrations(
         self, calibration_id: str, other_id: str
     ) -> models.ComparisonDocument:
@@ -447,6 +452,13 @@ class Operations(Exchanges):
         )
 
     @ClientMethod
+    async def delete_radiometric_calibration(self, radiometric_id: str) -> None:
+        """Delete a radiometric calibration."""
+        await self._request(
+            "DELETE", path_of("/api/v1/radiometric-calibrations/{}", radiometric_id)
+        )
+
+    @ClientMethod
     async def activate_radiometric_calibration(
         self, radiometric_id: str, *, expected: str | None = None
     ) -> models.RadiometricCalibrationSummary:
@@ -521,6 +533,11 @@ class Operations(Exchanges):
         return await self._send(
             models.DriftCheckDocument, "GET", path_of("/api/v1/drift-checks/{}", check_id)
         )
+
+    @ClientMethod
+    async def delete_drift_check(self, check_id: str) -> None:
+        """Delete a drift check."""
+        await self._request("DELETE", path_of("/api/v1/drift-checks/{}", check_id))
 
     @ClientMethod
     async def correction_tables(

@@ -64,7 +64,7 @@ class RecordingInProgress(ServiceError, status=409):
 
 
 class RecordingInUse(ServiceError, status=409):
-    """A running device replays the recording; stop the device first."""
+    """A device replays the recording; give it another source, or delete it, first."""
 
 
 class UnknownExport(ServiceError, status=404):
@@ -233,6 +233,14 @@ class UnusableRadiometricCapture(ServiceError, status=409):
 
 class RunNotEnded(ServiceError, status=409):
     """A run that waits or runs is not deleted; cancel it first."""
+
+
+class CalibrationInUse(ServiceError, status=409):
+    """Results or the history refer to the calibration, so it is not deleted; it can be retired."""
+
+
+class RadiometricCalibrationInUse(ServiceError, status=409):
+    """The history refers to the radiometric calibration, so it is not deleted."""
 
 
 class CorrectionTableInUse(ServiceError, status=409):

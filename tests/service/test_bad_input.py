@@ -404,7 +404,7 @@ builds("unknown calibration activated")(
 builds("calibration changed")(
     lambda: Sent("PUT", "/api/v1/calibrations/sim-nominal", calibration())
 )
-builds("calibration deleted")(lambda: Sent("DELETE", "/api/v1/calibrations/sim-nominal"))
+builds("used calibration deleted")(lambda: Sent("DELETE", "/api/v1/calibrations/sim-nominal"))
 builds("unknown path")(lambda: Sent("GET", "/api/v1/cameras"))
 builds("page size out of bounds")(lambda: Sent("GET", "/api/v1/calibrations?limit=1000"))
 builds("unknown state")(lambda: Sent("GET", "/api/v1/calibrations?state=broken"))

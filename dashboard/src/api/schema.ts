@@ -142,7 +142,7 @@ export interface paths {
         get: operations["get-calibration"];
         put?: never;
         post?: never;
-        delete?: never;
+        delete: operations["delete-calibration"];
         options?: never;
         head?: never;
         patch?: never;
@@ -478,7 +478,7 @@ export interface paths {
         get: operations["get-radiometric-calibration"];
         put?: never;
         post?: never;
-        delete?: never;
+        delete: operations["delete-radiometric-calibration"];
         options?: never;
         head?: never;
         patch?: never;
@@ -574,7 +574,7 @@ export interface paths {
         get: operations["get-drift-check"];
         put?: never;
         post?: never;
-        delete?: never;
+        delete: operations["delete-drift-check"];
         options?: never;
         head?: never;
         patch?: never;
@@ -1380,7 +1380,7 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
-    "/": {
+    "/api/v1": {
         parameters: {
             query?: never;
             header?: never;
@@ -2100,6 +2100,8 @@ export interface components {
             /** @default 0 */
             frames_not_tracked: number;
             radiometric_id?: string | null;
+            /** @default [] */
+            bad_pixels: components["schemas"]["LiveBadPixel"][];
         };
         Diagnosis: {
             sensors: components["schemas"]["SensorDiagnosis"][];
@@ -2501,6 +2503,13 @@ export interface components {
                 ]
             ] | null;
         };
+        FromBadPixels: {
+            /**
+             * @description discriminator enum property added by openapi-typescript
+             * @enum {string}
+             */
+            kind: "bad-pixels";
+        };
         FromCapture: {
             /**
              * @description discriminator enum property added by openapi-typescript
@@ -2520,6 +2529,14 @@ export interface components {
                     [key: string]: unknown;
                 };
             };
+        };
+        FromLines: {
+            /**
+             * @description discriminator enum property added by openapi-typescript
+             * @enum {string}
+             */
+            kind: "lines";
+            recording: string;
         };
         FromRecordings: {
             /**
@@ -2730,6 +2747,14 @@ export interface components {
             counters?: components["schemas"]["LinkCounters"];
             clock_uncertainty_us?: number | null;
             temperature_c?: number | null;
+        };
+        LiveBadPixel: {
+            sensor: string;
+            pixel: number;
+            /** @enum {string} */
+            kind: "hot" | "stuck" | "dead";
+            /** Format: date-time */
+            since: string;
         };
         Mask: {
             /** @default 5 */
@@ -3175,7 +3200,7 @@ export interface components {
         NewRadiometricCalibration: {
             id?: string | null;
             device: string;
-            source: components["schemas"]["FromCapture"] | components["schemas"]["FromRecordings"] | components["schemas"]["FromScans"] | components["schemas"]["FromDocument"];
+            source: components["schemas"]["FromCapture"] | components["schemas"]["FromRecordings"] | components["schemas"]["FromScans"] | components["schemas"]["FromDocument"] | components["schemas"]["FromBadPixels"] | components["schemas"]["FromLines"];
             /** @default  */
             note: string;
         };
@@ -3966,7 +3991,7 @@ export interface components {
             device: string;
             active: boolean;
             /** @enum {string} */
-            origin: "capture" | "recordings" | "scans" | "document";
+            origin: "capture" | "recordings" | "scans" | "document" | "bad-pixels" | "lines";
             sensors: components["schemas"]["SensorFigures"][];
             content_hash: string;
             note: string;
@@ -3981,7 +4006,7 @@ export interface components {
             device: string;
             active: boolean;
             /** @enum {string} */
-            origin: "capture" | "recordings" | "scans" | "document";
+            origin: "capture" | "recordings" | "scans" | "document" | "bad-pixels" | "lines";
             sensors: components["schemas"]["SensorFigures"][];
             content_hash: string;
             note: string;
@@ -4515,6 +4540,7 @@ export interface components {
             illumination_range: number;
             bad_pixels: number;
             temperature_c: number | null;
+            line_skewness: number | null;
         };
         SensorFit: {
             model: components["schemas"]["SensorModel"];
@@ -5110,6 +5136,7 @@ export interface components {
             content_hash: string | null;
             table: string | null;
             radiometric: string | null;
+            bad_pixels: number;
             from_frame: number | null;
         };
         Valley: {
@@ -5318,6 +5345,7 @@ export interface components {
             position_mm: number[] | null;
             covariance_mm2: number[][] | null;
             residual_sigma: number | null;
+            external_reliability_mm: number | null;
             sensors: string[];
             flags: string[];
         };
@@ -5439,7 +5467,9 @@ export interface operations {
     "create-device": {
         parameters: {
             query?: never;
-            header?: never;
+            header?: {
+                "Idempotency-Key"?: string;
+            };
             path?: never;
             cookie?: never;
         };
@@ -5470,7 +5500,9 @@ export interface operations {
     "get-device": {
         parameters: {
             query?: never;
-            header?: never;
+            header?: {
+                "If-None-Match"?: string;
+            };
             path: {
                 device_id: string;
             };
@@ -5480,11 +5512,19 @@ export interface operations {
         responses: {
             200: {
                 headers: {
+                    ETag?: string;
                     [name: string]: unknown;
                 };
                 content: {
                     "application/json": components["schemas"]["Device"];
                 };
+            };
+            304: {
+                headers: {
+                    ETag?: string;
+                    [name: string]: unknown;
+                };
+                content?: never;
             };
             default: {
                 headers: {
@@ -5501,7 +5541,9 @@ export interface operations {
             query?: {
                 cascade?: boolean;
             };
-            header?: never;
+            header?: {
+                "If-Match"?: string;
+            };
             path: {
                 device_id: string;
             };
@@ -5528,7 +5570,9 @@ export interface operations {
     "change-device": {
         parameters: {
             query?: never;
-            header?: never;
+            header: {
+                "If-Match": string;
+            };
             path: {
                 device_id: string;
             };
@@ -5542,6 +5586,7 @@ export interface operations {
         responses: {
             200: {
                 headers: {
+                    ETag?: string;
                     [name: string]: unknown;
                 };
                 content: {
@@ -5619,7 +5664,9 @@ export interface operations {
     "get-device-status": {
         parameters: {
             query?: never;
-            header?: never;
+            header?: {
+                "If-None-Match"?: string;
+            };
             path: {
                 device_id: string;
             };
@@ -5629,11 +5676,19 @@ export interface operations {
         responses: {
             200: {
                 headers: {
+                    ETag?: string;
                     [name: string]: unknown;
                 };
                 content: {
                     "application/json": components["schemas"]["Status"];
                 };
+            };
+            304: {
+                headers: {
+                    ETag?: string;
+                    [name: string]: unknown;
+                };
+                content?: never;
             };
             default: {
                 headers: {
@@ -5743,7 +5798,9 @@ export interface operations {
     "create-calibration": {
         parameters: {
             query?: never;
-            header?: never;
+            header?: {
+                "Idempotency-Key"?: string;
+            };
             path?: never;
             cookie?: never;
         };
@@ -5774,7 +5831,9 @@ export interface operations {
     "get-calibration": {
         parameters: {
             query?: never;
-            header?: never;
+            header?: {
+                "If-None-Match"?: string;
+            };
             path: {
                 calibration_id: string;
             };
@@ -5784,11 +5843,46 @@ export interface operations {
         responses: {
             200: {
                 headers: {
+                    ETag?: string;
                     [name: string]: unknown;
                 };
                 content: {
                     "application/json": components["schemas"]["CalibrationDocument"];
                 };
+            };
+            304: {
+                headers: {
+                    ETag?: string;
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    "delete-calibration": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                calibration_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            204: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
             };
             default: {
                 headers: {
@@ -5803,7 +5897,9 @@ export interface operations {
     "compare-calibrations": {
         parameters: {
             query?: never;
-            header?: never;
+            header?: {
+                "If-None-Match"?: string;
+            };
             path: {
                 calibration_id: string;
                 other_id: string;
@@ -5814,11 +5910,19 @@ export interface operations {
         responses: {
             200: {
                 headers: {
+                    ETag?: string;
                     [name: string]: unknown;
                 };
                 content: {
                     "application/json": components["schemas"]["ComparisonDocument"];
                 };
+            };
+            304: {
+                headers: {
+                    ETag?: string;
+                    [name: string]: unknown;
+                };
+                content?: never;
             };
             default: {
                 headers: {
@@ -5956,7 +6060,9 @@ export interface operations {
     "create-calibration-run": {
         parameters: {
             query?: never;
-            header?: never;
+            header?: {
+                "Idempotency-Key"?: string;
+            };
             path?: never;
             cookie?: never;
         };
@@ -5987,7 +6093,9 @@ export interface operations {
     "create-mapping-run": {
         parameters: {
             query?: never;
-            header?: never;
+            header?: {
+                "Idempotency-Key"?: string;
+            };
             path?: never;
             cookie?: never;
         };
@@ -6018,7 +6126,9 @@ export interface operations {
     "create-self-calibration-run": {
         parameters: {
             query?: never;
-            header?: never;
+            header?: {
+                "Idempotency-Key"?: string;
+            };
             path?: never;
             cookie?: never;
         };
@@ -6049,7 +6159,9 @@ export interface operations {
     "create-update-run": {
         parameters: {
             query?: never;
-            header?: never;
+            header?: {
+                "Idempotency-Key"?: string;
+            };
             path?: never;
             cookie?: never;
         };
@@ -6080,7 +6192,9 @@ export interface operations {
     "create-export-run": {
         parameters: {
             query?: never;
-            header?: never;
+            header?: {
+                "Idempotency-Key"?: string;
+            };
             path?: never;
             cookie?: never;
         };
@@ -6144,7 +6258,9 @@ export interface operations {
     "get-run": {
         parameters: {
             query?: never;
-            header?: never;
+            header?: {
+                "If-None-Match"?: string;
+            };
             path: {
                 run_id: string;
             };
@@ -6154,11 +6270,19 @@ export interface operations {
         responses: {
             200: {
                 headers: {
+                    ETag?: string;
                     [name: string]: unknown;
                 };
                 content: {
                     "application/json": components["schemas"]["Run"];
                 };
+            };
+            304: {
+                headers: {
+                    ETag?: string;
+                    [name: string]: unknown;
+                };
+                content?: never;
             };
             default: {
                 headers: {
@@ -6260,7 +6384,9 @@ export interface operations {
     "create-capture": {
         parameters: {
             query?: never;
-            header?: never;
+            header?: {
+                "Idempotency-Key"?: string;
+            };
             path?: never;
             cookie?: never;
         };
@@ -6291,7 +6417,9 @@ export interface operations {
     "get-capture": {
         parameters: {
             query?: never;
-            header?: never;
+            header?: {
+                "If-None-Match"?: string;
+            };
             path: {
                 capture_id: string;
             };
@@ -6301,11 +6429,19 @@ export interface operations {
         responses: {
             200: {
                 headers: {
+                    ETag?: string;
                     [name: string]: unknown;
                 };
                 content: {
                     "application/json": components["schemas"]["Capture"];
                 };
+            };
+            304: {
+                headers: {
+                    ETag?: string;
+                    [name: string]: unknown;
+                };
+                content?: never;
             };
             default: {
                 headers: {
@@ -6409,7 +6545,9 @@ export interface operations {
     "create-radiometric-capture": {
         parameters: {
             query?: never;
-            header?: never;
+            header?: {
+                "Idempotency-Key"?: string;
+            };
             path?: never;
             cookie?: never;
         };
@@ -6440,7 +6578,9 @@ export interface operations {
     "get-radiometric-capture": {
         parameters: {
             query?: never;
-            header?: never;
+            header?: {
+                "If-None-Match"?: string;
+            };
             path: {
                 capture_id: string;
             };
@@ -6450,11 +6590,19 @@ export interface operations {
         responses: {
             200: {
                 headers: {
+                    ETag?: string;
                     [name: string]: unknown;
                 };
                 content: {
                     "application/json": components["schemas"]["RadiometricCapture"];
                 };
+            };
+            304: {
+                headers: {
+                    ETag?: string;
+                    [name: string]: unknown;
+                };
+                content?: never;
             };
             default: {
                 headers: {
@@ -6561,7 +6709,9 @@ export interface operations {
     "create-radiometric-calibration": {
         parameters: {
             query?: never;
-            header?: never;
+            header?: {
+                "Idempotency-Key"?: string;
+            };
             path?: never;
             cookie?: never;
         };
@@ -6592,7 +6742,9 @@ export interface operations {
     "get-radiometric-calibration": {
         parameters: {
             query?: never;
-            header?: never;
+            header?: {
+                "If-None-Match"?: string;
+            };
             path: {
                 radiometric_id: string;
             };
@@ -6602,11 +6754,46 @@ export interface operations {
         responses: {
             200: {
                 headers: {
+                    ETag?: string;
                     [name: string]: unknown;
                 };
                 content: {
                     "application/json": components["schemas"]["RadiometricCalibrationDocument"];
                 };
+            };
+            304: {
+                headers: {
+                    ETag?: string;
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    "delete-radiometric-calibration": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                radiometric_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            204: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
             };
             default: {
                 headers: {
@@ -6713,7 +6900,9 @@ export interface operations {
     "create-drift-check": {
         parameters: {
             query?: never;
-            header?: never;
+            header?: {
+                "Idempotency-Key"?: string;
+            };
             path: {
                 calibration_id: string;
             };
@@ -6779,7 +6968,9 @@ export interface operations {
     "get-drift-check": {
         parameters: {
             query?: never;
-            header?: never;
+            header?: {
+                "If-None-Match"?: string;
+            };
             path: {
                 check_id: string;
             };
@@ -6789,11 +6980,46 @@ export interface operations {
         responses: {
             200: {
                 headers: {
+                    ETag?: string;
                     [name: string]: unknown;
                 };
                 content: {
                     "application/json": components["schemas"]["DriftCheckDocument"];
                 };
+            };
+            304: {
+                headers: {
+                    ETag?: string;
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    "delete-drift-check": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                check_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            204: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
             };
             default: {
                 headers: {
@@ -6843,7 +7069,9 @@ export interface operations {
                 id?: string | null;
                 note?: string;
             };
-            header?: never;
+            header?: {
+                "Idempotency-Key"?: string;
+            };
             path?: never;
             cookie?: never;
         };
@@ -6874,7 +7102,9 @@ export interface operations {
     "get-correction-table": {
         parameters: {
             query?: never;
-            header?: never;
+            header?: {
+                "If-None-Match"?: string;
+            };
             path: {
                 table_id: string;
             };
@@ -6884,11 +7114,19 @@ export interface operations {
         responses: {
             200: {
                 headers: {
+                    ETag?: string;
                     [name: string]: unknown;
                 };
                 content: {
                     "application/json": components["schemas"]["CorrectionTableDocument"];
                 };
+            };
+            304: {
+                headers: {
+                    ETag?: string;
+                    [name: string]: unknown;
+                };
+                content?: never;
             };
             default: {
                 headers: {
@@ -7050,7 +7288,9 @@ export interface operations {
     "create-reconstruction": {
         parameters: {
             query?: never;
-            header?: never;
+            header?: {
+                "Idempotency-Key"?: string;
+            };
             path?: never;
             cookie?: never;
         };
@@ -7081,7 +7321,9 @@ export interface operations {
     "get-reconstruction": {
         parameters: {
             query?: never;
-            header?: never;
+            header?: {
+                "If-None-Match"?: string;
+            };
             path: {
                 reconstruction_id: string;
             };
@@ -7091,11 +7333,19 @@ export interface operations {
         responses: {
             200: {
                 headers: {
+                    ETag?: string;
                     [name: string]: unknown;
                 };
                 content: {
                     "application/json": components["schemas"]["Reconstruction"];
                 };
+            };
+            304: {
+                headers: {
+                    ETag?: string;
+                    [name: string]: unknown;
+                };
+                content?: never;
             };
             default: {
                 headers: {
@@ -7137,7 +7387,9 @@ export interface operations {
     "start-recording": {
         parameters: {
             query?: never;
-            header?: never;
+            header?: {
+                "Idempotency-Key"?: string;
+            };
             path: {
                 device_id: string;
             };
@@ -7267,7 +7519,9 @@ export interface operations {
     "get-recording": {
         parameters: {
             query?: never;
-            header?: never;
+            header?: {
+                "If-None-Match"?: string;
+            };
             path: {
                 name: string;
             };
@@ -7277,11 +7531,19 @@ export interface operations {
         responses: {
             200: {
                 headers: {
+                    ETag?: string;
                     [name: string]: unknown;
                 };
                 content: {
                     "application/json": components["schemas"]["RecordingDetail"];
                 };
+            };
+            304: {
+                headers: {
+                    ETag?: string;
+                    [name: string]: unknown;
+                };
+                content?: never;
             };
             default: {
                 headers: {
@@ -7353,7 +7615,9 @@ export interface operations {
     "get-export": {
         parameters: {
             query?: never;
-            header?: never;
+            header?: {
+                "If-None-Match"?: string;
+            };
             path: {
                 export_id: string;
             };
@@ -7363,11 +7627,19 @@ export interface operations {
         responses: {
             200: {
                 headers: {
+                    ETag?: string;
                     [name: string]: unknown;
                 };
                 content: {
                     "application/json": components["schemas"]["Export"];
                 };
+            };
+            304: {
+                headers: {
+                    ETag?: string;
+                    [name: string]: unknown;
+                };
+                content?: never;
             };
             default: {
                 headers: {
@@ -7483,7 +7755,9 @@ export interface operations {
     "create-tool": {
         parameters: {
             query?: never;
-            header?: never;
+            header?: {
+                "Idempotency-Key"?: string;
+            };
             path?: never;
             cookie?: never;
         };
@@ -7514,7 +7788,9 @@ export interface operations {
     "capture-tool": {
         parameters: {
             query?: never;
-            header?: never;
+            header?: {
+                "Idempotency-Key"?: string;
+            };
             path?: never;
             cookie?: never;
         };
@@ -7545,7 +7821,9 @@ export interface operations {
     "get-tool": {
         parameters: {
             query?: never;
-            header?: never;
+            header?: {
+                "If-None-Match"?: string;
+            };
             path: {
                 tool_id: string;
             };
@@ -7555,11 +7833,19 @@ export interface operations {
         responses: {
             200: {
                 headers: {
+                    ETag?: string;
                     [name: string]: unknown;
                 };
                 content: {
                     "application/json": components["schemas"]["Tool"];
                 };
+            };
+            304: {
+                headers: {
+                    ETag?: string;
+                    [name: string]: unknown;
+                };
+                content?: never;
             };
             default: {
                 headers: {
@@ -7574,7 +7860,9 @@ export interface operations {
     "delete-tool": {
         parameters: {
             query?: never;
-            header?: never;
+            header?: {
+                "If-Match"?: string;
+            };
             path: {
                 tool_id: string;
             };
@@ -7601,7 +7889,9 @@ export interface operations {
     "change-tool": {
         parameters: {
             query?: never;
-            header?: never;
+            header: {
+                "If-Match": string;
+            };
             path: {
                 tool_id: string;
             };
@@ -7615,6 +7905,7 @@ export interface operations {
         responses: {
             200: {
                 headers: {
+                    ETag?: string;
                     [name: string]: unknown;
                 };
                 content: {
@@ -7636,7 +7927,9 @@ export interface operations {
             query?: {
                 frame?: string | null;
             };
-            header?: never;
+            header?: {
+                "If-None-Match"?: string;
+            };
             path: {
                 tool_id: string;
             };
@@ -7646,11 +7939,19 @@ export interface operations {
         responses: {
             200: {
                 headers: {
+                    ETag?: string;
                     [name: string]: unknown;
                 };
                 content: {
                     "application/json": components["schemas"]["Pose"];
                 };
+            };
+            304: {
+                headers: {
+                    ETag?: string;
+                    [name: string]: unknown;
+                };
+                content?: never;
             };
             default: {
                 headers: {
@@ -7665,7 +7966,9 @@ export interface operations {
     "calibrate-pivot": {
         parameters: {
             query?: never;
-            header?: never;
+            header?: {
+                "Idempotency-Key"?: string;
+            };
             path: {
                 tool_id: string;
             };
@@ -7698,7 +8001,9 @@ export interface operations {
     "calibrate-spin": {
         parameters: {
             query?: never;
-            header?: never;
+            header?: {
+                "Idempotency-Key"?: string;
+            };
             path: {
                 tool_id: string;
             };
@@ -7827,7 +8132,9 @@ export interface operations {
     "create-registration": {
         parameters: {
             query?: never;
-            header?: never;
+            header?: {
+                "Idempotency-Key"?: string;
+            };
             path?: never;
             cookie?: never;
         };
@@ -7858,7 +8165,9 @@ export interface operations {
     "get-registration": {
         parameters: {
             query?: never;
-            header?: never;
+            header?: {
+                "If-None-Match"?: string;
+            };
             path: {
                 registration_id: string;
             };
@@ -7868,11 +8177,19 @@ export interface operations {
         responses: {
             200: {
                 headers: {
+                    ETag?: string;
                     [name: string]: unknown;
                 };
                 content: {
                     "application/json": components["schemas"]["Registration"];
                 };
+            };
+            304: {
+                headers: {
+                    ETag?: string;
+                    [name: string]: unknown;
+                };
+                content?: never;
             };
             default: {
                 headers: {
@@ -7914,7 +8231,9 @@ export interface operations {
     "list-frames": {
         parameters: {
             query?: never;
-            header?: never;
+            header?: {
+                "If-None-Match"?: string;
+            };
             path: {
                 device_id: string;
             };
@@ -7924,11 +8243,19 @@ export interface operations {
         responses: {
             200: {
                 headers: {
+                    ETag?: string;
                     [name: string]: unknown;
                 };
                 content: {
                     "application/json": components["schemas"]["FrameList"];
                 };
+            };
+            304: {
+                headers: {
+                    ETag?: string;
+                    [name: string]: unknown;
+                };
+                content?: never;
             };
             default: {
                 headers: {
@@ -7945,7 +8272,9 @@ export interface operations {
             query?: {
                 to?: string;
             };
-            header?: never;
+            header?: {
+                "If-None-Match"?: string;
+            };
             path: {
                 device_id: string;
                 frame: string;
@@ -7956,11 +8285,19 @@ export interface operations {
         responses: {
             200: {
                 headers: {
+                    ETag?: string;
                     [name: string]: unknown;
                 };
                 content: {
                     "application/json": components["schemas"]["FrameTransform"];
                 };
+            };
+            304: {
+                headers: {
+                    ETag?: string;
+                    [name: string]: unknown;
+                };
+                content?: never;
             };
             default: {
                 headers: {
@@ -8006,7 +8343,9 @@ export interface operations {
     "create-beam-hold": {
         parameters: {
             query?: never;
-            header?: never;
+            header?: {
+                "Idempotency-Key"?: string;
+            };
             path?: never;
             cookie?: never;
         };
@@ -8037,7 +8376,9 @@ export interface operations {
     "get-beam-hold": {
         parameters: {
             query?: never;
-            header?: never;
+            header?: {
+                "If-None-Match"?: string;
+            };
             path: {
                 hold_id: string;
             };
@@ -8047,11 +8388,19 @@ export interface operations {
         responses: {
             200: {
                 headers: {
+                    ETag?: string;
                     [name: string]: unknown;
                 };
                 content: {
                     "application/json": components["schemas"]["BeamHold"];
                 };
+            };
+            304: {
+                headers: {
+                    ETag?: string;
+                    [name: string]: unknown;
+                };
+                content?: never;
             };
             default: {
                 headers: {
@@ -8066,7 +8415,9 @@ export interface operations {
     "delete-beam-hold": {
         parameters: {
             query?: never;
-            header?: never;
+            header?: {
+                "If-Match"?: string;
+            };
             path: {
                 hold_id: string;
             };
@@ -8093,7 +8444,9 @@ export interface operations {
     "change-beam-hold": {
         parameters: {
             query?: never;
-            header?: never;
+            header: {
+                "If-Match": string;
+            };
             path: {
                 hold_id: string;
             };
@@ -8107,6 +8460,7 @@ export interface operations {
         responses: {
             200: {
                 headers: {
+                    ETag?: string;
                     [name: string]: unknown;
                 };
                 content: {
@@ -8217,7 +8571,9 @@ export interface operations {
     "get-beam-hold-state": {
         parameters: {
             query?: never;
-            header?: never;
+            header?: {
+                "If-None-Match"?: string;
+            };
             path: {
                 hold_id: string;
             };
@@ -8227,11 +8583,19 @@ export interface operations {
         responses: {
             200: {
                 headers: {
+                    ETag?: string;
                     [name: string]: unknown;
                 };
                 content: {
                     "application/json": components["schemas"]["BeamHoldStatus"];
                 };
+            };
+            304: {
+                headers: {
+                    ETag?: string;
+                    [name: string]: unknown;
+                };
+                content?: never;
             };
             default: {
                 headers: {
@@ -8337,7 +8701,9 @@ export interface operations {
     "get-device-profile": {
         parameters: {
             query?: never;
-            header?: never;
+            header?: {
+                "If-None-Match"?: string;
+            };
             path: {
                 name: string;
             };
@@ -8347,11 +8713,19 @@ export interface operations {
         responses: {
             200: {
                 headers: {
+                    ETag?: string;
                     [name: string]: unknown;
                 };
                 content: {
                     "application/json": components["schemas"]["DeviceProfileDocument"];
                 };
+            };
+            304: {
+                headers: {
+                    ETag?: string;
+                    [name: string]: unknown;
+                };
+                content?: never;
             };
             default: {
                 headers: {
@@ -8489,7 +8863,9 @@ export interface operations {
     "get-key": {
         parameters: {
             query?: never;
-            header?: never;
+            header?: {
+                "If-None-Match"?: string;
+            };
             path: {
                 key_id: string;
             };
@@ -8499,11 +8875,19 @@ export interface operations {
         responses: {
             200: {
                 headers: {
+                    ETag?: string;
                     [name: string]: unknown;
                 };
                 content: {
                     "application/json": components["schemas"]["ApiKey"];
                 };
+            };
+            304: {
+                headers: {
+                    ETag?: string;
+                    [name: string]: unknown;
+                };
+                content?: never;
             };
             default: {
                 headers: {
@@ -8612,7 +8996,9 @@ export interface operations {
     "create-quality-check": {
         parameters: {
             query?: never;
-            header?: never;
+            header?: {
+                "Idempotency-Key"?: string;
+            };
             path: {
                 device_id: string;
             };
@@ -8677,7 +9063,9 @@ export interface operations {
     "get-quality-check": {
         parameters: {
             query?: never;
-            header?: never;
+            header?: {
+                "If-None-Match"?: string;
+            };
             path: {
                 check_id: string;
             };
@@ -8687,11 +9075,19 @@ export interface operations {
         responses: {
             200: {
                 headers: {
+                    ETag?: string;
                     [name: string]: unknown;
                 };
                 content: {
                     "application/json": components["schemas"]["QualityCheck"];
                 };
+            };
+            304: {
+                headers: {
+                    ETag?: string;
+                    [name: string]: unknown;
+                };
+                content?: never;
             };
             default: {
                 headers: {
@@ -8733,7 +9129,9 @@ export interface operations {
     "get-quality": {
         parameters: {
             query?: never;
-            header?: never;
+            header?: {
+                "If-None-Match"?: string;
+            };
             path: {
                 device_id: string;
             };
@@ -8743,11 +9141,19 @@ export interface operations {
         responses: {
             200: {
                 headers: {
+                    ETag?: string;
                     [name: string]: unknown;
                 };
                 content: {
                     "application/json": components["schemas"]["Quality"];
                 };
+            };
+            304: {
+                headers: {
+                    ETag?: string;
+                    [name: string]: unknown;
+                };
+                content?: never;
             };
             default: {
                 headers: {
@@ -8791,7 +9197,9 @@ export interface operations {
     "get-watch": {
         parameters: {
             query?: never;
-            header?: never;
+            header?: {
+                "If-None-Match"?: string;
+            };
             path: {
                 device_id: string;
             };
@@ -8801,11 +9209,19 @@ export interface operations {
         responses: {
             200: {
                 headers: {
+                    ETag?: string;
                     [name: string]: unknown;
                 };
                 content: {
                     "application/json": components["schemas"]["WatchSettings"];
                 };
+            };
+            304: {
+                headers: {
+                    ETag?: string;
+                    [name: string]: unknown;
+                };
+                content?: never;
             };
             default: {
                 headers: {
@@ -8820,7 +9236,9 @@ export interface operations {
     "set-watch": {
         parameters: {
             query?: never;
-            header?: never;
+            header: {
+                "If-Match": string;
+            };
             path: {
                 device_id: string;
             };
@@ -8834,6 +9252,7 @@ export interface operations {
         responses: {
             200: {
                 headers: {
+                    ETag?: string;
                     [name: string]: unknown;
                 };
                 content: {
@@ -8992,7 +9411,9 @@ export interface operations {
     "get-problem": {
         parameters: {
             query?: never;
-            header?: never;
+            header?: {
+                "If-None-Match"?: string;
+            };
             path: {
                 code: string;
             };
@@ -9002,12 +9423,20 @@ export interface operations {
         responses: {
             200: {
                 headers: {
+                    ETag?: string;
                     [name: string]: unknown;
                 };
                 content: {
                     "application/json": components["schemas"]["ProblemType"];
                     "text/html": string;
                 };
+            };
+            304: {
+                headers: {
+                    ETag?: string;
+                    [name: string]: unknown;
+                };
+                content?: never;
             };
             default: {
                 headers: {

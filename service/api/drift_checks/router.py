@@ -94,3 +94,11 @@ def get_drift_check(check_id: DriftCheckPath, database: DatabaseDep) -> DriftChe
     """One check with its readings."""
     with database.read() as session:
         return store.document(store.DRIFT_CHECKS.get(session, check_id))
+
+
+@router.operation("DELETE /drift-checks/{check_id}", "delete-drift-check", "Delete a drift check")
+@raises("unknown-drift-check")
+def delete_drift_check(check_id: DriftCheckPath, database: DatabaseDep) -> None:
+    """For one that was made wrongly: nothing refers to a check."""
+    with database.write() as session:
+        session.delete(store.DRIFT_CHECKS.get(session, check_id))

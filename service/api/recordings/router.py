@@ -1,5 +1,6 @@
 """REST resource /api/v1/recordings."""
 
+from functools import partial
 from typing import Annotated, Any, Final
 
 from fastapi import Body, Path, Response
@@ -14,12 +15,11 @@ from service.api.inputs import (
     DevicePath,
     JsonTypes,
     Limit,
-    LiveDep,
     Offset,
 )
 from service.api.openapi import ResourceRouter, raises
 from service.api.recordings.recording_manager import RecordingsDep
-from service.api.recordings.repository import replaying_device
+from service.api.recordings.repository import replaying_devices
 from service.api.recordings.schema import NewRecording, RecordingDetail, RecordingDocument
 
 MEDIA_TYPE: Final = "application/x-hdf5"
@@ -119,8 +119,6 @@ def get_recording(name: BegunPath, recordings: RecordingsDep) -> RecordingDetail
 
 @router.operation("DELETE /recordings/{name:path}", "delete-recording", "Delete a recording")
 @raises("unknown-recording", "recording-in-progress", "recording-in-use")
-def delete_recording(
-    name: FinishedPath, database: DatabaseDep, live: LiveDep, recordings: RecordingsDep
-) -> None:
-    """Delete the file; not while it is written, or a running device replays it."""
-    recordings.delete(name, lambda wanted: replaying_device(database, live, wanted))
+def delete_recording(name: FinishedPath, database: DatabaseDep, recordings: RecordingsDep) -> None:
+    """Delete the file; not while it is written, or a device replays it."""
+    recordings.delete(name, partial(replaying_devices, database))

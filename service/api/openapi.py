@@ -1,7 +1,10 @@
 """The OpenAPI document: problem responses by their types, and the shared schemas."""
 
+import json
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Sequence
+from functools import cache
+from pathlib import Path
 from typing import Any, Final, TypeVar
 
 from fastapi import APIRouter, FastAPI
@@ -10,6 +13,7 @@ from pydantic.json_schema import models_json_schema
 
 from service.api import idempotency
 from service.api.inputs import JsonRoute
+from service.api.member_descriptions import describe_members
 from service.api.preconditions import (
     ETAG_HEADER,
     IF_MATCH_SCHEMA,
@@ -26,6 +30,8 @@ from service.problems.catalogue import (
 )
 from service.security.operation_scopes import OPERATION_SCOPES, PUBLIC
 
+ANSWER_EXAMPLES: Final = Path(__file__).with_name("answer_examples.json")
+"""Answers that a server gave, by operation; recorded by ``tests.service.api.record_answers``."""
 _CREATED: Final = (201, 202)
 
 Responses = dict[int | str, dict[str, Any]]
@@ -196,16 +202,33 @@ def _document(app: FastAPI) -> dict[str, Any]:
         [(Problem, "serialization")], ref_template="#/components/schemas/{model}"
     )
     schemas |= found["$defs"]
+    describe_members(schemas)
     _require_discriminators(schemas, schemas)
     document["components"]["securitySchemes"] = _SCHEMES
     for path, item in document["paths"].items():
         for method, operation in item.items():
             if method != "parameters":
+                _add_answer_example(operation)
                 of_path = _OF_RESOURCES if path.startswith("/api/") else ()
                 changes = () if method == "get" else (*_OF_CHANGES, *_OF_STORED_CHANGES)
                 others = [*_OF_ALL_REQUESTS, *of_path, *changes]
                 _complete(operation, [*others, *_secure(operation)])
     return document
+
+
+def _add_answer_example(operation: dict[str, Any]) -> None:
+    """Add a recorded answer to the success of an operation that answers JSON."""
+    example = _answer_examples().get(operation["operationId"])
+    for status, response in operation["responses"].items():
+        content = response.get("content", {}).get("application/json")
+        if example is not None and status.startswith("2") and content is not None:
+            content["example"] = example
+
+
+@cache
+def _answer_examples() -> dict[str, Any]:
+    found: dict[str, Any] = json.loads(ANSWER_EXAMPLES.read_text(encoding="utf-8"))
+    return found
 
 
 def _secure(operation: dict[str, Any]) -> tuple[str, ...]:

@@ -177,7 +177,12 @@ def _sentence(description: str, otherwise: str) -> str:
 
 def _method(path: str, verb: str, operation: Schema, answers: _Types, bodies: _Types) -> str:
     """Code of the method of one operation."""
-    parameters = operation.get("parameters", [])
+    parameters = [
+        # Left out, the client sends the ETag that it read.
+        one | {"required": False} if one["name"] == "If-Match" else one
+        for one in operation.get("parameters", [])
+        if one["name"] != "If-None-Match"
+    ]
     content = operation.get("requestBody", {}).get("content", {})
     media, reply = _reply(operation)
     is_list = re.fullmatch(r".*/Page_.*_", reply.get("$ref", "")) is not None

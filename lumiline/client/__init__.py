@@ -3,6 +3,7 @@
 from lumiline.client.client import AsyncClient, Client
 from lumiline.client.errors import (
     ClientError,
+    ResourceChanged,
     ServerProblem,
     ServerUnreachable,
     StreamEnded,
@@ -13,6 +14,7 @@ __all__ = [
     "AsyncClient",
     "Client",
     "ClientError",
+    "ResourceChanged",
     "ServerProblem",
     "ServerUnreachable",
     "StreamEnded",

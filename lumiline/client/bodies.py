@@ -73,13 +73,18 @@ class EvenLight(TypedDict):
 
 
 class StrobeSchedule(TypedDict):
-    """A cyclic sequence of slots, one exposure each; each slot lights one marker, or all."""
+    """A cyclic sequence of slots, one exposure each; each slot lights one marker, or
+    all.Raises: InvalidParameter: no slots, too many, or a marker that cannot be.
+    """
 
     slots: Sequence[int | None]
 
 
 class BlinkSchedule(TypedDict):
-    """Cyclic code words of the markers, one bit per exposure, each with its own phase."""
+    """Cyclic code words of the markers, one bit per exposure, each with its own phase.Raises:
+    InvalidParameter: words of several lengths or of other characters, other numbers of
+    phases.
+    """
 
     words: Sequence[str]
     low: NotRequired[float]
@@ -87,7 +92,9 @@ class BlinkSchedule(TypedDict):
 
 
 class PixelDefects(TypedDict):
-    """Differences of the pixels and bad pixels, drawn for each sensor from a seed."""
+    """Differences of the pixels and bad pixels, drawn for each sensor from a seed.Raises:
+    InvalidParameter: a value is outside of its bounds.
+    """
 
     response_nonuniformity: NotRequired[float]
     offset_nonuniformity_counts: NotRequired[float]
@@ -99,7 +106,9 @@ class PixelDefects(TypedDict):
 
 
 class SimulationSettings(TypedDict):
-    """What the simulated device shows, and how its sensors see it."""
+    """What the simulated device shows, and how its sensors see it.Raises: InvalidParameter: a
+    value is outside of its bounds.
+    """
 
     scene: NotRequired[
         CalibrationTarget | StillPoints | ShiftedPoints | RotatingBar | MovingTools | EvenLight
@@ -170,7 +179,9 @@ class ReplaySource(TypedDict):
 
 
 class SerialSettings(TypedDict):
-    """Port of a device, and settings sent to it."""
+    """Port of a device, and settings sent to it.Raises: InvalidParameter: a value is outside
+    of its bounds, or the URL is none.
+    """
 
     url: str
     baudrate: NotRequired[int]
@@ -198,7 +209,9 @@ class Tcd1304Board(TypedDict):
 
 
 class Tcd1304Settings(TypedDict):
-    """The boards, and how their lines are taken."""
+    """The boards, and how their lines are taken.Raises: InvalidParameter: a value is out of
+    its bounds, or two boards have one name or one port.
+    """
 
     boards: Sequence[Tcd1304Board]
     exposure_us: NotRequired[float]
@@ -234,7 +247,9 @@ class Feature(TypedDict):
 
 
 class GenicamSettings(TypedDict):
-    """The cameras, and how they are set."""
+    """The cameras, and how they are set.Raises: InvalidParameter: a value is out of its
+    bounds, or two cameras have one name or are one.
+    """
 
     cameras: Sequence[GenicamCamera]
     pitch_um: float

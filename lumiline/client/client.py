@@ -7,7 +7,8 @@ from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Mappin
 from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
-from typing import IO, Any, Generic, TypeVar
+from typing import IO, Any, Final, Generic, TypeVar
+from uuid import uuid4
 
 import httpx
 
@@ -50,6 +51,7 @@ class _SharedClient(Operations, Generic[Http, AnyStream]):
         """
         self._server = Server(url, key, key_by)
         self._timeout_s = timeout_s
+        self._etags = _ETags()
         self._http: Http = self._http_type(
             base_url=self._server.url, headers=self._server.headers, timeout=timeout_s
         )
@@ -79,7 +81,8 @@ class _SharedClient(Operations, Generic[Http, AnyStream]):
             timeout_s: how long the answer is waited for [s]; None: as the client says.
 
         Raises:
-            ServerProblem: the server refused.
+            ResourceChanged: it was changed after this client read it (PATCH and PUT).
+            ServerProblem: the server refused otherwise.
             ServerUnreachable: it did not answer.
             UnreadableMessage: what it answered is no JSON.
         """
@@ -150,12 +153,24 @@ class _SharedClient(Operations, Generic[Http, AnyStream]):
         text: bool = False,
     ) -> Any:
         what = f"{method} {path}"
+        if method in ("PATCH", "PUT") and (headers or {}).get("If-Match") is None:
+            headers = {**(headers or {}), "If-Match": await self._etag(path)}
         timeout_s = (self._timeout_s if timeout_s is None else timeout_s) + extra_timeout_s
+        repeatable = "Idempotency-Key" in (headers or {})
+        if repeatable:
+            key = (headers or {})["Idempotency-Key"] or uuid4().hex
+            headers = {**(headers or {}), "Idempotency-Key": key}
         request = self._build(
             method, path, params, headers, body, upload, timeout_s + _stated_s(body)
         )
         with self._connection_errors(what):
-            response = await result_of(self._http.send(request))
+            try:
+                response = await result_of(self._http.send(request))
+            except _LOST as lost:
+                if not repeatable:
+                    raise
+                response = await self._send_again(request, lost, timeout_s)
+        self._etags.note(path, response.status_code, response.headers.get("ETag"))
         _check(response, response.content)
         if text:
             return response.text
@@ -165,6 +180,26 @@ class _SharedClient(Operations, Generic[Http, AnyStream]):
             return response.json()
         except ValueError as error:
             raise UnreadableMessage(f"{what} did not answer JSON") from error
+
+    async def _send_again(
+        self, request: httpx.Request, lost: httpx.TransportError, timeout_s: float
+    ) -> httpx.Response:
+        """Send a request again whose answer was lost: by its key it is carried out only once."""
+        end_s = time.monotonic() + timeout_s
+        while time.monotonic() < end_s:
+            await result_of(self._sleep(_PAUSE_S))
+            response: httpx.Response = await result_of(self._http.send(request))
+            if response.status_code != 409 or (
+                server_problem(409, response.content).code != "request-in-progress"
+            ):
+                return response
+        raise lost
+
+    async def _etag(self, path: str) -> str:
+        """Return the ETag of a resource as this client read it last, or as it is now."""
+        if path not in self._etags:
+            await self._request("GET", path)
+        return self._etags.get(path, "*")
 
     async def _download(
         self,
@@ -270,6 +305,26 @@ class AsyncClient(_SharedClient[httpx.AsyncClient, AsyncStream], Asynchronous):
     async def close(self) -> None:
         """Close the connections; streams have their own."""
         await self._http.aclose()
+
+
+class _ETags(dict[str, str]):
+    """ETags of resources by their paths, as they were read; the oldest make room."""
+
+    def note(self, path: str, status: int, etag: str | None) -> None:
+        """Keep the ETag of an answer; that of a resource which others changed stays, until read."""
+        if status >= 400:
+            return
+        self.pop(path, None)
+        if etag is not None:
+            self[path] = etag
+            while len(self) > _MAX_ETAGS:
+                del self[next(iter(self))]
+
+
+_MAX_ETAGS: Final = 1000
+_LOST: Final = (httpx.ReadError, httpx.WriteError, httpx.RemoteProtocolError)
+"""Errors after which nobody knows whether the server has carried a request out."""
+_PAUSE_S: Final = 0.5
 
 
 def _check(response: httpx.Response, body: bytes) -> None:

@@ -61,6 +61,13 @@ class ServerProblem(ClientError):
         self.retry_after_s = retry_after_s
 
 
+class ResourceChanged(ServerProblem):
+    """The resource was changed by somebody else after it was read; nothing was done.
+
+    Read it again, and apply the change to what it is now.
+    """
+
+
 def server_problem(status: int, body: bytes, retry_after: str | None = None) -> ServerProblem:
     """Return the problem that a response reports; its body may be anything."""
     try:
@@ -71,7 +78,8 @@ def server_problem(status: int, body: bytes, retry_after: str | None = None) -> 
         text = body[:200].decode("utf-8", "replace").strip()
         document = {"detail": text or "no reason given"}
     kind, errors, context = (document.get(name) for name in ("type", "errors", "context"))
-    return ServerProblem(
+    problem = ResourceChanged if status == 412 else ServerProblem
+    return problem(
         status,
         kind.rsplit("/", 1)[-1] if isinstance(kind, str) else "",
         str(document.get("detail") or document.get("title") or "no reason given"),

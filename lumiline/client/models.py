@@ -80,13 +80,18 @@ class EvenLight(ResponseModel):
 
 
 class StrobeSchedule(ResponseModel):
-    """A cyclic sequence of slots, one exposure each; each slot lights one marker, or all."""
+    """A cyclic sequence of slots, one exposure each; each slot lights one marker, or
+    all.Raises: InvalidParameter: no slots, too many, or a marker that cannot be.
+    """
 
     slots: tuple[int | None, ...]
 
 
 class BlinkSchedule(ResponseModel):
-    """Cyclic code words of the markers, one bit per exposure, each with its own phase."""
+    """Cyclic code words of the markers, one bit per exposure, each with its own phase.Raises:
+    InvalidParameter: words of several lengths or of other characters, other numbers of
+    phases.
+    """
 
     words: tuple[str, ...]
     low: float = 0.4
@@ -94,7 +99,9 @@ class BlinkSchedule(ResponseModel):
 
 
 class PixelDefects(ResponseModel):
-    """Differences of the pixels and bad pixels, drawn for each sensor from a seed."""
+    """Differences of the pixels and bad pixels, drawn for each sensor from a seed.Raises:
+    InvalidParameter: a value is outside of its bounds.
+    """
 
     response_nonuniformity: float = 0.01
     offset_nonuniformity_counts: float = 2.0
@@ -106,7 +113,9 @@ class PixelDefects(ResponseModel):
 
 
 class SimulationSettings(ResponseModel):
-    """What the simulated device shows, and how its sensors see it."""
+    """What the simulated device shows, and how its sensors see it.Raises: InvalidParameter: a
+    value is outside of its bounds.
+    """
 
     scene: (
         CalibrationTarget
@@ -183,7 +192,9 @@ class ReplaySource(ResponseModel):
 
 
 class SerialSettings(ResponseModel):
-    """Port of a device, and settings sent to it."""
+    """Port of a device, and settings sent to it.Raises: InvalidParameter: a value is outside
+    of its bounds, or the URL is none.
+    """
 
     url: str
     baudrate: int = 921600
@@ -211,7 +222,9 @@ class Tcd1304Board(ResponseModel):
 
 
 class Tcd1304Settings(ResponseModel):
-    """The boards, and how their lines are taken."""
+    """The boards, and how their lines are taken.Raises: InvalidParameter: a value is out of
+    its bounds, or two boards have one name or one port.
+    """
 
     boards: tuple[Tcd1304Board, ...]
     exposure_us: float = 7388.0
@@ -247,7 +260,9 @@ class Feature(ResponseModel):
 
 
 class GenicamSettings(ResponseModel):
-    """The cameras, and how they are set."""
+    """The cameras, and how they are set.Raises: InvalidParameter: a value is out of its
+    bounds, or two cameras have one name or are one.
+    """
 
     cameras: tuple[GenicamCamera, ...]
     pitch_um: float
@@ -438,7 +453,10 @@ class ControlPoint(ResponseModel):
 
 
 class FieldDistortion(ResponseModel):
-    """A lens's contribution to the field angle u that is read, ``sum a_ij u^i v^j``."""
+    """A lens's contribution to the field angle u that is read, ``sum a_ij u^i v^j``.Raises:
+    InvalidParameter: terms that are refused by ``check_terms``, or not one coefficient
+    each.
+    """
 
     terms: tuple[tuple[int, int], ...]
     coefficients: tuple[float, ...]
@@ -473,7 +491,7 @@ class SensorFit(ResponseModel):
 
 
 class CalibrationSettings(ResponseModel):
-    """How a device is calibrated."""
+    """How a device is calibrated.Raises: InvalidParameter: a value is out of range or unknown."""
 
     distortion: str | tuple[tuple[int, int], ...] = "none"
     control_sigma_mm: float | None = None
@@ -1658,7 +1676,9 @@ class SensorProfile(ResponseModel):
 
 
 class PixelRow(ResponseModel):
-    """A row of pixels, centred on the origin of the sensor's frame."""
+    """A row of pixels, centred on the origin of the sensor's frame.Raises: InvalidParameter: a
+    value that is not positive and finite, or a count above a million.
+    """
 
     count: int
     pitch_um: float
@@ -1666,7 +1686,9 @@ class PixelRow(ResponseModel):
 
 
 class DetectorProfile(ResponseModel):
-    """Detector parameters of a profile."""
+    """Detector parameters of a profile.Raises: InvalidParameter: a value is outside of its
+    range.
+    """
 
     bits: int
     full_well_electrons: float
@@ -1683,7 +1705,7 @@ class DetectorProfile(ResponseModel):
 
 
 class LedMarkers(ResponseModel):
-    """Active markers."""
+    """Active markers.Raises: InvalidParameter: a value is outside of its range."""
 
     radiant_intensity_w_per_sr: float
     wavelength_nm: float
@@ -1695,7 +1717,9 @@ class LedMarkers(ResponseModel):
 
 
 class RetroMarkers(ResponseModel):
-    """Retro-reflective markers with one illuminator; all are lit at once."""
+    """Retro-reflective markers with one illuminator; all are lit at once.Raises:
+    InvalidParameter: a value is outside of its range.
+    """
 
     illuminator_intensity_w_per_sr: float
     illuminator_position_mm: tuple[float, float, float]
@@ -1709,21 +1733,27 @@ class RetroMarkers(ResponseModel):
 
 
 class ProfileSectionsRates(ResponseModel):
-    """Line rate and exposure time."""
+    """Line rate and exposure time.Raises: InvalidParameter: a value is not positive, or the
+    exposure too long.
+    """
 
     line_rate_hz: float
     exposure_s: float
 
 
 class Volume(ResponseModel):
-    """Working volume, a box along the axes of the world."""
+    """Working volume, a box along the axes of the world.Raises: InvalidParameter: a side that
+    is not positive.
+    """
 
     centre_mm: tuple[float, float, float]
     size_mm: tuple[float, float, float]
 
 
 class PublishedFigure(ResponseModel):
-    """One published figure of a device."""
+    """One published figure of a device.Raises: InvalidParameter: a figure or a distance that
+    is not positive.
+    """
 
     quantity: str
     axis: str
@@ -1780,7 +1810,9 @@ class DeviceProfileDocument(ResponseModel):
 
 
 class Box(ResponseModel):
-    """A working volume: a box along the world's axes."""
+    """A working volume: a box along the world's axes.Raises: InvalidParameter: a length that
+    is not positive.
+    """
 
     centre_mm: tuple[float, float, float]
     size_mm: tuple[float, float, float]

@@ -23,9 +23,17 @@ class Operations(Exchanges):
         return await self._get_all(models.Device, "/api/v1/devices", limit=limit)
 
     @ClientMethod
-    async def create_device(self, **members: Unpack[bodies.NewDevice]) -> models.Device:
+    async def create_device(
+        self, *, idempotency_key: str | None = None, **members: Unpack[bodies.NewDevice]
+    ) -> models.Device:
         """Create a device."""
-        return await self._send(models.Device, "POST", "/api/v1/devices", body=members)
+        return await self._send(
+            models.Device,
+            "POST",
+            "/api/v1/devices",
+            body=members,
+            headers={"Idempotency-Key": idempotency_key},
+        )
 
     @ClientMethod
     async def device(self, device_id: str) -> models.Device:
@@ -34,18 +42,32 @@ class Operations(Exchanges):
 
     @ClientMethod
     async def change_device(
-        self, device_id: str, /, **members: Unpack[bodies.DeviceChange]
+        self,
+        device_id: str,
+        /,
+        *,
+        if_match: str | None = None,
+        **members: Unpack[bodies.DeviceChange],
     ) -> models.Device:
         """Change a device."""
         return await self._send(
-            models.Device, "PATCH", path_of("/api/v1/devices/{}", device_id), body=members
+            models.Device,
+            "PATCH",
+            path_of("/api/v1/devices/{}", device_id),
+            body=members,
+            headers={"If-Match": if_match},
         )
 
     @ClientMethod
-    async def delete_device(self, device_id: str, *, cascade: bool | None = None) -> None:
+    async def delete_device(
+        self, device_id: str, *, cascade: bool | None = None, if_match: str | None = None
+    ) -> None:
         """Delete a device."""
         await self._request(
-            "DELETE", path_of("/api/v1/devices/{}", device_id), params={"cascade": cascade}
+            "DELETE",
+            path_of("/api/v1/devices/{}", device_id),
+            params={"cascade": cascade},
+            headers={"If-Match": if_match},
         )
 
     @ClientMethod
@@ -108,11 +130,15 @@ class Operations(Exchanges):
 
     @ClientMethod
     async def create_calibration(
-        self, **members: Unpack[bodies.NewCalibration]
+        self, *, idempotency_key: str | None = None, **members: Unpack[bodies.NewCalibration]
     ) -> models.CalibrationDocument:
         """Calibrate a device."""
         return await self._send(
-            models.CalibrationDocument, "POST", "/api/v1/calibrations", body=members
+            models.CalibrationDocument,
+            "POST",
+            "/api/v1/calibrations",
+            body=members,
+            headers={"Idempotency-Key": idempotency_key},
         )
 
     @ClientMethod
@@ -121,6 +147,11 @@ class Operations(Exchanges):
         return await self._send(
             models.CalibrationDocument, "GET", path_of("/api/v1/calibrations/{}", calibration_id)
         )
+
+    @ClientMethod
+    async def delete_calibration(self, calibration_id: str) -> None:
+        """Delete a calibration."""
+        await self._request("DELETE", path_of("/api/v1/calibrations/{}", calibration_id))
 
     @ClientMethod
     async def compare_calibrations(
@@ -185,32 +216,68 @@ class Operations(Exchanges):
 
     @ClientMethod
     async def create_calibration_run(
-        self, **members: Unpack[bodies.NewCalibrationRun]
+        self, *, idempotency_key: str | None = None, **members: Unpack[bodies.NewCalibrationRun]
     ) -> models.Run:
         """Calibrate a device beside the requests."""
-        return await self._send(models.Run, "POST", "/api/v1/calibration-runs", body=members)
+        return await self._send(
+            models.Run,
+            "POST",
+            "/api/v1/calibration-runs",
+            body=members,
+            headers={"Idempotency-Key": idempotency_key},
+        )
 
     @ClientMethod
-    async def create_mapping_run(self, **members: Unpack[bodies.NewMappingRun]) -> models.Run:
+    async def create_mapping_run(
+        self, *, idempotency_key: str | None = None, **members: Unpack[bodies.NewMappingRun]
+    ) -> models.Run:
         """Map the volume beside the requests."""
-        return await self._send(models.Run, "POST", "/api/v1/mapping-runs", body=members)
+        return await self._send(
+            models.Run,
+            "POST",
+            "/api/v1/mapping-runs",
+            body=members,
+            headers={"Idempotency-Key": idempotency_key},
+        )
 
     @ClientMethod
     async def create_self_calibration_run(
-        self, **members: Unpack[bodies.NewSelfCalibrationRun]
+        self, *, idempotency_key: str | None = None, **members: Unpack[bodies.NewSelfCalibrationRun]
     ) -> models.Run:
         """Calibrate a device without known coordinates."""
-        return await self._send(models.Run, "POST", "/api/v1/self-calibration-runs", body=members)
+        return await self._send(
+            models.Run,
+            "POST",
+            "/api/v1/self-calibration-runs",
+            body=members,
+            headers={"Idempotency-Key": idempotency_key},
+        )
 
     @ClientMethod
-    async def create_update_run(self, **members: Unpack[bodies.NewUpdateRun]) -> models.Run:
+    async def create_update_run(
+        self, *, idempotency_key: str | None = None, **members: Unpack[bodies.NewUpdateRun]
+    ) -> models.Run:
         """Bring a calibration up to date by still markers."""
-        return await self._send(models.Run, "POST", "/api/v1/update-runs", body=members)
+        return await self._send(
+            models.Run,
+            "POST",
+            "/api/v1/update-runs",
+            body=members,
+            headers={"Idempotency-Key": idempotency_key},
+        )
 
     @ClientMethod
-    async def create_export_run(self, **members: Unpack[bodies.NewExportRun]) -> models.Run:
+    async def create_export_run(
+        self, *, idempotency_key: str | None = None, **members: Unpack[bodies.NewExportRun]
+    ) -> models.Run:
         """Export a recording beside the requests."""
-        return await self._send(models.Run, "POST", "/api/v1/export-runs", body=members)
+        return await self._send(
+            models.Run,
+            "POST",
+            "/api/v1/export-runs",
+            body=members,
+            headers={"Idempotency-Key": idempotency_key},
+        )
 
     @ClientMethod
     async def runs(
@@ -256,9 +323,17 @@ class Operations(Exchanges):
         )
 
     @ClientMethod
-    async def create_capture(self, **members: Unpack[bodies.NewCapture]) -> models.Capture:
+    async def create_capture(
+        self, *, idempotency_key: str | None = None, **members: Unpack[bodies.NewCapture]
+    ) -> models.Capture:
         """Begin a capture session."""
-        return await self._send(models.Capture, "POST", "/api/v1/captures", body=members)
+        return await self._send(
+            models.Capture,
+            "POST",
+            "/api/v1/captures",
+            body=members,
+            headers={"Idempotency-Key": idempotency_key},
+        )
 
     @ClientMethod
     async def capture(self, capture_id: str) -> models.Capture:
@@ -295,11 +370,15 @@ class Operations(Exchanges):
 
     @ClientMethod
     async def create_radiometric_capture(
-        self, **members: Unpack[bodies.NewRadiometricCapture]
+        self, *, idempotency_key: str | None = None, **members: Unpack[bodies.NewRadiometricCapture]
     ) -> models.RadiometricCapture:
         """Begin dark and flat captures."""
         return await self._send(
-            models.RadiometricCapture, "POST", "/api/v1/radiometric-captures", body=members
+            models.RadiometricCapture,
+            "POST",
+            "/api/v1/radiometric-captures",
+            body=members,
+            headers={"Idempotency-Key": idempotency_key},
         )
 
     @ClientMethod
@@ -356,7 +435,10 @@ class Operations(Exchanges):
 
     @ClientMethod
     async def create_radiometric_calibration(
-        self, **members: Unpack[bodies.NewRadiometricCalibration]
+        self,
+        *,
+        idempotency_key: str | None = None,
+        **members: Unpack[bodies.NewRadiometricCalibration],
     ) -> models.RadiometricCalibrationSummary:
         """Calibrate the pixels of a device's sensors."""
         return await self._send(
@@ -364,6 +446,7 @@ class Operations(Exchanges):
             "POST",
             "/api/v1/radiometric-calibrations",
             body=members,
+            headers={"Idempotency-Key": idempotency_key},
         )
 
     @ClientMethod
@@ -375,6 +458,13 @@ class Operations(Exchanges):
             models.RadiometricCalibrationDocument,
             "GET",
             path_of("/api/v1/radiometric-calibrations/{}", radiometric_id),
+        )
+
+    @ClientMethod
+    async def delete_radiometric_calibration(self, radiometric_id: str) -> None:
+        """Delete a radiometric calibration."""
+        await self._request(
+            "DELETE", path_of("/api/v1/radiometric-calibrations/{}", radiometric_id)
         )
 
     @ClientMethod
@@ -413,7 +503,12 @@ class Operations(Exchanges):
 
     @ClientMethod
     async def create_drift_check(
-        self, calibration_id: str, /, **members: Unpack[bodies.NewDriftCheck]
+        self,
+        calibration_id: str,
+        /,
+        *,
+        idempotency_key: str | None = None,
+        **members: Unpack[bodies.NewDriftCheck],
     ) -> models.DriftCheckDocument:
         """Is a calibration still good?."""
         return await self._send(
@@ -421,6 +516,7 @@ class Operations(Exchanges):
             "POST",
             path_of("/api/v1/calibrations/{}/drift-checks", calibration_id),
             body=members,
+            headers={"Idempotency-Key": idempotency_key},
         )
 
     @ClientMethod
@@ -448,6 +544,11 @@ class Operations(Exchanges):
         )
 
     @ClientMethod
+    async def delete_drift_check(self, drift_check_id: str) -> None:
+        """Delete a drift check."""
+        await self._request("DELETE", path_of("/api/v1/drift-checks/{}", drift_check_id))
+
+    @ClientMethod
     async def correction_tables(
         self,
         *,
@@ -465,7 +566,12 @@ class Operations(Exchanges):
 
     @ClientMethod
     async def upload_correction_table(
-        self, file: Path | str, *, id: str | None = None, note: str | None = None
+        self,
+        file: Path | str,
+        *,
+        id: str | None = None,
+        note: str | None = None,
+        idempotency_key: str | None = None,
     ) -> models.CorrectionTableDocument:
         """Upload a correction table."""
         return await self._send(
@@ -474,6 +580,7 @@ class Operations(Exchanges):
             "/api/v1/correction-tables",
             upload=file,
             params={"id": id, "note": note},
+            headers={"Idempotency-Key": idempotency_key},
         )
 
     @ClientMethod
@@ -530,11 +637,15 @@ class Operations(Exchanges):
 
     @ClientMethod
     async def create_reconstruction(
-        self, **members: Unpack[bodies.NewReconstruction]
+        self, *, idempotency_key: str | None = None, **members: Unpack[bodies.NewReconstruction]
     ) -> models.Reconstruction:
         """Reconstruct points."""
         return await self._send(
-            models.Reconstruction, "POST", "/api/v1/reconstructions", body=members
+            models.Reconstruction,
+            "POST",
+            "/api/v1/reconstructions",
+            body=members,
+            headers={"Idempotency-Key": idempotency_key},
         )
 
     @ClientMethod
@@ -551,7 +662,12 @@ class Operations(Exchanges):
 
     @ClientMethod
     async def start_recording(
-        self, device_id: str, /, **members: Unpack[bodies.RecordingsNewRecording]
+        self,
+        device_id: str,
+        /,
+        *,
+        idempotency_key: str | None = None,
+        **members: Unpack[bodies.RecordingsNewRecording],
     ) -> models.RecordingDetail:
         """Record a device."""
         return await self._send(
@@ -559,6 +675,7 @@ class Operations(Exchanges):
             "POST",
             path_of("/api/v1/devices/{}/recordings", device_id),
             body=members,
+            headers={"Idempotency-Key": idempotency_key},
         )
 
     @ClientMethod
@@ -629,14 +746,30 @@ class Operations(Exchanges):
         )
 
     @ClientMethod
-    async def create_tool(self, **members: Unpack[bodies.NewTool]) -> models.Tool:
+    async def create_tool(
+        self, *, idempotency_key: str | None = None, **members: Unpack[bodies.NewTool]
+    ) -> models.Tool:
         """Create a tool of known geometry."""
-        return await self._send(models.Tool, "POST", "/api/v1/tools", body=members)
+        return await self._send(
+            models.Tool,
+            "POST",
+            "/api/v1/tools",
+            body=members,
+            headers={"Idempotency-Key": idempotency_key},
+        )
 
     @ClientMethod
-    async def capture_tool(self, **members: Unpack[bodies.NewCapturedTool]) -> models.Tool:
+    async def capture_tool(
+        self, *, idempotency_key: str | None = None, **members: Unpack[bodies.NewCapturedTool]
+    ) -> models.Tool:
         """Define a tool by showing it."""
-        return await self._send(models.Tool, "POST", "/api/v1/tool-captures", body=members)
+        return await self._send(
+            models.Tool,
+            "POST",
+            "/api/v1/tool-captures",
+            body=members,
+            headers={"Idempotency-Key": idempotency_key},
+        )
 
     @ClientMethod
     async def tool(self, tool_id: str) -> models.Tool:
@@ -645,17 +778,23 @@ class Operations(Exchanges):
 
     @ClientMethod
     async def change_tool(
-        self, tool_id: str, /, **members: Unpack[bodies.ToolChange]
+        self, tool_id: str, /, *, if_match: str | None = None, **members: Unpack[bodies.ToolChange]
     ) -> models.Tool:
         """Change a tool's title, tip, limits or reference."""
         return await self._send(
-            models.Tool, "PATCH", path_of("/api/v1/tools/{}", tool_id), body=members
+            models.Tool,
+            "PATCH",
+            path_of("/api/v1/tools/{}", tool_id),
+            body=members,
+            headers={"If-Match": if_match},
         )
 
     @ClientMethod
-    async def delete_tool(self, tool_id: str) -> None:
+    async def delete_tool(self, tool_id: str, *, if_match: str | None = None) -> None:
         """Delete a tool."""
-        await self._request("DELETE", path_of("/api/v1/tools/{}", tool_id))
+        await self._request(
+            "DELETE", path_of("/api/v1/tools/{}", tool_id), headers={"If-Match": if_match}
+        )
 
     @ClientMethod
     async def tool_pose(self, tool_id: str, *, frame_id: str | None = None) -> models.Pose:
@@ -669,7 +808,12 @@ class Operations(Exchanges):
 
     @ClientMethod
     async def calibrate_pivot(
-        self, tool_id: str, /, **members: Unpack[bodies.NewToolCalibration]
+        self,
+        tool_id: str,
+        /,
+        *,
+        idempotency_key: str | None = None,
+        **members: Unpack[bodies.NewToolCalibration],
     ) -> models.ToolCalibration:
         """Find a tool's tip by pivoting it."""
         return await self._send(
@@ -677,11 +821,17 @@ class Operations(Exchanges):
             "POST",
             path_of("/api/v1/tools/{}/pivot-calibrations", tool_id),
             body=members,
+            headers={"Idempotency-Key": idempotency_key},
         )
 
     @ClientMethod
     async def calibrate_spin(
-        self, tool_id: str, /, **members: Unpack[bodies.NewToolCalibration]
+        self,
+        tool_id: str,
+        /,
+        *,
+        idempotency_key: str | None = None,
+        **members: Unpack[bodies.NewToolCalibration],
     ) -> models.ToolCalibration:
         """Find a tool's long axis by spinning it."""
         return await self._send(
@@ -689,6 +839,7 @@ class Operations(Exchanges):
             "POST",
             path_of("/api/v1/tools/{}/spin-calibrations", tool_id),
             body=members,
+            headers={"Idempotency-Key": idempotency_key},
         )
 
     @ClientMethod
@@ -723,11 +874,16 @@ class Operations(Exchanges):
 
     @ClientMethod
     async def create_registration(
-        self, **members: Unpack[bodies.NewRegistration]
+        self, *, idempotency_key: str | None = None, **members: Unpack[bodies.NewRegistration]
     ) -> models.Registration:
         """Register paired points, three markers, or a surface: a named frame."""
         return await self._send(
-            models.Registration, "POST", "/api/v1/registrations", body=members, extra_timeout_s=60.0
+            models.Registration,
+            "POST",
+            "/api/v1/registrations",
+            body=members,
+            headers={"Idempotency-Key": idempotency_key},
+            extra_timeout_s=60.0,
         )
 
     @ClientMethod
@@ -771,9 +927,17 @@ class Operations(Exchanges):
         )
 
     @ClientMethod
-    async def create_beam_hold(self, **members: Unpack[bodies.NewBeamHold]) -> models.BeamHold:
+    async def create_beam_hold(
+        self, *, idempotency_key: str | None = None, **members: Unpack[bodies.NewBeamHold]
+    ) -> models.BeamHold:
         """Create a beam hold."""
-        return await self._send(models.BeamHold, "POST", "/api/v1/beam-holds", body=members)
+        return await self._send(
+            models.BeamHold,
+            "POST",
+            "/api/v1/beam-holds",
+            body=members,
+            headers={"Idempotency-Key": idempotency_key},
+        )
 
     @ClientMethod
     async def beam_hold(self, hold_id: str) -> models.BeamHold:
@@ -782,17 +946,28 @@ class Operations(Exchanges):
 
     @ClientMethod
     async def change_beam_hold(
-        self, hold_id: str, /, **members: Unpack[bodies.BeamHoldChange]
+        self,
+        hold_id: str,
+        /,
+        *,
+        if_match: str | None = None,
+        **members: Unpack[bodies.BeamHoldChange],
     ) -> models.BeamHold:
         """Change a beam hold's limits, rules or title."""
         return await self._send(
-            models.BeamHold, "PATCH", path_of("/api/v1/beam-holds/{}", hold_id), body=members
+            models.BeamHold,
+            "PATCH",
+            path_of("/api/v1/beam-holds/{}", hold_id),
+            body=members,
+            headers={"If-Match": if_match},
         )
 
     @ClientMethod
-    async def delete_beam_hold(self, hold_id: str) -> None:
+    async def delete_beam_hold(self, hold_id: str, *, if_match: str | None = None) -> None:
         """Delete a beam hold."""
-        await self._request("DELETE", path_of("/api/v1/beam-holds/{}", hold_id))
+        await self._request(
+            "DELETE", path_of("/api/v1/beam-holds/{}", hold_id), headers={"If-Match": if_match}
+        )
 
     @ClientMethod
     async def set_beam_hold_reference(
@@ -939,7 +1114,12 @@ class Operations(Exchanges):
 
     @ClientMethod
     async def create_quality_check(
-        self, device_id: str, /, **members: Unpack[bodies.NewQualityCheck]
+        self,
+        device_id: str,
+        /,
+        *,
+        idempotency_key: str | None = None,
+        **members: Unpack[bodies.NewQualityCheck],
     ) -> models.QualityCheck:
         """How well does a device measure now?."""
         return await self._send(
@@ -947,6 +1127,7 @@ class Operations(Exchanges):
             "POST",
             path_of("/api/v1/devices/{}/quality-checks", device_id),
             body=members,
+            headers={"Idempotency-Key": idempotency_key},
         )
 
     @ClientMethod
@@ -1000,7 +1181,12 @@ class Operations(Exchanges):
 
     @ClientMethod
     async def set_watch(
-        self, device_id: str, /, **members: Unpack[bodies.WatchSettings]
+        self,
+        device_id: str,
+        /,
+        *,
+        if_match: str | None = None,
+        **members: Unpack[bodies.WatchSettings],
     ) -> models.WatchSettings:
         """Say how a device's drift is watched."""
         return await self._send(
@@ -1008,6 +1194,7 @@ class Operations(Exchanges):
             "PUT",
             path_of("/api/v1/devices/{}/watch", device_id),
             body=members,
+            headers={"If-Match": if_match},
         )
 
     @ClientMethod

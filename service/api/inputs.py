@@ -11,7 +11,9 @@ from pydantic_core import CoreSchema, core_schema
 from starlette.responses import Response
 
 from service.api.base_models import SLUG_PATTERN
+from service.api.idempotency import once, takes_key
 from service.api.json_body import INLINE_BYTES, BodyReader, check_json_body, validate_text
+from service.api.preconditions import tagged
 from service.database.engine import Database
 from service.jobs.run_manager import RunManager
 from service.pipeline.pipeline_manager import PipelineManager
@@ -108,14 +110,26 @@ class _JsonRequest(Request):
         return await self.body() if self.read is None else self.read
 
 
+_Handler = Callable[[Request], Coroutine[Any, Any, Response]]
+
+
+def _tagging(handle: _Handler) -> _Handler:
+    async def answer(request: Request) -> Response:
+        return tagged(request, await handle(request))
+
+    return answer
+
+
 class JsonRoute(APIRoute):
     """A route whose body, where it takes one, is ``application/json`` read by ``JsonTypes``."""
 
-    def get_route_handler(self) -> Callable[[Request], Coroutine[Any, Any, Response]]:
+    def get_route_handler(self) -> _Handler:
         """Return FastAPI's handler behind the check of the body."""
         handle = super().get_route_handler()
+        if "headers" in self.responses.get(200, {}):
+            handle = _tagging(handle)
         if self.body_field is None:
-            return handle
+            return once(handle) if takes_key(self.openapi_extra) else handle
         wanted = self.body_field.field_info.annotation
 
         async def strict(request: Request) -> Response:
@@ -130,4 +144,4 @@ class JsonRoute(APIRoute):
                 check_json_body(content_type, body)
             return await handle(request)
 
-        return strict
+        return once(strict) if takes_key(self.openapi_extra) else strict

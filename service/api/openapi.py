@@ -1,14 +1,26 @@
 """The OpenAPI document: problem responses by their types, and the shared schemas."""
 
+import json
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Sequence
+from functools import cache
+from pathlib import Path
 from typing import Any, Final, TypeVar
 
 from fastapi import APIRouter, FastAPI
 from fastapi.openapi.utils import get_openapi
 from pydantic.json_schema import models_json_schema
 
+from service.api import idempotency
 from service.api.inputs import JsonRoute
+from service.api.member_descriptions import describe_members
+from service.api.preconditions import (
+    ETAG_HEADER,
+    IF_MATCH_SCHEMA,
+    IF_NONE_MATCH,
+    NOT_MODIFIED,
+    has_etag,
+)
 from service.principal import SCOPE_MEANINGS
 from service.problems.catalogue import (
     MEDIA_TYPE,
@@ -17,6 +29,10 @@ from service.problems.catalogue import (
     ProblemType,
 )
 from service.security.operation_scopes import OPERATION_SCOPES, PUBLIC
+
+ANSWER_EXAMPLES: Final = Path(__file__).with_name("answer_examples.json")
+"""Answers that a server gave, by operation; recorded by ``tests.service.api.record_answers``."""
+_CREATED: Final = (201, 202)
 
 Responses = dict[int | str, dict[str, Any]]
 Endpoint = TypeVar("Endpoint", bound=Callable[..., Any])
@@ -84,6 +100,7 @@ class ResourceRouter(APIRouter):
         summary: str,
         *,
         responses: Responses | None = None,
+        idempotent: bool = True,
         **options: Any,
     ) -> Callable[[Endpoint], Endpoint]:
         """Return a decorator that adds an operation; ``raises`` below it names its problems.
@@ -94,6 +111,8 @@ class ResourceRouter(APIRouter):
             operation_id: its name in the OpenAPI document and the table of scopes.
             summary: of the document.
             responses: other answers of the document.
+            idempotent: whether a POST that creates takes an Idempotency-Key, by which its answer is
+                kept for a day.
             options: as of ``APIRouter.add_api_route``.
         """
         method, _, path = route.partition(" ")
@@ -102,13 +121,24 @@ class ResourceRouter(APIRouter):
             if endpoint.__annotations__["return"] is None:
                 options.setdefault("status_code", 204)
             codes: Sequence[str] = getattr(endpoint, "problems", ())
+            answers = responses or {}
+            if method == "POST" and idempotent and options.get("status_code") in _CREATED:
+                codes = (*codes, *idempotency.PROBLEMS)
+                extra = options.get("openapi_extra", {})
+                options["openapi_extra"] = {**extra, "parameters": [idempotency.PARAMETER]}
+            answer = options.get("response_model", endpoint.__annotations__["return"])
+            if has_etag(method, f"{self.prefix}{path}", answer):
+                answers = {**answers, 200: {"headers": ETAG_HEADER, **answers.get(200, {})}}
+                if method == "GET":
+                    answers[304] = NOT_MODIFIED
+                    options["openapi_extra"] = {"parameters": [IF_NONE_MATCH]}
             self.add_api_route(
                 path,
                 endpoint,
                 methods=[method],
                 operation_id=operation_id,
                 summary=summary,
-                responses=_responses(codes) | (responses or {}),
+                responses=_responses(codes) | answers,
                 **options,
             )
             return endpoint
@@ -172,16 +202,33 @@ def _document(app: FastAPI) -> dict[str, Any]:
         [(Problem, "serialization")], ref_template="#/components/schemas/{model}"
     )
     schemas |= found["$defs"]
+    describe_members(schemas)
     _require_discriminators(schemas, schemas)
     document["components"]["securitySchemes"] = _SCHEMES
     for path, item in document["paths"].items():
         for method, operation in item.items():
             if method != "parameters":
+                _add_answer_example(operation)
                 of_path = _OF_RESOURCES if path.startswith("/api/") else ()
                 changes = () if method == "get" else (*_OF_CHANGES, *_OF_STORED_CHANGES)
                 others = [*_OF_ALL_REQUESTS, *of_path, *changes]
                 _complete(operation, [*others, *_secure(operation)])
     return document
+
+
+def _add_answer_example(operation: dict[str, Any]) -> None:
+    """Add a recorded answer to the success of an operation that answers JSON."""
+    example = _answer_examples().get(operation["operationId"])
+    for status, response in operation["responses"].items():
+        content = response.get("content", {}).get("application/json")
+        if example is not None and status.startswith("2") and content is not None:
+            content["example"] = example
+
+
+@cache
+def _answer_examples() -> dict[str, Any]:
+    found: dict[str, Any] = json.loads(ANSWER_EXAMPLES.read_text(encoding="utf-8"))
+    return found
 
 
 def _secure(operation: dict[str, Any]) -> tuple[str, ...]:
@@ -227,6 +274,9 @@ def _complete(operation: dict[str, Any], others: Sequence[str]) -> None:
         codes.append("invalid-request")
     if operation.get("requestBody"):
         codes += _OF_BODIES
+    for parameter in operation.get("parameters", ()):
+        if parameter["name"] == "If-Match":
+            parameter |= {"required": "428" in responses, "schema": IF_MATCH_SCHEMA}
     for status, response in _responses(codes).items():
         given = responses.get(str(status))
         if given is None:

@@ -12,6 +12,7 @@ from service.api.correction_tables.store import active_calibration
 from service.api.devices.device_service import DeviceService, StoredContent
 from service.api.devices.profiles import find_profile
 from service.api.exports.repository import ExportRepository
+from service.api.idempotency import forget_unfinished
 from service.api.quality.drift_monitor import DriftMonitor
 from service.api.radiometric_calibrations.store import active_radiometric
 from service.api.recordings.recording_manager import RecordingManager
@@ -60,6 +61,7 @@ async def running(
         at_the_end(database.close)
         stack.enter_context(server_lock(database))
         named = await run_sync(prepare, settings, database)
+        await run_sync(forget_unfinished, database)
         app.state.database = database
         app.state.authenticator = Authenticator(database, settings)
         manager = _live_manager(settings) if live is None else live

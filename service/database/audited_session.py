@@ -15,6 +15,7 @@ from service.database.models import (
     AuditRow,
     Base,
     CaptureRow,
+    IdempotencyKeyRow,
     RadiometricActivationRow,
     RadiometricCaptureRow,
     ReconstructionRow,
@@ -39,6 +40,9 @@ _REDACTED_COLUMNS: Final = frozenset(
         "updated_at",
         "heartbeat_at",
     }
+)
+_SILENT_TABLES: Final = frozenset(
+    {ActiveCalibrationRow.__tablename__, IdempotencyKeyRow.__tablename__}
 )
 _POINTER: Final = ("calibration_id", "table_id")
 _RADIOMETRIC_POINTER: Final = ("radiometric_id",)
@@ -72,7 +76,7 @@ def _record_many(execution: ORMExecuteState) -> Any:
         return None
     table = execution.bind_mapper.class_.__tablename__
     result = execution.invoke_statement()
-    if result.rowcount and table != ActiveCalibrationRow.__tablename__:  # type: ignore[attr-defined]
+    if result.rowcount and table not in _SILENT_TABLES:  # type: ignore[attr-defined]
         count = result.rowcount  # type: ignore[attr-defined]
         row = entry(_KINDS.get(table, _singular(table)), None, "done", before={"rows": count})
         execution.session.add(row)
@@ -129,7 +133,7 @@ def _singular(table: str) -> str:
 
 def _is_audited(row: object) -> bool:
     # The move of the pointer is told by the row of its history; what was seen is no change.
-    silent = AuditRow | ActiveCalibrationRow | WatchSampleRow
+    silent = AuditRow | ActiveCalibrationRow | WatchSampleRow | IdempotencyKeyRow
     return isinstance(row, Base) and not isinstance(row, silent)
 
 

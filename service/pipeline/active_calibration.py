@@ -35,7 +35,7 @@ class LiveBadPixel:
         pixel: number of the pixel.
         kind: hot (far above its neighbours in all frames), stuck (its count never changes), or dead
             (light passed over its neighbours, and it did not see it).
-        since: exposure of the frame with which it was found.
+        found_at: exposure of the frame with which it was found.
     """
 
     sensor: str

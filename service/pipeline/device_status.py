@@ -21,9 +21,9 @@ class DeviceStatus:
             it runs, why its markers are not found (three sensors and several lit together).
         calibration_id: the calibration that points are reconstructed with; None: peaks only.
         table_id: the correction table that readings are corrected by; None: they are not.
-        frames: frames received from the driver.
-        frames_lost_device: exposures missing in the device's sequence numbers.
-        frames_dropped_ring: frames dropped because the compute thread did not keep up.
+        frames_received: frames received from the driver.
+        frames_lost: exposures missing in the device's sequence numbers.
+        frames_dropped_compute: frames dropped because the compute thread did not keep up.
         frames_processed: frames that were published.
         subscribers: connected streams.
         link: of a device that can be unplugged, how its link stands; None of others.

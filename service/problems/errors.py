@@ -64,7 +64,7 @@ class RecordingInProgress(ServiceError, status=409):
 
 
 class RecordingInUse(ServiceError, status=409):
-    """A running device replays the recording; stop the device first."""
+    """A device replays the recording; give it another source, or delete it, first."""
 
 
 class UnknownExport(ServiceError, status=404):
@@ -235,6 +235,14 @@ class RunNotEnded(ServiceError, status=409):
     """A run that waits or runs is not deleted; cancel it first."""
 
 
+class CalibrationInUse(ServiceError, status=409):
+    """Results or the history refer to the calibration, so it is not deleted; it can be retired."""
+
+
+class RadiometricCalibrationInUse(ServiceError, status=409):
+    """The history refers to the radiometric calibration, so it is not deleted."""
+
+
 class CorrectionTableInUse(ServiceError, status=409):
     """A table that was ever active or used is part of a history, and is not deleted."""
 
@@ -245,6 +253,30 @@ class WorkerEnded(ServiceError, status=500):
 
 class Busy(ServiceError, status=503):
     """The server does as much of this at once as it may; try again a little later."""
+
+
+class PreconditionFailed(ServiceError, status=412):
+    """The resource was changed after it was read: If-Match has not its ETag. Read it again."""
+
+
+class PreconditionRequired(ServiceError, status=428):
+    """The change needs the header If-Match, so that no other change is undone unseen."""
+
+
+class InvalidPrecondition(ServiceError):
+    """The header If-Match holds neither entity tags in quotes nor `*`."""
+
+
+class IdempotencyKeyReused(ServiceError):
+    """The Idempotency-Key belongs to another request of the last 24 hours."""
+
+
+class InvalidIdempotencyKey(ServiceError):
+    """The header Idempotency-Key is not 1 to 255 visible ASCII characters."""
+
+
+class RequestInProgress(ServiceError, status=409):
+    """The same request, by its Idempotency-Key, is being carried out; ask again for its answer."""
 
 
 class ActivationConflict(ServiceError, status=409):

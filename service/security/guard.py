@@ -206,7 +206,7 @@ class _Recorded:
             status = message["status"]
             if status < 300 and not self._act.recorded:
                 await record_act(self._scope, self._act, "done", None)
-            elif status == 409:
+            elif status in (409, 412):
                 self._start = message  # until it is known why
                 return
         elif self._start is not None and message["type"] == "http.response.body":

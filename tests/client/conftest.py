@@ -14,7 +14,9 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     with serving(tmp_path_factory.mktemp("server")) as url:
         httpx.post(f"{url}/api/v1/calibrations/sim-nominal/activate").raise_for_status()
         source = {"kind": "simulated", "settings": {"frame_rate_hz": 100}}
-        httpx.patch(f"{url}/api/v1/devices/sim", json={"source": source}).raise_for_status()
+        httpx.patch(
+            f"{url}/api/v1/devices/sim", json={"source": source}, headers={"If-Match": "*"}
+        ).raise_for_status()
         started = httpx.post(f"{url}/api/v1/devices/sim/start", timeout=60.0)
         started.raise_for_status()
         yield url

@@ -145,7 +145,9 @@ def still(server: str) -> Iterator[None]:
         if settings is not None:
             source = {"kind": "simulated", "settings": {"frame_rate_hz": 100, "scene": settings}}
         httpx.post(f"{server}/api/v1/devices/sim/stop", timeout=60.0).raise_for_status()
-        httpx.patch(f"{server}/api/v1/devices/sim", json={"source": source}).raise_for_status()
+        httpx.patch(
+            f"{server}/api/v1/devices/sim", json={"source": source}, headers={"If-Match": "*"}
+        ).raise_for_status()
         httpx.post(f"{server}/api/v1/devices/sim/start", timeout=60.0).raise_for_status()
         if settings is not None:
             yield

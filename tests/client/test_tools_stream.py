@@ -37,7 +37,7 @@ def tool(server: str) -> Iterator[str]:
         },
     }
     before = httpx.get(f"{url}/devices/sim").json()
-    httpx.patch(f"{url}/devices/sim", json=asked).raise_for_status()
+    httpx.patch(f"{url}/devices/sim", json=asked, headers={"If-Match": "*"}).raise_for_status()
     with Client(server) as client:
         client.create_tool(id="probe", device_id="sim", title="Probe", markers_mm=MARKERS,
                            strobe_markers=[0, 1, 2, 3], tip_mm=[0.0, 0.0, 150.0])  # fmt: skip
@@ -45,7 +45,7 @@ def tool(server: str) -> Iterator[str]:
         yield "probe"
         client.delete_tool("probe")
     back = {"source": before["source"], "tracking": before["tracking"]}
-    httpx.patch(f"{url}/devices/sim", json=back).raise_for_status()
+    httpx.patch(f"{url}/devices/sim", json=back, headers={"If-Match": "*"}).raise_for_status()
     httpx.post(f"{url}/devices/sim/start", timeout=60.0).raise_for_status()
 
 

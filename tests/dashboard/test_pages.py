@@ -13,6 +13,8 @@ from tests.dashboard.conftest import Visit
 pytestmark = pytest.mark.slow
 
 AXE = Path(__file__).parents[2] / "dashboard" / "node_modules" / "axe-core" / "axe.min.js"
+ANY = {"If-Match": "*"}
+"""A change of the resource whatever it is."""
 SCREENS = ("Scene", "Calibrate", "Tools", "Beam holds", "Recordings", "Health", "Administration")
 
 
@@ -20,7 +22,7 @@ def show(server: str, scene: dict[str, Any]) -> None:
     """Let the simulated device show a scene, from its start."""
     source = {"kind": "simulated", "settings": {"scene": scene}}
     device = f"{server}/api/v1/devices/sim"
-    httpx.patch(device, json={"source": source}, timeout=60).raise_for_status()
+    httpx.patch(device, json={"source": source}, headers=ANY, timeout=60).raise_for_status()
     httpx.post(f"{device}/start", timeout=60).raise_for_status()
 
 
@@ -70,12 +72,14 @@ def test_wrong_table_of_targets_is_refused_with_what_to_change(visit: Visit):
 
 @pytest.mark.parametrize("name", ["<img src=x onerror=alert(1)>", "<script>alert(1)</script>"])
 def test_markup_in_a_title_is_shown_as_text(visit: Visit, name: str):
-    httpx.patch(f"{visit.url}/api/v1/devices/sim", json={"title": name}).raise_for_status()
+    httpx.patch(
+        f"{visit.url}/api/v1/devices/sim", json={"title": name}, headers=ANY
+    ).raise_for_status()
     try:
         visit.page.get_by_role("option", name=name).wait_for(state="attached")
     finally:
         body = {"title": "Simulated"}
-        httpx.patch(f"{visit.url}/api/v1/devices/sim", json=body).raise_for_status()
+        httpx.patch(f"{visit.url}/api/v1/devices/sim", json=body, headers=ANY).raise_for_status()
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])

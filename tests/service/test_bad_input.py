@@ -56,7 +56,7 @@ class Sent:
     path: str
     body: Json = None
     content: bytes | None = None
-    headers: dict[str, str] = field(default_factory=dict)
+    headers: dict[str, str | None] = field(default_factory=dict)
 
 
 def rows() -> list[Row]:
@@ -384,6 +384,15 @@ builds("other sensors under calibrations")(
 builds("other sensors of a running device")(
     lambda: Sent("PATCH", "/api/v1/devices/running", {"source": external()["source"]})
 )
+builds("changed without saying what was read")(
+    lambda: Sent("PATCH", "/api/v1/devices/sim", {"title": "New"}, headers={"If-Match": None})
+)
+builds("changed after somebody else did")(
+    lambda: Sent("PATCH", "/api/v1/devices/sim", {"title": "New"}, headers={"If-Match": '"0123"'})
+)
+builds("ETag without its quotes")(
+    lambda: Sent("PATCH", "/api/v1/devices/sim", {"title": "New"}, headers={"If-Match": "0123"})
+)
 builds("unknown device changed")(lambda: Sent("PATCH", "/api/v1/devices/nothing", {"title": "New"}))
 builds("external device started")(lambda: Sent("POST", "/api/v1/devices/bar/start"))
 builds("unknown device started")(lambda: Sent("POST", "/api/v1/devices/nothing/start"))
@@ -398,7 +407,7 @@ builds("unknown calibration activated")(
 builds("calibration changed")(
     lambda: Sent("PUT", "/api/v1/calibrations/sim-nominal", calibration())
 )
-builds("calibration deleted")(lambda: Sent("DELETE", "/api/v1/calibrations/sim-nominal"))
+builds("used calibration deleted")(lambda: Sent("DELETE", "/api/v1/calibrations/sim-nominal"))
 builds("unknown path")(lambda: Sent("GET", "/api/v1/cameras"))
 builds("page size out of bounds")(lambda: Sent("GET", "/api/v1/calibrations?limit=1000"))
 builds("cursor that is none")(lambda: Sent("GET", "/api/v1/calibrations?cursor=abc"))

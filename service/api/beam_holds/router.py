@@ -26,6 +26,7 @@ from service.api.inputs import (
 )
 from service.api.openapi import ResourceRouter, raises
 from service.api.paging import BY_ID, Page, PagingDep, page_of
+from service.api.preconditions import OptionalIfMatch, RequiredIfMatch
 from service.api.tools import concurrency_limits
 from service.database.models import HoldRow
 from service.pipeline.frame_batch import BeamHoldState
@@ -79,11 +80,13 @@ def get_beam_hold(hold_id: BeamHoldPath, database: DatabaseDep) -> BeamHold:
     "PATCH /beam-holds/{hold_id}", "change-beam-hold", "Change a beam hold's limits, rules or title"
 )
 @raises("unknown-beam-hold", "invalid-parameter")
+@raises("precondition-failed", "precondition-required", "invalid-precondition")
 def change_beam_hold(
     hold_id: BeamHoldPath,
     request: ChangeBody,
     database: DatabaseDep,
     device_service: DeviceServiceDep,
+    expected: RequiredIfMatch,
 ) -> BeamHold:
     """Change what is given; other limits or rules hold the beam, and it settles anew.
 
@@ -91,17 +94,23 @@ def change_beam_hold(
     """
     with device_service.tools_change(_device_of(database, hold_id)) as session:
         row = store.BEAM_HOLDS.get(session, hold_id)
+        expected.check(store.document(row))
         return store.document(store.change_beam_hold(session, row, request))
 
 
 @router.operation("DELETE /beam-holds/{hold_id}", "delete-beam-hold", "Delete a beam hold")
-@raises("unknown-beam-hold")
+@raises("unknown-beam-hold", "precondition-failed", "invalid-precondition")
 def delete_beam_hold(
-    hold_id: BeamHoldPath, database: DatabaseDep, device_service: DeviceServiceDep
+    hold_id: BeamHoldPath,
+    database: DatabaseDep,
+    device_service: DeviceServiceDep,
+    expected: OptionalIfMatch,
 ) -> None:
     """Delete a hold; the last that clients of the stream hear of it is that it is held."""
     with device_service.tools_change(_device_of(database, hold_id)) as session:
-        session.delete(store.BEAM_HOLDS.get(session, hold_id))
+        row = store.BEAM_HOLDS.get(session, hold_id)
+        expected.check(store.document(row))
+        session.delete(row)
 
 
 @router.operation(

@@ -42,4 +42,8 @@ NEW_CALIBRATIONS: Final[dict[str, Any]] = {
             "note": "Readings rounded to 0.01 px, without standard deviations",
         },
     },
+    "spare": {
+        "summary": "The same again, to which nothing will refer",
+        "value": {"id": "sim-frame-spare", "device_id": "sim", "points": _FRAME},
+    },
 }

@@ -34,6 +34,9 @@ router = ResourceRouter("/api/v1/calibrations", "calibrations")
 
 NewCalibrationBody = Annotated[NewCalibration, JsonTypes(), Body(openapi_examples=NEW_CALIBRATIONS)]
 OtherPath = Annotated[str, id_in_path("The other calibration's id.", "sim-frame", "frame")]
+DeletedPath = Annotated[
+    str, id_in_path("The calibration's id.", "sim-frame-spare", "spare", "one never used")
+]
 RetiredPath = Annotated[
     str, id_in_path("The calibration's id.", "sim-frame", "frame", "one that is not active")
 ]
@@ -160,6 +163,17 @@ def activate_calibration(
         device, lambda now: now.calibration_id == calibration_id, expected
     ) as session:
         return store.summary(session, store.activate(session, calibration_id))
+
+
+@router.operation("DELETE /{calibration_id}", "delete-calibration", "Delete a calibration")
+@raises("unknown-calibration", "calibration-in-use")
+def delete_calibration(calibration_id: DeletedPath, database: DatabaseDep) -> None:
+    """Delete a calibration that was made by mistake; refused where anything refers to it.
+
+    One that was ever active is part of the device's history: retire it.
+    """
+    with database.write() as session:
+        store.delete_calibration(session, calibration_id)
 
 
 @router.operation("POST /{calibration_id}/retire", "retire-calibration", "Retire a calibration")

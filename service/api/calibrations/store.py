@@ -1,4 +1,4 @@
-"""Calibrations in the database: created, read, activated, retired; never changed."""
+"""Calibrations in the database: created, read, activated, retired, deleted; never changed."""
 
 import secrets
 from datetime import UTC, datetime
@@ -26,10 +26,20 @@ from service.api.devices.store import (
     move_pointer,
 )
 from service.database.engine import Resource
-from service.database.models import ActiveCalibrationRow, CalibrationRow
+from service.database.models import (
+    ActivationRow,
+    ActiveCalibrationRow,
+    CalibrationRow,
+    CorrectionTableRow,
+    DriftCheckRow,
+    QualityCheckRow,
+    ReconstructionRow,
+)
+from service.database.referrers import refuse_if_referred
 from service.problems.errors import (
     CalibrationActive,
     CalibrationExists,
+    CalibrationInUse,
     UnknownCalibration,
 )
 
@@ -132,6 +142,32 @@ def retire(session: Session, calibration_id: str) -> CalibrationRow:
         row.retired_at = datetime.now(UTC)
         session.flush()
     return row
+
+
+def delete_calibration(session: Session, calibration_id: str) -> None:
+    """Delete a calibration to which nothing refers.
+
+    Raises:
+        UnknownCalibration.
+        CalibrationInUse: the history or a result refers to it.
+    """
+    row = _locked(session, calibration_id)
+    tables: dict[str, type[Any]] = {
+        "activations": ActivationRow,
+        "correction tables": CorrectionTableRow,
+        "drift checks": DriftCheckRow,
+        "quality checks": QualityCheckRow,
+        "reconstructions": ReconstructionRow,
+    }
+    conditions: dict[str, tuple[type[Any], Any]] = {
+        kind: (table, table.calibration_id == row.id) for kind, table in tables.items()
+    }
+    of_parent = CalibrationRow.content["parent"]["id"].as_string() == row.id
+    conditions["calibrations"] = (CalibrationRow, of_parent)
+    advice = "retire it, or delete what refers to it first"
+    refuse_if_referred(session, CalibrationInUse, row, advice, conditions)
+    session.delete(row)
+    session.flush()
 
 
 def state_of(session: Session, row: CalibrationRow) -> State:

@@ -14,15 +14,17 @@ from service.api.base_models import Moment, ResponseModel, from_attributes
 from service.api.calibrations.calibration_content import result_of
 from service.api.calibrations.store import CALIBRATIONS
 from service.api.correction_tables.table_content import TableContent, check_table
-from service.api.devices.store import Target, active, count_uses, lock_device, move_pointer
+from service.api.devices.store import Target, active, lock_device, move_pointer
 from service.database.engine import Resource
 from service.database.models import (
     ActivationRow,
     ActiveCalibrationRow,
     CalibrationRow,
     CorrectionTableRow,
+    QualityCheckRow,
     ReconstructionRow,
 )
+from service.database.referrers import refuse_if_referred
 from service.pipeline.active_calibration import ActiveCalibration
 from service.problems.errors import (
     CorrectionTableExists,
@@ -239,16 +241,18 @@ def delete_table(session: Session, table_id: str) -> None:
     """
     row = TABLES.get(session, table_id)
     lock_device(session, row.device_id)
-    tables = {"activations": ActivationRow, "reconstructions": ReconstructionRow}
-    uses = count_uses(session, "table_id", row.id, tables)
-    if any(uses.values()):
-        listed = " and ".join(f"{count} {name}" for name, count in uses.items())
-        raise CorrectionTableInUse(
-            f'correction table "{table_id}" is named by {listed}, which would lose what they say; '
-            "only tables that were never used can be deleted",
-            table_id=table_id,
-            **uses,
-        )
+    advice = "only a table that nothing names can be deleted; deactivate it to use it no more"
+    refuse_if_referred(
+        session,
+        CorrectionTableInUse,
+        row,
+        advice,
+        {
+            "activations": (ActivationRow, ActivationRow.table_id == row.id),
+            "reconstructions": (ReconstructionRow, ReconstructionRow.table_id == row.id),
+            "quality checks": (QualityCheckRow, QualityCheckRow.table_id == row.id),
+        },
+    )
     session.delete(row)
     session.flush()
 

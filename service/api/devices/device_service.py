@@ -32,6 +32,7 @@ from service.api.devices.store import (
     previous_activation,
 )
 from service.api.inputs import of_application
+from service.api.preconditions import Precondition
 from service.database.engine import Database
 from service.database.models import CalibrationRow, DeviceRow, HoldRow
 from service.pipeline.active_calibration import ActiveCalibration, ActiveRadiometric
@@ -97,11 +98,12 @@ class DeviceService:
         with self._exclusive(request.id), self._database.write() as session:
             return store.document(session, store.add_device(session, request, sensors))
 
-    def change(self, device_id: str, change: DeviceChange) -> Device:
+    def change(self, device_id: str, change: DeviceChange, expected: Precondition) -> Device:
         """Change a device; a new source works from the device's next start.
 
         Raises:
-            UnknownDevice, DeviceInUse, DeviceRunning, or what the driver raises when it is opened.
+            UnknownDevice, PreconditionFailed, DeviceInUse, DeviceRunning, or what the driver
+            raises when it is opened.
         """
         with self._database.read() as session:
             store.get_device(session, device_id)
@@ -112,6 +114,8 @@ class DeviceService:
             # Before the transaction: the live side may be busy starting another device.
             running = self._live.status(device_id).state in _RUNS
             with self._database.write() as session:
+                row = store.get_device(session, device_id, lock=True)
+                expected.check(store.document(session, row))
                 row = store.change_device(session, device_id, change, sensors, running=running)
                 changed = store.document(session, row)
                 tracked = self._stored.tracking_config(session, row)
@@ -119,10 +123,12 @@ class DeviceService:
                 self._follow(device_id, tracked)
             return changed
 
-    def delete(self, device_id: str, *, cascade: bool) -> None:
-        """Delete a device and stop it; raises UnknownDevice, DeviceInUse."""
+    def delete(self, device_id: str, expected: Precondition, *, cascade: bool) -> None:
+        """Delete a device and stop it; raises UnknownDevice, DeviceInUse, PreconditionFailed."""
         with self._exclusive(device_id):
             with self._database.write() as session:
+                row = store.get_device(session, device_id, lock=True)
+                expected.check(store.document(session, row))
                 store.delete_device(session, device_id, cascade=cascade)
             self._live.forget_device(device_id)
 

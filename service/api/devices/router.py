@@ -24,6 +24,7 @@ from service.api.inputs import (
 )
 from service.api.openapi import ResourceRouter, raises
 from service.api.paging import BY_ID, LATEST_FIRST, Page, PagingDep, page_of
+from service.api.preconditions import OptionalIfMatch, RequiredIfMatch
 
 router = ResourceRouter("/api/v1/devices", "devices")
 
@@ -121,13 +122,17 @@ def get_device(device_id: DevicePath, database: DatabaseDep) -> Device:
 @raises("unknown-device", "unknown-recording", "unknown-device-profile", "device-in-use")
 @raises("device-running", "device-not-connected", "invalid-parameter", "invalid-recording")
 @raises("missing-library")
+@raises("precondition-failed", "precondition-required", "invalid-precondition")
 def change_device(
-    device_id: DevicePath, request: ChangeBody, device_service: DeviceServiceDep
+    device_id: DevicePath,
+    request: ChangeBody,
+    device_service: DeviceServiceDep,
+    expected: RequiredIfMatch,
 ) -> Device:
     """Change what is given. A new source works from the next start of the device; sensors that
     calibrations refer to cannot change, nor can those of a running device.
     """
-    return device_service.change(device_id, request)
+    return device_service.change(device_id, request, expected)
 
 
 DeletedPath = Annotated[
@@ -136,16 +141,17 @@ DeletedPath = Annotated[
 
 
 @router.operation("DELETE /{device_id}", "delete-device", "Delete a device")
-@raises("unknown-device", "device-in-use")
+@raises("unknown-device", "device-in-use", "precondition-failed", "invalid-precondition")
 def delete_device(
     device_id: DeletedPath,
     device_service: DeviceServiceDep,
+    expected: OptionalIfMatch,
     cascade: Annotated[
         bool, Query(description="Delete its calibrations and reconstructions, too.")
     ] = False,
 ) -> None:
     """Stop and delete a device; refused while calibrations or reconstructions belong to it."""
-    device_service.delete(device_id, cascade=cascade)
+    device_service.delete(device_id, expected, cascade=cascade)
 
 
 @router.operation("POST /{device_id}/start", "start-device", "Start a device")

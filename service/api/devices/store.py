@@ -1,12 +1,12 @@
 """Devices in the database, their sensors, and the pointer to the active calibration and table."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import Any
+from typing import Any, Final
 
 from pydantic import TypeAdapter
-from sqlalchemy import Select, delete, func, select
+from sqlalchemy import Select, delete, select
 from sqlalchemy.orm import Session
 
 from service.api.base_models import from_attributes
@@ -41,6 +41,7 @@ from service.database.models import (
     WatchRow,
     WatchSampleRow,
 )
+from service.database.referrers import Conditions, refuse_if_referred
 from service.problems.errors import (
     CalibrationRetired,
     DeviceExists,
@@ -118,12 +119,8 @@ def change_device(
     if "source" in given and sensors is not None:
         described = _SENSORS.dump_python(sensors, mode="json")
         if described != row.sensors:
-            _refuse_if_used(
-                session,
-                device_id,
-                "changing its sensors would orphan them",
-                radiometric_calibrations=RadiometricCalibrationRow,
-            )
+            advice = "changing its sensors would orphan them"
+            _refuse_if_used(session, row, advice, _OF_ITS_SENSORS)
         if running and not sensors_match(sensors, sensors_of_row(row)):
             raise DeviceRunning(
                 f'device "{device_id}" is running, and the new source has other sensors; stop the '
@@ -168,62 +165,36 @@ def delete_device(session: Session, device_id: str, *, cascade: bool) -> None:
         ):
             session.execute(delete(table).where(table.device_id == device_id))
     else:
-        _refuse_if_used(
-            session,
-            device_id,
-            "add ?cascade=true to delete them with it",
-            radiometric_calibrations=RadiometricCalibrationRow,
-            radiometric_captures=RadiometricCaptureRow,
-            captures=CaptureRow,
-            runs=RunRow,
-            tools=ToolRow,
-            registrations=RegistrationRow,
-            holds=HoldRow,
-        )
+        _refuse_if_used(session, row, "add ?cascade=true to delete them with it")
     session.execute(delete(WatchRow).where(WatchRow.device_id == device_id))
     session.delete(row)
     session.flush()
 
 
+_BELONGING: Final[Mapping[str, type[Any]]] = {
+    "calibrations": CalibrationRow,
+    "reconstructions": ReconstructionRow,
+    "radiometric calibrations": RadiometricCalibrationRow,
+    "radiometric captures": RadiometricCaptureRow,
+    "captures": CaptureRow,
+    "runs": RunRow,
+    "tools": ToolRow,
+    "registrations": RegistrationRow,
+    "holds": HoldRow,
+}
+"""What belongs to a device and is lost with it."""
+_OF_ITS_SENSORS: Final = ("calibrations", "reconstructions", "radiometric calibrations")
+
+
 def _refuse_if_used(
-    session: Session,
-    device_id: str,
-    why: str,
-    **others: type[
-        CaptureRow
-        | RadiometricCalibrationRow
-        | RadiometricCaptureRow
-        | RunRow
-        | ToolRow
-        | RegistrationRow
-        | HoldRow
-    ],
+    session: Session, row: DeviceRow, advice: str, kinds: Iterable[str] = _BELONGING
 ) -> None:
-    """Raise DeviceInUse when calibrations, reconstructions or ``others`` belong to a device."""
-    kinds = {"calibrations": CalibrationRow, "reconstructions": ReconstructionRow, **others}
-    counts = count_uses(session, "device_id", device_id, kinds)
-    if any(counts.values()):
-        listed = [
-            f"{count} {(name if count != 1 else name.removesuffix('s')).replace('_', ' ')}"
-            for name, count in counts.items()
-            if count
-        ]
-        raise DeviceInUse(
-            f'device "{device_id}" has {", ".join(listed)}; {why}', device_id=device_id, **counts
-        )
-
-
-def count_uses(
-    session: Session, column: str, identity: str, tables: Mapping[str, type[Any]]
-) -> dict[str, int]:
-    """Count the rows of tables, by name, that have an id in a column."""
-    return {
-        name: session.scalar(
-            select(func.count()).select_from(table).where(getattr(table, column) == identity)
-        )
-        or 0
-        for name, table in tables.items()
+    """Raise DeviceInUse where anything of these kinds belongs to a device."""
+    tables = {kind: _BELONGING[kind] for kind in kinds}
+    conditions: Conditions = {
+        kind: (table, table.device_id == row.id) for kind, table in tables.items()
     }
+    refuse_if_referred(session, DeviceInUse, row, advice, conditions)
 
 
 def source_of(row: DeviceRow) -> Source:

@@ -93,3 +93,13 @@ def get_drift_check(drift_check_id: DriftCheckPath, database: DatabaseDep) -> Dr
     """One check with its readings."""
     with database.read() as session:
         return store.document(store.DRIFT_CHECKS.get(session, drift_check_id))
+
+
+@router.operation(
+    "DELETE /drift-checks/{drift_check_id}", "delete-drift-check", "Delete a drift check"
+)
+@raises("unknown-drift-check")
+def delete_drift_check(drift_check_id: DriftCheckPath, database: DatabaseDep) -> None:
+    """For one that was made wrongly: nothing refers to a check."""
+    with database.write() as session:
+        session.delete(store.DRIFT_CHECKS.get(session, drift_check_id))

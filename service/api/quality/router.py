@@ -16,6 +16,7 @@ from service.api.inputs import (
 )
 from service.api.openapi import ResourceRouter, raises
 from service.api.paging import LATEST_FIRST, Page, PagingDep, page_of
+from service.api.preconditions import RequiredIfMatch
 from service.api.quality import store
 from service.api.quality.assessment import quality
 from service.api.quality.schema import (
@@ -167,10 +168,17 @@ def get_watch(device_id: DevicePath, database: DatabaseDep) -> WatchSettings:
     "PUT /devices/{device_id}/watch", "set-watch", "Say how a device's drift is watched"
 )
 @raises("unknown-device")
-def set_watch(device_id: DevicePath, request: WatchBody, database: DatabaseDep) -> WatchSettings:
+@raises("precondition-failed", "precondition-required", "invalid-precondition")
+def set_watch(
+    device_id: DevicePath,
+    request: WatchBody,
+    database: DatabaseDep,
+    expected: RequiredIfMatch,
+) -> WatchSettings:
     """Takes effect within seconds; what was watched before stays in the charts."""
     with database.write() as session:
         get_device(session, device_id, lock=True)
+        expected.check(store.watch_of(session, device_id))
         store.set_watch(session, device_id, request)
     return request
 

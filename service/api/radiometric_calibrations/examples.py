@@ -54,4 +54,15 @@ NEW_RADIOMETRIC_CALIBRATIONS: Final[dict[str, Any]] = {
             "note": "As lumiline radiometric-calibration estimate writes it",
         },
     },
+    "spare": {
+        "summary": "The same again, to which nothing will refer",
+        "value": {
+            "id": "sim-radiometric-spare",
+            "device_id": "sim",
+            "source": {
+                "kind": "document",
+                "sensors": {simulated_sensor_models()[0].name: _document()},
+            },
+        },
+    },
 }

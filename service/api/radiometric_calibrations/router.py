@@ -44,6 +44,12 @@ RadiometricPath = Annotated[
         "The radiometric calibration's id.", "sim-radiometric", "radiometric", "of the example body"
     ),
 ]
+DeletedPath = Annotated[
+    str,
+    id_in_path(
+        "The radiometric calibration's id.", "sim-radiometric-spare", "spare", "one never used"
+    ),
+]
 
 
 @router.operation(
@@ -114,6 +120,18 @@ def get_radiometric_calibration(
     with database.read() as session:
         row = store.RADIOMETRIC_CALIBRATIONS.get(session, radiometric_id)
         return store.document(session, row)
+
+
+@router.operation(
+    "DELETE /radiometric-calibrations/{radiometric_id}",
+    "delete-radiometric-calibration",
+    "Delete a radiometric calibration",
+)
+@raises("unknown-radiometric-calibration", "radiometric-calibration-in-use")
+def delete_radiometric_calibration(radiometric_id: DeletedPath, database: DatabaseDep) -> None:
+    """Delete one that was made by mistake; refused where it was ever active."""
+    with database.write() as session:
+        store.delete_radiometric_calibration(session, radiometric_id)
 
 
 @router.operation(

@@ -22,10 +22,12 @@ from service.api.radiometric_calibrations.schema import (
 )
 from service.database.engine import Resource
 from service.database.models import RadiometricActivationRow, RadiometricCalibrationRow
+from service.database.referrers import refuse_if_referred
 from service.pipeline.active_calibration import ActiveRadiometric
 from service.problems.errors import (
     ActivationConflict,
     RadiometricCalibrationExists,
+    RadiometricCalibrationInUse,
     SensorsChanged,
     UnknownRadiometricCalibration,
 )
@@ -68,6 +70,28 @@ def add_radiometric_calibration(
         created_at=datetime.now(UTC),
     )
     return RADIOMETRIC_CALIBRATIONS.insert(session, row)
+
+
+def delete_radiometric_calibration(session: Session, radiometric_id: str) -> None:
+    """Delete a radiometric calibration to which nothing refers.
+
+    Raises:
+        UnknownRadiometricCalibration.
+        RadiometricCalibrationInUse: it was active once, or is.
+    """
+    row = RADIOMETRIC_CALIBRATIONS.get(session, radiometric_id)
+    get_device(session, row.device_id, lock=True)
+    moves = RadiometricActivationRow
+    advice = "only one that was never active can be deleted; deactivate it to use it no more"
+    refuse_if_referred(
+        session,
+        RadiometricCalibrationInUse,
+        row,
+        advice,
+        {"activations": (moves, moves.radiometric_id == row.id)},
+    )
+    session.delete(row)
+    session.flush()
 
 
 def check_content(content: RadiometricContent, now: Sequence[SensorDescription]) -> None:

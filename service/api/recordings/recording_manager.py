@@ -177,22 +177,25 @@ class RecordingManager:
             )
         return path
 
-    def delete(self, name: str, replayed_by: Callable[[str], str | None]) -> None:
+    def delete(self, name: str, replayed_by: Callable[[str], list[str]]) -> None:
         """Delete a recording's file.
 
         Args:
             name: of the recording.
-            replayed_by: returns the running device that replays it, None without one.
+            replayed_by: returns the devices that replay it.
 
         Raises:
             UnknownRecording, RecordingInProgress.
-            RecordingInUse: a running device replays it.
+            RecordingInUse: a device replays it.
         """
         path = self.finished_path(name)
-        device = replayed_by(name)
-        if device is not None:
+        devices = replayed_by(name)
+        if devices:
             raise RecordingInUse(
-                f'device "{device}" replays "{name}"; stop the device first', device_id=device
+                f'recording "{name}" is the source of device "{devices[0]}"; give that another '
+                "source, or delete it, first",
+                recording_id=name,
+                referrers={"devices": devices},
             )
         path.unlink(missing_ok=True)
         with self._lock:

@@ -24,7 +24,6 @@ from service.api.recordings.schema import (
 )
 from service.database.engine import Database
 from service.database.models import DeviceRow
-from service.pipeline.pipeline_manager import PipelineManager
 
 if TYPE_CHECKING:
     from hardware.recording.layout import RecordingInfo
@@ -193,17 +192,13 @@ def _used(reader: "RecordingReader") -> list[UsedCalibration]:
     return used
 
 
-_GONE = ("stopped", "ended", "failed")
-
-
-def replaying_device(database: Database, live: PipelineManager, name: str) -> str | None:
-    """Return the id of a device that replays the recording now, None without one."""
+def replaying_devices(database: Database, name: str) -> list[str]:
+    """Return the ids of the devices that replay a recording."""
     with database.read() as session:
         sources = session.execute(select(DeviceRow.id, DeviceRow.source)).all()
-    for device_id, source in sources:
-        if source.get("kind") != "replay":
-            continue
-        same = PurePosixPath(str(source.get("recording_id"))) == PurePosixPath(name)
-        if same and live.status(device_id).state not in _GONE:
-            return str(device_id)
-    return None
+    return [
+        str(device_id)
+        for device_id, source in sources
+        if source.get("kind") == "replay"
+        and PurePosixPath(str(source.get("recording_id"))) == PurePosixPath(name)
+    ]

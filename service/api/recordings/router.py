@@ -1,5 +1,6 @@
 """REST resource /api/v1/recordings."""
 
+from functools import partial
 from typing import Annotated, Any, Final
 
 from fastapi import Body, Path, Response
@@ -12,12 +13,11 @@ from service.api.inputs import (
     DeviceFilter,
     DevicePath,
     JsonTypes,
-    LiveDep,
 )
 from service.api.openapi import ResourceRouter, raises
 from service.api.paging import Page, PagingDep
 from service.api.recordings.recording_manager import RecordingsDep
-from service.api.recordings.repository import replaying_device
+from service.api.recordings.repository import replaying_devices
 from service.api.recordings.schema import NewRecording, RecordingDetail, RecordingDocument
 
 MEDIA_TYPE: Final = "application/x-hdf5"
@@ -119,7 +119,7 @@ def get_recording(recording_id: BegunPath, recordings: RecordingsDep) -> Recordi
 )
 @raises("unknown-recording", "recording-in-progress", "recording-in-use")
 def delete_recording(
-    recording_id: FinishedPath, database: DatabaseDep, live: LiveDep, recordings: RecordingsDep
+    recording_id: FinishedPath, database: DatabaseDep, recordings: RecordingsDep
 ) -> None:
-    """Delete the file; not while it is written, or a running device replays it."""
-    recordings.delete(recording_id, lambda wanted: replaying_device(database, live, wanted))
+    """Delete the file; not while it is written, or a device replays it."""
+    recordings.delete(recording_id, partial(replaying_devices, database))

@@ -49,7 +49,8 @@ def list_keys(database: DatabaseDep, paging: PagingDep) -> Page[ApiKey]:
         return page_of(session, store.KEYS.newest_first(), paging, document)
 
 
-@router.operation("POST", "create-key", "Make a key", status_code=201)
+# The answer has the key's text, which is kept nowhere: not to be given again, either.
+@router.operation("POST", "create-key", "Make a key", status_code=201, idempotent=False)
 @raises("invalid-parameter")
 def create_key(
     request: Annotated[NewApiKey, JsonTypes(), Body(openapi_examples=_NEW_KEYS)],

@@ -21,6 +21,7 @@ from service.api.inputs import (
 )
 from service.api.openapi import ResourceRouter, raises
 from service.api.paging import BY_ID, Page, PagingDep, page_of
+from service.api.preconditions import OptionalIfMatch, RequiredIfMatch
 from service.api.tools import concurrency_limits, store
 from service.api.tools.examples import (
     CALIBRATIONS,
@@ -139,21 +140,34 @@ def get_tool(tool_id: ToolPath, database: DatabaseDep) -> Tool:
     "PATCH /tools/{tool_id}", "change-tool", "Change a tool's title, tip, limits or reference"
 )
 @raises("unknown-tool", "invalid-parameter")
+@raises("precondition-failed", "precondition-required", "invalid-precondition")
 def change_tool(
-    tool_id: ToolPath, request: ChangeBody, database: DatabaseDep, device_service: DeviceServiceDep
+    tool_id: ToolPath,
+    request: ChangeBody,
+    database: DatabaseDep,
+    device_service: DeviceServiceDep,
+    expected: RequiredIfMatch,
 ) -> Tool:
     """Change what is given. Markers never change: delete the tool and create another."""
     with device_service.tools_change(_device_of(database, tool_id)) as session:
-        row = store.change_tool(session, store.TOOLS.get(session, tool_id), request)
-        return store.document(row)
+        row = store.TOOLS.get(session, tool_id)
+        expected.check(store.document(row))
+        return store.document(store.change_tool(session, row, request))
 
 
 @router.operation("DELETE /tools/{tool_id}", "delete-tool", "Delete a tool")
-@raises("unknown-tool", "tool-in-use")
-def delete_tool(tool_id: ToolPath, database: DatabaseDep, device_service: DeviceServiceDep) -> None:
+@raises("unknown-tool", "tool-in-use", "precondition-failed", "invalid-precondition")
+def delete_tool(
+    tool_id: ToolPath,
+    database: DatabaseDep,
+    device_service: DeviceServiceDep,
+    expected: OptionalIfMatch,
+) -> None:
     """Delete a tool and its calibrations; refused while something is relative to it."""
     with device_service.tools_change(_device_of(database, tool_id)) as session:
-        store.delete_tool(session, store.TOOLS.get(session, tool_id))
+        row = store.TOOLS.get(session, tool_id)
+        expected.check(store.document(row))
+        store.delete_tool(session, row)
 
 
 @router.operation("GET /tools/{tool_id}/pose", "get-tool-pose", "Where a tool is now")

@@ -26,6 +26,7 @@ from service.api.tools.schema import (
 )
 from service.database.engine import Resource
 from service.database.models import HoldRow, RegistrationRow, ToolCalibrationRow, ToolRow
+from service.database.referrers import refuse_if_referred
 from service.problems.errors import (
     MarkersTaken,
     ToolExists,
@@ -200,20 +201,17 @@ def delete_tool(session: Session, row: ToolRow) -> None:
         ToolInUse: another tool's poses, or a registration, are relative to it, or a hold watches
             it.
     """
-    hold = session.scalar(
-        select(HoldRow.id).where(HoldRow.tool_id == row.id).order_by(HoldRow.id).limit(1)
+    refuse_if_referred(
+        session,
+        ToolInUse,
+        row,
+        "delete or change them first",
+        {
+            "holds": (HoldRow, HoldRow.tool_id == row.id),
+            "tools": (ToolRow, ToolRow.reference_id == row.id),
+            "registrations": (RegistrationRow, RegistrationRow.reference_id == row.id),
+        },
     )
-    if hold is not None:
-        raise ToolInUse(f'hold "{hold}" watches tool "{row.id}"; delete it first', tool_id=row.id)
-    for table, what in ((ToolRow, "tool"), (RegistrationRow, "registration")):
-        user = session.scalar(
-            select(table.id).where(table.reference_id == row.id).order_by(table.id).limit(1)
-        )
-        if user is not None:
-            raise ToolInUse(
-                f'{what} "{user}" is relative to tool "{row.id}"; delete or change it first',
-                tool_id=row.id,
-            )
     for one in session.scalars(calibrations(row.id)):
         session.delete(one)
     session.flush()

@@ -1,11 +1,13 @@
 """The OpenAPI document: complete, and every example in it works as it stands on a new server."""
 
+import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import cache
 from typing import Any
 
+import jsonschema_rs
 import numpy as np
 import pytest
 from fastapi.routing import APIRoute, iter_route_contexts
@@ -16,6 +18,8 @@ from hardware.simulated.scenes import MovingTool, MovingTools
 from hardware.simulated.settings import SimulationSettings
 from service.api.correction_tables.hdf5_file import write_table
 from service.api.correction_tables.table_content import MEDIA_TYPE
+from service.api.member_descriptions import MEMBERS
+from service.api.openapi import ANSWER_EXAMPLES
 from service.api.tools import tip_calibration
 from service.application.app import create_app
 from service.database.models import ApiKeyRow
@@ -106,10 +110,10 @@ def prepare(client: Any) -> None:
         )
 
 
-@pytest.mark.slow
-def test_every_example_works_on_a_new_server(
-    sqlite_settings: Settings, monkeypatch: pytest.MonkeyPatch
-):
+def answers_to_examples(
+    settings: Settings, patch: pytest.MonkeyPatch
+) -> Iterator[tuple[Example, Any]]:
+    """Yield each example of the contract and the answer of a new server to it."""
     live = FakePipeline()
     shown = MovingTools((MovingTool(((0.0, 0.0, 0.0),) * 4), MovingTool(((0.0, 0.0, 0.0),) * 3)))
     live.records = SimulatedDriver("sim", SimulationSettings(scene=shown)).description
@@ -119,14 +123,14 @@ def test_every_example_works_on_a_new_server(
         tool_batch([resting("pointer", 700, first=1000)]),
     ]
     # Poses are collected for as long as the example says, or until there are enough.
-    monkeypatch.setattr(tip_calibration, "MAX_COLLECTED", 60)
-    with TestClient(create_app(sqlite_settings, live)) as client:
+    patch.setattr(tip_calibration, "MAX_COLLECTED", 60)
+    with TestClient(create_app(settings, live)) as client:
         served = client.get("/openapi.json").json()
         prepare(client)
-        with RecordingWriter(sqlite_settings.folders.recordings / "earlier.h5", live.records):
+        with RecordingWriter(settings.folders.recordings / "earlier.h5", live.records):
             pass
-        sqlite_settings.folders.exports.mkdir()
-        (sqlite_settings.folders.exports / "walk.csv").write_text("made before")
+        settings.folders.exports.mkdir()
+        (settings.folders.exports / "walk.csv").write_text("made before")
         requests = examples(served)
         assert {one.operation for one in requests} == {
             operation["operationId"]
@@ -135,8 +139,15 @@ def test_every_example_works_on_a_new_server(
         }
         for one in requests:
             given = {} if one.body is None else {"json": one.body}
-            answer = client.request(one.method, one.path, **given)
-            assert answer.is_success, (one.operation, one.path, answer.text)
+            yield one, client.request(one.method, one.path, **given)
+
+
+@pytest.mark.slow
+def test_every_example_works_on_a_new_server(
+    sqlite_settings: Settings, monkeypatch: pytest.MonkeyPatch
+):
+    for one, answer in answers_to_examples(sqlite_settings, monkeypatch):
+        assert answer.is_success, (one.operation, one.path, answer.text)
 
 
 def test_every_operation_has_a_summary_of_its_own():
@@ -209,3 +220,47 @@ def test_there_is_a_page_to_read_it(sqlite_client: Any, path: str, script: str):
     start = f"/docs/assets/{script}-start.js"
     assert start in sqlite_client.get(path).text
     assert "/openapi.json" in sqlite_client.get(start).text
+
+
+def test_every_member_is_described():
+    found = document()["components"]["schemas"]
+    missing = [
+        f"{name}.{member}"
+        for name, schema in found.items()
+        for member, value in schema.get("properties", {}).items()
+        if not value.get("description", "").strip()
+    ]
+    assert missing == [], "describe them at their fields, or in service.api.member_descriptions"
+    assert [name for name, schema in found.items() if not schema.get("description")] == []
+    assert [name for name, schema in found.items() if "Args:" in schema["description"]] == []
+
+
+def test_every_description_of_a_member_is_used():
+    names = {
+        key
+        for name, schema in document()["components"]["schemas"].items()
+        for member in schema.get("properties", {})
+        for key in (member, f"{name.rpartition('__')[2]}.{member}")
+    }
+    assert MEMBERS.keys() - names == set()
+
+
+def test_every_json_answer_has_an_example_of_its_schema():
+    found = document()
+    checked = 0
+    for _, _, operation in operations(found):
+        name = operation["operationId"]
+        for status, response in operation["responses"].items():
+            content = response.get("content", {}).get("application/json")
+            if not status.startswith("2") or content is None:
+                continue
+            assert "example" in content, f"{name}: run python -m tests.service.api.record_answers"
+            schema = {**content["schema"], "components": found["components"]}
+            errors = list(jsonschema_rs.validator_for(schema).iter_errors(content["example"]))
+            assert errors == [], (name, "run python -m tests.service.api.record_answers")
+            checked += 1
+    assert checked > 90
+    assert ANSWERS.keys() <= {operation["operationId"] for *_, operation in operations(found)}
+
+
+ANSWERS = json.loads(ANSWER_EXAMPLES.read_text(encoding="utf-8"))

@@ -93,7 +93,7 @@ class Clients:
 
     def _record(self, client: httpx.Client, number: int) -> None:
         name = f"{self._name}-{number}.h5"
-        body = {"name": name}
+        body = {"id": name}
         if self._answer(client.post("/api/v1/devices/sim/recordings", json=body)) is None:
             return
         self.recordings[name] = 0
@@ -102,10 +102,10 @@ class Clients:
                 break
             found = self._answer(client.get(f"/api/v1/recordings/{name}"))
             if found is not None:
-                self.recordings[name] = found["frames"] or 0
+                self.recordings[name] = found["frames_written"] or 0
         stopped = self._answer(client.post(f"/api/v1/recordings/{name}/stop"))
         if stopped is not None:
-            self.recordings[name] = stopped["frames"]
+            self.recordings[name] = stopped["frames_written"]
             self.complete.add(name)
 
     def _activate(self, client: httpx.Client, number: int) -> None:

@@ -1,4 +1,4 @@
-"""Documents stored before revision 0014 are read after it: references, durations."""
+"""Documents stored before revision 0015 are read after it: references, durations."""
 
 from datetime import UTC, datetime
 from typing import Any
@@ -7,7 +7,7 @@ from alembic import command
 from sqlalchemy import text
 from sqlalchemy.orm import Session
 
-from migrations.versions.v0014_references import _DOCUMENTS
+from migrations.versions.v0015_references import _DOCUMENTS
 from service.api.beam_holds.schema import BeamHold
 from service.api.beam_holds.store import document as hold_document
 from service.api.tools.registrations import document as registration_document
@@ -99,7 +99,7 @@ def test_references_of_before_are_read_after_it(database: Database) -> None:
     assert isinstance(made[3], BeamHold)
     assert made[2].tip.tool_calibration_id == "pivot-1"
     with database.engine.begin() as connection:
-        command.downgrade(alembic_config(connection), "0013")
+        command.downgrade(alembic_config(connection), "0014")
     before = stored(database)
     for old in ("recording", "calibration", "tool", "reference", "parent", "drift_check"):
         assert f'"{old}":' in before

@@ -132,7 +132,9 @@ def test_the_stream_switches_between_two_frames_and_loses_none(server: str, devi
         assert sequences[place + 1] > sequences[place]
         assert "overflow" in frames[place + 1]["flags"]
     # Nothing of what the device delivered is missing: it is processed, or waits in the ring.
-    assert after["frames_received"] - after["frames_processed"] <= RING_SECONDS * RATE_HZ + MAX_FRAMES
+    assert (
+        after["frames_received"] - after["frames_processed"] <= RING_SECONDS * RATE_HZ + MAX_FRAMES
+    )
     used = [(frame["calibration_id"], frame["table_id"]) for frame in frames]
     runs = [one for place, one in enumerate(used) if place == 0 or used[place - 1] != one]
     assert runs == [("plain", None), *(wanted for _, wanted in steps)]

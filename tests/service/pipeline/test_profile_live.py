@@ -64,7 +64,8 @@ def messages(api: httpx.Client, device: str, frames: int) -> list[dict[str, Any]
 def test_points_are_where_the_markers_are(api: httpx.Client) -> None:
     settings = {"scene": SCENE, "optics": "exact", "frame_rate_hz": 20}
     source = {"kind": "profile", "profile_id": LENS, "settings": settings}
-    api.patch("/api/v1/devices/thesis-5-9", json={"source": source}).raise_for_status()
+    changed = {"json": {"source": source}, "headers": {"If-Match": "*"}}
+    api.patch("/api/v1/devices/thesis-5-9", **changed).raise_for_status()
     hello, *frames = messages(api, "thesis-5-9", 8)
     assert hello["readout"] == "lines"
     assert (hello["frame_rate_hz"], hello["markers"]) == (20.0, 0)

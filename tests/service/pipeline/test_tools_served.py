@@ -32,7 +32,8 @@ TOOL = {
 
 
 def sent(method: str, url: str, **options: Any) -> Any:
-    answer = httpx.request(method, url, timeout=60.0, **options)
+    headers = {"If-Match": "*"} if method == "PATCH" else None
+    answer = httpx.request(method, url, timeout=60.0, headers=headers, **options)
     assert answer.is_success, answer.text
     return answer.json() if answer.content else None
 

@@ -181,7 +181,7 @@ def test_only_a_table_that_was_never_used_is_deleted(client: Any, quickly: None)
     for _ in range(2):
         refused = client.delete(f"{URL}/used")
         assert refused.json()["type"] == "/problems/correction-table-in-use"
-        assert "1 activations and 0 reconstructions" in refused.json()["detail"]
+        assert "referred to by 1 activation (" in refused.json()["detail"]
         client.post(f"{URL}/used/deactivate")
     assert client.delete(f"{URL}/spare").status_code == 204
     assert client.get(f"{URL}/spare").status_code == 404

@@ -141,13 +141,17 @@ def test_deleting_is_refused_while_captures_or_runs_exist(client: Any):
     assert client.post("/api/v1/captures", json=capture).status_code == 201
     refused = client.delete("/api/v1/devices/bar")
     assert (refused.status_code, refused.json()["type"]) == (409, "/problems/device-in-use")
-    assert 'device "bar" has 1 capture; add ?cascade=true' in refused.json()["detail"]
+    assert (
+        'device "bar" is referred to by 1 capture ("held"); add ?cascade=true'
+        in refused.json()["detail"]
+    )
     with client.app.state.database.write() as session:
         for number in range(2):
             add_run(session, "calibration", "bar", {"result_id": None}, 100, f"run-{number}")
             session.flush()
             cancel(session, f"run-{number}")
-    assert "1 capture, 2 runs" in client.delete("/api/v1/devices/bar").json()["detail"]
+    refused = client.delete("/api/v1/devices/bar").json()["detail"]
+    assert '1 capture ("held"), 2 runs ("run-0", "run-1")' in refused
     # Neither keeps the sensors from being changed.
     source = EXTERNAL["source"] | {"sensors": [sensors[0] | {"pixels": 99}, *sensors[1:]]}
     changed = client.patch("/api/v1/devices/bar", json={"source": source})

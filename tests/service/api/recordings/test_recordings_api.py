@@ -71,6 +71,8 @@ def test_a_recording_from_its_begin_to_its_end(tmp_path: Path) -> None:
         refused = api.delete(f"{API}/one.h5")
         assert refused.json()["type"] == "/problems/recording-in-use", refused.text
         api.post("/api/v1/devices/tape/stop").raise_for_status()
+        assert api.delete(f"{API}/one.h5").status_code == 409  # its source, running or not
+        assert api.delete("/api/v1/devices/tape").status_code == 204
         assert api.delete(f"{API}/one.h5").status_code == 204
         assert api.get(f"{API}/one.h5").status_code == 404
         assert not path.exists()

@@ -155,7 +155,7 @@ def test_a_device_with_tools_is_not_deleted_by_mistake(client: Any, live: FakePi
     assert made(client, POINTER, device_id="bench").status_code == 201
     refused = client.delete("/api/v1/devices/bench")
     assert code(refused) == (409, "device-in-use")
-    assert "1 tool;" in refused.json()["detail"]
+    assert '1 tool ("pointer");' in refused.json()["detail"]
     deleted = client.delete("/api/v1/devices/bench", params={"cascade": True})
     assert deleted.status_code == 204, deleted.text
     assert client.get("/api/v1/tools").json()["items"] == []

@@ -292,7 +292,7 @@ def test_status_alone_has_no_frames(server: str) -> None:
 def change_source(server: str, settings: dict[str, Any]) -> None:
     source = {"kind": "simulated", "settings": settings}
     url = f"{server}/api/v1/devices/sim"
-    httpx.patch(url, json={"source": source}).raise_for_status()
+    httpx.patch(url, json={"source": source}, headers={"If-Match": "*"}).raise_for_status()
     httpx.post(f"{url}/start", timeout=60.0).raise_for_status()
 
 

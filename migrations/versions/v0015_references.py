@@ -13,8 +13,8 @@ from alembic import op
 
 from migrations.versions.v0010_standard_terms import Names, _unguarded
 
-revision = "0014"
-down_revision = "0013"
+revision = "0015"
+down_revision = "0014"
 branch_labels = None
 depends_on = None
 

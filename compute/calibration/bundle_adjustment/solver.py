@@ -275,14 +275,14 @@ class _Search:
         """Refit poses with the sensors held, as long as that makes the loss smaller."""
         for _ in range(POSE_REFIT_STEPS):
             equations = build_normal_equations(state, loss_weights(residuals, limit), self.prior)
-            held = np.zeros(len(self.adjusted_parameters))
-            local = equations.reduced(POSE_REFIT_DAMPING).local_steps(equations, held)
-            trial = state.retract(held, local)
-            found = trial.residuals()
-            new = total_loss(trial, found, self.prior, limit)
+            no_step = np.zeros(len(self.adjusted_parameters))
+            local = equations.reduced(POSE_REFIT_DAMPING).local_steps(equations, no_step)
+            trial = state.retract(no_step, local)
+            trial_residuals = trial.residuals()
+            new = total_loss(trial, trial_residuals, self.prior, limit)
             if not new < loss:  # NaN: a point behind a lens
                 break
-            state, residuals, loss = trial, found, new
+            state, residuals, loss = trial, trial_residuals, new
         return state, residuals, loss
 
     def _is_near_minimum(

@@ -1,4 +1,4 @@
-"""PixelCorrections: what radiometric calibrations of a device's sensors do to counts."""
+"""PixelCorrections: offset, response and bad pixels of a device's sensors, applied to counts."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

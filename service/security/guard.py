@@ -50,18 +50,18 @@ def check_complete(routes: Iterable[BaseRoute]) -> tuple[RouteContext, ...]:
     Raises:
         ValueError: a route is not in the table, or the table has one that there is not.
     """
-    found = tuple(iter_route_contexts(list(routes)))
-    names = {operation_of(route) for route in found}
+    contexts = tuple(iter_route_contexts(list(routes)))
+    names = {operation_of(route) for route in contexts}
     for missing in sorted(names - OPERATION_SCOPES.keys()):
         raise ValueError(
             f'operation "{missing}" is not in service/security/operation_scopes.py; give it a '
             'scope, or "public"'
         )
-    for left in sorted(OPERATION_SCOPES.keys() - names):
+    for name in sorted(OPERATION_SCOPES.keys() - names):
         raise ValueError(
-            f'service/security/operation_scopes.py has "{left}", which no route has; remove it'
+            f'service/security/operation_scopes.py has "{name}", which no route has; remove it'
         )
-    return found
+    return contexts
 
 
 async def confirm(connection: HTTPConnection) -> None:
@@ -116,9 +116,9 @@ class Guard:
     def _operation(self, scope: Scope) -> tuple[str | None, str | None]:
         """Return the operation and its path's template; None where the router finds none."""
         if self._routes is None:
-            found = check_complete(scope["app"].routes)
+            routes = check_complete(scope["app"].routes)
             self._routes = tuple(
-                (operation_of(route), str(route.path), route.matches) for route in found
+                (operation_of(route), str(route.path), route.matches) for route in routes
             )
         for operation, path, matches in self._routes:
             if matches(scope)[0] == Match.FULL:

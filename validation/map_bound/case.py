@@ -133,11 +133,11 @@ def compare(
 
 def _control(scene: Scene, count: int, rng: np.random.Generator, seed: int) -> Readings:
     """Read control points until there are enough that three sensors see."""
-    places = random_points_in_box(2 * count, np.array(LOW_MM), np.array(HIGH_MM), seed)
+    positions = random_points_in_box(2 * count, np.array(LOW_MM), np.array(HIGH_MM), seed)
     first = count * 5 // 4
-    known = _enough(scene.read(places[:first], rng))
+    known = _enough(scene.read(positions[:first], rng))
     if len(known.points_mm) < count:
-        known = known.and_(_enough(scene.read(places[first:], rng)))
+        known = known.and_(_enough(scene.read(positions[first:], rng)))
     return known.of(np.arange(count))
 
 

@@ -99,9 +99,9 @@ def simulate_views(
         if calibrated:
             step = np.sqrt(np.diag(COVARIANCE)) * rng.standard_normal(len(COVARIANCE))
             true = cameras.retract(step.reshape(len(cameras), -1))
-        places = MARKERS_MM @ rotation.T + shift
+        positions = MARKERS_MM @ rotation.T + shift
         noise = sigma_px * rng.standard_normal(mask.shape)
-        readings = np.where(mask, true.project(places) + noise, np.nan)
+        readings = np.where(mask, true.project(positions) + noise, np.nan)
         sigma = np.full(mask.shape, sigma_px)
         points += int(np.isfinite(reconstruct(cameras, readings, sigma).position_mm[:, 0]).sum())
         found = fit_pose(model, tool, readings, sigma, settings=UNLIMITED)

@@ -220,10 +220,10 @@ def compute_tables(
     rows: list[tuple[Cell, ...]] = []
     reasons: list[str] = []
     mirrored = 0
-    for place, row in enumerate(ROWS):
+    for index, row in enumerate(ROWS):
         outcomes = []
         for trial in range(trials):
-            report_progress((place + trial / trials) / len(ROWS), row.label)
+            report_progress((index + trial / trials) / len(ROWS), row.label)
             outcomes.append(judge(draw_wave(row, seed, trial)))
         verdicts = [one.verdict for one in outcomes]
         errors = [one.error_mm for one in outcomes if one.error_mm is not None]

@@ -1,4 +1,4 @@
-"""Acquisition of a strobed tool from exposures of its markers in turn.
+"""Acquisition of a strobed tool from exposures of one marker at a time.
 
 The tool moves while its markers are lit in turn, so its latest readings fit no single pose. They
 give a rough one, with standard deviations that grow with their age. A filter with a broad prior

@@ -1,4 +1,4 @@
-"""Reliability of a pose: which errors of a reading are found, and what the others do to it."""
+"""Reliability of a pose: detectable errors of a reading, and the effect of undetected ones."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""ErrorEstimate: probability that a group is wrong, beyond what other sets of candidates show."""
+"""ErrorEstimate: probability that a group is wrong, besides that from competing sets."""
 
 from dataclasses import dataclass
 from math import log

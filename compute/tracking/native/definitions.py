@@ -38,7 +38,7 @@ ASSOCIATION: Final = Record(
         "position": "const double*",
         "noise": "const double*",
         "usable": "const unsigned char*",
-        # What is written: (T, S), (T, S), (T, S), (T,), (T,), (T,), (T,); 0 before.
+        # Results: (T, S), (T, S), (T, S), (T,), (T,), (T,), (T,); 0 before.
         "choice": "int*",
         "merged": "unsigned char*",
         "choice_probability": "double*",

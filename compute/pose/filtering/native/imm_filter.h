@@ -1,4 +1,4 @@
-// The modes of an interacting multiple model at a later instant, and their mixture:
+// Prediction and mixture of the modes of an interacting multiple model:
 // compute.pose.filtering.imm.
 #pragma once
 

@@ -1,5 +1,5 @@
-// What the sensors are expected to read of the marker that is lit: values, Jacobians by rotation
-// and position, derivatives by the common errors, of all sensors; nan behind a lens. As
+// Predicted readings of the lit marker by all sensors: values, Jacobians by rotation and position,
+// derivatives by the common errors; nan behind a lens. As
 // compute.measurement.measurement_model and compute.pose.filtering.pose_filter.
 #pragma once
 

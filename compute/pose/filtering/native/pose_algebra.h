@@ -1,4 +1,4 @@
-// Sums of vectors, and rotations: compute.transform.
+// Vector sums and rotations: compute.transform.
 #pragma once
 
 #include "compute/native/platform.h"

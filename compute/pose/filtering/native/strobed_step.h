@@ -1,5 +1,5 @@
-// One exposure of a strobed tool: its modes are predicted, and all take the readings within the
-// gates, as ImmState.update of compute.pose.filtering.imm.
+// One exposure of a strobed tool: prediction of its modes, and their update by the readings within
+// the gates, as ImmState.update of compute.pose.filtering.imm.
 #pragma once
 
 #include "compute/native/platform.h"

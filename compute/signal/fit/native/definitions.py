@@ -1,4 +1,4 @@
-"""What the fit in C++ shares with Python: constants, records of peaks, settings as one buffer."""
+"""Definitions of the fit for C++ and Python: constants, records of peaks, settings as a buffer."""
 
 from math import exp, log, sqrt
 from typing import Final

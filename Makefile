@@ -54,6 +54,7 @@ lint: $(STAMP)
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	$(BIN)/python docs/generators/contract.py --check
 	$(BIN)/python -m tests.compute.native.lint
 
 # -E: links between pages are checked in pages that have not changed, too.

@@ -100,13 +100,15 @@ def step_us() -> dict[str, float]:
 
     spread = np.diag([1e-8] * 3 + [1e-3] * 3)
     pose = Transform(np.eye(3), np.array([0.1, 0.0, 1500.0]), spread)
-    places = np.array([[0.0, 0.0, 1500.0], [80.0, 0, 1500.0], [0, 60.0, 1500.0], [20, 15.0, 1540]])
-    spreads = np.broadcast_to(1e-3 * np.eye(3), (4, 3, 3))
+    positions = np.array(
+        [[0.0, 0.0, 1500.0], [80.0, 0, 1500.0], [0, 60.0, 1500.0], [20, 15.0, 1540]]
+    )
+    covariances = np.broadcast_to(1e-3 * np.eye(3), (4, 3, 3))
     limits = BeamHoldLimits(shift_mm=2.0)
-    tool, markers = PoseDeviationMonitor(pose, limits), MarkerDeviationMonitor(places, limits)
+    tool, markers = PoseDeviationMonitor(pose, limits), MarkerDeviationMonitor(positions, limits)
     steps: dict[str, Callable[[int], object]] = {
         "tool": lambda time_ns: tool.step(time_ns, pose),
-        "markers": lambda time_ns: markers.step(time_ns, places + 0.05, spreads),
+        "markers": lambda time_ns: markers.step(time_ns, positions + 0.05, covariances),
     }
     found = {}
     for name, step in steps.items():
@@ -118,13 +120,13 @@ def step_us() -> dict[str, float]:
 
 
 def listen(
-    url: str, told: str, seconds: float, progress: Callable[[float], None] | None = None
+    url: str, watched_hold: str, seconds: float, progress: Callable[[float], None] | None = None
 ) -> ReceivedSignals:
     """Receive changes and frames of all holds for some seconds.
 
     Args:
         url: of the stream of the device, without content.
-        told: the hold whose shifts are kept.
+        watched_hold: the hold whose shifts are kept.
         seconds: how long.
         progress: gets the seconds that have passed.
 
@@ -142,7 +144,7 @@ def listen(
             with connect(f"{url}&content=holds&bundle_ms=50", compression=None, max_size=None,
                          max_queue=None) as socket:  # fmt: skip
                 while not ended.is_set():
-                    _keep(heard, msgpack.unpackb(socket.recv(timeout=10.0)), told)
+                    _keep(heard, msgpack.unpackb(socket.recv(timeout=10.0)), watched_hold)
         except BaseException as error:  # noqa: BLE001 - told to who waits
             failed.append(error)
 
@@ -176,13 +178,13 @@ def listen(
     return heard
 
 
-def _keep(heard: ReceivedSignals, message: dict[str, Any], told: str) -> None:
+def _keep(heard: ReceivedSignals, message: dict[str, Any], watched_hold: str) -> None:
     if message["type"] == "missed":
         heard.missed += message["messages"]
     for frame in message.get("frames", ()):
         heard.frames[frame["sequence"]] = frame["exposure_ns"]
         for one in frame["holds"]:
-            if one["hold_id"] == told and one["shift_mm"] is not None:
+            if one["hold_id"] == watched_hold and one["shift_mm"] is not None:
                 heard.shifts[frame["sequence"]] = one["shift_mm"]
 
 

@@ -166,9 +166,9 @@ def run(seconds: float = 0.3) -> list[Row]:
 
 def _as_models(frame: Frame, starts: Sequence[Array]) -> list[SensorModel]:
     """Return start values as metric cameras, without the gauge freedom of the coefficients."""
-    middle = frame.points_mm.mean(axis=0)
+    centre = frame.points_mm.mean(axis=0)
     return [
-        model_from_collinearity(from_array(x), sensor, middle)
+        model_from_collinearity(from_array(x), sensor, centre)
         for x, sensor in zip(starts, frame.sensors, strict=True)
     ]
 

@@ -39,9 +39,9 @@ def dlt_matrix(points_mm: Array, readings_px: Array, sensor: str) -> Array:
     """
     transform = normalisation(points_mm)
     homogeneous = np.column_stack([points_mm, np.ones(len(points_mm))]) @ transform.T
-    middle = float(readings_px.mean())
+    centre = float(readings_px.mean())
     scale = float(readings_px.std()) or 1.0
-    q = (readings_px - middle) / scale
+    q = (readings_px - centre) / scale
     design = np.hstack([homogeneous, -q[:, None] * homogeneous])
     _, singular, right = np.linalg.svd(design, full_matrices=True)
     if singular[6] < RANK_LIMIT * singular[0]:
@@ -52,7 +52,7 @@ def dlt_matrix(points_mm: Array, readings_px: Array, sensor: str) -> Array:
             sensor=sensor,
         )
     first, second = right[-1, :4], right[-1, 4:]
-    matrix: Array = np.array([scale * first + middle * second, second]) @ transform
+    matrix: Array = np.array([scale * first + centre * second, second]) @ transform
     return matrix
 
 

@@ -33,11 +33,11 @@ def random_lines(seed: int, count: int) -> NDArray[np.uint16]:
     rng = np.random.default_rng(seed)
     edges = np.arange(PIXELS + 1) - 0.5
     counts = np.full((count, PIXELS), 12.0)
-    for chance in (0.9, 0.5):
-        place = rng.uniform(-3.0, PIXELS + 3.0, count)
+    for probability in (0.9, 0.5):
+        position = rng.uniform(-3.0, PIXELS + 3.0, count)
         width = rng.uniform(0.5, 3.0, count)
-        light = np.where(rng.random(count) < chance, 10.0 ** rng.uniform(1.5, 4.5, count), 0.0)
-        share = np.diff(ndtr((edges - place[:, None]) / width[:, None]), axis=1)
+        light = np.where(rng.random(count) < probability, 10.0 ** rng.uniform(1.5, 4.5, count), 0.0)
+        share = np.diff(ndtr((edges - position[:, None]) / width[:, None]), axis=1)
         counts += light[:, None] * share
     electrons = rng.poisson(counts * GAIN) + rng.normal(0.0, READ, counts.shape)
     lines = np.clip(np.rint(electrons / GAIN + OFFSET), 0, FULL).astype(np.uint16)

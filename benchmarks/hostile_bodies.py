@@ -57,7 +57,7 @@ def bodies() -> dict[str, tuple[str, str, bytes]]:
         "read:stream", "write:calibrations", "admin:devices", "admin:keys"
     )  # fmt: skip
     register, record = "write:registrations", "operate:recordings"
-    large, middle, small = 8 * MIB - 64, 2 * MIB - 64, 128 * 1024 - 64
+    large, medium, small = 8 * MIB - 64, 2 * MIB - 64, 128 * 1024 - 64
     lines = [[100, 101, 99, 100] * 512] * 256
     scans, detailed = (
         json.dumps({"method": {"method": method}, "scans": lines[:count], "detail": count < 256})
@@ -76,15 +76,15 @@ def bodies() -> dict[str, tuple[str, str, bytes]]:
         "nested lists": (read, "line-scans", b"[" * large),
         "text of escapes": (read, "line-scans", filled('{"x": "', "\\u0041", '"}', large)),
         "not JSON at its end": (read, "line-scans", filled("[", "0.1", "}", large)),
-        "wrong readings": (read, "reconstructions", filled(_POINTS, _POINT, "]}", middle)),
-        "empty points": (read, "reconstructions", filled(_POINTS, "{}", "]}", middle)),
+        "wrong readings": (read, "reconstructions", filled(_POINTS, _POINT, "]}", medium)),
+        "empty points": (read, "reconstructions", filled(_POINTS, "{}", "]}", medium)),
         "picture of zeros": (read, "line-scans.png", filled(_SCANS + "[[", "0", "]]}", large)),
-        "control points": (write, "calibrations", filled(_POINTS, _POINT, "]}", middle)),
-        "members of points": (write, "calibrations", filled(_POINTS, '{"a":0}', "]}", middle)),
+        "control points": (write, "calibrations", filled(_POINTS, _POINT, "]}", medium)),
+        "members of points": (write, "calibrations", filled(_POINTS, '{"a":0}', "]}", medium)),
         "targets": (
-            write, "captures", filled('{"device_id": "sim", "targets": [', "{}", "]}", middle),
+            write, "captures", filled('{"device_id": "sim", "targets": [', "{}", "]}", medium),
         ),
-        "points of a run": (write, "mapping-runs", filled(_POINTS, "{}", "]}", middle)),
+        "points of a run": (write, "mapping-runs", filled(_POINTS, "{}", "]}", medium)),
         "vertices": (register, "registrations", filled(_SURFACE, "[0,0,0]", "]}}", large)),
         "empty vertices": (register, "registrations", filled(_SURFACE, "[]", "]}}", large)),
         "frames": (

@@ -49,10 +49,12 @@ def main() -> None:
     surface = TriangleMesh(vertices, faces)
     print(f"{POINTS} points, {len(faces)} triangles")
     alone = IcpSettings(start_turn_rad=0.0, start_shift_mm=0.0)
-    for name, wanted in (("one start", alone), ("all starts", IcpSettings())):
-        register_surface(points[:50], surface, Transform.identity(), wanted)  # imports and caches
+    for name, icp_settings in (("one start", alone), ("all starts", IcpSettings())):
+        register_surface(
+            points[:50], surface, Transform.identity(), icp_settings
+        )  # imports and caches
         begun = time.thread_time()
-        found = register_surface(points, surface, Transform.identity(), wanted)
+        found = register_surface(points, surface, Transform.identity(), icp_settings)
         took = time.thread_time() - begun
         print(
             f"{name:12s} {took:6.2f} s, {found.rms_mm:.2f} mm RMS, hold {found.stiffness_ratio:.3f}"

@@ -38,12 +38,13 @@ def by_map_coordinates(task: Task, xp: Any, map_coordinates: Any) -> Interpolate
     shift = 1.0 if table.degree == 3 else 0.0
 
     def interpolate(points: Any) -> Any:
-        place = ((points - origin) / pitch).T
+        position = ((points - origin) / pitch).T
         options = {"mode": "nearest", "prefilter": False}
         value = [
-            map_coordinates(nodes, place + shift, order=table.degree, **options) for nodes in values
+            map_coordinates(nodes, position + shift, order=table.degree, **options)
+            for nodes in values
         ]
-        spread = [map_coordinates(nodes, place, order=1, **options) for nodes in variance]
+        spread = [map_coordinates(nodes, position, order=1, **options) for nodes in variance]
         return xp.stack(value, axis=1), xp.stack(spread, axis=1)
 
     return interpolate

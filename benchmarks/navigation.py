@@ -135,21 +135,21 @@ def _crc(data: bytes) -> int:
 
 def _taken(waiting: bytearray, now: int) -> Iterator[Received]:
     """Yield the complete transforms and remove all complete messages from the buffer."""
-    place = 0
-    while len(waiting) >= place + _HEADER.size:
-        version, kind, device, whole, part, size, _ = _HEADER.unpack_from(waiting, place)
-        end = place + _HEADER.size + size
+    index = 0
+    while len(waiting) >= index + _HEADER.size:
+        version, kind, device, whole, part, size, _ = _HEADER.unpack_from(waiting, index)
+        end = index + _HEADER.size + size
         if len(waiting) < end:
             break
         if kind.rstrip(b"\0") == b"TRANSFORM":
-            body = bytes(waiting[place + _HEADER.size : end])
+            body = bytes(waiting[index + _HEADER.size : end])
             content, sequence = _content(body, version)
             columns = np.array(_MATRIX.unpack(content)).reshape(4, 3)
             stamp = whole * _NS + ((part * _NS) >> 32)
             name = device.rstrip(b"\0").decode()
             yield Received(name, stamp, now, sequence, columns.T)
-        place = end
-    del waiting[:place]
+        index = end
+    del waiting[:index]
 
 
 def _content(body: bytes, version: int) -> tuple[bytes, int]:

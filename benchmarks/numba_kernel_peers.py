@@ -48,11 +48,11 @@ def rotation_matrix(w):
 def predict_by_arrays(before, after, switching, states, begun, brief, terms, scratch):  # noqa: ARG001
     """As the IMM prediction, with products of stacks written mode by mode."""
     h, count, wide = STEP_S, len(brief), IMM_STATES + ERRORS
-    chance = before[POSE : POSE + count]
+    probability = before[POSE : POSE + count]
     first = POSE + count
     off_before = before[first : first + count * IMM_STATES].reshape(count, IMM_STATES)
     spread_before = before[first + count * IMM_STATES :].reshape(count, IMM_STATES * wide)
-    joint = chance.reshape(-1, 1) * switching
+    joint = probability.reshape(-1, 1) * switching
     summed = joint.sum(axis=0)
     came_from = np.ascontiguousarray((joint / summed).T)
     off = came_from @ off_before

@@ -239,9 +239,9 @@ def _joint_events() -> Case:
         "compute/tracking/native/association.h",
         "lumiline::tracking::AssociationJob& job = *(lumiline::tracking::AssociationJob*)address;"
         "lumiline::tracking::JointEvents events(job);"
-        f"double *own = job.evidence, *shared = own + {n * m}, given_up = 0.0;"
+        f"double *own = job.evidence, *shared = own + {n * m}, pruned_weight = 0.0;"
         "const int options = events.evaluate("
-        f"{n}, job.mean, job.covariance, {m}, job.position, job.noise, given_up);"
+        f"{n}, job.mean, job.covariance, {m}, job.position, job.noise, pruned_weight);"
         f"for (int i = 0; i < {2 * n * m}; ++i) own[i] = 0.0;"
         "for (int o = 0; o < options; ++o) {"
         "    const lumiline::tracking::Option& way = events.options[o];"

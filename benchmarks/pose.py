@@ -113,8 +113,8 @@ def by_scipy(cameras: CameraStack, task: Task, start: Transform, *, analytic: bo
     markers, readings = task.tool.markers_mm, task.readings_px
 
     def residuals(x: Array) -> Array:
-        places = markers @ rotation_matrix(x[:3]).T + x[3:]
-        return np.asarray(((cameras.project(places) - readings) / SIGMA_PX).ravel())
+        positions = markers @ rotation_matrix(x[:3]).T + x[3:]
+        return np.asarray(((cameras.project(positions) - readings) / SIGMA_PX).ravel())
 
     def jacobian(x: Array) -> Array:
         rotation = rotation_matrix(x[:3])
@@ -147,9 +147,10 @@ def _left_jacobian(vector: Array) -> Array:
 def by_many_starts(cameras: CameraStack, task: Task) -> Found:
     """Fit by SciPy from many start rotations, without an initial pose."""
     rotations = Rotation.random(PEER_STARTS, random_state=np.random.default_rng(2)).as_matrix()
-    place = np.array([0.0, 0.0, 1500.0])
+    position = np.array([0.0, 0.0, 1500.0])
     found = [
-        by_scipy(cameras, task, Transform(rotation, place), analytic=True) for rotation in rotations
+        by_scipy(cameras, task, Transform(rotation, position), analytic=True)
+        for rotation in rotations
     ]
     return min(found, key=lambda one: one.chi2)
 
@@ -174,7 +175,7 @@ def frames(cameras: CameraStack, *, strobed: bool) -> tuple[list[RigidBody], lis
         ]
     rotations = [Rotation.random(random_state=rng).as_matrix() for _ in bodies]
     # In two rows, 120 mm apart.
-    places = [
+    positions = [
         np.array([120.0 * (k % 5 - 2), 140.0 * (k // 5) - 70.0, 1500.0 + 15.0 * k])
         for k in range(TOOLS)
     ]
@@ -188,7 +189,7 @@ def frames(cameras: CameraStack, *, strobed: bool) -> tuple[list[RigidBody], lis
             if strobed and k != marker // 4:
                 continue
             turn = rotation_matrix(0.5 * index / rate * axes[k]) @ rotations[k]
-            exact = cameras.project(body.markers_mm @ turn.T + places[k])
+            exact = cameras.project(body.markers_mm @ turn.T + positions[k])
             readings.append(exact + SIGMA_PX * rng.standard_normal(exact.shape))
         whole = np.concatenate(readings)
         if strobed:

@@ -68,18 +68,18 @@ def _geometry(surface: surfaces.Surface, tolerance_mm: float) -> Any:
     if isinstance(shape, surfaces.Toroid):
         # Theirs has its profile in the y-z plane.
         turn = turn * Rotation.from_euler("z", -90.0, degrees=True)
-    place = coordinates.CoordinateSystem(*surface.vertex_mm, *turn.as_euler("xyz"))
+    position = coordinates.CoordinateSystem(*surface.vertex_mm, *turn.as_euler("xyz"))
     if isinstance(shape, surfaces.Plane):
-        return geometries.Plane(place)
+        return geometries.Plane(position)
     if isinstance(shape, surfaces.Conic):
-        return geometries.StandardGeometry(place, shape.radius_mm, shape.conic)
+        return geometries.StandardGeometry(position, shape.radius_mm, shape.conic)
     if isinstance(shape, surfaces.Cylinder):
         curved = geometries.BiconicGeometry(
-            place, shape.radius_mm, np.inf, shape.conic, 0.0, tol=tolerance_mm
+            position, shape.radius_mm, np.inf, shape.conic, 0.0, tol=tolerance_mm
         )
     else:
         curved = geometries.ToroidalGeometry(
-            place, shape.radius_y_mm, shape.radius_x_mm, shape.conic, tol=tolerance_mm
+            position, shape.radius_y_mm, shape.radius_x_mm, shape.conic, tol=tolerance_mm
         )
     # Newton's method starts at a sphere of this radius, which rays to the upper part of a cylinder
     # do not meet: they would be lost. It starts at the tangent plane instead.

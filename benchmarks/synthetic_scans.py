@@ -25,8 +25,8 @@ def measured_lines(
     """
     rng = np.random.default_rng(seed)
     stretch = pixels / peaks
-    middle = rng.uniform(20.0, stretch - 20.0, (lines, peaks))
-    position = middle + stretch * np.arange(peaks)
+    centre = rng.uniform(20.0, stretch - 20.0, (lines, peaks))
+    position = centre + stretch * np.arange(peaks)
     dark = np.hypot(READ_NOISE / GAIN, np.sqrt(AMBIENT / GAIN))
     block = rng.normal(OFFSET + AMBIENT, dark, (256, pixels))
     # Large batches repeat the noise of 256 lines: drawing all of it would take minutes.

@@ -124,13 +124,13 @@ def run(
             evaluated = max(MARKER_EXPOSURES // count // seeds, 40) if peer else frames
             for seed in range(seeds):
                 scene = scene_of(count, sensor_count, min(frames, FIRST + evaluated), seed)
-                places = scene.positions_mm[FIRST:]
+                positions = scene.positions_mm[FIRST:]
                 if peer:
                     found = stone_soup(scene, FIRST, WHITE_JERK, 1.0 - MISSED)
-                    scores.setdefault(PEER, []).append(_scored([], found, places))
+                    scores.setdefault(PEER, []).append(_scored([], found, positions))
                 for name, (motion, given) in METHODS.items():
                     found = ours(scene, motion, given=given)
-                    one = _scored([] if given else found[:FIRST], found[FIRST:], places)
+                    one = _scored([] if given else found[:FIRST], found[FIRST:], positions)
                     scores.setdefault(name, []).append(one)
             rows += _rows(count, sensor_count, scores)
     return rows
@@ -154,8 +154,8 @@ def _rows(markers: int, sensors: int, scores: dict[str, list[dict[str, float]]])
     ]
 
 
-def _scored(before: list[Tracked], evaluated: list[Tracked], places: Array) -> dict[str, float]:
-    found = score(evaluated, places)
+def _scored(before: list[Tracked], evaluated: list[Tracked], positions: Array) -> dict[str, float]:
+    found = score(evaluated, positions)
     start = 1e3 * statistics.fmean(one.seconds for one in before) if before else 0.0
     worst = 1e3 * max(one.seconds for one in [*before, *evaluated])
     return {**found, "start_ms": start, "worst_ms": worst}

@@ -46,9 +46,9 @@ def score(tracked: list[Tracked], positions_mm: Array) -> dict[str, float]:
     nees: list[float] = []
     squares: list[float] = []
     gospa: list[float] = []
-    for frame, places in zip(tracked, positions_mm, strict=True):
-        apart = np.linalg.norm(frame.position_mm[:, None] - places[None], axis=2)
-        between = np.linalg.norm(places[:, None] - places[None], axis=2)
+    for frame, positions in zip(tracked, positions_mm, strict=True):
+        apart = np.linalg.norm(frame.position_mm[:, None] - positions[None], axis=2)
+        between = np.linalg.norm(positions[:, None] - positions[None], axis=2)
         lonely = (between < DISTINGUISHABLE_MM).sum(axis=1) == 1
         tracks, markers = linear_sum_assignment(np.minimum(apart, CUT_MM))
         for track, marker in zip(tracks.tolist(), markers.tolist(), strict=True):
@@ -59,10 +59,10 @@ def score(tracked: list[Tracked], positions_mm: Array) -> dict[str, float]:
             if lonely[marker]:
                 switches += last.get(marker, number) != number
                 last[marker] = number
-            off = frame.position_mm[track] - places[marker]
+            off = frame.position_mm[track] - positions[marker]
             nees.append(float(off @ np.linalg.solve(frame.covariance_mm2[track], off)))
             squares.append(float(off @ off))
-        gospa.append(_gospa(frame.position_mm, places))
+        gospa.append(_gospa(frame.position_mm, positions))
     return {
         "gospa_mm": statistics.fmean(gospa),
         "switches": float(switches),
@@ -73,10 +73,12 @@ def score(tracked: list[Tracked], positions_mm: Array) -> dict[str, float]:
     }
 
 
-def _gospa(found: Array, places: Array) -> float:
+def _gospa(found: Array, positions: Array) -> float:
     from stonesoup.metricgenerator.ospametric import GOSPAMetric
     from stonesoup.types.state import State
 
     metric = GOSPAMetric(p=ORDER, c=CUT_MM)
-    result, _ = metric.compute_gospa_metric([State(p) for p in found], [State(p) for p in places])
+    result, _ = metric.compute_gospa_metric(
+        [State(p) for p in found], [State(p) for p in positions]
+    )
     return float(result.value["distance"])

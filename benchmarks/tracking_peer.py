@@ -55,8 +55,8 @@ def stone_soup(scene: Scene, first: int, jerk_psd: float, detection: float) -> l
     covariance = np.diag(np.tile(START_SIGMA, 3)) ** 2
     tracks = []
     given = starts_at(scene, first)
-    for place, velocity in zip(given.position_mm, given.velocity_mm_s, strict=True):
-        mean = np.stack([place, velocity, np.zeros(3)], axis=1).ravel()
+    for position, velocity in zip(given.position_mm, given.velocity_mm_s, strict=True):
+        mean = np.stack([position, velocity, np.zeros(3)], axis=1).ravel()
         begin = _BEGIN + timedelta(seconds=float(scene.times_s[first]))
         tracks.append(Track([GaussianState(mean[:, None], covariance, timestamp=begin)]))
     found = []
@@ -111,16 +111,16 @@ def measurement_models(scene: Scene) -> list[Any]:
             return 1
 
         def function(self, state: Any, noise: Any = False, **_: Any) -> Any:
-            place = np.asarray(state.state_vector, dtype=float)[_PLACE]
-            along, depth = self.camera[:, :3] @ place + self.camera[:, 3:]
+            position = np.asarray(state.state_vector, dtype=float)[_PLACE]
+            along, depth = self.camera[:, :3] @ position + self.camera[:, 3:]
             reading = along / depth
             if isinstance(noise, bool):
                 noise = self.rvs() if noise else 0.0
             return StateVector([float(reading[0])]) + noise
 
         def jacobian(self, state: Any, **_: Any) -> Array:
-            place = np.asarray(state.state_vector, dtype=float)[_PLACE, 0]
-            along, depth = self.camera[:, :3] @ place + self.camera[:, 3]
+            position = np.asarray(state.state_vector, dtype=float)[_PLACE, 0]
+            along, depth = self.camera[:, :3] @ position + self.camera[:, 3]
             slope = np.zeros((1, 9))
             slope[0, _PLACE] = (self.camera[0, :3] - along / depth * self.camera[1, :3]) / depth
             return slope

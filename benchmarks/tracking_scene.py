@@ -63,10 +63,10 @@ START_SIGMA = (0.5, 20.0, 1000.0)
 def starts_at(scene: "Scene", exposure: int) -> Starts:
     """Return the true positions and velocities with errors of ``START_SIGMA``."""
     rng = np.random.default_rng(exposure)
-    place, velocity = scene.positions_mm[exposure], scene.velocity_mm_s[exposure]
+    position, velocity = scene.positions_mm[exposure], scene.velocity_mm_s[exposure]
     return Starts(
-        place + START_SIGMA[0] * rng.standard_normal(place.shape),
-        velocity + START_SIGMA[1] * rng.standard_normal(place.shape),
+        position + START_SIGMA[0] * rng.standard_normal(position.shape),
+        velocity + START_SIGMA[1] * rng.standard_normal(position.shape),
     )
 
 
@@ -95,8 +95,8 @@ def crossing_paths(markers: int, times_s: Array, rng: np.random.Generator) -> tu
 
     Speeds are 50 to 400 mm/s, accelerations up to some m/s^2.
     """
-    places = np.empty((len(times_s), markers, 3))
-    velocity = np.empty_like(places)
+    positions = np.empty((len(times_s), markers, 3))
+    velocity = np.empty_like(positions)
     end = float(times_s[-1])
     meeting_s, meeting_mm = 0.0, CENTRE_MM
     for marker in range(markers):
@@ -111,12 +111,12 @@ def crossing_paths(markers: int, times_s: Array, rng: np.random.Generator) -> tu
         sway, sway_turn = 15.0 * rng.standard_normal(3), 2.0 * pi * rng.uniform(0.3, 1.0)
         angle = turn * (times_s - meeting_s)[:, None]
         other = sway_turn * (times_s - meeting_s)[:, None]
-        places[:, marker] = (
+        positions[:, marker] = (
             meeting_mm + aside + reach * np.sin(angle) * direction + sway * (1.0 - np.cos(other))
         )
         velocity[:, marker] = reach * turn * np.cos(angle) * direction
         velocity[:, marker] += sway * sway_turn * np.sin(other)
-    return places, velocity
+    return positions, velocity
 
 
 def scene_of(markers: int, sensors: int, frames: int, seed: int) -> Scene:
@@ -124,10 +124,10 @@ def scene_of(markers: int, sensors: int, frames: int, seed: int) -> Scene:
     rng = np.random.default_rng([markers, sensors, seed])
     cameras = ring(sensors)
     times = np.arange(frames) / RATE_HZ
-    places, velocity = crossing_paths(markers, times, rng)
+    positions, velocity = crossing_paths(markers, times, rng)
     expected = FALSE_SHARE * markers
-    peaks = tuple(_peaks(cameras.project(place), expected, rng) for place in places)
-    return Scene(cameras, times, places, velocity, peaks, expected / PIXELS)
+    peaks = tuple(_peaks(cameras.project(position), expected, rng) for position in positions)
+    return Scene(cameras, times, positions, velocity, peaks, expected / PIXELS)
 
 
 def _peaks(readings: Array, false_peaks: float, rng: np.random.Generator) -> Array:

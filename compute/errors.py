@@ -84,7 +84,7 @@ class HighError(LumilineError):
 
 
 class CollinearPoints(LumilineError):
-    """Points lie (almost) on one line, which leaves a turn about it undetermined."""
+    """Points lie (almost) on one line, which leaves a rotation about it undetermined."""
 
 
 class NotStationary(LumilineError):

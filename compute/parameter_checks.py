@@ -22,8 +22,8 @@ def require(holds: bool | np.bool_, right: str, **parameter: object) -> None:
     """
     if not holds:
         ((name, value),) = parameter.items()
-        shown = repr(value) if isinstance(value, str) else value
-        raise InvalidParameter(f"{name} is {shown}; it must {right}", **parameter)
+        text = repr(value) if isinstance(value, str) else value
+        raise InvalidParameter(f"{name} is {text}; it must {right}", **parameter)
 
 
 def require_shape(holds: bool, right: str, **array: NDArray[Any]) -> None:

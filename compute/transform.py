@@ -132,16 +132,16 @@ class Transform:
     covariance: Array | None = None
 
     def __post_init__(self) -> None:
-        wanted: dict[str, tuple[int, ...]] = {"rotation": (3, 3), "translation_mm": (3,)}
+        expected_shapes: dict[str, tuple[int, ...]] = {"rotation": (3, 3), "translation_mm": (3,)}
         if self.covariance is not None:
-            wanted["covariance"] = (6, 6)
-        for name, shape in wanted.items():
-            given = np.asarray(getattr(self, name), dtype=np.float64)
-            if given.shape != shape:
-                raise InvalidParameter(f"{name} has shape {given.shape}; it must be {shape}")
-            if not np.isfinite(given).all():
-                raise NonFiniteValue(f"{name} is {given.tolist()}; it must be finite")
-            object.__setattr__(self, name, given)
+            expected_shapes["covariance"] = (6, 6)
+        for name, shape in expected_shapes.items():
+            value = np.asarray(getattr(self, name), dtype=np.float64)
+            if value.shape != shape:
+                raise InvalidParameter(f"{name} has shape {value.shape}; it must be {shape}")
+            if not np.isfinite(value).all():
+                raise NonFiniteValue(f"{name} is {value.tolist()}; it must be finite")
+            object.__setattr__(self, name, value)
         off = float(np.abs(self.rotation @ self.rotation.T - np.eye(3)).max())
         if off > _ORTHONORMALITY_TOLERANCE or np.linalg.det(self.rotation) < 0.0:
             raise InvalidParameter(
@@ -174,9 +174,9 @@ class Transform:
     @property
     def matrix(self) -> Array:
         """The homogeneous matrix, shape (4, 4)."""
-        found = np.eye(4)
-        found[:3, :3], found[:3, 3] = self.rotation, self.translation_mm
-        return found
+        matrix = np.eye(4)
+        matrix[:3, :3], matrix[:3, 3] = self.rotation, self.translation_mm
+        return matrix
 
     def apply(self, points_mm: Array) -> Array:
         """Return points (..., 3) of "from" in "to" [mm]."""
@@ -191,13 +191,13 @@ class Transform:
             covariance_mm2: of the points themselves, shape (..., 3, 3) [mm^2]; None: exact.
         """
         points = np.asarray(points_mm, dtype=np.float64)
-        found = np.zeros((*points.shape, 3))
+        covariance = np.zeros((*points.shape, 3))
         if self.covariance is not None:
             jacobian = point_jacobian(points @ self.rotation.T)
-            found += jacobian @ self.covariance @ jacobian.swapaxes(-1, -2)
+            covariance += jacobian @ self.covariance @ jacobian.swapaxes(-1, -2)
         if covariance_mm2 is not None:
-            found += self.rotation @ covariance_mm2 @ self.rotation.T
-        return found
+            covariance += self.rotation @ covariance_mm2 @ self.rotation.T
+        return covariance
 
     def inverse(self) -> Self:
         """Return the transform from "to" to "from", with propagated covariance."""
@@ -229,8 +229,8 @@ class Transform:
 
     def difference(self, other: "Transform") -> Array:
         """Return rotation vector (left) [rad] and shift [mm] from ``other`` to this, shape (6,)."""
-        turn = rotation_vector(self.rotation @ other.rotation.T)
-        return np.concatenate([turn, self.translation_mm - other.translation_mm])
+        angles = rotation_vector(self.rotation @ other.rotation.T)
+        return np.concatenate([angles, self.translation_mm - other.translation_mm])
 
 
 def finite_points(points_mm: Array, name: str) -> Array:
@@ -259,11 +259,11 @@ def finite_points(points_mm: Array, name: str) -> Array:
 def cross_matrix(vector: Array) -> Array:
     """Return [v]x with [v]x u = v x u, of vectors (..., 3), shape (..., 3, 3)."""
     v = np.asarray(vector, dtype=np.float64)
-    found = np.zeros((*v.shape, 3))
-    found[..., 2, 1], found[..., 1, 2] = v[..., 0], -v[..., 0]
-    found[..., 0, 2], found[..., 2, 0] = v[..., 1], -v[..., 1]
-    found[..., 1, 0], found[..., 0, 1] = v[..., 2], -v[..., 2]
-    return found
+    matrix = np.zeros((*v.shape, 3))
+    matrix[..., 2, 1], matrix[..., 1, 2] = v[..., 0], -v[..., 0]
+    matrix[..., 0, 2], matrix[..., 2, 0] = v[..., 1], -v[..., 1]
+    matrix[..., 1, 0], matrix[..., 0, 1] = v[..., 2], -v[..., 2]
+    return matrix
 
 
 def point_jacobian(turned_mm: Array) -> Array:
@@ -282,5 +282,5 @@ def nearest_rotation(matrix: Array) -> Array:
     """
     left, _, right = np.linalg.svd(np.asarray(matrix, dtype=np.float64))
     left[..., 2] *= np.linalg.det(left @ right)[..., None]
-    found: Array = left @ right
-    return found
+    rotation: Array = left @ right
+    return rotation

@@ -105,8 +105,8 @@ class DeviceClock:
         """Restart with the next exposure, after a reset of the device; the rate is kept."""
         if self._last_ticks is not None:
             self.restarts += counted
-            gone_ns = arrival_ns - self._origin_ns - round(self._offset_ns)
-            self._base_ns += max(self._latest_ns, gone_ns)
+            elapsed_ns = arrival_ns - self._origin_ns - round(self._offset_ns)
+            self._base_ns += max(self._latest_ns, elapsed_ns)
         self._last_ticks = None
         self._begin(arrival_ns, self._rate)
 
@@ -143,7 +143,7 @@ class DeviceClock:
         self._first_ticks = 0
         self._latest_ns = 0
         self._rate = rate
-        self._rate_known = rate
+        self._nominal_rate = rate
         self._offset_ns = math.inf
         self._uncertainty_ns = math.inf
         self._earliest: tuple[int, int] | None = None
@@ -155,8 +155,8 @@ class DeviceClock:
         if self._last_ticks is None:
             return None
         # What the clock shows now: an exposure is not after its arrival, but for the slack.
-        gone_ns = arrival_ns - self._origin_ns - self._offset_ns - self._rate * self._latest_ns
-        newest = self._first_ticks + int((gone_ns + self._slack_ns) * self._per_s * 1e-9)
+        elapsed_ns = arrival_ns - self._origin_ns - self._offset_ns - self._rate * self._latest_ns
+        newest = self._first_ticks + int((elapsed_ns + self._slack_ns) * self._per_s * 1e-9)
         step = (ticks - self._last_ticks) % self._wrap
         wraps = max(0, (newest - self._last_ticks - step) // self._wrap)
         unwrapped: int = self._last_ticks + step + wraps * self._wrap
@@ -191,7 +191,7 @@ class DeviceClock:
         # Weight of the fitted rate against the prior: both arrivals may be off by sigma.
         rate_sigma = 2.0 * sigma / max(right[0] - left[0], 1)
         weight = RATE_PRIOR**2 / (RATE_PRIOR**2 + rate_sigma**2)
-        self._rate = self._rate_known + weight * (rate - self._rate_known)
+        self._rate = self._nominal_rate + weight * (rate - self._nominal_rate)
         self._offset_ns = min(y - self._rate * x for x, y in points)
         # A clock that lost ticks, or became slower: all that comes now is above the line.
         recent = (x_y for x_y in reversed(points) if x_y[0] > now - RECENT_NS)
@@ -230,9 +230,9 @@ def _median(values: list[float], weights: list[float]) -> float:
 
 def wait_until(due_ns: int, closed: Event) -> None:
     """Wait until a time of the monotonic clock [ns]; return at once when the event is set."""
-    left_ns = due_ns - time.monotonic_ns()
-    if left_ns > 0:
-        closed.wait(left_ns * 1e-9)
+    remaining_ns = due_ns - time.monotonic_ns()
+    if remaining_ns > 0:
+        closed.wait(remaining_ns * 1e-9)
 
 
 def host_time_ns(monotonic_ns: int) -> int:

@@ -94,9 +94,9 @@ def arrivals(case: SimulatedClock, seconds: float, seed: int) -> tuple[Array, Ar
 
 def device_ticks(case: SimulatedClock, true_s: Array) -> NDArray[np.int64]:
     """Return the device clock's ticks at times, shape (N,)."""
-    shown_s = true_s * (1.0 + case.skew) + 0.5 * case.drift_per_s * true_s**2
-    shown_s = shown_s - case.lost_s * (true_s > LOST_AT_S)
-    return np.round(shown_s * _TICKS_PER_S).astype(np.int64)
+    device_s = true_s * (1.0 + case.skew) + 0.5 * case.drift_per_s * true_s**2
+    device_s = device_s - case.lost_s * (true_s > LOST_AT_S)
+    return np.round(device_s * _TICKS_PER_S).astype(np.int64)
 
 
 def map_ticks(
@@ -119,8 +119,8 @@ def regression_estimate(ticks: NDArray[np.int64], arrived_s: Array, rate_hz: flo
         late = arrived - tick
         w, x, y = w * keep + 1.0, x * keep + tick, y * keep + late
         xx, xy = xx * keep + tick * tick, xy * keep + tick * late
-        spread = w * xx - x * x
-        slope = (w * xy - x * y) / spread if spread > 0.0 and w > 3.0 else 0.0
+        determinant = w * xx - x * x
+        slope = (w * xy - x * y) / determinant if determinant > 0.0 and w > 3.0 else 0.0
         host.append(tick + (y - slope * x) / w + slope * tick)
     return np.array(host)
 

@@ -25,21 +25,21 @@ def lookup(host: str) -> str:
         pass
     # A lookup that hangs keeps its thread: whoever asks again meanwhile waits for the same.
     with _lock:
-        found = _pending.get(host)
-        if found is None:
-            found = _pending[host] = Future()
-            Thread(target=_run, args=(host, found), name=f"lookup-{host}", daemon=True).start()
+        future = _pending.get(host)
+        if future is None:
+            future = _pending[host] = Future()
+            Thread(target=_run, args=(host, future), name=f"lookup-{host}", daemon=True).start()
     try:
-        return found.result(LOOKUP_S)
+        return future.result(LOOKUP_S)
     except TimeoutError:
         raise TimeoutError(f"the name {host} was not resolved in {LOOKUP_S:g} s") from None
 
 
-def _run(host: str, found: "Future[str]") -> None:
+def _run(host: str, future: "Future[str]") -> None:
     try:
-        found.set_result(str(socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)[0][4][0]))
+        future.set_result(str(socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)[0][4][0]))
     except Exception as error:  # noqa: BLE001 - the waiter gets it
-        found.set_exception(error)
+        future.set_exception(error)
     finally:
         with _lock:
             del _pending[host]

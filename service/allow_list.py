@@ -16,9 +16,9 @@ class AllowList:
     def permits(self, address: str) -> bool:
         """Return whether a client of this address may connect."""
         try:
-            found = ip_address(address.partition("%")[0])
+            ip = ip_address(address.partition("%")[0])
         except ValueError:
             return False
         # As a socket of IPv6 tells of a client of IPv4.
-        found = getattr(found, "ipv4_mapped", None) or found
-        return found.is_loopback or any(found in network for network in self._networks)
+        ip = getattr(ip, "ipv4_mapped", None) or ip
+        return ip.is_loopback or any(ip in network for network in self._networks)

@@ -146,12 +146,12 @@ class JsonFormatter(logging.Formatter):
             "traceback": _trace(record),
         }
         fields |= {name: value for name, value in vars(record).items() if name not in _STANDARD}
-        shown = {
+        redacted = {
             name: value if isinstance(value, bool | int | float) else redact(str(value))
             for name, value in fields.items()
             if value is not None
         }
-        return json.dumps(shown)
+        return json.dumps(redacted)
 
 
 def _time(record: logging.LogRecord) -> str:

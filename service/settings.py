@@ -149,18 +149,18 @@ class Settings(BaseSettings):
 
     @field_validator("trusted_proxies", "openigtlink_allow", "ndi_allow")
     @classmethod
-    def _addresses(cls, given: tuple[str, ...]) -> tuple[str, ...]:
-        for one in given:
+    def _addresses(cls, addresses: tuple[str, ...]) -> tuple[str, ...]:
+        for one in addresses:
             try:
-                found = ip_network(one)
+                network = ip_network(one)
             except ValueError as error:
                 raise ValueError(
                     f"{one!r} is no IP address or network ({error}); give such as 10.0.0.5 or "
                     "10.0.0.0/24"
                 ) from None
-            if found.prefixlen == 0:
+            if network.prefixlen == 0:
                 raise ValueError(f"{one!r} is every address; name those that are meant")
-        return given
+        return addresses
 
     @field_validator("oidc_issuer", "oidc_jwks_url")
     @classmethod
@@ -224,12 +224,12 @@ def _check_environment(settings: set[str]) -> None:
 
     Those of tests are left alone, and those by which commands that are clients find a server.
     """
-    known = settings | {"LUMILINE_CONFIG"} | _OF_CLIENTS
+    known_names = settings | {"LUMILINE_CONFIG"} | _OF_CLIENTS
     for name in sorted(os.environ):
-        given = name.upper()
-        if not given.startswith("LUMILINE_") or given.startswith("LUMILINE_TEST_"):
+        upper = name.upper()
+        if not upper.startswith("LUMILINE_") or upper.startswith("LUMILINE_TEST_"):
             continue
-        if given not in known:
-            near = difflib.get_close_matches(given, known, n=1)
+        if upper not in known_names:
+            near = difflib.get_close_matches(upper, known_names, n=1)
             meant = f"did you mean {near[0]}?" if near else "README.md and docs/ name them"
             raise ValueError(f"the environment has {name}, which is no setting; {meant}")

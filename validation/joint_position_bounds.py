@@ -45,26 +45,26 @@ def joint_position_bounds(
     Raises:
         InvalidParameter: positions of another shape than (N, K).
     """
-    place = np.asarray(position_px, dtype=np.float64)
-    if place.ndim != 2 or place.shape[1] != len(light_electrons):
+    position = np.asarray(position_px, dtype=np.float64)
+    if position.ndim != 2 or position.shape[1] != len(light_electrons):
         raise InvalidParameter(
-            f"position_px has the shape {place.shape}; it must be (N, {len(light_electrons)})",
-            position_px=place.shape,
+            f"position_px has the shape {position.shape}; it must be (N, {len(light_electrons)})",
+            position_px=position.shape,
         )
     gain, offset = noise.electrons_per_count[0], noise.offset_counts[0]
     model = WindowModel(
-        place.shape[1], settings, LineSpreadFunction.gaussian() if shape is None else shape
+        position.shape[1], settings, LineSpreadFunction.gaussian() if shape is None else shape
     )
-    parameters = np.zeros((len(place), model.size))
+    parameters = np.zeros((len(position), model.size))
     parameters[:, 0] = offset + ambient_electrons / gain
     parameters[:, model.light] = np.asarray(light_electrons) / gain
-    parameters[:, model.position] = place
+    parameters[:, model.position] = position
     parameters[:, -1] = np.log(settings.width_px)
     windows = Windows.cut(
         np.zeros((1, pixels), np.uint16),
-        np.zeros(len(place), np.int64),
-        np.zeros(len(place), np.int64),
-        np.full(len(place), pixels - 1),
+        np.zeros(len(position), np.int64),
+        np.zeros(len(position), np.int64),
+        np.full(len(position), pixels - 1),
         noise,
     )
     expected = model.evaluate(windows, parameters)

@@ -155,12 +155,12 @@ def generated_columns(
     scales: Sequence[PixelScale],
 ) -> tuple[Column, ...]:
     """Calibrate with readings that cameras generate of points (N, 3), reconstruct others."""
-    known, wanted = (
+    known, expected = (
         _Readings(points, _pixels(generate_readings(tuple(parameters), points), scales))
         for points in (calibrated_mm, reconstructed_mm)
     )
     calibration = calibrate(known.points_mm, known.readings_px, [s.geometry for s in scales])
-    seen = wanted.points_mm.mean(axis=0)
+    seen = expected.points_mm.mean(axis=0)
     models = []
     for parameter, scale in zip(parameters, scales, strict=True):
         from_edge = replace(parameter, p0=parameter.p0 + scale.before_mm)
@@ -168,11 +168,11 @@ def generated_columns(
             model_from_collinearity(from_edge.in_pixels(scale.pitch_mm), scale.geometry, seen)
         )
     stack = CameraStack.of(models)
-    exact = triangulate_linear(stack, wanted.readings_px) - wanted.points_mm
+    exact = triangulate_linear(stack, expected.readings_px) - expected.points_mm
     return (
-        _iterative(AS_PUBLISHED, known, wanted, scales, normalised=False),
-        _iterative(NORMALISED, known, wanted, scales, normalised=True),
-        _metric(calibration, wanted, scales),
+        _iterative(AS_PUBLISHED, known, expected, scales, normalised=False),
+        _iterative(NORMALISED, known, expected, scales, normalised=True),
+        _metric(calibration, expected, scales),
         Column(
             KNOWN_CAMERAS,
             AxisErrors.of(exact),
@@ -196,7 +196,7 @@ def _metric(calibration: Calibration, data: _Readings, scales: Sequence[PixelSca
 def _iterative(
     label: str,
     known: _Readings,
-    wanted: _Readings,
+    expected: _Readings,
     scales: Sequence[PixelScale],
     *,
     normalised: bool,
@@ -209,20 +209,20 @@ def _iterative(
             fits.append(iterative_dlt(known.points_mm, column, scale.name, normalised=normalised))
     except LumilineError as error:
         return Column(label, None, reason=error.detail)
-    middle = known.points_mm.mean(axis=0)
+    centre = known.points_mm.mean(axis=0)
     stack = CameraStack.of(
         [
-            model_from_matrix(fit.matrix, scale.geometry, middle, fit.cubic_per_px2)
+            model_from_matrix(fit.matrix, scale.geometry, centre, fit.cubic_per_px2)
             for fit, scale in zip(fits, scales, strict=True)
         ]
     )
-    found = triangulate_linear(stack, stack.add_cubic_term(wanted.readings_px))
+    found = triangulate_linear(stack, stack.add_cubic_term(expected.readings_px))
     principal = tuple(
         scale.to_mm(float(fit.principal_point_px[-1]))
         for fit, scale in zip(fits, scales, strict=True)
     )
     change = max(fit.change_px for fit in fits)
-    errors = AxisErrors.of(found - wanted.points_mm)
+    errors = AxisErrors.of(found - expected.points_mm)
     return Column(label, errors, principal, iteration_change_px=change)
 
 

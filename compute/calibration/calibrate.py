@@ -238,7 +238,7 @@ def _fit_distortion(
 
 def _fit_statistics(
     model: SensorModel,
-    seen: int,
+    points: int,
     residuals_px: Array,
     parameters: float,
     sigma_px: Array | None,
@@ -248,7 +248,7 @@ def _fit_statistics(
 
     Args:
         model: the fitted camera.
-        seen: number of control points that the sensor read.
+        points: number of control points that the sensor read.
         residuals_px: fitted minus measured readings, those with weight only, shape (N,) [px].
         parameters: effective number of parameters that the residuals have fitted.
         sigma_px: their standard deviations, shape (N,) [px]; None: not known.
@@ -278,7 +278,7 @@ def _fit_statistics(
         source, sigma = "assumed", max(float(QUANTISATION_PX), residual_sigma_px)
         factor = sigma**2
     rms, largest = float(np.sqrt((residuals_px**2).mean())), float(np.abs(residuals_px).max())
-    return SensorFit(model, seen, rms, largest, sigma, source, chi2_per_dof), factor
+    return SensorFit(model, points, rms, largest, sigma, source, chi2_per_dof), factor
 
 
 def assemble_with_exact_points(
@@ -295,34 +295,34 @@ def assemble_with_exact_points(
     first = np.cumsum([0, *(model.parameter_count for model in fits.models)])
     groups = fits.equation_groups(observed)
     parameters = _effective_parameters(groups)
-    found, factors = [], []
+    sensor_fits, factors = [], []
     estimated = fits.unit_px if settings.distortion == "auto" else None
     source: Literal["residuals", "assumed"] = "residuals"
     if fits.used(observed).sum() - sum(parameters) <= MAX_ASSUMED_DOF:
         source = "assumed"
     for column, (model, rows) in enumerate(zip(fits.models, fits.used(observed).T, strict=True)):
         sigma = observed.sigma_px[rows, column] if observed.sigma_known else None
-        seen = int(observed.seen[:, column].sum())
+        points = int(observed.seen[:, column].sum())
         fit, factor = _fit_statistics(
-            model, seen, residuals[rows, column], parameters[column], sigma
+            model, points, residuals[rows, column], parameters[column], sigma
         )
         if estimated is not None:
             # From all sensors, over all scales of the distortion.
             fit = replace(fit, sigma_px=float(estimated[column]), sigma_source=source)
             factor = float(estimated[column] ** 2)
-        found.append(fit)
+        sensor_fits.append(fit)
         factors.append(factor * (EFFICIENCY_LOSS if settings.loss == "robust" else 1.0))
     covariance = np.zeros((first[-1], first[-1]))
     for group in groups:
         for sensor, inverse in zip(group.sensors, group.cofactors, strict=True):
             columns = first[sensor] + group.columns
             covariance[columns[:, None], columns] = inverse * factors[sensor]
-    return _calibration(observed, fits, settings, found, covariance, residuals)
+    return _calibration(observed, fits, settings, sensor_fits, covariance, residuals)
 
 
 def _effective_parameters(groups: list[EquationGroup]) -> list[float]:
     """Return each sensor's number of parameters that the readings determine."""
-    found = {
+    counts = {
         sensor: count
         for group in groups
         for sensor, count in zip(
@@ -331,7 +331,7 @@ def _effective_parameters(groups: list[EquationGroup]) -> list[float]:
             strict=True,
         )
     }
-    return [found[sensor] for sensor in range(len(found))]
+    return [counts[sensor] for sensor in range(len(counts))]
 
 
 def _assemble_with_uncertain_points(
@@ -353,10 +353,10 @@ def _assemble_with_uncertain_points(
         )
     total = np.hypot(sigma, point_sigma)
     chi2_terms = observed.residuals_px(joint.models) / total
-    as_known = replace(observed, sigma_px=total, sigma_known=True)
+    with_sigma = replace(observed, sigma_px=total, sigma_known=True)
     adjusted = replace(fits, models=joint.models, unit_px=None, groups=None, stack=None)
-    parameters = _effective_parameters(adjusted.equation_groups(as_known))
-    found, factors = [], []
+    parameters = _effective_parameters(adjusted.equation_groups(with_sigma))
+    sensor_fits, factors = [], []
     for column, (model, rows) in enumerate(zip(joint.models, fits.used(observed).T, strict=True)):
         fit, factor = _fit_statistics(
             model,
@@ -369,14 +369,14 @@ def _assemble_with_uncertain_points(
         if not observed.sigma_known:
             # Estimated from these residuals: a chi-square test would say nothing.
             fit, factor = replace(fit, sigma_source="residuals", chi2_per_dof=None), 1.0
-        taken = joint.sigma_px[rows, column]
-        if (taken > sigma[rows, column]).any():
-            taken_px = float(np.sqrt((taken**2).mean()))
-            fit = replace(fit, sigma_px=taken_px, sigma_source="assumed")
-        found.append(fit)
+        assumed = joint.sigma_px[rows, column]
+        if (assumed > sigma[rows, column]).any():
+            assumed_px = float(np.sqrt((assumed**2).mean()))
+            fit = replace(fit, sigma_px=assumed_px, sigma_source="assumed")
+        sensor_fits.append(fit)
         factors += [factor**0.5] * model.parameter_count
     covariance = joint.covariance * np.outer(factors, factors)
-    result = _calibration(observed, fits, settings, found, covariance, joint.residuals_px)
+    result = _calibration(observed, fits, settings, sensor_fits, covariance, joint.residuals_px)
     return replace(result, point_shifts_mm=tuple(vector3(row) for row in joint.shifts_mm))
 
 
@@ -449,17 +449,17 @@ def _calibration(
     observed: ControlObservations,
     fits: SensorFits,
     settings: CalibrationSettings,
-    found: list[SensorFit],
+    sensor_fits: list[SensorFit],
     covariance: Array,
     residuals_px: Array,
 ) -> Calibration:
-    seen = observed.seen
+    measured = observed.seen
     robust = settings.loss == "robust"
     return Calibration(
         "metric",
-        tuple(found),
+        tuple(sensor_fits),
         tuple(tuple(row) for row in covariance.tolist()),
-        nested_rows(np.where(seen, residuals_px, np.nan)),
+        nested_rows(np.where(measured, residuals_px, np.nan)),
         settings,
-        reading_weights=nested_rows(np.where(seen, fits.weights, np.nan)) if robust else None,
+        reading_weights=nested_rows(np.where(measured, fits.weights, np.nan)) if robust else None,
     )

@@ -176,8 +176,8 @@ def measurement_sigma(
             calibration's are used.
     """
     noise = measurement_noise(calibration)
-    own = noise.sensor_sigma_px if sigma_px is None else sigma_px
-    return noise.sigma(np.broadcast_to(own, readings_px.shape))
+    reading_sigma = noise.sensor_sigma_px if sigma_px is None else sigma_px
+    return noise.sigma(np.broadcast_to(reading_sigma, readings_px.shape))
 
 
 def repaired_readings(

@@ -82,8 +82,8 @@ def preset_terms(name: str) -> tuple[Term, ...]:
     Raises:
         InvalidParameter: no set has this name.
     """
-    for known, terms in PRESETS.items():
-        if known == name:
+    for preset, terms in PRESETS.items():
+        if preset == name:
             return terms
     if name == "none":
         return ()

@@ -104,10 +104,10 @@ def check_control_points(
         ImplausibleReadings: all readings of a sensor are the same, or those of another sensor.
     """
     check_observations(points_mm, readings_px, sensors, sigma_px)
-    seen = np.isfinite(readings_px)
+    measured = np.isfinite(readings_px)
     checked = set()
     for column, sensor in enumerate(sensors):
-        rows = seen[:, column]
+        rows = measured[:, column]
         if (pattern := rows.tobytes()) not in checked:
             _check_coverage(points_mm[rows], sensor)
             checked.add(pattern)
@@ -128,18 +128,18 @@ def check_explained(residual_shares: Array, readings_px: Array, sensors: Sequenc
         ImplausibleReadings: the first sensor whose readings no camera explains.
     """
     for column in np.flatnonzero(residual_shares > MAX_RESIDUAL_SHARE)[:1].tolist():
-        seen = readings_px[np.isfinite(readings_px[:, column]), column]
+        values = readings_px[np.isfinite(readings_px[:, column]), column]
         name, share = sensors[column].name, float(residual_shares[column])
-        zeros = int((seen == 0.0).sum())
+        zeros = int((values == 0.0).sum())
         advice = (
             f"; {zeros} of them are 0: leave the cell empty where a marker was not seen"
             if zeros > 1
             else ""
         )
         raise ImplausibleReadings(
-            f"the {len(seen)} readings of sensor {name} have nothing to do with the points "
+            f"the {len(values)} readings of sensor {name} have nothing to do with the points "
             f"(residual share {share:.2f}: the best camera's residuals over the readings' own "
-            f"standard deviation of {seen.std():.4g} px; at most {MAX_RESIDUAL_SHARE:g} is "
+            f"standard deviation of {values.std():.4g} px; at most {MAX_RESIDUAL_SHARE:g} is "
             "accepted); check that the readings are this sensor's and in the order of the points, "
             f"and that the coordinates are X, Y, Z{advice}",
             sensor=name,

@@ -56,9 +56,12 @@ class CameraStack:
         for row, (model, distortion) in enumerate(zip(models, distortions, strict=True)):
             columns = list(range(PARAMETER_COUNT))
             if distortion is not None:
-                own = [terms.index(term) for term in distortion.terms]
-                coefficients[row, own] = distortion.coefficients
-                columns += [PARAMETER_COUNT, *(PARAMETER_COUNT + 1 + column for column in own)]
+                columns_of_terms = [terms.index(term) for term in distortion.terms]
+                coefficients[row, columns_of_terms] = distortion.coefficients
+                columns += [
+                    PARAMETER_COUNT,
+                    *(PARAMETER_COUNT + 1 + column for column in columns_of_terms),
+                ]
             parameter_index[row, columns] = np.arange(first, first + len(columns))
             first += model.parameter_count
         return cls(
@@ -85,10 +88,10 @@ class CameraStack:
         for row, model in enumerate(like):
             distortion = model.distortion
             if distortion is not None:
-                own = [self.terms.index(term) for term in distortion.terms]
+                columns_of_terms = [self.terms.index(term) for term in distortion.terms]
                 distortion = replace(
                     distortion,
-                    coefficients=tuple(self.coefficients[row, own].tolist()),
+                    coefficients=tuple(self.coefficients[row, columns_of_terms].tolist()),
                     offset_y_mm=float(self.offset_mm[row, 1]),
                 )
             models.append(

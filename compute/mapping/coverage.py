@@ -12,6 +12,10 @@ from compute.mapping.result import Hole
 
 Array = NDArray[np.float64]
 
+GAPS_PER_FEATURE = 2.0
+"""Full width at half maximum of the narrowest feature that is resolved, in diameters of the largest
+gap. Of a Gaussian of two sampling distances 3 % of the height lie beyond the Nyquist frequency, of
+one of a single distance 40 %."""
 MAX_HOLE_RATIO = 1.4
 """Radius of an empty ball, over the local spacing, from which it is a hole: among points at random
 one in 10^5 balls of this volume is empty, exp(-4/3 pi 1.4^3)."""
@@ -42,14 +46,14 @@ class Coverage:
         spacing_mm: local spacing at each, shape (N,) [mm].
         hole_centres_mm: centres of empty balls that are holes, shape (B, 3) [mm].
         hole_radii_mm: their radii, shape (B,) [mm].
-        resolution_mm: diameter of the largest empty ball within the hull that is no hole [mm].
+        largest_gap_mm: diameter of the largest empty ball within the hull that is no hole [mm].
     """
 
     points_mm: Array
     spacing_mm: Array
     hole_centres_mm: Array
     hole_radii_mm: Array
-    resolution_mm: float
+    largest_gap_mm: float
 
     @classmethod
     def of(cls, points_mm: Array) -> "Coverage":
@@ -75,7 +79,12 @@ class Coverage:
         gap_centres = gap_centres[~found_holes.in_hole(gap_centres)]
         largest_gap = np.asarray(tree.query(gap_centres)[0]).max(initial=0.0)
         largest_gap = max(largest_gap, np.where(hole, 0.0, radius).max())
-        return replace(found_holes, resolution_mm=2.0 * float(largest_gap))
+        return replace(found_holes, largest_gap_mm=2.0 * float(largest_gap))
+
+    @property
+    def resolution_mm(self) -> float:
+        """Full width at half maximum of the narrowest feature that is resolved [mm]."""
+        return GAPS_PER_FEATURE * self.largest_gap_mm
 
     @property
     def largest_hole(self) -> "Hole | None":

@@ -111,8 +111,9 @@ class SensorMapping:
         noise_factor: factor of the given variances because the residuals are larger than they
             explain; 1 where they are not.
         valid_share: share of the grid's cells that measurements support.
-        resolution_mm: diameter of the largest gap between measurements within the valid cells:
-            the field is assumed to have no narrower features [mm].
+        resolution_mm: full width at half maximum of the narrowest features that are mapped within
+            the stated deviations: two diameters of the largest gap between measurements within the
+            valid cells [mm].
         largest_hole: largest region within the measurements' hull that has none, and is not valid.
         coverage: the last three in words.
         suspects: measurements more than five standard deviations off, the worst first.
@@ -144,12 +145,12 @@ def describe_coverage(
 
     Args:
         valid_share: share of the grid's cells that measurements support.
-        resolution_mm: diameter of the largest gap within them [mm]; None: not known.
+        resolution_mm: width of the narrowest features that are resolved [mm]; None: not known.
         hole: the largest hole; None: there is none.
     """
     message = f"measurements support {100.0 * valid_share:.0f} % of the volume"
     if resolution_mm is not None:
-        message += f", with gaps of at most {resolution_mm:.3g} mm"
+        message += f"; features narrower than {resolution_mm:.3g} mm may be missed"
     if hole is not None:
         place = ", ".join(f"{value:.0f}" for value in hole.centre_mm)
         message += (

@@ -152,8 +152,8 @@ class MeasurementModel:
         scale = np.sqrt(np.diagonal(full))
         scale = np.where(scale > 0.0, scale, 1.0)
         values, vectors = np.linalg.eigh(full / (scale[:, None] * scale))
-        kept = values > _NEGLIGIBLE * max(float(values[-1]), 0.0)
-        columns: Array = scale[:, None] * vectors[:, kept] * np.sqrt(values[kept])
+        significant = values > _NEGLIGIBLE * max(float(values[-1]), 0.0)
+        columns: Array = scale[:, None] * vectors[:, significant] * np.sqrt(values[significant])
         return columns.reshape(len(cameras), cameras.width, -1)
 
     def linearise(self, points_mm: Array) -> tuple[Array, Array]:
@@ -216,8 +216,8 @@ class MeasurementModel:
                 covariance[one] = np.einsum("stq,tq->st", half, jacobian)
         if self.corrections is not None:
             diagonal = np.arange(sensors)
-            known = np.nan_to_num(self.corrections.at(points_mm).variance_px2)
-            covariance[:, diagonal, diagonal] += known
+            table_variance = np.nan_to_num(self.corrections.at(points_mm).variance_px2)
+            covariance[:, diagonal, diagonal] += table_variance
         return covariance
 
     def calibration_variance(self, points_mm: Array) -> Array:
@@ -227,8 +227,8 @@ class MeasurementModel:
             return np.zeros((len(points_mm), len(self)))
         jacobian = np.nan_to_num(self.parameter_jacobian(points_mm))
         sensor = np.arange(len(self))
-        own = blocks[sensor, :, sensor, :]
-        variance: Array = np.einsum("nsp,spq,nsq->ns", jacobian, own, jacobian)
+        sensor_blocks = blocks[sensor, :, sensor, :]
+        variance: Array = np.einsum("nsp,spq,nsq->ns", jacobian, sensor_blocks, jacobian)
         return variance
 
     def inside_hull(self, points_mm: Array) -> NDArray[np.bool_]:

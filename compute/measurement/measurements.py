@@ -247,11 +247,11 @@ class Measurements:
         density = np.full(len(self), min_per_px)
         many = np.flatnonzero(self.count >= 3)
         if len(many):
-            place = self.position_px[many]
-            extent = np.nanmax(place, axis=1) - np.nanmin(place, axis=1)
+            position_px = self.position_px[many]
+            extent = np.nanmax(position_px, axis=1) - np.nanmin(position_px, axis=1)
             with np.errstate(divide="ignore"):
-                found = (self.count[many] - 1) / np.maximum(extent, min_extent_px)
-            density[many] = np.maximum(density[many], found)
+                peak_density = (self.count[many] - 1) / np.maximum(extent, min_extent_px)
+            density[many] = np.maximum(density[many], peak_density)
         log: Array = np.log(density)
         return log
 

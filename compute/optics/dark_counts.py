@@ -69,9 +69,9 @@ class CountDistribution:
         for start in range(0, size, _DRAWN_AT_ONCE):
             block = slice(start, start + _DRAWN_AT_ONCE)
             np.take(self._table, indices[block], out=drawn[block], mode="wrap")
-        left = np.flatnonzero(indices >= self._filled)
-        index = np.searchsorted(self._rest_cdf, rng.random(len(left)), side="right")
-        drawn[left] = self.counts[np.minimum(index, len(self.counts) - 1)]
+        unfilled = np.flatnonzero(indices >= self._filled)
+        index = np.searchsorted(self._rest_cdf, rng.random(len(unfilled)), side="right")
+        drawn[unfilled] = self.counts[np.minimum(index, len(self.counts) - 1)]
         return drawn
 
 

@@ -37,7 +37,7 @@ def bloom(
         What the pixels keep, and what left each of them in all, both of shape (P,).
     """
     flow = np.zeros_like(charge)
-    kept = charge
+    retained = charge
     full = charge > full_well
     added = full
     half = 0.5 * share
@@ -51,11 +51,11 @@ def bloom(
         band[1, : len(at) - 1] = np.where((np.diff(at) == 1) & linked[at[:-1]], -half, 0.0)
         excess = np.append(charge[at] - full_well, 0.0)
         flow[at] = solveh_banded(band, excess, lower=True)[:-1]
-        kept = charge - flow
-        kept[1:] += half * np.where(linked, flow[:-1], 0.0)
-        kept[:-1] += half * np.where(linked, flow[1:], 0.0)
-        added = (kept > full_well) & ~full
-    return np.minimum(kept, full_well), flow
+        retained = charge - flow
+        retained[1:] += half * np.where(linked, flow[:-1], 0.0)
+        retained[:-1] += half * np.where(linked, flow[1:], 0.0)
+        added = (retained > full_well) & ~full
+    return np.minimum(retained, full_well), flow
 
 
 _RESPONSE, _DARK, _OFFSET = range(3)
@@ -227,18 +227,21 @@ class DetectorArray:
         while True:
             column = index % pixels
             linked = (np.diff(index) == 1) & (column[:-1] != pixels - 1)
-            kept, flow = bloom(charge, linked, self._full_well, self.detector.blooming)
+            retained, flow = bloom(charge, linked, self._full_well, self.detector.blooming)
             over = flow > 0.0
             left = over & (column != 0) & ~np.concatenate([[False], linked])
             right = over & (column != pixels - 1) & ~np.concatenate([linked, [False]])
             if not (left.any() or right.any()):
-                return index, kept
+                return index, retained
             # Charge flows to pixels that were not asked yet: draw what they collected.
             step = np.arange(1, reach + 1)
             to_left = np.minimum(step, column[left, None])
             to_right = np.minimum(step, (pixels - 1 - column)[right, None])
-            asked = [(index[left, None] - to_left).ravel(), (index[right, None] + to_right).ravel()]
-            new = np.setdiff1d(np.concatenate(asked), index)
+            neighbours = [
+                (index[left, None] - to_left).ravel(),
+                (index[right, None] + to_right).ravel(),
+            ]
+            new = np.setdiff1d(np.concatenate(neighbours), index)
             drawn = rng.poisson(self._unlit[new % len(self._unlit)]).astype(np.float64)
             index = np.concatenate([index, new])
             order = np.argsort(index)

@@ -67,11 +67,11 @@ class PixelNoise:
             _quantiles(max(node - read_noise**2, 0.0), read_noise, gain / unit, steps_of_dither)
             for node in nodes
         ]
-        self._tails = np.array([found[1] for found in quantiles]) / gain
+        self._tails = np.array([quantile[1] for quantile in quantiles]) / gain
         self._pixels = len(variance)
         self._unit = unit
         # Rounded down, ``entry + dither + fraction`` passes a whole count where it should.
-        table = np.floor(np.array([found[0] for found in quantiles]) * (unit / gain))
+        table = np.floor(np.array([quantile[0] for quantile in quantiles]) * (unit / gain))
         reach = float(np.abs(table[:, _TAIL:-_TAIL]).max() + steps_of_dither) / unit
         table = table.clip(-32767, 32767).astype(np.int16)
         table[:, :_TAIL] = table[:, -_TAIL:] = _ABSENT
@@ -89,13 +89,13 @@ class PixelNoise:
         self._centre = mean_electrons / gain + offset_counts + 0.5
         span = int(np.ceil(reach)) + 2
         # Farther out than the noise reaches, the count is clipped wherever the centre is.
-        whole = np.floor(self._centre.clip(-span - 1.0, self._full_scale + span + 1.0))
-        fraction = (self._centre - whole).clip(0.0, 1.0)
+        floor = np.floor(self._centre.clip(-span - 1.0, self._full_scale + span + 1.0))
+        fraction = (self._centre - floor).clip(0.0, 1.0)
         self._fraction = np.rint(fraction * unit).astype(np.int16)
-        self._clips = bool(whole.min() < span or whole.max() > self._full_scale - span)
-        self._lowest = (-whole).clip(-32768, 32767).astype(np.int16)
-        self._highest = (self._full_scale - whole).clip(-32768, 32767).astype(np.int16)
-        self._whole = whole.astype(np.int64).astype(np.uint16)
+        self._clips = bool(floor.min() < span or floor.max() > self._full_scale - span)
+        self._lowest = (-floor).clip(-32768, 32767).astype(np.int16)
+        self._highest = (self._full_scale - floor).clip(-32768, 32767).astype(np.int16)
+        self._floor = floor.astype(np.int64).astype(np.uint16)
 
     def draw(self, exposures: int, rng: np.random.Generator) -> NDArray[np.uint16]:
         """Return independent counts, shape (exposures, P).
@@ -111,7 +111,7 @@ class PixelNoise:
         # In blocks, so that what is worked on stays in the cache.
         for first in range(0, self._pixels, _AT_ONCE):
             block = slice(first, first + _AT_ONCE)
-            start, fraction, whole = self._start[block], self._fraction[block], self._whole[block]
+            start, fraction, floor = self._start[block], self._fraction[block], self._floor[block]
             at = index[: len(start)]
             for exposure in range(exposures):
                 entry = drawn[exposure, block]
@@ -130,10 +130,10 @@ class PixelNoise:
                     np.maximum(entry, self._lowest[block], out=entry)
                     np.minimum(entry, self._highest[block], out=entry)
                 # Modulo 65536, as counts of 16 bits do not fit into int16.
-                counts[exposure, block] += whole
+                counts[exposure, block] += floor
         flat = np.concatenate(tails)
-        found = self._tail_counts(np.concatenate(entries), flat % self._pixels, rng)
-        counts.reshape(-1)[flat] = found
+        tail_counts = self._tail_counts(np.concatenate(entries), flat % self._pixels, rng)
+        counts.reshape(-1)[flat] = tail_counts
         return counts
 
     def _tail_counts(
@@ -142,11 +142,11 @@ class PixelNoise:
         side = (self._rank[entry % TABLE_SIZE] >= _TAIL).astype(np.int64)
         depth = rng.standard_exponential(len(entry)) / _TAIL_STEP
         depth = np.minimum(depth, self._tails.shape[2] - 1.001)
-        whole = depth.astype(np.int64)
-        near = self._tails[entry // TABLE_SIZE, side, whole]
-        far = self._tails[entry // TABLE_SIZE, side, whole + 1]
+        cell = depth.astype(np.int64)
+        near = self._tails[entry // TABLE_SIZE, side, cell]
+        far = self._tails[entry // TABLE_SIZE, side, cell + 1]
         dither = rng.choice(self._dithers[:_DITHERS], len(entry)) / self._unit
-        value = np.floor(near + (far - near) * (depth - whole) + dither + self._centre[pixel])
+        value = np.floor(near + (far - near) * (depth - cell) + dither + self._centre[pixel])
         counts: NDArray[np.uint16] = value.clip(0, self._full_scale).astype(np.uint16)
         return counts
 

@@ -43,17 +43,17 @@ def accuracy_budget(
         None where no point has a position.
     """
     total = combined_sigma(contributions)
-    known = np.isfinite(total).all(axis=1)
-    if not known.any():
+    finite = np.isfinite(total).all(axis=1)
+    if not finite.any():
         return None
-    distances = np.unique(distance_mm[known])
+    distances = np.unique(distance_mm[finite])
 
     def rms(values: Array) -> float:
-        return float(np.sqrt(np.square(values[known]).sum(axis=1).mean()))
+        return float(np.sqrt(np.square(values[finite]).sum(axis=1).mean()))
 
     def by_distance(values: Array) -> tuple[float, ...]:
         squares = np.square(values).sum(axis=1)
-        planes = [squares[known & (distance_mm == one)] for one in distances]
+        planes = [squares[finite & (distance_mm == one)] for one in distances]
         return tuple(float(np.sqrt(plane.mean())) for plane in planes)
 
     total_rms = rms(total)

@@ -48,21 +48,21 @@ class BudgetInputs:
 
         depth = RETRO_DEPTH if isinstance(profile.markers, RetroMarkers) else LED_DEPTH
         typical = {**TYPICAL, "optical_centre_depth_mm": depth}
-        found = {}
+        inputs = {}
         for name in (field.name for field in fields(ErrorSources)):
-            given = getattr(profile.error_sources, name)
+            stated = getattr(profile.error_sources, name)
             short, unit = split_unit(name)
             path = f"error_sources.{short}"
             unit_name = "" if unit is None else unit.name
-            if given is not None:
+            if stated is not None:
                 reason = profile.assumed.get(path)
                 source = reason or "given"
-                found[name] = BudgetInput(short, given, unit_name, reason is not None, source)
+                inputs[name] = BudgetInput(short, stated, unit_name, reason is not None, source)
             elif name in typical:
                 one = typical[name]
-                found[name] = BudgetInput(short, one.value, unit_name, True, one.source)
+                inputs[name] = BudgetInput(short, one.value, unit_name, True, one.source)
         sections = frozenset(re.split(r"[.\[]", path)[0] for path in profile.assumed)
-        return cls(found, sections)
+        return cls(inputs, sections)
 
     def number(self, name: str) -> float:
         """Return a numeric input by the name of its field, in the unit of that name."""

@@ -148,8 +148,8 @@ def shifted_stripes(shapes: Sequence[StripeProfiles], pixels: int) -> Stripes:
     slope[..., 1:] += last[..., :-1]
     slope[..., :-1] -= foremost[..., 1:]
     slope *= CELLS / 2.0
-    place = first[..., None] + np.arange(width)
-    beyond = (place < 0) | (place >= pixels)
+    pixel = first[..., None] + np.arange(width)
+    beyond = (pixel < 0) | (pixel >= pixels)
     mean[beyond], slope[beyond] = 0.0, 0.0
     return Stripes(first, mean, slope)
 
@@ -160,14 +160,14 @@ def _displacement(cameras: CameraStack, points_mm: Array) -> tuple[Array, float]
     Raises:
         InvalidParameter: no sensor sees the centre of the points.
     """
-    middle = points_mm.mean(axis=0)
-    per_mm = cameras.linearise(middle[None])[1][0]
+    centre = points_mm.mean(axis=0)
+    per_mm = cameras.linearise(centre[None])[1][0]
     per_mm = per_mm[np.isfinite(per_mm).all(axis=1)]
     if len(per_mm) == 0:
         raise InvalidParameter(
-            f"no sensor sees the middle of the points, {middle.tolist()} mm; they must lie in "
+            f"no sensor sees the middle of the points, {centre.tolist()} mm; they must lie in "
             "front of the sensors",
-            points_mm=middle.tolist(),
+            points_mm=centre.tolist(),
         )
     # No sensor may measure across the direction: of many in a plane that all see well, the best.
     _, _, axes = np.linalg.svd(per_mm)
@@ -188,22 +188,22 @@ def centroids(lines: PixelSolidAngles, pixels: int) -> tuple[Array, Array]:
         Centroids [px], including light beyond the sensor's end, NaN without light; and light on the
         pixels [sr]; both of shape (N, S).
     """
-    place = lines.first_px[..., None] + np.arange(lines.solid_angle_sr.shape[2])
+    pixel = lines.first_px[..., None] + np.arange(lines.solid_angle_sr.shape[2])
     light = lines.solid_angle_sr.sum(axis=2)
-    inside = (lines.solid_angle_sr * ((place >= 0) & (place < pixels))).sum(axis=2)
+    inside = (lines.solid_angle_sr * ((pixel >= 0) & (pixel < pixels))).sum(axis=2)
     with np.errstate(divide="ignore", invalid="ignore"):
-        position = (lines.solid_angle_sr * place).sum(axis=2) / light
+        position = (lines.solid_angle_sr * pixel).sum(axis=2) / light
     return position, inside
 
 
 def _in_window(lines: PixelSolidAngles, first: NDArray[np.int64], width: int, pixels: int) -> Array:
     """Return the stripes in windows that begin at ``first``, zero beyond the sensor's ends."""
-    points, sensors, own = lines.solid_angle_sr.shape
+    points, sensors, line_pixels = lines.solid_angle_sr.shape
     window = np.zeros((points, sensors, width))
-    column = (lines.first_px - first)[..., None] + np.arange(own)
+    column = (lines.first_px - first)[..., None] + np.arange(line_pixels)
     np.put_along_axis(window, column, lines.solid_angle_sr, axis=2)
-    place = first[..., None] + np.arange(width)
-    window[(place < 0) | (place >= pixels)] = 0.0
+    pixel = first[..., None] + np.arange(width)
+    window[(pixel < 0) | (pixel >= pixels)] = 0.0
     return window
 
 
@@ -233,6 +233,6 @@ def centre_of_gravity_sigma(
     counts[:, start : start + width] += mean_electrons
     counts = np.rint(counts / noise.electrons_per_count).clip(0, 65535)
     model = SensorNoise.of(noise.electrons_per_count, noise.read_noise_electrons)
-    found = find_peaks_reference(counts.astype(np.uint16), settings, model)
-    brightest = np.argmax(np.nan_to_num(found.amplitude, nan=-1.0), axis=1)
-    return np.take_along_axis(found.sigma_px, brightest[:, None], axis=1)[:, 0].astype(np.float64)
+    peaks = find_peaks_reference(counts.astype(np.uint16), settings, model)
+    brightest = np.argmax(np.nan_to_num(peaks.amplitude, nan=-1.0), axis=1)
+    return np.take_along_axis(peaks.sigma_px, brightest[:, None], axis=1)[:, 0].astype(np.float64)

@@ -173,8 +173,8 @@ def _calibration(scene: PlannedScene, gain: Array) -> ErrorContribution:
         "none" if inputs.choice("distortion") == "uncorrected" else _TERMS,
         control_sigma_mm=sigma if sigma > 0.0 else None,
     )
-    found = _calibrate(scene, points, np.where(on_pixels, readings, np.nan), settings)
-    model = MeasurementModel.of(found.models, np.array(found.covariance))
+    calibration = _calibrate(scene, points, np.where(on_pixels, readings, np.nan), settings)
+    model = MeasurementModel.of(calibration.models, np.array(calibration.covariance))
     covariance = model.systematic_covariance(scene.points_mm)
     variance = np.einsum("nis,nst,nit->ni", gain, covariance, gain)
     names = ("control_points", "control_sigma_mm", "distortion", "reading_step_px")
@@ -185,13 +185,13 @@ def _distortion(scene: PlannedScene, gain: Array) -> Iterator[ErrorContribution]
     """Yield what is left of the distortion: uncorrected, after terms, after a table."""
     inputs = scene.inputs
     state = inputs.choice("distortion")
-    given = inputs.by_field.get("uncorrected_distortion_px")
+    stated = inputs.by_field.get("uncorrected_distortion_px")
     uncorrected = np.abs(scene.distortion_mm)
-    if given is not None:
-        assert isinstance(given.value, tuple)
-        uncorrected = propagated_sigma(gain, np.array(given.value))
+    if stated is not None:
+        assert isinstance(stated.value, tuple)
+        uncorrected = propagated_sigma(gain, np.array(stated.value))
     names: tuple[str, ...]
-    names = ("distortion", "optics" if given is None else "uncorrected_distortion_px")
+    names = ("distortion", "optics" if stated is None else "uncorrected_distortion_px")
     yield ErrorContribution(
         "distortion, uncorrected", "systematic", state == "uncorrected", names, uncorrected
     )
@@ -219,8 +219,8 @@ def _terms_misfit(scene: PlannedScene) -> Array:
     image = device.image_points(points)
     visible = is_visible(image.readings_px, device.pixels, image.light_sr)
     readings = np.where(visible, image.readings_px, np.nan)
-    found = _calibrate(scene, points, readings, CalibrationSettings(_TERMS))
-    misfit = CameraStack.of(found.models).project(scene.points_mm) - scene.lines.readings_px
+    calibration = _calibrate(scene, points, readings, CalibrationSettings(_TERMS))
+    misfit = CameraStack.of(calibration.models).project(scene.points_mm) - scene.lines.readings_px
     return np.nan_to_num(misfit)
 
 
@@ -234,16 +234,18 @@ def _marker(scene: PlannedScene, gain: Array) -> ErrorContribution:
     """
     inputs = scene.inputs
     depth, tilt = inputs.number("optical_centre_depth_mm"), inputs.number("marker_tilt_rad")
-    sight = scene.points_mm - scene.device.positions_mm.mean(axis=0)
-    distance = np.linalg.norm(sight, axis=1, keepdims=True)
-    along2 = np.square(sight / distance)
+    lines_of_sight = scene.points_mm - scene.device.positions_mm.mean(axis=0)
+    distance = np.linalg.norm(lines_of_sight, axis=1, keepdims=True)
+    along2 = np.square(lines_of_sight / distance)
     across = np.full_like(distance, depth * np.sin(tilt))
     if scene.marker_radius_mm is not None:
         eccentricity = scene.marker_radius_mm**2 * np.sin(tilt) * np.cos(tilt) / distance
         across = np.hypot(across, eccentricity)
     variance = across**2 / 2.0 * (1.0 - along2) + (depth * (1.0 - np.cos(tilt))) ** 2 * along2
     names = ("optical_centre_depth_mm", "marker_tilt_rad")
-    return ErrorContribution("marker", "systematic", True, names, _known(np.sqrt(variance), gain))
+    return ErrorContribution(
+        "marker", "systematic", True, names, _where_located(np.sqrt(variance), gain)
+    )
 
 
 def _temperature(scene: PlannedScene, gain: Array) -> Iterator[ErrorContribution]:
@@ -280,8 +282,10 @@ def _temperature(scene: PlannedScene, gain: Array) -> Iterator[ErrorContribution
 
 def _moved_reading(scene: PlannedScene, shift_mm: Array, rotation_rad: Array) -> Array:
     """Return the changes of readings of sensors that move and turn, shape (N, S) [px]."""
-    sight = scene.points_mm[:, None] - scene.device.positions_mm
-    displacement = shift_mm + np.cross(np.broadcast_to(rotation_rad, sight.shape), sight)
+    lines_of_sight = scene.points_mm[:, None] - scene.device.positions_mm
+    displacement = shift_mm + np.cross(
+        np.broadcast_to(rotation_rad, lines_of_sight.shape), lines_of_sight
+    )
     gradient = np.nan_to_num(scene.lines.gradient_px_per_mm)
     error: Array = -np.einsum("nsi,nsi->ns", gradient, displacement)
     return error
@@ -298,10 +302,10 @@ def _timing(scene: PlannedScene, gain: Array) -> ErrorContribution:
     moved = scene.inputs.number("timing_s") * scene.inputs.number("speed_mm_per_s")
     sigma = np.full_like(scene.points_mm, moved / np.sqrt(3.0))
     return ErrorContribution(
-        "timing", "random", True, ("timing_s", "speed_mm_per_s"), _known(sigma, gain)
+        "timing", "random", True, ("timing_s", "speed_mm_per_s"), _where_located(sigma, gain)
     )
 
 
-def _known(sigma_mm: Array, gain: Array) -> Array:
+def _where_located(sigma_mm: Array, gain: Array) -> Array:
     """Return standard uncertainties, NaN where a point has no position."""
     return np.where(np.isfinite(gain).all(axis=2), sigma_mm, np.nan)

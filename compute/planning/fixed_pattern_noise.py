@@ -75,11 +75,11 @@ def fixed_pattern_sigma(
     bright = (weight * mean_electrons**2).sum(axis=-1, keepdims=True)
     with np.errstate(divide="ignore", invalid="ignore"):
         share = np.where(bright > 0.0, mixed / bright, 0.0)
-    own = slope_per_px - share * mean_electrons
+    residual_slope = slope_per_px - share * mean_electrons
     lit = pattern.response_nonuniformity * (mean_electrons + pattern.ambient_electrons)
     deviation = np.hypot(lit, pattern.unlit_electrons)
-    information = (weight * own**2).sum(axis=-1)
-    moved = np.sqrt(np.square(weight * own * deviation).sum(axis=-1))
+    information = (weight * residual_slope**2).sum(axis=-1)
+    moved = np.sqrt(np.square(weight * residual_slope * deviation).sum(axis=-1))
     with np.errstate(divide="ignore", invalid="ignore"):
         error: Array = np.where(information > 0.0, moved / information, np.inf)
     return error

@@ -184,12 +184,12 @@ def _markers(
     Raises:
         InvalidParameter: the sensors see too little of the box together.
     """
-    kept: list[Array] = []
-    found = drawn = 0
-    while found < count:
+    accepted: list[Array] = []
+    number = drawn = 0
+    while number < count:
         if drawn >= _MAX_DRAWS_FACTOR * count:
             raise InvalidParameter(
-                f"of {drawn} points in the volume {found} are seen by all sensors; ghosts need "
+                f"of {drawn} points in the volume {number} are seen by all sensors; ghosts need "
                 "a volume that they see together",
                 centre_mm=box.centre_mm,
             )
@@ -197,10 +197,10 @@ def _markers(
         reading = cameras.project(points)
         with np.errstate(invalid="ignore"):
             visible = ((reading >= -0.5) & (reading <= pixels - 0.5)).all(axis=1)
-        kept.append(points[visible])
-        found += int(visible.sum())
+        accepted.append(points[visible])
+        number += int(visible.sum())
         drawn += count
-    return np.concatenate(kept)[:count], found / drawn
+    return np.concatenate(accepted)[:count], number / drawn
 
 
 def _ghosts(

@@ -249,8 +249,8 @@ def _saturation_notes(lines: SimulatedReadings) -> tuple[str, ...]:
 
 def column_medians(values: Array) -> Array:
     """Return the medians of the columns, shape (N, S) -> (S,); NaN for one without values."""
-    known = [column[np.isfinite(column)] for column in values.T]
-    return np.array([np.median(column) if len(column) else np.nan for column in known])
+    finite = [column[np.isfinite(column)] for column in values.T]
+    return np.array([np.median(column) if len(column) else np.nan for column in finite])
 
 
 _ASSUMPTIONS: Final = (

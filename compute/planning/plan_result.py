@@ -35,13 +35,13 @@ class AxisSummary:
             values_mm: of the N points of the grid.
             centre: index of the point nearest to the volume's centre.
         """
-        known = values_mm[np.isfinite(values_mm).all(axis=1)]
-        if len(known) == 0:
+        finite = values_mm[np.isfinite(values_mm).all(axis=1)]
+        if len(finite) == 0:
             return cls(None, None, None, None)
         return cls(
-            vector3(known.min(axis=0)),
-            vector3(np.median(known, axis=0)),
-            vector3(known.max(axis=0)),
+            vector3(finite.min(axis=0)),
+            vector3(np.median(finite, axis=0)),
+            vector3(finite.max(axis=0)),
             finite_vector(values_mm[centre]),
         )
 

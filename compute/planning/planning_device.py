@@ -138,17 +138,19 @@ class PlanningDevice:
         Raises:
             InvalidParameter: a sensor sees too little of the points.
         """
-        given = np.where(visible, readings_px, np.nan)
+        visible_readings = np.where(visible, readings_px, np.nan)
         geometry = [SensorGeometry(name, self.pixels) for name in self.names]
         try:
-            found = calibrate(points_mm, given, geometry)
+            calibration = calibrate(points_mm, visible_readings, geometry)
         except (TooFewPoints, DegeneratePoints) as error:
             raise InvalidParameter(
                 f"the volume is not seen well enough to plan in it: {error.detail}; give a finer "
                 "grid, or another volume",
                 **error.context,
             ) from None
-        return CameraStack.of(found.models), np.array([fit.rms_px for fit in found.sensors])
+        return CameraStack.of(calibration.models), np.array(
+            [fit.rms_px for fit in calibration.sensors]
+        )
 
 
 def planning_device(profile: DeviceProfile) -> PlanningDevice:

@@ -98,11 +98,11 @@ def reading_gain(gradient_px_per_mm: Array, sigma_px: Array) -> Array:
     Raises:
         InvalidParameter: a shape that does not fit, or a standard deviation that is not positive.
     """
-    found = precision_from_jacobian(gradient_px_per_mm, sigma_px)
+    precision = precision_from_jacobian(gradient_px_per_mm, sigma_px)
     rows, used = _weighted(gradient_px_per_mm, sigma_px)
     # One factor 1 / sigma is in the rows already.
     sigma = np.where(used, np.broadcast_to(sigma_px, used.shape), 1.0)
-    gain: Array = np.einsum("nij,nsj,ns->nis", found.covariance_mm2, rows, 1.0 / sigma)
+    gain: Array = np.einsum("nij,nsj,ns->nis", precision.covariance_mm2, rows, 1.0 / sigma)
     return gain
 
 
@@ -143,20 +143,20 @@ def _weighted(gradient_px_per_mm: Array, sigma_px: Array) -> tuple[Array, NDArra
         InvalidParameter: standard deviations of another shape, or not positive.
     """
     shape = gradient_px_per_mm.shape[:2]
-    given = np.asarray(sigma_px, dtype=np.float64)
-    if given.shape not in (shape, shape[1:]):
+    given_sigma = np.asarray(sigma_px, dtype=np.float64)
+    if given_sigma.shape not in (shape, shape[1:]):
         raise InvalidParameter(
-            f"sigma_px has the shape {given.shape}; it must be {shape} or {shape[1:]}",
-            sigma_px=given.shape,
+            f"sigma_px has the shape {given_sigma.shape}; it must be {shape} or {shape[1:]}",
+            sigma_px=given_sigma.shape,
         )
-    if (given <= 0.0).any():
-        bad = float(given[given <= 0.0][0])
+    if (given_sigma <= 0.0).any():
+        bad = float(given_sigma[given_sigma <= 0.0][0])
         raise InvalidParameter(
             f"sigma_px has {bad}; it must be positive, or NaN where a sensor sees nothing",
             sigma_px=bad,
         )
-    seen = np.isfinite(gradient_px_per_mm).all(axis=2)
-    sigma = np.where(seen, np.broadcast_to(given, shape), np.nan)
+    visible = np.isfinite(gradient_px_per_mm).all(axis=2)
+    sigma = np.where(visible, np.broadcast_to(given_sigma, shape), np.nan)
     used = _informative(sigma)
     rows = np.where(
         used[..., None], gradient_px_per_mm / np.where(used, sigma, 1.0)[..., None], 0.0
@@ -166,8 +166,8 @@ def _weighted(gradient_px_per_mm: Array, sigma_px: Array) -> tuple[Array, NDArra
 
 def _informative(sigma: Array) -> NDArray[np.bool_]:
     """Return which readings the reconstruction uses, shape (N, S)."""
-    seen = np.isfinite(sigma)
+    visible = np.isfinite(sigma)
     if sigma.shape[1] < 4:
-        return seen
-    third = np.partition(np.where(seen, sigma, np.inf), 2, axis=1)[:, 2:3]
-    return seen & (sigma <= UNINFORMATIVE_SIGMA_RATIO * third)
+        return visible
+    third = np.partition(np.where(visible, sigma, np.inf), 2, axis=1)[:, 2:3]
+    return visible & (sigma <= UNINFORMATIVE_SIGMA_RATIO * third)

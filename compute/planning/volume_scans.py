@@ -56,9 +56,9 @@ class VolumeScans:
             without: flags of peaks that are left out.
         """
         points, sensors = self.readings_px.shape
-        found = np.isfinite(peaks.position_px)
+        detected = np.isfinite(peaks.position_px)
         row = np.arange(points * sensors)
-        brightest = np.where(found, peaks.amplitude, -1.0).argmax(axis=1)
+        brightest = np.where(detected, peaks.amplitude, -1.0).argmax(axis=1)
         error = peaks.position_px[row, brightest] - self.readings_px.ravel()
         full = self.lines.max(axis=1) >= self.full_counts
         error[full | ((peaks.flags[row, brightest] & without) != 0)] = np.nan
@@ -98,11 +98,11 @@ def volume_scans(profile: DeviceProfile, per_side: int = 5) -> VolumeScans:
     photons = light_source(profile).photons_per_sr(
         points, None, np.array([sensor.position_mm for sensor in profile.sensors]), exposure_s
     )
-    known = profile.detector
-    signal = scan_electrons(solid_angles, photons * known.quantum_efficiency, 1, pixels)
-    detector = known.detector(exposure_s)
+    sensor_detector = profile.detector
+    signal = scan_electrons(solid_angles, photons * sensor_detector.quantum_efficiency, 1, pixels)
+    detector = sensor_detector.detector(exposure_s)
     uneven = np.random.default_rng(0).normal(1.0, detector.response_nonuniformity, signal.shape)
     electrons = signal * uneven + detector.ambient_electrons + detector.dark_electrons
-    counts = electrons / known.electrons_per_count + known.offset_counts
+    counts = electrons / sensor_detector.electrons_per_count + sensor_detector.offset_counts
     lines = np.rint(np.clip(counts, 0, detector.full_counts)).astype(np.uint16)
     return VolumeScans(lines.reshape(-1, pixels), readings, detector.full_counts)

@@ -91,10 +91,10 @@ class BeamHoldLimits:
 
     def __post_init__(self) -> None:
         limits = [self.shift_mm, self.rotation_rad, *(self.axis_mm or ())]
-        given = [one for one in limits if one is not None]
-        if not given or not all(one > 0.0 and np.isfinite(one) for one in given):
+        set_limits = [one for one in limits if one is not None]
+        if not set_limits or not all(one > 0.0 and np.isfinite(one) for one in set_limits):
             raise InvalidParameter(
-                f"the limits are shift {self.shift_mm}, axes {self.axis_mm}, turn "
+                f"the limits are shift {self.shift_mm}, axes {self.axis_mm}, rotation "
                 f"{self.rotation_rad}; give at least one, above 0"
             )
         if not 0.0 < self.probability <= 0.5:
@@ -159,7 +159,7 @@ class BeamHoldLimits:
                 norm_exceedance_probability(shift_mm, shift_covariance, limit),
                 math.hypot(*shift_mm.tolist()),
                 limit,
-                "{size:.2f} mm off its place (limit {limit:.2f} mm)",
+                "{size:.2f} mm off its reference position (limit {limit:.2f} mm)",
             )
         for axis, axis_limit in enumerate(self.axis_mm or ()):
             size, limit = float(shift_mm[axis]), share * axis_limit
@@ -297,7 +297,7 @@ class _DeviationMonitor:
         """
         self._limits, self._rules = limits, limits.rules
         self._time: int | None = None
-        self._seen: int | None = None
+        self._measured_ns: int | None = None
         self._within_since: int | None = None
         self._released = False
         self._latched = latched
@@ -316,13 +316,13 @@ class _DeviationMonitor:
         """
         time_ns = self._time or 0
         self._hold(BeamHoldCause.NO_DATA, why)
-        self._time = self._seen = None
+        self._time = self._measured_ns = None
         return self._decide(time_ns, None, counts=False)
 
     @property
     def measured_ns(self) -> int | None:
         """Time of the oldest data that were needed last [measurements' clock, ns]; None: none."""
-        return self._seen
+        return self._measured_ns
 
     @property
     def must_acknowledge(self) -> bool:
@@ -336,10 +336,10 @@ class _DeviationMonitor:
     def _advance(self, time_ns: int, measured: _Deviation | None) -> BeamHoldDecision:
         """Return the decision after a measurement, or, with None, at a time without one."""
         max_gap_ns = self._rules.max_gap_ns
-        gap = None if self._seen is None else time_ns - self._seen
+        gap = None if self._measured_ns is None else time_ns - self._measured_ns
         if self._time is not None and time_ns < self._time:
             self._hold(BeamHoldCause.CLOCK, "the measurements' time went back")
-            self._seen = None
+            self._measured_ns = None
         elif gap is not None and gap > max_gap_ns:
             self._hold(
                 BeamHoldCause.NO_DATA,
@@ -353,7 +353,9 @@ class _DeviationMonitor:
         )
         if measured is not None and counts:
             since_ns = measured.time_ns
-            self._seen = since_ns if self._seen is None else max(since_ns, self._seen)
+            self._measured_ns = (
+                since_ns if self._measured_ns is None else max(since_ns, self._measured_ns)
+            )
             if measured.beyond is not None:
                 self._hold(BeamHoldCause.MOVED, measured.beyond)
             elif not measured.within:
@@ -512,11 +514,11 @@ class MarkerDeviationMonitor(_DeviationMonitor):
         if positions_mm is None:
             return self._advance(time_ns, None)
         shifts = positions_mm - self._reference
-        seen = np.flatnonzero(np.isfinite(shifts).all(axis=1))
+        visible = np.flatnonzero(np.isfinite(shifts).all(axis=1))
         worst: tuple[float, float, int] = (-1.0, 0.0, -1)
         message: str | None = None
         within = True
-        for one in seen:
+        for one in visible:
             covariance = None if covariances_mm2 is None else covariances_mm2[one]
             beyond, is_within, probability = self._limits.check(shifts[one], covariance)
             within &= is_within
@@ -524,12 +526,12 @@ class MarkerDeviationMonitor(_DeviationMonitor):
             if (probability, size) > worst[:2]:
                 worst = (probability, size, int(one))
                 message = None if beyond is None else f'marker "{self._names[one]}" is {beyond}'
-        if len(seen) < self._min_markers and message is None:
+        if len(visible) < self._min_markers and message is None:
             return self._advance(time_ns, None)
         since_ns = time_ns
         if times_ns is not None:
             # The oldest of the newest ``min_markers``: a marker that moves unseen ages.
-            since_ns = int(np.sort(times_ns[seen])[max(len(seen) - self._min_markers, 0)])
+            since_ns = int(np.sort(times_ns[visible])[max(len(visible) - self._min_markers, 0)])
         probability, _, marker = worst
         deviation = _Deviation(message, within, since_ns, shifts[marker], None, probability)
         return self._advance(time_ns, deviation)

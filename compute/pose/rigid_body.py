@@ -41,7 +41,7 @@ class RigidBody:
 
 _IDENTITY = np.eye(3)
 COLLINEARITY_RATIO = 1e-3
-"""Points whose spread across their line is below this fraction of that along it are collinear."""
+"""Points whose extent across their line is below this fraction of that along it are collinear."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,8 +93,8 @@ class CentredMarkers:
             rotation: R_world_tool, shape (3, 3).
             translation_mm: the tool's origin in the world, shape (3,) [mm].
         """
-        place: Array = translation_mm + rotation @ self.centroid_mm
-        return place
+        centroid: Array = translation_mm + rotation @ self.centroid_mm
+        return centroid
 
     def origin_jacobian(self, rotation: Array) -> Array:
         """Return d (rotation, origin) / d (rotation, centroid), shape (6, 6)."""
@@ -115,8 +115,8 @@ def are_collinear(points_mm: Array) -> bool:
     """Return whether points (N, 3) are on a line, or are fewer than three."""
     if len(points_mm) < 3:
         return True
-    spread = np.linalg.svd(points_mm - points_mm.mean(axis=0), compute_uv=False)
-    return bool(spread[1] <= COLLINEARITY_RATIO * spread[0])
+    extent = np.linalg.svd(points_mm - points_mm.mean(axis=0), compute_uv=False)
+    return bool(extent[1] <= COLLINEARITY_RATIO * extent[0])
 
 
 class PoseStatus(StrEnum):
@@ -131,7 +131,7 @@ class PoseStatus(StrEnum):
     OUT_OF_VOLUME = "OUT_OF_VOLUME"
     """There is a pose, outside of the volume in which the calibration or table is valid."""
     INVALID = "INVALID"
-    """What was seen does not fit the tool, or two tools fit it: a pose there may be is not one to
+    """The readings do not fit the tool, or two tools fit it: a pose there may be is not one to
     use."""
     HIGH_ERROR = "HIGH_ERROR"
     """There is a pose, and its uncertainty or its residual is above the tool's limit."""
@@ -139,7 +139,7 @@ class PoseStatus(StrEnum):
     """There is a pose, and too few other readings check each of its readings: a wrong one could
     pass unnoticed."""
     UNKNOWN = "UNKNOWN"
-    """The tool was not looked for yet."""
+    """The tool has not been searched for yet."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -82,11 +82,11 @@ class TransformGraph:
                 to=to,
                 from_=from_,
             )
-        found = Transform.identity()
+        chain = Transform.identity()
         for here, there in pairwise(path):
             step = self._transforms.get((there, here))
-            found = (self._transforms[here, there].inverse() if step is None else step) @ found
-        return ResolvedTransform(found, path)
+            chain = (self._transforms[here, there].inverse() if step is None else step) @ chain
+        return ResolvedTransform(chain, path)
 
     def _check(self, name: str) -> None:
         if name not in self._near:

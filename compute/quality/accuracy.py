@@ -127,8 +127,8 @@ def _drift(deviations: Array, time_s: Array) -> tuple[float, float]:
     if lever == 0.0 or len(deviations) < 3:
         return 0.0, np.inf
     velocity = since @ deviations / lever
-    left = deviations - since[:, None] * velocity
-    variance = (left**2).sum() / (len(deviations) - 2) / lever
+    residual = deviations - since[:, None] * velocity
+    variance = (residual**2).sum() / (len(deviations) - 2) / lever
     return float(np.linalg.norm(velocity)), float(np.sqrt(variance))
 
 

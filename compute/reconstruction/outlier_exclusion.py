@@ -65,48 +65,51 @@ def exclude_outliers(
     Returns:
         The points; the same object where nothing is wrong.
     """
-    left = np.flatnonzero(points.flags & int(SUSPICIOUS))
-    if len(left) == 0:
+    open_rows = np.flatnonzero(points.flags & int(SUSPICIOUS))
+    if len(open_rows) == 0:
         return points
-    found = points.rows(np.arange(len(points)))
+    result = points.rows(np.arange(len(points)))
     readings = np.asarray(readings_px, dtype=np.float64)
     sigma = np.broadcast_to(sigma_px, readings.shape)
     count = points.used.sum(axis=1)
     for excluded in range(1, MAX_EXCLUDED + 1):
-        left = left[
+        open_rows = open_rows[
             [
                 count[row] >= min_sensors(excluded)
                 and comb(count[row], excluded) <= MAX_ALTERNATIVES
-                for row in left
+                for row in open_rows
             ]
         ]
-        if len(left) == 0:
+        if len(open_rows) == 0:
             break
         sensors = [
-            np.array(list(combinations(np.flatnonzero(points.used[row]), excluded))) for row in left
+            np.array(list(combinations(np.flatnonzero(points.used[row]), excluded)))
+            for row in open_rows
         ]
         size = [len(one) for one in sensors]
-        source = np.repeat(left, size)
+        source = np.repeat(open_rows, size)
         fewer = readings[source]
         fewer[np.arange(len(fewer))[:, None], np.concatenate(sensors)] = np.nan
         trials = solve(fewer, sigma[source])
         end = np.cumsum(size)
         fits = [
-            _take_best(found, points, row, trials.part(last - length, last), excluded)
-            for row, last, length in zip(left.tolist(), end.tolist(), size, strict=True)
+            _take_best(result, points, row, trials.part(last - length, last), excluded)
+            for row, last, length in zip(open_rows.tolist(), end.tolist(), size, strict=True)
         ]
-        left = left[~np.array(fits)]
-    found.flags[(found.flags & int(PointFlag.INCONSISTENT)) > 0] |= int(PointFlag.NOT_IDENTIFIABLE)
-    return found
+        open_rows = open_rows[~np.array(fits)]
+    result.flags[(result.flags & int(PointFlag.INCONSISTENT)) > 0] |= int(
+        PointFlag.NOT_IDENTIFIABLE
+    )
+    return result
 
 
 def _take_best(
-    found: PointBatch, points: PointBatch, row: int, trials: PointBatch, excluded: int
+    result: PointBatch, points: PointBatch, row: int, trials: PointBatch, excluded: int
 ) -> bool:
     """Replace a point by the best of its alternatives, if it is clear which that is.
 
     Args:
-        found: the points; the row is replaced.
+        result: the points; the row is replaced.
         points: the points of all readings.
         row: which point.
         trials: the alternatives, each without other readings.
@@ -123,6 +126,6 @@ def _take_best(
     # Of so many alternatives the best one lowers chi2 by chance (Bonferroni).
     lowered = chi2_limit(excluded, INCONSISTENCY_SIGNIFICANCE / len(trials))
     if second - best >= IDENTIFICATION_MARGIN and not points.chi2[row] - best < lowered:
-        found.put(np.array([row]), trials.rows(np.array([chi2.argmin()])))
-        found.flags[row] |= int(PointFlag.READING_EXCLUDED)
+        result.put(np.array([row]), trials.rows(np.array([chi2.argmin()])))
+        result.flags[row] |= int(PointFlag.READING_EXCLUDED)
     return True

@@ -164,32 +164,32 @@ class PointSolver:
                 )
         check_calibration(stack, parameter_covariance, corrections)
         self.sensors = len(stack)
-        place = warp_device(wp, device)
-        self.device = str(place.alias)
+        target_device = warp_device(wp, device)
+        self.device = str(target_device.alias)
         # Kept: the job has their addresses.
         self._arrays: list[Any] = []
         job = np.zeros(1, dtype=JOB)
 
         def keep(array: NDArray[Any]) -> int:
             values: Any = np.ascontiguousarray(array)
-            if place.is_cuda:
-                values = wp.array(values, device=place) if values.size else None
+            if target_device.is_cuda:
+                values = wp.array(values, device=target_device) if values.size else None
             self._arrays.append(values)
             if values is None:
                 return 0
-            return int(values.ptr) if place.is_cuda else address(values)
+            return int(values.ptr) if target_device.is_cuda else address(values)
 
-        row = row_length(self.sensors, cuda=bool(place.is_cuda))
+        row = row_length(self.sensors, cuda=bool(target_device.is_cuda))
         fill_cameras(job["cameras"], keep, stack, corrections, row)
         job["chi2_limits"] = keep(chi2_limits(self.sensors))
         job["noncentralities"] = keep(noncentralities(self.sensors))
         if parameter_covariance is not None:
-            spread = stack.covariance_blocks(np.asarray(parameter_covariance))
-            job["parameter_covariance"] = keep(spread)
+            covariance = stack.covariance_blocks(np.asarray(parameter_covariance))
+            job["parameter_covariance"] = keep(covariance)
         kernel = point_kernel(self.sensors, term_capacity(stack))
         self.launch: CpuLaunch | CudaLaunch = (
-            CudaLaunch(wp, kernel, job, self.sensors, place)
-            if place.is_cuda
+            CudaLaunch(wp, kernel, job, self.sensors, target_device)
+            if target_device.is_cuda
             else CpuLaunch(wp, kernel, job, self.sensors, threads)
         )
         # Loads the kernel, before the first frame waits for it.
@@ -252,11 +252,11 @@ def load_kernels(sensors: int, device: str | None = None) -> None:
     """
     import warp as wp
 
-    place = warp_device(wp, device)
+    target_device = warp_device(wp, device)
     # As they are launched: a kernel is built anew for blocks of another size.
-    block = 1 if place.is_cpu else THREADS_PER_BLOCK
+    block = 1 if target_device.is_cpu else THREADS_PER_BLOCK
     for capacity in (0, MIN_CAPACITY):
-        point_kernel(sensors, capacity).module.load(place, block_dim=block)
+        point_kernel(sensors, capacity).module.load(target_device, block_dim=block)
 
 
 def term_capacity(cameras: CameraStack) -> int:

@@ -86,14 +86,14 @@ def reconstruct(
     start = triangulate_linear(cameras, target)
     sigma = np.where(used, sigma, 1.0)
     equations = _Equations(model, np.where(used, readings, np.nan))
-    place = start
+    linearisation_mm = start
     if cameras.has_distortion or corrections is not None:
-        place = _refine(
+        linearisation_mm = _refine(
             equations, np.eye(len(cameras)) / sigma[:, :, None], start, WEIGHTING_ITERATIONS
         )[0]
-    variance = reading_variance(model, readings, sigma_px, used, place)
-    whitening = model.whitening(place, variance, used)
-    position, gram, converged = _refine(equations, whitening, place)
+    variance = reading_variance(model, readings, sigma_px, used, linearisation_mm)
+    whitening = model.whitening(linearisation_mm, variance, used)
+    position, gram, converged = _refine(equations, whitening, linearisation_mm)
     normal, chi2 = gram[:, :3, :3], gram[:, 3, 3]
     # Three readings have a point that fits exactly, unless a table bends them past one another:
     # then the search rests where they come nearest, and that is no point.
@@ -113,9 +113,9 @@ def reconstruct(
     limits = chi2_limits(len(cameras))
     shift = np.full(len(readings), np.nan)
     if reliability:
-        known = ~missing
-        checks = equations.checks(position[known], known, whitening[known])
-        shift[known] = external_reliability(checks, used[known])
+        located = ~missing
+        checks = equations.checks(position[located], located, whitening[located])
+        shift[located] = external_reliability(checks, used[located])
     flags[~missing & (count == 3)] |= PointFlag.NO_REDUNDANCY
     flags[~missing & (chi2 > limits[count])] |= PointFlag.INCONSISTENT
     if corrections is not None:
@@ -130,7 +130,7 @@ def reading_variance(
     readings_px: Array,
     sigma_px: Array,
     used: NDArray[np.bool_],
-    place_mm: Array,
+    position_mm: Array,
 ) -> Array:
     """Return the variances of corrected readings, the table's included, shape (N, S) [px^2].
 
@@ -139,25 +139,25 @@ def reading_variance(
         readings_px: shape (N, S) [px].
         sigma_px: standard deviations of the readings, shape (N, S) or (S,) [px].
         used: which readings count; the variance of others is 1, shape (N, S).
-        place_mm: the points, shape (N, 3) [mm].
+        position_mm: the points, shape (N, 3) [mm].
     """
     slope = model.cameras.correction_derivative(readings_px)
     variance = np.where(used, (sigma_px * np.abs(slope)) ** 2, 1.0)
     if model.corrections is not None:
-        known = np.nan_to_num(model.corrections.at(place_mm).variance_px2)
-        variance += np.where(used, known * slope**2, 0.0)
+        table_variance = np.nan_to_num(model.corrections.at(position_mm).variance_px2)
+        variance += np.where(used, table_variance * slope**2, 0.0)
     return variance
 
 
-def _select_informative(seen: NDArray[np.bool_], sigma: Array) -> NDArray[np.bool_]:
+def _select_informative(usable: NDArray[np.bool_], sigma: Array) -> NDArray[np.bool_]:
     """Leave out readings that say next to nothing beside the three best, shape (N, S).
 
     They would count as redundancy and have none.
     """
-    if seen.shape[1] < 4:
-        return seen
-    third = np.partition(np.where(seen, sigma, np.inf), 2, axis=1)[:, 2:3]
-    return seen & (sigma <= UNINFORMATIVE_SIGMA_RATIO * third)
+    if usable.shape[1] < 4:
+        return usable
+    third = np.partition(np.where(usable, sigma, np.inf), 2, axis=1)[:, 2:3]
+    return usable & (sigma <= UNINFORMATIVE_SIGMA_RATIO * third)
 
 
 @dataclass(frozen=True, eq=False)
@@ -297,19 +297,19 @@ def detectable_errors(
         sigma_px: their standard deviations, shape (N, S) or (S,) [px].
     """
     detectable = np.full(points.used.shape, np.nan)
-    known = np.isfinite(points.position_mm[:, 0])
-    if not known.any():
+    finite = np.isfinite(points.position_mm[:, 0])
+    if not finite.any():
         return detectable
-    position, used = points.position_mm[known], points.used[known]
-    readings = np.where(used, np.asarray(readings_px)[known], np.nan)
-    sigma = np.broadcast_to(sigma_px, points.used.shape)[known]
+    position, used = points.position_mm[finite], points.used[finite]
+    readings = np.where(used, np.asarray(readings_px)[finite], np.nan)
+    sigma = np.broadcast_to(sigma_px, points.used.shape)[finite]
     whitening = model.whitening(
         position, reading_variance(model, readings, sigma, used, position), used
     )
     checks = _Equations(model, readings).checks(position, slice(None), whitening)
     # A raw reading is stretched by the cubic distortion.
     size = _detectable_px(checks, used) / np.abs(model.cameras.correction_derivative(readings))
-    detectable[known] = np.where(used, size, np.nan)
+    detectable[finite] = np.where(used, size, np.nan)
     return detectable
 
 
@@ -345,12 +345,12 @@ def triangulate_linear(cameras: CameraStack, corrected_px: Array) -> Array:
         the planes meet in a line.
     """
     matrices = cameras.matrices
-    seen = np.isfinite(corrected_px)
-    q = np.where(seen, corrected_px, 0.0)
+    usable = np.isfinite(corrected_px)
+    q = np.where(usable, corrected_px, 0.0)
     rows = matrices[:, 0] - q[..., None] * matrices[:, 1]
-    rows = rows * seen[..., None]
+    rows = rows * usable[..., None]
     points = np.full((len(rows), 3), np.nan)
-    enough = seen.sum(axis=1) >= 3
+    enough = usable.sum(axis=1) >= 3
     if not enough.any():
         return points
     # QR instead of the normal equations (A'A)^-1 of [5.15]: the same solution, without squaring

@@ -86,11 +86,15 @@ def _line_peaks(
     full = int(noise.full_scale_counts[sensor])
     raw_values, values, shifts = raw, raw, np.zeros(SAMPLE_GROUPS, np.int64)
     if corrections is not None:
-        own = PixelCorrections(*(each[sensor : sensor + 1] for each in vars(corrections).values()))
-        rounded = np.floor(own.correct(raw[None].astype(np.uint16))[0] + np.float32(0.5))
+        sensor_corrections = PixelCorrections(
+            *(each[sensor : sensor + 1] for each in vars(corrections).values())
+        )
+        rounded = np.floor(
+            sensor_corrections.correct(raw[None].astype(np.uint16))[0] + np.float32(0.5)
+        )
         values = np.clip(rounded, 0, 65535).astype(np.int64)
-        shifts = own.group_shifts()[0].astype(np.int64)
-        raw = np.where(own.masked[0], 0, raw)
+        shifts = sensor_corrections.group_shifts()[0].astype(np.int64)
+        raw = np.where(sensor_corrections.masked[0], 0, raw)
     background, noise_level, ramp = scan_background(raw_values, shifts)
     rise = _ramp_at(ramp, len(values), np.arange(len(values)))
     values = np.clip(values - rise, 0, 65535)
@@ -158,9 +162,15 @@ def scan_background(
     if contrast**2 >= min(10 * farthest * (groups + 1) // 3, farthest**2):
         part = groups // 4
         dark = [sorted(sums[q * part : (q + 1) * part])[(part - 1) // 4] for q in range(4)]
-        place = [starts[q * part] + starts[(q + 1) * part - 1] for q in range(4)]
+        part_start = [starts[q * part] + starts[(q + 1) * part - 1] for q in range(4)]
         slopes = sorted(
-            int((dark[b] - dark[a]) * 2 * RAMP_UNIT // GROUP_PIXELS / (place[b] - place[a]))
+            int(
+                (dark[b] - dark[a])
+                * 2
+                * RAMP_UNIT
+                // GROUP_PIXELS
+                / (part_start[b] - part_start[a])
+            )
             for a in range(4)
             for b in range(a + 1, 4)
         )
@@ -282,9 +292,9 @@ def _has_valley(
     run: NDArray[np.int64], variances: NDArray[np.float64], detection_sigma: float
 ) -> bool:
     """Say whether a valley lies deeper than noise below a maximum on each side of it."""
-    left = np.maximum.accumulate(run)
+    left_max = np.maximum.accumulate(run)
     right = np.maximum.accumulate(run[::-1])[::-1]
-    depth = np.minimum(left, right) - run
+    depth = np.minimum(left_max, right) - run
     return bool(depth.max() ** 2 > detection_sigma**2 * 2.0 * variances.max())
 
 

@@ -78,9 +78,9 @@ class CentroidSettings:
     def __post_init__(self) -> None:
         require_between("threshold_fraction", self.threshold_fraction, 0.05, 0.95)
         require_between("detection_sigma", self.detection_sigma, 3.0, 1000.0)
-        require_whole("min_width_px", self.min_width_px, 1, MAX_PIXELS)
+        require_integer("min_width_px", self.min_width_px, 1, MAX_PIXELS)
         require_choice("weighting", self.weighting, get_args(Weighting))
-        require_whole("max_peaks", self.max_peaks, 1, 1024)
+        require_integer("max_peaks", self.max_peaks, 1, 1024)
 
     @property
     def fraction_units(self) -> int:
@@ -88,7 +88,7 @@ class CentroidSettings:
         return round(self.threshold_fraction * FRACTION_UNIT)
 
 
-def require_whole(name: str, value: int, minimum: int, maximum: int) -> None:
+def require_integer(name: str, value: int, minimum: int, maximum: int) -> None:
     """Raise InvalidParameter unless a number is whole and in its range; arrays are sized by it.
 
     Args:
@@ -97,8 +97,8 @@ def require_whole(name: str, value: int, minimum: int, maximum: int) -> None:
         minimum: smallest valid value.
         maximum: largest valid value.
     """
-    whole = isinstance(value, Integral) and not isinstance(value, bool)
-    valid = whole and minimum <= value <= maximum
+    is_integer = isinstance(value, Integral) and not isinstance(value, bool)
+    valid = is_integer and minimum <= value <= maximum
     require(valid, f"be a whole number in {minimum} .. {maximum}", **{name: value})
 
 

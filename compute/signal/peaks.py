@@ -110,12 +110,12 @@ class PeakBatch:
     def covariance(self, scan: int) -> NDArray[np.float64]:
         """Return the covariance of the positions of one scan's k peaks, shape (k, k) [px^2]."""
         count = int(self.count[scan])
-        whole = np.diag(self.sigma_px[scan, :count].astype(np.float64) ** 2)
+        covariance = np.diag(self.sigma_px[scan, :count].astype(np.float64) ** 2)
         for ahead in range(1, min(MAX_JOINT_PEAKS, count)):
             with_next = self.covariance_px2[scan, : count - ahead, ahead - 1]
             row = np.arange(count - ahead)
-            whole[row, row + ahead] = whole[row + ahead, row] = with_next
-        return whole
+            covariance[row, row + ahead] = covariance[row + ahead, row] = with_next
+        return covariance
 
     def peaks(self, scan: int) -> tuple[Peak, ...]:
         """Return the peaks of the scan of this number as values."""

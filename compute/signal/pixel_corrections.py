@@ -1,4 +1,4 @@
-"""PixelCorrections: what radiometric calibrations of a device's sensors do to counts."""
+"""PixelCorrections: offset, response and bad pixels of a device's sensors, applied to counts."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -98,24 +98,24 @@ class PixelCorrections:
         signal = scans.astype(np.float32) - self.dark[sensor]
         first, second = self.bends[sensor].T[..., None]
         light = signal * (np.float32(1.0) + signal * (first + signal * second))
-        found: Float32 = light * self.scale[sensor] + self.offset[sensor, None]
+        corrected: Float32 = light * self.scale[sensor] + self.offset[sensor, None]
         for row, number in enumerate(sensor):
             bad = np.flatnonzero(self.scale[number] == 0.0)
             if not bad.size:
                 continue
             good = np.flatnonzero(self.scale[number] != 0.0)
             if not good.size:
-                found[row] = self.offset[number]
+                corrected[row] = self.offset[number]
                 continue
             next_good = np.searchsorted(good, bad)
             above = good[np.minimum(next_good, len(good) - 1)]
             below = good[np.maximum(next_good - 1, 0)]
             span = np.maximum(above - below, 1).astype(np.float32)
             part = np.clip((bad - below).astype(np.float32) / span, 0, 1).astype(np.float32)
-            low = np.where(next_good == 0, found[row, above], found[row, below])
-            high = np.where(next_good == len(good), low, found[row, above])
-            found[row, bad] = low + (high - low) * part
-        return found
+            low = np.where(next_good == 0, corrected[row, above], corrected[row, below])
+            high = np.where(next_good == len(good), low, corrected[row, above])
+            corrected[row, bad] = low + (high - low) * part
+        return corrected
 
     def group_shifts(self) -> NDArray[np.int32]:
         """Return what the dark counts of the background's groups are above the mean, (S, 32)."""

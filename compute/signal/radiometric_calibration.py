@@ -199,10 +199,10 @@ class RadiometricCalibration:
             InvalidParameter: a field is missing, unknown, or of a wrong shape or value.
         """
         names = {field.name for field in fields(cls)}
-        given = set(document)
-        if given != names:
+        members = set(document)
+        if members != names:
             raise InvalidParameter(
-                f"the document has the fields {sorted(given)}; it must have {sorted(names)}"
+                f"the document has the fields {sorted(members)}; it must have {sorted(names)}"
             )
         content = dict(document)
         try:
@@ -356,7 +356,7 @@ def _check_captures(
         )
     pixels = len(dark.mean)
     require(pixels >= MIN_PIXELS, f"be {MIN_PIXELS} or more", pixels=pixels)
-    middle = float(np.median(dark.mean))
+    median = float(np.median(dark.mean))
     for number, one in enumerate((dark, *flats)):
         name = f"flat captures of level {number}" if number else "dark captures"
         if one.frames < MIN_CAPTURES:
@@ -376,7 +376,7 @@ def _check_captures(
                 f"{share:.0%} of the pixels reach {full_scale} counts in the {name}; at most "
                 f"{_MAX_SATURATED:.0%} may: use less light or a shorter exposure"
             )
-        light = float(np.median(one.mean)) - middle
+        light = float(np.median(one.mean)) - median
         noise = float(np.sqrt(np.median(dark.variance)))
         if light < 10.0 * noise:
             raise InvalidParameter(
@@ -396,9 +396,9 @@ def _is_hot(dark: CaptureStatistics) -> NDArray[np.bool_]:
     # By neighbours: a smooth offset along the sensor makes no pixel hot.
     excess = dark.mean - running_median(dark.mean)
     noise = np.median(dark.variance) / dark.frames
-    spread = np.hypot(MAD_TO_SIGMA * np.median(np.abs(excess)), np.sqrt(noise))
+    sigma = np.hypot(MAD_TO_SIGMA * np.median(np.abs(excess)), np.sqrt(noise))
     floor = np.sqrt(np.median(dark.variance))
-    return np.asarray(excess > max(HOT_SIGMA * float(spread), float(floor)))
+    return np.asarray(excess > max(HOT_SIGMA * float(sigma), float(floor)))
 
 
 def _is_noisy(dark: CaptureStatistics) -> NDArray[np.bool_]:
@@ -440,8 +440,11 @@ def _linearity(
     y = level / unit
     design = np.column_stack([np.ones_like(y), y, y**2])
     target = light / level
-    found = np.linalg.lstsq(design / target[:, None], np.ones_like(y), rcond=None)[0]
-    first, second = found[1] / found[0] / unit, found[2] / found[0] / unit**2
+    coefficients = np.linalg.lstsq(design / target[:, None], np.ones_like(y), rcond=None)[0]
+    first, second = (
+        coefficients[1] / coefficients[0] / unit,
+        coefficients[2] / coefficients[0] / unit**2,
+    )
     return (float(first), float(second)), error
 
 
@@ -493,11 +496,11 @@ def _check_light_in_the_dark(
     smooth = running_median(dark.mean)
     excess = smooth - base
     noise = float(np.sqrt(np.median(dark.variance)))
-    spread = MAD_TO_SIGMA * float(np.median(np.abs(dark.mean - smooth)[usable]))
-    lit = usable & (excess > 5.0 * max(spread, noise / np.sqrt(dark.frames)) + 1.0)
+    sigma = MAD_TO_SIGMA * float(np.median(np.abs(dark.mean - smooth)[usable]))
+    lit = usable & (excess > 5.0 * max(sigma, noise / np.sqrt(dark.frames)) + 1.0)
     if int(lit.sum()) < 3:
         return
-    quiet = usable & (excess < float(np.median(excess)) + spread)
+    quiet = usable & (excess < float(np.median(excess)) + sigma)
     added = float(np.mean(dark.variance[lit]) - np.mean(dark.variance[quiet]))
     light = float(np.mean(dark.mean[lit]) - np.mean(dark.mean[quiet]))
     error = float(np.mean(dark.variance[lit])) * np.sqrt(3.0 / dark.frames / int(lit.sum()))
@@ -522,11 +525,11 @@ def _smooth_light(counts: Array, usable: NDArray[np.bool_]) -> Array:
     light = np.full(len(counts), float(np.median(counts[usable])))
     for _ in range(10):
         residual = counts - light
-        spread = MAD_TO_SIGMA * float(np.median(np.abs(residual[usable])))
-        weights = usable * biweight(residual / max(spread, 1e-9 * float(np.max(counts))))
+        sigma = MAD_TO_SIGMA * float(np.median(np.abs(residual[usable])))
+        weights = usable * biweight(residual / max(sigma, 1e-9 * float(np.max(counts))))
         root = np.sqrt(weights)
-        found = np.linalg.lstsq(basis * root[:, None], counts * root, rcond=None)[0]
-        light = basis @ found
+        coefficients = np.linalg.lstsq(basis * root[:, None], counts * root, rcond=None)[0]
+        light = basis @ coefficients
     lowest = float(light.min())
     if lowest <= 0.0:
         raise InvalidParameter(

@@ -50,7 +50,7 @@ class SensorNoise(ArrayRows):
         Raises:
             InvalidParameter: shapes that do not agree, or a value outside its range.
         """
-        given = [
+        parameters = [
             np.atleast_1d(np.asarray(values, dtype=np.float64))
             for values in (
                 electrons_per_count,
@@ -59,15 +59,15 @@ class SensorNoise(ArrayRows):
                 full_scale_counts,
             )
         ]
-        shapes = [values.shape for values in given]
-        length = max(values.size for values in given)
+        shapes = [values.shape for values in parameters]
+        length = max(values.size for values in parameters)
         if any(shape not in ((1,), (length,)) for shape in shapes) or 0 in shapes[0]:
             raise InvalidParameter(
                 f"noise arrays have shapes {shapes}; give one number or one per sensor",
                 shapes=shapes,
             )
         gain, read, offset, full = (
-            np.ascontiguousarray(np.broadcast_to(values, (length,))) for values in given
+            np.ascontiguousarray(np.broadcast_to(values, (length,))) for values in parameters
         )
         _require("electrons_per_count", gain, gain > 0, "positive")
         _require("read_noise_electrons", read, read >= 0, "zero or more")

@@ -95,13 +95,13 @@ class _Work:
         # A copy: it is written to.
         self.result = AssociationResult.missed(states.rows(np.arange(len(states))), len(model))
         self.bias, self.peaks = bias, peaks
-        self.taken = np.zeros(peaks.position_px.shape, dtype=np.bool_)
-        self.whole = combine_modes(motion, states)
-        self.place = self.whole.mean[:, :3]
-        self.predicted = model.predict(self.place)
+        self.assigned = np.zeros(peaks.position_px.shape, dtype=np.bool_)
+        self.combined = combine_modes(motion, states)
+        self.linearisation_mm = self.combined.mean[:, :3]
+        self.predicted = model.predict(self.linearisation_mm)
         # A track that some sensor would see anywhere takes peaks that fit by chance.
         limit = (LOST_SIGMA_FACTOR * settings.max_prediction_sigma_px) ** 2
-        wide = self._variance(self.whole, self.predicted.jacobian_px_per_mm) > limit
+        wide = self._variance(self.combined, self.predicted.jacobian_px_per_mm) > limit
         narrow: NDArray[np.bool_] = np.logical_not((wide & self.predicted.in_view).any(axis=1))
         self.contested = np.repeat(narrow[:, None], len(model), axis=1)
         self._gain = float(np.log(settings.detection_probability / settings.clutter_density_per_px))
@@ -109,10 +109,12 @@ class _Work:
     def associate_unambiguous(self, *, first: bool) -> None:
         """Find readings without rivals among what is open, and update by all of them at once."""
         moved = np.einsum(
-            "tsi,ti->ts", self.predicted.jacobian_px_per_mm, self.whole.mean[:, :3] - self.place
+            "tsi,ti->ts",
+            self.predicted.jacobian_px_per_mm,
+            self.combined.mean[:, :3] - self.linearisation_mm,
         )
         reading = self.predicted.reading_px + moved
-        variance = self._variance(self.whole, self.predicted.jacobian_px_per_mm)
+        variance = self._variance(self.combined, self.predicted.jacobian_px_per_mm)
         choice, self.contested = self._unambiguous_peaks(reading, variance)
         used = choice >= 0
         if not used.any():
@@ -125,7 +127,7 @@ class _Work:
         for _ in range(MAX_ITERATIONS):
             innovation = Innovation.of(used, self.predicted.jacobian_px_per_mm, noise, self.bias)
             off = leave_one_out_residuals(
-                self.whole, innovation, np.where(used, position - reading, 0.0)
+                self.combined, innovation, np.where(used, position - reading, 0.0)
             )
             worst = np.abs(off).argmax(axis=1)
             row = np.arange(len(used))
@@ -146,14 +148,14 @@ class _Work:
         result = self.result
         result.peaks = np.where(used, choice, result.peaks)
         result.probability = np.where(used, 1.0, result.probability)
-        self.taken[np.broadcast_to(sensor, used.shape)[used], choice[used]] = True
+        self.assigned[np.broadcast_to(sensor, used.shape)[used], choice[used]] = True
         before = result.states.probability
         result.log_likelihood_ratio += log_evidence(before, log) + used.sum(axis=1) * self._gain
         states.probability = before.copy()
         update_mode_probabilities(states, log)
         result.nis += (states.probability * nis).sum(axis=1)
         result.states = states
-        self.whole = combine_modes(self.motion, states)
+        self.combined = combine_modes(self.motion, states)
 
     def associate_contested(self) -> None:
         """Take what is still open by joint hypotheses, the least contested sensors first."""
@@ -165,67 +167,67 @@ class _Work:
     def _update(
         self, used: NDArray[np.bool_], position: Array, noise: Array, iterations: int
     ) -> tuple[ImmStates, Array, Array]:
-        """Return the joint update, with slopes taken anew while steps are long."""
+        """Return the joint update; it is linearised again while steps are long."""
         states = self.result.states
         for iteration in range(iterations):
             updated = update_by_readings(
-                states, self.predicted, self.place, used, position, noise, self.bias
+                states, self.predicted, self.linearisation_mm, used, position, noise, self.bias
             )
-            place = mean_positions(updated[0])
-            near = np.abs(place - self.place) < RELINEARISATION_STEP_MM
+            position_mm = mean_positions(updated[0])
+            near = np.abs(position_mm - self.linearisation_mm) < RELINEARISATION_STEP_MM
             far = np.asarray(used.any(axis=1) & ~near.all(axis=1))
             if iteration + 1 == iterations or not far.any():
                 break
-            self.place = np.where(far[:, None], place, self.place)
-            self.predicted = self.model.predict(self.place)
+            self.linearisation_mm = np.where(far[:, None], position_mm, self.linearisation_mm)
+            self.predicted = self.model.predict(self.linearisation_mm)
         return updated
 
     def _take_sensor(self, sensor: int, rows: NDArray[np.intp]) -> None:
         """Take one sensor's peaks by the joint hypotheses of the tracks ``rows``."""
         states = self.result.states.rows(rows)
-        whole = combine_modes(self.motion, states)
+        combined = combine_modes(self.motion, states)
         jacobian = self.predicted.jacobian_px_per_mm[rows, sensor]
         reading = self.predicted.reading_px[rows, sensor] + np.einsum(
-            "ti,ti->t", jacobian, whole.mean[:, :3] - self.place[rows]
+            "ti,ti->t", jacobian, combined.mean[:, :3] - self.linearisation_mm[rows]
         )
         bias = self.bias[rows, sensor]
-        variance = np.maximum(reading_variance(whole, jacobian, sensor, bias[:, sensor]), 0.0)
-        found = self._event_marginals(sensor, reading, variance)
-        most = max((len(own) for own in found), default=0)
-        if most == 0:
+        variance = np.maximum(reading_variance(combined, jacobian, sensor, bias[:, sensor]), 0.0)
+        marginals = self._event_marginals(sensor, reading, variance)
+        max_count = max((len(track_marginals) for track_marginals in marginals), default=0)
+        if max_count == 0:
             return
-        weight, difference = np.zeros((len(rows), most)), np.zeros((len(rows), most))
-        noise = np.ones((len(rows), most))
-        for place, own in enumerate(found):
-            for column, marginal in enumerate(own):
-                weight[place, column] = marginal.probability
-                difference[place, column] = marginal.difference_px
-                noise[place, column] = marginal.variance_px2
-        soft = PdaMixture(weight, difference, noise)
-        self.result.states.put(rows, pda_update(states, whole, soft, sensor, jacobian, bias))
-        for place, own in enumerate(found):
-            for marginal in own:
-                self._record(int(rows[place]), sensor, marginal, float(variance[place]))
+        weight, difference = np.zeros((len(rows), max_count)), np.zeros((len(rows), max_count))
+        noise = np.ones((len(rows), max_count))
+        for row, track_marginals in enumerate(marginals):
+            for column, marginal in enumerate(track_marginals):
+                weight[row, column] = marginal.probability
+                difference[row, column] = marginal.difference_px
+                noise[row, column] = marginal.variance_px2
+        mixture = PdaMixture(weight, difference, noise)
+        self.result.states.put(rows, pda_update(states, combined, mixture, sensor, jacobian, bias))
+        for row, track_marginals in enumerate(marginals):
+            for marginal in track_marginals:
+                self._record(int(rows[row]), sensor, marginal, float(variance[row]))
 
     def _event_marginals(
         self, sensor: int, reading: Array, variance: Array
     ) -> list[list[Marginals]]:
-        """Return what each of the contending tracks may have read."""
-        free = np.flatnonzero(self.peaks.usable[sensor] & ~self.taken[sensor])
+        """Return the marginals of each contending track."""
+        free = np.flatnonzero(self.peaks.usable[sensor] & ~self.assigned[sensor])
         columns = free, self.peaks.position_px[sensor, free], self.peaks.variance_px2[sensor, free]
         peaks = list(zip(*(column.tolist() for column in columns), strict=True))
-        found: list[list[Marginals]] = [[] for _ in reading]
+        marginals: list[list[Marginals]] = [[] for _ in reading]
         rows = np.flatnonzero(self.contested[:, sensor])
         cluster_tracks = list(map(ClusterTrack, reading.tolist(), variance.tolist()))
         for members, cluster_peaks in split_clusters(cluster_tracks, peaks, self.settings):
-            own, pruned_weight = event_marginals(
+            cluster_marginals, pruned_weight = event_marginals(
                 [cluster_tracks[m] for m in members], cluster_peaks, self.settings
             )
-            for member, each in zip(members, own, strict=True):
-                found[member] = each
+            for member, track_marginals in zip(members, cluster_marginals, strict=True):
+                marginals[member] = track_marginals
                 pruned = pruned_weight > PRUNED_WEIGHT_THRESHOLD
                 self.result.hypotheses_pruned[rows[member]] |= pruned
-        return found
+        return marginals
 
     def _record(self, track: int, sensor: int, marginal: Marginals, variance: float) -> None:
         if marginal.probability <= ASSOCIATION_PROBABILITY_THRESHOLD:
@@ -234,29 +236,29 @@ class _Work:
         result.peaks[track, sensor] = marginal.peak
         result.probability[track, sensor] = marginal.probability
         result.merged[track, sensor] = marginal.merged
-        self.taken[sensor, marginal.peak] = True
+        self.assigned[sensor, marginal.peak] = True
         total = variance + marginal.variance_px2
         off = marginal.difference_px**2 / total
         result.nis[track] += off
         density = -0.5 * (off + np.log(2.0 * np.pi * total))
         result.log_likelihood_ratio[track] += marginal.probability * (density + self._gain)
 
-    def _variance(self, whole: CombinedState, jacobian: Array) -> Array:
+    def _variance(self, combined: CombinedState, jacobian: Array) -> Array:
         """Return the variance of predicted readings, constant errors included, shape (T, S)."""
-        half = jacobian @ whole.covariance[:, :3, :3]
+        half = jacobian @ combined.covariance[:, :3, :3]
         diagonal = np.arange(len(self.model))
         variance: Array = (half * jacobian).sum(axis=2)
-        variance += 2.0 * np.einsum("tsi,tis->ts", jacobian, whole.bias_cross_covariance[:, :3])
+        variance += 2.0 * np.einsum("tsi,tis->ts", jacobian, combined.bias_cross_covariance[:, :3])
         variance += self.bias[:, diagonal, diagonal]
         return np.asarray(np.maximum(variance, 0.0))
 
     def _unambiguous_peaks(
         self, reading: Array, variance: Array
     ) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
-        """Return the peak of each track and sensor that leaves no choice (-1), and the contested.
+        """Return the unambiguous peak of each track and sensor (-1: none), and the contested.
 
-        A peak leaves none when it is the only one in the gate of a track, in no other's gate, and
-        no track beside this one lacks a peak of its own, which might be in this one.
+        A peak is unambiguous when it is the only one in the gate of a track, in no other's gate,
+        and no neighbouring track lacks an unambiguous peak, since the two might be merged.
 
         Args:
             reading: predicted, shape (T, S).
@@ -269,17 +271,17 @@ class _Work:
         with np.errstate(invalid="ignore"):
             off = np.abs(peaks.position_px[None] - at[..., None])
             limit = settings.gate_sigma**2 * (variance[..., None] + peaks.variance_px2)
-            gated = (off**2 <= limit) & peaks.usable & ~self.taken
+            gated = (off**2 <= limit) & peaks.usable & ~self.assigned
             alone = gated & (gated.sum(axis=0) == 1)
-            own = (gated.sum(axis=2) == 1) & alone.any(axis=2)
+            unambiguous = (gated.sum(axis=2) == 1) & alone.any(axis=2)
             apart = np.abs(at[:, None] - at[None])
             sigma = np.sqrt(variance)
             reach = SHARED_PEAK_REACH * (settings.resolution_px + sigma[:, None] + sigma[None])
             near = apart <= reach
         near[np.arange(len(reading)), np.arange(len(reading))] = False
-        near &= ~(own[:, None] & own[None])
+        near &= ~(unambiguous[:, None] & unambiguous[None])
         beside = near.any(axis=1)
-        decided = own & ~beside
+        decided = unambiguous & ~beside
         choice = np.where(decided, gated.argmax(axis=2), -1).astype(np.int32)
         contested = sought & ~decided & (gated.any(axis=2) | beside)
         return choice, contested

@@ -123,23 +123,23 @@ def blink_codes(
         turned = _rotate(words, shift, length)
         # The least of its rotations stands for a word; it must keep away from the others itself.
         words = words[(words <= turned) & (np.bitwise_count(words ^ turned) >= distance)]
-    taken: list[int] = []
-    while len(words) and len(taken) < markers:
+    selected: list[int] = []
+    while len(words) and len(selected) < markers:
         word = words[:1]
-        taken.append(int(word[0]))
+        selected.append(int(word[0]))
         for shift in (0, *shifts):
             words = words[np.bitwise_count(words ^ _rotate(word, shift, length)) >= distance]
-    if len(taken) < markers:
+    if len(selected) < markers:
         raise InvalidParameter(
-            f"{len(taken)} words of {length} bits were found at a distance of {distance} with {on} "
-            f"bits on; {markers} markers need longer words or a smaller distance",
-            found=len(taken),
+            f"{len(selected)} words of {length} bits were found at a distance of {distance} with "
+            f"{on} bits on; {markers} markers need longer words or a smaller distance",
+            found=len(selected),
         )
-    return BlinkCodes(tuple(f"{word:0{length}b}" for word in taken), distance, cyclic)
+    return BlinkCodes(tuple(f"{word:0{length}b}" for word in selected), distance, cyclic)
 
 
 def _rotate(words: Words, shift: int, length: int) -> Words:
     mask = np.uint32(2**length - 1)
-    left = (words << np.uint32(shift)) & mask
-    rotated: Words = left | (words >> np.uint32(length - shift)) if shift else words
+    rotated_left = (words << np.uint32(shift)) & mask
+    rotated: Words = rotated_left | (words >> np.uint32(length - shift)) if shift else words
     return rotated

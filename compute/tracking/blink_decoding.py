@@ -177,8 +177,8 @@ def _log_likelihood(
 ) -> Array:
     """Return log likelihoods of hypotheses (H, W) for lights (T, S, W), shape (T, H)."""
     present = np.isfinite(amplitude)
-    gone = (known & ~present).astype(np.float64)
-    seen: NDArray[np.bool_] = np.asarray(present.any(axis=2))
+    missing = (known & ~present).astype(np.float64)
+    detected: NDArray[np.bool_] = np.asarray(present.any(axis=2))
     log_amplitude = np.where(present, np.log(np.where(present, amplitude, 1.0)), 0.0)
     # Middle values keep the sums of squares from cancelling.
     centre = log_amplitude.sum(axis=2) / np.maximum(present.sum(axis=2), 1)
@@ -188,18 +188,18 @@ def _log_likelihood(
     if model.off_level > 0.0:
         # On or low, a peak is due in every scan, at one of two levels.
         level = np.log(model.off_level) * (1.0 - lit)
-        count = np.broadcast_to(there.sum(axis=2)[..., None], (*seen.shape, lit.shape[1]))
+        count = np.broadcast_to(there.sum(axis=2)[..., None], (*detected.shape, lit.shape[1]))
         first = value.sum(axis=2)[..., None] - there @ level
         second = (value**2).sum(axis=2)[..., None] - 2.0 * value @ level + there @ level**2
-        absent = float(np.log(model.miss_probability)) * gone.sum(axis=2)[..., None]
+        absent = float(np.log(model.miss_probability)) * missing.sum(axis=2)[..., None]
         unlit = np.zeros(1)
     else:
         count = there @ lit
         first = value @ lit
         second = value**2 @ lit
-        absent = float(np.log(model.miss_probability)) * (gone @ lit)
+        absent = float(np.log(model.miss_probability)) * (missing @ lit)
         dark_false = there @ (1.0 - lit)
-        dark_empty = gone @ (1.0 - lit)
+        dark_empty = missing @ (1.0 - lit)
         unlit = dark_false * float(
             np.log(model.false_alarm_probability / model.log_amplitude_range)
         )
@@ -212,15 +212,15 @@ def _log_likelihood(
     mean = float(np.log(model.log_amplitude_sigma / model.log_amplitude_range)) + _LOG_ROOT_TWO_PI
     normal = normal + np.where(count > 0, mean - 0.5 * np.log(np.maximum(count, 1.0)), 0.0)
     total = normal + count * float(np.log1p(-model.miss_probability)) + absent + unlit
-    likelihood: Array = np.where(seen[..., None], total, 0.0).sum(axis=1)
+    likelihood: Array = np.where(detected[..., None], total, 0.0).sum(axis=1)
     return likelihood
 
 
 def _log_likelihood_random(amplitude: Array, known: NDArray[np.bool_], model: BlinkModel) -> Array:
     """Return the log likelihood of lights that come and go, of any brightness, shape (T,)."""
     present = np.isfinite(amplitude)
-    seen: NDArray[np.bool_] = np.asarray(present.any(axis=2))
-    scans = (seen[..., None] & known).sum(axis=(1, 2))
+    detected: NDArray[np.bool_] = np.asarray(present.any(axis=2))
+    scans = (detected[..., None] & known).sum(axis=(1, 2))
     peaks = present.sum(axis=(1, 2))
     likelihood: Array = scans * float(np.log(0.5)) - peaks * float(
         np.log(model.log_amplitude_range)
@@ -257,8 +257,8 @@ def _errors(
     else:
         bright = present
     # Most of the sensors that see the light at all, and could tell in this scan.
-    seen: NDArray[np.bool_] = np.asarray(present.any(axis=2))
-    counted = seen[..., None] & known
+    detected: NDArray[np.bool_] = np.asarray(present.any(axis=2))
+    counted = detected[..., None] & known
     lit = (bright & counted).sum(axis=1) * 2 > counted.sum(axis=1)
     wrong = (lit != on) & counted.any(axis=1)
     if model.off_level > 0.0:

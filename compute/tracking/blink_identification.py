@@ -25,7 +25,7 @@ class BlinkIdentifier:
 
     Every track's amplitudes over the last two words are judged together, so that no code is given
     twice. A name stays with its track until another is as sure, or until the track may
-    have changed places with another (AMBIGUOUS): then it is named anew. Exposures that are lost
+    have been exchanged with another (AMBIGUOUS): then it is named anew. Exposures that are lost
     and peaks that two tracks share say nothing.
 
     Args:
@@ -39,7 +39,7 @@ class BlinkIdentifier:
     def __init__(self, codes: BlinkCodes, model: BlinkModel | None = None) -> None:
         if not codes.cyclic:
             raise InvalidParameter(
-                "these words are told apart only where it is known when they begin; tracks need "
+                "these words are distinct only where it is known when they begin; tracks need "
                 "cyclic ones"
             )
         self.codes = codes
@@ -90,11 +90,11 @@ class BlinkIdentifier:
             self._record(slot, batch, np.asarray(amplitude, dtype=np.float64), amplitudes, known)
         ambiguous = set(batch.identity[(batch.flags & TrackFlag.AMBIGUOUS) != 0].tolist())
         for identity in ambiguous - self._ambiguous:
-            # What it showed before may have been another marker's.
+            # Its earlier amplitudes may have been another marker's.
             known[self._identity == identity] = False
             self._name.pop(identity, None)
         self._ambiguous = ambiguous
-        # Once in so many exposures, whichever of them is seen.
+        # Once in ``_every`` exposures.
         if lit and sequence // self._every != self._last_evaluation:
             self._last_evaluation = sequence // self._every
             self._evaluate(amplitudes, known)
@@ -105,7 +105,7 @@ class BlinkIdentifier:
         return replace(batch, marker=marker.astype(np.int32))
 
     def _history_of(self, sequence: int, batch: TrackBatch) -> tuple[Array, NDArray[np.bool_]]:
-        """Return what the batch's tracks showed before; forget other tracks and lost exposures."""
+        """Return the amplitudes of the batch's tracks; drop other tracks and lost exposures."""
         amplitude, known = self._amplitude, self._known
         if amplitude is None or known is None or not np.array_equal(batch.identity, self._identity):
             shape = (len(batch), batch.peaks.shape[1], self._scans)
@@ -132,30 +132,30 @@ class BlinkIdentifier:
         amplitudes: Array,
         known: NDArray[np.bool_],
     ) -> None:
-        """Write down what each track showed in this exposure."""
+        """Record the amplitude of each track in this exposure."""
         peaks = batch.peaks
-        seen = peaks >= 0
+        detected = peaks >= 0
         # A shared peak's amplitude is that of both.
         shared = (peaks[:, None] == peaks[None]).sum(axis=1) > 1
-        alone = seen & ~shared
-        shown = amplitude[np.arange(peaks.shape[1]), np.maximum(peaks, 0)]
-        good = alone & (shown > 0.0)
+        alone = detected & ~shared
+        peak_amplitude = amplitude[np.arange(peaks.shape[1]), np.maximum(peaks, 0)]
+        good = alone & (peak_amplitude > 0.0)
         confirmed = (batch.state != TrackState.TENTATIVE)[:, None]
-        amplitudes[..., slot] = np.where(good, shown, np.nan)
-        known[..., slot] = (good | ~seen) & confirmed
+        amplitudes[..., slot] = np.where(good, peak_amplitude, np.nan)
+        known[..., slot] = (good | ~detected) & confirmed
 
     def _evaluate(self, amplitudes: Array, known: NDArray[np.bool_]) -> None:
-        """Name the tracks that have shown at least a word."""
+        """Name the tracks with a history of at least one word."""
         rows = np.flatnonzero(known.any(axis=1).sum(axis=1) >= self.codes.length)
         if not len(rows):
             self._rename([], np.empty(0, np.int32))
             return
         # The ring holds whole words, so that it may be read from its first slot: only the phase,
         # which nobody asks for, depends on where it is begun.
-        found = identify_blinking_markers(
+        identified = identify_blinking_markers(
             self.codes, amplitudes[rows], self._model, known=known[rows]
         )
-        self._rename(self._identity[rows].tolist(), found.marker)
+        self._rename(self._identity[rows].tolist(), identified.marker)
 
     def _rename(self, candidates: Sequence[int], marker: NDArray[np.int32]) -> None:
         """Give the names that are sure now; who had one of them before loses it."""

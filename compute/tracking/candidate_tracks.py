@@ -33,11 +33,11 @@ MIN_AGE: Final = 6
 REJECTION_AGE: Final = 5
 """Exposures after which a candidate that too few sensors see is given up."""
 DETECTION_FRACTION_THRESHOLD: Final = 0.65
-"""Part of the exposures in which a sensor must have seen it, or a peak that may be shared."""
+"""Part of the exposures in which a sensor must have detected it, or a peak that may be shared."""
 REJECTION_FRACTION_THRESHOLD: Final = 0.45
 """Part below which it is given up."""
-MIN_SEEN: Final = 3
-"""Exposures in which it must have been seen by each of the sensors that count."""
+MIN_DETECTIONS: Final = 3
+"""Exposures in which each sensor that counts must have detected it."""
 MIN_PEAKS: Final = 2
 """Peaks of its own that it must have in an exposure; without them it is given up."""
 MAX_BLIND_EXPOSURES: Final = 3
@@ -102,28 +102,28 @@ class CandidateTracks:
         self._model, self._settings = associator.model, associator.settings
         model = associator.model
         self._blind_sensors = max(len(model) - MIN_SUPPORT_SENSORS, 0) // 2
-        self._kept = CandidateBatch.empty(len(model), len(associator.motion))
+        self._batch = CandidateBatch.empty(len(model), len(associator.motion))
         self._free = np.zeros(len(model), dtype=np.intp)
         self._time_ns = 0
 
     def __len__(self) -> int:
         """Return the number of candidates."""
-        return len(self._kept)
+        return len(self._batch)
 
     def forget(self) -> None:
         """Delete all candidates."""
-        self._kept = self._kept.part(0, 0)
+        self._batch = self._batch.part(0, 0)
 
     def explained_peaks(self) -> NDArray[np.int32]:
         """Return the last exposure's peaks of well supported candidates, shape (N, S)."""
-        kept = self._kept
-        well_seen = (kept.age >= REJECTION_AGE) & self._is_detected_steadily()
-        peaks: NDArray[np.int32] = kept.peaks[well_seen, -1]
+        batch = self._batch
+        supported = (batch.age >= REJECTION_AGE) & self._is_detected_steadily()
+        peaks: NDArray[np.int32] = batch.peaks[supported, -1]
         return peaks
 
     def is_new(self, peaks: NDArray[np.int32]) -> bool:
         """Return whether there is room and no candidate has three of these peaks, shape (S,)."""
-        same = ((self._kept.peaks[:, -1] == peaks) & (peaks >= 0)).sum(axis=1)
+        same = ((self._batch.peaks[:, -1] == peaks) & (peaks >= 0)).sum(axis=1)
         return len(self) < MAX_CANDIDATES and int(same.max(initial=0)) < 3
 
     def begin(
@@ -147,7 +147,7 @@ class CandidateTracks:
         added.states, added.bias, added.position_mm = states, bias, position_mm
         added.peaks[:] = -1
         added.peaks[:, -1] = peaks
-        self._kept = CandidateBatch.concatenate([self._kept, added])
+        self._batch = CandidateBatch.concatenate([self._batch, added])
         self._time_ns = time_ns
 
     def follow(self, time_ns: int, peaks: Measurements, free: NDArray[np.bool_]) -> None:
@@ -158,137 +158,147 @@ class CandidateTracks:
             peaks: measurements of the exposure, up to K peaks of each of S sensors.
             free: peaks that may be used, shape (S, K).
         """
-        kept = self._kept
-        step = np.full(len(kept), (time_ns - self._time_ns) * 1e-9)
+        batch = self._batch
+        step = np.full(len(batch), (time_ns - self._time_ns) * 1e-9)
         self._time_ns = time_ns
-        if len(kept) == 0:
+        if len(batch) == 0:
             return
-        states = mix_and_predict(self._associator.motion, kept.states, step)
-        left = peaks.only(free)
+        states = mix_and_predict(self._associator.motion, batch.states, step)
+        free_peaks = peaks.only(free)
         self._free = free.sum(axis=1)
         density = peaks.log_density(
             self._settings.clutter_density_per_px, self._settings.resolution_px
         )
-        kept.peaks = np.roll(kept.peaks, -1, axis=1)
-        kept.missed = np.roll(kept.missed, -1, axis=1)
-        kept.score = np.roll(kept.score, -1, axis=1)
+        batch.peaks = np.roll(batch.peaks, -1, axis=1)
+        batch.missed = np.roll(batch.missed, -1, axis=1)
+        batch.score = np.roll(batch.score, -1, axis=1)
         base = log(self._settings.clutter_density_per_px)
-        hidden = predict_merged(kept.neighbours, step, self._settings)
+        hidden = predict_merged(batch.neighbours, step, self._settings)
         reading = self._model.predict(mean_positions(states)).reading_px if hidden.any() else None
-        for one in range(len(kept)):
+        for one in range(len(batch)):
             row = np.array([one])
-            own = left
+            inflated_peaks = free_peaks
             if reading is not None and hidden[one].any():
-                own = inflate_unresolved(left, reading[row], hidden[row], self._settings)
-            found = self._associator.associate(states.rows(row), kept.bias[row], own)
-            kept.states.put(row, found.states)
-            kept.peaks[one, -1] = found.peaks[0]
-            used = found.peaks[0] >= 0
+                inflated_peaks = inflate_unresolved(
+                    free_peaks, reading[row], hidden[row], self._settings
+                )
+            association = self._associator.associate(
+                states.rows(row), batch.bias[row], inflated_peaks
+            )
+            batch.states.put(row, association.states)
+            batch.peaks[one, -1] = association.peaks[0]
+            used = association.peaks[0] >= 0
             # Against other markers' peaks, not against false ones.
-            kept.score[one, -1] = found.log_likelihood_ratio[0] - (used * (density - base)).sum()
-            kept.nis[one] = found.nis[0]
-        there = self._model.predict(mean_positions(kept.states))
+            batch.score[one, -1] = (
+                association.log_likelihood_ratio[0] - (used * (density - base)).sum()
+            )
+            batch.nis[one] = association.nis[0]
+        there = self._model.predict(mean_positions(batch.states))
         shared = peaks.is_near(there.reading_px, self._settings.resolution_px)
-        kept.neighbours = update_neighbours(
-            kept.neighbours, kept.peaks[:, -1], peaks, peaks.usable, step, self._settings
+        batch.neighbours = update_neighbours(
+            batch.neighbours, batch.peaks[:, -1], peaks, peaks.usable, step, self._settings
         )
-        used = kept.peaks[:, -1] >= 0
-        kept.missed[:, -1] = ~used & ~shared & there.in_view
-        kept.score[:, -1] += kept.missed[:, -1].sum(axis=1) * log(
+        used = batch.peaks[:, -1] >= 0
+        batch.missed[:, -1] = ~used & ~shared & there.in_view
+        batch.score[:, -1] += batch.missed[:, -1].sum(axis=1) * log(
             1.0 - self._settings.detection_probability
         )
-        kept.age += 1
-        kept.blind = np.where(used.sum(axis=1) >= MIN_PEAKS, 0, kept.blind + 1)
-        good = (kept.blind < MAX_BLIND_EXPOSURES) & (
-            (kept.age < REJECTION_AGE) | ~self._exceeds_miss_limit(REJECTION_FRACTION_THRESHOLD)
+        batch.age += 1
+        batch.blind = np.where(used.sum(axis=1) >= MIN_PEAKS, 0, batch.blind + 1)
+        good = (batch.blind < MAX_BLIND_EXPOSURES) & (
+            (batch.age < REJECTION_AGE) | ~self._exceeds_miss_limit(REJECTION_FRACTION_THRESHOLD)
         )
-        self._kept = kept.rows(good)
+        self._batch = batch.rows(good)
         self._drop_duplicates()
 
     def decide(self) -> CandidateBatch | None:
         """Confirm and remove the candidates that are markers; None: there are none."""
-        kept = self._kept
-        score = kept.score.sum(axis=1)
+        batch = self._batch
+        score = batch.score.sum(axis=1)
         ready = np.flatnonzero(score > 0.0)
         if len(ready) == 0:
             return None
-        sizes, shared = _shared(kept.peaks[ready])
+        sizes, shared = _shared(batch.peaks[ready])
         smaller = np.minimum(sizes[:, None], sizes[None])
         conflict = shared > CONFLICT_SHARE_THRESHOLD * smaller
         np.fill_diagonal(conflict, val=False)
         score = score[ready]
-        taken = max_weight_independent_set(score, conflict)
-        old = kept.age[ready] >= WINDOW_EXPOSURES
-        lasting = (kept.age[ready] >= MIN_AGE) & self._is_detected_steadily()[ready]
+        selected = max_weight_independent_set(score, conflict)
+        old = batch.age[ready] >= WINDOW_EXPOSURES
+        lasting = (batch.age[ready] >= MIN_AGE) & self._is_detected_steadily()[ready]
         good = (
-            taken
+            selected
             & lasting
-            & (score > SCORE_RATIO_THRESHOLD * best_alternatives(score, conflict, taken))
+            & (score > SCORE_RATIO_THRESHOLD * best_alternatives(score, conflict, selected))
         )
         # Where ghosts last, time tells nothing: how many are there that nothing betrays?
-        ghosts = self._expected_ghosts(ready[taken], int((lasting & ~taken).sum()))
+        ghosts = self._expected_ghosts(ready[selected], int((lasting & ~selected).sum()))
         ambiguous = ghosts > MAX_GHOSTS
         if ambiguous:
             good &= old
         # Handed over while it is seen well: what comes next may be merged with others.
         least = np.where(old, MIN_SUPPORT_SENSORS - 1, MIN_SUPPORT_SENSORS)
-        good &= (kept.peaks[ready, -1] >= 0).sum(axis=1) >= least
+        good &= (batch.peaks[ready, -1] >= 0).sum(axis=1) >= least
         if not good.any():
             return None
-        found = ready[good]
-        markers = kept.rows(found)
+        confirmed = ready[good]
+        markers = batch.rows(confirmed)
         markers.ambiguous[:] = ambiguous
-        stay = np.ones(len(kept), dtype=np.bool_)
-        stay[found] = False
+        stay = np.ones(len(batch), dtype=np.bool_)
+        stay[confirmed] = False
         # What lived on their peaks is a ghost.
         stay[ready[conflict[good].any(axis=0)]] = False
-        self._kept = kept.rows(stay)
+        self._batch = batch.rows(stay)
         return markers
 
-    def _expected_ghosts(self, taken: NDArray[np.intp], explained_peaks: int) -> float:
+    def _expected_ghosts(self, selected: NDArray[np.intp], explained_peaks: int) -> float:
         """Return how many ghosts are to be expected among the peaks that nothing explains.
 
         So many of all peaks' last that are known to be ghosts, since markers explain their peaks;
         a ghost that has none of these looks like a marker.
 
         Args:
-            taken: candidates that explain peaks.
+            selected: candidates that explain peaks.
             explained_peaks: ghosts that last.
         """
-        left = []
+        log_fractions = []
         for sensor, count in enumerate(self._free.tolist()):
-            own = self._kept.peaks[taken, -1, sensor]
-            unexplained = count - len(set(own[own >= 0].tolist()))
-            left.append(min(max(unexplained + 1.0, 1.0) / max(count, 1.0), 1.0))
-        return explained_peaks * float(np.exp(MIN_SUPPORT_SENSORS * np.log(left).mean()))
+            peaks = self._batch.peaks[selected, -1, sensor]
+            unexplained = count - len(set(peaks[peaks >= 0].tolist()))
+            log_fractions.append(min(max(unexplained + 1.0, 1.0) / max(count, 1.0), 1.0))
+        return explained_peaks * float(np.exp(MIN_SUPPORT_SENSORS * np.log(log_fractions).mean()))
 
     def _is_detected_steadily(self) -> NDArray[np.bool_]:
-        """Return which four sensors or more have mostly seen, and few have mostly not, (T,)."""
-        seen, asked = self._detection_counts()
-        good = (seen >= DETECTION_FRACTION_THRESHOLD * asked) & (seen >= MIN_SEEN)
+        """Return which are detected by four sensors or more in most exposures, (T,)."""
+        detections, opportunities = self._detection_counts()
+        good = (detections >= DETECTION_FRACTION_THRESHOLD * opportunities) & (
+            detections >= MIN_DETECTIONS
+        )
         steady: NDArray[np.bool_] = good.sum(axis=1) >= MIN_SUPPORT_SENSORS
         return steady & ~self._exceeds_miss_limit(DETECTION_FRACTION_THRESHOLD)
 
     def _exceeds_miss_limit(self, part: float) -> NDArray[np.bool_]:
-        """Return which too many sensors have seen in less than such a part of the exposures."""
-        seen, asked = self._detection_counts()
-        failed: NDArray[np.bool_] = (seen < part * asked).sum(axis=1) > self._blind_sensors
+        """Return which too many sensors detect in less than this fraction of the exposures."""
+        detections, opportunities = self._detection_counts()
+        failed: NDArray[np.bool_] = (detections < part * opportunities).sum(
+            axis=1
+        ) > self._blind_sensors
         return failed
 
     def _detection_counts(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Return how often each sensor saw each, and how often it could have, (T, S)."""
-        seen = (self._kept.peaks >= 0).sum(axis=1)
+        """Return each sensor's detections of each candidate, and its opportunities, (T, S)."""
+        detections = (self._batch.peaks >= 0).sum(axis=1)
         # Where a peak may be shared, a sensor says nothing.
-        return seen, seen + self._kept.missed.sum(axis=1)
+        return detections, detections + self._batch.missed.sum(axis=1)
 
     def _drop_duplicates(self) -> None:
-        """Of candidates that have come to have the same peaks, keep the most probable."""
-        kept = self._kept
-        sizes, shared = _shared(kept.peaks[:, -4:])
+        """Keep the most probable of the candidates that have the same peaks."""
+        batch = self._batch
+        sizes, shared = _shared(batch.peaks[:, -4:])
         same = (shared > DUPLICATE_SHARE_THRESHOLD * np.minimum(sizes[:, None], sizes[None])) & (
             shared > 0
         )
-        self._kept = kept.rows(greedy_independent_set(kept.score.sum(axis=1), same))
+        self._batch = batch.rows(greedy_independent_set(batch.score.sum(axis=1), same))
 
 
 def _shared(peaks: NDArray[np.int32]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

@@ -75,8 +75,8 @@ def merge_probability(apart_px: float, variance_px2: float, resolution_px: float
         variance_px2: variance of the distance [px^2].
         resolution_px: distance at which the probability is one half [px].
     """
-    spread = 1.0 + 2.0 * _LOG_2 * variance_px2 / resolution_px**2
-    return exp(-_LOG_2 * apart_px**2 / (resolution_px**2 * spread)) / sqrt(spread)
+    variance_factor = 1.0 + 2.0 * _LOG_2 * variance_px2 / resolution_px**2
+    return exp(-_LOG_2 * apart_px**2 / (resolution_px**2 * variance_factor)) / sqrt(variance_factor)
 
 
 def event_marginals(
@@ -119,11 +119,14 @@ def event_marginals(
     ]
     missed = 1.0 - settings.detection_probability
     # What a track can multiply a hypothesis by, all its options together; 1 in a shared peak.
-    max_factor = [max(missed + sum(option.weight for option in own), 1.0) for own in options]
+    max_factor = [
+        max(missed + sum(option.weight for option in track_options), 1.0)
+        for track_options in options
+    ]
     partials = [_Partial(1.0, (), 0, 0)]
     pruned_weight = 0.0
     min_weight = NEGLIGIBLE_WEIGHT_RATIO * _greedy(options, missed)
-    for track, own in enumerate(options):
+    for track, track_options in enumerate(options):
         grown: list[_Partial] = []
         for partial in partials:
             if partial.assigned_tracks >> track & 1:
@@ -138,7 +141,7 @@ def event_marginals(
                     partial.assigned_tracks,
                 )
             )
-            for option in own:
+            for option in track_options:
                 if partial.used_peaks >> option.peak & 1:
                     continue
                 if any(partial.assigned_tracks >> other & 1 for other in option.tracks):
@@ -165,25 +168,27 @@ def event_marginals(
         if len(partials) < len(grown):
             lost = sum(p.weight for p in grown) - sum(p.weight for p in partials)
             pruned_weight += max(lost, 0.0) * ahead
-    kept: dict[tuple[int, tuple[tuple[int, int], ...]], _Partial] = {}
+    best_partials: dict[tuple[int, tuple[tuple[int, int], ...]], _Partial] = {}
     for partial in partials:
         used = tuple(sorted((option.peak, len(option.tracks)) for option in partial.options))
         key = (partial.assigned_tracks, used)
-        if key not in kept or partial.weight > kept[key].weight:
-            kept[key] = partial
-    total = sum(partial.weight for partial in kept.values())
-    found: list[dict[tuple[int, tuple[int, ...]], float]] = [{} for _ in cluster_tracks]
-    for partial in kept.values():
+        if key not in best_partials or partial.weight > best_partials[key].weight:
+            best_partials[key] = partial
+    total = sum(partial.weight for partial in best_partials.values())
+    probabilities: list[dict[tuple[int, tuple[int, ...]], float]] = [{} for _ in cluster_tracks]
+    for partial in best_partials.values():
         for option in partial.options:
             for track in option.tracks:
-                place = (option.peak, option.tracks)
-                found[track][place] = found[track].get(place, 0.0) + partial.weight / total
+                assignment = (option.peak, option.tracks)
+                probabilities[track][assignment] = (
+                    probabilities[track].get(assignment, 0.0) + partial.weight / total
+                )
     marginals = [
         [
             _marginals(track, peaks[peak], tracks, probability, cluster_tracks)
-            for (peak, tracks), probability in sorted(own.items())
+            for (peak, tracks), probability in sorted(track_probabilities.items())
         ]
-        for track, own in enumerate(found)
+        for track, track_probabilities in enumerate(probabilities)
     ]
     return marginals, pruned_weight / total
 
@@ -191,10 +196,10 @@ def event_marginals(
 def _greedy(options: list[list[_Option]], missed: float) -> float:
     """Return the weight of one good joint hypothesis: each track in turn has its best peak."""
     weight, used_peaks = 1.0, 0
-    for own in options:
+    for track_options in options:
         free = [
             option
-            for option in own
+            for option in track_options
             if len(option.tracks) == 1 and not used_peaks >> option.peak & 1
         ]
         best = max(free, key=lambda option: option.weight, default=None)
@@ -216,24 +221,24 @@ def _options(
     """Return how this track may be read, alone or with a later one; weights to ``missed``."""
     gain = settings.detection_probability / settings.clutter_density_per_px
     limit = settings.gate_sigma**2
-    own = cluster_tracks[track]
+    cluster_track = cluster_tracks[track]
     options = []
-    for place, (_, position, variance) in enumerate(peaks):
-        total = own.variance_px2 + variance
-        off = (position - own.reading_px) ** 2 / total
+    for peak, (_, position, variance) in enumerate(peaks):
+        total = cluster_track.variance_px2 + variance
+        off = (position - cluster_track.reading_px) ** 2 / total
         if off <= limit:
-            options.append(_Option((track,), place, gain * _density(off, total)))
-        for later in range(track + 1, len(cluster_tracks)):
-            probability = merge_probabilities[track, later]
+            options.append(_Option((track,), peak, gain * _density(off, total)))
+        for other_track in range(track + 1, len(cluster_tracks)):
+            probability = merge_probabilities[track, other_track]
             if probability < MIN_MERGE_PROBABILITY:
                 continue
-            other = cluster_tracks[later]
-            shared = variance + _share_variance(own, other)
-            total = 0.25 * (own.variance_px2 + other.variance_px2) + shared
-            off = (position - 0.5 * (own.reading_px + other.reading_px)) ** 2 / total
+            other = cluster_tracks[other_track]
+            shared = variance + _share_variance(cluster_track, other)
+            total = 0.25 * (cluster_track.variance_px2 + other.variance_px2) + shared
+            off = (position - 0.5 * (cluster_track.reading_px + other.reading_px)) ** 2 / total
             if off <= limit:
                 weight = settings.detection_probability * gain * probability * _density(off, total)
-                options.append(_Option((track, later), place, weight))
+                options.append(_Option((track, other_track), peak, weight))
     return options
 
 
@@ -261,13 +266,15 @@ def _marginals(
     cluster_tracks: list[ClusterTrack],
 ) -> Marginals:
     index, position, variance = peak
-    own = cluster_tracks[track]
+    cluster_track = cluster_tracks[track]
     if len(tracks) == 1:
-        return Marginals(index, probability, position - own.reading_px, variance, merged=False)
+        return Marginals(
+            index, probability, position - cluster_track.reading_px, variance, merged=False
+        )
     other = cluster_tracks[tracks[0] if tracks[1] == track else tracks[1]]
     # position = own / 2 + other / 2 + error: solved for the own reading.
-    noise = 4.0 * (variance + _share_variance(own, other)) + other.variance_px2
-    difference = 2.0 * position - other.reading_px - own.reading_px
+    noise = 4.0 * (variance + _share_variance(cluster_track, other)) + other.variance_px2
+    difference = 2.0 * position - other.reading_px - cluster_track.reading_px
     return Marginals(index, probability, difference, noise, merged=True)
 
 
@@ -305,12 +312,12 @@ def split_clusters(
     for member in sorted(
         range(len(cluster_tracks)), key=lambda m: cluster_tracks[m].reading_px - reach(m)
     ):
-        middle, half = cluster_tracks[member].reading_px, reach(member) + margin
-        if not groups or middle - half > end + 2.0 * merge:
+        centre, half_width = cluster_tracks[member].reading_px, reach(member) + margin
+        if not groups or centre - half_width > end + 2.0 * merge:
             groups.append([])
             end = -float("inf")
         groups[-1].append(member)
-        end = max(end, middle + half)
+        end = max(end, centre + half_width)
     for group in groups:
         low = min(cluster_tracks[m].reading_px - reach(m) for m in group) - margin - merge
         high = max(cluster_tracks[m].reading_px + reach(m) for m in group) + margin + merge

@@ -56,9 +56,9 @@ def best_alternatives(
         conflict: as of ``max_weight_independent_set``.
         selected: what that returned.
     """
-    own = np.where(selected, score, 0.0)
+    own_score = np.where(selected, score, 0.0)
     # Of each that is left out (columns), without this one that is taken (rows).
-    value = score - conflict @ own + own[:, None]
+    value = score - conflict @ own_score + own_score[:, None]
     possible = conflict & selected[:, None] & ~selected
     best: Array = np.where(possible, value, 0.0).max(axis=1, initial=0.0)
     return best
@@ -77,10 +77,10 @@ def _one_for_all(score: Array, conflict: NDArray[np.bool_], selected: NDArray[np
 def _several_for_one(
     score: Array, conflict: NDArray[np.bool_], selected: NDArray[np.bool_]
 ) -> bool:
-    kept_out_by = (conflict & selected[:, None]).sum(axis=0)
+    blockers = (conflict & selected[:, None]).sum(axis=0)
     changed = False
     for one in np.flatnonzero(selected).tolist():
-        waiting = np.flatnonzero(conflict[one] & ~selected & (kept_out_by == 1))
+        waiting = np.flatnonzero(conflict[one] & ~selected & (blockers == 1))
         waiting = waiting[np.argsort(-score[waiting], kind="stable")]
         several: list[int] = []
         for index in waiting.tolist():
@@ -89,6 +89,6 @@ def _several_for_one(
         if score[several].sum() > score[one]:
             selected[one] = False
             selected[several] = True
-            kept_out_by = (conflict & selected[:, None]).sum(axis=0)
+            blockers = (conflict & selected[:, None]).sum(axis=0)
             changed = True
     return changed

@@ -74,13 +74,13 @@ def joint_update(
     log = -0.5 * (nis + np.linalg.slogdet(total)[1] + _LOG_2PI * count[:, None])
     # Joseph's form: the difference of the covariances is negative by rounding where a track that
     # was lost, known to half a metre, is seen to a hundredth of a millimetre again.
-    kept = np.broadcast_to(np.eye(STATE_SIZE), states.covariance.shape).copy()
-    kept[..., :3] -= gain @ jacobian
-    common = kept @ masked @ gain.swapaxes(-1, -2)
+    reduction = np.broadcast_to(np.eye(STATE_SIZE), states.covariance.shape).copy()
+    reduction[..., :3] -= gain @ jacobian
+    common = reduction @ masked @ gain.swapaxes(-1, -2)
     noise = (innovation.bias * innovation.used[:, None, :])[:, None].copy()
     diagonal = np.arange(jacobian.shape[-2])
     noise[..., diagonal, diagonal] += innovation.variance[:, None]
-    covariance = kept @ states.covariance @ kept.swapaxes(-1, -2)
+    covariance = reduction @ states.covariance @ reduction.swapaxes(-1, -2)
     covariance += gain @ noise @ gain.swapaxes(-1, -2) - common - common.swapaxes(-1, -2)
     bias_cross_covariance = states.bias_cross_covariance - gain @ (
         jacobian @ states.bias_cross_covariance[..., :3, :] + innovation.bias[:, None]
@@ -140,17 +140,17 @@ def log_evidence(probability: Array, log_likelihood: Array) -> Array:
     return log
 
 
-def reading_variance(whole: CombinedState, jacobian: Array, sensor: int, bias: Array) -> Array:
+def reading_variance(combined: CombinedState, jacobian: Array, sensor: int, bias: Array) -> Array:
     """Return the variance of one sensor's predicted readings, with its bias's own, shape (T,).
 
     Args:
-        whole: the combined prediction of T tracks.
+        combined: the combined prediction of T tracks.
         jacobian: d reading / d position, shape (T, 3) [px/mm].
         sensor: index of the sensor.
         bias: variance of the sensor's constant error, shape (T,) [px^2].
     """
-    variance: Array = np.einsum("ti,tij,tj->t", jacobian, whole.covariance[:, :3, :3], jacobian)
-    cross = whole.bias_cross_covariance[:, :3, sensor]
+    variance: Array = np.einsum("ti,tij,tj->t", jacobian, combined.covariance[:, :3, :3], jacobian)
+    cross = combined.bias_cross_covariance[:, :3, sensor]
     variance += 2.0 * np.einsum("ti,ti->t", jacobian, cross) + bias
     return variance
 
@@ -175,7 +175,7 @@ def innovation_covariance(
 
 
 def leave_one_out_residuals(
-    whole: CombinedState, innovation: Innovation, difference: Array
+    combined: CombinedState, innovation: Innovation, difference: Array
 ) -> Array:
     """Return each reading's residual from the prediction by all others, in standard deviations.
 
@@ -183,7 +183,7 @@ def leave_one_out_residuals(
     error of predicting v_s by the others, over its standard deviation.
 
     Args:
-        whole: the combined prediction of T tracks.
+        combined: the combined prediction of T tracks.
         innovation: of these tracks.
         difference: readings less predictions at the combined mean, (T, S); 0 where not used.
 
@@ -191,7 +191,7 @@ def leave_one_out_residuals(
         Shape (T, S); 0 where not used.
     """
     total = innovation_covariance(
-        whole.covariance[:, None], whole.bias_cross_covariance[:, None], innovation
+        combined.covariance[:, None], combined.bias_cross_covariance[:, None], innovation
     )[:, 0]
     inverse = np.linalg.inv(total)
     weighted = (inverse @ difference[..., None])[..., 0]
@@ -216,8 +216,8 @@ class PdaMixture:
 
 def pda_update(
     states: ImmStates,
-    whole: CombinedState,
-    soft: PdaMixture,
+    combined: CombinedState,
+    mixture: PdaMixture,
     sensor: int,
     jacobian: Array,
     bias: Array,
@@ -230,33 +230,33 @@ def pda_update(
 
     Args:
         states: of T tracks.
-        whole: their mixture.
-        soft: the possibilities.
+        combined: their mixture.
+        mixture: the sensor's possible readings, with their probabilities.
         sensor: which one read.
-        jacobian: d reading / d place, shape (T, 3).
+        jacobian: d reading / d position, shape (T, 3).
         bias: the readings' constant errors' covariance with this sensor's, shape (T, S).
     """
     column = states.bias_cross_covariance[..., sensor]
     across = np.einsum("tmij,tj->tmi", states.covariance[..., :3], jacobian) + column
-    own = np.einsum("tmi,ti->tm", across[..., :3], jacobian)
-    own += np.einsum("tmi,ti->tm", column[..., :3], jacobian) + bias[:, sensor, None]
-    apart = np.einsum("tmi,ti->tm", states.mean[..., :3] - whole.mean[:, None, :3], jacobian)
-    difference = soft.difference[:, None] - apart[..., None]
-    total = own[..., None] + soft.variance[:, None]
-    combined = reading_variance(whole, jacobian, sensor, bias[:, sensor])
-    of_whole = combined[:, None] + soft.variance
-    # The chances were worked out for the mixture: under each model they are as much more or less.
+    predicted_variance = np.einsum("tmi,ti->tm", across[..., :3], jacobian)
+    predicted_variance += np.einsum("tmi,ti->tm", column[..., :3], jacobian) + bias[:, sensor, None]
+    apart = np.einsum("tmi,ti->tm", states.mean[..., :3] - combined.mean[:, None, :3], jacobian)
+    difference = mixture.difference[:, None] - apart[..., None]
+    total = predicted_variance[..., None] + mixture.variance[:, None]
+    combined_variance = reading_variance(combined, jacobian, sensor, bias[:, sensor])
+    combined_total = combined_variance[:, None] + mixture.variance
+    # The weights are those under the combined state; each model scales them by its likelihood.
     log = -0.5 * (difference**2 / total + np.log(total))
-    log -= (-0.5 * (soft.difference**2 / of_whole + np.log(of_whole)))[:, None]
-    likelihood = soft.weight[:, None] * np.exp(np.minimum(log, 50.0))
-    nothing = np.maximum(1.0 - soft.weight.sum(axis=1), 0.0)
+    log -= (-0.5 * (mixture.difference**2 / combined_total + np.log(combined_total)))[:, None]
+    likelihood = mixture.weight[:, None] * np.exp(np.minimum(log, 50.0))
+    nothing = np.maximum(1.0 - mixture.weight.sum(axis=1), 0.0)
     sums = nothing[:, None] + likelihood.sum(axis=2)
     posterior_weight = likelihood / np.maximum(sums, 1e-300)[..., None]
     gain = posterior_weight / total
     shift = (gain * difference).sum(axis=2)
-    known = gain.sum(axis=2)
-    spread = (posterior_weight * (difference / total) ** 2).sum(axis=2) - shift**2
-    covariance = states.covariance - (known - spread)[..., None, None] * (
+    information = gain.sum(axis=2)
+    mixture_information = (posterior_weight * (difference / total) ** 2).sum(axis=2) - shift**2
+    covariance = states.covariance - (information - mixture_information)[..., None, None] * (
         across[..., :, None] * across[..., None, :]
     )
     towards = (
@@ -268,6 +268,6 @@ def pda_update(
         states.mean + shift[..., None] * across,
         covariance,
         states.bias_cross_covariance
-        - known[..., None, None] * across[..., :, None] * towards[..., None, :],
+        - information[..., None, None] * across[..., :, None] * towards[..., None, :],
         probability / probability.sum(axis=1, keepdims=True),
     )

@@ -69,10 +69,10 @@ class MotionModels:
         if len(self) == 1:
             return np.ones((len(step_s), 1, 1))
         change = 0.5 * -np.expm1(-2.0 * step_s / self.mean_sojourn_s)
-        chances = np.empty((len(step_s), 2, 2))
-        chances[:, 0, 0] = chances[:, 1, 1] = 1.0 - change
-        chances[:, 0, 1] = chances[:, 1, 0] = change
-        return chances
+        transition = np.empty((len(step_s), 2, 2))
+        transition[:, 0, 0] = transition[:, 1, 1] = 1.0 - change
+        transition[:, 0, 1] = transition[:, 1, 0] = change
+        return transition
 
 
 @lru_cache(maxsize=256)
@@ -220,7 +220,7 @@ def mean_positions(states: ImmStates) -> Array:
 
 
 def is_finite(states: ImmStates) -> NDArray[np.bool_]:
-    """Return which tracks' states are finite in all that their places depend on, shape (T,)."""
+    """Return which tracks' states are finite in all that their positions depend on, shape (T,)."""
     finite = np.isfinite(states.mean).all(axis=(1, 2))
     finite &= np.isfinite(states.covariance).all(axis=(1, 2, 3))
     finite &= np.isfinite(states.probability).all(axis=1)
@@ -248,15 +248,15 @@ def _mixture(models: MotionModels, states: ImmStates, weights: Array) -> Combine
         source = has.index(True)
         mean, covariance = mean.copy(), covariance.copy()
         acceleration = covariance[:, source, _ACCELERATION, _ACCELERATION]
-        for model, own in enumerate(has):
-            if not own:
+        for model, model_has in enumerate(has):
+            if not model_has:
                 mean[:, model, _ACCELERATION] = mean[:, source, _ACCELERATION]
                 covariance[:, model, _ACCELERATION, _ACCELERATION] = acceleration
-    middle = (weights[..., None] * mean).sum(axis=1)
-    off = mean - middle[:, None]
-    spread = covariance + off[..., :, None] * off[..., None, :]
+    mixed_mean = (weights[..., None] * mean).sum(axis=1)
+    off = mean - mixed_mean[:, None]
+    spread_covariance = covariance + off[..., :, None] * off[..., None, :]
     return CombinedState(
-        middle,
-        (weights[..., None, None] * spread).sum(axis=1),
+        mixed_mean,
+        (weights[..., None, None] * spread_covariance).sum(axis=1),
         (weights[..., None, None] * states.bias_cross_covariance).sum(axis=1),
     )

@@ -74,11 +74,11 @@ class MultiScanInitiator:
                 return None
             self._resume_ns = None
         self._candidates.follow(time_ns, peaks, free)
-        left = free.copy()
+        free_peaks = free.copy()
         explained_peaks = self._candidates.explained_peaks()
         row, sensor = np.nonzero(explained_peaks >= 0)
-        left[sensor, explained_peaks[row, sensor]] = False
-        for one in self._sequences.find(time_ns, peaks, left):
+        free_peaks[sensor, explained_peaks[row, sensor]] = False
+        for one in self._sequences.find(time_ns, peaks, free_peaks):
             last = one.points.part(-1, len(one.points))
             if self._candidates.is_new(last.choice[0]):
                 begun = filter_sequence(
@@ -87,14 +87,14 @@ class MultiScanInitiator:
                 if begun is not None:
                     peaks_of_last = last.choice.astype(np.int32)
                     self._candidates.begin(*begun, last.position_mm, peaks_of_last, time_ns)
-        found = self._candidates.decide()
-        if found is not None:
+        confirmed = self._candidates.decide()
+        if confirmed is not None:
             self._fruitless = self._pauses = 0
         elif len(self._candidates) == 0:
             self._fruitless += 1
             if self._fruitless >= MAX_FRUITLESS_EXPOSURES:
                 self._pause(time_ns)
-        return found
+        return confirmed
 
     def _pause(self, time_ns: int) -> None:
         pause_s = self._associator.settings.initiation_interval_s * 2.0**self._pauses

@@ -30,7 +30,7 @@ def states_from_points(
 ) -> tuple[ImmStates, Array]:
     """Return initial states at points, and the covariance of the readings' constant errors there.
 
-    The place has the covariance of the readings' weighted least squares, and the covariance with
+    The position has the covariance of the readings' weighted least squares, and the covariance with
     the sensors' constant errors that this solution gives it.
 
     Args:
@@ -38,7 +38,7 @@ def states_from_points(
         motion: M models.
         settings: deviations of speed and acceleration at the start.
         position_mm: shape (N, 3).
-        sigma_px: of the readings that made the places, shape (N, S); NaN where there is none.
+        sigma_px: of the positions' readings, shape (N, S); NaN where there is none.
 
     Returns:
         The states, and the constant errors' covariance, shape (N, S, S) [px^2].
@@ -52,13 +52,13 @@ def states_from_points(
     diagonal = np.arange(sensors)
     noise[:, diagonal, diagonal] += np.where(used, sigma_px, 1.0) ** 2
     weighted = np.linalg.solve(noise, jacobian).swapaxes(-1, -2)
-    place = np.linalg.inv(weighted @ jacobian)
-    bias_cross_covariance = -(place @ weighted) @ bias
+    position_covariance = np.linalg.inv(weighted @ jacobian)
+    bias_cross_covariance = -(position_covariance @ weighted) @ bias
 
     mean = np.zeros((count, _MOVING))
     mean[:, :3] = position_mm
     covariance = np.zeros((count, _MOVING, _MOVING))
-    covariance[:, :3, :3] = place
+    covariance[:, :3, :3] = position_covariance
     covariance[:, _SPEEDS, _SPEEDS] = settings.start_speed_mm_s**2
     states = states_from_prior(motion, settings, mean, covariance, sensors)
     states.bias_cross_covariance[..., :3, :] = bias_cross_covariance[:, None]
@@ -77,7 +77,7 @@ def states_from_prior(
     Args:
         motion: M models, all as likely.
         settings: deviation of the acceleration at the start.
-        mean: places and velocities, shape (N, 6).
+        mean: positions and velocities, shape (N, 6).
         covariance: of these, shape (N, 6, 6).
         sensors: how many there are; what is given owes nothing to their constant errors.
     """
@@ -86,9 +86,9 @@ def states_from_prior(
     states.mean[..., :_MOVING] = mean[:, None]
     states.covariance[..., :_MOVING, :_MOVING] = covariance[:, None]
     variance = settings.start_acceleration_mm_s2**2
-    for own, has in enumerate(motion.has_acceleration):
+    for model, has in enumerate(motion.has_acceleration):
         if has:
-            states.covariance[:, own, _ACCELERATIONS, _ACCELERATIONS] = variance
+            states.covariance[:, model, _ACCELERATIONS, _ACCELERATIONS] = variance
     states.probability[:] = 1.0 / models
     return states
 
@@ -148,23 +148,23 @@ def check_prior(position_mm: Array, velocity_mm_s: Array, covariance: Array) -> 
         InvalidParameter: other shapes, a value that is not finite, or a covariance that is not
             symmetric and positive definite.
     """
-    place = np.asarray(position_mm, dtype=np.float64)
+    position = np.asarray(position_mm, dtype=np.float64)
     velocity = np.asarray(velocity_mm_s, dtype=np.float64)
     matrices = np.asarray(covariance, dtype=np.float64)
-    if place.ndim != 2 or place.shape[1] != 3:
-        raise InvalidParameter(f"position_mm has the shape {place.shape}; it must be (N, 3)")
-    if velocity.shape != place.shape:
+    if position.ndim != 2 or position.shape[1] != 3:
+        raise InvalidParameter(f"position_mm has the shape {position.shape}; it must be (N, 3)")
+    if velocity.shape != position.shape:
         raise InvalidParameter(
-            f"velocity_mm_s has the shape {velocity.shape}; it must be {place.shape}"
+            f"velocity_mm_s has the shape {velocity.shape}; it must be {position.shape}"
         )
-    each = (len(place), _MOVING, _MOVING)
+    each = (len(position), _MOVING, _MOVING)
     if matrices.shape not in (each, each[1:]):
         raise InvalidParameter(
             f"covariance has the shape {matrices.shape}; it must be {each} or {each[1:]}, of "
-            "place and velocity"
+            "position and velocity"
         )
     matrices = np.broadcast_to(matrices, each)
-    mean = np.concatenate([place, velocity], axis=1)
+    mean = np.concatenate([position, velocity], axis=1)
     for marker, (state, matrix) in enumerate(zip(mean, matrices, strict=True)):
         _check_prior(marker, state, matrix)
     return mean, matrices.copy()

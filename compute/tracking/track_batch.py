@@ -16,7 +16,7 @@ class TrackState(IntEnum):
     """State of a track between its start and its end."""
 
     TENTATIVE = 0
-    """Seen too rarely yet to be told from a ghost or from false peaks."""
+    """Detected too rarely yet to be distinguished from a ghost or from false peaks."""
     CONFIRMED = 1
     """A marker."""
     COASTING = 2

@@ -74,7 +74,7 @@ class TrackInitiator:
         self,
         tracks: Tracks,
         part: NDArray[np.intp],
-        seen: Associations,
+        associations: Associations,
         exposure: Exposure,
         unassociated: NDArray[np.bool_],
     ) -> tuple[Tracks, Associations]:
@@ -83,7 +83,7 @@ class TrackInitiator:
         Args:
             tracks: all; those that take part are changed.
             part: rows of those that the exposure may show.
-            seen: what they saw so far.
+            associations: their peaks in this exposure so far.
             exposure: the exposure.
             unassociated: its peaks that no track has seen so far, shape (S, K).
         """
@@ -92,40 +92,44 @@ class TrackInitiator:
         due = last is None or time_ns - last >= round(self._settings.initiation_interval_s * 1e9)
         due |= marker is not None and not (tracks.marker == marker).any()
         if not due and self._nothing_to_do(tracks, unassociated, exposure):
-            return tracks, seen
+            return tracks, associations
         hits = tracks.hits[part].copy()
         tentative = part[~tracks.confirmed[part]]
-        self._update_tentative(tracks, tentative[tracks.hits[tentative] > 0], seen, exposure)
+        self._update_tentative(
+            tracks, tentative[tracks.hits[tentative] > 0], associations, exposure
+        )
         sound = is_finite(tracks.states)
         hits, part = hits[sound[part]], part[sound[part]]
         tentative = tentative[sound[tentative]]
         begun = tentative[tracks.hits[tentative] == 0]
         new: tuple[Tracks, Associations] | None = None
         # What a weak track has may be another marker's; it may find it again itself.
-        unsupported = self._possible_ghosts(tracks, part, seen)
-        free = seen.free_peaks(peaks, unsupported)
+        unsupported = self._possible_ghosts(tracks, part, associations)
+        free = associations.free_peaks(peaks, unsupported)
         ghost_suspected = bool(unsupported.any())
         if marker is None and self._dense_scene.is_dense(free, ghost_suspected=ghost_suspected):
-            found = self._dense_scene.search(time_ns, peaks, free)
-            new = None if found is None else self._start_confirmed(found, exposure)
+            confirmed = self._dense_scene.search(time_ns, peaks, free)
+            new = None if confirmed is None else self._start_confirmed(confirmed, exposure)
         elif due or len(begun):
             self._searched_ns[marker] = time_ns
-            lost = tracks.confirmed & (seen.sensor_counts() < 3)
+            lost = tracks.confirmed & (associations.sensor_counts() < 3)
             open_ = np.union1d(begun, part[unsupported[part] | lost[part]])
             points = self._finder.find(peaks, free, self._expected(tracks, open_))
             if points is not None:
-                others = self._match(tracks, open_, points, seen, exposure)
+                others = self._match(tracks, open_, points, associations, exposure)
                 if len(others):
                     new = self._start_tentative(points.rows(others), exposure)
         tracks.misses[part] += ~tracks.confirmed[part] & (tracks.hits[part] == hits)
         if new is not None:
             tracks = Tracks.concatenate([tracks, new[0]])
-            seen = Associations.concatenate([seen, new[1]])
-        keep = self._confirm(tracks, part, seen, unsupported, time_ns)
+            associations = Associations.concatenate([associations, new[1]])
+        keep = self._confirm(tracks, part, associations, unsupported, time_ns)
         keep &= ~expired(tracks, self._settings, time_ns)
-        # What is not finite now never will be again, and its place is nowhere.
+        # What is not finite now never will be again, and has no position.
         keep[: len(sound)] &= sound
-        return (tracks, seen) if keep.all() else (tracks.rows(keep), seen.rows(keep))
+        return (
+            (tracks, associations) if keep.all() else (tracks.rows(keep), associations.rows(keep))
+        )
 
     def _nothing_to_do(
         self, tracks: Tracks, unassociated: NDArray[np.bool_], exposure: Exposure
@@ -134,23 +138,23 @@ class TrackInitiator:
         if not tracks.confirmed.all() or tracks.may_be_ghosts.any():
             return False
         coast_ns = round(self._settings.coast_s * 1e9)
-        if len(tracks) and exposure.time_ns - int(tracks.seen_ns.min()) > coast_ns:
+        if len(tracks) and exposure.time_ns - int(tracks.last_detection_ns.min()) > coast_ns:
             return False
         states = tracks.states
         # One that is not finite makes the sum so.
-        whole = states.mean.sum() + states.covariance.sum() + states.probability.sum()
-        if not np.isfinite(whole):
+        total = states.mean.sum() + states.covariance.sum() + states.probability.sum()
+        if not np.isfinite(total):
             return False
         return exposure.marker is not None or not self._dense_scene.is_dense(
             unassociated, ghost_suspected=False
         )
 
     def _possible_ghosts(
-        self, tracks: Tracks, part: NDArray[np.intp], seen: Associations
+        self, tracks: Tracks, part: NDArray[np.intp], associations: Associations
     ) -> NDArray[np.bool_]:
         """Return which tracks may be ghosts, or have peaks of those that may be, shape (T,)."""
         unsupported = tracks.confirmed & tracks.may_be_ghosts
-        unsupported &= seen.sensor_counts() >= 2
+        unsupported &= associations.sensor_counts() >= 2
         if not unsupported[part].any():
             return unsupported
         reading = self._model.predict(mean_positions(tracks.states)).reading_px
@@ -159,52 +163,52 @@ class TrackInitiator:
         )
 
     def _update_tentative(
-        self, tracks: Tracks, rows: NDArray[np.intp], seen: Associations, exposure: Exposure
+        self, tracks: Tracks, rows: NDArray[np.intp], associations: Associations, exposure: Exposure
     ) -> None:
         """Update tentative tracks, of which the velocity is known, by peaks that are left."""
         if len(rows) == 0:
             return
-        unassociated = exposure.peaks.only(seen.free_peaks(exposure.peaks))
-        found = self._associator.associate(
+        unassociated = exposure.peaks.only(associations.free_peaks(exposure.peaks))
+        association = self._associator.associate(
             tracks.states.rows(rows), tracks.bias[rows], unassociated
         )
-        tracks.states.put(rows, found.states)
-        seen.peaks[rows], seen.nis[rows] = found.peaks, found.nis
-        seen.merged[rows] = found.merged.any(axis=1)
-        sensor_counts = (found.peaks >= 0).sum(axis=1)
+        tracks.states.put(rows, association.states)
+        associations.peaks[rows], associations.nis[rows] = association.peaks, association.nis
+        associations.merged[rows] = association.merged.any(axis=1)
+        sensor_counts = (association.peaks >= 0).sum(axis=1)
         hit = sensor_counts >= 3
-        predicted = self._model.predict(mean_positions(found.states))
-        tracks.supported_hits[rows] += hit & self._supported(predicted, found.peaks, exposure)
+        predicted = self._model.predict(mean_positions(association.states))
+        tracks.supported_hits[rows] += hit & self._supported(predicted, association.peaks, exposure)
         tracks.hits[rows] += hit
-        tracks.log_likelihood_ratio[rows] += found.log_likelihood_ratio
-        missed = np.maximum(found.in_view - sensor_counts, 0)
+        tracks.log_likelihood_ratio[rows] += association.log_likelihood_ratio
+        missed = np.maximum(association.in_view - sensor_counts, 0)
         tracks.log_likelihood_ratio[rows] += missed * np.log(
             1.0 - self._settings.detection_probability
         )
-        tracks.seen_ns[rows[hit]] = exposure.time_ns
+        tracks.last_detection_ns[rows[hit]] = exposure.time_ns
 
     def _expected(self, tracks: Tracks, rows: NDArray[np.intp]) -> PredictedPoints:
-        whole = combine_modes(self._motion, tracks.states.rows(rows))
-        return PredictedPoints(whole.mean[:, :3], whole.covariance[:, :3, :3])
+        combined = combine_modes(self._motion, tracks.states.rows(rows))
+        return PredictedPoints(combined.mean[:, :3], combined.covariance[:, :3, :3])
 
     def _match(
         self,
         tracks: Tracks,
         open_: NDArray[np.intp],
         points: UnassociatedPoints,
-        seen: Associations,
+        associations: Associations,
         exposure: Exposure,
     ) -> NDArray[np.intp]:
         """Update open tracks by their points; return the points that start others."""
         rows, columns = assign_points(self._motion, tracks.states.rows(open_), points)
         rows, marker = open_[rows], exposure.marker
         if len(rows):
-            self._update(tracks, rows, points.rows(columns), seen, exposure)
+            self._update(tracks, rows, points.rows(columns), associations, exposure)
             if marker is not None:
                 tracks.marker[rows] = marker
         if marker is not None:
-            known = tracks.confirmed & (tracks.marker == marker)
-            if (known & (seen.sensor_counts() >= 3)).any():
+            same_marker = tracks.confirmed & (tracks.marker == marker)
+            if (same_marker & (associations.sensor_counts() >= 3)).any():
                 return np.empty(0, dtype=np.intp)
         return np.setdiff1d(np.arange(len(points)), columns)
 
@@ -213,14 +217,14 @@ class TrackInitiator:
         tracks: Tracks,
         rows: NDArray[np.intp],
         points: UnassociatedPoints,
-        seen: Associations,
+        associations: Associations,
         exposure: Exposure,
     ) -> None:
         """Update tracks by the readings of their points, one each."""
         peaks, sensor, chosen = exposure.peaks, np.arange(len(self._model)), points.peaks
         at = np.maximum(chosen, 0)
         # A sensor whose peak the track has already says nothing new.
-        fresh = (chosen >= 0) & (seen.peaks[rows] < 0)
+        fresh = (chosen >= 0) & (associations.peaks[rows] < 0)
         update = update_with_points(
             self._model,
             self._settings,
@@ -231,12 +235,12 @@ class TrackInitiator:
             points.position_mm,
         )
         tracks.states.put(rows, update.states)
-        seen.peaks[rows] = np.where(fresh, chosen, seen.peaks[rows])
-        seen.nis[rows] += update.nis
+        associations.peaks[rows] = np.where(fresh, chosen, associations.peaks[rows])
+        associations.nis[rows] += update.nis
         tracks.hits[rows] += 1
         tracks.supported_hits[rows] += self._supported(update.predicted, chosen, exposure)
         tracks.log_likelihood_ratio[rows] += update.log_likelihood_ratio
-        tracks.seen_ns[rows] = exposure.time_ns
+        tracks.last_detection_ns[rows] = exposure.time_ns
         now, before = points.ambiguous & fresh.any(axis=1), tracks.ambiguous_identity[rows]
         tracks.ambiguous_identity[rows] = np.where(
             tracks.confirmed[rows], before | now, before & now
@@ -265,27 +269,33 @@ class TrackInitiator:
     def _start_tentative(
         self, points: UnassociatedPoints, exposure: Exposure
     ) -> tuple[Tracks, Associations]:
-        """Return tentative tracks at these points, and what they saw."""
-        place = points.position_mm
+        """Return tentative tracks at these points, and their associations."""
+        position_mm = points.position_mm
         states, bias = states_from_points(
-            self._model, self._motion, self._settings, place, points.sigma_px
+            self._model, self._motion, self._settings, position_mm, points.sigma_px
         )
-        seen = Associations.missed(len(points), len(self._model))
-        seen.peaks[:] = points.peaks
-        return self._start(states, bias, place, points.ambiguous, exposure), seen
+        associations = Associations.missed(len(points), len(self._model))
+        associations.peaks[:] = points.peaks
+        return self._start(states, bias, position_mm, points.ambiguous, exposure), associations
 
     def _start_confirmed(
-        self, found: CandidateBatch, exposure: Exposure
+        self, candidates: CandidateBatch, exposure: Exposure
     ) -> tuple[Tracks, Associations]:
         """Return the tracks of markers that have been followed for long enough."""
-        seen = Associations.missed(len(found), len(self._model))
-        seen.peaks[:], seen.nis[:] = found.peaks[:, -1], found.nis
-        tracks = self._start(found.states, found.bias, found.position_mm, found.ambiguous, exposure)
+        associations = Associations.missed(len(candidates), len(self._model))
+        associations.peaks[:], associations.nis[:] = candidates.peaks[:, -1], candidates.nis
+        tracks = self._start(
+            candidates.states,
+            candidates.bias,
+            candidates.position_mm,
+            candidates.ambiguous,
+            exposure,
+        )
         tracks.hits[:] = self._settings.confirm_hits
         tracks.supported_hits[:] = MIN_SUPPORTED_HITS_AMBIGUOUS
         tracks.log_likelihood_ratio[:] = np.inf
-        tracks.probation_left[:] = PROBATION_EXPOSURES
-        return tracks, seen
+        tracks.remaining_probation[:] = PROBATION_EXPOSURES
+        return tracks, associations
 
     def _start(
         self,
@@ -309,25 +319,27 @@ class TrackInitiator:
         self,
         tracks: Tracks,
         part: NDArray[np.intp],
-        seen: Associations,
+        associations: Associations,
         possible_ghosts: NDArray[np.bool_],
         time_ns: int,
     ) -> NDArray[np.bool_]:
         """Confirm tracks, as the lost ones that they are; return which tracks to keep."""
         unreliable = part[possible_ghosts[part]]
         keep = np.ones(len(tracks), dtype=np.bool_)
-        sensor_counts = seen.sensor_counts()
+        sensor_counts = associations.sensor_counts()
         for row in select_confirmed(tracks, self._settings):
             others = part[tracks.confirmed[part] & keep[part]]
-            lost = others[tracks.seen_ns[others] < time_ns]
+            lost = others[tracks.last_detection_ns[others] < time_ns]
             tracks.confirmed[row] = True
-            found = match_lost_track(self._motion, tracks, int(row), lost)
-            if found is None and sensor_counts[row] >= MIN_SUPPORT_SENSORS:
-                ghost = find_replaced_track(seen.peaks, int(row), unreliable[keep[unreliable]])
-                found = None if ghost is None else (ghost, True)
-            if found is None:
+            match = match_lost_track(self._motion, tracks, int(row), lost)
+            if match is None and sensor_counts[row] >= MIN_SUPPORT_SENSORS:
+                ghost = find_replaced_track(
+                    associations.peaks, int(row), unreliable[keep[unreliable]]
+                )
+                match = None if ghost is None else (ghost, True)
+            if match is None:
                 continue
-            old, ambiguous = found
+            old, ambiguous = match
             keep[old] = False
             tracks.identity[row] = tracks.identity[old]
             if tracks.marker[row] < 0:

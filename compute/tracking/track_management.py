@@ -102,7 +102,7 @@ def match_lost_track(
 ) -> tuple[int, bool] | None:
     """Match a new marker to a lost track, and return whether that is ambiguous; None: no match.
 
-    The one that moved there most likely, by place and velocity; with the same strobed marker the
+    The one that moved there most likely, by position and velocity; with the same strobed marker the
     one that it is anyway.
 
     Args:
@@ -145,17 +145,17 @@ def exclude_prior_duplicates(
         InvalidParameter: a prior marker may be one that is tracked.
     """
     keep = np.ones(len(tracks), dtype=np.bool_)
-    own, other = combine_modes(motion, tracks.states), combine_modes(motion, prior)
+    tracked, other = combine_modes(motion, tracks.states), combine_modes(motion, prior)
     for marker, (mean, covariance) in enumerate(zip(other.mean, other.covariance, strict=True)):
-        off = own.mean[:, :_MOTION] - mean[:_MOTION]
-        total = own.covariance[:, :_MOTION, :_MOTION] + covariance[:_MOTION, :_MOTION]
+        off = tracked.mean[:, :_MOTION] - mean[:_MOTION]
+        total = tracked.covariance[:, :_MOTION, :_MOTION] + covariance[:_MOTION, :_MOTION]
         limit = chi2_limit(_MOTION, INDISTINGUISHABLE_SIGNIFICANCE)
         same = squared_distances(off, total) <= limit
         for row in np.flatnonzero(same & tracks.confirmed)[:1]:
             raise InvalidParameter(
                 f"marker {marker} at {position_mm[marker].tolist()} mm may be track "
-                f"{tracks.identity[row]} at {own.mean[row, :3].round(3).tolist()} mm; give only "
-                "markers that are not tracked"
+                f"{tracks.identity[row]} at {tracked.mean[row, :3].round(3).tolist()} mm; give "
+                "only markers that are not tracked"
             )
         keep &= ~same
     return np.flatnonzero(keep)
@@ -176,28 +176,28 @@ def indistinguishable_tracks(
     """
     if len(rows) < 2:
         return np.empty(0, dtype=np.intp)
-    whole = combine_modes(motion, tracks.states.rows(rows))
-    place = whole.mean[:, :3]
-    size = np.sqrt(np.trace(whole.covariance[:, :3, :3], axis1=1, axis2=2))
+    combined = combine_modes(motion, tracks.states.rows(rows))
+    position_mm = combined.mean[:, :3]
+    size = np.sqrt(np.trace(combined.covariance[:, :3, :3], axis1=1, axis2=2))
     limit = chi2_limit(_MOTION, INDISTINGUISHABLE_SIGNIFICANCE)
-    apart = np.sqrt(((place[:, None] - place[None]) ** 2).sum(axis=2))
+    apart = np.sqrt(((position_mm[:, None] - position_mm[None]) ** 2).sum(axis=2))
     close = apart <= np.sqrt(limit) * (size[:, None] + size[None])
     np.fill_diagonal(close, val=False)
     if not close.any():
         return np.empty(0, dtype=np.intp)
-    found: set[int] = set()
+    indistinguishable: set[int] = set()
     for one, two in np.argwhere(np.triu(close)):
         # What the calibration's error does to both alike does not part them.
-        bias, cross = tracks.bias[rows[one]], whole.bias_cross_covariance
-        total = whole.covariance[one] + whole.covariance[two]
+        bias, cross = tracks.bias[rows[one]], combined.bias_cross_covariance
+        total = combined.covariance[one] + combined.covariance[two]
         if bias.any():
             common = cross[one] @ np.linalg.pinv(bias, hermitian=True) @ cross[two].T
             total = total - common - common.T
         total = total[:_MOTION, :_MOTION]
-        off = whole.mean[one, :_MOTION] - whole.mean[two, :_MOTION]
+        off = combined.mean[one, :_MOTION] - combined.mean[two, :_MOTION]
         if off @ np.linalg.solve(total, off) <= limit:
-            found |= {int(one), int(two)}
-    return rows[sorted(found)]
+            indistinguishable |= {int(one), int(two)}
+    return rows[sorted(indistinguishable)]
 
 
 def expired(tracks: Tracks, settings: TrackerSettings, time_ns: int) -> NDArray[np.bool_]:
@@ -212,7 +212,7 @@ def expired(tracks: Tracks, settings: TrackerSettings, time_ns: int) -> NDArray[
         time_ns: time of the exposure [ns].
     """
     unsupported = tracks.may_be_ghosts
-    unseen_ns, coast_ns = time_ns - tracks.seen_ns, round(settings.coast_s * 1e9)
+    unseen_ns, coast_ns = time_ns - tracks.last_detection_ns, round(settings.coast_s * 1e9)
     if tracks.confirmed.all() and not unsupported.any():
         return unseen_ns > coast_ns
     # Where one goes on that was in doubt when it was lost nobody knows.
@@ -222,5 +222,5 @@ def expired(tracks: Tracks, settings: TrackerSettings, time_ns: int) -> NDArray[
     vain = tracks.misses > np.where(tracks.hits > 0, settings.confirm_misses, 0)
     vain |= tracks.hits >= MAX_HIT_FACTOR * settings.confirm_hits
     # One of many that came up together may be a ghost even so.
-    ghost = tracks.confirmed & (tracks.probation_left > 0) & unsupported
+    ghost = tracks.confirmed & (tracks.remaining_probation > 0) & unsupported
     return unseen | ghost | (~tracks.confirmed & vain)

@@ -143,7 +143,7 @@ class Tracker:
     ) -> NDArray[np.int64]:
         """Add confirmed tracks of markers with known positions; return their identity numbers.
 
-        For places that are known by other means: from a set-up, or of a frame of markers (thesis,
+        For positions that are known by other means: from a set-up, or a frame of markers (thesis,
         section 7.2.2). They are looked for in the exposures from then on; those that are not seen
         within ``coast_s`` end. Tentative tracks that may be the same markers give way.
 
@@ -151,7 +151,7 @@ class Tracker:
             time_ns: when they are there; not before the last exposure, which may be the next one.
             position_mm: shape (N, 3).
             velocity_mm_s: shape (N, 3); zeros for markers at rest.
-            covariance: of place and velocity, shape (N, 6, 6), or (6, 6) for each.
+            covariance: of position and velocity, shape (N, 6, 6), or (6, 6) for each.
             marker: strobe slot, of a single marker; None: not known.
 
         Raises:
@@ -221,16 +221,18 @@ class Tracker:
             raise InvalidParameter(f"marker is {marker}; it must be 0 or more, or None")
         self._last_ns, self._time_ns = self._time_ns, time_ns
         tracks, exposure = self._tracks, Exposure(time_ns, peaks, marker)
-        seen = Associations.missed(len(tracks), len(self.model))
+        associations = Associations.missed(len(tracks), len(self.model))
         part = self._visible_rows(marker)
         self._predict(part, time_ns)
         confirmed = part[tracks.confirmed[part]]
-        self._update_confirmed(confirmed, seen, exposure)
-        free = seen.free_peaks(peaks)
+        self._update_confirmed(confirmed, associations, exposure)
+        free = associations.free_peaks(peaks)
         if marker is None:
-            self._update_neighbours(confirmed, seen, free, exposure)
-        self._tracks, seen = self._initiator.find(tracks, part, seen, exposure, free)
-        return to_track_batch(self.model, self.motion, self._tracks, seen, exposure)
+            self._update_neighbours(confirmed, associations, free, exposure)
+        self._tracks, associations = self._initiator.find(
+            tracks, part, associations, exposure, free
+        )
+        return to_track_batch(self.model, self.motion, self._tracks, associations, exposure)
 
     def _visible_rows(self, marker: int | None) -> NDArray[np.intp]:
         """Return the rows of tracks that this exposure may show."""
@@ -251,41 +253,43 @@ class Tracker:
         states = mix_and_predict(self.motion, tracks.states.rows(rows), step)
         tracks.time_ns[rows] = time_ns
         if not self.model.exact:
-            place = mean_positions(states)
-            moved = np.abs(place - tracks.bias_mm[rows]).max(axis=1) > BIAS_UPDATE_DISTANCE_MM
+            position_mm = mean_positions(states)
+            moved = np.abs(position_mm - tracks.bias_mm[rows]).max(axis=1) > BIAS_UPDATE_DISTANCE_MM
             if moved.any():
                 # The errors there are about as large, and of the same cause.
                 stale = rows[moved]
-                bias = self.model.systematic_covariance(place[moved])
+                bias = self.model.systematic_covariance(position_mm[moved])
                 diagonal = np.arange(len(self.model))
                 before = tracks.bias[stale][:, diagonal, diagonal]
                 ratio = bias[:, diagonal, diagonal] / np.where(before > 0.0, before, np.inf)
                 states.bias_cross_covariance[moved] *= np.sqrt(ratio)[:, None, None]
-                tracks.bias[stale], tracks.bias_mm[stale] = bias, place[moved]
+                tracks.bias[stale], tracks.bias_mm[stale] = bias, position_mm[moved]
         tracks.states.put(rows, states)
 
     def _update_confirmed(
-        self, rows: NDArray[np.intp], seen: Associations, exposure: Exposure
+        self, rows: NDArray[np.intp], associations: Associations, exposure: Exposure
     ) -> None:
         """Update confirmed tracks."""
         tracks, peaks, marker = self._tracks, exposure.peaks, exposure.marker
         if len(rows) == 0 or not peaks.usable.any():
             return
         inflated = self._inflate_unresolved(rows, exposure)
-        found = self._associator.associate(tracks.states.rows(rows), tracks.bias[rows], inflated)
-        tracks.states.put(rows, found.states)
-        seen.peaks[rows], seen.nis[rows] = found.peaks, found.nis
-        seen.merged[rows] = found.merged.any(axis=1)
-        seen.hypotheses_pruned[rows] = found.hypotheses_pruned
-        sensor_counts = (found.peaks >= 0).sum(axis=1)
-        possible = self._count_possible_sensors(found, sensor_counts, peaks)
-        tracks.update_support(rows, sensor_counts, possible, found.in_view)
-        alive = rows[found.log_likelihood_ratio >= ALIVE_LOG_LIKELIHOOD_RATIO]
-        tracks.seen_ns[alive] = exposure.time_ns
+        association = self._associator.associate(
+            tracks.states.rows(rows), tracks.bias[rows], inflated
+        )
+        tracks.states.put(rows, association.states)
+        associations.peaks[rows], associations.nis[rows] = association.peaks, association.nis
+        associations.merged[rows] = association.merged.any(axis=1)
+        associations.hypotheses_pruned[rows] = association.hypotheses_pruned
+        sensor_counts = (association.peaks >= 0).sum(axis=1)
+        possible = self._count_possible_sensors(association, sensor_counts, peaks)
+        tracks.update_support(rows, sensor_counts, possible, association.in_view)
+        alive = rows[association.log_likelihood_ratio >= ALIVE_LOG_LIKELIHOOD_RATIO]
+        tracks.last_detection_ns[alive] = exposure.time_ns
         if marker is not None:
-            known = rows[sensor_counts >= 3]
-            tracks.marker[known] = marker
-            tracks.ambiguous_identity[known] = False
+            identified = rows[sensor_counts >= 3]
+            tracks.marker[identified] = marker
+            tracks.ambiguous_identity[identified] = False
         else:
             tracks.ambiguous_identity[indistinguishable_tracks(self.motion, tracks, rows)] = True
 
@@ -305,7 +309,7 @@ class Tracker:
     def _update_neighbours(
         self,
         rows: NDArray[np.intp],
-        seen: Associations,
+        associations: Associations,
         free: NDArray[np.bool_],
         exposure: Exposure,
     ) -> None:
@@ -313,25 +317,30 @@ class Tracker:
         tracks, peaks, time_ns = self._tracks, exposure.peaks, exposure.time_ns
         if len(rows) == 0:
             return
-        known = tracks.neighbours[rows, :, 2].any()
-        if not known and not any_neighbour(seen.peaks[rows], peaks, free, self.settings):
+        any_known = tracks.neighbours[rows, :, 2].any()
+        if not any_known and not any_neighbour(
+            associations.peaks[rows], peaks, free, self.settings
+        ):
             return
         before = time_ns if self._last_ns is None else self._last_ns
         step = np.full(len(rows), (time_ns - before) * 1e-9)
         tracks.neighbours[rows] = update_neighbours(
-            tracks.neighbours[rows], seen.peaks[rows], peaks, free, step, self.settings
+            tracks.neighbours[rows], associations.peaks[rows], peaks, free, step, self.settings
         )
 
     def _count_possible_sensors(
-        self, found: AssociationResult, sensor_counts: NDArray[np.integer], peaks: Measurements
+        self,
+        association: AssociationResult,
+        sensor_counts: NDArray[np.integer],
+        peaks: Measurements,
     ) -> NDArray[np.integer]:
         """Return how many sensors saw each track, or have a peak there that it may share, (T,)."""
         possible = sensor_counts.copy()
         few = np.flatnonzero(
-            (sensor_counts < MIN_SUPPORT_SENSORS) & (found.in_view >= MIN_SUPPORT_SENSORS)
+            (sensor_counts < MIN_SUPPORT_SENSORS) & (association.in_view >= MIN_SUPPORT_SENSORS)
         )
         if len(few):
-            reading = self.model.predict(mean_positions(found.states)[few]).reading_px
+            reading = self.model.predict(mean_positions(association.states)[few]).reading_px
             shared = peaks.is_near(reading, self.settings.resolution_px)
-            possible[few] = ((found.peaks[few] >= 0) | shared).sum(axis=1)
+            possible[few] = ((association.peaks[few] >= 0) | shared).sum(axis=1)
         return possible

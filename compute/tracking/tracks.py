@@ -47,15 +47,15 @@ class Tracks(Batch):
         confirmed: shape (T,).
         ambiguous_identity: whether the identity is uncertain, shape (T,).
         time_ns: time of the states, int64, shape (T,) [ns].
-        seen_ns: time at which it was last seen with certainty, int64, shape (T,) [ns].
+        last_detection_ns: time of the last certain detection, int64, shape (T,) [ns].
         hits: exposures that saw an unconfirmed track after its first, int32, shape (T,).
         supported_hits: of these, the exposures in which MIN_SUPPORT_SENSORS or more saw it, int32,
             shape (T,).
         misses: exposures that did not see it, int32, shape (T,).
         unsupported: recent exposures in which fewer sensors saw a confirmed track, less those in
             which enough did, int32, shape (T,).
-        probation_left: exposures in which MIN_SUPPORT_SENSORS or more must still see a confirmed
-            track that was initiated among many peaks, int32, shape (T,).
+        remaining_probation: exposures in which MIN_SUPPORT_SENSORS or more must still see a
+            confirmed track that was initiated among many peaks, int32, shape (T,).
         log_likelihood_ratio: log likelihood ratio of an unconfirmed track to false peaks, shape
             (T,).
         bias: covariance of the readings' constant errors at ``bias_mm``, shape (T, S, S) [px^2].
@@ -69,12 +69,12 @@ class Tracks(Batch):
     confirmed: NDArray[np.bool_]
     ambiguous_identity: NDArray[np.bool_]
     time_ns: NDArray[np.int64]
-    seen_ns: NDArray[np.int64]
+    last_detection_ns: NDArray[np.int64]
     hits: NDArray[np.int32]
     supported_hits: NDArray[np.int32]
     misses: NDArray[np.int32]
     unsupported: NDArray[np.int32]
-    probation_left: NDArray[np.int32]
+    remaining_probation: NDArray[np.int32]
     log_likelihood_ratio: Array
     bias: Annotated[Array, "S", "S"]
     bias_mm: Annotated[Array, 3]
@@ -111,7 +111,7 @@ class Tracks(Batch):
             marker=np.full(count, -1 if marker is None else marker, dtype=np.int32),
             ambiguous_identity=ambiguous_identity.copy(),
             time_ns=np.full(count, time_ns, dtype=np.int64),
-            seen_ns=np.full(count, time_ns, dtype=np.int64),
+            last_detection_ns=np.full(count, time_ns, dtype=np.int64),
             bias=bias,
             bias_mm=position_mm.copy(),
         )
@@ -131,19 +131,19 @@ class Tracks(Batch):
         """Update the counters of exposures with and without MIN_SUPPORT_SENSORS, in place.
 
         Args:
-            rows: of the tracks that were looked for, N of them.
+            rows: of the tracks in view, N of them.
             sensor_counts: how many sensors saw each of them, shape (N,).
             possible: how many saw it or have a peak there that it may share, shape (N,).
             in_view: how many could have, shape (N,).
         """
         unsupported, supported = self.unsupported[rows], sensor_counts >= MIN_SUPPORT_SENSORS
-        if not unsupported.any() and supported.all() and not self.probation_left.any():
+        if not unsupported.any() and supported.all() and not self.remaining_probation.any():
             return
-        # What nothing is seen of is hidden, not contradicted.
+        # A track without any detection is hidden, not contradicted.
         few = (possible < MIN_SUPPORT_SENSORS) & (in_view >= MIN_SUPPORT_SENSORS)
         step = np.where(supported, -1, np.where(few & (sensor_counts > 0), 1, 0))
         self.unsupported[rows] = np.clip(unsupported + step, 0, 2 * UNSUPPORTED_EXPOSURES)
-        self.probation_left[rows] = np.maximum(self.probation_left[rows] - supported, 0)
+        self.remaining_probation[rows] = np.maximum(self.remaining_probation[rows] - supported, 0)
 
 
 @dataclass(eq=False)
@@ -252,7 +252,7 @@ def to_track_batch(
     model: MeasurementModel,
     motion: MotionModels,
     tracks: Tracks,
-    seen: Associations,
+    associations: Associations,
     exposure: Exposure,
 ) -> TrackBatch:
     """Return the tracks after an exposure, predicted to it where they were not updated.
@@ -261,7 +261,7 @@ def to_track_batch(
         model: the measurement model, of S sensors.
         motion: M motion models.
         tracks: T tracks.
-        seen: their associations in the exposure.
+        associations: their associations in the exposure.
         exposure: the exposure.
     """
     time_ns, peaks = exposure.time_ns, exposure.peaks
@@ -271,22 +271,22 @@ def to_track_batch(
         states = states.rows(np.arange(len(tracks)))
         step = np.asarray((time_ns - tracks.time_ns[late]) * 1e-9, dtype=np.float64)
         states.put(late, mix_and_predict(motion, tracks.states.rows(late), step))
-    whole = combine_modes(motion, states)
-    mean, covariance = whole.mean.copy(), whole.covariance.copy()
+    combined = combine_modes(motion, states)
+    mean, covariance = combined.mean.copy(), combined.covariance.copy()
     if not any(motion.has_acceleration):
         mean[:, 6:] = np.nan
         covariance[:, 6:] = covariance[:, :, 6:] = np.nan
-    dof = seen.sensor_counts()
-    used = seen.peaks >= 0
+    dof = associations.sensor_counts()
+    used = associations.peaks >= 0
     state = np.where(dof > 0, _CONFIRMED, _COASTING)
     state *= tracks.confirmed
-    flags = seen.merged * _MERGED
-    ambiguous = tracks.ambiguous_identity | seen.hypotheses_pruned | tracks.may_be_ghosts
+    flags = associations.merged * _MERGED
+    ambiguous = tracks.ambiguous_identity | associations.hypotheses_pruned | tracks.may_be_ghosts
     flags |= ambiguous * _AMBIGUOUS
     flags |= (dof < 3) * _FEW_SENSORS
     if np.count_nonzero(peaks.suspect):
         sensor = np.arange(len(model))
-        suspect = used & peaks.suspect[sensor, np.maximum(seen.peaks, 0)]
+        suspect = used & peaks.suspect[sensor, np.maximum(associations.peaks, 0)]
         flags |= suspect.any(axis=1) * _SUSPECT_PEAK
     if model.corrections is not None:
         outside = (used & ~model.inside_hull(mean[:, :3])).any(axis=1)
@@ -300,7 +300,7 @@ def to_track_batch(
         mean[:, 3:6],
         mean[:, 6:],
         covariance,
-        seen.peaks,
-        np.where(dof > 0, seen.nis, np.nan),
+        associations.peaks,
+        np.where(dof > 0, associations.nis, np.nan),
         dof,
     )

@@ -41,7 +41,7 @@ _NO_POINT = (
 
 
 GATE_EXCLUSION_PROBABILITY = 1e-5
-"""Chance that a track's own point lies outside its gate."""
+"""Probability that a track's own point lies outside its gate."""
 _FAR = 1e12
 
 
@@ -86,7 +86,7 @@ class UnassociatedPointFinder:
         Args:
             peaks: of the frame.
             free: which of them to look at.
-            expected: where markers are looked for: three sensors are enough there.
+            expected: where markers are predicted: three sensors are enough there.
         """
         starting = peaks.only(free & peaks.can_initiate)
         if np.count_nonzero(starting.count) < 3:
@@ -149,9 +149,9 @@ def assign_points(
     Returns:
         Rows of the assigned tracks, and of the points assigned to them.
     """
-    whole = combine_modes(motion, states)
-    off = points.position_mm[None] - whole.mean[:, None, :3]
-    total = whole.covariance[:, None, :3, :3] + points.covariance_mm2[None]
+    combined = combine_modes(motion, states)
+    off = points.position_mm[None] - combined.mean[:, None, :3]
+    total = combined.covariance[:, None, :3, :3] + points.covariance_mm2[None]
     squared = squared_distances(off, total)
     cost = squared + np.linalg.slogdet(total)[1]
     inside = squared <= chi2_limit(3, GATE_EXCLUSION_PROBABILITY)

@@ -12,15 +12,15 @@ from compute.tracking.settings import TrackerSettings
 Array = NDArray[np.float64]
 
 NEIGHBOUR_FIELDS: Final = 3
-"""Distance from the track's own peak [px], its rate [px/s], and how often it was seen."""
+"""Distance from the track's own peak [px], its rate [px/s], and the number of its detections."""
 _REACH: Final = 4.0
 """Distance within which neighbours are searched, in ``resolution_px``."""
 _HIDDEN: Final = 1.25
 """Distance within which a neighbour counts as merged, in ``resolution_px``."""
 _STEADY: Final = 1.0
 """Gate about a neighbour's predicted distance, in ``resolution_px``."""
-_MIN_SEEN: Final = 2
-_MAX_SEEN: Final = 100.0
+_MIN_DETECTIONS: Final = 2
+_MAX_DETECTIONS: Final = 100.0
 
 
 def predict_merged(
@@ -35,7 +35,7 @@ def predict_merged(
     """
     ahead = neighbours[..., 0] + neighbours[..., 1] * step_s[:, None]
     near = np.abs(ahead) <= _HIDDEN * settings.resolution_px
-    hidden: NDArray[np.bool_] = near & (neighbours[..., 2] >= _MIN_SEEN)
+    hidden: NDArray[np.bool_] = near & (neighbours[..., 2] >= _MIN_DETECTIONS)
     return hidden
 
 
@@ -55,13 +55,13 @@ def inflate_unresolved(
     near = (apart <= (_HIDDEN + 1.0) * settings.resolution_px) & peaks.usable
     # Two peaks there: they are not merged.
     alone = near & ((near.sum(axis=2) == 1) & hidden)[..., None]
-    spread = settings.resolution_px**2 / 12.0
-    variance = peaks.variance_px2 + np.where(alone.any(axis=0), spread, 0.0)
+    merge_variance = settings.resolution_px**2 / 12.0
+    variance = peaks.variance_px2 + np.where(alone.any(axis=0), merge_variance, 0.0)
     return replace(peaks, variance_px2=variance)
 
 
 def any_neighbour(
-    own: NDArray[np.int32],
+    track_peaks: NDArray[np.int32],
     peaks: Measurements,
     free: NDArray[np.bool_],
     settings: TrackerSettings,
@@ -69,7 +69,7 @@ def any_neighbour(
     """Return whether a free peak is near the peak of any track.
 
     Args:
-        own: index of each track's peaks; -1: none, shape (T, S).
+        track_peaks: index of each track's peaks; -1: none, shape (T, S).
         peaks: of the exposure.
         free: untracked peaks, shape (S, K).
         settings: the merging distance.
@@ -77,7 +77,7 @@ def any_neighbour(
     sensor, peak = free.nonzero()
     if len(sensor) == 0:
         return False
-    there = own[:, sensor]
+    there = track_peaks[:, sensor]
     apart = peaks.position_px[sensor, there] - peaks.position_px[sensor, peak]
     near = (np.abs(apart) <= _REACH * settings.resolution_px) & (there >= 0) & (there != peak)
     return bool(near.any())
@@ -85,7 +85,7 @@ def any_neighbour(
 
 def update_neighbours(
     neighbours: Array,
-    own: NDArray[np.int32],
+    track_peaks: NDArray[np.int32],
     peaks: Measurements,
     free: NDArray[np.bool_],
     step_s: Array,
@@ -95,38 +95,42 @@ def update_neighbours(
 
     Args:
         neighbours: after the last one, shape (T, S, 3).
-        own: index of each track's peaks; -1: none, shape (T, S).
+        track_peaks: index of each track's peaks; -1: none, shape (T, S).
         peaks: of the exposure.
         free: untracked peaks, shape (S, K).
         step_s: time since the last exposure, shape (T,).
         settings: the merging distance.
     """
-    sensor = np.arange(own.shape[1])
+    sensor = np.arange(track_peaks.shape[1])
     step = np.maximum(step_s, 1e-9)[:, None]
     ahead = neighbours[..., 0] + neighbours[..., 1] * step
-    known = neighbours[..., 2] >= _MIN_SEEN
-    there = own >= 0
-    place = np.where(there, peaks.position_px[sensor, np.maximum(own, 0)], np.nan)
-    distance = np.where(free, peaks.position_px, np.nan)[None] - place[..., None]
-    is_own = np.arange(peaks.position_px.shape[1]) == own[..., None]
-    distance = np.where(is_own | ~np.isfinite(distance), np.inf, distance)
-    expected = np.where(known, ahead, neighbours[..., 0])
+    confirmed = neighbours[..., 2] >= _MIN_DETECTIONS
+    there = track_peaks >= 0
+    position_px = np.where(there, peaks.position_px[sensor, np.maximum(track_peaks, 0)], np.nan)
+    distance = np.where(free, peaks.position_px, np.nan)[None] - position_px[..., None]
+    is_track_peak = np.arange(peaks.position_px.shape[1]) == track_peaks[..., None]
+    distance = np.where(is_track_peak | ~np.isfinite(distance), np.inf, distance)
+    expected = np.where(confirmed, ahead, neighbours[..., 0])
     off = np.abs(distance - np.where(neighbours[..., 2] > 0, expected, 0.0)[..., None])
     best = off.argmin(axis=2)[..., None]
     nearest = np.take_along_axis(distance, best, axis=2)[..., 0]
     off = np.take_along_axis(off, best, axis=2)[..., 0]
     merge = settings.resolution_px
-    reach = np.where(known, _STEADY, np.where(neighbours[..., 2] > 0, 0.5 * _REACH, _REACH)) * merge
+    reach = (
+        np.where(confirmed, _STEADY, np.where(neighbours[..., 2] > 0, 0.5 * _REACH, _REACH)) * merge
+    )
     found = (off <= reach) & (np.abs(nearest) <= _REACH * merge)
     with np.errstate(invalid="ignore"):
         rate = (nearest - neighbours[..., 0]) / step
-    rate = np.where(known, 0.5 * (rate + neighbours[..., 1]), rate)
-    # What is hidden goes on as it went; what should be seen and is not has gone.
-    hidden = known & (np.abs(ahead) <= _HIDDEN * merge)
+    rate = np.where(confirmed, 0.5 * (rate + neighbours[..., 1]), rate)
+    # A hidden neighbour keeps its rate; one that should be detected and is not is deleted.
+    hidden = confirmed & (np.abs(ahead) <= _HIDDEN * merge)
     unknown = neighbours[..., 2] == 0
     rate = np.where(found, rate, neighbours[..., 1])
-    seen = np.minimum(neighbours[..., 2] + found, _MAX_SEEN)
-    after = np.stack([np.where(found, nearest, ahead), np.where(unknown, 0.0, rate), seen], axis=-1)
+    count = np.minimum(neighbours[..., 2] + found, _MAX_DETECTIONS)
+    after = np.stack(
+        [np.where(found, nearest, ahead), np.where(unknown, 0.0, rate), count], axis=-1
+    )
     after[~found & ~hidden & there] = 0.0
     after[~np.isfinite(after).all(axis=2)] = 0.0
     return after

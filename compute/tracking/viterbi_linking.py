@@ -17,7 +17,7 @@ from compute.tracking.unassociated_points import UnassociatedPointFinder
 Array = NDArray[np.float64]
 
 MIN_POINTS: Final = 3
-"""Points that a sequence has: the third one fits the velocity that two tell, by chance rarely."""
+"""Number of points of a sequence: the third rarely fits the velocity of two by chance."""
 FIRST_GAP: Final = 2
 """Exposures from the first point of a sequence to the second one, which tells its velocity."""
 MAX_GAP: Final = 4
@@ -39,7 +39,7 @@ class _Layer:
         points: N of them.
         time_ns: of the exposure.
         number: of the exposure.
-        mean: place and velocity at each, by its sequence, shape (N, 6).
+        mean: position and velocity at each, by its sequence, shape (N, 6).
         covariance: shape (N, 6, 6).
         score: log likelihood ratio of the sequence to no one's peaks, shape (N,).
         length: points of the sequence, shape (N,).
@@ -125,7 +125,7 @@ class ViterbiLinker:
         length = np.ones(count, dtype=np.intp)
         before = np.full((count, 2), _NONE)
         limit = chi2_limit(3, LINK_EXCLUSION_PROBABILITY)
-        own = np.sqrt(limit * np.trace(points.covariance_mm2, axis1=1, axis2=2))
+        distance_limit = np.sqrt(limit * np.trace(points.covariance_mm2, axis1=1, axis2=2))
         for layer in self._layers:
             gap = self._number - layer.number
             if gap > MAX_GAP or len(layer.points) == 0 or count == 0:
@@ -133,13 +133,15 @@ class ViterbiLinker:
             rows = np.flatnonzero(layer.length > (gap > FIRST_GAP))
             if len(rows) == 0:
                 continue
-            ahead, spread = self._extrapolate(layer, rows, (time_ns - layer.time_ns) * 1e-9)
+            ahead, predicted_covariance = self._extrapolate(
+                layer, rows, (time_ns - layer.time_ns) * 1e-9
+            )
             # First by the largest deviation there is: cheap, and leaves few.
-            reach = np.sqrt(limit * np.trace(spread[:, :3, :3], axis1=1, axis2=2))
+            reach = np.sqrt(limit * np.trace(predicted_covariance[:, :3, :3], axis1=1, axis2=2))
             apart = ((ahead[:, None, :3] - points.position_mm[None]) ** 2).sum(axis=2)
-            one, two = np.nonzero(apart <= (reach[:, None] + own[None]) ** 2)
+            one, two = np.nonzero(apart <= (reach[:, None] + distance_limit[None]) ** 2)
             off = points.position_mm[two] - ahead[one, :3]
-            total = spread[one][:, :3, :3] + points.covariance_mm2[two]
+            total = predicted_covariance[one][:, :3, :3] + points.covariance_mm2[two]
             inverse = np.linalg.inv(total)
             squared = np.einsum("ni,nij,nj->n", off, inverse, off)
             density = -0.5 * (squared + np.linalg.slogdet(total)[1] + 3.0 * log(2.0 * np.pi))
@@ -156,9 +158,11 @@ class ViterbiLinker:
             at, first = np.unique(two[link], return_index=True)
             link = link[first]
             source = one[link]
-            gain = spread[source][:, :, :3] @ inverse[link]
+            gain = predicted_covariance[source][:, :, :3] @ inverse[link]
             mean[at] = ahead[source] + (gain @ off[link][..., None])[..., 0]
-            covariance[at] = spread[source] - gain @ spread[source][:, :3]
+            covariance[at] = (
+                predicted_covariance[source] - gain @ predicted_covariance[source][:, :3]
+            )
             score[at] = value[link]
             length[at] = layer.length[rows[source]] + 1
             before[at, 0], before[at, 1] = layer.number, rows[source]
@@ -167,13 +171,13 @@ class ViterbiLinker:
     def _extrapolate(
         self, layer: _Layer, rows: NDArray[np.intp], step_s: float
     ) -> tuple[Array, Array]:
-        """Return places and velocities (N, 6) after a time, with an acceleration not known."""
+        """Return positions and velocities (N, 6) after a time, with an acceleration not known."""
         transition = np.eye(_MOVING)
         transition[:3, 3:] = step_s * np.eye(3)
         by = np.concatenate([0.5 * step_s**2 * np.eye(3), step_s * np.eye(3)])
         noise = self._settings.start_acceleration_mm_s2**2 * (by @ by.T)
-        spread = transition @ layer.covariance[rows] @ transition.T + noise
-        return layer.mean[rows] @ transition.T, spread
+        predicted_covariance = transition @ layer.covariance[rows] @ transition.T + noise
+        return layer.mean[rows] @ transition.T, predicted_covariance
 
     def _path(self, row: int) -> PointSequence:
         by_number = {layer.number: layer for layer in self._layers}

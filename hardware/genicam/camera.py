@@ -133,8 +133,8 @@ class Camera:
             device = call.camera_get_device(self._camera)
             value = c_uint32()
             call.device_read_register(device, CONTROL_REGISTER, byref(value))
-            held = bool(value.value & CONTROL_BITS)
-            return held and bool(call.gv_device_is_controller(device))
+            controlled = bool(value.value & CONTROL_BITS)
+            return controlled and bool(call.gv_device_is_controller(device))
         except AravisError:
             return False
 
@@ -301,7 +301,7 @@ def cameras() -> list[DiscoveredCamera]:
     """
     aravis = library()
     aravis.update_device_list()
-    asked = (
+    getters = (
         aravis.get_device_id,
         aravis.get_device_address,
         aravis.get_device_vendor,
@@ -310,6 +310,6 @@ def cameras() -> list[DiscoveredCamera]:
         aravis.get_device_protocol,
     )
     return [
-        DiscoveredCamera(*((ask(index) or b"").decode(errors="replace") for ask in asked))
+        DiscoveredCamera(*((ask(index) or b"").decode(errors="replace") for ask in getters))
         for index in range(aravis.get_n_devices())
     ]

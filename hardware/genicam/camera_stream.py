@@ -133,10 +133,12 @@ class CameraStream:
         first = self.frame_counter.next(buffer.number) * rows
         self._measure_period(buffer, rows)
         self.timestamps.buffer(buffer.device_ns, buffer.arrival_ns)
-        middle_ns = self._camera.exposure_ns // 2 if self._camera is not None else 0
+        half_exposure_ns = self._camera.exposure_ns // 2 if self._camera is not None else 0
         restarts = self.frame_counter.restarts + self.timestamps.restarts
         for row, counts in enumerate(buffer.lines):
-            device_ns, monotonic_ns = self.timestamps.line(middle_ns + round(row * self._period_ns))
+            device_ns, monotonic_ns = self.timestamps.line(
+                half_exposure_ns + round(row * self._period_ns)
+            )
             yield CameraScan(first + row, device_ns, monotonic_ns, counts, restarts)
 
     def _measure_period(self, buffer: Buffer, rows: int) -> None:

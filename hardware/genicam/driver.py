@@ -108,7 +108,7 @@ class _Run:
         self._matcher = FrameSynchroniser(len(self.streams), round(settings.match_us * 1e3))
         self._lock = Lock()
         self._started = False
-        self._heard_s = [0.0] * len(self.streams)
+        self._last_contact_s = [0.0] * len(self.streams)
         self._garbled = [False] * len(self.streams)
         self._sequence = -1
         self._restarts: int | None = None
@@ -163,7 +163,7 @@ class _Run:
     def _start(self) -> None:
         self._started = True
         for index, stream in enumerate(self.streams):
-            self._heard_s[index] = time.monotonic()
+            self._last_contact_s[index] = time.monotonic()
             try:
                 stream.start()
             except DeviceNotConnected as error:
@@ -185,7 +185,7 @@ class _Run:
                     self._garbled[index] = True
                     self._report.count(frames_garbled=1)
                     continue
-                self._heard_s[index], self._garbled[index] = time.monotonic(), False
+                self._last_contact_s[index], self._garbled[index] = time.monotonic(), False
                 lost, restarts = stream.frame_counter.lost, stream.timestamps.restarts
                 for line in stream.lines(buffer):
                     self._matcher.add(index, line)
@@ -195,7 +195,7 @@ class _Run:
                 )
                 if self.closed.is_set():
                     return
-            if time.monotonic() - self._heard_s[index] > SILENCE_S:
+            if time.monotonic() - self._last_contact_s[index] > SILENCE_S:
                 self._service_camera(index, stream)
 
     def _service_camera(self, index: int, stream: CameraStream) -> None:
@@ -215,12 +215,12 @@ class _Run:
                 f"{stream.name} answers, but no lines came for {SILENCE_S:g} s: it may wait for a "
                 "trigger",
             )
-        self._heard_s[index] = time.monotonic()
+        self._last_contact_s[index] = time.monotonic()
 
     def _reconnect(self, index: int, stream: CameraStream) -> None:
         if stream.reconnect():
             self._report.count(reconnects=1)
-            self._heard_s[index] = time.monotonic()
+            self._last_contact_s[index] = time.monotonic()
             self._garbled[index] = False
             del self._faults[index]  # reported when there is a frame
         else:
@@ -241,8 +241,8 @@ class _Run:
         lines = np.stack([line.counts for line in matched])
         flags = FrameFlag.NONE
         restarts = sum(line.restarts for line in matched)
-        anew = self._restarts is not None and restarts != self._restarts
-        if anew or (self._sequence >= 0 and first.number != self._sequence + 1):
+        restarted = self._restarts is not None and restarts != self._restarts
+        if restarted or (self._sequence >= 0 and first.number != self._sequence + 1):
             flags |= FrameFlag.OVERFLOW
         if bool((lines >= 2**self._bits - 1).any()):
             flags |= FrameFlag.SATURATED

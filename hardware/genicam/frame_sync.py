@@ -56,17 +56,17 @@ class FrameSynchroniser:
     def take(self) -> tuple[CameraScan, ...] | None:
         """Return the next set, in the order of the cameras; None: not complete yet."""
         while all(self._waiting):
-            heads = [waiting[0] for waiting in self._waiting]
-            latest = max(line.monotonic_ns for line in heads)
+            oldest = [waiting[0] for waiting in self._waiting]
+            latest = max(line.monotonic_ns for line in oldest)
             late = [
                 waiting
-                for waiting, line in zip(self._waiting, heads, strict=True)
+                for waiting, line in zip(self._waiting, oldest, strict=True)
                 if line.monotonic_ns < latest - self._tolerance_ns
             ]
             if not late:
                 for waiting in self._waiting:
                     waiting.popleft()
-                return tuple(heads)
+                return tuple(oldest)
             for waiting in late:
                 waiting.popleft()
                 self.unmatched += 1

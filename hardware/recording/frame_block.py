@@ -64,14 +64,16 @@ class FrameBlock:
     peaks: NDArray[np.void]
     points: NDArray[np.void]
 
-    def select(self, kept: NDArray[np.bool_]) -> "FrameBlock":
-        """Return the block of the frames where ``kept``, shape (F,), holds."""
-        index = np.cumsum(kept) - 1
+    def select(self, mask: NDArray[np.bool_]) -> "FrameBlock":
+        """Return the block of the frames where ``mask``, shape (F,), holds."""
+        index = np.cumsum(mask) - 1
 
-        def of_kept(results: NDArray[np.void]) -> NDArray[np.void]:
-            found: NDArray[np.void] = results[kept[results["frame"]]].copy()
-            found["frame"] = index[found["frame"]]
-            return found
+        def select_results(results: NDArray[np.void]) -> NDArray[np.void]:
+            selected: NDArray[np.void] = results[mask[results["frame"]]].copy()
+            selected["frame"] = index[selected["frame"]]
+            return selected
 
-        lines = None if self.lines is None else self.lines[kept]
-        return FrameBlock(self.rows[kept], lines, of_kept(self.peaks), of_kept(self.points))
+        lines = None if self.lines is None else self.lines[mask]
+        return FrameBlock(
+            self.rows[mask], lines, select_results(self.peaks), select_results(self.points)
+        )

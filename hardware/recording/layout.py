@@ -194,10 +194,10 @@ def unfinished_path(path: Path, pid: int) -> Path:
 
 def unpack_state(rows: NDArray[np.void]) -> tuple[RecordingState, int] | None:
     """Return the newest valid state of rows of STATE, and its number; None: none is valid."""
-    whole = [row for row in rows if int(row["checksum"]) == _state_checksum(row)]
-    if not whole:
+    intact = [row for row in rows if int(row["checksum"]) == _state_checksum(row)]
+    if not intact:
         return None
-    row = max(whole, key=lambda one: int(one["number"]))
+    row = max(intact, key=lambda one: int(one["number"]))
     values: dict[str, Any] = {name: int(row[name]) for name in _NUMBERS}
     values["complete"] = bool(values["complete"])
     text = row["reason"][: int(row["reason_bytes"])].tobytes().decode(errors="replace")
@@ -227,10 +227,10 @@ def frame_checksums(rows: NDArray[np.void], lines: NDArray[np.uint16] | None) ->
         rows: of FRAME, shape (F,), contiguous.
         lines: their lines, shape (F, S, P), contiguous; None: there are none.
     """
-    heads = rows.view(np.uint8).reshape(len(rows), FRAME.itemsize)
+    headers = rows.view(np.uint8).reshape(len(rows), FRAME.itemsize)
     if lines is None:
-        return np.array([zlib.crc32(head.data) for head in heads], np.uint32)
-    both = zip(heads, lines, strict=True)
+        return np.array([zlib.crc32(head.data) for head in headers], np.uint32)
+    both = zip(headers, lines, strict=True)
     return np.array(
         [zlib.crc32(line.data, zlib.crc32(head.data)) for head, line in both], np.uint32
     )
@@ -246,15 +246,15 @@ def result_checksums(
         peaks: the peaks of all of them in order.
         points: the points of all of them in order.
     """
-    found = np.zeros(len(rows), np.uint32)
+    checksums = np.zeros(len(rows), np.uint32)
     peak = point = 0
     counts = zip(rows["peaks"].tolist(), rows["points"].tolist(), strict=True)
     for number, (of_peaks, of_points) in enumerate(counts):
         if of_peaks or of_points:
             first = zlib.crc32(peaks[peak : peak + of_peaks].tobytes())
-            found[number] = zlib.crc32(points[point : point + of_points].tobytes(), first)
+            checksums[number] = zlib.crc32(points[point : point + of_points].tobytes(), first)
             peak, point = peak + of_peaks, point + of_points
-    return found
+    return checksums
 
 
 @dataclass(frozen=True)

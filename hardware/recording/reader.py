@@ -116,31 +116,31 @@ class RecordingReader:
         names = COLUMNS if self.info.version > 1 else COLUMNS_1
         columns = {name: self._file.read(f"frames/{name}", rows) for name in names}
         lines = self._file.read("frames/lines", rows) if self.info.lines else None
-        found = np.zeros(rows.stop - rows.start, FRAME)
-        found["in_force"] = NO_CALIBRATION_ROW
+        block_rows = np.zeros(rows.stop - rows.start, FRAME)
+        block_rows["in_force"] = NO_CALIBRATION_ROW
         for name in FRAME.names or ():
             if name in columns:
-                found[name] = columns[name]
+                block_rows[name] = columns[name]
         peaks = np.empty(0, PEAK)
         points = np.empty(0, point_dtype(len(self.info.description.sensors)))
         if self.info.version == 1:
-            return FrameBlock(found, lines, peaks, points)
+            return FrameBlock(block_rows, lines, peaks, points)
         ends = {}
         for name in ("peaks", "points"):
             before = self._file.read(f"frames/{name}_end", slice(first - 1, first))
             ends[name] = np.concatenate((before if first else [0], columns[f"{name}_end"]))
-            found[name] = np.diff(ends[name])
-        self._compare(frame_checksums(found, lines), columns["checksum"], "lines", first)
-        if results and self.info.results and len(found):
+            block_rows[name] = np.diff(ends[name])
+        self._compare(frame_checksums(block_rows, lines), columns["checksum"], "lines", first)
+        if results and self.info.results and len(block_rows):
             peaks, points = (
                 self._file.read(name, slice(int(ends[name][0]), int(ends[name][-1])))
                 for name in ("peaks", "points")
             )
-            sums = result_checksums(found, peaks, points)
+            sums = result_checksums(block_rows, peaks, points)
             self._compare(sums, columns["results_checksum"], "results", first)
             peaks["frame"] -= first
             points["frame"] -= first
-        return FrameBlock(found, lines, peaks, points)
+        return FrameBlock(block_rows, lines, peaks, points)
 
     def in_force(self, row: int) -> tuple[bytes, bytes]:
         """Return a calibration (JSON) and its table (HDF5), empty without one.
@@ -190,7 +190,10 @@ class RecordingReader:
             for name, absent in (("description", ""), ("provenance", "{}"))
         ]
         # Recordings of earlier programs have no such checksum.
-        if attributes.get("attributes_checksum", known := attributes_checksum(*texts)) != known:
+        if (
+            attributes.get("attributes_checksum", checksum := attributes_checksum(*texts))
+            != checksum
+        ):
             raise self._file.invalid("has damaged attributes: their checksum does not fit")
         try:
             description = read_description(texts[0])
@@ -204,12 +207,12 @@ class RecordingReader:
 
     def _provenance(self, text: str) -> dict[str, Any]:
         try:
-            found = json.loads(text)
+            document = json.loads(text)
         except (ValueError, RecursionError) as error:
             raise self._file.invalid(f"has a provenance that is not JSON ({error})") from error
-        if not isinstance(found, dict):
+        if not isinstance(document, dict):
             raise self._file.invalid("has a provenance that is no JSON object")
-        return found
+        return document
 
     def _build_info(
         self, description: DeviceDescription, version: int, provenance: dict[str, Any]
@@ -244,10 +247,10 @@ class RecordingReader:
         rows = self._file.rows("state", STATE)
         if rows != 2:
             raise self._file.invalid(f"holds {rows} rows in state; there must be 2")
-        found = unpack_state(self._file.read("state", slice(None)))
-        if found is None:
+        state = unpack_state(self._file.read("state", slice(None)))
+        if state is None:
             raise self._file.invalid("has no whole state: it is damaged")
-        return found[0]
+        return state[0]
 
     def _check_shapes(
         self,
@@ -291,9 +294,9 @@ class RecordingReader:
         return state.frames
 
     def _compare(
-        self, found: NDArray[np.uint32], kept: NDArray[np.uint32], what: str, first: int
+        self, computed: NDArray[np.uint32], stored: NDArray[np.uint32], what: str, first: int
     ) -> None:
-        wrong = found != kept
+        wrong = computed != stored
         if wrong.any():
             raise self._file.invalid(
                 f"has damaged data in frames/{what} (the checksum of row "

@@ -47,14 +47,14 @@ class ScanChunks:
             appended: number of frames appended before.
             lines: shape (F, S, P).
         """
-        chunk, taken = self._chunk, 0
-        while taken < len(lines):
-            start = (appended + taken) % len(chunk)
-            count = min(len(chunk) - start, len(lines) - taken)
-            chunk[start : start + count] = lines[taken : taken + count]
-            taken += count
+        chunk, written = self._chunk, 0
+        while written < len(lines):
+            start = (appended + written) % len(chunk)
+            count = min(len(chunk) - start, len(lines) - written)
+            chunk[start : start + count] = lines[written : written + count]
+            written += count
             if start + count == len(chunk):
-                self._write(appended + taken - len(chunk), appended + taken)
+                self._write(appended + written - len(chunk), appended + written)
 
     def write_rest(self, frames: int) -> None:
         """Write the partly filled chunk; ``frames`` is the number appended in all."""
@@ -106,10 +106,10 @@ class RowBuffer:
         self,
     ) -> tuple[dict[str, NDArray[Any]], NDArray[np.void], NDArray[np.void]]:
         """Return and remove the buffered rows; no columns where there are none."""
-        columns = {name: np.concatenate(kept) for name, kept in self._columns.items() if kept}
+        columns = {name: np.concatenate(chunks) for name, chunks in self._columns.items() if chunks}
         peaks, points = np.concatenate(self._peaks), np.concatenate(self._points)
-        for kept in self._columns.values():
-            kept.clear()
+        for chunks in self._columns.values():
+            chunks.clear()
         del self._peaks[1:], self._points[1:]
         self.rows = 0
         return columns, peaks, points

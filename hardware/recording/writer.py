@@ -217,10 +217,10 @@ class RecordingWriter:
         before = np.maximum.accumulate(np.concatenate(([self._last_sequence], sequence)))[:-1]
         earlier = np.maximum.accumulate(np.concatenate(([self._last_device_ns], device_ns)))[:-1]
         lit = (marker >= NO_MARKER) & (marker < max(self._description.markers, 0))
-        kept = (sequence > before) & (device_ns >= earlier) & lit
-        refused = len(rows) - int(np.count_nonzero(kept))
+        valid = (sequence > before) & (device_ns >= earlier) & lit
+        refused = len(rows) - int(np.count_nonzero(valid))
         if refused:
-            block = block.select(kept)
+            block = block.select(valid)
         if len(block.rows):
             self._take(block)
         return refused

@@ -144,8 +144,8 @@ def parse(content: bytes) -> Message | None:
             return _parse_description(body)
         if kind == MessageType.STROBE:
             return _parse_strobe(body)
-        made, layout, names = _FIXED_LAYOUTS[MessageType(kind)]
-        message = made(**dict(zip(names, layout.unpack_from(body), strict=True)))
+        message_type, layout, names = _FIXED_LAYOUTS[MessageType(kind)]
+        message = message_type(**dict(zip(names, layout.unpack_from(body), strict=True)))
     except (struct.error, IndexError) as error:
         name = MessageType(kind).name.lower()
         raise MalformedMessage(f"a message {name} came that ends too early ({error})") from error

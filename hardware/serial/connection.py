@@ -80,11 +80,11 @@ class Connection:
         """
         retry_ns = self._busy.retry_ns
         if retry_ns is not None:
-            left_s = (retry_ns - time.monotonic_ns()) * 1e-9
-            if left_s <= 0.0:
+            remaining_s = (retry_ns - time.monotonic_ns()) * 1e-9
+            if remaining_s <= 0.0:
                 self.send_settings()
             else:
-                timeout_s = min(timeout_s, left_s)
+                timeout_s = min(timeout_s, remaining_s)
         data = self._port.read(timeout_s)
         arrival_ns = time.monotonic_ns()
         return self._decoder.feed(data), arrival_ns, bool(data)
@@ -165,8 +165,8 @@ class Connection:
         while time.monotonic() < end and not self._closing.is_set():
             self.request_description()
             again = min(end, time.monotonic() + _ASK_AGAIN_S)
-            while (left := again - time.monotonic()) > 0.0 and not self._closing.is_set():
-                messages, _, some = self.read(left)
+            while (remaining_s := again - time.monotonic()) > 0.0 and not self._closing.is_set():
+                messages, _, some = self.read(remaining_s)
                 came = came or some
                 for message in messages:
                     if isinstance(message, Description):
@@ -201,8 +201,8 @@ class Connection:
     def _await(self, number: int | None, seconds: float) -> Answer | None:
         """Read for a time, or until the answer with this number arrives."""
         end = time.monotonic() + seconds
-        while (left := end - time.monotonic()) > 0.0 and not self._closing.is_set():
-            for message in self.read(left)[0]:
+        while (remaining_s := end - time.monotonic()) > 0.0 and not self._closing.is_set():
+            for message in self.read(remaining_s)[0]:
                 if isinstance(message, Answer) and message.number == number:
                     return message
         return None

@@ -59,7 +59,7 @@ class DecodingRate:
 
 
 def decode_mutated(
-    messages: int, seed: int, done: Callable[[int], None] = lambda _: None
+    messages: int, seed: int, report: Callable[[int], None] = lambda _: None
 ) -> MutationStatistics:
     """Decode mutated messages: flipped bits; lost, repeated and foreign bytes.
 
@@ -86,7 +86,7 @@ def decode_mutated(
                 largest = max(largest, decoder.pending)
             sent.pop(sequence - 16, None)
             if sequence % 10_000 == 0:
-                done(sequence)
+                report(sequence)
         _, memory = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
@@ -148,21 +148,21 @@ def decoding_rate(bits: int, part_counts: int, seconds: float) -> DecodingRate:
     ]  # fmt: skip
     stream = b"".join(lines)
     decoder, assembler = Decoder(), ExposureAssembler(SENSORS, PIXELS)
-    whole = passes = 0
+    decoded = passes = 0
     begin = time.process_time()
     while (spent := time.process_time() - begin) < seconds:
         for start in range(0, len(stream), READ_BYTES):
             for message in decoder.feed(stream[start : start + READ_BYTES]):
                 assert isinstance(message, Lines)
-                whole += assembler.add(message) is not None
+                decoded += assembler.add(message) is not None
         passes += 1
-    assert whole == passes * frames
+    assert decoded == passes * frames
     split = "one message" if part_counts >= size else f"{size // part_counts} messages"
     return DecodingRate(
         f"{bits}-bit noise, {split} an exposure",
         passes * len(stream) / spent * 1e-6,
-        whole / spent,
-        5000.0 * spent / whole,
+        decoded / spent,
+        5000.0 * spent / decoded,
     )
 
 

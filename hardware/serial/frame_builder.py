@@ -42,7 +42,7 @@ class ExposureAssembler:
         """Add a part; return the exposure it completes, counts (sensors, pixels), read-only."""
         if part.first == 0 and len(part.counts) == self._size:
             self._drop()
-            return self._whole(part, part.counts, part.flags)
+            return self._assemble(part, part.counts, part.flags)
         begun = self._begun
         end = part.first + len(part.counts)
         if part.first == 0 and end < self._size:
@@ -67,14 +67,14 @@ class ExposureAssembler:
             return None
         self._begun = None
         self._counts.setflags(write=False)
-        return self._whole(part, self._counts, self._flags)
+        return self._assemble(part, self._counts, self._flags)
 
     def _drop(self) -> None:
         if self._begun is not None:
             self._begun = None
             self.incomplete += 1
 
-    def _whole(self, part: Lines, counts: NDArray[np.uint16], flags: LinesFlag) -> Lines:
+    def _assemble(self, part: Lines, counts: NDArray[np.uint16], flags: LinesFlag) -> Lines:
         shaped = counts.reshape(self._shape)
         return Lines(part.sequence, part.ticks, part.marker, flags, part.lost, 0, shaped)
 
@@ -144,8 +144,8 @@ class FrameBuilder:
         if jumps and not other:
             self.clock.restart(arrival_ns)
         stamp = self.clock.stamp(exposed.ticks, arrival_ns)
-        anew = jumps or other or stamp.restarted
-        if anew:  # the number lost is unknown
+        restarted = jumps or other or stamp.restarted
+        if restarted:  # the number lost is unknown
             step = 1
             self.irregular += came_back is None
         self._last = (exposed.sequence, exposed.ticks)
@@ -153,7 +153,7 @@ class FrameBuilder:
         self._sequence += step
         self.lost += step - 1
         device_ns, host_ns = self._rising(stamp, came_back is not None)
-        flags = FrameFlag.OVERFLOW if step > 1 or anew else FrameFlag.NONE
+        flags = FrameFlag.OVERFLOW if step > 1 or restarted else FrameFlag.NONE
         if exposed.flags & LinesFlag.SATURATED:
             flags |= FrameFlag.SATURATED
         self.built += 1

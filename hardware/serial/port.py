@@ -128,7 +128,7 @@ def _raising_disconnected() -> Iterator[None]:
 class _DescriptorPort:
     """A local port, read through its descriptor."""
 
-    gone = "it was unplugged"
+    disconnect_reason = "it was unplugged"
 
     def __init__(self, port: Any, closing: CloseSignal) -> None:
         self._port = port
@@ -144,7 +144,7 @@ class _DescriptorPort:
                 return b""
             data = self._receive()
         if not data:
-            raise PortDisconnected(self.gone)
+            raise PortDisconnected(self.disconnect_reason)
         return data
 
     def _receive(self) -> bytes:
@@ -161,7 +161,7 @@ class _DescriptorPort:
 
 
 class _SocketPort(_DescriptorPort):
-    gone = "the connection was closed by the other side"
+    disconnect_reason = "the connection was closed by the other side"
 
     def _receive(self) -> bytes:
         data: bytes = self._port.recv(READ_BYTES)

@@ -145,7 +145,7 @@ class SimulatedSerialDevice:
                 self._batches.clear()
             batch = self._batches[number] = self._renderer.batch(number)
         marker = self._settings.timing.marker(index)
-        whole = Lines(
+        scan_message = Lines(
             sequence % 2**32,
             self._ticks(self._time_ns(sequence)),
             NO_MARKER if marker is None else marker,
@@ -154,7 +154,11 @@ class SimulatedSerialDevice:
             0,
             np.ravel(batch.lines[offset]),
         )
-        parts = [whole] if self._part_counts is None else split_lines(whole, self._part_counts)
+        parts = (
+            [scan_message]
+            if self._part_counts is None
+            else split_lines(scan_message, self._part_counts)
+        )
         for part in parts:
             yield encode(part)
 
@@ -177,10 +181,10 @@ class SimulatedSerialDevice:
             return encode(self.description())
         if not isinstance(message, Start | Stop | Exposure | Strobe):
             return b""
-        result = self._done(message, now_ns)
+        result = self._result_of(message, now_ns)
         return encode(Answer(_COMMANDS[type(message)], message.number, result))
 
-    def _done(self, command: Start | Stop | Exposure | Strobe, now_ns: int) -> Result:
+    def _result_of(self, command: Start | Stop | Exposure | Strobe, now_ns: int) -> Result:
         if isinstance(command, Start):
             if not self._exposing:
                 self._exposing = True

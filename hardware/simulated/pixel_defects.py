@@ -43,14 +43,14 @@ class PixelDefects(CheckedSettings):
 
     def positions(self, sensors: int, pixels: int) -> tuple[NDArray[np.intp], ...]:
         """Return the dead, hot and stuck pixels, each as indices of shape (S, count)."""
-        found = []
+        defects = []
         for sensor in range(sensors):
             seeds = np.random.SeedSequence(self.seed, spawn_key=(sensor, 3))
             rng = np.random.default_rng(seeds)
             bad = self.dead_pixels + self.hot_pixels + self.stuck_pixels
-            found.append(rng.permutation(pixels)[:bad])
+            defects.append(rng.permutation(pixels)[:bad])
         ends = np.cumsum([self.dead_pixels, self.hot_pixels])
-        return tuple(np.split(np.array(found, dtype=np.intp).reshape(sensors, -1), ends, axis=1))
+        return tuple(np.split(np.array(defects, dtype=np.intp).reshape(sensors, -1), ends, axis=1))
 
 
 class DefectiveDetector:

@@ -106,10 +106,10 @@ class ShiftedPoints(CheckedSettings):
     def shift(self, time_s: float | Array) -> Array:
         """Return the displacement at times (...,) [s], shape (..., 3) [mm]."""
         at = np.asarray(time_s, dtype=np.float64) % self.period_s
-        gone = np.clip((at - (1.0 - self.away) * self.period_s) / self.moving_s, 0.0, 1.0)
+        departure = np.clip((at - (1.0 - self.away) * self.period_s) / self.moving_s, 0.0, 1.0)
         back = np.clip((at - (self.period_s - self.moving_s)) / self.moving_s, 0.0, 1.0)
-        found: Array = (gone - back)[..., None] * np.asarray(self.shift_mm)
-        return found
+        shift: Array = (departure - back)[..., None] * np.asarray(self.shift_mm)
+        return shift
 
     def points(self, time_s: float | Array) -> Array:
         """Return the markers at times (...,) [s], shape (..., M, 3) [mm]."""
@@ -236,12 +236,12 @@ class MovingTools(CheckedSettings):
 
     def points(self, time_s: float | Array) -> Array:
         """Return the markers at times (...,) [s], shape (..., M, 3) [mm]."""
-        found = []
+        positions = []
         for index, tool in enumerate(self.tools):
             rotation, origin = self.pose(index, time_s)
-            own = np.asarray(tool.markers_mm, dtype=np.float64)
-            found.append(own @ np.swapaxes(rotation, -1, -2) + origin[..., None, :])
-        return np.concatenate(found, axis=-2)
+            markers = np.asarray(tool.markers_mm, dtype=np.float64)
+            positions.append(markers @ np.swapaxes(rotation, -1, -2) + origin[..., None, :])
+        return np.concatenate(positions, axis=-2)
 
 
 @dataclass(frozen=True)
@@ -279,8 +279,8 @@ def _at_rest(points_mm: Array, time_s: float | Array) -> Array:
 
 def _swings(at: Array, rates: tuple[float, ...], phases: tuple[float, ...]) -> Array:
     """Return three sines at each fraction of the period (...,), shape (..., 3)."""
-    found: Array = np.sin(2.0 * np.pi * (at[..., None] * np.array(rates) + np.array(phases)))
-    return found
+    values: Array = np.sin(2.0 * np.pi * (at[..., None] * np.array(rates) + np.array(phases)))
+    return values
 
 
 def _rotation(vector_rad: Array) -> Array:
@@ -293,5 +293,5 @@ def _rotation(vector_rad: Array) -> Array:
     # sin(a)/a and (1 - cos(a))/a^2 without a division by zero.
     first = np.sinc(angle / np.pi)
     second = 0.5 * np.sinc(angle / (2.0 * np.pi)) ** 2
-    found: Array = np.eye(3) + first * cross + second * (cross @ cross)
-    return found
+    rotation: Array = np.eye(3) + first * cross + second * (cross @ cross)
+    return rotation

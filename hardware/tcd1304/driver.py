@@ -130,14 +130,14 @@ class Tcd1304Driver(ReportingDriver["_Run"]):
 
     def _count(self, outcomes: Sequence[BoardScan | BoardFault | None], back: int) -> None:
         received = sum(one.bytes_received for one in outcomes if one is not None)
-        whole = all(isinstance(one, BoardScan) for one in outcomes)
+        complete = all(isinstance(one, BoardScan) for one in outcomes)
         some = any(isinstance(one, BoardScan) for one in outcomes)
         garbled = sum(isinstance(one, BoardFault) and one.phase == "garbled" for one in outcomes)
         self._report.count(
             received_bytes=received,
-            frames_received=int(whole),
+            frames_received=int(complete),
             frames_garbled=garbled,
-            frames_incomplete=int(some and not whole),
+            frames_incomplete=int(some and not complete),
             reconnects=back,
         )
 

@@ -98,8 +98,8 @@ class Request:
     @property
     def centre_to_response_ns(self) -> int:
         """Time from the centre of all exposures to the first bit of the response [ns]."""
-        spread = (self.averages - 1) * self._ns(self.icg_clocks)
-        return self.end_to_response_ns + (self.exposure_ns + spread) // 2
+        averaging_ns = (self.averages - 1) * self._ns(self.icg_clocks)
+        return self.end_to_response_ns + (self.exposure_ns + averaging_ns) // 2
 
     @property
     def max_wait_ns(self) -> int:

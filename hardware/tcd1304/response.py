@@ -49,7 +49,7 @@ class ResponseCollector:
     """
 
     def __init__(self) -> None:
-        self._kept = bytearray()
+        self._buffer = bytearray()
         self._bytes = 0
         self._first_ns = 0
 
@@ -65,18 +65,18 @@ class ResponseCollector:
         if not self._bytes:
             self._first_ns = now_ns
         self._bytes += len(data)
-        self._kept += data[: RESPONSE_BYTES - len(self._kept)]
+        self._buffer += data[: RESPONSE_BYTES - len(self._buffer)]
 
     def silence(self) -> Response | InvalidResponse | None:
         """Evaluate the bytes before a silence; None: there were none."""
-        count, kept = self._bytes, bytes(self._kept)
+        count, received = self._bytes, bytes(self._buffer)
         self.clear()
         if not count:
             return None
         if count != RESPONSE_BYTES:
             detail = f"{count} bytes came where an answer has {RESPONSE_BYTES}"
             return InvalidResponse(count, detail)
-        counts = np.frombuffer(kept, _FORMAT).astype(np.uint16)
+        counts = np.frombuffer(received, _FORMAT).astype(np.uint16)
         largest = int(counts.max())
         if largest > FULL_SCALE:
             where = int(counts.argmax())
@@ -89,7 +89,7 @@ class ResponseCollector:
 
     def clear(self) -> None:
         """Discard the bytes."""
-        self._kept.clear()
+        self._buffer.clear()
         self._bytes = 0
 
 

@@ -1977,6 +1977,16 @@ class CreatedApiKey(ResponseModel):
     key: str
 
 
+class RequestPrincipal(ResponseModel):
+    """Who makes the request, and what that one may do."""
+
+    kind: str
+    id: str
+    name: str
+    scopes: tuple[str, ...]
+    expires_at: datetime | None
+
+
 class Actor(ResponseModel):
     """Who acted."""
 

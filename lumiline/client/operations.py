@@ -1079,6 +1079,11 @@ class Operations(Exchanges):
         return await self._send(models.ApiKey, "POST", path_of("/api/v1/keys/{}/revoke", key_id))
 
     @ClientMethod
+    async def principal(self) -> models.RequestPrincipal:
+        """Who am I, and what may I do?."""
+        return await self._send(models.RequestPrincipal, "GET", "/api/v1/principal")
+
+    @ClientMethod
     async def audit(
         self,
         *,

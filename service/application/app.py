@@ -28,6 +28,7 @@ from service.api.recordings.router import router as recordings_router
 from service.api.reports.cache import ReportCache
 from service.api.reports.router import router as reports
 from service.api.runs.router import router as runs_router
+from service.api.security.router import principal_router as principal
 from service.api.security.router import router as keys
 from service.api.tools.frames_router import router as frames
 from service.api.tools.points_router import router as points
@@ -170,6 +171,7 @@ def _routes() -> tuple[BaseRoute, ...]:
         device_profiles,
         stream,
         keys,
+        principal,
         audit,
         metrics,
         quality,

@@ -67,9 +67,9 @@ def _stored_device(name_or_path: str, folder: Path, database: Database) -> str:
         profiles.check_not_overwritten(profile, identity, folder)
         return identity
     _log.info("device %s: fitting its calibration to its optics, some seconds", identity)
-    made = devices.profile_device(profile)
+    device = devices.profile_device(profile)
     profiles.keep(name_or_path, profile, folder)
     with database.write() as session:
         if not devices.is_stored(session, profile):  # another server may have been quicker
-            devices.store_profile_device(session, made)
+            devices.store_profile_device(session, device)
     return identity

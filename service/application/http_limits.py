@@ -24,8 +24,8 @@ class LimitedHttpProtocol(HttpToolsProtocol):
     Bodies have limits of their own (service/application/middleware.py).
     """
 
-    def __init__(self, *given: Any, **named: Any) -> None:
-        super().__init__(*given, **named)
+    def __init__(self, *positional: Any, **named: Any) -> None:
+        super().__init__(*positional, **named)
         self._waiting: asyncio.TimerHandle | None = None
         self._head_bytes = 0
         self._in_head = True

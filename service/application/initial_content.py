@@ -50,5 +50,5 @@ def store_nominal(session: Session, device_id: str, result: Calibration, note: s
     content = calibration_content(device_id, "nominal", [], result)
     errors = ControlPointErrors(fitted=None, leave_one_out=None)
     outcome = Outcome(result, content, errors.model_dump(mode="json"))
-    made = add_calibration(session, device_id, outcome, note, f"{device_id}-nominal")
-    activate(session, made.id)
+    calibration = add_calibration(session, device_id, outcome, note, f"{device_id}-nominal")
+    activate(session, calibration.id)

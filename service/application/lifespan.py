@@ -113,6 +113,6 @@ async def running(
 
 
 def _live_manager(settings: Settings) -> PipelineManager:
-    own = partial(find_profile, profiles_dir=settings.folders.profiles)
+    find_own_profile = partial(find_profile, profiles_dir=settings.folders.profiles)
     hub = Hub(settings.stream_kept_messages, settings.stream_lag_s)
-    return PipelineManager(hub, settings.compute_device, own)
+    return PipelineManager(hub, settings.compute_device, find_own_profile)

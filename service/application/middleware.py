@@ -46,9 +46,9 @@ class RequestLog:
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
-        given = Headers(scope=scope).get("x-request-id", "")
+        request_id = Headers(scope=scope).get("x-request-id", "")
         record = RequestRecord(
-            given if _SANE.fullmatch(given) else secrets.token_hex(8),
+            request_id if _SANE.fullmatch(request_id) else secrets.token_hex(8),
             scope["type"],
             scope.get("method", "GET"),
         )
@@ -170,7 +170,7 @@ class CrossOriginMiddleware:
             return
         headers = Headers(scope=scope)
         host = headers.get("host", "")
-        foreign = [found for found in headers.getlist("origin") if not same_host(found, host)]
+        foreign = [origin for origin in headers.getlist("origin") if not same_host(origin, host)]
         if not foreign:
             await self._app(scope, receive, send)
             return
@@ -249,12 +249,12 @@ class BodyLimitMiddleware:
             await refuse(error_response(error, scope["path"]), scope, receive, send)
             return
         received = 0
-        whole = False
+        complete = False
         until = time.monotonic() + self._seconds
 
         async def counted() -> Message:
-            nonlocal received, whole
-            if whole:  # what comes now is the end of the connection, whenever
+            nonlocal received, complete
+            if complete:  # what comes now is the end of the connection, whenever
                 return await receive()
             try:
                 with fail_after(max(0.0, until - time.monotonic())):
@@ -264,7 +264,7 @@ class BodyLimitMiddleware:
                     408,
                     f"the body did not arrive within {self._seconds:g} s; {received} bytes came",
                 ) from None
-            whole = not message.get("more_body", False)
+            complete = not message.get("more_body", False)
             received += len(message.get("body", b""))
             if received > limit:
                 # An HTTPException, because FastAPI turns any other one raised here into 400.

@@ -95,14 +95,14 @@ def profile_device(profile: DeviceProfile) -> ProfileDevice:
     return ProfileDevice(device, sensors, calibration)
 
 
-def store_profile_device(session: Session, made: ProfileDevice) -> None:
+def store_profile_device(session: Session, device: ProfileDevice) -> None:
     """Store a device with its calibration, ``ID-nominal``, as the active one.
 
     Raises:
         DeviceExists, CalibrationExists.
     """
-    identity, result = made.device.id, made.calibration
-    add_device(session, made.device, made.sensors)
+    identity, result = device.device.id, device.calibration
+    add_device(session, device.device, device.sensors)
     if result is None:
         return
     residual_rms = max(fit.rms_px for fit in result.sensors)

@@ -43,9 +43,9 @@ def check_ready(
     Raises:
         NotReady: what stands in the way; all of it in the message, the first as ``part``.
     """
-    found = [*_database(database), *_live(live), *_runs(runs), *_disk(recordings)]
-    if found:
-        raise NotReady("; ".join(text for _, text in found), part=found[0][0])
+    components = [*_database(database), *_live(live), *_runs(runs), *_disk(recordings)]
+    if components:
+        raise NotReady("; ".join(text for _, text in components), part=components[0][0])
 
 
 def limits(recordings: RecordingManager) -> list[str]:
@@ -218,18 +218,18 @@ def get_problem(
     ],
 ) -> Response:
     """The meaning of a problem type, as JSON or, for a browser, as HTML."""
-    found = PROBLEM_TYPES.get(code)
-    if found is None:
+    problem_type = PROBLEM_TYPES.get(code)
+    if problem_type is None:
         raise UnknownProblem(f'there is no problem type "{code}"; GET /problems lists them')
     if "text/html" in request.headers.get("accept", ""):
-        return HTMLResponse(_page(found))
-    return JSONResponse(found.model_dump())
+        return HTMLResponse(_page(problem_type))
+    return JSONResponse(problem_type.model_dump())
 
 
-def _page(found: ProblemType) -> str:
-    title, meaning = html.escape(found.title), html.escape(found.meaning)
+def _page(problem_type: ProblemType) -> str:
+    title, meaning = html.escape(problem_type.title), html.escape(problem_type.meaning)
     return (
         f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{title}</title>'
-        f"<h1>{title}</h1><p>{meaning}</p><p>HTTP status {found.status}, type "
-        f"<code>{html.escape(found.type)}</code></p></html>"
+        f"<h1>{title}</h1><p>{meaning}</p><p>HTTP status {problem_type.status}, type "
+        f"<code>{html.escape(problem_type.type)}</code></p></html>"
     )

@@ -24,8 +24,8 @@ STALLED: Final = 1013
 class LimitedWebSocketProtocol(WebSocketsSansIOProtocol):
     """Uvicorn's protocol, which would keep a client for ever that does not read."""
 
-    def __init__(self, *given: Any, **named: Any) -> None:
-        super().__init__(*given, **named)
+    def __init__(self, *positional: Any, **named: Any) -> None:
+        super().__init__(*positional, **named)
         self._stalled: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:

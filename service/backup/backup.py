@@ -11,13 +11,13 @@ from sqlalchemy import Connection
 
 from service.backup.checksum import add_checksum
 from service.backup.consistency import find_inconsistencies
-from service.backup.copy_rows import Told, copy_rows, count_rows
+from service.backup.copy_rows import TableCopied, copy_rows, count_rows
 from service.database.engine import Database
 from service.database.migration import migrate, newest_revision, revision_of
 from service.problems.errors import BackupUnusable, DatabaseDamaged
 
 
-def back_up(database: Database, file: Path, told: Told | None = None) -> dict[str, int]:
+def back_up(database: Database, file: Path, report: TableCopied | None = None) -> dict[str, int]:
     """Write all that a database holds into a new file; return how many rows each table has.
 
     It is one moment's content. The file is checked before it gets its name, and only its owner may
@@ -34,20 +34,20 @@ def back_up(database: Database, file: Path, told: Told | None = None) -> dict[st
     _check_revision(database)
     file.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix=f".{file.name}-", dir=file.parent) as folder:
-        made = Path(folder) / "backup"
+        copy = Path(folder) / "backup"
         if database.engine.dialect.name == "sqlite":
-            _copy_file(database, made)
+            _copy_file(database, copy)
         else:
-            _copy_content(database, made, told)
-        with opened(made) as connection:
-            found = find_inconsistencies(connection)
+            _copy_content(database, copy, report)
+        with opened(copy) as connection:
+            inconsistencies = find_inconsistencies(connection)
             counts = count_rows(connection)
-        if found:
+        if inconsistencies:
             raise DatabaseDamaged(
                 f"the backup was not kept, as what it holds does not agree with itself: "
-                f"{'; '.join(found[:5])}"
+                f"{'; '.join(inconsistencies[:5])}"
             )
-        _keep(made, file)
+        _keep(copy, file)
     return counts
 
 
@@ -76,9 +76,9 @@ def opened(file: Path, name: Path | None = None) -> Iterator[Connection]:
         database.close()
 
 
-def _copy_file(database: Database, made: Path) -> None:
+def _copy_file(database: Database, copy: Path) -> None:
     """SQLite's own online backup: writers go on meanwhile."""
-    with closing(sqlite3.connect(made)) as target:
+    with closing(sqlite3.connect(copy)) as target:
         raw = database.engine.raw_connection()
         try:
             source = raw.driver_connection
@@ -88,8 +88,8 @@ def _copy_file(database: Database, made: Path) -> None:
             raw.close()
 
 
-def _copy_content(database: Database, made: Path, told: Told | None) -> None:
-    target = Database(f"sqlite:///{made}")
+def _copy_content(database: Database, copy: Path, report: TableCopied | None) -> None:
+    target = Database(f"sqlite:///{copy}")
     try:
         migrate(target)
         snapshot = database.engine.execution_options(
@@ -99,17 +99,17 @@ def _copy_content(database: Database, made: Path, told: Told | None) -> None:
             snapshot.connect() as source,
             target.engine.execution_options(lumiline_write=True).begin() as connection,
         ):
-            copy_rows(source, connection, told)
+            copy_rows(source, connection, report)
     finally:
         target.close()
 
 
-def _keep(made: Path, file: Path) -> None:
+def _keep(copy: Path, file: Path) -> None:
     # A database in WAL mode may be of several files.
-    with closing(sqlite3.connect(made)) as connection:
+    with closing(sqlite3.connect(copy)) as connection:
         connection.execute("PRAGMA journal_mode = DELETE")
-    add_checksum(made)
-    made.chmod(0o600)
-    with made.open("rb") as written:
+    add_checksum(copy)
+    copy.chmod(0o600)
+    with copy.open("rb") as written:
         os.fsync(written.fileno())
-    os.link(made, file)  # unlike a rename it never replaces one that came meanwhile
+    os.link(copy, file)  # unlike a rename it never replaces one that came meanwhile

@@ -74,8 +74,8 @@ def _radiometric_calibrations(session: Session) -> Iterator[str]:
 
 
 def _tables(session: Session) -> Iterator[str]:
-    found = session.execute(select(CalibrationRow.id, CalibrationRow.content_hash))
-    hashes = {row.id: row.content_hash for row in found}
+    stored = session.execute(select(CalibrationRow.id, CalibrationRow.content_hash))
+    hashes = {row.id: row.content_hash for row in stored}
     for identity in session.scalars(select(CorrectionTableRow.id)).all():
         row = session.get_one(CorrectionTableRow, identity)
         if row.calibration_hash != hashes.get(row.calibration_id):
@@ -138,18 +138,18 @@ def missing(connection: Connection) -> list[str]:
     """Return which tables and columns are not there, one line each."""
     there = inspect(connection)
     names = set(there.get_table_names())
-    found = []
+    inconsistencies = []
     for table in Base.metadata.sorted_tables:
         if table.name not in names:
-            found.append(f"the table {table.name} is missing")
+            inconsistencies.append(f"the table {table.name} is missing")
             continue
         columns = {str(column["name"]) for column in there.get_columns(table.name)}
-        found += [
+        inconsistencies += [
             f"the column {column.name} of {table.name} is missing"
             for column in table.columns
             if column.name not in columns
         ]
-    return found
+    return inconsistencies
 
 
 def unreadable(connection: Connection) -> list[str]:
@@ -160,9 +160,9 @@ def unreadable(connection: Connection) -> list[str]:
 def _of_table(connection: Connection, table: Table) -> Iterator[str]:
     # Not the data, up to 64 MB each, in which any bytes can be read.
     columns = [column for column in table.columns if not any(column is one for one in _DATA)]
-    found = connection.execute(select(*columns), execution_options={"stream_results": True})
+    rows = connection.execute(select(*columns), execution_options={"stream_results": True})
     try:
-        for _ in found.partitions(_BATCH):
+        for _ in rows.partitions(_BATCH):
             pass
     except (ValueError, TypeError) as error:
         yield f"a value of the table {table.name} cannot be read: {error}"

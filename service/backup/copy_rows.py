@@ -19,19 +19,21 @@ _LARGE: Final = frozenset(
 )
 """Tables of which a row may have 64 MB."""
 
-Told = Callable[[str, int], None]
+TableCopied = Callable[[str, int], None]
 
 
-def copy_rows(source: Connection, target: Connection, told: Told | None = None) -> dict[str, int]:
+def copy_rows(
+    source: Connection, target: Connection, report: TableCopied | None = None
+) -> dict[str, int]:
     """Copy every table into the empty ones of ``target``; return how many rows each has.
 
-    Both are of the newest revision. ``told`` hears of each table that is done.
+    Both are of the newest revision. ``report`` hears of each table that is done.
     """
     counts = {}
     for table in Base.metadata.sorted_tables:
         counts[table.name] = _copy_table(source, target, table)
-        if told is not None:
-            told(table.name, counts[table.name])
+        if report is not None:
+            report(table.name, counts[table.name])
     if target.dialect.name == "postgresql":
         _reset_sequences(target)
     return counts
@@ -49,8 +51,8 @@ def _copy_table(source: Connection, target: Connection, table: Table) -> int:
     batch = 1 if table.name in _LARGE else _BATCH
     query = select(table).order_by(*table.primary_key.columns)
     copied = 0
-    found = source.execution_options(stream_results=True).execute(query)
-    for rows in found.mappings().partitions(batch):
+    result = source.execution_options(stream_results=True).execute(query)
+    for rows in result.mappings().partitions(batch):
         target.execute(insert(table), [dict(row) for row in rows])
         copied += len(rows)
     return copied

@@ -53,13 +53,13 @@ def back_up_files(
     if final.exists():
         raise FileExistsError(f"{final} exists already; wait a second")
     with tempfile.TemporaryDirectory(prefix=".part-", dir=folder) as temporary:
-        made = Path(temporary) / "backup"
-        counts = back_up(database, made / DATABASE)
+        copy = Path(temporary) / "backup"
+        counts = back_up(database, copy / DATABASE)
         sources = (settings.folders.recordings, settings.folders.profiles)
         for name, source in zip(FOLDERS, sources, strict=True):
             before = earlier[-1] / name if earlier else None
-            counts[name] = _copy_tree(source, made / name, before)
-        made.rename(final)
+            counts[name] = _copy_tree(source, copy / name, before)
+        copy.rename(final)
     _write_last(settings.data_dir, final, now)
     if keep is not None:
         for old in backups_in(folder)[:-keep]:
@@ -84,7 +84,7 @@ def restore_files(backup: Path, settings: Settings) -> tuple[int, list[str]]:
     """
     if not (backup / DATABASE).is_file():
         raise BackupUnusable(f"{backup} holds no {DATABASE}; give the folder of one backup")
-    copied, kept = 0, []
+    copied, skipped = 0, []
     for name, target in zip(
         FOLDERS, (settings.folders.recordings, settings.folders.profiles), strict=True
     ):
@@ -97,8 +97,8 @@ def restore_files(backup: Path, settings: Settings) -> tuple[int, list[str]]:
                 part.replace(there)
                 copied += 1
             elif not _is_same(path, there):
-                kept.append(str(there))
-    return copied, kept
+                skipped.append(str(there))
+    return copied, skipped
 
 
 def last_backup(data_dir: Path) -> datetime | None:
@@ -127,9 +127,9 @@ def _copy_tree(source: Path, target: Path, before: Path | None) -> int:
         name = path.relative_to(source)
         copy = target / name
         copy.parent.mkdir(parents=True, exist_ok=True)
-        known = None if before is None else before / name
-        if known is not None and known.is_file() and _is_same(path, known):
-            os.link(known, copy)
+        previous = None if before is None else before / name
+        if previous is not None and previous.is_file() and _is_same(path, previous):
+            os.link(previous, copy)
         else:
             shutil.copy2(path, copy)
         count += 1

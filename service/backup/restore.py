@@ -17,7 +17,7 @@ from sqlalchemy.orm import Session
 from service.backup.backup import back_up, opened
 from service.backup.checksum import copy_checked
 from service.backup.consistency import find_inconsistencies
-from service.backup.copy_rows import Told, copy_rows, count_rows
+from service.backup.copy_rows import TableCopied, copy_rows, count_rows
 from service.database.audited_session import entry
 from service.database.engine import Database
 from service.database.migration import (
@@ -69,12 +69,12 @@ class Restored:
     """
 
     counts: dict[str, int]
-    kept: Path | None
+    previous: Path | None
     keys: KeyChanges
 
 
 def restore(
-    database: Database, file: Path, keep_in: Path | None, told: Told | None = None
+    database: Database, file: Path, keep_in: Path | None, report: TableCopied | None = None
 ) -> Restored:
     """Put a backup's content in the place of what a database holds.
 
@@ -86,7 +86,7 @@ def restore(
         database: the database.
         file: the backup.
         keep_in: the folder for the backup of what was there; None: only an empty database is taken.
-        told: hears of every table that is done.
+        report: hears of every table that is done.
 
     Raises:
         DatabaseInUse: a server uses the database.
@@ -95,25 +95,25 @@ def restore(
         DatabaseDamaged: what was restored does not agree with itself; nothing was changed.
     """
     with _ready(file) as source, exclusive_lock(database):
-        kept = _keep(database, keep_in)
+        previous = _keep(database, keep_in)
         engine = database.engine.execution_options(lumiline_write=True)
         with engine.begin() as target:
-            before = read_api_keys(target) if kept is not None else NO_KEYS
+            before = read_api_keys(target) if previous is not None else NO_KEYS
             _clear(target)
             command.upgrade(alembic_config(target), "head")
-            counts = copy_rows(source, target, told)
-            found = find_inconsistencies(target)
-            if found or count_rows(target) != counts:
+            counts = copy_rows(source, target, report)
+            inconsistencies = find_inconsistencies(target)
+            if inconsistencies or count_rows(target) != counts:
                 raise DatabaseDamaged(
-                    f"what was restored does not agree with itself: {'; '.join(found[:5])}; "
-                    "nothing was changed"
+                    "what was restored does not agree with itself: "
+                    f"{'; '.join(inconsistencies[:5])}; nothing was changed"
                 )
             keys = keep_revoked(target, before)
             after = {"backup": file.name, "keys_revoked": list(keys.revoked)}
             with Session(target) as session:
                 session.add(entry("database", None, "done", after=after))
                 session.flush()
-    return Restored(counts, kept, keys)
+    return Restored(counts, previous, keys)
 
 
 @contextmanager
@@ -139,9 +139,9 @@ def _ready(file: Path) -> Iterator[Connection]:
         finally:
             updated.close()
         with opened(copy, file) as connection:
-            found = _inconsistencies(file, connection)
-            if found:
-                raise BackupUnusable(f"{file} is damaged: {'; '.join(found[:5])}")
+            inconsistencies = _inconsistencies(file, connection)
+            if inconsistencies:
+                raise BackupUnusable(f"{file} is damaged: {'; '.join(inconsistencies[:5])}")
             yield connection
 
 
@@ -166,9 +166,9 @@ def _keep(database: Database, keep_in: Path | None) -> Path | None:
         newest = newest_revision()
     if revision != newest:
         migrate(database)
-    kept = keep_in / f"before-restore-{datetime.now(UTC):%Y%m%dT%H%M%S%f}.lumiline"
-    back_up(database, kept)
-    return kept
+    previous = keep_in / f"before-restore-{datetime.now(UTC):%Y%m%dT%H%M%S%f}.lumiline"
+    back_up(database, previous)
+    return previous
 
 
 def _clear(target: Connection) -> None:

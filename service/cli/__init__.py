@@ -112,8 +112,8 @@ app = typer.Typer(
 )
 
 
-def _version(wanted: bool) -> None:
-    if wanted:
+def _version(requested: bool) -> None:
+    if requested:
         typer.echo(f"{package_version()}\n{DISCLAIMER}")
         raise typer.Exit
 

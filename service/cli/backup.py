@@ -50,13 +50,13 @@ def restore(
         settings.folders.recordings.mkdir(parents=True, exist_ok=True)
         keep_in = settings.data_dir / "backups" if replace else None
         restored = restoration.restore(database, file, keep_in)
-        copied, kept = (0, []) if folder is None else restore_files(folder, settings)
-    if restored.kept is not None:
-        say(f"what was there is in {restored.kept}")
+        copied, skipped = (0, []) if folder is None else restore_files(folder, settings)
+    if restored.previous is not None:
+        say(f"what was there is in {restored.previous}")
     say(f"restored: {_to_sentence(restored.counts)}")
     if folder is not None:
         say(f"files copied: {copied}")
-    for name in kept:
+    for name in skipped:
         say(f"{name} differs from the backup's, and stays as it is")
     for keys, what in (
         (restored.keys.revoked, "valid in the backup, and stay revoked"),
@@ -73,8 +73,8 @@ def _back_up_files(folder: Path, keep: int | None, data_dir: Path | None) -> Non
         progress(f"writing into {folder}"),
     ):
         database.check()
-        made, counts = back_up_files(database, settings, folder, keep)
-    say(f"{made}: {_to_sentence(counts)}")
+        folder_written, counts = back_up_files(database, settings, folder, keep)
+    say(f"{folder_written}: {_to_sentence(counts)}")
 
 
 def check_database(data_dir: DataDir = None) -> None:

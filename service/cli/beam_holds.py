@@ -62,11 +62,11 @@ def show_all(
 def show_one(hold: HoldId, url: Url = HERE, key: Key = None, as_json: AsJson = False) -> None:
     """Show a hold and its state; exit code 1 where the beam is held."""
     with client_session(url, key) as client:
-        shown, state = client.beam_hold(hold), client.beam_hold_state(hold)
+        hold_document, state = client.beam_hold(hold), client.beam_hold_state(hold)
     if as_json:
-        print_json({"hold": shown, "state": state})
+        print_json({"hold": hold_document, "state": state})
     else:
-        say(f"{shown.id}: {shown.title}, of device {shown.device_id}")
+        say(f"{hold_document.id}: {hold_document.title}, of device {hold_document.device_id}")
         _show(state)
     if state.held:
         raise typer.Exit(1)

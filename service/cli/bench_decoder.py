@@ -18,8 +18,8 @@ def run(*, as_json: bool, **_: Any) -> None:
 
     rates = [decoding_rate(bits, counts, SECONDS) for bits, counts in CASES]
     stages = stages_us()
-    with progress("mutated messages", MUTATED, quiet=as_json) as done:
-        mutated = decode_mutated(MUTATED, 1, done)
+    with progress("mutated messages", MUTATED, quiet=as_json) as report:
+        mutated = decode_mutated(MUTATED, 1, report)
     if as_json:
         figures = {"rates": list(map(asdict, rates)), "stages_us": stages}
         print_json(figures | {"mutated": asdict(mutated)})

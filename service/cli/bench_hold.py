@@ -61,15 +61,15 @@ def _measure(folder: Path, seconds: float, *, quiet: bool) -> Figures:
             before = device_counts(client)
             wait_for_frames(client, before["frames_processed"] + 2 * cycle)
             before = device_counts(client)
-            with progress(f"a hold by {name}", seconds, quiet=quiet) as done:
-                heard = listen(f"{service.stream_url}?device_id={DEVICE}", name, seconds, done)
+            with progress(f"a hold by {name}", seconds, quiet=quiet) as report:
+                received = listen(f"{service.stream_url}?device_id={DEVICE}", name, seconds, report)
             after = device_counts(client)
-            begin = beginning(heard.shifts, truth)
+            begin = beginning(received.shifts, truth)
             holds[name] = {
-                **asdict(summed(heard, name, truth, LIMIT_MM, late_ms, begin)),
+                **asdict(summed(received, name, truth, LIMIT_MM, late_ms, begin)),
                 "frames": after["frames_processed"] - before["frames_processed"],
                 **losses(before, after),
-                "messages_missed": heard.missed,
+                "messages_missed": received.missed,
             }
             client.delete_beam_hold(name)
     bare = measure_baseline_stream(quiet=quiet)
@@ -126,8 +126,8 @@ def _show(figures: Figures) -> None:
             cells = []
             for hold in holds.values():
                 value = hold[name].get(label)
-                known = value is not None
-                cells += [f"{value:.2f}", f"{value / peer:.1f}"] if known else [None, None]
+                measured = value is not None
+                cells += [f"{value:.2f}", f"{value / peer:.1f}"] if measured else [None, None]
             rows.append([f"{name.removesuffix('_ms')} {label}, ms", *cells, f"{peer:.2f}"])
     columns = [heading for name in holds for heading in (f"hold by {name}", "over bare")]
     title = f"{TITLE}, {figures['rate_hz']:g} Hz"

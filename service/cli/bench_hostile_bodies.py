@@ -48,7 +48,7 @@ def _show(figures: Figures) -> None:
         *("body", "scope", "path", "answer", "bytes", "seconds"),
         *("/healthz max, ms", "frame gap, ms", "status gap, ms", "memory, MiB"),
     )
-    for title, found in figures.items():
+    for title, timings in figures.items():
         rows = [
             (
                 *(one["body"], one.get("scope"), one.get("path")),
@@ -63,7 +63,7 @@ def _show(figures: Figures) -> None:
                 ),
                 None if one["memory_bytes"] is None else f"{one['memory_bytes'] / 2**20:.0f}",
             )
-            for one in found
+            for one in timings
         ]  # fmt: skip
         console.print(make_table(headings, rows, f"{TITLE}, {title}"))
     console.print(

@@ -21,8 +21,8 @@ def _measure(folder: Path, seconds: float, *, quiet: bool) -> Figures:
 
     with service_process(folder, quiet=quiet) as service:
         stream = f"{service.stream_url}?device_id=sim"
-        with progress("streaming", seconds, quiet=quiet) as done:
-            figures = measure(stream, seconds, done)
+        with progress("streaming", seconds, quiet=quiet) as report:
+            figures = measure(stream, seconds, report)
     bare = measure_baseline_stream(quiet=quiet)
     return {"live": asdict(figures), "baseline_websocket": asdict(bare)}
 

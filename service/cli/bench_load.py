@@ -85,14 +85,14 @@ _COUNTED: Final = (
 
 def _received(stream: str, echo: str, seconds: float, quiet: bool) -> Figures:
     command = [sys.executable, "-m", "benchmarks.stream_clients", stream, echo]
-    with progress("streaming", seconds, quiet=quiet) as done:
+    with progress("streaming", seconds, quiet=quiet) as report:
         process = subprocess.Popen(  # noqa: S603 - our own module
             [*command, "--seconds", str(seconds)], stdout=subprocess.PIPE, text=True
         )
         begin = time.monotonic()
         while process.poll() is None:
             time.sleep(0.5)
-            done(min(seconds, time.monotonic() - begin))
+            report(min(seconds, time.monotonic() - begin))
         output = process.stdout.read() if process.stdout is not None else ""
     if process.returncode != 0:
         raise RuntimeError("the clients failed; see above")
@@ -120,12 +120,12 @@ def _watched_memory(pid: int) -> Iterator[list[int]]:
 
 
 def _family(pid: int) -> list[int]:
-    found = [pid]
+    family = [pid]
     for task in Path(f"/proc/{pid}/task").glob("*/children"):
         with contextlib.suppress(OSError):
             for child in task.read_text().split():
-                found += _family(int(child))
-    return found
+                family += _family(int(child))
+    return family
 
 
 def _resident(pid: int) -> int:

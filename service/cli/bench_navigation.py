@@ -44,10 +44,12 @@ def _measure(folder: Path, seconds: float, *, quiet: bool) -> Figures:
 
     scene = MovingTools((MovingTool(MARKERS_MM),))
     cycle = round(scene.period_s * RATE_HZ)
-    shown = {"kind": "moving-tools", "tools": [{"markers_mm": MARKERS_MM}]}
+    scene_document = {"kind": "moving-tools", "tools": [{"markers_mm": MARKERS_MM}]}
     port = free_port()
     settings = {"openigtlink_port": str(port), "openigtlink_rate_hz": "10000"}
-    with service_of_simulated_device(folder, RATE_HZ, cycle, shown, settings, quiet=quiet) as (
+    with service_of_simulated_device(
+        folder, RATE_HZ, cycle, scene_document, settings, quiet=quiet
+    ) as (
         _,
         client,
     ):
@@ -58,17 +60,17 @@ def _measure(folder: Path, seconds: float, *, quiet: bool) -> Figures:
         client.start_device(DEVICE)
         wait_for_frames(client, cycle)
         before = device_counts(client)
-        with progress("receiving", seconds, quiet=quiet) as done:
-            received = list(transforms("127.0.0.1", port, seconds, done))
+        with progress("receiving", seconds, quiet=quiet) as report:
+            received = list(transforms("127.0.0.1", port, seconds, report))
         after = device_counts(client)
     with (
-        progress("a bare server beside it", BASELINE_SECONDS, quiet=quiet) as done,
+        progress("a bare server beside it", BASELINE_SECONDS, quiet=quiet) as report,
         running_baseline_transforms() as url,
     ):
         address = urlsplit(url)
         assert address.hostname is not None
         assert address.port is not None
-        bare = list(transforms(address.hostname, address.port, BASELINE_SECONDS, done))
+        bare = list(transforms(address.hostname, address.port, BASELINE_SECONDS, report))
     # The first may be of header version 1, before the server knows better: it has no number.
     name = f"{TOOL}ToTracker"
     ours = [one for one in received if one.device == name and one.sequence >= 0]
@@ -98,13 +100,10 @@ def _tip_errors(
     rotation, origin = scene.pose(0, times)
     truth = rotation @ tip + origin
     matrices = np.array([one.matrix for one in received])
-    found = matrices[:, :, :3] @ tip + matrices[:, :, 3]
+    tips = matrices[:, :, :3] @ tip + matrices[:, :, 3]
     numbers = np.array([one.sequence for one in received])
     best = min(
-        (
-            np.linalg.norm(found - truth[(numbers + begin) % cycle], axis=1)
-            for begin in range(cycle)
-        ),
+        (np.linalg.norm(tips - truth[(numbers + begin) % cycle], axis=1) for begin in range(cycle)),
         key=lambda errors: float((errors**2).mean()),
     )
     return np.asarray(best)

@@ -60,14 +60,14 @@ def run(*, seconds: float, as_json: bool, **_: Any) -> None:
 
 def measure(seconds: float, *, quiet: bool) -> Figures:
     """Return the figures of our server, and of a bare one beside it for a sixth of the time."""
-    with progress(TITLE, seconds, quiet=quiet) as done:
-        ours = asyncio.run(_ours(seconds, done))
+    with progress(TITLE, seconds, quiet=quiet) as report:
+        ours = asyncio.run(_ours(seconds, report))
     baseline_s = max(1.0, seconds / 6.0)
     with progress("a bare server beside it", baseline_s, quiet=quiet):
         return ours | {"baseline": _baseline(baseline_s)}
 
 
-async def _ours(seconds: float, done: Callable[[float], object]) -> Figures:
+async def _ours(seconds: float, report: Callable[[float], object]) -> Figures:
     board = LatestPoses()
     server = OpenIGTLinkServer(board, _Tools(), ServerSettings(port=0))
     await server.start()
@@ -75,7 +75,7 @@ async def _ours(seconds: float, done: Callable[[float], object]) -> Figures:
     try:
         with _client(server.address[1]) as process:
             await _until_connected(server, process)
-            feeder = Thread(target=_feed, args=(board, seconds, done))
+            feeder = Thread(target=_feed, args=(board, seconds, report))
             feeder.start()
             await loop.run_in_executor(None, feeder.join)
             await asyncio.sleep(_REST_S)
@@ -93,7 +93,7 @@ async def _ours(seconds: float, done: Callable[[float], object]) -> Figures:
     }
 
 
-def _feed(board: LatestPoses, seconds: float, done: Callable[[float], object]) -> None:
+def _feed(board: LatestPoses, seconds: float, report: Callable[[float], object]) -> None:
     """Put frames up from a thread of its own, as the live pipeline does; exposed just now."""
     begin = time.monotonic()
     for number in range(round(seconds * RATE_HZ)):
@@ -111,7 +111,7 @@ def _feed(board: LatestPoses, seconds: float, done: Callable[[float], object]) -
         }  # fmt: skip
         board.put(PoseEntry(_DEVICE, number, now, poses, None, RATE_HZ))
         if number % 20 == 0:
-            done(time.monotonic() - begin)
+            report(time.monotonic() - begin)
 
 
 def _baseline(seconds: float) -> Figures:
@@ -151,8 +151,8 @@ def _ended(process: "subprocess.Popen[str]") -> Figures:
     output, _ = process.communicate()
     if process.returncode != 0:
         raise RuntimeError("the clients failed; see above")
-    found: Figures = json.loads(output)
-    return found
+    figures: Figures = json.loads(output)
+    return figures
 
 
 def _counted(counters: Counters) -> Figures:

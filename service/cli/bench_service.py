@@ -58,9 +58,9 @@ def service_of_simulated_device(
         settings: of the service.
         quiet: show no progress.
     """
-    shown = {} if scene is None else {"scene": scene}
+    scene_member = {} if scene is None else {"scene": scene}
     with ExitStack() as stack:
-        source = stack.enter_context(simulated_device(folder, rate_hz, cycle, shown))
+        source = stack.enter_context(simulated_device(folder, rate_hz, cycle, scene_member))
         service = stack.enter_context(service_process(folder / "service", settings, quiet=quiet))
         client = stack.enter_context(client_session(service.url, None, 60.0))
         client.stop_device(DEVICE)
@@ -97,7 +97,7 @@ def measure_baseline_stream(*, quiet: bool) -> "LiveFigures":
     from benchmarks.live import measure
 
     with (
-        progress("a bare server beside it", BASELINE_SECONDS, quiet=quiet) as done,
+        progress("a bare server beside it", BASELINE_SECONDS, quiet=quiet) as report,
         running_baseline_stream() as url,
     ):
-        return measure(url, BASELINE_SECONDS, done)
+        return measure(url, BASELINE_SECONDS, report)

@@ -24,13 +24,13 @@ from service.cli.json_files import DOCUMENT
 from service.cli.observations_csv import ObservationTable, read_observations
 from service.cli.output import (
     Force,
+    atomic_file,
     check_output,
     console,
     error_table,
     make_table,
     progress,
     say,
-    whole_file,
     write_file,
 )
 
@@ -76,10 +76,10 @@ def calibrate(
     check_output(report, force=force)
     table = read_observations(observations)
     sensors = [SensorGeometry(name, pixels, pitch) for name in table.sensors]
-    with progress("calibrating", 1.0) as done:
+    with progress("calibrating", 1.0) as report_progress:
         result = calibrate_and_assess(
             table.points_mm, table.readings_px, sensors, table.sigma_px, settings,
-            lambda share, _stage: done(share),
+            lambda share, _stage: report_progress(share),
         )  # fmt: skip
     rows, unpredicted = _error_rows(result, table)
     console.print(fit_table(result, f"{observations}: {len(table.points_mm)} points"))
@@ -123,25 +123,27 @@ def _error_rows(
     """
     readings = table.readings_px
     differences, _ = control_errors(result, table.points_mm, readings, table.sigma_px)
-    found = [("fitted", differences)]
+    error_sets = [("fitted", differences)]
     for check in result.cross_validation:
-        known = np.array([(np.nan,) * 3 if row is None else row for row in check.differences_mm])
+        values = np.array([(np.nan,) * 3 if row is None else row for row in check.differences_mm])
         label = f"{check.groups} blocks left out"
-        found.append(("leave one out" if check.scheme == "points" else label, known))
+        error_sets.append(("leave one out" if check.scheme == "points" else label, values))
     # A cross-validation that predicts less than half of the points says little of the calibration;
     # it has no row, and takes none of the others' points.
-    points = [int(np.isfinite(errors).all(axis=1).sum()) for _, errors in found]
+    points = [int(np.isfinite(errors).all(axis=1).sum()) for _, errors in error_sets]
     if not points[0]:
         return [], []
-    for (label, _), count in zip(found, points, strict=True):
+    for (label, _), count in zip(error_sets, points, strict=True):
         if 2 * count < points[0]:
             say(f"{label}: no row, because only {count} of {points[0]} points could be predicted")
-    found = [one for one, count in zip(found, points, strict=True) if 2 * count >= points[0]]
-    finite = np.isfinite(np.hstack([errors for _, errors in found]))
+    error_sets = [
+        one for one, count in zip(error_sets, points, strict=True) if 2 * count >= points[0]
+    ]
+    finite = np.isfinite(np.hstack([errors for _, errors in error_sets]))
     common = np.asarray(finite.all(axis=1))
     used, _ = effective_readings(result, readings)
     rows = []
-    for label, errors in found:
+    for label, errors in error_sets:
         shared = np.where(common[:, None], errors, np.nan)
         rows.append((label, AxisErrors.of(shared), count_readings(used, shared)))
     return rows, np.flatnonzero(~common).tolist()
@@ -162,7 +164,7 @@ def _report(
         f"Calibration of {source.name}", result, list(table.labels), table.points_mm,
         table.readings_px, table.sigma_px, {"file": source.name},
     )  # fmt: skip
-    with whole_file(page) as temporary:
+    with atomic_file(page) as temporary:
         write_report(content, temporary, figures)
     console.print(f"written: {page}")
 

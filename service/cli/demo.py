@@ -74,8 +74,8 @@ def _axis_errors(document: dict[str, Any]) -> AxisErrors:
 def _simulated_calibration(client: DemoClient) -> None:
     """Calibrate the simulated device with the peaks of a frame that it sees."""
     client.show(asdict(FRAME))
-    with progress("observing the simulated frame", FRAME_SECONDS) as done:
-        observed = client.observe_frame(FRAME_SECONDS, done)
+    with progress("observing the simulated frame", FRAME_SECONDS) as report:
+        observed = client.observe_frame(FRAME_SECONDS, report)
     with progress("calibrating the simulated device"):
         calibration = client.calibrate_simulated(FRAME.points(0.0), observed)
     headings = ("sensor", "points", "rms, px", "reading sigma, px", "chi2/dof")
@@ -97,8 +97,8 @@ def _simulated_calibration(client: DemoClient) -> None:
 def _rotating_bar(client: DemoClient, seconds: float, picture: Path) -> None:
     """Stream the bar of section 6.1.2 and print what came of it."""
     client.show(asdict(BAR))
-    with progress("streaming the rotating bar", seconds) as done:
-        stream = client.stream_bar(seconds, done)
+    with progress("streaming the rotating bar", seconds) as report:
+        stream = client.stream_bar(seconds, report)
     figures = summarise(
         stream.sequence, stream.latency_ns, stream.exposure_ns[0], stream.exposure_ns[-1]
     )

@@ -85,7 +85,7 @@ class DemoClient(Client):
         Returns:
             By marker and sensor: mean position and its standard deviation [px].
         """
-        seen: dict[int, dict[str, list[_Reading]]] = defaultdict(lambda: defaultdict(list))
+        readings: dict[int, dict[str, list[_Reading]]] = defaultdict(lambda: defaultdict(list))
         start = None
         for message, now in receive(self.stream_url("peaks"), seconds):
             start = start or now
@@ -96,11 +96,11 @@ class DemoClient(Client):
                 reading = _Reading(peak["amplitude"], peak["position_px"], peak["sigma_px"])
                 brightest[peak["sensor"]] = max(brightest.get(peak["sensor"], reading), reading)
             for sensor, reading in brightest.items():
-                seen[message["marker"]][sensor].append(reading)
+                readings[message["marker"]][sensor].append(reading)
             progress((now - start) / 1e9)
         return {
             marker: {name: _average(some) for name, some in sensors.items() if len(some) > 3}
-            for marker, sensors in sorted(seen.items())
+            for marker, sensors in sorted(readings.items())
         }
 
     def calibrate_simulated(

@@ -20,15 +20,15 @@ def circle_of(points: Array) -> tuple[Array, float, Array, Array]:
         Centre (3,), radius, distances from the circle along the radius (N,) and along the
         normal of its plane (N,).
     """
-    middle = points.mean(axis=0)
-    _, _, axes = np.linalg.svd(points - middle, full_matrices=False)
-    flat = (points - middle) @ axes[:2].T
+    centre = points.mean(axis=0)
+    _, _, axes = np.linalg.svd(points - centre, full_matrices=False)
+    flat = (points - centre) @ axes[:2].T
     # |x - c|^2 = r^2 is linear in c and r^2 - |c|^2.
     design = np.column_stack([2.0 * flat, np.ones(len(flat))])
     solution = np.linalg.lstsq(design, (flat**2).sum(axis=1), rcond=None)[0]
     radius = float(np.sqrt(solution[2] + solution[:2] @ solution[:2]))
     radial = np.linalg.norm(flat - solution[:2], axis=1) - radius
-    return middle + solution[:2] @ axes[:2], radius, radial, (points - middle) @ axes[2]
+    return centre + solution[:2] @ axes[:2], radius, radial, (points - centre) @ axes[2]
 
 
 def save_picture(

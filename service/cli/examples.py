@@ -56,8 +56,8 @@ def _waved(rng: np.random.Generator) -> bytes:
     half = rng.normal(size=(POSES, 3))
     half *= WAND_MM / 2.0 / np.linalg.norm(half, axis=1, keepdims=True)
     ends = np.stack([centre - half, centre + half], axis=1).reshape(-1, 3)
-    places = [[row // 2 + 1, row % 2 + 1] for row in range(len(ends))]
-    return _csv(["pose", "marker"], places, _readings(rng, ends))
+    identifiers = [[row // 2 + 1, row % 2 + 1] for row in range(len(ends))]
+    return _csv(["pose", "marker"], identifiers, _readings(rng, ends))
 
 
 def _volume(rng: np.random.Generator) -> bytes:
@@ -76,13 +76,13 @@ def _readings(rng: np.random.Generator, points_mm: Array) -> Array:
     return np.where((readings >= 0.0) & (readings <= pixels - 1), readings, np.nan)
 
 
-def _csv(heading: list[str], places: Sequence[Sequence[float]], readings_px: Array) -> bytes:
+def _csv(heading: list[str], identifiers: Sequence[Sequence[float]], readings_px: Array) -> bytes:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     names = [model.name for model in simulated_sensor_models()]
     ends = ("_px", "_sigma_px")
     writer.writerow([*heading, *(f"{name}{end}" for name in names for end in ends)])
-    for place, row in zip(places, readings_px.tolist(), strict=True):
+    for identifier, row in zip(identifiers, readings_px.tolist(), strict=True):
         cells = (("", "") if np.isnan(one) else (f"{one:.3f}", SIGMA_PX) for one in row)
-        writer.writerow([*place, *(cell for pair in cells for cell in pair)])
+        writer.writerow([*identifier, *(cell for pair in cells for cell in pair)])
     return text.getvalue().encode()

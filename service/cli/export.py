@@ -10,7 +10,7 @@ from service.api.exports.formats import suffix_of, write_export
 from service.api.exports.from_stream import SUFFIXES, table_from_stream
 from service.api.exports.motion_table import MotionTable
 from service.cli.json_files import CalibrationOption, TableOption, read_active_calibration
-from service.cli.output import Force, check_output, console, file_errors, progress, whole_file
+from service.cli.output import Force, atomic_file, check_output, console, file_errors, progress
 from service.cli.tracking_files import read_device, read_tools
 
 
@@ -56,7 +56,7 @@ def export(
             motion = table_from_stream(source)
         else:
             motion = _from_recording(source, tools, device, calibration, table)
-        with whole_file(to) as temporary:
+        with atomic_file(to) as temporary:
             write_export(motion, temporary, predicted=predicted, points=points)
     tracks = len(set(motion.tracks.identity.tolist()))
     console.print(
@@ -83,5 +83,5 @@ def _from_recording(
         device_id, tracking = settings.id, settings.tracking
     bodies = () if tools is None else read_tools(tools, device_id)
     active = read_active_calibration(calibration, table)
-    with RecordingReader(source) as reader, progress("exporting", reader.info.frames) as done:
-        return table_from_recording(reader, bodies, active, done, tracking)
+    with RecordingReader(source) as reader, progress("exporting", reader.info.frames) as report:
+        return table_from_recording(reader, bodies, active, report, tracking)

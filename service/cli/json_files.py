@@ -120,13 +120,15 @@ def read_active_calibration(
                 "--table needs the table's calibration: give it with --calibration"
             )
         return None
-    known = read_calibration(calibration)
+    calibration_file = read_calibration(calibration)
     if table is None:
-        return ActiveCalibration(str(calibration), known.calibration, None, None)
+        return ActiveCalibration(str(calibration), calibration_file.calibration, None, None)
     corrections = read_table(table.read_bytes()).table
-    if corrections.calibration_hash != known.content_hash:
+    if corrections.calibration_hash != calibration_file.content_hash:
         raise InvalidParameter(
             f"the table {table} was made for the calibration with the hash "
-            f"{corrections.calibration_hash}; {calibration} has {known.content_hash}"
+            f"{corrections.calibration_hash}; {calibration} has {calibration_file.content_hash}"
         )
-    return ActiveCalibration(str(calibration), known.calibration, str(table), corrections)
+    return ActiveCalibration(
+        str(calibration), calibration_file.calibration, str(table), corrections
+    )

@@ -61,8 +61,8 @@ def create(
 def show(data_dir: DataDir = None, as_json: AsJson = False) -> None:
     """List the keys that were given out."""
     with local_database(data_dir, "keys list") as (database, _), database.read() as session:
-        found = session.scalars(store.KEYS.newest_first().limit(_MAX_SHOWN))
-        listed = [document(row) for row in found]
+        newest = session.scalars(store.KEYS.newest_first().limit(_MAX_SHOWN))
+        listed = [document(row) for row in newest]
     if as_json:
         typer.echo(TypeAdapter(list[ApiKey]).dump_json(listed, indent=2))
         return

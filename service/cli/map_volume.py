@@ -17,13 +17,13 @@ from service.cli.json_files import read_calibration
 from service.cli.observations_csv import read_observations
 from service.cli.output import (
     Force,
+    atomic_file,
     check_output,
     console,
     make_table,
     progress,
     say,
     spec,
-    whole_file,
 )
 
 
@@ -61,10 +61,10 @@ def map_volume(
     table = read_observations(measurements).in_order_of(models)
     measured = MappingMeasurements(table.points_mm, table.readings_px, table.sigma_px, point_sigma)
     covariance = None if calibration_points else np.array(parent.calibration.covariance)
-    with progress("mapping", 1.0) as done:
+    with progress("mapping", 1.0) as report:
         result = build_table(
             models, parent.content_hash, measured, covariance, settings,
-            lambda share, _stage: done(share),
+            lambda share, _stage: report(share),
         )  # fmt: skip
     _write(result, parent.device, output)
     console.print(_summary(result, str(measurements)))
@@ -87,7 +87,7 @@ def _write(result: MappingResult, device: str, output: Path) -> None:
     content = TableContent(
         result.table, device, datetime.now(UTC), asdict(result.settings), asdict(result.validation)
     )
-    with whole_file(output) as temporary:
+    with atomic_file(output) as temporary:
         temporary.write_bytes(write_table(content))
 
 

@@ -16,7 +16,7 @@ from service.cli.spreadsheet import Cell, NumberFormat, read_spreadsheet
 Array = NDArray[np.float64]
 
 POSITION = ("X_mm", "Y_mm", "Z_mm")
-PLACE = ("pose", "marker")
+POSE_COLUMNS = ("pose", "marker")
 
 POWERS = {
     "mm": 0,
@@ -111,34 +111,34 @@ def read_wand(path: Path, markers: int) -> ReadingTable:
         InvalidParameter: a column is missing, a cell is not a number, a marker that the wand has
             not got, or a pose's marker given twice.
     """
-    file = _File(path, PLACE)
+    file = _File(path, POSE_COLUMNS)
     readings, sigma, _ = file.numbers()
     poses: dict[str, int] = {}
-    places: dict[tuple[int, int], int] = {}
+    line_of: dict[tuple[int, int], int] = {}
     rows: dict[tuple[int, int], int] = {}
-    for row, (given, marker) in enumerate(
+    for row, (pose_cell, marker) in enumerate(
         zip(file.cells("pose"), file.cells("marker"), strict=True)
     ):
         line, text = marker.line, marker.text
-        pose = poses.setdefault(given.text, len(poses))
+        pose = poses.setdefault(pose_cell.text, len(poses))
         if not text.isdigit() or not 1 <= int(text) <= markers:
             raise InvalidParameter(
                 f'{path}, line {line}: marker is "{text}"; it must be from 1 to {markers}'
             )
-        place = (pose, int(text) - 1)
-        if place in places:
+        pose_marker = (pose, int(text) - 1)
+        if pose_marker in line_of:
             raise InvalidParameter(
-                f"{path}, line {line}: marker {text} of pose {given.text} is given again; it "
-                f"stands in line {places[place]}"
+                f"{path}, line {line}: marker {text} of pose {pose_cell.text} is given again; it "
+                f"stands in line {line_of[pose_marker]}"
             )
-        places[place] = line
-        rows[place] = row
-    whole = np.full((2, len(poses), markers, len(file.sensors)), np.nan)
-    for place, row in rows.items():
-        whole[0][place] = readings[row]
+        line_of[pose_marker] = line
+        rows[pose_marker] = row
+    table = np.full((2, len(poses), markers, len(file.sensors)), np.nan)
+    for pose_marker, row in rows.items():
+        table[0][pose_marker] = readings[row]
         if sigma is not None:
-            whole[1][place] = sigma[row]
-    return ReadingTable(path, file.sensors, whole[0], None if sigma is None else whole[1])
+            table[1][pose_marker] = sigma[row]
+    return ReadingTable(path, file.sensors, table[0], None if sigma is None else table[1])
 
 
 class _File:
@@ -180,17 +180,17 @@ class _File:
                 f"semicolons or tabs{lengths}"
             )
         self._sigma = [f"{name}_sigma_px" for name in self.sensors]
-        given = [f"{name}_px" for name in readings if name.endswith("_sigma")]
-        absent = [name for name in self._sigma if name not in given]
-        orphans = [name for name in given if name not in self._sigma]
+        expected = [f"{name}_px" for name in readings if name.endswith("_sigma")]
+        absent = [name for name in self._sigma if name not in expected]
+        orphans = [name for name in expected if name not in self._sigma]
         if orphans:
             raise InvalidParameter(
                 f"{path} has {orphans[0]} but no {orphans[0].replace('_sigma', '')}; its sensors "
                 f"are {', '.join(self.sensors)}"
             )
-        if given and absent:
-            raise InvalidParameter(f"{path} has {given[0]} but no {absent[0]}; give all or none")
-        if not given:
+        if expected and absent:
+            raise InvalidParameter(f"{path} has {expected[0]} but no {absent[0]}; give all or none")
+        if not expected:
             self._sigma = []
         self._positions = [name for name in POSITION if name in required]
         used = [*self._positions, *self._sigma, *(f"{name}_px" for name in self.sensors)]
@@ -224,4 +224,4 @@ def _recognise(heading: str) -> tuple[str, int]:
     if length:
         return f"{length[1].upper()}_mm", POWERS[length[2].lower()]
     name = heading.lower()
-    return (name if name in (*PLACE, "name") else ""), 0
+    return (name if name in (*POSE_COLUMNS, "name") else ""), 0

@@ -43,7 +43,7 @@ def progress(
     )  # fmt: skip
     with bar:
         task = bar.add_task(text, total=total)
-        yield lambda done: bar.update(task, completed=done)
+        yield lambda completed: bar.update(task, completed=completed)
 
 
 def say(message: str) -> None:
@@ -98,7 +98,7 @@ def check_output(path: Path | None, *, force: bool) -> None:
 
 
 @contextmanager
-def whole_file(path: Path) -> Iterator[Path]:
+def atomic_file(path: Path) -> Iterator[Path]:
     """Yield where to write a file, which takes its place only when it is whole.
 
     A failure leaves what was there before; an OSError ends the command with the reason.
@@ -125,7 +125,7 @@ def _is_special(path: Path) -> bool:
 
 def write_file(path: Path, content: bytes) -> None:
     """Write a whole file and say so, or end the command with the reason."""
-    with whole_file(path) as temporary:
+    with atomic_file(path) as temporary:
         temporary.write_bytes(content)
     console.print(f"written: {path}")
 

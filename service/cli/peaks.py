@@ -21,13 +21,13 @@ from service.cli.json_files import error_messages
 from service.cli.output import (
     AsJson,
     Force,
+    atomic_file,
     check_output,
     console,
     fail,
     make_table,
     say,
     spec,
-    whole_file,
 )
 from service.cli.scan_files import ScanFile, read_scans
 
@@ -125,15 +125,15 @@ def _named(name: str, width_px: float | None = None, further: bool | None = None
         raise fail(f"--further-peaks is for the method fit, not for {name}")
     if name == "chain":
         return passive_chain()
-    given = {"width_px": width_px, "further_peaks": further}
-    known = {option: value for option, value in given.items() if value is not None}
+    options = {"width_px": width_px, "further_peaks": further}
+    set_options = {option: value for option, value in options.items() if value is not None}
     if name == "mask":
         raise fail(
             "the method mask has to know the shadow: give it by --settings, as "
             '{"method": "mask", "profile": "coda-mpx30"}'
         )
     with _refusals("--width"):
-        return METHOD.validate_python({"method": name, **known})
+        return METHOD.validate_python({"method": name, **set_options})
 
 
 def recorded_method(
@@ -151,20 +151,20 @@ def recorded_method(
     """
     from service.pipeline.detection_stage import FREE_WIDTH_FIT, peak_method
 
-    own = peak_method(device)
-    if name is None and own is None:
+    device_method = peak_method(device)
+    if name is None and device_method is None:
         raise InvalidParameter(
             "the lines are the outputs behind a plate with Gray tracks, which have no peaks; with "
             "--method they are measured all the same"
         )
-    if name == "mask" or (name is None and own == "shadow"):
+    if name == "mask" or (name is None and device_method == "shadow"):
         return _recorded_mask(device, sensors)
     if name is None:
-        name = own if own == "centroid" else "fit"
+        name = device_method if device_method == "centroid" else "fit"
     if name != "fit":
         return _named(name)
     width = device.line_sigma_px
-    if width is not None and own == "fit":
+    if width is not None and device_method == "fit":
         return FitMethod(width_px=width, width_log_sigma=0.0)
     return FitMethod(
         width_log_sigma=WIDEST_SPREAD,
@@ -202,17 +202,17 @@ def _refusals(where: str, hint: str = "") -> Iterator[None]:
 
 
 def _noise(
-    given: dict[str, float | None], recorded: PixelNoise | None
+    options: dict[str, float | None], recorded: PixelNoise | None
 ) -> PixelNoise | NoiseConstants | None:
     """Return the noise of the options, else of the recording; None: neither has it."""
-    values = {name: value for name, value in given.items() if value is not None}
+    values = {name: value for name, value in options.items() if value is not None}
     if not values:
         return recorded
     with _refusals("noise", "; give --gain and --read-noise, or neither"):
         if recorded is not None:
             return PixelNoise.model_validate({**recorded.model_dump(), **values})
-        known = {"offset_counts", "full_scale_counts"}
-        if values.keys() <= known:
+        allowed = {"offset_counts", "full_scale_counts"}
+        if values.keys() <= allowed:
             # Checked as if the rest were known, too.
             full = PixelNoise.model_validate(
                 {"electrons_per_count": 1.0, "read_noise_electrons": 0.0, **values}
@@ -227,7 +227,7 @@ def _draw(read: ScanFile, method: Method, result: LineScans, output: Path) -> No
     count = getattr(method, "average", None) or 1
     detailed = find_peaks(read.scans[:count], method, result.noise, detail=True)
     first = result.model_copy(update={"scans": detailed.scans})
-    with whole_file(output) as temporary:
+    with atomic_file(output) as temporary:
         temporary.write_bytes(draw_scan(read.scans[0], first, method, read.names[0]))
 
 

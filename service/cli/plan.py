@@ -16,6 +16,7 @@ from compute.planning.plan_result import AccuracyBudget, AxisSummary, Plan
 from service.cli.output import (
     AsJson,
     Force,
+    atomic_file,
     check_output,
     console,
     fail,
@@ -24,7 +25,6 @@ from service.cli.output import (
     print_json,
     progress,
     say,
-    whole_file,
 )
 
 
@@ -60,12 +60,12 @@ def plan(
     from compute.planning import plan as planning
 
     device = with_error_sources(load_profile(profile), assume or ())
-    with progress("planning", 1.0, quiet=as_json) as done:
-        result = planning.plan(device, grid=grid, markers=markers, progress=done)
+    with progress("planning", 1.0, quiet=as_json) as report:
+        result = planning.plan(device, grid=grid, markers=markers, progress=report)
     if output is not None:
         from service.api.planning.plot import draw_plan
 
-        with whole_file(output) as temporary:
+        with atomic_file(output) as temporary:
             temporary.write_bytes(draw_plan(result))
     if as_json:
         print_json(result)

@@ -50,11 +50,11 @@ def check_ports(settings: Settings) -> None:
 def _why_not(host: str, port: int) -> str | None:
     """Return why none of a name's addresses can be listened on, or one is taken; else None."""
     try:
-        found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
+        addresses = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
     except OSError as error:
         return error.strerror or str(error)
     reasons = []
-    for family, kind, protocol, _, address in found:
+    for family, kind, protocol, _, address in addresses:
         try:
             with socket.socket(family, kind, protocol) as probe:
                 probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -65,7 +65,7 @@ def _why_not(host: str, port: int) -> str | None:
             reasons.append(error.strerror or str(error))
             if error.errno == errno.EADDRINUSE:
                 return "another program listens there; end it, or choose another port"
-    return reasons[0] if len(reasons) == len(found) else None
+    return reasons[0] if len(reasons) == len(addresses) else None
 
 
 def check_startup(settings: Settings) -> None:
@@ -122,14 +122,14 @@ def create_bootstrap_key(settings: Settings) -> None:
         token = current_act.set(Act(_SERVE, "lumiline serve"))
         try:
             with database.write() as session:
-                _, made = store.add_key(session, "first key", SCOPES)
+                _, key = store.add_key(session, "first key", SCOPES)
         finally:
             current_act.reset(token)
     finally:
         database.close()
     sys.stderr.write(
         f"\nClients need a key. This is the first one, of every scope; it is shown once:\n\n"
-        f"    {made.text}\n\n"
+        f"    {key.text}\n\n"
         "Make others with POST /api/v1/keys, or with: lumiline keys create\n\n"
     )
 
@@ -157,14 +157,14 @@ def open_database(url: str) -> Database:
 
 
 def _secrets(url: URL) -> list[str]:
-    given = [url.password, *url.normalized_query.get("password", ())]
-    return [secret for secret in given if secret]
+    passwords = [url.password, *url.normalized_query.get("password", ())]
+    return [secret for secret in passwords if secret]
 
 
 def redact_password(url: URL) -> str:
     """Return a database's URL as it may be shown."""
-    shown = url.difference_update_query(["password"])
-    return shown.render_as_string(hide_password=True)
+    redacted = url.difference_update_query(["password"])
+    return redacted.render_as_string(hide_password=True)
 
 
 def _end(message: str, code: int) -> typer.Exit:

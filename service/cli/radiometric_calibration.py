@@ -12,6 +12,7 @@ from service.cli.json_files import read_json
 from service.cli.output import (
     AsJson,
     Force,
+    atomic_file,
     check_output,
     console,
     fail,
@@ -20,7 +21,6 @@ from service.cli.output import (
     progress,
     say,
     spec,
-    whole_file,
 )
 from service.cli.server_session import HERE, DeviceOption, Key, Url, client_session
 
@@ -57,14 +57,14 @@ def estimate(
 
     check_output(output, force=force)
     with progress("estimating", quiet=as_json):
-        device, found = estimate_from_recordings(
+        device, estimates = estimate_from_recordings(
             dark, flat, relative_light=light, temperature_c=temperature
         )
-    sensors = {name: one.to_document() for name, one in found.items()}
+    sensors = {name: one.to_document() for name, one in estimates.items()}
     content = {"device": device.name, "sensors": sensors}
-    with whole_file(output) as temporary:
+    with atomic_file(output) as temporary:
         temporary.write_text(json.dumps(content, allow_nan=False), encoding="utf-8")
-    figures = [sensor_figures(name, one).model_dump() for name, one in found.items()]
+    figures = [sensor_figures(name, one).model_dump() for name, one in estimates.items()]
     if as_json:
         print_json(figures)
     else:
@@ -89,15 +89,15 @@ def line_shape(
     from service.api.radiometric_calibrations.recorded_lines import with_line_shapes
 
     check_output(output, force=force)
-    known = {} if pixels is None else content_of(read_json(pixels)).sensors
+    pixel_content = {} if pixels is None else content_of(read_json(pixels)).sensors
     with progress("estimating", quiet=as_json):
-        device, found = with_line_shapes(recording, known)
-    sensors = {name: one.to_document() for name, one in found.items()}
-    with whole_file(output) as temporary:
+        device, content = with_line_shapes(recording, pixel_content)
+    sensors = {name: one.to_document() for name, one in content.items()}
+    with atomic_file(output) as temporary:
         text = json.dumps({"device": device.name, "sensors": sensors}, allow_nan=False)
         temporary.write_text(text, encoding="utf-8")
     if as_json:
-        print_json([sensor_figures(name, one).model_dump() for name, one in found.items()])
+        print_json([sensor_figures(name, one).model_dump() for name, one in content.items()])
         return
     rows = (
         (
@@ -105,7 +105,7 @@ def line_shape(
             f"{one.line_shape.skewness[0]:+.3f}", f"{one.line_shape.skewness[-1]:+.3f}",
             f"{one.line_shape.reduced_chi2:.3f}",
         )
-        for name, one in found.items()
+        for name, one in content.items()
         if one.line_shape is not None
     )  # fmt: skip
     headings = ("sensor", "lines", "width, px", "skewness,\nfirst", "skewness,\nlast", "chi2 / dof")
@@ -159,12 +159,12 @@ def capture(
                 say(f"session {session.id} stays as it is")
                 raise typer.Exit(1)
             session = _captured(client, session, temperature)
-        made = client.create_radiometric_calibration(
+        created = client.create_radiometric_calibration(
             id=radiometric_id,
             device_id=device,
             source={"kind": "capture", "radiometric_capture_id": session.id},
         )
-    _print_made(made)
+    _print_created(created)
 
 
 def _captured(
@@ -174,7 +174,7 @@ def _captured(
     from lumiline.client.errors import ServerProblem
 
     try:
-        taken: RadiometricCapture = client.capture_radiometric_frames(
+        capture: RadiometricCapture = client.capture_radiometric_frames(
             session.id, kind=session.next, temperature_c=temperature_c
         )
     except ServerProblem as problem:
@@ -182,7 +182,7 @@ def _captured(
             raise
         say(f"[yellow]{problem.detail}[/yellow]")
         return session
-    return taken
+    return capture
 
 
 @radiometric_calibration.command("upload")
@@ -200,34 +200,34 @@ def upload(
     if not isinstance(sensors, dict):
         raise fail(f"{file} holds no radiometric calibration; `estimate --output` writes one")
     with client_session(url, key) as client:
-        made = client.create_radiometric_calibration(
+        created = client.create_radiometric_calibration(
             id=radiometric_id,
             device_id=device,
             source={"kind": "document", "sensors": sensors},
             note=note,
         )
-    _print_made(made)
+    _print_created(created)
 
 
 @radiometric_calibration.command("activate")
 def activate(radiometric_id: RadiometricId, url: Url = HERE, key: Key = None) -> None:
     """Find the peaks of its device with it, from the next frame on."""
     with client_session(url, key) as client:
-        done = client.activate_radiometric_calibration(radiometric_id)
-    say(f"device {done.device_id} uses {done.id}")
+        activation = client.activate_radiometric_calibration(radiometric_id)
+    say(f"device {activation.device_id} uses {activation.id}")
 
 
 @radiometric_calibration.command("deactivate")
 def deactivate(radiometric_id: RadiometricId, url: Url = HERE, key: Key = None) -> None:
     """Let its device go on without it."""
     with client_session(url, key) as client:
-        done = client.deactivate_radiometric_calibration(radiometric_id)
-    say(f"device {done.device_id} does not use {done.id}")
+        deactivation = client.deactivate_radiometric_calibration(radiometric_id)
+    say(f"device {deactivation.device_id} does not use {deactivation.id}")
 
 
-def _print_made(made: RadiometricCalibrationSummary) -> None:
-    console.print(_figures([one.model_dump() for one in made.sensors], made.id))
-    say(f"stored as {made.id}; `lumiline radiometric-calibration activate {made.id}` uses it")
+def _print_created(created: RadiometricCalibrationSummary) -> None:
+    console.print(_figures([one.model_dump() for one in created.sensors], created.id))
+    say(f"stored as {created.id}; `lumiline radiometric-calibration activate {created.id}` uses it")
 
 
 def _figures(sensors: list[dict[str, Any]], title: str) -> Table:

@@ -70,14 +70,14 @@ def readings(
     """Write control points (with --targets) or poses and markers, for `lumiline wand`, as CSV."""
     if output.exists():
         raise fail(f"{output} exists; choose another name")
-    wanted = None if targets is None else _read_targets(targets)
-    with progress("finding peaks", 1.0) as done:
-        cycles = read_cycles(recording, done)
-    if wanted is None:
+    target_points = None if targets is None else _read_targets(targets)
+    with progress("finding peaks", 1.0) as report:
+        cycles = read_cycles(recording, report)
+    if target_points is None:
         rows = _poses(cycles, still_px) if still else _every_cycle(cycles)
         heading = ["pose", "marker"]
     else:
-        rows = _control_points(cycles, wanted, still_px)
+        rows = _control_points(cycles, target_points, still_px)
         heading = ["name", "X_mm", "Y_mm", "Z_mm"]
     if not rows:
         raise InvalidParameter(
@@ -88,9 +88,9 @@ def readings(
     writer = csv.writer(text, lineterminator="\n")
     ends = ("_px", "_sigma_px")
     writer.writerow([*heading, *(f"{name}{end}" for name in cycles.sensors for end in ends)])
-    for place, values, sigma in rows:
+    for identifiers, values, sigma in rows:
         pairs = np.column_stack([values, sigma]).ravel().tolist()
-        writer.writerow([*place, *("" if np.isnan(cell) else repr(cell) for cell in pairs)])
+        writer.writerow([*identifiers, *("" if np.isnan(cell) else repr(cell) for cell in pairs)])
     write_file(output, text.getvalue().encode())
     say(f"{len(rows)} rows, {len(cycles.readings_px)} strobe cycles of {recording}")
 
@@ -99,13 +99,13 @@ _Row = tuple[list[object], Array, Array]
 
 
 def recorded_readings(
-    reader: "RecordingReader", done: Callable[[float], None]
+    reader: "RecordingReader", report: Callable[[float], None]
 ) -> Iterator[tuple[int, int | None, Array, Array]]:
     """Yield of each exposure its device time [ns], lit marker, readings and sigmas (S,) [px].
 
     Args:
         reader: of the recording.
-        done: called with the share of the frames processed.
+        report: called with the share of the frames processed.
 
     Raises:
         InvalidRecording: the file is damaged, or holds no scans.
@@ -124,10 +124,10 @@ def recorded_readings(
             read = clear_readings(batch, lines, strobed=frame.marker is not None)
             yield frame.exposure_device_ns, frame.marker, *read
         count += len(batch.frames)
-        done(count / max(reader.info.frames, 1))
+        report(count / max(reader.info.frames, 1))
 
 
-def read_cycles(path: Path, done: Callable[[float], None]) -> StrobeCycles:
+def read_cycles(path: Path, report: Callable[[float], None]) -> StrobeCycles:
     """Return the readings of a recording by strobe cycle.
 
     Raises:
@@ -140,18 +140,18 @@ def read_cycles(path: Path, done: Callable[[float], None]) -> StrobeCycles:
         description = reader.info.description
         names = tuple(sensor.name for sensor in description.sensors)
         shape = (2, max(1, description.markers), len(names))
-        found: list[Array] = []
+        cycles: list[Array] = []
         filled: set[int] = set()
-        for _, lit, position, sigma in recorded_readings(reader, done):
+        for _, lit, position, sigma in recorded_readings(reader, report):
             if description.markers and lit is None:
                 continue  # all are lit: nothing says which peak is whose
             marker = lit or 0
-            if not found or marker in filled:
-                found.append(np.full(shape, np.nan))
+            if not cycles or marker in filled:
+                cycles.append(np.full(shape, np.nan))
                 filled = set()
-            found[-1][:, marker] = position, sigma
+            cycles[-1][:, marker] = position, sigma
             filled.add(marker)
-    both = np.array(found).reshape(-1, *shape)
+    both = np.array(cycles).reshape(-1, *shape)
     return StrobeCycles(names, both[:, 0], both[:, 1], description.markers > 0)
 
 
@@ -176,11 +176,11 @@ def still_periods(readings_px: Array, limit_px: float) -> list[slice]:
 
 
 def _average(cycles: StrobeCycles, period: slice, marker: int, name: str) -> tuple[Array, Array]:
-    found = average(
+    mean = average(
         cycles.readings_px[period, marker], cycles.sigma_px[period, marker], cycles.sensors,
         _SEEN_SHARE, name,
     )  # fmt: skip
-    return found.mean_px, np.where(np.isfinite(found.mean_px), found.sigma_px, np.nan)
+    return mean.mean_px, np.where(np.isfinite(mean.mean_px), mean.sigma_px, np.nan)
 
 
 def _every_cycle(cycles: StrobeCycles) -> list[_Row]:
@@ -196,15 +196,15 @@ def _poses(cycles: StrobeCycles, limit_px: float) -> list[_Row]:
     rows: list[_Row] = []
     pose = 0
     for period in _rests(cycles, limit_px):
-        found: list[_Row] = []
+        pose_rows: list[_Row] = []
         for marker in range(cycles.readings_px.shape[1]):
             try:
                 mean = _average(cycles, period, marker, f"marker {marker + 1}")
             except NoObservation:
                 continue
-            found.append(([pose + 1, marker + 1], *mean))
-        rows += found
-        pose += bool(found)
+            pose_rows.append(([pose + 1, marker + 1], *mean))
+        rows += pose_rows
+        pose += bool(pose_rows)
     return rows
 
 
@@ -214,7 +214,7 @@ def _rests(cycles: StrobeCycles, limit_px: float) -> list[slice]:
 
 
 def _at_rest(cycles: StrobeCycles, period: slice) -> bool:
-    seen = 0
+    columns = 0
     for marker in range(cycles.readings_px.shape[1]):
         try:
             _average(cycles, period, marker, "")
@@ -222,8 +222,8 @@ def _at_rest(cycles: StrobeCycles, period: slice) -> bool:
             return False
         except NoObservation:
             continue
-        seen += 1
-    return seen > 0
+        columns += 1
+    return columns > 0
 
 
 def _control_points(cycles: StrobeCycles, targets: Sequence[Target], limit_px: float) -> list[_Row]:

@@ -48,18 +48,18 @@ def record(
         total = max(1, int(seconds * description.frame_rate_hz))
         with (
             RecordingWriter(output, description) as writer,
-            progress(doing, total) as done,
+            progress(doing, total) as report,
         ):
             row = NO_CALIBRATION_ROW
             if calibration is not None:
-                found = ActiveCalibration(f"{description.name}-nominal", calibration)
-                row = writer.put_active_calibration(*dump_active_calibration(found))
+                active = ActiveCalibration(f"{description.name}-nominal", calibration)
+                row = writer.put_active_calibration(*dump_active_calibration(active))
             # Ctrl-C ends the frames, so that the file is closed whole and can be read.
             interrupted = signal.signal(signal.SIGINT, lambda *_: driver.close())
             try:
                 for count, frame in enumerate(driver.frames(), start=1):
                     writer.append(frame, row)
-                    done(count)
+                    report(count)
             finally:
                 signal.signal(signal.SIGINT, interrupted)
     console.print(f"written: {output}")

@@ -14,12 +14,12 @@ from compute.errors import InvalidRecording
 from service.cli.json_files import CalibrationOption, TableOption, read_active_calibration
 from service.cli.output import (
     Force,
+    atomic_file,
     check_output,
     fail,
     print_json,
     progress,
     say,
-    whole_file,
 )
 
 
@@ -61,19 +61,19 @@ def _replay(path: Path, calibration: Path | None, table: Path | None, output: Pa
         target = typer.get_text_stream("stdout")
         if output is not None:
             target = stack.enter_context(
-                stack.enter_context(whole_file(output)).open("w", encoding="utf-8")
+                stack.enter_context(atomic_file(output)).open("w", encoding="utf-8")
             )
         active = read_active_calibration(calibration, table)
         if active is None and reader.info.state.in_force == 0:
             raise InvalidRecording(f"{path.name} holds no calibration; give one with --calibration")
         processor = FrameProcessor("replay", reader.info.description, "cpu")
-        done = stack.enter_context(progress("replaying", reader.info.frames))
+        report = stack.enter_context(progress("replaying", reader.info.frames))
         count = 0
         for batch in reprocess(reader, processor, given=active):
             for message in frame_messages(StreamBatch(batch), frozenset({"points"})):
                 target.write(f"{encode(message, 'json')!s}\n")
             count += len(batch.frames)
-            done(count)
+            report(count)
 
 
 def _check(path: Path, batch_frames: int, *, as_json: bool) -> None:
@@ -84,10 +84,10 @@ def _check(path: Path, batch_frames: int, *, as_json: bool) -> None:
 
     with (
         RecordingReader(path) as reader,
-        progress("comparing", reader.info.frames, quiet=as_json) as done,
+        progress("comparing", reader.info.frames, quiet=as_json) as report,
     ):
         processor = FrameProcessor("replay", reader.info.description, "cpu")
-        result = compare(reader, processor, batch_frames, done)
+        result = compare(reader, processor, batch_frames, report)
     if as_json:
         print_json(asdict(result) | {"same": result.same})
     else:

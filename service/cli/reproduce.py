@@ -11,6 +11,7 @@ from rich.table import Table
 from service.cli.output import (
     AsJson,
     Force,
+    atomic_file,
     check_output,
     console,
     error_table,
@@ -18,7 +19,6 @@ from service.cli.output import (
     make_table,
     print_json,
     progress,
-    whole_file,
 )
 from validation.all_cases import ALL_CASES
 from validation.progress import Listener, progress_listener
@@ -49,24 +49,24 @@ def reproduce(
     if case != "all" and case not in ALL_CASES:
         raise fail(f'there is no case "{case}"; the cases are {", ".join(ALL_CASES)} and all')
     chosen = list(ALL_CASES.values()) if case == "all" else [ALL_CASES[case]]
-    given = {
+    options = {
         name: value for name, value in (("seed", seed), ("trials", trials)) if value is not None
     }
     if len(chosen) == 1:
-        for name in given:
+        for name in options:
             if name not in _options(chosen[0]):
                 takers = [one.name for one in ALL_CASES.values() if name in _options(one)]
                 raise fail(f"{case} has no --{name}; the cases that have one: {', '.join(takers)}")
     results: list[CaseResult | TablesResult] = []
-    with progress("reproducing", float(len(chosen)), quiet=as_json) as done:
+    with progress("reproducing", float(len(chosen)), quiet=as_json) as report:
         for index, one in enumerate(chosen):
-            with progress_listener(_from(index, done)):
+            with progress_listener(_from(index, report)):
                 if isinstance(one, TablesCase):
-                    own = {name: given[name] for name in one.options if name in given}
-                    results.append(one.run(**own))
+                    case_options = {name: options[name] for name in one.options if name in options}
+                    results.append(one.run(**case_options))
                 else:
                     results.append(one.run())
-            done(index + 1.0)
+            report(index + 1.0)
     if as_json:
         print_json(results if case == "all" else results[0])
         return
@@ -81,8 +81,8 @@ def _options(case: Case | TablesCase) -> tuple[str, ...]:
     return case.options if isinstance(case, TablesCase) else ()
 
 
-def _from(index: int, done: Callable[[float], None]) -> Listener:
-    return lambda share, _stage: done(index + share)
+def _from(index: int, report: Callable[[float], None]) -> Listener:
+    return lambda share, _stage: report(index + share)
 
 
 def _draw(name: str | None, output: Path, *, force: bool) -> None:
@@ -96,7 +96,7 @@ def _draw(name: str | None, output: Path, *, force: bool) -> None:
         ]
         raise fail(f"--output wants a case that has a picture: {', '.join(drawn)}")
     check_output(output, force=force)
-    with whole_file(output) as temporary:
+    with atomic_file(output) as temporary:
         case.picture(temporary)
 
 
@@ -186,13 +186,13 @@ def _fitting(table: ResultTable, width: int) -> Iterator[Table]:
 def _table(
     table: ResultTable,
     columns: list[tuple[Cell, ...]],
-    shown: list[int],
+    indices: list[int],
     numeric: list[bool],
     needed: list[int],
 ) -> Table:
     # A unit in brackets is no markup.
     part = Table(title=escape(table.title), title_justify="left")
-    for index in shown:
+    for index in indices:
         part.add_column(
             escape(str(columns[index][0])),
             justify="right" if numeric[index] else "left",
@@ -200,7 +200,7 @@ def _table(
             overflow="fold",
         )
     for row in table.rows:
-        part.add_row(*(escape(_cell(row[index])) for index in shown))
+        part.add_row(*(escape(_cell(row[index])) for index in indices))
     return part
 
 

@@ -64,30 +64,33 @@ def read_scans(
     except OSError as error:
         raise InvalidParameter(f"{path} cannot be read: {error.strerror}") from error
     if start == _HDF5:
-        found = _recorded(path, frame or 0, sensor)
+        scan_file = _recorded(path, frame or 0, sensor)
     else:
         if frame is not None or sensor is not None:
             name = "--frame" if sensor is None else "--sensor"
             raise InvalidParameter(f"{path} is no recording; {name} is for recordings")
         lines = _numpy(path) if start.startswith(_NUMPY) else _csv(path)
-        found = ScanFile(lines, 0, tuple(f"line {row}" for row in range(len(lines))), None)
-    pixels = found.scans.shape[1]
+        scan_file = ScanFile(lines, 0, tuple(f"line {row}" for row in range(len(lines))), None)
+    pixels = scan_file.scans.shape[1]
     if not MIN_PIXELS <= pixels <= MAX_PIXELS:
         raise InvalidParameter(
             f"{path} has lines of {pixels} pixels; they must have {MIN_PIXELS} to {MAX_PIXELS}"
         )
     if scan is None:
-        return found
-    if scan >= len(found.scans):
+        return scan_file
+    if scan >= len(scan_file.scans):
         raise InvalidParameter(
-            f"{path} has no line {scan}; its lines have the numbers 0 to {len(found.scans) - 1}"
+            f"{path} has no line {scan}; its lines have the numbers 0 to {len(scan_file.scans) - 1}"
         )
     one = slice(scan, scan + 1)
-    sensors = None if found.sensors is None else found.sensors[one]
+    sensors = None if scan_file.sensors is None else scan_file.sensors[one]
     return replace(
-        found, scans=found.scans[one], first=found.first + scan, names=found.names[one],
+        scan_file,
+        scans=scan_file.scans[one],
+        first=scan_file.first + scan,
+        names=scan_file.names[one],
         sensors=sensors,
-    )  # fmt: skip
+    )
 
 
 def _recorded(path: Path, frame: int, sensor: str | None) -> ScanFile:

@@ -14,7 +14,7 @@ from pydantic_core import ErrorDetails
 
 from service.settings import Settings
 
-_KNOWN: Final = tuple(Settings.model_fields)
+_SETTINGS: Final = tuple(Settings.model_fields)
 
 GC_THRESHOLDS: Final = (10_000, 50, 100)
 """Objects more than before, and how many collections of one generation, before the next."""
@@ -105,10 +105,10 @@ def server_options(settings: Settings) -> dict[str, Any]:
     }
 
 
-def load_settings(**given: Any) -> Settings:
+def load_settings(**options: Any) -> Settings:
     """Return the settings; ends the command with a clear message when one is wrong."""
     try:
-        return Settings(**{name: value for name, value in given.items() if value is not None})
+        return Settings(**{name: value for name, value in options.items() if value is not None})
     except ValidationError as error:
         for item in error.errors():
             typer.echo(_complaint(item), err=True)
@@ -123,6 +123,6 @@ def _complaint(item: ErrorDetails) -> str:
         return f"settings: {item['msg'].removeprefix('Value error, ')}"
     name = ".".join(str(part) for part in item["loc"])
     if item["type"] == "extra_forbidden":
-        return f"setting {name}: there is no such setting; there are {', '.join(_KNOWN)}"
-    shown = "" if item["loc"][0] == "database_url" else f", got {item['input']!r}"
-    return f"setting {name}: {item['msg']}{shown}"
+        return f"setting {name}: there is no such setting; there are {', '.join(_SETTINGS)}"
+    input_text = "" if item["loc"][0] == "database_url" else f", got {item['input']!r}"
+    return f"setting {name}: {item['msg']}{input_text}"

@@ -195,9 +195,9 @@ class NumberFormat:
         if cell.missing:
             return float("nan")
         match = _NUMBER.fullmatch(_plain(cell.text))
-        whole, _, fraction = match[2].partition(self._decimal) if match else ("", "", "")
-        groups = re.split(f"[.,{_GROUP_MARKS}]", whole)
-        marks = set(re.sub(r"\d", "", whole))
+        integer, _, fraction = match[2].partition(self._decimal) if match else ("", "", "")
+        groups = re.split(f"[.,{_GROUP_MARKS}]", integer)
+        marks = set(re.sub(r"\d", "", integer))
         grouped = len(groups) == 1 or (
             len(marks) == 1
             and 1 <= len(groups[0]) <= 3

@@ -64,11 +64,11 @@ def show_one(
 ) -> None:
     """Show a tool and its newest pose; exit code 1 where that is not OK."""
     with client_session(url, key) as client:
-        shown, pose = client.tool(tool), client.tool_pose(tool, frame_id=frame)
+        document, pose = client.tool(tool), client.tool_pose(tool, frame_id=frame)
     if as_json:
-        print_json({"tool": shown, "pose": pose})
+        print_json({"tool": document, "pose": pose})
     else:
-        say(f"{shown.id}: {shown.title}, {len(shown.markers_mm)} markers")
+        say(f"{document.id}: {document.title}, {len(document.markers_mm)} markers")
         console.print(_poses([pose]))
     if pose.status != "OK":
         raise typer.Exit(1)
@@ -97,10 +97,10 @@ def watch(
             return _poses(client.tool_pose(tool.id, frame_id=frame) for tool in others)
 
         try:
-            with Live(poses(), console=console, auto_refresh=False) as shown:
+            with Live(poses(), console=console, auto_refresh=False) as live:
                 while end is None or time.monotonic() < end:
                     time.sleep(1.0 / REFRESHES_PER_S)
-                    shown.update(poses(), refresh=True)
+                    live.update(poses(), refresh=True)
         except KeyboardInterrupt:
             return
 

@@ -112,8 +112,8 @@ def wand(
         if cameras is None and pixels is not None:
             sensors = tuple(SensorGeometry(name, pixels) for name in table.sensors)
     elif recording is not None:
-        with progress("finding peaks", 1.0) as done:
-            table, sensors = read_recorded_wand(recording, strobed, done)
+        with progress("finding peaks", 1.0) as report:
+            table, sensors = read_recorded_wand(recording, strobed, report)
     else:
         assert live is not None
         with client_session(url, key) as client:
@@ -133,7 +133,7 @@ def wand(
         initial = sensors
     waved = Recording(target, table.readings_px, table.sigma_px)
     try:
-        with progress("calibrating", 1.0) as done:
+        with progress("calibrating", 1.0) as report:
             result = self_calibrate(
                 initial,
                 [waved],
@@ -142,7 +142,7 @@ def wand(
                     None if directions is None else _directions(directions, table.sensors)
                 ),
                 distortion=parse_distortion(distortion),
-                progress=lambda share, _stage: done(share),
+                progress=lambda share, _stage: report(share),
             )
     except LumilineError:
         if readings is None:

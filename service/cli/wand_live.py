@@ -49,20 +49,22 @@ def wave_live(
         seconds: how long at most.
         every_s: time between two looks [s].
     """
-    began = time.monotonic()
+    start_s = time.monotonic()
     estimate = _EstimatedCameras(source) if cameras is None else None
-    with Live(Text("Wave the wand."), console=console, auto_refresh=False) as shown:
+    with Live(Text("Wave the wand."), console=console, auto_refresh=False) as live:
         try:
             for table in source.collect(seconds, every_s):
                 if cameras is not None:
                     table = table.in_order_of(cameras)
                 recording = Recording(target, table.readings_px, table.sigma_px)
-                known = cameras if estimate is None else estimate.of(recording)
+                current_cameras = cameras if estimate is None else estimate.of(recording)
                 coverage = wave_coverage(
-                    source.sensors if known is None else known, recording, known
+                    source.sensors if current_cameras is None else current_cameras,
+                    recording,
+                    current_cameras,
                 )
-                left = max(0.0, seconds - (time.monotonic() - began))
-                shown.update(_display(coverage, left), refresh=True)
+                remaining_s = max(0.0, seconds - (time.monotonic() - start_s))
+                live.update(_display(coverage, remaining_s), refresh=True)
                 if coverage.enough:
                     break
         except KeyboardInterrupt:
@@ -98,13 +100,13 @@ def show_coverage(coverage: WaveCoverage) -> None:
         console.print(f"missing: {sentence}", style="yellow", markup=False, highlight=False)
 
 
-def _display(coverage: WaveCoverage, left_s: float) -> Group:
+def _display(coverage: WaveCoverage, remaining_s: float) -> Group:
     lines = list(coverage.missing[:MAX_LINES])
     if len(coverage.missing) > MAX_LINES:
         lines.append(f"and {len(coverage.missing) - MAX_LINES} more")
     if not lines:
         lines = ["Enough."]
-    text = "\n".join(lines) + f"\n{left_s:.0f} s left; Ctrl-C ends."
+    text = "\n".join(lines) + f"\n{remaining_s:.0f} s left; Ctrl-C ends."
     return Group(_table(coverage), Text(text))
 
 

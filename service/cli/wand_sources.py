@@ -28,14 +28,14 @@ KEPT_CYCLES: Final = 4
 
 
 def read_recorded_wand(
-    path: Path, markers: Sequence[int], done: Callable[[float], None]
+    path: Path, markers: Sequence[int], report: Callable[[float], None]
 ) -> tuple[ReadingTable, tuple[SensorGeometry, ...]]:
     """Return the poses of a wand in a recording of line scans, and the device's sensors.
 
     Args:
         path: HDF5 file.
         markers: strobed markers of the wand, in its order.
-        done: called with the share of the frames processed.
+        report: called with the share of the frames processed.
 
     Raises:
         InvalidParameter: the markers were not strobed.
@@ -50,7 +50,7 @@ def read_recorded_wand(
         sensors = tuple(SensorGeometry(one.name, one.pixels) for one in description.sensors)
         _check_strobed(path.name, markers, description.markers)
         collected = _Exposures(str(path), sensors, markers)
-        for device_ns, marker, *read in recorded_readings(reader, done):
+        for device_ns, marker, *read in recorded_readings(reader, report):
             if marker is not None:
                 collected.add(device_ns, marker, *read)
     return collected.table(), sensors
@@ -144,8 +144,8 @@ class _Exposures:
         )
         last = self._poses[-1][0] if self._poses else None
         pixels = [sensor.pixels for sensor in self._sensors]
-        found = strobed_poses(exposures, self._markers, pixels, last)
-        self._poses += zip(*found, strict=True)
+        poses = strobed_poses(exposures, self._markers, pixels, last)
+        self._poses += zip(*poses, strict=True)
         # What comes next is interpolated from the last cycles.
         self._rows = self._rows[-KEPT_CYCLES * (1 + int(exposures.marker.max())) :]
 

@@ -163,9 +163,9 @@ def _entry_of(
     row: Base, before: dict[str, Any] | None = None, after: dict[str, Any] | None = None
 ) -> AuditRow:
     identity = row.__dict__.get("id")
-    shown = [None if values is None else _redacted(values) for values in (before, after)]
+    redacted = [None if values is None else _redacted(values) for values in (before, after)]
     name = None if identity is None else str(identity)
-    return entry(kind_of(row), name, "done", before=shown[0], after=shown[1])
+    return entry(kind_of(row), name, "done", before=redacted[0], after=redacted[1])
 
 
 def _values(row: Base) -> dict[str, Any]:

@@ -28,20 +28,20 @@ def timeouts(url: URL, *, statements: bool) -> dict[str, str]:
         url: of a PostgreSQL database.
         statements: whether the server is to give up statements that take long.
     """
-    found = {name: value for name, value in _DRIVER.items() if name not in url.query}
-    given = " ".join(url.normalized_query.get("options", ()))
-    if statements and "statement_timeout" not in given:
-        found["options"] = f"{given} -cstatement_timeout={_STATEMENT_MS}".strip()
-    return found
+    options = {name: value for name, value in _DRIVER.items() if name not in url.query}
+    url_options = " ".join(url.normalized_query.get("options", ()))
+    if statements and "statement_timeout" not in url_options:
+        options["options"] = f"{url_options} -cstatement_timeout={_STATEMENT_MS}".strip()
+    return options
 
 
 def connect_with_timeout(engine: Engine) -> None:
     """Let what an engine's connections wait for fail when no answer comes, and close them then."""
 
     @event.listens_for(engine, "do_connect")
-    def connect(_dialect: object, _record: object, given: Any, named: Any) -> object:
+    def connect(_dialect: object, _record: object, arguments: Any, named: Any) -> object:
         check_names(named.get("host") or "")
-        return TimeoutConnection.connect(*given, **named)
+        return TimeoutConnection.connect(*arguments, **named)
 
 
 def check_names(hosts: str) -> None:
@@ -69,24 +69,24 @@ _T = TypeVar("_T")
 class TimeoutConnection(Connection[Any]):
     """Raises OperationalError after ANSWER_S without an answer, and is closed then."""
 
-    def wait(self, gen: PQGen[_T], *given: Any, **named: Any) -> _T:
+    def wait(self, gen: PQGen[_T], *arguments: Any, **named: Any) -> _T:
         """Wait for what the server answers."""
-        return super().wait(self._in_time(gen), *given, **named)
+        return super().wait(self._in_time(gen), *arguments, **named)
 
     def _in_time(self, gen: PQGen[_T]) -> PQGen[_T]:
         """Wrap psycopg's wait so that it wakes several times a second and can time out."""
         end = time.monotonic() + ANSWER_S
         try:
-            wanted = next(gen)
+            wait_for = next(gen)
             while True:
-                ready = yield wanted
+                ready = yield wait_for
                 if not ready and time.monotonic() > end:
                     # What it would answer later belongs to nobody.
                     self.pgconn.finish()
                     raise OperationalError(
                         f"no answer for {ANSWER_S:g} s; the connection was closed"
                     )
-                wanted = gen.send(ready)
+                wait_for = gen.send(ready)
         except StopIteration as done:
             result: _T = done.value
             return result

@@ -152,26 +152,26 @@ class Resource(Generic[Row]):
     def newest_first(self, **columns: object) -> Select[Row]:
         """Return the rows whose columns have these values, newest first; None: any value."""
         table: Any = self.row
-        wanted = {name: value for name, value in columns.items() if value is not None}
-        return select(table).filter_by(**wanted).order_by(table.created_at.desc(), table.id)
+        filters = {name: value for name, value in columns.items() if value is not None}
+        return select(table).filter_by(**filters).order_by(table.created_at.desc(), table.id)
 
     def check_unused(self, session: Session, identity: str | None) -> None:
         """Raise an error where the id that a client chose is taken."""
         if identity is not None and session.get(self.row, identity) is not None:
-            raise self._taken(identity)
+            raise self._conflict(identity)
 
     def insert(self, session: Session, row: Row) -> Row:
         """Insert a row and return it; raises an error where its id is taken."""
         identity = str(row.__dict__["id"])
         self.check_unused(session, identity)
-        insert(session, row, self._taken(identity))
+        insert(session, row, self._conflict(identity))
         return row
 
     @property
     def _name(self) -> str:
         return self.name or self.key.replace("_", " ")
 
-    def _taken(self, identity: str) -> LumilineError:
+    def _conflict(self, identity: str) -> LumilineError:
         return self.exists(
             f'{self._name} "{identity}" {self.taken}', **{f"{self.key}_id": identity}
         )

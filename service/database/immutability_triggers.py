@@ -27,34 +27,34 @@ _NAME: Final = re.compile(r"CREATE (?:OR REPLACE )?(TRIGGER|FUNCTION) (\w+)")
 def missing_triggers(connection: Connection) -> Iterator[str]:
     """Yield what is missing, altered or switched off, by which immutable rows could be changed."""
     sqlite = connection.dialect.name == "sqlite"
-    found = {}
+    triggers = {}
     for query in [_SQLITE_TRIGGERS] if sqlite else [_POSTGRESQL_TRIGGERS, _POSTGRESQL_FUNCTIONS]:
         for name, definition, enabled in connection.execute(query):
-            found[name] = (_normalise_sql(definition), enabled)
+            triggers[name] = (_normalise_sql(definition), enabled)
     for (kind, name), definition in sorted(_expected_triggers(connection.dialect.name).items()):
-        if name not in found:
+        if name not in triggers:
             yield f"the {kind} {name} is missing: what is immutable could be changed"
-        elif found[name][0] != definition:
+        elif triggers[name][0] != definition:
             yield f"the {kind} {name} is not what it was: what is immutable could be changed"
-        elif not found[name][1]:
+        elif not triggers[name][1]:
             yield f"the {kind} {name} is switched off: what is immutable could be changed"
 
 
 def _expected_triggers(dialect: str) -> dict[tuple[str, str], str]:
     """Return what every trigger and function of a new database says, by kind and name."""
-    wanted = {}
+    expected = {}
     for revision in _REVISIONS_WITH_TRIGGERS:
         for statement in revision.guards(dialect):
-            made = _NAME.match(statement)
-            assert made is not None, statement
-            kind, name = made[1].lower(), made[2]
+            match = _NAME.match(statement)
+            assert match is not None, statement
+            kind, name = match[1].lower(), match[2]
             # Of a function the database tells what stands between the dollars.
             body = statement.split("$$")[1] if kind == "function" else statement
             # The driver takes %% for one of them.
-            wanted[kind, name] = _normalise_sql(
+            expected[kind, name] = _normalise_sql(
                 body if dialect == "sqlite" else body.replace("%%", "%")
             )
-    return wanted
+    return expected
 
 
 def _normalise_sql(definition: str) -> str:

@@ -40,8 +40,8 @@ def exclusive_lock(database: Database) -> Iterator[None]:
     """Keep servers from using a database meanwhile; raises DatabaseInUse when one does."""
     if database.engine.dialect.name == "postgresql":
         with database.engine.connect() as connection:
-            taken = connection.exec_driver_sql(f"SELECT pg_try_advisory_lock{_ARGUMENTS}")
-            if not taken.scalar():
+            locked = connection.exec_driver_sql(f"SELECT pg_try_advisory_lock{_ARGUMENTS}")
+            if not locked.scalar():
                 raise _in_use()
             connection.commit()  # no transaction is left open; the lock is the session's
             try:

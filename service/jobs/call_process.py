@@ -65,12 +65,12 @@ class CallProcess:
             self._end()
 
     def _exchange(self, task: bytes, timeout_s: float) -> Message:
-        kept = self._pipe is not None
+        running = self._pipe is not None
         try:
             return self._ask(task, timeout_s)
         except (EOFError, OSError) as error:
             self._end()
-            if not kept:
+            if not running:
                 raise WorkerEnded("the process that computed ended without a result") from error
         return self._exchange(task, timeout_s)  # the one that was kept had been idle for too long
 

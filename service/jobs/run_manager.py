@@ -197,7 +197,7 @@ class RunManager:
     def _compute(
         self, run_id: str, kind: RunKind, function: Callable[..., Any], arguments: tuple[Any, ...]
     ) -> None:
-        told = time.monotonic()
+        reported_s = time.monotonic()
         latest: Progress | None = None
         with WorkerProcess(function, *arguments) as worker:
             while True:
@@ -213,10 +213,10 @@ class RunManager:
                 if message is not None:
                     latest = message
                 now = time.monotonic()
-                if now - told >= (_TELL_S if latest else _HEARTBEAT_S):
+                if now - reported_s >= (_TELL_S if latest else _HEARTBEAT_S):
                     if not self._report_progress(run_id, latest):
                         return
-                    told, latest = now, None
+                    reported_s, latest = now, None
         stored = self._write_with_retry(lambda: self._store(run_id, kind.store, message.result))
         if stored:
             _log.info("run %s succeeded", run_id)

@@ -68,9 +68,9 @@ def add_run(
     if (waiting or 0) >= max_waiting:
         raise Busy(f"{waiting} runs wait already, as many as may; send this one again later")
     result_id: str | None = request.get("result_id")
-    wanted = None if result_id is None else _claim_of(kind, result_id)
+    claim = None if result_id is None else _claim_of(kind, result_id)
     if result_id is not None:
-        other = session.scalar(select(RunRow.id).where(RunRow.claim == wanted))
+        other = session.scalar(select(RunRow.id).where(RunRow.claim == claim))
         if other is not None:
             raise _claimed(kind, result_id, other)
     row = RunRow(
@@ -93,7 +93,7 @@ def add_run(
     )
     RUNS.insert(session, row)
     if result_id is not None:
-        row.claim = wanted
+        row.claim = claim
         # Unique: of two transactions at the same moment, of any devices, one gets it.
         insert(session, row, _claimed(kind, result_id, None))
     return row
@@ -142,13 +142,13 @@ def report_progress(
         values["progress"] = min(max(progress, 0.0), 1.0)
     if stage is not None:
         values["stage"] = stage[:200]
-    found = session.execute(
+    result = session.execute(
         update(RunRow)
         .where(RunRow.id == run_id, RunRow.state == "running", RunRow.owner == owner())
         .values(**values)
         .returning(RunRow.id)
     )
-    return found.first() is not None
+    return result.first() is not None
 
 
 def running_runs(database: Database) -> list[str]:

@@ -44,11 +44,13 @@ class LiveBadPixel:
     found_at: datetime
 
 
-def bad_pixel_flags(found: Iterable[LiveBadPixel], sensor: str, pixels: int) -> NDArray[np.uint8]:
+def bad_pixel_flags(
+    bad_pixels: Iterable[LiveBadPixel], sensor: str, pixels: int
+) -> NDArray[np.uint8]:
     """Return BadPixel flags of a sensor, uint8, shape (P,).
 
     Args:
-        found: bad pixels of a device.
+        bad_pixels: bad pixels of a device.
         sensor: the sensor's name.
         pixels: P.
 
@@ -56,7 +58,7 @@ def bad_pixel_flags(found: Iterable[LiveBadPixel], sensor: str, pixels: int) -> 
         InvalidParameter: the sensor has no such pixel.
     """
     flags = np.zeros(pixels, np.uint8)
-    for one in found:
+    for one in bad_pixels:
         if one.sensor == sensor:
             if not 0 <= one.pixel < pixels:
                 raise InvalidParameter(

@@ -46,25 +46,25 @@ class BadPixelWatch:
         self._monitors = [BadPixelMonitor(self._pixels) for _ in self._names]
         self._judged = [0] * len(self._names)
         """Scans of each sensor when it was judged last."""
-        self._found: dict[tuple[int, int], LiveBadPixel] = {}
+        self._bad_pixels: dict[tuple[int, int], LiveBadPixel] = {}
         self.due_s = 0.0
         """When the next frame is to be looked at, by ``time.monotonic`` [s]."""
-        self._taken = 0
+        self._samples = 0
         self.busy_s = 0.0
         """Time that it has taken so far [s]."""
 
     @property
     def found(self) -> tuple[LiveBadPixel, ...]:
         """Bad pixels so far, by sensor and pixel."""
-        return tuple(self._found[key] for key in sorted(self._found))
+        return tuple(self._bad_pixels[key] for key in sorted(self._bad_pixels))
 
     def take(self, frames: Sequence[LineFrame]) -> bool:
         """Look at a frame of a batch; return whether a bad pixel is new."""
         begin = time.perf_counter()
         self.due_s = time.monotonic() + SAMPLE_INTERVAL_S
-        self._taken += 1
+        self._samples += 1
         # Not always the last: batches may follow the strobe.
-        frame = frames[self._taken % len(frames)]
+        frame = frames[self._samples % len(frames)]
         for monitor, scan in zip(self._monitors, frame.lines, strict=True):
             monitor.add(scan[None])
         new = self._judge_next(frame.exposure_host_ns)
@@ -87,9 +87,9 @@ class BadPixelWatch:
                     self._names[number], int(pixel), KINDS[BadPixel(int(flags[pixel]))], since
                 )
                 for pixel in np.flatnonzero(flags)
-                if (number, int(pixel)) not in self._found
+                if (number, int(pixel)) not in self._bad_pixels
             ]
-            self._found |= {(number, one.pixel): one for one in new}
+            self._bad_pixels |= {(number, one.pixel): one for one in new}
             if new:
                 _log.warning(
                     "device %s: sensor %s has bad pixels, which are masked from now on: %s",

@@ -129,8 +129,8 @@ class StrobedMarkerObserver:
         )
 
     def _missing(self) -> str | None:
-        gone = ~np.isfinite(self._positions[:, 0])
-        numbers = [str(marker) for marker, row in self._row.items() if gone[row]]
+        missing = ~np.isfinite(self._positions[:, 0])
+        numbers = [str(marker) for marker, row in self._row.items() if missing[row]]
         return None if not numbers else f"not seen: marker {', '.join(numbers)}"
 
 
@@ -149,33 +149,33 @@ class LitMarkerObserver:
         """Return the observation of the frame with this index."""
         if batch.frames[index].marker is not None:
             return HoldObservation(why="the device strobes its markers; name them as strobed ones")
-        seen, covariances = _lit(self._spec, batch, index)
+        lit_mm, covariances = _lit(self._spec, batch, index)
         positions = np.full((len(self._at), 3), np.nan)
         covariance = np.zeros((len(self._at), 3, 3))
-        for row, one in self._pairs(seen):
-            positions[row], covariance[row] = seen[one], covariances[one]
-        gone = np.flatnonzero(~np.isfinite(positions[:, 0]))
+        for row, one in self._pairs(lit_mm):
+            positions[row], covariance[row] = lit_mm[one], covariances[one]
+        missing = np.flatnonzero(~np.isfinite(positions[:, 0]))
         why = None
-        if len(gone):
-            listed = ", ".join(str(row + 1) for row in gone)
+        if len(missing):
+            listed = ", ".join(str(row + 1) for row in missing)
             why = (
                 f"not seen within {self._spec.search_radius_mm:g} mm of its place, or not alone "
                 f"there: marker {listed}"
             )
         return HoldObservation(None, positions, covariance, why)
 
-    def _pairs(self, seen: Array) -> list[tuple[int, int]]:
-        if not len(seen):
+    def _pairs(self, lit_mm: Array) -> list[tuple[int, int]]:
+        if not len(lit_mm):
             return []
-        apart = np.linalg.norm(seen - self._at[:, None], axis=2)  # place, seen
+        apart = np.linalg.norm(lit_mm - self._at[:, None], axis=2)  # position, lit marker
         nearest, back = apart.argmin(axis=1), apart.argmin(axis=0)
         near = apart <= self._spec.search_radius_mm
         mutual = {
             row: int(one) for row, one in enumerate(nearest) if back[one] == row and near[row, one]
         }
-        left = np.ones(len(seen), np.bool_)
-        left[list(mutual.values())] = False
-        return [(row, one) for row, one in mutual.items() if not (near[row] & left).any()]
+        unmatched = np.ones(len(lit_mm), np.bool_)
+        unmatched[list(mutual.values())] = False
+        return [(row, one) for row, one in mutual.items() if not (near[row] & unmatched).any()]
 
 
 HoldObserver = ToolObserver | StrobedMarkerObserver | LitMarkerObserver
@@ -247,7 +247,7 @@ class BeamHoldMonitor:
         elif why is not None:
             reason = f"{why}, and nothing was measured since"
             self._monitor.fail(reason)
-        self.now = self._held(
+        self.now = self._held_state(
             BeamHoldCause.NO_DATA, reason, time_ns if since_ns is None else since_ns
         )
         """State after the newest frame, or after a later event."""
@@ -275,7 +275,7 @@ class BeamHoldMonitor:
         self._last = frame.exposure_host_ns, frame.sequence
         unfit = self._reference_mismatch(batch)
         if self._monitor is None or self._observer is None:
-            return self._set(self._held(self.now.cause, self.now.reason, self.now.since_ns))
+            return self._set(self._held_state(self.now.cause, self.now.reason, self.now.since_ns))
         if unfit is not None:
             return self.fail(unfit, frame.exposure_host_ns)
         observed = self._observer.of(batch, index)
@@ -316,12 +316,12 @@ class BeamHoldMonitor:
         self.measured_ns = None
         if self._monitor is not None:
             decision = self._monitor.fail(why)
-            self._set(self._held(decision.cause, decision.reason, self._held_since(time_ns)))
+            self._set(self._held_state(decision.cause, decision.reason, self._held_since(time_ns)))
         return self.now
 
     def end(self, why: str, time_ns: int) -> BeamHoldState:
         """Hold the beam for good; arguments as of ``fail``."""
-        return self._set(self._held(BeamHoldCause.NO_DATA, why, self._held_since(time_ns)))
+        return self._set(self._held_state(BeamHoldCause.NO_DATA, why, self._held_since(time_ns)))
 
     def acknowledge(self) -> None:
         """End a latch; the hold ends with the next frames, if all is within its limits."""
@@ -342,7 +342,7 @@ class BeamHoldMonitor:
         self.now = now
         return now
 
-    def _held(self, cause: BeamHoldCause, reason: str | None, since_ns: int) -> BeamHoldState:
+    def _held_state(self, cause: BeamHoldCause, reason: str | None, since_ns: int) -> BeamHoldState:
         return BeamHoldState(self.hold.id, True, cause, reason, since_ns, *self._last)
 
     def _held_since(self, time_ns: int) -> int:

@@ -48,7 +48,7 @@ class BeamHoldRegistry:
         self._distrusted: dict[str, str] = {}
         self._watches: dict[str, BeamHoldMonitor] = {}
         self._devices: dict[str, tuple[BeamHoldMonitor, ...]] = {}
-        self._told: dict[str, BeamHoldState] = {}
+        self._published: dict[str, BeamHoldState] = {}
         self._due_s: dict[str, float] = {}
         self._listeners: list[Listener] = []
         self.changed = Condition()
@@ -64,7 +64,7 @@ class BeamHoldRegistry:
         with self.changed:
             distrusted = self._distrusted.pop(device_id, None)
             now_ns = self._wall_ns()
-            kept: list[BeamHoldMonitor] = []
+            monitors: list[BeamHoldMonitor] = []
             for hold in holds:
                 before = self._watches.get(hold.id)
                 if before is not None and before.hold.device_id != device_id:
@@ -73,15 +73,15 @@ class BeamHoldRegistry:
                     before.fail(distrusted, now_ns)
                 if before is None or before.hold.key != hold.key:
                     before = self._new_monitor(hold, before, now_ns)
-                kept.append(before)
+                monitors.append(before)
             ids = {hold.id for hold in holds}
-            for gone in self._devices.get(device_id, ()):
-                if gone.hold.id not in ids:
-                    self._tell(gone, gone.end(DELETED, now_ns), last=True)
-            self._devices[device_id] = tuple(kept)
-            for watch in kept:
+            for monitor in self._devices.get(device_id, ()):
+                if monitor.hold.id not in ids:
+                    self._tell(monitor, monitor.end(DELETED, now_ns), last=True)
+            self._devices[device_id] = tuple(monitors)
+            for watch in monitors:
                 self._watches[watch.hold.id] = watch
-                self._tell(watch, watch.now, anew=True)
+                self._tell(watch, watch.now, reason_changed=True)
 
     def set_up(self, reference_id: str) -> None:
         """Note that a reference is taken now, in this process."""
@@ -127,24 +127,24 @@ class BeamHoldRegistry:
             self._check(self._monotonic_s())
             watches = self._devices.get(batch.device_id, ())
             now_ns = self._wall_ns()
-            found = [
+            states = [
                 tuple(self._step(watch, batch, index, now_ns) for watch in watches)
                 for index in range(len(batch.frames))
             ]
             for watch in watches:
                 self._set_deadline(watch)
             # Not before: a release that is over by now is told to nobody.
-            for after in found:
+            for after in states:
                 for watch, now in zip(watches, after, strict=True):
                     self._tell(watch, now)
             self._check(self._monotonic_s())
-            return tuple(found)
+            return tuple(states)
 
     def fail(self, device_id: str, why: str) -> None:
         """Hold all beams of a device: it was stopped, is disconnected, or was restarted."""
         with self.changed:
             for watch in self._devices.get(device_id, ()):
-                self._tell(watch, watch.fail(why, self._wall_ns()), anew=True)
+                self._tell(watch, watch.fail(why, self._wall_ns()), reason_changed=True)
 
     def forget(self, device_id: str) -> None:
         """Hold all beams of a device and forget its holds: it was deleted."""
@@ -194,7 +194,7 @@ class BeamHoldRegistry:
             why = f"nothing was measured for {late_ms:.0f} ms; at most {gap_ms:.0f} ms are allowed"
             if watch.why is not None:
                 why = f"{why}; {watch.why}"
-            self._tell(watch, watch.fail(why, self._wall_ns()), anew=True)
+            self._tell(watch, watch.fail(why, self._wall_ns()), reason_changed=True)
 
     def _new_monitor(
         self, hold: BeamHoldConfig, before: BeamHoldMonitor | None, now_ns: int
@@ -252,23 +252,32 @@ class BeamHoldRegistry:
             self.changed.notify_all()
 
     def _tell(
-        self, watch: BeamHoldMonitor, now: BeamHoldState, *, anew: bool = False, last: bool = False
+        self,
+        watch: BeamHoldMonitor,
+        now: BeamHoldState,
+        *,
+        reason_changed: bool = False,
+        last: bool = False,
     ) -> None:
-        """Tell of a change; ``anew``: also where only the reason is another."""
+        """Tell of a change; ``reason_changed``: also where only the reason is another."""
         hold_id, device_id = watch.hold.id, watch.hold.device_id
         if watch.now.held:
             self._due_s.pop(hold_id, None)
         if now.superseded:
             return
-        told = self._told.get(hold_id)
-        changed = told is None or (told.held, told.cause) != (now.held, now.cause)
-        if changed or last or (anew and told is not None and told.reason != now.reason):
-            self._told[hold_id] = now
+        published = self._published.get(hold_id)
+        changed = published is None or (published.held, published.cause) != (now.held, now.cause)
+        if (
+            changed
+            or last
+            or (reason_changed and published is not None and published.reason != now.reason)
+        ):
+            self._published[hold_id] = now
             for listener in tuple(self._listeners):
                 listener(device_id, now, last)
             self._publish(device_id, now)
         if last:
-            del self._watches[hold_id], self._told[hold_id]
+            del self._watches[hold_id], self._published[hold_id]
 
 
 def _failed(error: Exception) -> str:

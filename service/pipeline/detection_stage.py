@@ -186,7 +186,7 @@ class DetectionStage:
 
     def set_pixels(
         self,
-        found: Mapping[str, RadiometricCalibration],
+        calibrations: Mapping[str, RadiometricCalibration],
         bad_pixels: Sequence[LiveBadPixel] = (),
     ) -> None:
         """Find peaks with radiometric calibrations, and without bad pixels.
@@ -194,16 +194,18 @@ class DetectionStage:
         Takes milliseconds: the kernels are loaded already, and buffers are made anew.
 
         Args:
-            found: radiometric calibrations of sensors, by name; empty: none.
+            calibrations: radiometric calibrations of sensors, by name; empty: none.
             bad_pixels: pixels that are masked beside those of the calibrations.
 
         Raises:
             InvalidParameter: a calibration is of no sensor of the device, or of other pixels, or
                 a bad pixel is none of the device's.
         """
-        for name, one in found.items():
+        for name, one in calibrations.items():
             if self._pixels.get(name) != one.pixels:
-                listed = ", ".join(f"{own} ({count} px)" for own, count in self._pixels.items())
+                listed = ", ".join(
+                    f"{sensor_name} ({count} px)" for sensor_name, count in self._pixels.items()
+                )
                 raise InvalidParameter(
                     f"the radiometric calibration is of {name} ({one.pixels} px); the device has "
                     f"{listed}"
@@ -220,7 +222,7 @@ class DetectionStage:
         ]
         if self._find is None:
             return
-        find = self._make_find([found.get(name) for name in self._pixels], masked)
+        find = self._make_find([calibrations.get(name) for name in self._pixels], masked)
         assert find is not None
         find(np.zeros((len(self._pixels), next(iter(self._pixels.values()))), np.uint16))
         self._find = find

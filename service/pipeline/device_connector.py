@@ -34,7 +34,7 @@ class DeviceConnector:
         self,
         device_id: str,
         driver: Driver,
-        found: ActiveCalibration,
+        active: ActiveCalibration,
         opened: Callable[["DeviceConnector"], None],
         changed: Callable[["DeviceConnector"], None],
     ) -> None:
@@ -43,7 +43,7 @@ class DeviceConnector:
         self.error: LumilineError | None = None
         self.driver = driver
         self._device_id = device_id
-        self.found = found
+        self.active = active
         self.cancelled = Event()
         self._opened = opened
         self._changed = changed

@@ -243,7 +243,7 @@ class DeviceSession:
         self._batch = MAX_FRAMES
         self._watches_holds = False
         self._has_tools = False
-        self._wanted_s = time.monotonic()
+        self._last_request_s = time.monotonic()
         self._skipped = 0
 
     def work(self) -> bool:
@@ -282,13 +282,15 @@ class DeviceSession:
         self.processed += len(frames)
         # Other devices wait meanwhile: a device whose frames take long gets short batches. But
         # where only some frames are tracked, that time is bounded, whatever the batch's length.
-        whole = time.monotonic() - begin
+        elapsed_s = time.monotonic() - begin
         if track is not None:
             tracking = self.processor.tracking_s
-            self.load_shedding.count(sum(track), tracking, whole - tracking)
+            self.load_shedding.count(sum(track), tracking, elapsed_s - tracking)
             if self.load_shedding.sheds:
-                whole -= tracking
-        self._batch = max(1, min(MAX_FRAMES, int(BATCH_SECONDS / max(whole / len(frames), 1e-6))))
+                elapsed_s -= tracking
+        self._batch = max(
+            1, min(MAX_FRAMES, int(BATCH_SECONDS / max(elapsed_s / len(frames), 1e-6)))
+        )
         return True
 
     def _watch_pixels(self, frames: Sequence[LineFrame]) -> None:
@@ -321,17 +323,17 @@ class DeviceSession:
 
     def _idle(self, now_s: float) -> bool:
         """Whether nobody has wanted results for a while; tells the driver when that changes."""
-        wanted = (
+        requested = (
             self._has_tools
             or len(self.taps) > len(self._sampled_taps)
             or self.reader is None
             or self.reader.lossless
             or self.streams.subscribers(self.device_id) > 0
         )
-        if wanted:
-            self._wanted_s = now_s
+        if requested:
+            self._last_request_s = now_s
         sampled = bool(self._sampled_taps) and now_s % SAMPLE_INTERVAL_S < SAMPLE_S
-        idle = not sampled and now_s - self._wanted_s > IDLE_AFTER_S
+        idle = not sampled and now_s - self._last_request_s > IDLE_AFTER_S
         if self.reader is not None:
             self.reader.set_idle(idle=idle)
         return idle
@@ -351,8 +353,8 @@ class DeviceSession:
             return self.ring.take(self._batch), None
         frames, track = self.ring.take_chosen(
             self._batch,
-            lambda shown, waiting: self.load_shedding.choose(
-                [one.marker for one in shown], waiting
+            lambda candidates, waiting: self.load_shedding.choose(
+                [one.marker for one in candidates], waiting
             ),
         )
         self.frames_not_tracked_count += track.count(False)
@@ -436,8 +438,8 @@ class DeviceSession:
         """Whether all frames are processed and no more will come."""
         if self.stopped or self.failure is not None:
             return True
-        taken = self.processed + self._skipped + self.ring.dropped
-        return not self.running and taken >= self.ring.received
+        accounted = self.processed + self._skipped + self.ring.dropped
+        return not self.running and accounted >= self.ring.received
 
     @property
     def connected(self) -> bool:

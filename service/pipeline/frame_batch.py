@@ -210,8 +210,8 @@ def _values(array: Array | None) -> list[Any] | None:
     """Return an array as lists; None for what is not known, for which JSON has no number."""
     if array is None or not np.isfinite(array).all():
         return None
-    found: list[Any] = array.tolist()
-    return found
+    values: list[Any] = array.tolist()
+    return values
 
 
 @dataclass(frozen=True, eq=False)

@@ -234,11 +234,11 @@ def weigh_peaks(
     shape = (len(frames), len(noise.sensor_sigma_px), -1)
     position, flags = peaks.position_px.reshape(shape), peaks.flags.reshape(shape)
     # By frame, peak and sensor for the calibration's figures, which are by sensor.
-    own = peaks.sigma_px.reshape(shape).astype(np.float64).transpose(0, 2, 1)
-    sigma = noise.sigma(own)
+    peak_sigma = peaks.sigma_px.reshape(shape).astype(np.float64).transpose(0, 2, 1)
+    sigma = noise.sigma(peak_sigma)
     if active.table_id is not None:
         # The calibration's misfit, which would widen them, is what the table takes away.
-        sigma = np.where(np.isfinite(own), own, sigma)
+        sigma = np.where(np.isfinite(peak_sigma), peak_sigma, sigma)
     amplitude = peaks.amplitude.reshape(shape)
     return Measurements.weigh(position, sigma.transpose(0, 2, 1), flags, amplitude, policy)
 

@@ -98,7 +98,7 @@ class PipelineManager:
         self,
         device_id: str,
         driver: Driver,
-        found: ActiveCalibration = NO_ACTIVE_CALIBRATION,
+        active: ActiveCalibration = NO_ACTIVE_CALIBRATION,
         accept: Accept = any_device,
     ) -> DeviceDescription | None:
         """Open the driver and start its reader; raises LumilineError when it cannot be opened.
@@ -115,7 +115,7 @@ class PipelineManager:
             opening = DeviceConnector(
                 device_id,
                 driver,
-                found,
+                active,
                 lambda opening: self._opened(device_id, opening, accept),
                 lambda opening: self._opening_changed(device_id, opening),
             )
@@ -159,7 +159,7 @@ class PipelineManager:
             tracked = self._tracked.get(device_id, NO_TRACKING)
             if tracked is not NO_TRACKING:
                 self._compute.submit(lambda: session.set_tracking_config(tracked)).result()
-            self._set(session, opening.found)
+            self._set(session, opening.active)
             session.reader = ReaderThread(
                 device_id,
                 driver,
@@ -221,7 +221,7 @@ class PipelineManager:
             self.holds.forget(device_id)
             self.streams.end(device_id)
 
-    def set_calibration(self, device_id: str, found: ActiveCalibration) -> None:
+    def set_calibration(self, device_id: str, active: ActiveCalibration) -> None:
         """Switch calibration and table between two frames; nothing happens when it is not running.
 
         Nor when the device runs with other sensors than the calibration's: its source was
@@ -230,12 +230,12 @@ class PipelineManager:
         with self._lock:
             opening = self._openings.get(device_id)
             if opening is not None:
-                opening.found = found
+                opening.active = active
             session = self._sessions.get(device_id)
             if session is None or not session.running:
                 return
             try:
-                self._set(session, found)
+                self._set(session, active)
             except InvalidParameter as error:
                 _log.warning("device %s goes on as it was: %s", device_id, error.detail)
 

@@ -52,7 +52,7 @@ class PeakTap:
     def __init__(self, after_sequence: int, frames: int, marker: int | None) -> None:
         """Take ``frames`` frames of ``marker`` that were exposed after that sequence number."""
         self._after = after_sequence
-        self._wanted = frames
+        self._frames = frames
         self._marker = marker
         self._rows: list[tuple[Array, Array]] = []
         self.ended = Event()
@@ -64,14 +64,14 @@ class PeakTap:
     def offer(self, batch: FrameBatch) -> None:
         """Take what is wanted of a batch; called in the compute thread, never waits long."""
         sensors = len(batch.sensor_names)
-        taken = []
+        readings = []
         for index, frame in enumerate(batch.frames):
             if frame.marker != self._marker or frame.sequence <= self._after:
                 continue
             lines = slice(index * sensors, (index + 1) * sensors)
-            taken.append(clear_readings(batch, lines, strobed=frame.marker is not None))
-        self._rows += taken[: self._wanted - len(self._rows)]
-        if len(self._rows) >= self._wanted:
+            readings.append(clear_readings(batch, lines, strobed=frame.marker is not None))
+        self._rows += readings[: self._frames - len(self._rows)]
+        if len(self._rows) >= self._frames:
             self.ended.set()
 
     def readings(self, sensors: int) -> tuple[Array, Array]:
@@ -93,11 +93,11 @@ def clear_readings(batch: FrameBatch, lines: slice, *, strobed: bool) -> tuple[A
     """
     peaks = batch.peaks
     position = peaks.position_px[lines].astype(np.float64)
-    seen = np.isfinite(position)
-    brightest = np.where(seen, peaks.amplitude[lines], -1.0).argmax(axis=1)
+    visible = np.isfinite(position)
+    brightest = np.where(visible, peaks.amplitude[lines], -1.0).argmax(axis=1)
     row = np.arange(len(position))
     clear = (peaks.flags[lines][row, brightest] & int(UNCLEAR)) == 0
-    clear &= seen.any(axis=1) if strobed else seen.sum(axis=1) == 1
+    clear &= visible.any(axis=1) if strobed else visible.sum(axis=1) == 1
     value = np.where(clear, position[row, brightest], np.nan)
     sigma = np.where(clear, peaks.sigma_px[lines][row, brightest], np.nan)
     return value, sigma.astype(np.float64)
@@ -119,10 +119,10 @@ class SingleCalibrationTap:
 
     def _goes_on(self, batch: FrameBatch) -> bool:
         """Return whether all that came was made with the same, and more is wanted."""
-        own = (batch.calibration_id, batch.table_id)
+        batch_ids = (batch.calibration_id, batch.table_id)
         if self.active_ids is None:
-            self.active_ids = own
-        if own != self.active_ids:
+            self.active_ids = batch_ids
+        if batch_ids != self.active_ids:
             self.switched = True
             self.ended.set()
         return not self.ended.is_set()
@@ -164,7 +164,7 @@ _LOOK_S: Final = 0.1
 def looks(ended: Event, seconds: float) -> Iterator[None]:
     """Yield several times a second, for some seconds, or until an event is set."""
     end = time.monotonic() + seconds
-    while (left := end - time.monotonic()) > 0 and not ended.wait(min(_LOOK_S, left)):
+    while (remaining_s := end - time.monotonic()) > 0 and not ended.wait(min(_LOOK_S, remaining_s)):
         yield
 
 

@@ -41,7 +41,7 @@ class FrameRing:
         self._capacity = capacity
         self._notify = notify
         self._lock = Lock()
-        self._taken = Event()
+        self._room = Event()
         self._last: int | None = None
         self.received = 0
         """Frames put in."""
@@ -63,12 +63,12 @@ class FrameRing:
             self._frames.append(frame)
         self._notify()
 
-    def wait_for_room(self, given_up: Callable[[], bool]) -> None:
+    def wait_for_room(self, cancelled: Callable[[], bool]) -> None:
         """Wait until a frame can be put without dropping another, for sources that can wait."""
-        while len(self._frames) >= self._capacity and not given_up():
-            self._taken.clear()
+        while len(self._frames) >= self._capacity and not cancelled():
+            self._room.clear()
             if len(self._frames) >= self._capacity:
-                self._taken.wait(_ROOM_POLL_S)
+                self._room.wait(_ROOM_POLL_S)
 
     @property
     def last_sequence(self) -> int:
@@ -92,12 +92,14 @@ class FrameRing:
                 frame.
         """
         with self._lock:
-            shown = list(islice(self._frames, limit))
-            chosen = list(choose(shown, len(self._frames) - len(shown))) if shown else []
+            candidates = list(islice(self._frames, limit))
+            chosen = (
+                list(choose(candidates, len(self._frames) - len(candidates))) if candidates else []
+            )
             for _ in chosen:
                 self._frames.popleft()
-        self._taken.set()
-        return shown[: len(chosen)], chosen
+        self._room.set()
+        return candidates[: len(chosen)], chosen
 
     def __len__(self) -> int:
         """Return the number of frames that wait."""

@@ -157,9 +157,9 @@ class TrackingStage:
         elif self._markers is None or tracked.tracker != before.tracker or blinking:
             self._restarts = 0
             self._markers = self._marker_tracker(active)
-        known = self._groups[0].tracker if len(self._groups) == 1 else None
+        tracker = self._groups[0].tracker if len(self._groups) == 1 else None
         same = tracked.tool_tracker == before.tool_tracker
-        self._groups = self._tool_groups(active, tracked.tools, known if same else None)
+        self._groups = self._tool_groups(active, tracked.tools, tracker if same else None)
 
     def set_calibration(self, active: PreparedCalibration | None) -> None:
         """Track with another calibration; tracks and tools are acquired anew."""
@@ -206,8 +206,8 @@ class TrackingStage:
             exposure = measurements.exposure(index)
             tracks.append(self._track_markers(frame, exposure) or none)
             lit = frame.marker is None
-            own = points.part(starts[index], starts[index + 1]) if lit else None
-            poses.append(self._track_tools(frame, exposure, own))
+            frame_points = points.part(starts[index], starts[index + 1]) if lit else None
+            poses.append(self._track_tools(frame, exposure, frame_points))
         return TrackingResult.of(tracks, poses)
 
     def _marker_tracker(self, active: PreparedCalibration) -> "Tracker | None":

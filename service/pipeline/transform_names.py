@@ -44,5 +44,7 @@ def wire_name(tool: str, reference: str | None) -> TransformName:
     """
     frame = frame_name(reference)
     full = f"{tool}{TO}{frame}"
-    kept = frame[: max(_MIN_FRAME_BYTES, _MAX_FRAME_BYTES - len(tool))]
-    return TransformName(f"{tool[: _MAX_FRAME_BYTES - len(kept)]}{TO}{kept}", full, reference)
+    shortened = frame[: max(_MIN_FRAME_BYTES, _MAX_FRAME_BYTES - len(tool))]
+    return TransformName(
+        f"{tool[: _MAX_FRAME_BYTES - len(shortened)]}{TO}{shortened}", full, reference
+    )

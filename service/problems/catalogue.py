@@ -62,11 +62,11 @@ class Problem(BaseModel):
 
 
 ERRORS: Final[dict[str, type[LumilineError]]] = {
-    found.code: found
+    problem_type.code: problem_type
     for module in (domain, drivers, own)
-    for found in vars(module).values()
-    if isinstance(found, type) and issubclass(found, LumilineError)
-    if found not in (LumilineError, own.ServiceError)
+    for problem_type in vars(module).values()
+    if isinstance(problem_type, type) and issubclass(problem_type, LumilineError)
+    if problem_type not in (LumilineError, own.ServiceError)
 }
 """The errors that clients are told of, by their codes."""
 
@@ -86,9 +86,9 @@ def _problem_type(code: str, status: int, meaning: str) -> ProblemType:
 
 
 PROBLEM_TYPES: Final[dict[str, ProblemType]] = {
-    found.code: found
-    for found in sorted(
+    problem_type.code: problem_type
+    for problem_type in sorted(
         [*(_problem_type(*row) for row in _PROTOCOL), *map(problem_type_of, ERRORS.values())],
-        key=lambda found: (found.status, found.code),
+        key=lambda problem_type: (problem_type.status, problem_type.code),
     )
 }

@@ -12,7 +12,7 @@ _INPUT_CHARACTERS: Final = 200
 _MESSAGE_CHARACTERS: Final = 500
 _PART_CHARACTERS: Final = 100
 MAX_ERRORS: Final = 50
-"""Errors of one answer; more than a person would mend before trying again."""
+"""Errors of one answer; more than a person would correct before trying again."""
 _MAX_ERRORS_IN_DETAIL: Final = 3
 
 
@@ -48,11 +48,11 @@ class InvalidRequest(Exception):
         self.errors = errors
 
 
-def field_errors(found: Sequence[Mapping[str, Any]], body: Any) -> FieldErrors:
+def field_errors(errors: Sequence[Mapping[str, Any]], body: Any) -> FieldErrors:
     """Return pydantic's errors as clients see them.
 
     Args:
-        found: the errors, each location beginning with its source: ``body``, ``query``, ...
+        errors: the errors, each location beginning with its source: ``body``, ``query``, ...
         body: the parsed body.
     """
     return FieldErrors(
@@ -62,10 +62,10 @@ def field_errors(found: Sequence[Mapping[str, Any]], body: Any) -> FieldErrors:
                 message=item["msg"][:_MESSAGE_CHARACTERS],
                 input=display_value(item.get("input")),
             )
-            for item in found[:MAX_ERRORS]
+            for item in errors[:MAX_ERRORS]
         ),
-        len(found),
-        any(_is_not_finite(item.get("input")) for item in found),
+        len(errors),
+        any(_is_not_finite(item.get("input")) for item in errors),
     )
 
 
@@ -130,8 +130,8 @@ def location_in_body(location: Sequence[str | int], body: Any, *, missing: bool)
     """
     parts = list(location)
     last = [parts.pop()] if missing and parts else []
-    found = _path(parts, body)
-    return list(location) if found is None else found + last
+    path = _path(parts, body)
+    return list(location) if path is None else path + last
 
 
 def _path(parts: Location, value: Any, *, tagged: bool = False) -> Location | None:

@@ -110,14 +110,14 @@ async def _domain_error(request: Request, error: Exception) -> Response:
 
 async def _validation_error(request: Request, error: Exception) -> Response:
     assert isinstance(error, RequestValidationError)
-    found: Sequence[Mapping[str, Any]] = error.errors()
-    kinds = {item["type"] for item in found}
+    errors: Sequence[Mapping[str, Any]] = error.errors()
+    kinds = {item["type"] for item in errors}
     if "json_invalid" in kinds:
-        item = next(item for item in found if item["type"] == "json_invalid")
+        item = next(item for item in errors if item["type"] == "json_invalid")
         reason = item.get("ctx", {}).get("error", item["msg"])
         detail = f"the body is not JSON: {reason}; send a JSON document"
         return error_response(MalformedJson(detail), request.url.path)
-    return _invalid_response(field_errors(found, _parsed(error.body)), request.url.path)
+    return _invalid_response(field_errors(errors, _parsed(error.body)), request.url.path)
 
 
 async def _invalid_request(request: Request, error: Exception) -> Response:
@@ -125,10 +125,10 @@ async def _invalid_request(request: Request, error: Exception) -> Response:
     return _invalid_response(error.errors, request.url.path)
 
 
-def _invalid_response(found: FieldErrors, instance: str) -> Response:
-    code = NonFiniteValue.code if found.not_finite else "invalid-request"
+def _invalid_response(errors: FieldErrors, instance: str) -> Response:
+    code = NonFiniteValue.code if errors.not_finite else "invalid-request"
     return problem_response(
-        PROBLEM_TYPES[code], found.summary(), instance, errors=list(found.errors)
+        PROBLEM_TYPES[code], errors.summary(), instance, errors=list(errors.errors)
     )
 
 

@@ -42,8 +42,8 @@ async def record_act(
     A database that does not answer keeps no device from being stopped; the log says so then.
     """
     kind, identity = _object(scope["path"])
-    shown = None if detail is None else redact(detail)
-    row = partial(entry, kind, identity, outcome, detail=shown)
+    redacted = None if detail is None else redact(detail)
+    row = partial(entry, kind, identity, outcome, detail=redacted)
     await _record(scope["app"].state.database, act, outcome, row)
 
 

@@ -33,7 +33,7 @@ class KeyCache:
     def __init__(
         self, clock: Callable[[], float] = time.monotonic, max_entries: int = MAX_CACHED_KEYS
     ) -> None:
-        self._found: TTLCache[str, tuple[str, Principal]] = TTLCache(
+        self._entries: TTLCache[str, tuple[str, Principal]] = TTLCache(
             max_entries, CACHE_LIFETIME_S, clock
         )
         self._lock = Lock()
@@ -41,22 +41,22 @@ class KeyCache:
     def __len__(self) -> int:
         """Keys that are remembered."""
         with self._lock:
-            return len(self._found)
+            return len(self._entries)
 
     def valid(self, key_id: str, digest: str, principal: Principal) -> None:
         """Remember a key that the database has, with this digest, and that is valid."""
         with self._lock:
-            self._found[key_id] = (digest, principal)
+            self._entries[key_id] = (digest, principal)
 
     def forget(self, key_id: str) -> None:
         """Forget a key that is not valid any more."""
         with self._lock:
-            self._found.pop(key_id, None)
+            self._entries.pop(key_id, None)
 
     def principal(self, key_id: str, digest: str) -> Principal | None:
         """Return the principal of a cached key, None when there is none; check its expiry, too."""
         with self._lock:
-            stored, principal = self._found.get(key_id, ("", None))
+            stored, principal = self._entries.get(key_id, ("", None))
         return principal if hmac.compare_digest(stored, digest) else None
 
 
@@ -127,27 +127,27 @@ class Authenticator:
                 "the key has not the form of one: lumi_, 12 letters and digits, _, and 43 more; "
                 "copy it whole"
             )
-        given = digest(credential)
+        key_digest = digest(credential)
         try:
-            found, last = self._stored(identity, given)
+            principal, last = self._stored(identity, key_digest)
         except NotReady:
-            remembered = self.remembered.principal(identity, given)
+            remembered = self.remembered.principal(identity, key_digest)
             if remembered is None:
                 raise
             _check_end(remembered)
             return remembered
-        self.remembered.valid(identity, given, found)
+        self.remembered.valid(identity, key_digest, principal)
         if last is None or datetime.now(UTC) - last > store.USED_EVERY:
             self._used(identity)
-        return found
+        return principal
 
-    def _stored(self, identity: str, given: str) -> tuple[Principal, datetime | None]:
+    def _stored(self, identity: str, key_digest: str) -> tuple[Principal, datetime | None]:
         """Return a key's principal and last use from the database."""
         with self._database.read() as session:
             row = session.get(ApiKeyRow, identity)
             stored = _NO_DIGEST if row is None else row.digest
             # The same work, in the same time, whether or not there is such a key.
-            right = hmac.compare_digest(stored, given)
+            right = hmac.compare_digest(stored, key_digest)
             if row is None or not right:
                 if row is None:
                     self.remembered.forget(identity)

@@ -53,16 +53,16 @@ def credential_of(headers: Headers, *, websocket: bool) -> str | None:
     Raises:
         Unauthenticated: there are several, or what there is cannot be one.
     """
-    found = [_of_header(value) for value in headers.getlist("authorization")]
+    credentials = [_of_header(value) for value in headers.getlist("authorization")]
     if websocket:
-        found += [
-            offered.removeprefix(BEARER_SUBPROTOCOL)
-            for offered in subprotocols(headers)
-            if offered.startswith(BEARER_SUBPROTOCOL)
+        credentials += [
+            protocol.removeprefix(BEARER_SUBPROTOCOL)
+            for protocol in subprotocols(headers)
+            if protocol.startswith(BEARER_SUBPROTOCOL)
         ]
-    if len(found) > 1:
+    if len(credentials) > 1:
         raise Unauthenticated("the request carries several keys or tokens; send one")
-    return found[0] if found else None
+    return credentials[0] if credentials else None
 
 
 def subprotocols(headers: Headers) -> list[str]:
@@ -121,9 +121,9 @@ def why_not_local(settings: Settings, client: str, headers: Headers) -> str | No
     for name in headers:
         if name in _FORWARDED or name.startswith("x-forwarded-"):
             return f"the request came through a proxy (header {name})"
-    given = headers.getlist("host")
-    found = _HOST.fullmatch(given[0]) if len(given) == 1 else None
-    if found is None or not is_loopback(found.group(1)):
-        shown = ", ".join(given)[:200]
-        return f'the header Host is "{shown}", and only localhost or 127.0.0.1 needs no key'
+    hosts = headers.getlist("host")
+    match = _HOST.fullmatch(hosts[0]) if len(hosts) == 1 else None
+    if match is None or not is_loopback(match.group(1)):
+        text = ", ".join(hosts)[:200]
+        return f'the header Host is "{text}", and only localhost or 127.0.0.1 needs no key'
     return None

@@ -60,18 +60,18 @@ def check_complete(routes: Iterable[BaseRoute]) -> tuple[RouteContext, ...]:
     Raises:
         ValueError: a route is not in the table, or the table has one that there is not.
     """
-    found = tuple(iter_route_contexts(list(routes)))
-    names = {operation_of(route) for route in found}
+    contexts = tuple(iter_route_contexts(list(routes)))
+    names = {operation_of(route) for route in contexts}
     for missing in sorted(names - OPERATION_SCOPES.keys()):
         raise ValueError(
             f'operation "{missing}" is not in service/security/operation_scopes.py; give it a '
             'scope, or "public"'
         )
-    for left in sorted(OPERATION_SCOPES.keys() - names):
+    for name in sorted(OPERATION_SCOPES.keys() - names):
         raise ValueError(
-            f'service/security/operation_scopes.py has "{left}", which no route has; remove it'
+            f'service/security/operation_scopes.py has "{name}", which no route has; remove it'
         )
-    return found
+    return contexts
 
 
 async def confirm(connection: HTTPConnection) -> None:
@@ -129,10 +129,10 @@ class Guard:
     def _route(self, scope: Scope) -> _Route | None:
         """Return the route of a request; None where the router finds none."""
         if self._routes is None:
-            found = check_complete(scope["app"].routes)
+            routes = check_complete(scope["app"].routes)
             self._routes = tuple(
                 _Route(operation_of(one), str(one.path), one.matches, query_members(one))
-                for one in found
+                for one in routes
             )
         for route in self._routes:
             if route.matches(scope)[0] == Match.FULL:

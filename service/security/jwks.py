@@ -118,10 +118,12 @@ class Jwks:
         keys: dict[str, jwt.PyJWK] | None = None
         try:
             document = json.loads(self._get(self._jwks_url()))
-            found = jwt.PyJWKSet.from_dict(document).keys[:_MAX_KEYS]
+            signing_keys = jwt.PyJWKSet.from_dict(document).keys[:_MAX_KEYS]
             # Shared secrets have no place among public keys, and would make forgery easy.
             keys = {
-                key.key_id: key for key in found if key.key_id is not None and key.key_type != "oct"
+                key.key_id: key
+                for key in signing_keys
+                if key.key_id is not None and key.key_type != "oct"
             }
         except Exception as error:  # noqa: BLE001 - whatever a provider answers
             _log.error("identity provider: its keys cannot be had: %s", _kind(error))
@@ -134,10 +136,10 @@ class Jwks:
     def _jwks_url(self) -> str:
         if self._url is None:
             address = f"{self._issuer.rstrip('/')}/.well-known/openid-configuration"
-            found: Any = json.loads(self._get(address))
-            if not isinstance(found, dict) or found.get("issuer") != self._issuer:
+            document: Any = json.loads(self._get(address))
+            if not isinstance(document, dict) or document.get("issuer") != self._issuer:
                 raise ValueError("its configuration is of another issuer")
-            url = found.get("jwks_uri")
+            url = document.get("jwks_uri")
             if not isinstance(url, str):
                 raise ValueError("its configuration has no jwks_uri")
             if not url.startswith("https://") and not self._issuer.startswith("http://"):

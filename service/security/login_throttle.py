@@ -55,12 +55,12 @@ class LoginThrottle:
 def network(address: str) -> str:
     """Return what counts as one address: of IPv6 the /64, which one machine has all of."""
     try:
-        found = ipaddress.ip_address(address.partition("%")[0])
+        ip = ipaddress.ip_address(address.partition("%")[0])
     except ValueError:
         return address[:64]
-    if isinstance(found, ipaddress.IPv6Address):
-        mapped = found.ipv4_mapped
+    if isinstance(ip, ipaddress.IPv6Address):
+        mapped = ip.ipv4_mapped
         if mapped is not None:
             return str(mapped)
-        return str(ipaddress.ip_network((int(found), 64), strict=False))
-    return str(found)
+        return str(ipaddress.ip_network((int(ip), 64), strict=False))
+    return str(ip)

@@ -81,11 +81,11 @@ class OidcTokens:
         )
 
     def _scopes(self, claims: dict[str, Any]) -> set[str]:
-        found = claims.get(self._scope_claim)
-        if isinstance(found, str):
-            return set(found.split())
-        if isinstance(found, list):
-            return {item for item in found if isinstance(item, str)}
+        scopes = claims.get(self._scope_claim)
+        if isinstance(scopes, str):
+            return set(scopes.split())
+        if isinstance(scopes, list):
+            return {item for item in scopes if isinstance(item, str)}
         return set()
 
 

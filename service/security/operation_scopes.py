@@ -28,6 +28,7 @@ OPERATION_SCOPES: Final[Mapping[str, Access]] = {
     "stream_by_http": "public",  # says that it is a websocket
     "unknown_websocket": "public",
     "stream": "read:stream",
+    "get-principal": "read:stream",
     "list-devices": "read:stream",
     "get-device": "read:stream",
     "get-device-state": "read:stream",

@@ -51,9 +51,9 @@ class RefusalAggregator:
     def is_first(self, act: Act) -> bool:
         """Whether a refusal gets an entry of its own; repeats are counted and recorded later."""
         key = (act.principal.kind, act.principal.id, act.operation)
-        found = self._open.get(key)
-        if found is not None:
-            found.more += 1
+        entry = self._open.get(key)
+        if entry is not None:
+            entry.more += 1
             return False
         if len(self._open) >= self._max_entries:
             self._end(next(iter(self._open)))

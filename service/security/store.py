@@ -55,8 +55,8 @@ def make_key() -> NewKey:
 
 def key_id_of(text: str) -> str | None:
     """Return the id in a key's text, None when it has not the form of a key."""
-    found = _FORM.fullmatch(text)
-    return None if found is None else found.group(1)
+    match = _FORM.fullmatch(text)
+    return None if match is None else match.group(1)
 
 
 def digest(text: str) -> str:
@@ -90,12 +90,12 @@ def add_key(
             f"expires_at is {expires_at.isoformat()}, which has passed; give a later "
             "moment, or leave it out"
         )
-    made = make_key()
+    key = make_key()
     act = current_act.get()
     row = ApiKeyRow(
-        id=made.id,
+        id=key.id,
         name=name,
-        digest=made.digest,
+        digest=key.digest,
         scopes=sorted(set(scopes)),
         created_by=act.principal.label if act is not None else "service",
         created_at=now,
@@ -105,7 +105,7 @@ def add_key(
     )
     session.add(row)
     session.flush()
-    return row, made
+    return row, key
 
 
 KEYS: Final = Resource(ApiKeyRow, "key", UnknownKey)

@@ -176,7 +176,7 @@ def _fitted(
             for step in steps
             for sign in (1, -1)
         ]
-        seen = [residuals(place) for place in inside]
+        seen = [residuals(position) for position in inside]
         return np.stack(
             [
                 (seen[2 * k] - seen[2 * k + 1]) / (inside[2 * k][k] - inside[2 * k + 1][k])

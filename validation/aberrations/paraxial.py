@@ -94,8 +94,8 @@ class ParaxialSystem:
                 f"object_mm is {object_mm}, the front focus, which is imaged at infinity",
                 object_mm=object_mm,
             )
-        place = self.vertex_mm[-1] - height[-1] / angle[-1]
-        return float(place), float(self.index[0] / (self.index[-1] * angle[-1]))
+        position = self.vertex_mm[-1] - height[-1] / angle[-1]
+        return float(position), float(self.index[0] / (self.index[-1] * angle[-1]))
 
     def entrance_pupil_mm(self, stop: int) -> float:
         """Return the position of the entrance pupil, the stop seen from the front [mm].

@@ -256,9 +256,9 @@ def _ray_aberrations(
         )
     # The paraxial image may lie before or behind the sensor, or be virtual.
     slope = rays.direction[:, :2] / rays.direction[:, 2:]
-    place = rays.position_mm[:, :2] + slope * (image_mm - system.image_mm)
+    position = rays.position_mm[:, :2] + slope * (image_mm - system.image_mm)
     image = magnification * heights_mm
-    return place - image, image, scale * pupil_mm
+    return position - image, image, scale * pupil_mm
 
 
 def _check_shapes(stack: SurfaceStack, allowed: tuple[type, ...]) -> None:

@@ -74,11 +74,11 @@ def compute_tables() -> tuple[tuple[ResultTable, ...], tuple[str, ...]]:
     for name, stop_mm in STOPS.items():
         analytic = sums(stop_mm)
         sphere, cylinder = fits(stop_mm)
-        for lens, fit, wanted in (
+        for lens, fit, expected in (
             ("sphere", sphere, analytic),
             ("cylinder", cylinder, meridional(analytic)),
         ):
-            coefficients += _compared(name, lens, fit.coefficients, wanted)
+            coefficients += _compared(name, lens, fit.coefficients, expected)
         half = fits(stop_mm, 0.5)
         for lens, whole, part in zip(("sphere", "cylinder"), (sphere, cylinder), half, strict=True):
             orders.append(
@@ -127,11 +127,11 @@ def _compared(
     stop: str,
     lens: str,
     found: SeidelCoefficients | MeridionalCoefficients,
-    wanted: SeidelCoefficients | MeridionalCoefficients,
+    expected: SeidelCoefficients | MeridionalCoefficients,
 ) -> list[tuple[Cell, ...]]:
     return [
         (stop, lens, _MEANINGS[field.name], right, ours, ours / right - 1.0)
-        for field, right, ours in zip(fields(found), astuple(wanted), astuple(found), strict=True)
+        for field, right, ours in zip(fields(found), astuple(expected), astuple(found), strict=True)
     ]
 
 

@@ -117,7 +117,7 @@ def _same_lens(focus: dict[float, tuple[float, float]]) -> tuple[ResultTable, Re
         turned = (
             ratio(Setting(target, sphere, cylinder, float(np.radians(tilt)))) for tilt in TILTS_DEG
         )
-        unfocused = (ratio(Setting(target, place, 0.0)) for place in (sphere, 0.0))
+        unfocused = (ratio(Setting(target, position, 0.0)) for position in (sphere, 0.0))
         others.append((target, brightest, *turned, *unfocused))
     return (
         ResultTable(

@@ -88,8 +88,8 @@ def cylinder_peak_sr(target_mm: float, focus_mm: float, tilt_rad: float = 0.0) -
     line = _cylinder_line(target_mm, focus_mm)
     pixels = line.pixels_sr[0]
     shifts = np.tan(tilt_rad) * (np.arange(ROWS_AVERAGED) - 0.5 * (ROWS_AVERAGED - 1))
-    place = np.arange(len(pixels))
-    rows = [np.interp(place, place + shift, pixels) for shift in shifts]
+    pixel = np.arange(len(pixels))
+    rows = [np.interp(pixel, pixel + shift, pixels) for shift in shifts]
     return float(np.mean(rows, axis=0).max())
 
 
@@ -100,12 +100,12 @@ def sphere_peak_sr(target_mm: float, focus_mm: float) -> float:
     image is made up for by one from elsewhere on the target: to first order a point's blur is
     the same all over the small image.
     """
-    place, light, magnification = _sphere_rays(focus_mm)
+    position, light, magnification = _sphere_rays(focus_mm)
     radius = 0.5 * target_mm * magnification
     pitch = PITCH_UM * 1e-3
     share = np.mean(
         [
-            light[np.hypot(place[:, 0] - x * pitch, place[:, 1] - y * pitch) < radius].sum()
+            light[np.hypot(position[:, 0] - x * pitch, position[:, 1] - y * pitch) < radius].sum()
             for x in _IN_PIXEL
             for y in _IN_PIXEL
         ]
@@ -188,8 +188,8 @@ def _sphere_rays(focus_mm: float) -> tuple[Array, Array, float]:
     area = np.pi * WIDTH_MM**2 / 4.0 / len(r)
     solid_angle = area * DISTANCE_MM / (r**2 + DISTANCE_MM**2) ** 1.5
     light = np.where(arrived, solid_angle * rays.transmittance.mean(axis=1), 0.0)
-    place = np.where(arrived[:, None], rays.position_mm[:, :2], 0.0)
+    position = np.where(arrived[:, None], rays.position_mm[:, :2], 0.0)
     # The image's middle moves with the object as the ray through the lens's middle does.
     beside = np.array([[1.0, 0.0, -DISTANCE_MM]])
     chief = trace_rays(assembly.stack(), beside, -beside)
-    return place, light, float(abs(chief.position_mm[0, 0]))
+    return position, light, float(abs(chief.position_mm[0, 0]))

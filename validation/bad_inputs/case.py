@@ -110,8 +110,8 @@ def run_kind(kind: Kind, trials: int, seed: int) -> tuple[int, list[str], str]:
             right += 1
         elif is_right(kind, found is None, text):
             right += 1
-            place = min(text.find(one) for one in kind.expected if one in text)
-            example = example or text[max(0, place - 60) : place + 60]
+            index = min(text.find(one) for one in kind.expected if one in text)
+            example = example or text[max(0, index - 60) : index + 60]
         else:
             wrong.append(text)
     return right, wrong, example

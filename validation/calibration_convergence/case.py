@@ -137,13 +137,13 @@ def distorted_tally(runs: int, seed: int = SEED) -> tuple[int, int]:
         plain, _, _ = fit_metric_cameras(*given, sigma, device.geometry)
         prior = LensPrior.of(plain, [PITCH_UM] * SENSORS, device.points_mm, seen)
         best = minimise(CameraStack.of(device.models), *given, weights, prior).squares
-        for place, near in enumerate((None, device.start)):
+        for index, near in enumerate((None, device.start)):
             try:
                 found = calibrate(*given, device.geometry, sigma, settings, near)
             except LumilineError:
                 continue
             ours = minimise(CameraStack.of(found.models), *given, weights, prior, 0).squares
-            counts[place] += int((ours <= best + DISTORTED_MINIMUM_THRESHOLD).all())
+            counts[index] += int((ours <= best + DISTORTED_MINIMUM_THRESHOLD).all())
     return counts[0], counts[1]
 
 

@@ -116,8 +116,8 @@ def pair_figures(pair: Pair, count: int, chain_count: int, seed: int = 3) -> Pai
     """
     rng = np.random.default_rng([seed, round(pair.light), pair.ratio, round(10 * pair.separation)])
     distance = pair.separation * WIDTH_PX
-    place = places_px(count, rng)[:, None] + distance * np.array([-0.5, 0.5])
-    lines = expose(gaussian_electrons(place, WIDTH_PX, pair.lights), READ_NOISE, rng)
+    position = places_px(count, rng)[:, None] + distance * np.array([-0.5, 0.5])
+    lines = expose(gaussian_electrons(position, WIDTH_PX, pair.lights), READ_NOISE, rng)
     settings = (
         FitSettings(width_px=WIDTH_PX, width_log_sigma=0.0),
         FitSettings(width_px=WIDTH_PX, width_log_sigma=WIDTH_LOG_SIGMA),
@@ -125,17 +125,17 @@ def pair_figures(pair: Pair, count: int, chain_count: int, seed: int = 3) -> Pai
     noise = line_noise(READ_NOISE)
     bounds, errors = [], []
     for one in settings:
-        sample = place[:: max(count // 64, 1)]
+        sample = position[:: max(count // 64, 1)]
         covariance = joint_position_bounds(sample, pair.lights, AMBIENT, PIXELS, one, noise)
         bounds.append(np.sqrt(np.diagonal(covariance.mean(axis=0))))
         found = fit_scans(lines, one, noise, candidates=find(lines, one.search, READ_NOISE))
-        errors.append(_fit_errors(found, place, bounds[-1]))
+        errors.append(_fit_errors(found, position, bounds[-1]))
     some = rng.permutation(count)[:chain_count]
     cuts: tuple[ValleyCut, ...] = (
         ValleyCut(LEVELS[pair.ratio], MIN_DEPTH),
         SlopeExtension(LEVELS[pair.ratio], MIN_DEPTH),
     )
-    cut = [_cut_errors(lines[some], place[some], method) for method in cuts]
+    cut = [_cut_errors(lines[some], position[some], method) for method in cuts]
     return PairFigures(pair, bounds[0], bounds[1], *errors, *cut)
 
 

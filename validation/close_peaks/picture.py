@@ -53,14 +53,14 @@ def _errors(axis: Axes, ratio: int) -> None:
 
 def _line(axis: Axes) -> None:
     rng = np.random.default_rng(6)
-    place = MIDDLE_PX + 0.3 + WIDTH_PX * np.array([[-1.0, 1.0]])
-    line = expose(gaussian_electrons(place, WIDTH_PX, (1e4, 1e4)), READ_NOISE, rng)[0]
+    position = MIDDLE_PX + 0.3 + WIDTH_PX * np.array([[-1.0, 1.0]])
+    line = expose(gaussian_electrons(position, WIDTH_PX, (1e4, 1e4)), READ_NOISE, rng)[0]
     settings = FitSettings(width_px=WIDTH_PX, width_log_sigma=0.0)
     (group,) = fit_scan(line, settings, line_noise(READ_NOISE))
     pixel = group.first_px + np.arange(len(group.values))
     axis.step(pixel, group.values, where="mid", color="0.5", label="counts")
     axis.plot(pixel, group.model, "o-", markersize=3, label="joint fit")
-    for true, found in zip(place[0], group.position_px, strict=True):
+    for true, found in zip(position[0], group.position_px, strict=True):
         axis.axvline(true, color="black", linewidth=0.8)
         axis.axvline(found, color="tab:red", linestyle="--", linewidth=0.8)
     beside = axis.twinx()

@@ -70,7 +70,7 @@ def markers_table() -> tuple[ResultTable, tuple[str, ...]]:
     """Return Table 4.4 with the joint fit, and what it shows."""
     truth = np.array(TRUE_PX)
     rows: list[tuple[Cell, ...]] = []
-    told: dict[float, float] = {}
+    shares: dict[float, float] = {}
 
     def row(title: str, method: str, found: np.ndarray) -> float:
         error = found - truth
@@ -91,7 +91,7 @@ def markers_table() -> tuple[ResultTable, tuple[str, ...]]:
         draws = 1 if noise is None else DRAWS
         for method, cut in zip(("valley cut", "slope extension"), METHODS.values(), strict=True):
             row(title, method, separated(close_markers(noise, draws, dip=DIP), cut))
-        told[noise or 0.0] = row(title, "joint fit", joint_fit(close_markers(noise, draws)))
+        shares[noise or 0.0] = row(title, "joint fit", joint_fit(close_markers(noise, draws)))
     bound = markers_bound_px(NOISE_COUNTS[0])
     table = ResultTable(
         "Table 4.4: RMS errors of the first four markers, of the last two, and of all, by read "
@@ -103,9 +103,9 @@ def markers_table() -> tuple[ResultTable, tuple[str, ...]]:
         (
             "Table 4.4's markers: the joint fit knows the lines' shape and gets no dip between "
             "the last two, which are 0.88 px apart, 0.44 of their deviation. Without noise it "
-            f"tells them apart; with it in {told[NOISE_COUNTS[0]]:.0%} of the lines at a read "
-            f"noise of {NOISE_COUNTS[0]:g} counts, in {told[1.0]:.0%} at 1 count: even where it is "
-            f"known that they are two their bound is {bound[4]:.2f} px at {NOISE_COUNTS[0]:g} "
+            f"tells them apart; with it in {shares[NOISE_COUNTS[0]]:.0%} of the lines at a read "
+            f"noise of {NOISE_COUNTS[0]:g} counts, in {shares[1.0]:.0%} at 1 count: even where it "
+            f"is known that they are two their bound is {bound[4]:.2f} px at {NOISE_COUNTS[0]:g} "
             f"counts ({bound[0]:.3f} px for the first). Otherwise it gives one peak for both, "
             "which counts as either's, 0.44 px off: that is what there is to know. The cuts "
             "have errors of tenths of a pixel for the first four too, noise or not."

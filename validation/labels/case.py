@@ -173,12 +173,13 @@ def compute_tables(
     clean_share: int = CLEAN_SHARE,
     beside_share: int = BESIDE_SHARE,
     wide: Sequence[tuple[Question, int]] = WIDE,
+    seed: int = SEED,
 ) -> tuple[tuple[ResultTable, ...], tuple[str, ...]]:
     """Ask everything, with so many frames of each kind."""
-    asked = _answers([(one, share) for one in ASKED], SEED, (0.0, 0.4))
-    clean = _answers([(one, clean_share) for one in CLEAN], SEED + 100, (0.4, 0.55))
-    beside = _answers([(one, beside_share) for one in BESIDE], SEED + 200, (0.55, 0.65))
-    fields = _answers(wide, SEED + 300, (0.65, 1.0))
+    asked = _answers([(one, share) for one in ASKED], seed, (0.0, 0.4))
+    clean = _answers([(one, clean_share) for one in CLEAN], seed + 100, (0.4, 0.55))
+    beside = _answers([(one, beside_share) for one in BESIDE], seed + 200, (0.55, 0.65))
+    fields = _answers(wide, seed + 300, (0.65, 1.0))
     frames, exact = _sum(asked, "frames"), _sum(asked, "exact")
     clean_frames, alarms = _sum(clean, "frames"), _sum(clean, "surplus")
     wrong = [(question, outcome) for question, outcome in fields if question.number > 0]

@@ -161,9 +161,9 @@ class Outcome:
                 labels.add(named)
                 true = named == rig.label_error
             kind = "outlier" if finding.kind == "outlier" else "label"
-            place = min(int(np.searchsorted(BINS, finding.probability)), len(BINS) - 1)
-            self.stated[kind, place, "count"] += 1
-            self.stated[kind, place, "true"] += int(true)
+            index = min(int(np.searchsorted(BINS, finding.probability)), len(BINS) - 1)
+            self.stated[kind, index, "count"] += 1
+            self.stated[kind, index, "true"] += int(true)
         expected = set() if rig.label_error is None else {rig.label_error}
         self.exact += labels == expected
         self.false_labels += bool(labels - expected)
@@ -267,11 +267,11 @@ def compute_tables(
 def _stated_table(stated: Counter[tuple[str, int, str]]) -> ResultTable:
     rows: list[tuple[Cell, ...]] = []
     for kind in ("label", "outlier"):
-        for place in range(1, len(BINS)):
-            count = stated[kind, place, "count"]
+        for index in range(1, len(BINS)):
+            count = stated[kind, index, "count"]
             if count:
-                true = stated[kind, place, "true"]
-                bounds = f"{BINS[place - 1]:g} to {BINS[place]:g}"
+                true = stated[kind, index, "true"]
+                bounds = f"{BINS[index - 1]:g} to {BINS[index]:g}"
                 rows.append((kind, bounds, count, true, round(true / count, 3)))
     headings = ("finding", "stated probability", "findings", "true", "share true")
     return ResultTable("stated probabilities at Student's noise", headings, tuple(rows))

@@ -28,13 +28,13 @@ def optotrak_table(control: int = CONTROL, test: int = TEST) -> tuple[ResultTabl
     """Return RMS errors over the profile's volume and in the section at 2.25 m, and a finding."""
     profile = load_profile("optotrak")
     scene = Scene.of(profile)
-    middle, size = np.array(profile.volume.centre_mm), np.array(profile.volume.size_mm)
-    low, high = middle - size / 2.0, middle + size / 2.0
+    centre, size = np.array(profile.volume.centre_mm), np.array(profile.volume.size_mm)
+    low, high = centre - size / 2.0, centre + size / 2.0
     rng = np.random.default_rng(4)
     scale = fit_scale(scene, low, high)
     sigma = RESOLUTION_MM * scale
-    places = random_points_in_box(control * 3 // 2, low, high, 5)
-    known = _seen(scene, places, sigma, rng)
+    positions = random_points_in_box(control * 3 // 2, low, high, 5)
+    known = _seen(scene, positions, sigma, rng)
     known = known.of(np.flatnonzero(known.sensors == 3)[:control])
     one = fit(known, scene.geometry, "auto")
     both = mapped(one, known)
@@ -80,10 +80,10 @@ def optotrak_table(control: int = CONTROL, test: int = TEST) -> tuple[ResultTabl
 
 def fit_scale(scene: Scene, low_mm: Array, high_mm: Array) -> float:
     """Return how many pixels a millimetre across is in the middle of the volume [px/mm]."""
-    middle = 0.5 * (low_mm + high_mm)
+    centre = 0.5 * (low_mm + high_mm)
     device = scene.device
     steps = np.array([[0.0, 0.0, 0.0], [1.0, 1.0, 0.0]])
-    readings = device.image_points(middle + steps).readings_px
+    readings = device.image_points(centre + steps).readings_px
     return float(np.abs(readings[1] - readings[0]).mean())
 
 

@@ -114,14 +114,14 @@ class Scene:
         exact, position, sigma = (np.full(light.shape, np.nan) for _ in range(3))
         for sensor, shape in enumerate(shapes):
             mean = shape.pixels_sr * light[:, sensor, None]
-            place = shape.first_px[:, None] + np.arange(mean.shape[1])
+            pixel = shape.first_px[:, None] + np.arange(mean.shape[1])
             # A line that the row's end cuts has its centre elsewhere; a full pixel, too.
             lit = mean > _DARK * mean.max(axis=1, keepdims=True)
-            fit = (~lit | ((place >= 0) & (place < pixels))).all(axis=1)
+            fit = (~lit | ((pixel >= 0) & (pixel < pixels))).all(axis=1)
             fit &= (mean.max(axis=1) < device.full_electrons * _FULL) & (mean.sum(axis=1) > 0.0)
             exact[fit, sensor] = shape.centroid_px[fit]
             position[fit, sensor], sigma[fit, sensor] = self._centroids(
-                mean[fit], place[fit], lit[fit], rng
+                mean[fit], pixel[fit], lit[fit], rng
             )
         lines = shifted_stripes(shapes, pixels)
         bound = position_bound(
@@ -172,7 +172,7 @@ def random_points_in_box(count: int, low_mm: Array, high_mm: Array, seed: int) -
     A scrambled Sobol sequence over a box RIM larger; whoever maps a volume goes to its ends.
     """
     power = int(np.ceil(np.log2(count)))
-    places = qmc.Sobol(3, seed=seed).random_base2(power)[:count]
-    share = np.clip((places - 0.5) * (1.0 + RIM) + 0.5, 0.0, 1.0)
+    positions = qmc.Sobol(3, seed=seed).random_base2(power)[:count]
+    share = np.clip((positions - 0.5) * (1.0 + RIM) + 0.5, 0.0, 1.0)
     points: Array = low_mm + share * (np.asarray(high_mm) - low_mm)
     return points

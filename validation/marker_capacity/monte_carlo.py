@@ -92,13 +92,13 @@ class Frame:
 
 def expose(rig: Rig, scene: Scene, markers: int, rng: np.random.Generator) -> Frame:
     """Draw markers evenly in the volume, where all sensors see them, and read them."""
-    places = np.empty((0, 3))
-    while len(places) < markers:
+    positions = np.empty((0, 3))
+    while len(positions) < markers:
         more = rig.box.uniform(4 * markers, rng)
         readings = rig.cameras.project(more)
         seen = ((readings >= 0.0) & (readings <= rig.pixels - 1.0)).all(axis=1)
-        places = np.concatenate([places, more[seen]])[:markers]
-    readings = rig.cameras.project(places)
+        positions = np.concatenate([positions, more[seen]])[:markers]
+    readings = rig.cameras.project(positions)
     readings += rig.sigma_px * rng.standard_normal(readings.shape)
     there = rng.random(readings.shape) >= scene.missed_fraction
     lines: list[list[tuple[float, frozenset[int]]]] = []
@@ -119,7 +119,7 @@ def expose(rig: Rig, scene: Scene, markers: int, rng: np.random.Generator) -> Fr
         both[sensor, : len(line)] = [len(owner) > 1 for _, owner in line]
     sigma = np.where(np.isfinite(position), rig.sigma_px[:, None], np.nan)
     owners = tuple(tuple(owner for _, owner in line) for line in lines)
-    return Frame(places, position, sigma, both, owners)
+    return Frame(positions, position, sigma, both, owners)
 
 
 def _merged(line: list[tuple[float, frozenset[int]]]) -> list[tuple[float, frozenset[int]]]:

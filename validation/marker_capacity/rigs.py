@@ -63,8 +63,8 @@ def profile_rig(name: str) -> Rig:
     profile = load_profile(name)
     device = planning_device(profile)
     box = Box(profile.volume.centre_mm, profile.volume.size_mm)
-    places = volume_grid(box, (PER_SIDE, PER_SIDE, PER_SIDE))
-    found = simulate_readings(device, places.points_mm, lambda _: None)
+    positions = volume_grid(box, (PER_SIDE, PER_SIDE, PER_SIDE))
+    found = simulate_readings(device, positions.points_mm, lambda _: None)
     sigma = np.nanmedian(np.hypot(found.bound_px, found.pattern_px), axis=0)
     solver = PointSolver(found.cameras, device="cpu", threads=1)
     return Rig(name, found.cameras, device.pixels, sigma, box, solver)
@@ -79,14 +79,14 @@ def bar_of(sensors: int) -> Rig:
     bar = profile_rig("bar")
     target = np.asarray(bar.box.centre_mm)
     height = 86.0 * (-1.0) ** (np.arange(sensors) // 2)
-    places = np.column_stack(
+    positions = np.column_stack(
         [np.linspace(-HALF_BAR_MM, HALF_BAR_MM, sensors), height, np.zeros(sensors)]
     )
     # Neighbours measure across each other, as far as the number of sensors lets them.
     turns = (np.arange(sensors) * (sensors // 2 - 1)) % sensors * np.pi / sensors
     focus = float(np.abs(bar.cameras.principal_distance_px).mean())
     models = []
-    for index, (place, turn) in enumerate(zip(places, turns, strict=True)):
+    for index, (place, turn) in enumerate(zip(positions, turns, strict=True)):
         view = (target - place) / np.linalg.norm(target - place)
         side = np.cross([0.0, 1.0, 0.0], view)
         side /= np.linalg.norm(side)

@@ -108,16 +108,18 @@ def light_needed(probability: float) -> float:
     """Return the background at which so many markers are found in one line [electrons]."""
     threshold = by_filter(Scene(LIGHT_ELECTRONS[0]), AVERAGED_RATE).threshold_sigma
     light = np.geomspace(1000.0, 30000.0, 25)
-    chances = [filter_detection_probability(Scene(float(level)), threshold) for level in light]
-    return float(np.exp(np.interp(probability, chances, np.log(light))))
+    probabilities = [
+        filter_detection_probability(Scene(float(level)), threshold) for level in light
+    ]
+    return float(np.exp(np.interp(probability, probabilities, np.log(light))))
 
 
 def lines_needed(probability: float) -> float:
     """Return how many lines of AVERAGED_ELECTRONS it takes, by the filter's own SNR."""
-    wanted = Scene(light_needed(probability)).snr
+    expected = Scene(light_needed(probability)).snr
 
     def excess(lines: float) -> float:
-        return Scene(AVERAGED_ELECTRONS).snr * float(np.sqrt(lines)) - wanted
+        return Scene(AVERAGED_ELECTRONS).snr * float(np.sqrt(lines)) - expected
 
     return float(np.ceil(brentq(excess, 1.0, 1e5)))
 

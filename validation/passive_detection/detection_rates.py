@@ -116,9 +116,9 @@ def scanned(scene: Scene, seed: int) -> tuple[NDArray[np.uint16], NDArray[np.uin
     One electron is one count.
     """
     rng = np.random.default_rng(seed)
-    place = rng.uniform(_EDGE_PX, PIXELS - 1 - _EDGE_PX, LINES)
+    position = rng.uniform(_EDGE_PX, PIXELS - 1 - _EDGE_PX, LINES)
     edges = np.arange(PIXELS + 1) - 0.5
-    shape = np.diff(ndtr((edges - place[:, None]) / WIDTH_PX), axis=1)
+    shape = np.diff(ndtr((edges - position[:, None]) / WIDTH_PX), axis=1)
     read = np.sqrt(scene.lines * (READ_ELECTRONS**2 + 1.0 / 12.0) - 1.0 / 12.0)
 
     def read_out(light: Array) -> NDArray[np.uint16]:
@@ -126,7 +126,7 @@ def scanned(scene: Scene, seed: int) -> tuple[NDArray[np.uint16], NDArray[np.uin
         return np.rint(electrons).clip(0, 65535).astype(np.uint16)
 
     empty = read_out(np.full((LINES, PIXELS), scene.level))
-    return empty, read_out(scene.level + scene.marker(shape)), place
+    return empty, read_out(scene.level + scene.marker(shape)), position
 
 
 @cache
@@ -135,14 +135,14 @@ def by_filter(scene: Scene, rate: float, seed: int = 1) -> Point:
     # The deviation is known: given as read noise, over an offset that leaves no photon noise.
     known = SensorNoise.of(1.0, np.sqrt(scene.variance - 1.0 / 12.0), 65535.0)
     detector = PeakDetector(line_filter(), PIXELS, DetectionSettings(rate, "model", 64), known)
-    empty, marked, place = scanned(scene, seed)
+    empty, marked, position = scanned(scene, seed)
     alarms = int(detector.detect(empty).count.sum())
     found = detector.detect(marked)
     threshold = detector.threshold_sigma
     return Point(
         threshold,
         _counted(alarms, rate * alarms_by_skewness(scene, threshold)),
-        _seen(_near(found, place), filter_detection_probability(scene, threshold)),
+        _seen(_near(found, position), filter_detection_probability(scene, threshold)),
         float(norm.sf(threshold - scene.snr)),
     )
 
@@ -153,20 +153,20 @@ def by_own_noise(scene: Scene, rate: float, seed: int = 1) -> float:
     detector = PeakDetector(
         line_filter(), PIXELS, DetectionSettings(rate, "line", 64), SensorNoise.of(1.0, 0.0)
     )
-    _, marked, place = scanned(scene, seed)
+    _, marked, position = scanned(scene, seed)
     found = detector.detect(marked)
-    return float(_near(found, place).mean())
+    return float(_near(found, position).mean())
 
 
 @cache
 def by_pixel(scene: Scene, rate: float, seed: int = 1) -> Point:
     """Return the point of a threshold on single pixels over a background that is known."""
     threshold = pixel_threshold(rate)
-    empty, marked, place = scanned(scene, seed)
+    empty, marked, position = scanned(scene, seed)
     limit = scene.level + threshold * np.sqrt(scene.variance)
     inner = empty[:, 1:-1]
     maxima = (inner > limit) & (inner > empty[:, :-2]) & (inner >= empty[:, 2:])
-    near = np.abs(np.arange(PIXELS) - place[:, None]) <= NEAR_PX
+    near = np.abs(np.arange(PIXELS) - position[:, None]) <= NEAR_PX
     skew = 1.0 / np.sqrt(scene.variance) * scene.level / scene.variance
     return Point(
         threshold,
@@ -206,15 +206,15 @@ def filter_detection_probability(scene: Scene, threshold: float) -> float:
 
 def pixel_detection_probability(scene: Scene, threshold: float) -> float:
     """Return the theoretical chance that a pixel within NEAR_PX is above a threshold."""
-    chances = []
+    probabilities = []
     for phase in _phases():
         light = scene.marker(gaussian_shape(WIDTH_PX, NEAR_PX + 1, phase))
         pixel = np.arange(-NEAR_PX - 1, NEAR_PX + 2)
         light = light[np.abs(pixel - phase) <= NEAR_PX]
         limit = threshold * np.sqrt(scene.variance)
         below = ndtr((limit - light) / np.sqrt(scene.variance + light))
-        chances.append(1.0 - float(below.prod()))
-    return float(np.mean(chances))
+        probabilities.append(1.0 - float(below.prod()))
+    return float(np.mean(probabilities))
 
 
 @cache

@@ -117,9 +117,9 @@ def _sums(axis: Axes) -> None:
 
 
 def _point(
-    axis: Axes, place: float, share: Share, marker: str, colour: str, across: float = 0.0
+    axis: Axes, position: float, share: Share, marker: str, colour: str, across: float = 0.0
 ) -> None:
     error = 2.0 * np.sqrt(share.measured * (1.0 - share.measured) / LINES)
     # None at all has no place on a logarithmic axis.
-    if place > 0.0:
-        axis.errorbar(place, share.measured, error, across or None, marker, color=colour, ms=4)
+    if position > 0.0:
+        axis.errorbar(position, share.measured, error, across or None, marker, color=colour, ms=4)

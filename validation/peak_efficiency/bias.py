@@ -93,37 +93,42 @@ def bias_figures(setting: Setting, name: str, count: int, seed: int = 1) -> Bias
     rng = np.random.default_rng([seed, round(100 * width), round(setting.light), round(read)])
     noise, settings = line_noise(read), fit_settings(name, width)
     finder = FitFinder(_BLOCK, PIXELS, settings, noise, device="cpu", threads=1)
-    place = places_px(count, rng)
+    position = places_px(count, rng)
     first_order = np.zeros(count)
     parts = []
     for begin in range(0, count, _BLOCK):
         some = slice(begin, min(begin + _BLOCK, count))
-        lines = expose(gaussian_electrons(place[some, None], width, (setting.light,)), read, rng)
+        lines = expose(gaussian_electrons(position[some, None], width, (setting.light,)), read, rng)
         first_order[some] = first_order_errors(
-            setting, place[some], lines, width_known=name == KNOWN_WIDTH
+            setting, position[some], lines, width_known=name == KNOWN_WIDTH
         )
         parts.append(vars(finder.find(lines)))
     found = PeakBatch(**{key: np.concatenate([part[key] for part in parts]) for key in parts[0]})
-    own = match_true_peaks(found, place)
-    error = found.position_px[np.arange(count), own] - place
+    own = match_true_peaks(found, position)
+    error = found.position_px[np.arange(count), own] - position
     near = np.abs(error) < _NEAR_WIDTHS * max(width, 1.0)
     some_found = PeakBatch(**{key: values[near] for key, values in vars(found).items()})
-    places = MIDDLE_PX + (np.arange(_PLACES) + 0.5) / (2 * _PLACES)
+    positions = MIDDLE_PX + (np.arange(_PLACES) + 0.5) / (2 * _PLACES)
     strict = joint_position_bounds(
-        places[:, None], [setting.light], AMBIENT, PIXELS, fit_settings(KNOWN_WIDTH, width), noise,
+        positions[:, None],
+        [setting.light],
+        AMBIENT,
+        PIXELS,
+        fit_settings(KNOWN_WIDTH, width),
+        noise,
         only_positions=True,
-    )  # fmt: skip
+    )
     return Bias(
         setting,
         float(strict.mean() ** 0.5),
         float(near.mean()),
-        errors_of(own[near], some_found, place[near], first_order[near]),
-        *largest_of_waves((error - first_order)[near], place[near]),
-        float(np.abs(second_order_bias(setting, settings, places)).max()),
+        errors_of(own[near], some_found, position[near], first_order[near]),
+        *largest_of_waves((error - first_order)[near], position[near]),
+        float(np.abs(second_order_bias(setting, settings, positions)).max()),
     )
 
 
-def largest_of_waves(error: Array, place: Array) -> tuple[float, float]:
+def largest_of_waves(error: Array, position: Array) -> tuple[float, float]:
     """Return the largest mean error within a pixel, absolute, and its standard error.
 
     By a constant and three waves over the pixel: the bias of a fit is smooth, and seven means tell
@@ -134,7 +139,7 @@ def largest_of_waves(error: Array, place: Array) -> tuple[float, float]:
         angles = 2.0 * np.pi * at[:, None] * np.arange(1, _WAVES + 1)
         return np.concatenate([np.ones((len(at), 1)), np.sin(angles), np.cos(angles)], axis=1)
 
-    given, grid = waves(place), waves(np.linspace(0.0, 1.0, 4 * _PLACES, endpoint=False))
+    given, grid = waves(position), waves(np.linspace(0.0, 1.0, 4 * _PLACES, endpoint=False))
     inverse = np.linalg.inv(given.T @ given)
     found = inverse @ (given.T @ error)
     spread = np.std(error - given @ found)
@@ -143,7 +148,7 @@ def largest_of_waves(error: Array, place: Array) -> tuple[float, float]:
     return float(abs(curve[worst])), float(spread * np.sqrt(grid[worst] @ inverse @ grid[worst]))
 
 
-def second_order_bias(setting: Setting, settings: FitSettings, place: Array) -> Array:
+def second_order_bias(setting: Setting, settings: FitSettings, position: Array) -> Array:
     """Return the bias of second order of fits at these places, shape (N,) [px].
 
     ``C (p - J'WH/2)``: C the inverse of information with prior, p the prior's slope, J the model's
@@ -151,14 +156,14 @@ def second_order_bias(setting: Setting, settings: FitSettings, place: Array) -> 
     covariance, summed (M. J. Box, 10.1111/j.2517-6161.1971.tb00871.x; that variances follow the
     model adds nothing to it). In the window that a fit begins with.
     """
-    model, parameters = true_parameters(setting, settings, place)
+    model, parameters = true_parameters(setting, settings, position)
     half = int(np.ceil(settings.reach * setting.width_px)) + 1
-    middle = np.floor(place + 0.5).astype(np.int64)
+    centre = np.floor(position + 0.5).astype(np.int64)
     windows = Windows.cut(
         np.zeros((1, PIXELS), np.uint16),
-        np.zeros(len(place), np.int64),
-        middle - half,
-        middle + half,
+        np.zeros(len(position), np.int64),
+        centre - half,
+        centre + half,
         line_noise(setting.read_noise),
     )
     free = model.size - (settings.width_log_sigma == 0.0)

@@ -101,7 +101,7 @@ def place_figures(field: float, count: int, seed: int = 7) -> PlaceFigures:
         line.cell_sr, line.first_px - shift, centre - shift, CELLS, unit_px=_UNIT_PX
     )
     cells = np.repeat(np.arange(CELLS), count)
-    electrons, place = _moved(line, shift, float(centre[0]), cells)
+    electrons, position = _moved(line, shift, float(centre[0]), cells)
     lines = expose(electrons, READ_NOISE, rng)
     by_place = LineSpreadFunction.from_lines(
         nodes.cell_sr, nodes.first_px - shift, gravity_px(nodes) - shift, CELLS, unit_px=_UNIT_PX
@@ -112,8 +112,10 @@ def place_figures(field: float, count: int, seed: int = 7) -> PlaceFigures:
     known = FitSettings(width_px=_UNIT_PX, width_log_sigma=0.0, max_joint_peaks=1)
     free = FitSettings(width_px=_UNIT_PX, width_log_sigma=np.inf, max_joint_peaks=1)
     noise = line_noise(READ_NOISE)
-    bound = joint_position_bounds(place[::count, None], [LIGHT], AMBIENT, PIXELS, known, noise, own)
-    start = nearest(find(lines, known.search, READ_NOISE), place, _UNIT_PX, 1000.0, rng).peaks
+    bound = joint_position_bounds(
+        position[::count, None], [LIGHT], AMBIENT, PIXELS, known, noise, own
+    )
+    start = nearest(find(lines, known.search, READ_NOISE), position, _UNIT_PX, 1000.0, rng).peaks
     errors = {}
     for name, settings, shape in (
         (GAUSSIAN, free, LineSpreadFunction.gaussian()),
@@ -121,8 +123,8 @@ def place_figures(field: float, count: int, seed: int = 7) -> PlaceFigures:
         (BY_PLACE, known, by_place),
     ):
         found = fit_scans(lines, settings, noise, shape, start)
-        row, peak = np.arange(len(place)), match_true_peaks(found, place)
-        error = found.position_px[row, peak] - place
+        row, peak = np.arange(len(position)), match_true_peaks(found, position)
+        error = found.position_px[row, peak] - position
         offset = float(error.mean())
         errors[name] = PlaceErrors(
             float(np.sqrt(np.mean((error - offset) ** 2))),

@@ -124,37 +124,37 @@ def efficiency(setting: Setting, count: int, seed: int = 1) -> Efficiency:
     """
     width, light, read = setting.width_px, setting.light, setting.read_noise
     rng = np.random.default_rng([seed, round(100 * width), round(light), round(read)])
-    place = places_px(count, rng)
-    electrons = gaussian_electrons(place[:, None], width, (light,))
+    position = places_px(count, rng)
+    electrons = gaussian_electrons(position[:, None], width, (light,))
     lines = expose(electrons, read, rng)
     noise, known = line_noise(read), fit_settings(KNOWN_WIDTH, width)
     strict, nuisance = (
         joint_position_bounds(
-            place[:: max(count // 64, 1), None], [light], AMBIENT, PIXELS,
+            position[:: max(count // 64, 1), None], [light], AMBIENT, PIXELS,
             fit_settings(FITTED, width), noise, only_positions=only,
         ).mean()
         ** 0.5
         for only in (True, False)
     )  # fmt: skip
     first_order, of_free = (
-        first_order_errors(setting, place, lines, width_known=known) for known in (True, False)
+        first_order_errors(setting, position, lines, width_known=known) for known in (True, False)
     )
     amplitude = float(electrons.max(axis=1).mean()) / GAIN
     errors = {}
-    start = nearest(find(lines, known.search, read), place, width, amplitude, rng)
+    start = nearest(find(lines, known.search, read), position, width, amplitude, rng)
     for name in (KNOWN_WIDTH, FITTED, PRIOR, DEFAULT):
         fitted = fit_scans(lines, fit_settings(name, width), noise, candidates=start.peaks)
         given = first_order if name == KNOWN_WIDTH else of_free
-        errors[name] = errors_of(match_true_peaks(fitted, place), fitted, place, given)
+        errors[name] = errors_of(match_true_peaks(fitted, position), fitted, position, given)
     for name, weighting in _WEIGHTINGS.items():
         settings = CentroidSettings(weighting=weighting, min_width_px=1)
-        centre = nearest(find(lines, settings, read), place, width, amplitude, rng)
-        errors[name] = _gravity_errors(centre, place, first_order)
+        centre = nearest(find(lines, settings, read), position, width, amplitude, rng)
+        errors[name] = _gravity_errors(centre, position, first_order)
     return Efficiency(setting, float(strict), float(nuisance), float(start.found.mean()), errors)
 
 
 def first_order_errors(
-    setting: Setting, place: Array, lines: NDArray[np.uint16], *, width_known: bool
+    setting: Setting, position: Array, lines: NDArray[np.uint16], *, width_known: bool
 ) -> Array:
     """Return what noise does to the best estimate to first order; its mean is zero.
 
@@ -162,12 +162,12 @@ def first_order_errors(
     leaves the bias: a control variate.
     """
     known = fit_settings(KNOWN_WIDTH, setting.width_px)
-    model, parameters = true_parameters(setting, known, place)
+    model, parameters = true_parameters(setting, known, position)
     half = int(np.ceil(_REACH_WIDTHS * setting.width_px)) + 2
-    each = np.ones(len(place), dtype=np.int64)
+    each = np.ones(len(position), dtype=np.int64)
     windows = Windows.cut(
         lines,
-        np.arange(len(place)),
+        np.arange(len(position)),
         (MIDDLE_PX - half) * each,
         (MIDDLE_PX + half) * each,
         line_noise(setting.read_noise),
@@ -181,29 +181,31 @@ def first_order_errors(
 
 
 def true_parameters(
-    setting: Setting, settings: FitSettings, place: Array
+    setting: Setting, settings: FitSettings, position: Array
 ) -> tuple[WindowModel, Array]:
     """Return the model of single lines, and its parameters at these places, shape (N, Q)."""
     model = WindowModel(1, settings, LineSpreadFunction.gaussian())
-    parameters = np.zeros((len(place), model.size))
+    parameters = np.zeros((len(position), model.size))
     parameters[:, 0] = OFFSET + AMBIENT / GAIN
     parameters[:, model.light] = setting.light / GAIN
-    parameters[:, model.position] = place[:, None]
+    parameters[:, model.position] = position[:, None]
     parameters[:, -1] = np.log(setting.width_px)
     return model, parameters
 
 
-def match_true_peaks(found: PeakBatch, place: Array) -> NDArray[np.int64]:
+def match_true_peaks(found: PeakBatch, position: Array) -> NDArray[np.int64]:
     """Return the number of the peak nearest to each true place."""
-    error = np.abs(found.position_px - place[:, None])
+    error = np.abs(found.position_px - position[:, None])
     return np.asarray(np.argmin(np.where(np.isnan(error), np.inf, error), axis=1))
 
 
-def errors_of(own: NDArray[np.int64], found: PeakBatch, place: Array, first_order: Array) -> Errors:
+def errors_of(
+    own: NDArray[np.int64], found: PeakBatch, position: Array, first_order: Array
+) -> Errors:
     """Return the errors of peaks ``own`` of lines at true places."""
     row = np.arange(len(own))
-    error = found.position_px[row, own] - place
-    bias, bias_error = largest_bias(error, place, first_order)
+    error = found.position_px[row, own] - position
+    bias, bias_error = largest_bias(error, position, first_order)
     return Errors(
         len(error),
         float(np.sqrt(np.mean(error**2))),
@@ -215,9 +217,9 @@ def errors_of(own: NDArray[np.int64], found: PeakBatch, place: Array, first_orde
     )
 
 
-def largest_bias(error: Array, place: Array, first_order: Array) -> tuple[float, float]:
+def largest_bias(error: Array, position: Array, first_order: Array) -> tuple[float, float]:
     """Return the largest mean error over the parts of a pixel, absolute, and its standard error."""
-    part = np.floor((place + 0.5) % 1.0 * PHASES).astype(np.int64)
+    part = np.floor((position + 0.5) % 1.0 * PHASES).astype(np.int64)
     rest = error - first_order
     count = np.bincount(part, minlength=PHASES)
     mean = np.bincount(part, rest, PHASES) / count
@@ -227,11 +229,11 @@ def largest_bias(error: Array, place: Array, first_order: Array) -> tuple[float,
     return float(abs(mean[worst])), float(spread)
 
 
-def _gravity_errors(centre: Nearest, place: Array, first_order: Array) -> Errors:
+def _gravity_errors(centre: Nearest, position: Array, first_order: Array) -> Errors:
     """Return the errors of centres of gravity, of the lines in which one was found."""
     some = centre.found
     if some.sum() < PHASES * 10:
         return Errors(int(some.sum()), *(np.nan,) * 6)
     found = PeakBatch(**{name: values[some] for name, values in vars(centre.peaks).items()})
     own = np.zeros(len(found), dtype=np.int64)
-    return errors_of(own, found, place[some], first_order[some])
+    return errors_of(own, found, position[some], first_order[some])

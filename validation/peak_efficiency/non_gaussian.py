@@ -98,8 +98,8 @@ class OpticalLine:
         fine[
             np.arange(len(cells))[:, None], start + cells[:, None] + np.arange(len(self.share))
         ] = light * self.share
-        place = (start + cells) / CELLS - 0.5 - self.first_px
-        return fine.reshape(len(cells), PIXELS, CELLS).sum(axis=2), place
+        position = (start + cells) / CELLS - 0.5 - self.first_px
+        return fine.reshape(len(cells), PIXELS, CELLS).sum(axis=2), position
 
 
 @cache
@@ -109,9 +109,9 @@ def optical_line(optics: Optics) -> OpticalLine:
     blur = Blur(_WAVELENGTH_NM, optics.emitter_mm)
     point = FOCUSED_MM * np.array([[optics.field * FIELD_U, 0.0, 1.0]])
     line = TracedStripes(assembly, LONG_ROW, blur, _RAYS).shapes(point)
-    middle = round(float((line.centroid_px[0] - line.first_px[0] + 0.5) * CELLS))
+    centre = round(float((line.centroid_px[0] - line.first_px[0] + 0.5) * CELLS))
     half = _HALF_PX * CELLS
-    cells = np.pad(line.cell_sr[0], half)[middle : middle + 2 * half]
+    cells = np.pad(line.cell_sr[0], half)[centre : centre + 2 * half]
     share = cells / cells.sum()
     centres = (np.arange(2 * half) + 0.5) / CELLS
     gravity = float((share * centres).sum())
@@ -163,7 +163,7 @@ def shape_figures(optics: Optics, light: float, count: int, seed: int = 2) -> Sh
     rng = np.random.default_rng(seed)
     line = optical_line(optics)
     cells = np.repeat(np.arange(CELLS), count)
-    mean, place = line.electrons(light, cells)
+    mean, position = line.electrons(light, cells)
     lines = expose(mean, READ_NOISE, rng)
     noise = line_noise(READ_NOISE)
     own = FitSettings(width_px=line.unit_px, width_log_sigma=0.0, max_joint_peaks=1)
@@ -174,21 +174,21 @@ def shape_figures(optics: Optics, light: float, count: int, seed: int = 2) -> Sh
         AS_MEASURED: (own, line.shape),
     }
     bound = joint_position_bounds(
-        place[::count, None], [light], AMBIENT, PIXELS, own, noise, line.shape
+        position[::count, None], [light], AMBIENT, PIXELS, own, noise, line.shape
     ).mean()
     start = nearest(
-        find(lines, own.search, READ_NOISE), place, line.unit_px, float(mean.max()), rng
+        find(lines, own.search, READ_NOISE), position, line.unit_px, float(mean.max()), rng
     )
     errors = {}
-    row = np.arange(len(place))
+    row = np.arange(len(position))
     for name, (settings, shape) in ways.items():
         found = fit_scans(lines, settings, noise, shape, start.peaks)
         joint = replace(settings, max_joint_peaks=MAX_JOINT_PEAKS)
         more = fit_scans(
             lines[::CELLS], joint, noise, shape, find(lines[::CELLS], own.search, READ_NOISE)
         )
-        nearest_peak = match_true_peaks(found, place)
-        error = found.position_px[row, nearest_peak] - place
+        nearest_peak = match_true_peaks(found, position)
+        error = found.position_px[row, nearest_peak] - position
         offset = float(error.mean())
         by_phase = error.reshape(CELLS, count).mean(axis=1) - offset
         errors[name] = ShapeErrors(

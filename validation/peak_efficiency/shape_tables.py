@@ -35,9 +35,9 @@ _SHORT: Final = {AS_GAUSSIAN: "Gauss", ALLOWING: "5 %", AS_MEASURED: "own"}
 def shape_tables() -> tuple[tuple[ResultTable, ...], tuple[str, ...]]:
     """Return the tables and the findings."""
     shapes = [shape_figures(optics, light, SHAPE_LINES) for optics in OPTICS for light in LIGHTS]
-    places = [place_figures(field, SHAPE_LINES) for field in PLACES]
-    tables = (_shapes(shapes), _squares(shapes), _knowing(shapes), *_by_place(places))
-    return tables, (*_shape_findings(shapes), _place_finding(places))
+    positions = [place_figures(field, SHAPE_LINES) for field in PLACES]
+    tables = (_shapes(shapes), _squares(shapes), _knowing(shapes), *_by_place(positions))
+    return tables, (*_shape_findings(shapes), _place_finding(positions))
 
 
 def _shapes(shapes: Sequence[ShapeFigures]) -> ResultTable:
@@ -98,7 +98,7 @@ def _label(shape: ShapeFigures) -> str:
     return f"{shape.optics.title}, {shape.light:.0e}".replace("+0", "")
 
 
-def _by_place(places: Sequence[PlaceFigures]) -> tuple[ResultTable, ResultTable]:
+def _by_place(positions: Sequence[PlaceFigures]) -> tuple[ResultTable, ResultTable]:
     names = {GAUSSIAN: "Gauss", FROM_MIDDLE: "middle", BY_PLACE: "by place"}
     line = (
         f"a line of {LIGHT:.0f} electrons whose shape changes along the sensor, by its place as a "
@@ -110,11 +110,11 @@ def _by_place(places: Sequence[PlaceFigures]) -> tuple[ResultTable, ResultTable]
             ("place", "bound", *(f"RMS {name}" for name in names.values())),
             tuple(
                 (
-                    f"{place.field:g}",
-                    round(place.bound_px, 5),
-                    *(round(place.errors[name].rms_px / place.bound_px, 3) for name in names),
+                    f"{position.field:g}",
+                    round(position.bound_px, 5),
+                    *(round(position.errors[name].rms_px / position.bound_px, 3) for name in names),
                 )
-                for place in places
+                for position in positions
             ),
         ),
         ResultTable(
@@ -122,25 +122,25 @@ def _by_place(places: Sequence[PlaceFigures]) -> tuple[ResultTable, ResultTable]
             ("place", *(f"offset {name}" for name in names.values())),
             tuple(
                 (
-                    f"{place.field:g}",
-                    *(round(place.errors[name].offset_px, 4) for name in names),
+                    f"{position.field:g}",
+                    *(round(position.errors[name].offset_px, 4) for name in names),
                 )
-                for place in places
+                for position in positions
             ),
         ),
     )
 
 
-def _place_finding(places: Sequence[PlaceFigures]) -> str:
+def _place_finding(positions: Sequence[PlaceFigures]) -> str:
     def offset(name: str) -> float:
-        return max(abs(place.errors[name].offset_px) for place in places)
+        return max(abs(position.errors[name].offset_px) for position in positions)
 
     return (
         "Off the axis, with the slit on the plane face, a line's shape changes along the sensor. "
         f"A Gaussian is up to {offset(GAUSSIAN):.3f} px from its centre of gravity, the shape of "
         f"the middle {offset(FROM_MIDDLE):.3f} px, the shape between two of {NODES} nodes "
         f"(LineSpreadFunction.from_lines) {offset(BY_PLACE):.4f} px, where the bound is "
-        f"{places[-1].bound_px:.4f} px."
+        f"{positions[-1].bound_px:.4f} px."
     )
 
 

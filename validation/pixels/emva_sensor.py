@@ -123,8 +123,8 @@ class Sensor:
         """
 
         def mean_of(values: Array) -> Array:
-            place, light, ambient = values
-            return np.asarray((light * line(float(place)) + ambient) * self.response)
+            position, light, ambient = values
+            return np.asarray((light * line(float(position)) + ambient) * self.response)
 
         truth = np.array([position_px, light_electrons, ambient_electrons])
         steps = np.array([1e-4, 1e-4 * light_electrons, 1e-3])

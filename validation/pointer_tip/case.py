@@ -152,18 +152,18 @@ def compute_tables(
     sigma: dict[str, float] = {}
     for done, (noise, cameras) in enumerate(kinds):
         report_progress(done / len(kinds), f"{noise}, {cameras}")
-        place = laboratory(published=noise != "its own bound", calibrated=cameras != "known")
-        sigma[noise] = place.median_sigma_px
+        position = laboratory(published=noise != "its own bound", calibrated=cameras != "known")
+        sigma[noise] = position.median_sigma_px
         for way in (TOGETHER, STROBED):
             if way == TOGETHER:
-                found = together(place, some, rng)
+                found = together(position, some, rng)
             else:
-                found = strobed(place, some[:strokes], exposures, rng)
+                found = strobed(position, some[:strokes], exposures, rng)
             measured[noise, cameras, way] = found
             rows.append(
                 (
                     noise,
-                    _rounded(place.median_sigma_px),
+                    _rounded(position.median_sigma_px),
                     cameras,
                     way,
                     found.tried,

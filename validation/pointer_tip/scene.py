@@ -59,11 +59,11 @@ class Stroke:
 
 def random_strokes(count: int, rng: np.random.Generator) -> list[Stroke]:
     """Return strokes with their tips anywhere in the cube, moved by a hand in any direction."""
-    middle = np.array(load_profile("optotrak").volume.centre_mm)
+    centre = np.array(load_profile("optotrak").volume.centre_mm)
     return [
         Stroke(
             rotation_matrix(rng.uniform(-TILT_RAD, TILT_RAD, 3)) @ _UPRIGHT,
-            middle + rng.uniform(-0.5, 0.5, 3) * CUBE_MM,
+            centre + rng.uniform(-0.5, 0.5, 3) * CUBE_MM,
             150.0 * _direction(rng) * rng.uniform(),
             1.0 * _direction(rng) * rng.uniform(),
         )
@@ -118,8 +118,8 @@ def laboratory(*, published: bool, calibrated: bool) -> Laboratory:
     """
     profile = load_profile("optotrak")
     scene = _scene()
-    middle, size = np.array(profile.volume.centre_mm), np.array(profile.volume.size_mm)
-    low, high = middle - size / 2.0, middle + size / 2.0
+    centre, size = np.array(profile.volume.centre_mm), np.array(profile.volume.size_mm)
+    low, high = centre - size / 2.0, centre + size / 2.0
     sigma_px = RESOLUTION_MM * fit_scale(scene, low, high) if published else None
     points = random_points_in_box(CONTROL * 3 // 2, low, high, 5)
     exact, sigma = simulate_readings(scene, points, sigma_px)

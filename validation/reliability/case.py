@@ -70,10 +70,10 @@ def _points(trials: int, rng: np.random.Generator) -> tuple[ResultTable, float, 
     """Return the table of points, the largest difference from theory, and of wrong exclusions."""
     rows: list[tuple[Cell, ...]] = []
     worst = wrong = 0.0
-    for place, sensors in enumerate(SENSORS):
+    for index, sensors in enumerate(SENSORS):
         for step, size in enumerate(SIZES):
             report_progress(
-                (place + step / len(SIZES)) / len(SENSORS) * 0.3, f"points of {sensors} sensors"
+                (index + step / len(SIZES)) / len(SENSORS) * 0.3, f"points of {sensors} sensors"
             )
             one = point_errors.run(sensors, size, trials, rng)
             worst = max(

@@ -60,12 +60,12 @@ def run(sensors: int, size: float, trials: int, rng: np.random.Generator) -> Poi
     """
     matrices, models = ring(sensors)
     cameras = CameraStack.of(models)
-    places = EXTENT_MM * rng.uniform(-1.0, 1.0, (trials, 3))
+    positions = EXTENT_MM * rng.uniform(-1.0, 1.0, (trials, 3))
     noise = rng.standard_normal((trials, sensors))
     wrong = rng.integers(sensors, size=trials)
     row = np.arange(trials)
     noise[row, wrong] += size * rng.choice([-1.0, 1.0], trials)
-    readings = project(matrices, places) + SIGMA_PX * noise
+    readings = project(matrices, positions) + SIGMA_PX * noise
     sigma = np.full(readings.shape, SIGMA_PX)
 
     def solve(readings_px: Array, sigma_px: Array) -> PointBatch:
@@ -76,9 +76,9 @@ def run(sensors: int, size: float, trials: int, rng: np.random.Generator) -> Poi
     excluded = (whole.used & ~found.used).astype(np.intp)
     right = (excluded.sum(axis=1) == 1) & (excluded[row, wrong] == 1)
     inconsistent = (found.flags & int(PointFlag.INCONSISTENT)) != 0
-    error = found.position_mm - places
+    error = found.position_mm - positions
     squares = np.einsum("ni,nij,nj->n", error, np.linalg.inv(found.covariance_mm2), error)
-    theory = _theory(jacobian(matrices, places) / SIGMA_PX, wrong, size, rng)
+    theory = _theory(jacobian(matrices, positions) / SIGMA_PX, wrong, size, rng)
     length = np.linalg.norm(error, axis=1)
     return PointOutcome(
         float(((whole.flags & int(PointFlag.INCONSISTENT)) != 0).mean()),
@@ -88,7 +88,7 @@ def run(sensors: int, size: float, trials: int, rng: np.random.Generator) -> Poi
         float((excluded.any(axis=1) & ~right).mean()),
         theory[2],
         float(squares[~inconsistent].mean()) if not inconsistent.all() else np.nan,
-        float(np.linalg.norm(whole.position_mm - places, axis=1).max()),
+        float(np.linalg.norm(whole.position_mm - positions, axis=1).max()),
         float(length[~inconsistent].max(initial=0.0)),
     )
 

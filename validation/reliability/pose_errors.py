@@ -81,13 +81,13 @@ def run(
         origin = EXTENT_MM * rng.uniform(-1.0, 1.0, 3)
         mask = _mask(readings, rng)
         lying = rng.choice(np.flatnonzero(mask))
-        places = markers @ rotation.T + origin
-        observed = project(matrices, places) + SIGMA_PX * rng.standard_normal(mask.shape)
+        positions = markers @ rotation.T + origin
+        observed = project(matrices, positions) + SIGMA_PX * rng.standard_normal(mask.shape)
         observed.flat[lying] += size * SIGMA_PX * rng.choice([-1.0, 1.0])
         sigma = np.full(mask.shape, SIGMA_PX)
         found = fit_pose(model, tool, np.where(mask, observed, np.nan), sigma, settings=settings)
         statuses[found.status.value] += 1
-        theory.append(_detection(matrices, places - origin, places, mask, int(lying), size))
+        theory.append(_detection(matrices, positions - origin, positions, mask, int(lying), size))
         if found.excluded:
             hit = found.excluded[0][0] * SENSORS + found.excluded[0][1] == lying and size > 0.0
             right, wrong = right + hit, wrong + (not hit)
@@ -119,13 +119,13 @@ def _mask(readings: int, rng: np.random.Generator) -> NDArray[np.bool_]:
 def _detection(
     matrices: Array,
     arms: Array,
-    places: Array,
+    positions: Array,
     mask: NDArray[np.bool_],
     lying: int,
     size: float,
 ) -> float:
     """Return the probability that the chi-square test of all readings finds the error."""
-    by_place = jacobian(matrices, places)
+    by_place = jacobian(matrices, positions)
     # A small rotation w moves a marker by w x arm: d reading / d w = arm x (d reading / d place).
     by_rotation = np.cross(arms[:, None], by_place)
     design = np.concatenate([by_rotation, by_place], axis=-1)[mask]

@@ -111,10 +111,10 @@ def readings(motion: Motion, models: tuple[SensorModel, ...]) -> Readings:
     step = 0.01 / RATE_HZ
 
     def at(t: float) -> Array:
-        place = (
+        position = (
             motion.position_mm + motion.velocity_mm_s * t + motion.acceleration_mm_s2 * t * t / 2.0
         )
-        return stack.project(place.reshape(-1, 3)).reshape(*place.shape[:2], len(models))
+        return stack.project(position.reshape(-1, 3)).reshape(*position.shape[:2], len(models))
 
     before, now, after = at(-step), at(0.0), at(step)
     return Readings(now, (after - before) / (2.0 * step), (after - 2.0 * now + before) / step**2)

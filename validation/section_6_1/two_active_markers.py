@@ -112,8 +112,8 @@ def filled_errors(scene: ActiveScene, sensor: int) -> Array:
 
 def compute_tables() -> tuple[tuple[ResultTable, ...], tuple[str, ...]]:
     """Return identities, spikes and errors along the sensors and in space."""
-    for place, scene in enumerate(SCENES):
-        report_progress(place / len(SCENES), scene.name)
+    for index, scene in enumerate(SCENES):
+        report_progress(index / len(SCENES), scene.name)
         along_sensors(scene)
         in_space_figures(scene)
     live, track_qualities = live_table(

@@ -85,8 +85,8 @@ def scans(seed: int = SEED, frames: int = PASSIVE_FRAMES) -> Passive:
         phase = rng.uniform(0.0, 2.0 * np.pi, 3)
         facing = (1.0 + np.cos(angle[:, None] + phase)) / 2.0
         light = full * (FADING + (1.0 - FADING) * facing)
-        place = truth.position_px[:, :, k]
-        image = stripe_images(place, np.full(place.shape, WIDTH_PX), light, model.pixels)
+        position = truth.position_px[:, :, k]
+        image = stripe_images(position, np.full(position.shape, WIDTH_PX), light, model.pixels)
         lines.append(detector.expose(image, rng))
     return Passive(motion, truth, tuple(lines))
 

@@ -219,7 +219,7 @@ def _findings(
     before, after = detected[BEFORE], detected[AFTER]
     thesis, curved = tracked["thesis, after [6.5]"], tracked["thesis, velocity by curve"]
     widened = tracked["thesis, 5 px at least"]
-    ours, told = tracked["ours"], tracked["ours, knowing the bar"]
+    ours, with_bar = tracked["ours"], tracked["ours, knowing the bar"]
     return (
         (
             f"The weighted sums [6.5] leave {after[1]:.1f} false peaks a line of {before[1]:.0f}, "
@@ -260,9 +260,9 @@ def _findings(
             f"(the first scans, until a track is confirmed, included), {ours.wrong:.1%} wrong, "
             f"{ours.exchanged * 3 * scenes:.0f} exchanges of three markers in {scenes} "
             f"scenes and {ours.false * scenes:.0f} false tracks, from one false peak a line; "
-            f"told how the bar moves {told.exchanged * 3 * scenes:.0f} exchanges, "
-            f"{told.lost:.1%} lost. A marker that one sensor does not see is still seen by three "
-            "others, and two that meet along one sensor are apart along the rest."
+            f"told how the bar moves {with_bar.exchanged * 3 * scenes:.0f} exchanges, "
+            f"{with_bar.lost:.1%} lost. A marker that one sensor does not see is still seen by "
+            "three others, and two that meet along one sensor are apart along the rest."
         ),
         (
             "Assumed, as the text has no figures: markers at "

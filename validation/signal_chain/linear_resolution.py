@@ -126,6 +126,6 @@ def longest_ascending(values: Array) -> int:
     """Return how many values, others left out, stand in ascending order at most."""
     tails: list[float] = []
     for value in values.tolist():
-        place = int(np.searchsorted(tails, value))
-        tails[place : place + 1] = [value]
+        index = int(np.searchsorted(tails, value))
+        tails[index : index + 1] = [value]
     return len(tails)

@@ -52,10 +52,10 @@ def bar_bound_px() -> float:
     """
     profile = load_profile("bar")
     box = Box(profile.volume.centre_mm, profile.volume.size_mm)
-    places = volume_grid(box, (3, 3, 3)).points_mm
-    readings = simulate_readings(planning_device(profile), places, lambda _: None)
-    middle = int(np.linalg.norm(places - box.centre_mm, axis=1).argmin())
-    return float(np.median(readings.bound_px[middle]))
+    positions = volume_grid(box, (3, 3, 3)).points_mm
+    readings = simulate_readings(planning_device(profile), positions, lambda _: None)
+    centre = int(np.linalg.norm(positions - box.centre_mm, axis=1).argmin())
+    return float(np.median(readings.bound_px[centre]))
 
 
 def compute_tables() -> tuple[tuple[ResultTable, ...], tuple[str, ...]]:
@@ -121,8 +121,8 @@ _FIGURES: Final = ("RMS", "max", "RMS new", "max new")
 
 def _field_table() -> ResultTable:
     rows: list[tuple[Cell, ...]] = []
-    for label, width, place in STOPS:
-        assembly = stopped_lens(width, place)
+    for label, width, position in STOPS:
+        assembly = stopped_lens(width, position)
         known = traced_readings(assembly, field_points((15, 9, 4)))
         other = traced_readings(assembly, other_field_points(300))
         for (name, terms), design in zip(MODELS.items(), DESIGN_PX, strict=True):
@@ -140,8 +140,8 @@ def _field_table() -> ResultTable:
 
 def _device_table() -> ResultTable:
     rows: list[tuple[Cell, ...]] = []
-    for label, width, place in STOPS:
-        assembly = stopped_lens(width, place)
+    for label, width, position in STOPS:
+        assembly = stopped_lens(width, position)
         sensors = device_sensors(assembly)
         readings = [
             tuple(

@@ -52,7 +52,7 @@ class StopFigures:
     """
 
     width_mm: float
-    place: str
+    position: str
     focus_mm: float
     lines: tuple[LineFigures, ...]
     distortion_px: float | None
@@ -85,17 +85,17 @@ def stop_figures(width_mm: float, place: StopPlace) -> StopFigures:
 def all_stops() -> tuple[StopFigures, ...]:
     """Return the figures of all stops, and of the lens without one."""
     return tuple(
-        stop_figures(width, place)
-        for place in STOP_PLACES
+        stop_figures(width, position)
+        for position in STOP_PLACES
         for width in WIDTHS_MM
-        if width < WIDTH_MM or place == STOP_PLACES[0]
+        if width < WIDTH_MM or position == STOP_PLACES[0]
     )
 
 
 def compute_tables() -> tuple[tuple[ResultTable, ...], tuple[str, ...]]:
     """Return the tables of stops and of focus, and what a builder should choose."""
     stops = all_stops()
-    by = {(stop.place, stop.width_mm): stop for stop in stops}
+    by = {(stop.position, stop.width_mm): stop for stop in stops}
     narrow, wide = by[RECOMMENDED, 2.0], by[RECOMMENDED, 6.0]
     plane, curved = by["on the plane face", 2.0], by["on the curved face", 2.0]
     whole = by[NO_STOP, WIDTH_MM]
@@ -124,10 +124,10 @@ def compute_tables() -> tuple[tuple[ResultTable, ...], tuple[str, ...]]:
         ),
         (
             f"The least bound, {bound.bound_px:.3f} px RMS, is that of {bound.width_mm:g} mm, "
-            f"{bound.place}. It rests on the sharp edges (caustics) of lines whose middle half is "
-            f"up to {max(line.middle_50_px for line in bound.lines):.0f} px wide: whoever wants it "
-            "must know each line's shape at every distance, and cannot tell two markers so close. "
-            f"The centre of gravity has {bound.gravity_px:.3f} px there."
+            f"{bound.position}. It rests on the sharp edges (caustics) of lines whose middle half "
+            f"is up to {max(line.middle_50_px for line in bound.lines):.0f} px wide: whoever wants "
+            "it must know each line's shape at every distance, and cannot tell two markers so "
+            f"close. The centre of gravity has {bound.gravity_px:.3f} px there."
         ),
         (
             "Distortion is no reason to choose a stop by: the place that makes the lines good has "
@@ -161,7 +161,7 @@ def _stop_table(stops: tuple[StopFigures, ...]) -> ResultTable:
         ("stop", "width", "focus", "light", "bound", "gravity", "distortion"),
         tuple(
             (
-                _SHORT[stop.place], stop.width_mm, stop.focus_mm,
+                _SHORT[stop.position], stop.width_mm, stop.focus_mm,
                 *_digits(stop.lines[0].electrons, stop.bound_px, stop.gravity_px),
                 None if stop.distortion_px is None else _digits(stop.distortion_px)[0],
             )
@@ -177,7 +177,7 @@ def _line_table(stops: tuple[StopFigures, ...]) -> ResultTable:
         ("stop", "width", "field", "RMS", "50 %", "g - m", "bound", "gravity"),
         tuple(
             (
-                _SHORT[stop.place], stop.width_mm, name,
+                _SHORT[stop.position], stop.width_mm, name,
                 *_digits(
                     line.rms_px, line.middle_50_px, line.asymmetry_px, line.bound_px,
                     line.gravity_px,
@@ -193,14 +193,14 @@ def _focus_tables() -> tuple[ResultTable, ResultTable]:
     widths: list[tuple[Cell, ...]] = []
     bounds: list[tuple[Cell, ...]] = []
     places: tuple[StopPlace, ...] = (RECOMMENDED, "on the plane face")
-    for place in places:
-        best = stop_figures(4.0, place).focus_mm
-        middle = best_focus_mm(4.0, place, FIELD[:1])
+    for position in places:
+        best = stop_figures(4.0, position).focus_mm
+        centre = best_focus_mm(4.0, position, FIELD[:1])
         shifts = [(f"{shift:+.1f}", best + shift) for shift in SHIFTS_MM]
-        for label, focus in (*shifts, ("middle", middle)):
-            lines = _focus_lines(place, focus)
-            distortion = distortion_px(stopped_lens(4.0, place, focus))
-            first = (_SHORT[place], label, focus)
+        for label, focus in (*shifts, ("middle", centre)):
+            lines = _focus_lines(position, focus)
+            distortion = distortion_px(stopped_lens(4.0, position, focus))
+            first = (_SHORT[position], label, focus)
             widths.append((*first, *_digits(*(line.middle_50_px for line in lines), distortion)))
             lopsided = _digits(*(line.asymmetry_px for line in lines[1:]))
             bounds.append((*first[:2], *lopsided, *_digits(*(line.bound_px for line in lines))))
@@ -234,7 +234,7 @@ def _modelled(place: StopPlace) -> float:
 
 def _listed(stops: list[StopFigures]) -> str:
     return " and ".join(
-        f"{stop.width_mm:g} mm, {stop.place} ({stop.gravity_px:.3f} px RMS)" for stop in stops
+        f"{stop.width_mm:g} mm, {stop.position} ({stop.gravity_px:.3f} px RMS)" for stop in stops
     )
 
 

@@ -26,17 +26,17 @@ def draw(path: Path) -> None:
     figure = Figure(figsize=(13.0, 8.0), layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.subplots(2, 3)
-    for place in STOP_PLACES:
-        stop = stop_figures(_DRAWN_MM, place)
-        assembly = stopped_lens(_DRAWN_MM, place, stop.focus_mm)
+    for position in STOP_PLACES:
+        stop = stop_figures(_DRAWN_MM, position)
+        assembly = stopped_lens(_DRAWN_MM, position, stop.focus_mm)
         lines = traced_lines(assembly, np.array(list(FIELD_POSITIONS.values())))
         for number, axis in enumerate(axes[0]):
             axis.plot(
                 lines.centres_px[number] - lines.centroid_px[number],
                 # What a pixel gets that has its middle there.
                 np.convolve(lines.cell_sr[number], np.ones(CELLS), "same") * ELECTRONS_PER_SR,
-                color=_COLOURS[place],
-                label=f"{place} ({stop.focus_mm:+.2f} mm)",
+                color=_COLOURS[position],
+                label=f"{position} ({stop.focus_mm:+.2f} mm)",
             )
     for axis, name in zip(axes[0], FIELD_POSITIONS, strict=True):
         axis.set(
@@ -59,20 +59,20 @@ def draw(path: Path) -> None:
 
 
 def _by_width(axes: np.ndarray, stops: tuple[StopFigures, ...]) -> None:
-    (none,) = (stop for stop in stops if stop.place == NO_STOP)
+    (none,) = (stop for stop in stops if stop.position == NO_STOP)
     columns: tuple[tuple[str, Callable[[StopFigures], float]], ...] = (
         ("middle half of the light, corner [px]", lambda stop: stop.lines[2].middle_50_px),
         ("error of the centre of gravity, field's RMS [px]", lambda stop: stop.gravity_px),
         ("Cramer-Rao bound, field's RMS [px]", lambda stop: stop.bound_px),
     )
     for axis, (label, value) in zip(axes, columns, strict=True):
-        for place in STOP_PLACES:
-            shown = [stop for stop in stops if stop.place == place]
+        for position in STOP_PLACES:
+            shown = [stop for stop in stops if stop.position == position]
             axis.plot(
                 [stop.width_mm for stop in shown],
                 [value(stop) for stop in shown],
                 "o-",
-                color=_COLOURS[place],
+                color=_COLOURS[position],
             )
         axis.plot([none.width_mm], [value(none)], "ks", label="no stop")
         axis.set(xscale="log", yscale="log", xlabel="width of the stop [mm]", ylabel=label)

@@ -87,21 +87,21 @@ class LineFigures:
     gravity_px: float
 
 
-def traced_lines(assembly: Assembly, places: Array) -> StripeProfiles:
+def traced_lines(assembly: Assembly, positions: Array) -> StripeProfiles:
     """Return the lines of an LED at 1.5 m, at places (N, 2) of the field, u and v."""
-    points = FOCUSED_MM * np.column_stack([places, np.ones(len(places))])
+    points = FOCUSED_MM * np.column_stack([positions, np.ones(len(positions))])
     return TracedStripes(assembly, LONG_ROW, BLUR, _RAYS).shapes(points)
 
 
-def line_figures(assembly: Assembly, width_mm: float, places: Array) -> tuple[LineFigures, ...]:
+def line_figures(assembly: Assembly, width_mm: float, positions: Array) -> tuple[LineFigures, ...]:
     """Return the figures of lines of an LED at 1.5 m, at places (N, 2) of the field, u and v.
 
     Args:
         assembly: lens, stop and sensor.
         width_mm: the stop's width, by which ambient light comes in [mm].
-        places: x/z and y/z, shape (N, 2).
+        positions: x/z and y/z, shape (N, 2).
     """
-    lines = traced_lines(assembly, places)
+    lines = traced_lines(assembly, positions)
     share = lines.cell_sr / lines.total_sr[:, None]
     offset = lines.centres_px - lines.centroid_px[:, None]
     rms = np.sqrt((share * offset**2).sum(axis=1))
@@ -117,7 +117,7 @@ def line_figures(assembly: Assembly, width_mm: float, places: Array) -> tuple[Li
             float(bound[line]),
             float(gravity[line]),
         )
-        for line in range(len(places))
+        for line in range(len(positions))
     )
 
 

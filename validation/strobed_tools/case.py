@@ -26,7 +26,7 @@ SEED: Final = 200
 RATES_HZ: Final = (60.0, 100.0, 200.0, 1000.0)
 SINGLE: Final = ImmSettings((MotionMode(1.0),))
 FILTERS: Final = (SINGLE, ImmSettings())
-"""A single one that holds the briskest motion, and all regimes."""
+"""A single one that holds the briskest motion, and all modes."""
 CYCLES: Final = ((0.0, 1.0), (1.0, 2.0), (2.0, 4.0), (4.0, np.inf))
 """Of the strobe, since the motion changed."""
 
@@ -194,7 +194,7 @@ def compute_tables(
         tuple(
             (one.course, one.rate_hz, name, *(_rounded(scores.overconfidence(*t)) for t in CYCLES))
             for one in changed
-            for name, scores in (("single", one.single), ("regimes", one.imm))
+            for name, scores in (("single", one.single), ("modes", one.imm))
         ),
     )
     return (poses, changes), _findings(cells)
@@ -219,12 +219,12 @@ def _findings(cells: list[Cells]) -> tuple[str, ...]:
     return (
         (
             "The same runs by a single filter, whose accelerations are a brisk hand's, and by five "
-            "regimes at once, from rest to brisk. Each run has cameras that differ from the "
+            "modes at once, from rest to brisk. Each run has cameras that differ from the "
             "calibrated ones as their covariance says, and a tool turned and placed at random. "
             "All poses count, OK or HIGH_ERROR (above 1 mm)."
         ),
         (
-            f"With regimes the normalised error squared is between {min(squares):.2f} and "
+            f"With all modes the normalised error squared is between {min(squares):.2f} and "
             f"{max(squares):.2f} (6 is right, below it is cautious); from a turn after a change of "
             f"motion on, errors are at most {worst:.2f} times what is stated."
         ),

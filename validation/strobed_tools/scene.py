@@ -177,8 +177,8 @@ def draw_run(
     centroid = CENTRE_MM + rng.uniform(-60.0, 60.0, 3) + gone
     translation = centroid - rotation @ tool.markers_mm.mean(axis=0)
     lit = np.arange(count) % markers
-    places = np.einsum("nij,nj->ni", rotation, tool.markers_mm[lit]) + translation
-    exact = true.project(places)
+    positions = np.einsum("nij,nj->ni", rotation, tool.markers_mm[lit]) + translation
+    exact = true.project(positions)
     return Run(
         tool,
         np.round(1e9 * time_s).astype(np.int64),

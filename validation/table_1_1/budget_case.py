@@ -87,15 +87,15 @@ def predicted(profile: DeviceProfile, figure: PublishedFigure) -> tuple[str, flo
         assert budget.total.worst is not None
         worst = np.array(budget.total.worst)
         return "worst", COVERAGE_FACTOR * _axis(worst, figure), budget.dominant
-    places = [
+    positions = [
         point.uncertainty_mm
         for point in found.points
         if point.uncertainty_mm is not None
         and (figure.distance_mm is None or np.isclose(point.position_mm[2], distance))
     ]
-    rms = np.sqrt(np.square(places).mean(axis=0))
-    place = "volume" if figure.distance_mm is None else f"z = {distance:g}"
-    return place, _axis(rms, figure), budget.dominant
+    rms = np.sqrt(np.square(positions).mean(axis=0))
+    position = "volume" if figure.distance_mm is None else f"z = {distance:g}"
+    return position, _axis(rms, figure), budget.dominant
 
 
 def _axis(values: Array, figure: PublishedFigure) -> float:
@@ -112,9 +112,9 @@ def rows(name: str) -> list[tuple[Cell, ...]]:
     profile = load_profile(name)
     found: dict[tuple[str, str, float], tuple[Cell, ...]] = {}
     for figure in profile.published:
-        place, value, dominant = predicted(profile, figure)
+        position, value, dominant = predicted(profile, figure)
         found[meaning(profile, figure), figure.axis, figure.value_mm] = (
-            name, meaning(profile, figure), figure.axis, place, figure.value_mm, value,
+            name, meaning(profile, figure), figure.axis, position, figure.value_mm, value,
             figure.value_mm / value, dominant,
         )  # fmt: skip
     return list(found.values())

@@ -133,8 +133,8 @@ def finding(name: str, found: Sequence[tuple[Cell, ...]], more: str = "") -> str
         published, quantity = known["published"], str(known["figure"])
         if isinstance(published, float):
             compared = [one for one in COMPARED[quantity] if one not in ABSENT.get(name, ())]
-            place = _place(published, known, compared)
-            parts.append(f"{quantity} {known['axis']} {published:g} mm {place}")
+            position = _place(published, known, compared)
+            parts.append(f"{quantity} {known['axis']} {published:g} mm {position}")
     return f"{name}: {'; '.join(parts) or 'no figure was published'}. {more}".strip()
 
 
@@ -143,17 +143,17 @@ def _place(published: float, row: Mapping[str, Cell], compared: Sequence[str]) -
     known = sorted((value, name) for name in compared if isinstance(value := row[name], float))
     if not known:
         return "beside no prediction"
-    told = [f"{WORDS[name]} ({value:.2g})" for value, name in known]
+    descriptions = [f"{WORDS[name]} ({value:.2g})" for value, name in known]
     like = [abs(np.log(published / value)) < np.log(LIKE) for value, _ in known]
     if any(like):
-        same = [words for words, is_like in zip(told, like, strict=True) if is_like]
+        same = [words for words, is_like in zip(descriptions, like, strict=True) if is_like]
         return f"is of the size of {' and of '.join(same)}"
     above = sum(value < published for value, _ in known)
     if above == 0:
-        return f"is {published / known[0][0]:.2g} times the least compared, {told[0]}"
+        return f"is {published / known[0][0]:.2g} times the least compared, {descriptions[0]}"
     if above == len(known):
-        return f"is {published / known[-1][0]:.2g} times the largest compared, {told[-1]}"
-    return f"lies between {told[above - 1]} and {told[above]}"
+        return f"is {published / known[-1][0]:.2g} times the largest compared, {descriptions[-1]}"
+    return f"lies between {descriptions[above - 1]} and {descriptions[above]}"
 
 
 _NOTES: Final = (

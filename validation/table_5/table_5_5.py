@@ -108,11 +108,11 @@ class Arrangement:
         ahead = np.array([-sin(angle), 0.0, cos(angle)])
         right, up = np.array([cos(angle), 0.0, sin(angle)]), np.array([0.0, 1.0, 0.0])
         side = {6: 1.0, 7: -1.0}.get(number, 0.0)
-        middle = side * (self.apart_mm[0] * right + self.apart_mm[1] * up)
-        middle = middle - self.distance_mm * ahead
+        centre = side * (self.apart_mm[0] * right + self.apart_mm[1] * up)
+        centre = centre - self.distance_mm * ahead
         models = []
         for index, ((x, y), (along, across)) in enumerate(self.sensors):
-            x_mm, y_mm, z_mm = (middle + x * right + y * up).tolist()
+            x_mm, y_mm, z_mm = (centre + x * right + y * up).tolist()
             aim = np.array([x_mm, y_mm, z_mm]) + 1000.0 * ahead  # all look straight ahead
             a, b, c = (along * right + across * up).tolist()
             models.append(

@@ -45,11 +45,11 @@ def _table_5_1() -> Worked:
         },
     }
     tables = [*statistics_tables("12 points", columns)]
-    for data_set, known, wanted in (
+    for data_set, known, expected in (
         ("40 points", _diagonals(), _lines()),
         ("8 corners", _corners(), _corners()),
     ):
-        ours = _simulated(detector(), known, wanted)
+        ours = _simulated(detector(), known, expected)
         tables += statistics_tables(data_set, {"thesis": printed("5.1", data_set), OURS: ours})
     return tuple(tables), (
         (
@@ -93,8 +93,8 @@ def _lines() -> Array:
     share = np.linspace(-0.5, 0.5, 20)[:, None]
     size = np.array([10.0, 75.0, 70.0])
     rising, falling = size * np.array([1.0, 1.0, 1.0]), size * np.array([1.0, 1.0, -1.0])
-    middle = np.array([-1500.0, 0.0, 0.0])
-    return np.vstack([middle + share * rising, middle + share * falling])
+    centre = np.array([-1500.0, 0.0, 0.0])
+    return np.vstack([centre + share * rising, centre + share * falling])
 
 
 def _simulated(models: tuple[SensorModel, ...], known_mm: Array, wanted_mm: Array) -> Array:
@@ -102,17 +102,19 @@ def _simulated(models: tuple[SensorModel, ...], known_mm: Array, wanted_mm: Arra
     rng = np.random.default_rng(SEED)
     geometry = [SensorGeometry(model.name, 10**5) for model in models]
     cameras = CameraStack.of(models)
-    middle = 5e4  # The text's volumes reach past the sensors' ends; no reading is cut off here.
+    centre = 5e4  # The text's volumes reach past the sensors' ends; no reading is cut off here.
     sigma = noise_px()
     same = known_mm is wanted_mm or np.array_equal(known_mm, wanted_mm)
     found = []
     for _ in range(REPEATS):
-        known = cameras.project(known_mm) + middle
+        known = cameras.project(known_mm) + centre
         known = known + sigma * rng.standard_normal(known.shape)
-        wanted = cameras.project(wanted_mm) + middle
-        wanted = known if same else wanted + sigma * rng.standard_normal(wanted.shape)
+        expected = cameras.project(wanted_mm) + centre
+        expected = known if same else expected + sigma * rng.standard_normal(expected.shape)
         calibration = calibrate(known_mm, known, geometry, np.full(known.shape, sigma))
-        position = reconstruct(calibration.models, wanted, np.full(wanted.shape, sigma)).position_mm
+        position = reconstruct(
+            calibration.models, expected, np.full(expected.shape, sigma)
+        ).position_mm
         found.append(statistics_of(AxisErrors.of(position - wanted_mm)))
     return np.asarray(np.mean(found, axis=0))
 
@@ -214,8 +216,8 @@ def _in_mm(parameters: Array, pitch_mm: float) -> Array:
 def _table_5_4() -> Worked:
     points = twelve_points().points_mm
     one = detector()
-    middle = points.mean(axis=0)
-    other = tuple(rotated(m, f"{m.name}, second", BETWEEN_DETECTORS_DEG, middle) for m in one)
+    centre = points.mean(axis=0)
+    other = tuple(rotated(m, f"{m.name}, second", BETWEEN_DETECTORS_DEG, centre) for m in one)
     single, both = _simulated(one, points, points), _simulated((*one, *other), points, points)
     columns = {
         "thesis, one": printed("5.1", "12 points"),

@@ -88,8 +88,8 @@ def rotated(model: SensorModel, name: str, angle_deg: float, about_mm: Array) ->
 
 def set_up() -> tuple[SensorModel, ...]:
     """Return the cameras of Test 5.2."""
-    middle = twelve_points().points_mm.mean(axis=0)
+    centre = twelve_points().points_mm.mean(axis=0)
     return tuple(
-        model_from_collinearity(camera.in_pixels(scale.pitch_mm), scale.geometry, middle)
+        model_from_collinearity(camera.in_pixels(scale.pitch_mm), scale.geometry, centre)
         for camera, scale in zip(load_cameras("5.2"), LINEAR_CCD, strict=True)
     )

@@ -46,12 +46,12 @@ def exact(distance: str, way: str) -> Array:
     """
     cameras, of = load_cameras("5.5 and 5.6"), bar(distance)
     known = load_test("5.5").points_mm
-    of_known, wanted = generated(cameras, known), generated(cameras, of.points_mm)
+    of_known, expected = generated(cameras, known), generated(cameras, of.points_mm)
     if way == "known":
-        return by_known(cameras, wanted, of.centre_mm)
+        return by_known(cameras, expected, of.centre_mm)
     if way == "metric":
-        return by_metric(known, of_known, wanted)
-    return by_dlt(known, of_known, wanted, normalised=way == "normalised")
+        return by_metric(known, of_known, expected)
+    return by_dlt(known, of_known, expected, normalised=way == "normalised")
 
 
 @cache
@@ -65,17 +65,17 @@ def _flat(distance: str) -> Array:
 
 
 @cache
-def reconstructed(calibrated: str, wanted: bytes, way: str = "normalised") -> tuple[Array, ...]:
+def reconstructed(calibrated: str, expected: bytes, way: str = "normalised") -> tuple[Array, ...]:
     """Return points (N, 3) from rounded readings, calibrated from rounded readings of a test.
 
     Args:
         calibrated: "5.5", the frame at 3 m, or "5.6", at 1 m.
-        wanted: the points, as bytes.
+        expected: the points, as bytes.
         way: "normalised" (the published equations lose nothing against it here: the readings are
             the limit) or "metric".
     """
     cameras, known = load_cameras("5.5 and 5.6"), load_test(calibrated).points_mm
-    points = np.frombuffer(wanted).reshape(-1, 3)
+    points = np.frombuffer(expected).reshape(-1, 3)
     of_known, readings = generated(cameras, known), generated(cameras, points)
     rng = np.random.default_rng(SEED)
     found = []
@@ -96,13 +96,13 @@ def rounded_statistics(distance: str, way: str = "normalised") -> Array:
     )
 
 
-def frame_errors(calibrated: str, wanted: str) -> Array:
+def frame_errors(calibrated: str, expected: str) -> Array:
     """Return mean absolute errors of a frame's points by rounding, X, Y, Z, shape (3,) [mm].
 
     Args:
         calibrated, wanted: tests that have the frame, "5.5" or "5.6".
     """
-    points = load_test(wanted).points_mm
+    points = load_test(expected).points_mm
     found = reconstructed(calibrated, points.tobytes())
     return root_mean_square([np.abs(one - points).mean(axis=0) for one in found])
 

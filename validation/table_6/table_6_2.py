@@ -91,10 +91,10 @@ def mismatched(cameras: Cameras, of: Bar) -> Array:
 def matched(cameras: Cameras, of: Bar, *, metric: bool = False) -> Array:
     """Return points (N, 3), calibrated with readings of the same cameras."""
     known = load_test("5.6" if DISTANCE == "1 m" else "5.5").points_mm
-    of_known, wanted = generated(cameras, known), generated(cameras, of.points_mm)
+    of_known, expected = generated(cameras, known), generated(cameras, of.points_mm)
     if metric:
-        return by_metric(known, of_known, wanted)
-    return by_dlt(known, of_known, wanted, normalised=True)
+        return by_metric(known, of_known, expected)
+    return by_dlt(known, of_known, expected, normalised=True)
 
 
 def compute_tables() -> tuple[tuple[ResultTable, ...], tuple[str, ...]]:

@@ -56,15 +56,15 @@ def iterative_dlt(
     if not normalised:
         return _iterate(points_mm, readings_px, sensor, iterations, normal_equations=True)
     transform = normalisation(points_mm)
-    middle, scale = float(readings_px.mean()), float(readings_px.std()) or 1.0
+    centre, scale = float(readings_px.mean()), float(readings_px.std()) or 1.0
     moved = points_mm @ transform[:3, :3].T + transform[:3, 3]
     inner = _iterate(
-        moved, (readings_px - middle) / scale, sensor, iterations, normal_equations=False
+        moved, (readings_px - centre) / scale, sensor, iterations, normal_equations=False
     )
     first, second = inner.matrix
     return IterativeDlt(
-        np.array([scale * first + middle * second, second]) @ transform,
-        inner.principal_point_px * scale + middle,
+        np.array([scale * first + centre * second, second]) @ transform,
+        inner.principal_point_px * scale + centre,
         inner.cubic_per_px2 / scale**2,
         inner.change_px * scale,
     )

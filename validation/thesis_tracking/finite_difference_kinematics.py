@@ -74,8 +74,8 @@ class FiniteDifferenceKinematics:
         return mean, covariance
 
     def _differences(self) -> tuple[Array, Array]:
-        first, middle, last = self._time_ns
-        before_s, now_s = (middle - first) * 1e-9, (last - middle) * 1e-9
+        first, centre, last = self._time_ns
+        before_s, now_s = (centre - first) * 1e-9, (last - centre) * 1e-9
         half_s = (before_s + now_s) / 2.0
         # Rows: position, velocity, acceleration; columns: the three points.
         by_point = np.array([[0.0, 0.0, 1.0], [0.0, -1.0 / now_s, 1.0 / now_s], [0.0, 0.0, 0.0]])

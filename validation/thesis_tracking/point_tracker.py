@@ -247,7 +247,7 @@ class PointTracker(SlotTracker):
         covariance[:8, :8] = state.covariance
         sensors = len(self.space.model)
         nothing = np.full(sensors, -1, dtype=np.int32)
-        told = seen is not None and np.isfinite(seen.nis)
+        measured = seen is not None and np.isfinite(seen.nis)
         return TrackReport(
             one.identity,
             self.marker,
@@ -257,7 +257,7 @@ class PointTracker(SlotTracker):
             nothing if seen is None else seen.peaks,
             TrackFlag.NONE if seen is None else seen.flags,
             seen.nis if seen is not None else float("nan"),
-            3 if told else 0,
+            3 if measured else 0,
         )
 
 

@@ -114,10 +114,10 @@ class SensorTrackFusion(SlotTracker):
         points = {one.identity: one.points(current_points) for one in self._markers}
         rows = [track_readings(points[one.identity], deviation) for one in self._markers]
         readings, sigma = (np.stack(part) for part in zip(*rows, strict=True))
-        place, covariance = predicted_positions(self._markers, time_ns)
+        position, covariance = predicted_positions(self._markers, time_ns)
         young = np.array([not one.kinematics.is_complete for one in self._markers])
-        place[young] = np.nan
-        solved = self.space.solve(readings, sigma, place, covariance)
+        position[young] = np.nan
+        solved = self.space.solve(readings, sigma, position, covariance)
         found: dict[int, SolvedPoints] = {}
         for row, marker in enumerate(self._markers):
             if self._verified(marker, solved, row):
@@ -197,7 +197,7 @@ class SensorTrackFusion(SlotTracker):
         lacking = np.array([one.tracks < 0 for one in is_complete]).reshape(-1, len(current_points))
         if not lacking.any():
             return
-        place, covariance = predicted_positions(is_complete, time_ns)
+        position, covariance = predicted_positions(is_complete, time_ns)
         for sensor, points in enumerate(free):
             rows = np.flatnonzero(lacking[:, sensor])
             if not len(rows) or not points:
@@ -207,7 +207,7 @@ class SensorTrackFusion(SlotTracker):
             off = np.stack([
                 np.abs(self.space.innovation(
                     readings, sigma,
-                    np.broadcast_to(place[row], (len(points), 3)),
+                    np.broadcast_to(position[row], (len(points), 3)),
                     np.broadcast_to(covariance[row], (len(points), 3, 3)),
                 )[:, sensor])
                 for row in range(len(is_complete))
@@ -249,9 +249,9 @@ class SensorTrackFusion(SlotTracker):
                     for points, column in zip(free, groups.peaks[row].tolist(), strict=True)
                 ]
             )
-            place, spread = solved.position_mm[row], solved.covariance_mm2[row]
+            position, spread = solved.position_mm[row], solved.covariance_mm2[row]
             lost = [one for one in self._markers if one.identity not in found]
-            marker = nearest_marker(lost, place, spread, time_ns)
+            marker = nearest_marker(lost, position, spread, time_ns)
             if marker is None:
                 if not self._may_begin(len(self._markers)):
                     continue
@@ -263,7 +263,7 @@ class SensorTrackFusion(SlotTracker):
                 )
                 self._markers.append(marker)
             marker.tracks, marker.seen_ns = numbers, time_ns
-            marker.kinematics.add(time_ns, place, spread)
+            marker.kinematics.add(time_ns, position, spread)
             found[marker.identity] = solved.row(row)
 
     def _reports(

@@ -58,8 +58,8 @@ class TrackPairs:
         history: dict[tuple[int, int], tuple[float, ...]] = {}
         sides: dict[tuple[int, int], float] = {}
         numbers = sorted(intervals)
-        for place, first in enumerate(numbers):
-            for second in numbers[place + 1 :]:
+        for index, first in enumerate(numbers):
+            for second in numbers[index + 1 :]:
                 key, one, other = (first, second), intervals[first], intervals[second]
                 apart = other.centre_px - one.centre_px
                 meet = abs(apart) < one.half_width_px + other.half_width_px

@@ -82,10 +82,10 @@ def transition(probabilities: Sequence[float], threshold: float = SWAP_THRESHOLD
             pair was apart.
         threshold: at it and above, two targets are on the same track.
     """
-    before, middle, now = [p >= threshold for p in (0.0, 0.0, 0.0, *probabilities)[-3:]]
+    before, centre, now = [p >= threshold for p in (0.0, 0.0, 0.0, *probabilities)[-3:]]
     if now:
-        return Transition.KEEP if middle else Transition.MERGE
-    if not middle:
+        return Transition.KEEP if centre else Transition.MERGE
+    if not centre:
         return Transition.KEEP
     return Transition.SPLIT if before else Transition.CROSS
 

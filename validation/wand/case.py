@@ -130,8 +130,8 @@ def _compute_tables() -> tuple[tuple[ResultTable, ...], tuple[str, ...]]:
     frames = {count: [frame_errors(count, seed) for seed in range(REPEATS)] for count in FRAMES}
     rows += [_row(f"frame of {count} known points", errors) for count, errors in frames.items()]
     wands = {}
-    for place, count in enumerate(POSES):
-        report_progress(0.5 * place / len(POSES), f"wand, {count} poses")
+    for index, count in enumerate(POSES):
+        report_progress(0.5 * index / len(POSES), f"wand, {count} poses")
         wands[count] = [wand_errors(count, seed) for seed in range(REPEATS)]
     rows += [_row(f"wand, {count} poses", errors) for count, errors in wands.items()]
     report_progress(0.5, "the stated covariance")
@@ -156,9 +156,9 @@ def _compute_tables() -> tuple[tuple[ResultTable, ...], tuple[str, ...]]:
         ),
     )
     counts = []
-    for place, share in enumerate(SHARES):
+    for index, share in enumerate(SHARES):
         report_progress(
-            0.6 + 0.4 * place / len(SHARES), f"starts wrong by up to {100 * share:.0f} %"
+            0.6 + 0.4 * index / len(SHARES), f"starts wrong by up to {100 * share:.0f} %"
         )
         counts.append(sum(reaches(share, seed) for seed in range(STARTS)))
     starts = ResultTable(

@@ -33,14 +33,14 @@ def device() -> tuple[SensorModel, ...]:
     return tuple(
         place_sensor(
             name,
-            lens_position_mm=place,
+            lens_position_mm=position,
             aim_mm=AIM_MM,
             measured_direction=direction,
             principal_distance_mm=37.0,
             pixels=2048,
             pitch_um=12.0,
         ).model
-        for name, place, direction in PLACES
+        for name, position, direction in PLACES
     )
 
 
@@ -62,10 +62,10 @@ def wand_markers(rng: np.random.Generator, poses: int) -> Array:
     """
     found: list[Array] = []
     while len(found) < poses:
-        middle = points(rng, 1)[0]
+        centre = points(rng, 1)[0]
         direction = rng.standard_normal(3)
         direction *= 0.5 * WAND_MM / np.linalg.norm(direction)
-        ends = np.array([middle - direction, middle + direction])
+        ends = np.array([centre - direction, centre + direction])
         if (np.abs(ends - CENTRE_MM) <= 0.5 * SIDE_MM).all():
             found.append(ends)
     return np.array(found)
@@ -109,8 +109,8 @@ def wrong_start(
 def aligned_errors(found_mm: Array, true_mm: Array) -> Array:
     """Return found less true points after the best rigid motion, shape (N, 3) [mm]."""
     away = found_mm - found_mm.mean(axis=0)
-    wanted = true_mm - true_mm.mean(axis=0)
-    left, _, right = np.linalg.svd(wanted.T @ away)
+    expected = true_mm - true_mm.mean(axis=0)
+    left, _, right = np.linalg.svd(expected.T @ away)
     flip = np.diag([1.0, 1.0, float(np.sign(np.linalg.det(left @ right)))])
-    errors: Array = away @ (left @ flip @ right).T - wanted
+    errors: Array = away @ (left @ flip @ right).T - expected
     return errors

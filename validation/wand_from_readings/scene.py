@@ -136,7 +136,7 @@ def random_wave(
         directions: of the wand: all, or those of a degenerate wave; "flat cloud": positions and
             directions in one plane; "one end fixed": all over the sphere about one point.
     """
-    middle = bar.centre_mm + rng.uniform(-0.5, 0.5, (poses, 3)) * bar.side_mm
+    centre = bar.centre_mm + rng.uniform(-0.5, 0.5, (poses, 3)) * bar.side_mm
     half = rng.standard_normal((poses, 3))
     if directions == "all parallel":
         half[:] = half[0]
@@ -149,11 +149,11 @@ def random_wave(
         normal = np.append(0.3 * rng.standard_normal(2), 1.0)
         normal /= np.linalg.norm(normal)
         half -= np.outer(half @ normal, normal)
-        middle -= np.outer((middle - bar.centre_mm) @ normal, normal)
+        centre -= np.outer((centre - bar.centre_mm) @ normal, normal)
     half *= 0.5 * bar.wand_mm / np.linalg.norm(half, axis=1, keepdims=True)
     if directions == "one end fixed":
-        middle = bar.centre_mm + half
-    markers = np.stack([middle - half, middle + half], axis=1)
+        centre = bar.centre_mm + half
+    markers = np.stack([centre - half, centre + half], axis=1)
     exact = bar.read(markers)
     read = exact + rng.normal(0.0, sigma_px, exact.shape)
     swapped = rng.random((poses, 1, exact.shape[2])) < exchanged

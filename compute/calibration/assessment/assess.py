@@ -69,18 +69,20 @@ def calibrate_and_assess(
         LumilineError: those of ``calibrate``.
     """
     fitting = partial_progress(progress, 0.0, 0.5)
-    found = calibrate(points_mm, readings_px, sensors, sigma_px, settings, progress=fitting)
+    calibration = calibrate(points_mm, readings_px, sensors, sigma_px, settings, progress=fitting)
     observations = points_mm, readings_px, sensors, sigma_px
     checks = []
     if len(points_mm) <= MAX_LEAVE_ONE_OUT_POINTS:
         by_points = partial_progress(progress, 0.5, 0.75)
-        checks.append(cross_validate(found, *observations, "points", by_points))
+        checks.append(cross_validate(calibration, *observations, "points", by_points))
     by_blocks = partial_progress(progress, 0.75, 0.9)
-    checks.append(cross_validate(found, *observations, "blocks", by_blocks))
-    used, _ = effective_readings(found, readings_px)
+    checks.append(cross_validate(calibration, *observations, "blocks", by_blocks))
+    used, _ = effective_readings(calibration, readings_px)
     pitch_um = [sensor.pitch_um for sensor in sensors]
-    diagnosis = diagnose(found, points_mm, used, partial_progress(progress, 0.9, 1.0), pitch_um)
-    return replace(found, cross_validation=tuple(checks), diagnosis=diagnosis)
+    diagnosis = diagnose(
+        calibration, points_mm, used, partial_progress(progress, 0.9, 1.0), pitch_um
+    )
+    return replace(calibration, cross_validation=tuple(checks), diagnosis=diagnosis)
 
 
 def fitted_errors(
@@ -100,8 +102,8 @@ def fitted_errors(
     """
     sigma = measurement_sigma(calibration, readings_px, sigma_px)
     covariance = np.array(calibration.covariance)
-    found = reconstruct(calibration.models, readings_px, sigma, covariance, reliability=False)
-    return found.position_mm - points_mm
+    points = reconstruct(calibration.models, readings_px, sigma, covariance, reliability=False)
+    return points.position_mm - points_mm
 
 
 def control_errors(
@@ -171,8 +173,8 @@ def cross_validate(
     batch = max(1, BATCH_VALUES // (readings.size * CameraStack.of(fits.models).width))
     for first in range(0, count, batch):
         progress(first / count, f"cross-validation by {scheme}")
-        kept = groups != np.arange(first, min(first + batch, count))[:, None]
-        for rest, refit in zip(kept, _refits(observed, fits, settings, kept), strict=True):
+        training = groups != np.arange(first, min(first + batch, count))[:, None]
+        for rest, refit in zip(training, _refits(observed, fits, settings, training), strict=True):
             if refit is None:
                 continue
             rows = ~rest
@@ -219,14 +221,14 @@ def _refits(
     observed: ControlObservations,
     fits: SensorFits,
     settings: CalibrationSettings,
-    kept: NDArray[np.bool_],
+    training: NDArray[np.bool_],
 ) -> Iterator[Calibration | None]:
     """Yield a calibration of each part (G, N) of the points; None where one is not possible."""
     sensors = len(fits.models)
-    ended = fits.fit_without(observed, kept)
-    models = ended.cameras.models(fits.models * len(kept))
+    ended = fits.fit_without(observed, training)
+    models = ended.cameras.models(fits.models * len(training))
     converged: NDArray[np.bool_] = np.all(ended.converged.reshape(-1, sensors), axis=1)
-    for number, rest in enumerate(kept):
+    for number, rest in enumerate(training):
         part = replace(
             observed,
             points_mm=observed.points_mm[rest],

@@ -116,8 +116,8 @@ def _sensor(fit: SensorFit, points: Array, readings: Array, strength: float) -> 
     matrix = stack.parameter_jacobian(points - centre)[:, 0, columns]
     matrix = matrix * (1.0 / fit.sigma_px)
     if distortion is not None:
-        seen = np.ones((len(points), 1), dtype=np.bool_)
-        prior = LensPrior.of([recentred], [None], points - centre, seen, strength)
+        visible = np.ones((len(points), 1), dtype=np.bool_)
+        prior = LensPrior.of([recentred], [None], points - centre, visible, strength)
         information = prior.gaussian(stack)[1][0, columns]
         matrix = np.concatenate([matrix, np.diag(np.sqrt(information))])
     scale = np.linalg.norm(matrix, axis=0)
@@ -217,7 +217,7 @@ class _PrecisionPredictor:
             box_points(centre - reach, centre + reach, CANDIDATE_GRID_NODES)
         )
         towards = self.covariance @ by_parameter.reshape(-1, len(self.covariance)).T
-        found = []
+        suggestions = []
         for position, row in zip(positions, rows, strict=True):
             sees = row.any(axis=1)
             jacobian = row[sees]
@@ -227,11 +227,11 @@ class _PrecisionPredictor:
             )
             lowered = (gain * (jacobian @ towards)).reshape(len(jacobian), -1, 3).sum(axis=(0, 2))
             mean, largest = _summary(np.maximum(before - lowered, 0.0))
-            found.append(Suggestion(vector3(position), mean, largest))
-        found.sort(key=lambda one: one.mean_sigma_mm)
+            suggestions.append(Suggestion(vector3(position), mean, largest))
+        suggestions.sort(key=lambda one: one.mean_sigma_mm)
         chosen: list[Suggestion] = []
         apart = MIN_SEPARATION_FRACTION * float(np.linalg.norm(self.high - self.low))
-        for one in found:
+        for one in suggestions:
             gaps = [np.linalg.norm(np.subtract(one.position_mm, o.position_mm)) for o in chosen]
             if not gaps or min(gaps) >= apart:
                 chosen.append(one)
@@ -347,23 +347,23 @@ def _geometry_remarks(calibration: Calibration, points: Array) -> list[str]:
         )
         return [remark]
     corners = box_points(points.min(axis=0), points.max(axis=0), 2)
-    places = np.vstack([points.mean(axis=0), corners])
-    reading, jacobian = CameraStack.of(models).linearise(places)
-    seen = np.isfinite(reading[0])
-    normals = jacobian[:, seen] / np.linalg.norm(jacobian[:, seen], axis=2, keepdims=True)
+    positions = np.vstack([points.mean(axis=0), corners])
+    reading, jacobian = CameraStack.of(models).linearise(positions)
+    visible = np.isfinite(reading[0])
+    normals = jacobian[:, visible] / np.linalg.norm(jacobian[:, visible], axis=2, keepdims=True)
     if normals.shape[1] < 3:
         return []
     _, singular, axes = np.linalg.svd(normals[0])
     if singular[2] >= MIN_PLANE_ANGLE:
         return []
-    names = [model.name for model, is_seen in zip(models, seen, strict=True) if is_seen]
+    names = [model.name for model, is_visible in zip(models, visible, strict=True) if is_visible]
     alike = [
         f"{names[i]} and {names[j]}"
         for i, j in combinations(range(len(names)), 2)
         if not np.linalg.norm(np.cross(normals[:, i], normals[:, j]), axis=1).max()
         >= MIN_PLANE_ANGLE
     ]
-    slits = np.array([model.rotation[1] for model in models])[seen]
+    slits = np.array([model.rotation[1] for model in models])[visible]
     if np.linalg.norm(np.cross(slits, axes[2]), axis=1).max() < MIN_PLANE_ANGLE:
         cause = "the slits of all sensors are parallel"
     elif alike:
@@ -383,7 +383,7 @@ def _geometry_remarks(calibration: Calibration, points: Array) -> list[str]:
     return [remark]
 
 
-def nonlinearity(calibration: Calibration, points_mm: Array, seen: NDArray[np.bool_]) -> Array:
+def nonlinearity(calibration: Calibration, points_mm: Array, used: NDArray[np.bool_]) -> Array:
     """Return how far refits depart from the linear prediction of the covariance, shape (S,).
 
     The readings of the fitted camera are moved by two standard deviations, in both directions,
@@ -394,7 +394,7 @@ def nonlinearity(calibration: Calibration, points_mm: Array, seen: NDArray[np.bo
     Args:
         calibration: the calibration of these points.
         points_mm: control points, shape (N, 3) [mm].
-        seen: which readings the fit used, shape (N, S).
+        used: which readings the fit used, shape (N, S).
 
     Returns:
         Relative difference of that change from the predicted one; infinite where a refit did not
@@ -407,11 +407,11 @@ def nonlinearity(calibration: Calibration, points_mm: Array, seen: NDArray[np.bo
     stack = replace(stack, offset_mm=stack.offset_mm + stack.rotation @ centre)
     models = stack.models(models)
     sigma = np.array([fit.sigma_px for fit in calibration.sensors])
-    weights = np.where(seen, 1.0 / sigma, 0.0)
+    weights = np.where(used, 1.0 / sigma, 0.0)
     prior, information = None, np.zeros((len(models), stack.width))
     if stack.has_distortion:
         strength = prior_strength(calibration)
-        prior = LensPrior.of(models, [None] * len(models), points, seen, strength)
+        prior = LensPrior.of(models, [None] * len(models), points, used, strength)
         information = prior.gaussian(stack)[1]
     fitted, jacobian = stack.project_with_parameter_jacobian(points)
     volume = box_points(points.min(axis=0), points.max(axis=0), NONLINEARITY_GRID_NODES)
@@ -447,9 +447,9 @@ def nonlinearity(calibration: Calibration, points_mm: Array, seen: NDArray[np.bo
 
 def _nonlinearity_remarks(calibration: Calibration, points: Array, readings: Array) -> list[str]:
     """Return of which sensors the covariance cannot be trusted."""
-    found = nonlinearity(calibration, points, np.isfinite(readings))
+    values = nonlinearity(calibration, points, np.isfinite(readings))
     remarks = []
-    for fit, value in zip(calibration.sensors, found.tolist(), strict=True):
+    for fit, value in zip(calibration.sensors, values.tolist(), strict=True):
         if value > MAX_NONLINEARITY:
             by = "so far that no camera settles"
             if np.isfinite(value):

@@ -132,11 +132,13 @@ def assemble_result(
         prior,
         np.inf,
     )
-    known = sum(int(use.sum()) for use in full)
+    equations_count = sum(int(use.sum()) for use in full)
     for poses in state.pose_sets:
-        known += len(poses.shape.equations()[0]) + (3 * len(poses) if poses.prior() else 0)
+        equations_count += len(poses.shape.equations()[0]) + (
+            3 * len(poses) if poses.prior() else 0
+        )
     if prior is not None:
-        known += int(np.linalg.matrix_rank(prior.information, hermitian=True))
+        equations_count += int(np.linalg.matrix_rank(prior.information, hermitian=True))
     unknown = int(adjusted_parameters.sum()) - (6 if free_datum else 0)
     unknown += sum(len(poses) * poses.unknowns for poses in state.pose_sets)
     return AdjustmentResult(
@@ -149,7 +151,7 @@ def assemble_result(
         ),
         tuple(weights),
         chi2,
-        known - unknown,
+        equations_count - unknown,
         iterations,
         reduced,
     )
@@ -158,12 +160,12 @@ def assemble_result(
 def _check_poses(state: AdjustmentState, equations: NormalEquations) -> None:
     for number, block in enumerate(equations.blocks):
         for pose in np.flatnonzero(_is_singular(block.normal)).tolist():
-            seen = int(state.pose_sets[number].seen[pose].sum())
+            readings = int(state.pose_sets[number].seen[pose].sum())
             raise UndeterminedParameters(
-                f"pose {pose + 1} (set {number + 1}) is not determined by its {seen} readings; "
+                f"pose {pose + 1} (set {number + 1}) is not determined by its {readings} readings; "
                 "leave it out",
                 pose=pose + 1,
-                readings=seen,
+                readings=readings,
             )
 
 

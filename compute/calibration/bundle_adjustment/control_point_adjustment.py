@@ -90,7 +90,7 @@ def adjust_control_points(
         # Readings much more precise than the points make a valley too narrow to follow.
         wide = np.maximum(sigma_px, share * np.nan_to_num(point_sigma))
         try:
-            found = _adjust(observed, fits, wide, control_sigma_mm, progress, start)
+            adjustment = _adjust(observed, fits, wide, control_sigma_mm, progress, start)
         except (NoConvergence, UndeterminedParameters):
             if share == MIN_NOISE_SHARES[-1]:
                 raise
@@ -98,7 +98,7 @@ def adjust_control_points(
         break
     squares = np.where(used, wide / sigma_px, 0.0) ** 2
     widening = np.sqrt(squares.sum(axis=0) / used.sum(axis=0))
-    return replace(found, sigma_ratio=found.sigma_ratio * widening)
+    return replace(adjustment, sigma_ratio=adjustment.sigma_ratio * widening)
 
 
 def _adjust(
@@ -122,15 +122,15 @@ def _adjust(
         [np.isin(np.arange(m.parameter_count), fitted_columns(m)) for m in fits.models]
     )
     models = fits.models if start is None else start.models
-    found = adjust(models, [poses], prior=_prior(fits), free=free, progress=progress)
-    adjusted = found.pose_sets[0].translation_mm
-    residuals = CameraStack.of(found.models).project(adjusted) - observed.readings_px
-    share = redundancy(found)[:, 0]
-    squares = np.nansum(found.residuals[0][:, 0] ** 2, axis=0)
+    adjustment = adjust(models, [poses], prior=_prior(fits), free=free, progress=progress)
+    adjusted = adjustment.pose_sets[0].translation_mm
+    residuals = CameraStack.of(adjustment.models).project(adjusted) - observed.readings_px
+    share = redundancy(adjustment)[:, 0]
+    squares = np.nansum(adjustment.residuals[0][:, 0] ** 2, axis=0)
     checked = share.sum(axis=0)
     return JointFit(
-        found.models,
-        found.sensor_covariance,
+        adjustment.models,
+        adjustment.sensor_covariance,
         residuals,
         adjusted - points,
         sigma_px,

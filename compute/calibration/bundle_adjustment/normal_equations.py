@@ -41,12 +41,12 @@ class AdjustmentState:
         0 where not seen, NaN where a marker that was read lies behind the lens.
         """
         cameras = CameraStack.of(self.models)
-        found = []
+        residuals = []
         for poses in self.pose_sets:
             projected = cameras.project(poses.marker_positions().reshape(-1, 3))
             difference = projected.reshape(poses.readings_px.shape) - poses.readings_px
-            found.append(np.where(poses.seen, difference / poses.sigma_px, 0.0))
-        return found
+            residuals.append(np.where(poses.seen, difference / poses.sigma_px, 0.0))
+        return residuals
 
     def retract(self, step: Array, local: Sequence[Array]) -> "AdjustmentState":
         """Return the state after a step.
@@ -252,9 +252,9 @@ def build_normal_equations(
             normal[shape, :count] += part
             normal[:count, shape] += part.T
             mixed[:, shape] = at.by_shape.reshape(*flat.shape[:2], -1).transpose(0, 2, 1) @ flat
-        known, known_jacobian = poses.shape.equations()
-        normal[shape, shape] += known_jacobian.T @ known_jacobian
-        gradient[shape] += known_jacobian.T @ known
+        constraint, constraint_jacobian = poses.shape.equations()
+        normal[shape, shape] += constraint_jacobian.T @ constraint_jacobian
+        gradient[shape] += constraint_jacobian.T @ constraint
         pose_prior = poses.prior()
         if pose_prior is not None:
             difference, information = pose_prior
@@ -327,6 +327,6 @@ def robust_scale(state: AdjustmentState, residuals: Sequence[Array]) -> float:
         state: sensors and poses.
         residuals: over sigma, shape (B, K, S) for each pose set.
     """
-    seen = [r[poses.seen] for r, poses in zip(residuals, state.pose_sets, strict=True)]
-    together = np.abs(np.concatenate(seen))
+    measured = [r[poses.seen] for r, poses in zip(residuals, state.pose_sets, strict=True)]
+    together = np.abs(np.concatenate(measured))
     return max(1.0, MAD_TO_SIGMA * float(np.median(together))) if len(together) else 1.0

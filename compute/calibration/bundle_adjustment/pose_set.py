@@ -42,7 +42,7 @@ class PoseSet:
 
     def __post_init__(self) -> None:
         poses, markers = len(self.translation_mm), len(self.shape)
-        wanted = {
+        expected_shapes = {
             "translation_mm": (poses, 3),
             "rotation": (poses, 3, 3),
             "readings_px": (poses, markers, self.readings_px.shape[-1]),
@@ -51,14 +51,17 @@ class PoseSet:
         if (self.known_mm is None) != (self.known_covariance_mm2 is None):
             raise InvalidParameter("known_mm and known_covariance_mm2 go together; give both")
         if self.known_mm is not None:
-            wanted |= {"known_mm": (poses, 3), "known_covariance_mm2": (poses, 3, 3)}
-        for name, shape in wanted.items():
+            expected_shapes |= {"known_mm": (poses, 3), "known_covariance_mm2": (poses, 3, 3)}
+        for name, shape in expected_shapes.items():
             if getattr(self, name).shape != shape:
                 raise InvalidParameter(
                     f"{name} has shape {getattr(self, name).shape}; it must be {shape}"
                 )
-        seen = np.isfinite(self.readings_px)
-        if not (self.sigma_px[seen] > 0.0).all() or not np.isfinite(self.sigma_px[seen]).all():
+        measured = np.isfinite(self.readings_px)
+        if (
+            not (self.sigma_px[measured] > 0.0).all()
+            or not np.isfinite(self.sigma_px[measured]).all()
+        ):
             raise InvalidParameter("standard deviations of readings must be positive and finite")
         if self.known_covariance_mm2 is not None and self._information is None:
             try:

@@ -46,6 +46,9 @@ COARSE_STEPS: Final = 60
 RELATIVE_OFFSET_TOLERANCE: Final = 1e-4
 """Decrease of chi2 for each global parameter that an undamped step predicts, below which a search
 that comes no further has converged: a hundredth of a standard deviation."""
+FINAL_DECREASE: Final = 0.1
+"""The same for all parameters together when all steps are spent: a third of a standard deviation,
+as of calibrations with control points. Curved valleys of nearly ambiguous poses have no end."""
 UNDAMPED_THRESHOLD: Final = 1e-3
 """Largest damping at which the predicted decrease measures the distance to the minimum."""
 POSE_REFIT_ITERATIONS: Final = 40
@@ -213,7 +216,7 @@ class _Search:
             while True:
                 self.progress(min(self.iterations / self.max_iterations, 1.0), "adjustment")
                 if self.iterations >= self.max_iterations:
-                    if self._is_near_minimum(equations, motion):
+                    if self._is_near_minimum(equations, motion, FINAL_DECREASE):
                         return
                     raise NoConvergence(
                         f"the adjustment has not converged after {self.iterations} steps "
@@ -239,8 +242,9 @@ class _Search:
                     new = total_loss(trial, residuals, self.prior, limit)
                     if self.iterations > POSE_REFIT_ITERATIONS and np.isfinite(new):
                         trial, residuals, new = self._refit_poses(trial, residuals, new, limit)
-                # NaN, a point behind a lens, is not better.
-                better = new <= loss
+                # NaN, a point behind a lens, is not better; nor is the same loss, to which steps at
+                # the minimum round.
+                better = new < loss
                 ending = (
                     damping <= UNDAMPED_THRESHOLD
                     and predicted <= CONVERGENCE_TOLERANCE + (tolerance + ROUNDING_TOLERANCE) * loss
@@ -271,18 +275,26 @@ class _Search:
         """Refit poses with the sensors held, as long as that makes the loss smaller."""
         for _ in range(POSE_REFIT_STEPS):
             equations = build_normal_equations(state, loss_weights(residuals, limit), self.prior)
-            held = np.zeros(len(self.adjusted_parameters))
-            local = equations.reduced(POSE_REFIT_DAMPING).local_steps(equations, held)
-            trial = state.retract(held, local)
-            found = trial.residuals()
-            new = total_loss(trial, found, self.prior, limit)
+            no_step = np.zeros(len(self.adjusted_parameters))
+            local = equations.reduced(POSE_REFIT_DAMPING).local_steps(equations, no_step)
+            trial = state.retract(no_step, local)
+            trial_residuals = trial.residuals()
+            new = total_loss(trial, trial_residuals, self.prior, limit)
             if not new < loss:  # NaN: a point behind a lens
                 break
-            state, residuals, loss = trial, found, new
+            state, residuals, loss = trial, trial_residuals, new
         return state, residuals, loss
 
-    def _is_near_minimum(self, equations: NormalEquations, motion: Array | None) -> bool:
-        """Return whether the undamped step is negligible (Bates and Watts, doi:10.2307/1268140)."""
+    def _is_near_minimum(
+        self, equations: NormalEquations, motion: Array | None, max_decrease: float = 0.0
+    ) -> bool:
+        """Return whether the undamped step is negligible (Bates and Watts, doi:10.2307/1268140).
+
+        Args:
+            equations: at the current state.
+            motion: Jacobian of rigid motions; None: the frame is fixed.
+            max_decrease: decrease of chi2 that is negligible in any case.
+        """
         free = self.adjusted_parameters
         try:
             reduced = equations.reduced()
@@ -297,7 +309,8 @@ class _Search:
             float(np.einsum("bi,bij,bj->", block.gradient, inverse, block.gradient))
             for block, inverse in zip(equations.blocks, reduced.inverses, strict=True)
         )
-        return 0.0 <= poses - float(gradient @ step) <= RELATIVE_OFFSET_TOLERANCE * len(gradient)
+        limit = max(RELATIVE_OFFSET_TOLERANCE * len(gradient), max_decrease)
+        return 0.0 <= poses - float(gradient @ step) <= limit
 
 
 def _check_inputs(
@@ -328,14 +341,22 @@ def _check_inputs(
 
 
 def _solve_damped(normal: Array, right: Array, motion: Array | None) -> Array:
-    """Solve the damped equations, scaled to a unit diagonal, without rigid motions (F, 6)."""
+    """Solve the damped equations, scaled to a unit diagonal, without rigid motions (F, 6).
+
+    No step where they are singular or have overflowed.
+    """
     scale = 1.0 / np.sqrt(np.maximum(np.diagonal(normal), np.finfo(np.float64).tiny))
-    scaled = normal * scale[:, None] * scale
+    with np.errstate(over="ignore", invalid="ignore"):
+        scaled = normal * scale[:, None] * scale
+    if not np.isfinite(scaled).all():
+        return np.zeros_like(right)
     try:
         if motion is None:
-            return np.asarray(scale * np.linalg.solve(scaled, scale * right), dtype=np.float64)
-        basis = orthogonal_complement(motion / scale[:, None])
-        inner = np.linalg.solve(basis.T @ scaled @ basis, basis.T @ (scale * right))
-        return np.asarray(scale * (basis @ inner), dtype=np.float64)
+            step = scale * np.linalg.solve(scaled, scale * right)
+        else:
+            basis = orthogonal_complement(motion / scale[:, None])
+            inner = np.linalg.solve(basis.T @ scaled @ basis, basis.T @ (scale * right))
+            step = scale * (basis @ inner)
     except np.linalg.LinAlgError:
         return np.zeros_like(right)
+    return np.asarray(step if np.isfinite(step).all() else np.zeros_like(right), dtype=np.float64)

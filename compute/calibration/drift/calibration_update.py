@@ -62,21 +62,21 @@ def update_calibration(
     models = calibration.models
     old = np.array(calibration.covariance)
     cameras = CameraStack.of(models)
-    seen = np.isfinite(compared.residual_px)
+    measured = np.isfinite(compared.residual_px)
     expected = cameras.project(compared.positions_mm)
-    readings = np.where(seen, expected + compared.residual_px, np.nan)
+    readings = np.where(measured, expected + compared.residual_px, np.nan)
     relative = stationary.earlier_px is not None
     before = np.diag(changes**2) if relative else old + np.diag(changes**2)
     free = np.diagonal(before) > 0.0
     information = np.zeros_like(before)
     information[np.ix_(free, free)] = np.linalg.inv(before[np.ix_(free, free)])
-    place_sigma = EXACT_MM if relative else max(stationary.position_sigma_mm, EXACT_MM)
+    position_sigma = EXACT_MM if relative else max(stationary.position_sigma_mm, EXACT_MM)
     poses = PoseSet.points(
         compared.positions_mm,
         readings,
-        np.where(seen, compared.noise_px, 1.0),
+        np.where(measured, compared.noise_px, 1.0),
         compared.positions_mm,
-        np.broadcast_to(place_sigma**2 * np.eye(3), (len(readings), 3, 3)),
+        np.broadcast_to(position_sigma**2 * np.eye(3), (len(readings), 3, 3)),
     )
     adjusted = adjust(models, [poses], prior=SensorPrior(models, information), free=free)
     covariance = adjusted.sensor_covariance + (old if relative else 0.0)
@@ -140,12 +140,12 @@ def _changes(
             raise UnknownSensor(
                 f"there is no sensor {name}; the device has {', '.join(names)}", sensor=name
             )
-    known = {name for model in calibration.models for name in model.parameter_names}
+    parameter_names = {name for model in calibration.models for name in model.parameter_names}
     for name, sigma in allowance.items():
-        if name not in known or not 0.0 < sigma < np.inf:
+        if name not in parameter_names or not 0.0 < sigma < np.inf:
             raise InvalidParameter(
                 f"allowance has {name} = {sigma}; it must be one of "
-                f"{', '.join(sorted(known))} with a positive standard deviation"
+                f"{', '.join(sorted(parameter_names))} with a positive standard deviation"
             )
     return np.array(
         [

@@ -103,19 +103,19 @@ def check_drift(calibration: Calibration, stationary: StationaryMarkers) -> Drif
     """
     compared = prediction_residuals(calibration, stationary)
     cameras = CameraStack.of(calibration.models)
-    seen = np.isfinite(compared.residual_px)
-    chi2, dof = _chi2(compared, seen)
+    measured = np.isfinite(compared.residual_px)
+    chi2, dof = _chi2(compared, measured)
     p_value = float(chdtrc(dof, chi2))
     jacobian = np.nan_to_num(cameras.parameter_jacobian(compared.positions_mm))
     limit = FALSE_ALARM_PROBABILITY / len(cameras)
     sensors = tuple(
-        _sensor_drift(calibration, compared, seen, jacobian, column, limit)
+        _sensor_drift(calibration, compared, measured, jacobian, column, limit)
         for column in range(len(cameras))
     )
     good = p_value >= FALSE_ALARM_PROBABILITY
     motion = None
     if not good and sum(sensor.moved for sensor in sensors) > 1:
-        motion = _fit_rigid_motion(cameras, compared, seen)
+        motion = _fit_rigid_motion(cameras, compared, measured)
     angle, shift = motion or (None, None)
     return DriftCheck(good, p_value, chi2, dof, motion is not None, angle, shift, sensors)
 
@@ -142,54 +142,54 @@ def _fit_change(
     whiten = np.linalg.inv(np.linalg.cholesky(covariance))
     rows, right = whiten @ design, whiten @ residual
     values: Array = np.asarray(np.linalg.lstsq(rows, right, rcond=None)[0], dtype=np.float64)
-    left = right - rows @ values
+    rest = right - rows @ values
     cofactor: Array = np.asarray(np.linalg.pinv(rows.T @ rows), dtype=np.float64)
-    return values, cofactor, float(left @ left)
+    return values, cofactor, float(rest @ rest)
 
 
 def _sensor_drift(
     calibration: Calibration,
     compared: PredictionResiduals,
-    seen: NDArray[np.bool_],
+    measured: NDArray[np.bool_],
     jacobian: Array,
     column: int,
     limit: float,
 ) -> SensorDrift:
     model = calibration.models[column]
-    own = np.zeros_like(seen)
-    own[:, column] = seen[:, column]
-    count = int(own.sum())
+    of_sensor = np.zeros_like(measured)
+    of_sensor[:, column] = measured[:, column]
+    count = int(of_sensor.sum())
     if count == 0:
         return SensorDrift(model.name, 0, 0.0, 1.0, False, None, "", None, None, None)
-    chi2, dof = _chi2(compared, own)
+    chi2, dof = _chi2(compared, of_sensor)
     p_value = float(chdtrc(dof, chi2))
-    rms = float(np.sqrt(np.mean(compared.residual_px[own] ** 2)))
+    rms = float(np.sqrt(np.mean(compared.residual_px[of_sensor] ** 2)))
     if p_value >= limit:
         return SensorDrift(model.name, count, rms, p_value, False, None, "", None, None, None)
     fits = []
     for name in EXPLANATIONS:
-        change_jacobian = np.zeros((*seen.shape, 1))
+        change_jacobian = np.zeros((*measured.shape, 1))
         change_jacobian[:, column, 0] = jacobian[:, column, model.parameter_names.index(name)]
-        values, covariance, left = _fit_change(compared, own, change_jacobian)
-        fits.append((left, name, float(values[0]), float(np.sqrt(covariance[0, 0]))))
-    left, name, change, sigma = min(fits, key=lambda fit: fit[0])
-    after = float(chdtrc(dof - 1, left)) if dof > 1 else None
+        values, covariance, chi2_after = _fit_change(compared, of_sensor, change_jacobian)
+        fits.append((chi2_after, name, float(values[0]), float(np.sqrt(covariance[0, 0]))))
+    chi2_after, name, change, sigma = min(fits, key=lambda fit: fit[0])
+    after = float(chdtrc(dof - 1, chi2_after)) if dof > 1 else None
     return SensorDrift(
         model.name, count, rms, p_value, True, name, EXPLANATIONS[name], change, sigma, after
     )
 
 
 def _fit_rigid_motion(
-    cameras: CameraStack, compared: PredictionResiduals, seen: NDArray[np.bool_]
+    cameras: CameraStack, compared: PredictionResiduals, measured: NDArray[np.bool_]
 ) -> tuple[float, float] | None:
     """Return angle [rad] and translation [mm] if a rigid motion explains the misfit."""
-    dof = int(seen.sum()) - 6
+    dof = int(measured.sum()) - 6
     if dof < 1 or len(compared.positions_mm) < 3:
         return None
     position_jacobian = np.nan_to_num(cameras.linearise(compared.positions_mm)[1])
     arms = compared.positions_mm - compared.positions_mm.mean(axis=0)
     motion = np.concatenate([np.cross(arms[:, None], position_jacobian), position_jacobian], axis=2)
-    values, _, left = _fit_change(compared, seen, motion)
-    if chdtrc(dof, left) < FALSE_ALARM_PROBABILITY:
+    values, _, chi2_after = _fit_change(compared, measured, motion)
+    if chdtrc(dof, chi2_after) < FALSE_ALARM_PROBABILITY:
         return None
     return float(np.linalg.norm(values[:3])), float(np.linalg.norm(values[3:]))

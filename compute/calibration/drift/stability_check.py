@@ -94,9 +94,9 @@ def _against_earlier(
     calibration: Calibration, cameras: CameraStack, readings: Array, stationary: StationaryMarkers
 ) -> PredictionResiduals:
     earlier = np.asarray(stationary.earlier_px, dtype=np.float64)
-    own = np.array([fit.sigma_px for fit in calibration.sensors])
-    now = own if stationary.sigma_px is None else stationary.sigma_px
-    then = own if stationary.earlier_sigma_px is None else stationary.earlier_sigma_px
+    sensor_sigma = np.array([fit.sigma_px for fit in calibration.sensors])
+    now = sensor_sigma if stationary.sigma_px is None else stationary.sigma_px
+    then = sensor_sigma if stationary.earlier_sigma_px is None else stationary.earlier_sigma_px
     noise = np.broadcast_to(np.hypot(now, then), readings.shape)
     trusted = measurement_sigma(calibration, earlier, stationary.earlier_sigma_px)
     positions = reconstruct(cameras, earlier, trusted).position_mm

@@ -101,7 +101,7 @@ class EvaluatedHypotheses:
     theta: Array
     used: NDArray[np.bool_]
     chi2: Array
-    kept: Array
+    count: Array
     log_determinant: Array
     log_sigma: Array
 
@@ -119,10 +119,10 @@ def evaluate_hypotheses(
     repaired = [h.repair(camera.readings, camera.sigma) for h in hypotheses]
     readings = np.array([one for one, _ in repaired]).reshape(-1, n)
     sigma = np.array([one for _, one in repaired]).reshape(-1, n)
-    kept = np.isfinite(readings)
+    used = np.isfinite(readings)
     # The basis holds J over the sigma of the point's own reading, also where another was put.
-    misfit = np.where(kept, np.where(kept, readings, 0.0) - camera.fitted, 0.0) / camera.sigma
-    basis = camera.basis * kept[..., None]
+    misfit = np.where(used, np.where(used, readings, 0.0) - camera.fitted, 0.0) / camera.sigma
+    basis = camera.basis * used[..., None]
     normal = basis.swapaxes(1, 2) @ basis
     inverse = np.linalg.inv(normal + 1e-12 * np.eye(camera.evidence.parameters))
     gain = basis @ inverse
@@ -135,11 +135,11 @@ def evaluate_hypotheses(
         gain,
         inverse,
         theta,
-        kept,
+        used,
         (residual**2).sum(axis=1),
-        kept.sum(axis=1),
+        used.sum(axis=1),
         np.linalg.slogdet(normal)[1],
-        np.where(kept, np.log(sigma), 0.0).sum(axis=1),
+        np.where(used, np.log(sigma), 0.0).sum(axis=1),
     )
 
 
@@ -160,13 +160,13 @@ def log_posteriors(camera: LinearisedCamera, states: EvaluatedHypotheses) -> Arr
     """
     likelihood = camera.evidence.log_likelihood(
         states.chi2,
-        states.kept,
+        states.count,
         states.log_determinant,
         states.log_sigma,
         camera.evidence.log_outlier * _outlier_counts(states.hypotheses),
     )
     score = likelihood + _log_priors(camera, states.hypotheses)
-    return np.where(states.kept > camera.evidence.parameters, score, -np.inf)
+    return np.where(states.count > camera.evidence.parameters, score, -np.inf)
 
 
 def beam_search(
@@ -187,19 +187,19 @@ def beam_search(
     """
     n = len(camera.readings)
     width = int(np.clip(MAX_PAIR_VALUES // n**2, 4, beam))
-    known: dict[Hypothesis, float] = {}
+    scores: dict[Hypothesis, float] = {}
     states = evaluate_hypotheses(camera, list(dict.fromkeys(seeds)))
-    _record(known, zip(log_posteriors(camera, states).tolist(), states.hypotheses, strict=True))
-    best, waited = max(known.values()), 0
+    _record(scores, zip(log_posteriors(camera, states).tolist(), states.hypotheses, strict=True))
+    best, waited = max(scores.values()), 0
     for _ in range(MAX_LEVELS):
         grown = dict[Hypothesis, float]()
         _record(grown, _extend(camera, states, 2 * width))
         _record(grown, _reduce(camera, states, 4 * width))
-        fresh = [(score, h) for h, score in grown.items() if h not in known]
+        fresh = [(score, h) for h, score in grown.items() if h not in scores]
         if not fresh:
             break
         fresh.sort(key=_by_score)
-        _record(known, fresh[: 4 * width])
+        _record(scores, fresh[: 4 * width])
         if fresh[0][0] > best + 1e-9:
             best, waited = fresh[0][0], 0
         else:
@@ -207,17 +207,17 @@ def beam_search(
             if waited == MAX_LEVELS_WITHOUT_GAIN:
                 break
         states = evaluate_hypotheses(camera, [h for _, h in fresh[:width]])
-    return sorted(((score, h) for h, score in known.items()), key=_by_score)[:count]
+    return sorted(((score, h) for h, score in scores.items()), key=_by_score)[:count]
 
 
 def _by_score(entry: tuple[float, Hypothesis]) -> tuple[float, int, list[int]]:
     return -entry[0], entry[1].size, sorted(entry[1].affected_points)
 
 
-def _record(known: dict[Hypothesis, float], entries: Iterable[tuple[float, Hypothesis]]) -> None:
+def _record(scores: dict[Hypothesis, float], entries: Iterable[tuple[float, Hypothesis]]) -> None:
     for score, hypothesis in entries:
         if np.isfinite(score):
-            known.setdefault(hypothesis, score)
+            scores.setdefault(hypothesis, score)
 
 
 def _extend(
@@ -225,46 +225,54 @@ def _extend(
 ) -> list[tuple[float, Hypothesis]]:
     """Return the best hypotheses with one more outlier or exchanged pair."""
     n = len(camera.readings)
-    own = states.used - np.einsum("bnw,bnw->bn", states.gain, states.basis)
-    free = np.ones(own.shape, dtype=bool)
+    redundancy = states.used - np.einsum("bnw,bnw->bn", states.gain, states.basis)
+    free = np.ones(redundancy.shape, dtype=bool)
     for row, hypothesis in enumerate(states.hypotheses):
         free[row, list(hypothesis.affected_points)] = False
     outliers = camera.evidence.log_outlier * _outlier_counts(states.hypotheses)[:, None]
     prior = _log_priors(camera, states.hypotheses)[:, None]
-    usable = free & (own > TIE_TOLERANCE) & (states.kept[:, None] - 1 > camera.evidence.parameters)
-    safe = np.where(usable, own, 1.0)
-    left_out = camera.evidence.log_likelihood(
+    usable = (
+        free
+        & (redundancy > TIE_TOLERANCE)
+        & (states.count[:, None] - 1 > camera.evidence.parameters)
+    )
+    safe = np.where(usable, redundancy, 1.0)
+    excluded = camera.evidence.log_likelihood(
         np.maximum(states.chi2[:, None] - states.residual**2 / safe, 0.0),
-        states.kept[:, None] - 1,
+        states.count[:, None] - 1,
         states.log_determinant[:, None] + np.log(safe),
         states.log_sigma[:, None] - np.log(camera.sigma),
         outliers + camera.evidence.log_outlier,
     )
-    left_out = np.where(usable, left_out + prior, -np.inf)
+    excluded = np.where(usable, excluded + prior, -np.inf)
 
     parts = [
-        _best_exchanges(camera, states, own, free, count, slice(row, row + camera.batch_size))
-        for row in range(0, len(own), camera.batch_size)
+        _best_exchanges(
+            camera, states, redundancy, free, count, slice(row, row + camera.batch_size)
+        )
+        for row in range(0, len(redundancy), camera.batch_size)
     ]
     squares, pair = (np.concatenate(part) for part in zip(*parts, strict=True))
     exchanged = camera.evidence.log_likelihood(
         np.maximum(states.chi2[:, None] + squares, 0.0),
-        states.kept[:, None],
+        states.count[:, None],
         states.log_determinant[:, None],
         states.log_sigma[:, None],
         outliers,
     )
     exchanged = np.where(np.isfinite(squares), exchanged + prior + log_exchange_prior(n), -np.inf)
 
-    scores = np.concatenate([left_out, exchanged], axis=1)
+    scores = np.concatenate([excluded, exchanged], axis=1)
     grown = []
     for row, column in _best(scores, count):
         base = states.hypotheses[row]
         if column < n:
             extended = base.with_outlier(column)
         else:
-            place = pair[row, column - n]
-            extended = base.with_cycle((int(camera.pairs[0][place]), int(camera.pairs[1][place])))
+            pair_index = pair[row, column - n]
+            extended = base.with_cycle(
+                (int(camera.pairs[0][pair_index]), int(camera.pairs[1][pair_index]))
+            )
         grown.append((float(scores[row, column]), extended))
     return grown
 
@@ -272,7 +280,7 @@ def _extend(
 def _best_exchanges(
     camera: LinearisedCamera,
     states: EvaluatedHypotheses,
-    own: Array,
+    redundancy: Array,
     free: NDArray[np.bool_],
     count: int,
     rows: slice,
@@ -280,18 +288,18 @@ def _best_exchanges(
     """Return the pairs whose exchange leaves the smallest sum of squares: its change, and which."""
     n = len(camera.readings)
     # v'Qv of the hat matrix's share; a pair lies off its diagonal.
-    squares, alone = camera.workspace[:, : len(own[rows])]
+    squares, alone = camera.workspace[:, : len(redundancy[rows])]
     np.matmul(states.gain[rows], states.basis[rows].swapaxes(1, 2), out=squares)
     squares *= camera.cross_terms
-    np.multiply(camera.changes, own[rows, :, None], out=alone)
+    np.multiply(camera.changes, redundancy[rows, :, None], out=alone)
     alone += 2.0 * states.residual[rows, :, None]
     alone *= camera.changes
     alone[~free[rows]] = np.inf
     squares += alone
     squares += alone.swapaxes(1, 2)
     flat = camera.flat_pairs
-    places = alone.reshape(-1)[: len(squares) * len(flat)].reshape(len(squares), -1)
-    added = np.take(squares.reshape(-1, n * n), flat, axis=1, out=places, mode="clip")
+    workspace = alone.reshape(-1)[: len(squares) * len(flat)].reshape(len(squares), -1)
+    added = np.take(squares.reshape(-1, n * n), flat, axis=1, out=workspace, mode="clip")
     most = min(count, len(flat))
     pair = np.argpartition(added, most - 1, axis=1)[:, :most]
     return np.take_along_axis(added, pair, axis=1), pair
@@ -307,19 +315,19 @@ def _reduce(
     camera: LinearisedCamera, states: EvaluatedHypotheses, count: int
 ) -> list[tuple[float, Hypothesis]]:
     """Return hypotheses with one error fewer, or two outliers as an exchanged pair."""
-    found: list[tuple[float, Hypothesis]] = []
+    hypotheses: list[tuple[float, Hypothesis]] = []
     undone: dict[Hypothesis, None] = {}
     for row, hypothesis in enumerate(states.hypotheses[:MAX_SHRUNK]):
-        found += _put_back(camera, states, row, count)
+        hypotheses += _with_outlier_restored(camera, states, row, count)
         for cycle in sorted(hypothesis.cycles):
             undone.setdefault(hypothesis.without(cycle))
     if undone:
         worked = evaluate_hypotheses(camera, list(undone))
-        found += zip(log_posteriors(camera, worked).tolist(), worked.hypotheses, strict=True)
-    return found
+        hypotheses += zip(log_posteriors(camera, worked).tolist(), worked.hypotheses, strict=True)
+    return hypotheses
 
 
-def _put_back(
+def _with_outlier_restored(
     camera: LinearisedCamera, states: EvaluatedHypotheses, row: int, count: int
 ) -> list[tuple[float, Hypothesis]]:
     """Return the best hypotheses with one outlier fewer, or two of them exchanged."""
@@ -332,32 +340,34 @@ def _put_back(
     # Of the reading labelled with the second at the place of the first, off by:
     fitted = camera.fitted[outliers] + camera.sigma[outliers] * (basis @ states.theta[row])
     off = (camera.readings[outliers] - fitted[:, None]) / camera.sigma[outliers, None]
-    own = 1.0 + gain.diagonal()
+    variance = 1.0 + gain.diagonal()
     first, second = np.triu_indices(len(outliers), 1)
     across = gain[first, second]
-    determinant = own[first] * own[second] - across**2
+    determinant = variance[first] * variance[second] - across**2
     here, there = off[first, second], off[second, first]
-    added = (own[second] * here**2 - 2.0 * across * here * there + own[first] * there**2) / (
-        determinant
-    )
+    added = (
+        variance[second] * here**2 - 2.0 * across * here * there + variance[first] * there**2
+    ) / (determinant)
     log_sigma = np.log(camera.sigma[outliers])
     pairs = len(first)
     likelihood = camera.evidence.log_likelihood(
-        states.chi2[row] + np.concatenate([off.diagonal() ** 2 / own, added]),
-        states.kept[row] + np.repeat([1, 2], [len(outliers), pairs]),
-        states.log_determinant[row] + np.log(np.concatenate([own, determinant])),
+        states.chi2[row] + np.concatenate([off.diagonal() ** 2 / variance, added]),
+        states.count[row] + np.repeat([1, 2], [len(outliers), pairs]),
+        states.log_determinant[row] + np.log(np.concatenate([variance, determinant])),
         states.log_sigma[row] + np.concatenate([log_sigma, log_sigma[first] + log_sigma[second]]),
         camera.evidence.log_outlier * (len(outliers) - np.repeat([1, 2], [len(outliers), pairs])),
     )
     prior = base.log_prior(len(camera.readings), 0)
     as_pair = log_exchange_prior(len(camera.readings))
     scores = likelihood + prior + np.repeat([0.0, as_pair], [len(outliers), pairs])
-    found = []
+    extended_hypotheses = []
     for _, index in _best(scores[None], count):
         if index < len(outliers):
             extended = base.without(int(outliers[index]))
         else:
-            place = index - len(outliers)
-            extended = base.with_cycle((int(outliers[first[place]]), int(outliers[second[place]])))
-        found.append((float(scores[index]), extended))
-    return found
+            pair_index = index - len(outliers)
+            extended = base.with_cycle(
+                (int(outliers[first[pair_index]]), int(outliers[second[pair_index]]))
+            )
+        extended_hypotheses.append((float(scores[index]), extended))
+    return extended_hypotheses

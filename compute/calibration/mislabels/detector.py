@@ -102,39 +102,41 @@ def find_label_errors(
     """
     points = np.asarray(points_mm, dtype=np.float64)
     readings = np.asarray(readings_px, dtype=np.float64)
-    known_sigma = None if sigma_px is None else np.asarray(sigma_px, dtype=np.float64)
-    check_control_points(points, readings, sensors, known_sigma)
+    given_sigma = None if sigma_px is None else np.asarray(sigma_px, dtype=np.float64)
+    check_control_points(points, readings, sensors, given_sigma)
     sigma, scale = np.ones(readings.shape), UNKNOWN_SIGMA
-    if known_sigma is not None:
-        sigma, scale = np.where(np.isfinite(readings), known_sigma, 1.0), KNOWN_SIGMA
+    if given_sigma is not None:
+        sigma, scale = np.where(np.isfinite(readings), given_sigma, 1.0), KNOWN_SIGMA
     data = [
         SensorReadings(points, readings[:, column], sigma[:, column], sensor, scale)
         for column, sensor in enumerate(sensors)
     ]
-    found: list[SensorExplanation] = []
+    explanations: list[SensorExplanation] = []
     for column, one in enumerate(data):
         progress(column / len(data), f"labels of {one.sensor.name}")
         data[column], labels = _search_sensor(one)
-        found.append(labels)
-    tails = _tails(data, found)
-    if known_sigma is None:
-        usual = ScalePrior(POOLED_READINGS, median(labels.factor for labels in found))
+        explanations.append(labels)
+    tails = _tails(data, explanations)
+    if given_sigma is None:
+        usual = ScalePrior(POOLED_READINGS, median(labels.factor for labels in explanations))
         data = [replace(one, scale=usual, tail=tail) for one, tail in zip(data, tails, strict=True)]
-        found = [search_sensor_labels(one) for one in data]
+        explanations = [search_sensor_labels(one) for one in data]
     else:
-        for column, labels in enumerate(found):
+        for column, labels in enumerate(explanations):
             if labels.best.hypothesis.size > 0:
                 data[column] = replace(data[column], tail=tails[column])
-                found[column] = search_sensor_labels(data[column])
-    return _report(*_search_device(data, found), readings)
+                explanations[column] = search_sensor_labels(data[column])
+    return _report(*_search_device(data, explanations), readings)
 
 
-def _tails(data: list[SensorReadings], found: list[SensorExplanation]) -> list[NoiseTail]:
+def _tails(data: list[SensorReadings], explanations: list[SensorExplanation]) -> list[NoiseTail]:
     """Return the noise's tail for each sensor, estimated from the readings of the others.
 
     A sensor's own readings are left out: exchanged ones would speak for a tail that explains them.
     """
-    errors = [reading_errors(one, labels.best) for one, labels in zip(data, found, strict=True)]
+    errors = [
+        reading_errors(one, labels.best) for one, labels in zip(data, explanations, strict=True)
+    ]
     tails = []
     for column in range(len(data)):
         others = [one for k, one in enumerate(errors) if k != column]
@@ -178,7 +180,7 @@ def _search_sensor(data: SensorReadings) -> tuple[SensorReadings, SensorExplanat
 def _needs_alternatives(data: SensorReadings, labels: SensorExplanation) -> bool:
     """Return whether the best hypothesis has errors, or a sum of squares that is too large."""
     best = labels.best
-    limit = chi2_distribution.isf(SUSPICIOUS_P_VALUE, max(best.kept - data.camera.width, 1))
+    limit = chi2_distribution.isf(SUSPICIOUS_P_VALUE, max(best.count - data.camera.width, 1))
     return best.hypothesis.size > 0 or bool(best.chi2 > limit)
 
 
@@ -203,7 +205,7 @@ def _schwarz_criterion(data: SensorReadings, labels: SensorExplanation) -> float
     best, width = labels.best, data.camera.width
     sign, log_determinant = np.linalg.slogdet(np.linalg.inv(_covariance(data, labels)))
     return float(
-        best.log_posterior + 0.5 * log_determinant - 0.5 * width * log(2.0 * pi * best.kept)
+        best.log_posterior + 0.5 * log_determinant - 0.5 * width * log(2.0 * pi * best.count)
         if sign > 0.0
         else -np.inf
     )
@@ -213,13 +215,13 @@ def _covariance(data: SensorReadings, labels: SensorExplanation) -> Array:
     """Return the covariance of the camera's parameters under the best hypothesis."""
     _, jacobian = data.camera.linearise(labels.best.theta[None])
     repaired, sigma = labels.best.hypothesis.repair(data.readings_px, data.sigma_px)
-    kept = np.isfinite(repaired)
-    weighted = jacobian[0, kept] / sigma[kept, None]
+    used = np.isfinite(repaired)
+    weighted = jacobian[0, used] / sigma[used, None]
     return np.asarray(np.linalg.inv(weighted.T @ weighted))
 
 
 def _search_device(
-    readings: list[SensorReadings], found: list[SensorExplanation]
+    readings: list[SensorReadings], explanations: list[SensorExplanation]
 ) -> tuple[dict[tuple[int, int], float], list[SensorReadings], list[SensorExplanation]]:
     """Find exchanges that are likelier for the points than for single sensors.
 
@@ -229,11 +231,11 @@ def _search_device(
     """
     common: dict[tuple[int, int], float] = {}
     refused: set[tuple[int, int]] = set()
-    while pair := next((p for p in _exchanged_pairs(found) if p not in refused), None):
+    while pair := next((p for p in _exchanged_pairs(explanations) if p not in refused), None):
         refused.add(pair)
         prior = log(COMMON_EXCHANGE_PROBABILITY / comb(len(readings[0].points_mm), 2))
         expected_gain = prior + sum(
-            _expected_gain(*each, pair) for each in zip(readings, found, strict=True)
+            _expected_gain(*each, pair) for each in zip(readings, explanations, strict=True)
         )
         if expected_gain < -SEARCH_MARGIN:
             continue
@@ -241,31 +243,36 @@ def _search_device(
         after = [search_sensor_labels(one) for one in swapped]
         gain = prior + sum(
             new.best.log_posterior - old.best.log_posterior
-            for new, old in zip(after, found, strict=True)
+            for new, old in zip(after, explanations, strict=True)
         )
         if gain > 0.0:
             common[pair] = 1.0 / (1.0 + exp(-min(gain, 700.0)))
-            readings, found = swapped, after
-    return common, readings, found
+            readings, explanations = swapped, after
+    return common, readings, explanations
 
 
 def _expected_gain(data: SensorReadings, labels: SensorExplanation, pair: tuple[int, int]) -> float:
     """Return the approximate gain of a sensor's best hypothesis when two points are exchanged."""
     best = labels.best
-    own = log_exchange_prior(len(data.seen))
+    exchange_prior = log_exchange_prior(len(data.seen))
     if pair in best.hypothesis.cycles:
-        return -own
+        return -exchange_prior
     if best.hypothesis.affected_points & set(pair):
         return SEARCH_MARGIN  # Its errors are mixed up with the pair: only a search can tell.
     evaluated = evaluate(data, [best.hypothesis.with_cycle(pair)], best.theta)
-    return max(own, evaluated[0].log_posterior - own - best.log_posterior if evaluated else own)
+    return max(
+        exchange_prior,
+        evaluated[0].log_posterior - exchange_prior - best.log_posterior
+        if evaluated
+        else exchange_prior,
+    )
 
 
-def _exchanged_pairs(found: Sequence[SensorExplanation]) -> list[tuple[int, int]]:
+def _exchanged_pairs(explanations: Sequence[SensorExplanation]) -> list[tuple[int, int]]:
     """Return the pairs exchanged in any sensor, those in most sensors first."""
     counted = Counter(
         (cycle[0], cycle[1])
-        for labels in found
+        for labels in explanations
         for cycle in labels.best.hypothesis.cycles
         if len(cycle) == 2
     )
@@ -275,11 +282,11 @@ def _exchanged_pairs(found: Sequence[SensorExplanation]) -> list[tuple[int, int]
 def _report(
     common: dict[tuple[int, int], float],
     data: list[SensorReadings],
-    found: list[SensorExplanation],
+    explanations: list[SensorExplanation],
     readings_px: Array,
 ) -> LabelReport:
     findings: list[LabelFinding] = []
-    sensors = list(zip(data, found, strict=True))
+    sensors = list(zip(data, explanations, strict=True))
     for pair, probability in common.items():
         residuals = [
             _label_residuals(*sensor, readings_px[:, column], pair)
@@ -337,8 +344,10 @@ def _label_residuals(
             normalised.append(None)
             continue
         gradient = jacobian[0, point]
-        own = float(data.sigma_px[point]) if np.isfinite(data.readings_px[point]) else usual
-        sigma = float(np.sqrt(own**2 + gradient @ covariance @ gradient)) * labels.factor
+        reading_sigma = (
+            float(data.sigma_px[point]) if np.isfinite(data.readings_px[point]) else usual
+        )
+        sigma = float(np.sqrt(reading_sigma**2 + gradient @ covariance @ gradient)) * labels.factor
         px.append(off)
         normalised.append(off / sigma)
     return tuple(px), tuple(normalised)

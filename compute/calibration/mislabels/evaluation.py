@@ -96,7 +96,7 @@ class EvaluatedHypothesis:
     log_posterior: float
     theta: Array
     chi2: float
-    kept: int
+    count: int
 
 
 def evaluate(
@@ -116,18 +116,18 @@ def evaluate(
         return []
     repaired = [h.repair(data.readings_px, data.sigma_px) for h in hypotheses]
     readings = np.array([one for one, _ in repaired])
-    kept = np.isfinite(readings)
-    sigma = np.where(kept, np.array([one for _, one in repaired]), 1.0)
-    weights = np.where(kept, 1.0 / sigma, 0.0)
-    readings = np.where(kept, readings, data.camera.centre_px)
+    used = np.isfinite(readings)
+    sigma = np.where(used, np.array([one for _, one in repaired]), 1.0)
+    weights = np.where(used, 1.0 / sigma, 0.0)
+    readings = np.where(used, readings, data.camera.centre_px)
     starts = np.broadcast_to(theta, (len(hypotheses), data.camera.width))
-    found = data.camera.fit(readings, weights, starts, FIT_STEPS)
-    fitted, jacobian = data.camera.linearise(found)
+    theta_fitted = data.camera.fit(readings, weights, starts, FIT_STEPS)
+    fitted, jacobian = data.camera.linearise(theta_fitted)
     chi2 = (((fitted - readings) * weights) ** 2).sum(axis=1)
     weighted = jacobian * weights[..., None]
     normal = weighted.swapaxes(1, 2) @ weighted
     sign, log_determinant = np.linalg.slogdet(normal)
-    count = kept.sum(axis=1)
+    count = used.sum(axis=1)
     log_outliers = np.zeros(len(hypotheses))
     for row in np.flatnonzero([bool(h.outliers) for h in hypotheses] & (sign > 0.0)).tolist():
         outliers = sorted(hypotheses[row].outliers)
@@ -147,7 +147,11 @@ def evaluate(
     ) + np.array([h.log_prior(len(data.seen), unseen) for h in hypotheses])
     return [
         EvaluatedHypothesis(
-            hypothesis, float(log_posterior[row]), found[row], float(chi2[row]), int(count[row])
+            hypothesis,
+            float(log_posterior[row]),
+            theta_fitted[row],
+            float(chi2[row]),
+            int(count[row]),
         )
         for row, hypothesis in enumerate(hypotheses)
         if sign[row] > 0.0 and count[row] > data.camera.width
@@ -193,13 +197,15 @@ def reading_errors(data: SensorReadings, best: EvaluatedHypothesis) -> ReadingEr
     rows = [point for point in data.seen.tolist() if point not in moved]
     fitted, jacobian = data.camera.linearise(best.theta[None])
     repaired, sigma_px = hypothesis.repair(data.readings_px, data.sigma_px)
-    kept = np.isfinite(repaired)
-    weighted = jacobian[0, kept] / sigma_px[kept, None]
-    factor = data.evidence.factor(best.chi2, best.kept)
+    used = np.isfinite(repaired)
+    weighted = jacobian[0, used] / sigma_px[used, None]
+    factor = data.evidence.factor(best.chi2, best.count)
     error, variance = _predict(data, rows, fitted[0], jacobian[0], weighted.T @ weighted)
-    left_out = np.array([point in hypothesis.outliers for point in rows], dtype=bool)
-    normalised = error / factor / np.sqrt(np.where(left_out, 1.0, np.maximum(1.0 - variance, 1e-3)))
+    is_outlier = np.array([point in hypothesis.outliers for point in rows], dtype=bool)
+    normalised = (
+        error / factor / np.sqrt(np.where(is_outlier, 1.0, np.maximum(1.0 - variance, 1e-3)))
+    )
     sigma = factor * data.sigma_px[rows]
     _, large = data.tail.log_density(error / factor, np.sqrt(variance), sigma, data.sensor.pixels)
     gross = GROSS_ERROR_PROBABILITY / data.sensor.pixels * sigma
-    return ReadingErrors(tuple(rows), normalised, gross, np.where(left_out, large, 0.0))
+    return ReadingErrors(tuple(rows), normalised, gross, np.where(is_outlier, large, 0.0))

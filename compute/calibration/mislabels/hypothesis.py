@@ -84,28 +84,28 @@ class Hypothesis:
         for cycle in self.cycles:
             here, there = list(cycle), [*cycle[1:], cycle[0]]
             readings[there], sigma[there] = readings[here], sigma[here]
-        for carried, own in self.reassigned:
-            readings[own], sigma[own] = readings[carried], sigma[carried]
+        for carried, actual in self.reassigned:
+            readings[actual], sigma[actual] = readings[carried], sigma[carried]
             readings[carried] = np.nan
         readings[list(self.outliers)] = np.nan
         return readings, sigma
 
-    def log_prior(self, seen: int, unseen: int) -> float:
+    def log_prior(self, measured: int, unmeasured: int) -> float:
         """Return the log prior probability of the label errors, relative to none.
 
         Outliers belong to the noise: ``NoiseTail`` has their probability.
 
         Args:
-            seen: number of readings of the sensor.
-            unseen: number of points without one.
+            measured: number of readings of the sensor.
+            unmeasured: number of points without one.
         """
         total = 0.0
         for cycle in self.cycles:
             if len(cycle) == 2:
-                total += log_exchange_prior(seen)
+                total += log_exchange_prior(measured)
             else:
-                total += log(CYCLE_PROBABILITY / (comb(seen, len(cycle)) * (len(cycle) - 1)))
-        total += len(self.reassigned) * log(WRONG_LABEL_PROBABILITY / max(seen * unseen, 1))
+                total += log(CYCLE_PROBABILITY / (comb(measured, len(cycle)) * (len(cycle) - 1)))
+        total += len(self.reassigned) * log(WRONG_LABEL_PROBABILITY / max(measured * unmeasured, 1))
         return total
 
     def without(self, error: int | tuple[int, ...]) -> "Hypothesis":
@@ -126,20 +126,20 @@ class Hypothesis:
         cycles = self.cycles | {cycle[first:] + cycle[:first]}
         return Hypothesis(self.outliers - set(cycle), cycles, self.reassigned)
 
-    def with_reassigned(self, carried: int, own: int) -> "Hypothesis":
+    def with_reassigned(self, carried: int, actual: int) -> "Hypothesis":
         """Return the hypothesis with one reading assigned to another point.
 
         Args:
             carried: the label that the reading carries.
-            own: the point that it belongs to.
+            actual: the point that it belongs to.
         """
-        reassigned = self.reassigned | {(carried, own)}
+        reassigned = self.reassigned | {(carried, actual)}
         return Hypothesis(self.outliers - {carried}, self.cycles, reassigned)
 
 
-def log_exchange_prior(seen: int) -> float:
-    """Return the log prior probability of one exchanged pair among ``seen`` readings."""
-    return log(EXCHANGE_PROBABILITY / max(comb(seen, 2), 1))
+def log_exchange_prior(measured: int) -> float:
+    """Return the log prior probability of one exchanged pair among ``measured`` readings."""
+    return log(EXCHANGE_PROBABILITY / max(comb(measured, 2), 1))
 
 
 @dataclass(frozen=True)
@@ -256,7 +256,7 @@ class Evidence:
     def log_likelihood(
         self,
         chi2: Array,
-        kept: Array,
+        count: Array,
         log_determinant: Array,
         log_sigma: Array,
         log_outliers: Array,
@@ -265,12 +265,12 @@ class Evidence:
 
         Args:
             chi2: sum of squared residuals over the given standard deviations, of the readings kept.
-            kept: number of readings kept.
+            count: number of readings kept.
             log_determinant: of J'WJ over them.
             log_sigma: sum of the logarithms of their standard deviations [px].
             log_outliers: sum of the log densities of the outliers.
         """
-        dof = kept - self.parameters
+        dof = count - self.parameters
         common = -0.5 * log_determinant - log_sigma + log_outliers
         common = common - 0.5 * dof * LOG_TWO_PI
         prior = self.scale.dof
@@ -286,15 +286,15 @@ class Evidence:
             - (shape + 0.5 * dof) * np.log(rate + 0.5 * chi2)
         )
 
-    def factor(self, chi2: float, kept: int) -> float:
+    def factor(self, chi2: float, count: int) -> float:
         """Return the posterior estimate of the common factor.
 
         Args:
             chi2: sum of squared residuals over the given standard deviations.
-            kept: number of readings.
+            count: number of readings.
         """
         prior = self.scale.dof
         if np.isinf(prior):
             return self.scale.factor
-        dof = max(kept - self.parameters, 0)
+        dof = max(count - self.parameters, 0)
         return float(np.sqrt((prior * self.scale.factor**2 + chi2) / (prior + dof)))

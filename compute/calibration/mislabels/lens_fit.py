@@ -42,7 +42,9 @@ class _RobustFit:
     parameters: int
 
 
-def with_lens(data: SensorReadings, found: Hypothesis | None = None) -> SensorReadings | None:
+def with_lens(
+    data: SensorReadings, label_errors: Hypothesis | None = None
+) -> SensorReadings | None:
     """Return readings with the lens distortion of a robust fit of them.
 
     Of the lenses with ``READINGS_EACH`` readings a parameter the one with the lowest bounded
@@ -52,13 +54,13 @@ def with_lens(data: SensorReadings, found: Hypothesis | None = None) -> SensorRe
 
     Args:
         data: one sensor's readings.
-        found: label errors to repair before the fit.
+        label_errors: label errors to repair before the fit.
 
     Returns:
         The same readings with ``offset_px`` and ``extra``; None where no lens can be fitted, or
         none is better than no distortion.
     """
-    repaired, sigma = (found or Hypothesis()).repair(data.readings_px, data.sigma_px)
+    repaired, sigma = (label_errors or Hypothesis()).repair(data.readings_px, data.sigma_px)
     observed = ControlObservations(
         data.points_mm,
         repaired[:, None],

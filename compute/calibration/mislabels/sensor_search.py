@@ -62,20 +62,20 @@ class _HypothesisPool:
     ) -> None:
         """Search in the camera linearised at ``theta`` and evaluate the best found."""
         data = self.data
-        seen = data.seen
+        measured = data.seen
         fitted, jacobian = data.camera.linearise(theta[None])
-        sigma = data.sigma_px[seen]
-        basis = np.linalg.qr(jacobian[0, seen] / sigma[:, None])[0]
-        place = {int(point): index for index, point in enumerate(seen)}
-        local = [h for h in (_renamed(seed, place) for seed in seeds) if h is not None]
+        sigma = data.sigma_px[measured]
+        basis = np.linalg.qr(jacobian[0, measured] / sigma[:, None])[0]
+        row_of = {int(point): index for index, point in enumerate(measured)}
+        local = [h for h in (_renamed(seed, row_of) for seed in seeds) if h is not None]
         camera = LinearisedCamera(
-            basis, fitted[0, seen], data.readings_px[seen], sigma, data.evidence
+            basis, fitted[0, measured], data.readings_px[measured], sigma, data.evidence
         )
-        back = {index: point for point, index in place.items()}
-        found = [
+        back = {index: point for point, index in row_of.items()}
+        hypotheses = [
             _renamed(h, back) for _, h in beam_search(camera, [Hypothesis(), *local], count, beam)
         ]
-        self.evaluate([h for h in found if h is not None], theta)
+        self.evaluate([h for h in hypotheses if h is not None], theta)
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +132,7 @@ def search_sensor_labels(data: SensorReadings) -> SensorExplanation:
         pool.evaluate(_as_outliers(pool.best.hypothesis), pool.best.theta)
     best = pool.best
     return SensorExplanation(
-        best, tuple(pool.evaluated.values()), data.evidence.factor(best.chi2, best.kept)
+        best, tuple(pool.evaluated.values()), data.evidence.factor(best.chi2, best.count)
     )
 
 
@@ -166,30 +166,30 @@ def _is_clean(pool: _HypothesisPool) -> bool:
     return bool(
         best.chi2 / pool.data.scale.factor**2
         <= chi2_distribution.isf(
-            CLEAN_P_VALUE_THRESHOLD, max(best.kept - pool.data.camera.width, 1)
+            CLEAN_P_VALUE_THRESHOLD, max(best.count - pool.data.camera.width, 1)
         )
     )
 
 
 def _outliers(data: SensorReadings, theta: Array) -> Hypothesis:
     """Return the outliers of a robust start as a hypothesis."""
-    seen = data.seen
+    measured = data.seen
     residuals, sigma_ratio = _residuals(data, theta)
     sigma_ratio = max(sigma_ratio, data.scale.factor)
-    order = np.argsort(-residuals, kind="stable")[: max(len(seen) - data.camera.width - 1, 0)]
+    order = np.argsort(-residuals, kind="stable")[: max(len(measured) - data.camera.width - 1, 0)]
     return Hypothesis(
         frozenset(
-            int(seen[k]) for k in order if residuals[k] > OUTLIER_SIGMA_THRESHOLD * sigma_ratio
+            int(measured[k]) for k in order if residuals[k] > OUTLIER_SIGMA_THRESHOLD * sigma_ratio
         )
     )
 
 
 def _residuals(data: SensorReadings, theta: Array) -> tuple[Array, float]:
     """Return the normalised residuals of the readings, and the better half's RMS."""
-    seen = data.seen
-    residuals = np.abs(data.camera.project(theta[None])[0, seen] - data.readings_px[seen])
-    residuals = residuals / data.sigma_px[seen]
-    most = (len(seen) + data.camera.width + 1) // 2
+    measured = data.seen
+    residuals = np.abs(data.camera.project(theta[None])[0, measured] - data.readings_px[measured])
+    residuals = residuals / data.sigma_px[measured]
+    most = (len(measured) + data.camera.width + 1) // 2
     nearest = np.sort(residuals)[:most]
     return residuals, float(np.sqrt((nearest**2).sum() / max(most - data.camera.width, 1)))
 
@@ -202,11 +202,11 @@ def _reassignments(data: SensorReadings, best: EvaluatedHypothesis) -> list[Hypo
     outliers = sorted(best.hypothesis.outliers)
     fitted = data.camera.project(best.theta[None])[0]
     residuals = np.abs(data.readings_px[:, None] - fitted)  # reading labelled i, at point j
-    taken = {own for _, own in best.hypothesis.reassigned}
+    assigned = {actual for _, actual in best.hypothesis.reassigned}
     unseen = np.flatnonzero(~np.isfinite(data.readings_px)).tolist()
     cycles = [*permutations(outliers, 3), *combinations(outliers, 2)]
     cycles = [cycle for cycle in cycles if cycle[0] == min(cycle)]
-    reassigned = [pair for pair in product(outliers, unseen) if pair[1] not in taken]
+    reassigned = [pair for pair in product(outliers, unseen) if pair[1] not in assigned]
     worst = [max(map(residuals.item, cycle, cycle[1:] + cycle[:1])) for cycle in cycles]
     worst += [residuals.item(pair) for pair in reassigned]
     nearest = np.argsort(worst, kind="stable")[:MAX_REASSIGNMENTS].tolist()
@@ -223,14 +223,14 @@ def _as_outliers(best: Hypothesis) -> list[Hypothesis]:
 
     They are what an exchanged or wrong label competes with where the noise has a heavy tail.
     """
-    found = []
+    hypotheses = []
     for error in sorted(best.cycles | best.reassigned):
         rest = best.without(error)
         readings = error[:1] if error in best.reassigned else error
-        for left in range(len(readings) + 1):
-            chosen = frozenset(readings[:left] + readings[left + 1 :])
-            found.append(replace(rest, outliers=rest.outliers | chosen))
-    return found
+        for excluded in range(len(readings) + 1):
+            chosen = frozenset(readings[:excluded] + readings[excluded + 1 :])
+            hypotheses.append(replace(rest, outliers=rest.outliers | chosen))
+    return hypotheses
 
 
 def _renamed(hypothesis: Hypothesis, names: dict[int, int]) -> Hypothesis | None:

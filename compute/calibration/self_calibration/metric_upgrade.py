@@ -60,6 +60,7 @@ def metric_upgrades(
     pairs: NDArray[np.intp],
     length_mm: Array,
     sensors: Sequence[SensorGeometry],
+    seed: int = SEED,
 ) -> list[tuple[float, tuple[SensorModel, ...]]]:
     """Return metric cameras that nearly keep known lengths, with their costs, the best first.
 
@@ -72,6 +73,7 @@ def metric_upgrades(
         pairs: indices of the ends of known lengths, shape (M, 2).
         length_mm: their lengths, shape (M,) [mm].
         sensors: names and pixels of the S cameras.
+        seed: of the samples.
 
     Returns:
         Distinct solutions; none where points cannot lie in front of all cameras.
@@ -79,7 +81,7 @@ def metric_upgrades(
     space = _quasi_affine(reconstruction)
     if space is None:
         return []
-    rng = np.random.default_rng(SEED)
+    rng = np.random.default_rng(seed)
     if len(pairs) > MAX_PAIRS:
         chosen = np.sort(rng.choice(len(pairs), MAX_PAIRS, replace=False))
         pairs, length_mm = pairs[chosen], length_mm[chosen]

@@ -84,7 +84,7 @@ class ProjectiveReconstruction:
         return np.asarray(np.linalg.svd(rows)[2][:, 3])
 
 
-def reconstruct_projective(readings: Array) -> ProjectiveReconstruction:
+def reconstruct_projective(readings: Array, seed: int = SEED) -> ProjectiveReconstruction:
     """Reconstruct projective cameras and points, whatever wrong readings there are.
 
     With four sensors a point has one redundant reading, which a wrong one may bend the cameras to
@@ -92,11 +92,12 @@ def reconstruct_projective(readings: Array) -> ProjectiveReconstruction:
 
     Args:
         readings: shape (N, S), at least four seen of each point; NaN where not seen.
+        seed: of the subsets.
     """
-    whole = adjust_projective(affine_start(readings))
+    whole = adjust_projective(affine_start(readings, seed))
     if readings.shape[1] > MIN_READINGS or len(readings) <= SUBSET_POINTS:
         return whole
-    parts = readings[_subsets(len(readings), TRIALS)]
+    parts = readings[_subsets(len(readings), TRIALS, seed)]
     affine = _affine_cameras(parts, _first_cameras(parts), SUBSET_ITERATIONS)
     state = _PerspectiveState.of_affine(affine, _affine_points(parts, affine), parts)
     misfits = []
@@ -114,22 +115,23 @@ def _robust_misfit(reconstruction: ProjectiveReconstruction) -> float:
     return float(np.median(reconstruction.point_misfits()))
 
 
-def _subsets(count: int, trials: int) -> NDArray[np.intp]:
-    rng = np.random.default_rng(SEED)
+def _subsets(count: int, trials: int, seed: int) -> NDArray[np.intp]:
+    rng = np.random.default_rng(seed)
     size = min(SUBSET_POINTS, count)
     return np.array([rng.permutation(count)[:size] for _ in range(trials)])
 
 
-def affine_start(readings: Array) -> ProjectiveReconstruction:
+def affine_start(readings: Array, seed: int = SEED) -> ProjectiveReconstruction:
     """Factorise readings as those of affine cameras: the best of random subsets, then all points.
 
     For sensors that look the same way, p is nearly affine in (x/z, y/z, 1/z).
 
     Args:
         readings: shape (N, S), at least four seen of each point; NaN where not seen.
+        seed: of the subsets.
     """
     count = len(readings)
-    parts = readings[_subsets(count, TRIALS)]
+    parts = readings[_subsets(count, TRIALS, seed)]
     trials = _affine_cameras(parts, _first_cameras(parts), SUBSET_ITERATIONS)
     misfits = _affine_misfits(readings[None], trials)
     best = int(np.argmin(np.median(misfits, axis=1)))

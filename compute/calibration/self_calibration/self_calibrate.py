@@ -34,6 +34,7 @@ from compute.calibration.self_calibration.pose_screening import (
     find_outlier_readings,
     screen_poses,
 )
+from compute.calibration.self_calibration.projective_reconstruction import SEED
 from compute.calibration.self_calibration.recording_checks import (
     check_certainty,
     check_count,
@@ -82,6 +83,10 @@ ALTERNATIVE_CHI2: Final = 10.0
 NOISE_LIMIT: Final = 20.0
 """Noise that cameras from readings alone may leave, over the stated one: distortion that is not
 fitted leaves ten times, other cameras than the right ones a hundred times."""
+START_ATTEMPTS: Final = 6
+"""Attempts at cameras from readings alone, each with other random subsets of the markers."""
+RETRY_NOISE: Final = 2.0
+"""Noise that they leave, over the stated one, above which they are attempted again."""
 Initial = Literal["start", "readings"]
 SCREENING_ROUNDS: Final = 3
 
@@ -251,7 +256,45 @@ def _begin(
             f"directions_deg has {len(directions)} angles; give one for each of {len(models)} "
             "sensors"
         )
-    found = uncalibrated_start(sensors, recordings)
+    stated = _stated_noise(recordings)
+    best: _Begin | None = None
+    least = np.inf
+    for attempt in range(START_ATTEMPTS):
+        try:
+            begin = _cameras_from_readings(sensors, recordings, given, directions, terms, attempt)
+        except NoConvergence:
+            if best is None and attempt == START_ATTEMPTS - 1:
+                raise
+            continue
+        noise = readings_noise(begin.initial or begin.reference, recordings)
+        if best is None or noise < least:
+            best, least = begin, noise
+        if stated is None or least <= RETRY_NOISE * stated:
+            break
+    assert best is not None
+    if not given and stated is not None and least > NOISE_LIMIT * stated:
+        raise NoConvergence(
+            f"the best cameras found from the readings alone leave {least:.2g} px where "
+            f"{stated:.2g} px are stated: wave more poses that all sensors see, in all directions, "
+            "near and far; or name distortion terms, or give initial cameras",
+            noise_px=least,
+        )
+    return best
+
+
+def _cameras_from_readings(
+    sensors: Sequence[SensorGeometry],
+    recordings: Sequence[Recording],
+    given: tuple[SensorModel, ...],
+    directions: Array | None,
+    terms: tuple[Term, ...],
+    attempt: int,
+) -> _Begin:
+    """Compute initial cameras from a wand's readings, in the frame of given cameras if any.
+
+    Each attempt tries other random subsets of the markers.
+    """
+    found = uncalibrated_start(sensors, recordings, SEED + attempt)
     warnings = []
     if found.alternative_chi2 < ALTERNATIVE_CHI2:
         warnings.append(
@@ -269,32 +312,17 @@ def _begin(
         return _Begin(given, cameras, True, tuple(warnings))
     if terms:
         cameras = with_terms(cameras, recordings, terms)
-    _check_noise(cameras, recordings)
     return _Begin(cameras, cameras, False, tuple(warnings))
 
 
-def _check_noise(models: Sequence[SensorModel], recordings: Sequence[Recording]) -> None:
-    """Check that cameras from readings alone explain these.
-
-    Raises:
-        NoConvergence: they leave far more than the stated noise.
-    """
+def _stated_noise(recordings: Sequence[Recording]) -> float | None:
+    """Return the median standard deviation of wands' readings [px]; None: not stated."""
     stated = [
         one.sigma_px[np.isfinite(one.readings_px)]
         for one in recordings
         if one.sigma_px is not None and isinstance(one.target, Wand)
     ]
-    if not stated:
-        return
-    sigma = float(np.median(np.concatenate(stated)))
-    noise = readings_noise(models, recordings)
-    if noise > NOISE_LIMIT * sigma:
-        raise NoConvergence(
-            f"the best cameras found from the readings alone leave {noise:.2g} px where "
-            f"{sigma:.2g} px are stated: wave more poses that all sensors see, in all directions, "
-            "near and far; or name distortion terms, or give initial cameras",
-            noise_px=noise,
-        )
+    return float(np.median(np.concatenate(stated))) if stated else None
 
 
 def _distortion_terms(distortion: Distortion) -> tuple[Term, ...]:

@@ -26,6 +26,7 @@ from compute.calibration.self_calibration.metric_upgrade import (
 from compute.calibration.self_calibration.pose_screening import resect, screen_poses
 from compute.calibration.self_calibration.projective_reconstruction import (
     MIN_READINGS,
+    SEED,
     ProjectiveReconstruction,
     affine_start,
     dual,
@@ -71,7 +72,7 @@ class UncalibratedStart:
 
 
 def uncalibrated_start(
-    sensors: Sequence[SensorGeometry], recordings: Sequence[Recording]
+    sensors: Sequence[SensorGeometry], recordings: Sequence[Recording], seed: int = SEED
 ) -> UncalibratedStart:
     """Compute S cameras without any initial values, for sensors that look the same way roughly.
 
@@ -82,6 +83,7 @@ def uncalibrated_start(
     Args:
         sensors: names and pixels.
         recordings: of wands; others are not used.
+        seed: of the random subsets and samples that are tried.
 
     Raises:
         TooFewPoints: fewer than four sensors, no wand, or too few markers read by four.
@@ -89,7 +91,7 @@ def uncalibrated_start(
     """
     check_uncalibrated(len(sensors), recordings)
     wands = [one for one in recordings if isinstance(one.target, Wand)]
-    fits = [_adjust(models, wands) for models in _metric_candidates(sensors, wands)]
+    fits = [_adjust(models, wands) for models in _metric_candidates(sensors, wands, seed)]
     candidates = [one for one in fits if one is not None]
     if not candidates:
         raise NoConvergence(
@@ -128,7 +130,7 @@ def check_uncalibrated(sensors: int, recordings: Sequence[Recording]) -> None:
 
 
 def _metric_candidates(
-    sensors: Sequence[SensorGeometry], wands: Sequence[Recording]
+    sensors: Sequence[SensorGeometry], wands: Sequence[Recording], seed: int
 ) -> list[tuple[SensorModel, ...]]:
     readings = np.concatenate([one.readings_px.reshape(-1, len(sensors)) for one in wands])
     count = np.isfinite(readings).sum(axis=1)
@@ -145,8 +147,8 @@ def _metric_candidates(
     # Readings about their mean, in units of their scatter.
     centre, scale = np.nanmean(readings, axis=0), float(np.nanmean(np.nanstd(readings, axis=0)))
     normalised = (readings - centre) / scale
-    start = reconstruct_projective(normalised[fit])
-    starts = [start, affine_start(normalised[fit])]
+    start = reconstruct_projective(normalised[fit], seed)
+    starts = [start, affine_start(normalised[fit], seed)]
     if len(sensors) == MIN_READINGS:
         starts.append(dual(start))
     to_pixels = np.zeros((len(sensors), 2, 2))
@@ -162,7 +164,7 @@ def _metric_candidates(
         cameras = to_pixels @ one.cameras
         number = np.cumsum(usable) - 1
         whole = ProjectiveReconstruction(cameras, points[usable], readings[usable])
-        found += metric_upgrades(whole, number[pairs], lengths, sensors)
+        found += metric_upgrades(whole, number[pairs], lengths, sensors, seed)
     found.sort(key=lambda one: one[0])
     return [models for _, models in found[:MAX_CANDIDATES]]
 

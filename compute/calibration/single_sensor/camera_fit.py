@@ -93,7 +93,7 @@ class LensPrior:
         models: Sequence[SensorModel],
         pitch_um: Sequence[float | None],
         points_mm: Array,
-        seen: NDArray[np.bool_],
+        measured: NDArray[np.bool_],
         strength: float = WEAK_STRENGTH,
         stack: CameraStack | None = None,
     ) -> "LensPrior":
@@ -103,11 +103,11 @@ class LensPrior:
             models: S cameras, without distortion or with that of an earlier fit.
             pitch_um: the sensors' pixel pitches [um]; None: not known.
             points_mm: control points, shape (N, 3) [mm].
-            seen: which of them each sensor saw, shape (N, S).
+            measured: which of them each sensor saw, shape (N, S).
             strength: see the class.
             stack: the same cameras as a stack; None: made here.
         """
-        centre_mm = (seen.T @ points_mm) / seen.sum(axis=0)[:, None]
+        centre_mm = (measured.T @ points_mm) / measured.sum(axis=0)[:, None]
         if stack is None:
             stack = CameraStack.of(models)
         centre = (stack.rotation @ centre_mm[:, :, None])[..., 0]
@@ -263,8 +263,8 @@ def minimise(
         old = active.squares.copy()
         unresolved = rounding[index] * (2.0 * np.sqrt(old) + rounding[index])
         # Converged: with little damping, the predicted decrease is negligible.
-        done = (predicted <= tolerance[index] * old + unresolved) & (damping[index] <= 1e-3)
-        if done.all():
+        settled = (predicted <= tolerance[index] * old + unresolved) & (damping[index] <= 1e-3)
+        if settled.all():
             converged[index] = True
             break
         trial = (state if every else state.rows(index)).retract(step)
@@ -280,19 +280,21 @@ def minimise(
             # Curved valleys need damping to the end: what counts is the distance to the minimum.
             per_reading = np.maximum(old / np.maximum(part[2].sum(axis=0), 1), variance)
             tolerated = RELATIVE_OFFSET_TOLERANCE * per_reading
-            done |= active.undamped_decrease() <= tolerated + unresolved
-        converged[index[done]] = True
-        index = index[~done & (damping[index] < MAX_DAMPING)]
+            settled |= active.undamped_decrease() <= tolerated + unresolved
+        converged[index[settled]] = True
+        index = index[~settled & (damping[index] < MAX_DAMPING)]
     if converged.all():
         return MinimisationResult(state, equations.squares, converged, equations.normal)
     rest = np.flatnonzero(~converged & np.isfinite(equations.squares))
     if len(rest):
-        left = equations.rows(rest)
-        per_reading = np.maximum(left.squares / np.maximum(used.sum(axis=0)[rest], 1), variance)
+        unconverged = equations.rows(rest)
+        per_reading = np.maximum(
+            unconverged.squares / np.maximum(used.sum(axis=0)[rest], 1), variance
+        )
         tolerated = cameras.width * FINAL_OFFSET_TOLERANCE * per_reading
         tolerated = np.maximum(tolerated, FINAL_DECREASE * variance)
-        tolerated += rounding[rest] * (2.0 * np.sqrt(left.squares) + rounding[rest])
-        converged[rest] = left.undamped_decrease() <= tolerated
+        tolerated += rounding[rest] * (2.0 * np.sqrt(unconverged.squares) + rounding[rest])
+        converged[rest] = unconverged.undamped_decrease() <= tolerated
     return MinimisationResult(state, equations.squares, converged, equations.normal)
 
 
@@ -396,14 +398,14 @@ def start_with_terms(
         prior: its mean offsets, at which cameras without distortion start.
     """
     starts = []
-    for row, (model, own_terms) in enumerate(zip(models, terms, strict=True)):
+    for row, (model, model_terms) in enumerate(zip(models, terms, strict=True)):
         old = model.distortion
-        known = {} if old is None else dict(zip(old.terms, old.coefficients, strict=True))
+        coefficients = {} if old is None else dict(zip(old.terms, old.coefficients, strict=True))
         distortion = None
-        if own_terms:
+        if model_terms:
             distortion = FieldDistortion(
-                own_terms,
-                tuple(known.get(term, 0.0) for term in own_terms),
+                model_terms,
+                tuple(coefficients.get(term, 0.0) for term in model_terms),
                 float(prior.offset_mm[row]) if old is None else old.offset_y_mm,
                 float(prior.row_behind_mm[row]),
             )
@@ -548,23 +550,25 @@ def equation_groups(
         # By the stack's columns, which hold the terms of all sensors.
         stack_columns = np.flatnonzero(stack.parameter_mask[sensor])[columns]
         groups.setdefault((*stack_columns.tolist(), -1, *columns.tolist()), []).append(sensor)
-    found = []
+    equations = []
     for key, members in groups.items():
         split = key.index(-1)
         stack_columns, columns = np.array(key[:split]), np.array(key[split + 1 :])
         sensors = np.array(members)
         matrix = rows[sensors][:, :, stack_columns]
-        own = np.zeros((len(sensors), len(stack_columns)))
+        prior_information = np.zeros((len(sensors), len(stack_columns)))
         if information is not None:
-            own = information[np.ix_(sensors, stack_columns)]
-            of_prior = np.sqrt(own)[:, :, None] * np.eye(len(stack_columns))
+            prior_information = information[np.ix_(sensors, stack_columns)]
+            of_prior = np.sqrt(prior_information)[:, :, None] * np.eye(len(stack_columns))
             matrix = np.concatenate([matrix, of_prior], axis=1)
         scale = np.sqrt((matrix**2).sum(axis=1))
         scale = np.where(scale > 0.0, scale, 1.0)
         scaled = matrix / scale[:, None, :]
         triangles = np.asarray(np.linalg.qr(scaled, mode="r"), dtype=np.float64)
-        found.append(EquationGroup(sensors, columns, scale, triangles, own, origin[sensors]))
-    return found
+        equations.append(
+            EquationGroup(sensors, columns, scale, triangles, prior_information, origin[sensors])
+        )
+    return equations
 
 
 def check_determined(

@@ -133,9 +133,9 @@ def fit_distortion_scale(
     cameras = grid.ended.cameras
     nearest = int(np.abs(np.log(STRENGTHS / strength)).argmin())
     rows = np.arange(nearest * sensors, (nearest + 1) * sensors)
-    found = cameras.rows(rows).models(models)
-    prior = prior.with_strength(strength).at(found, observed.pitch_um)
-    starts = start_with_terms(found, terms, prior)
+    scaled_models = cameras.rows(rows).models(models)
+    prior = prior.with_strength(strength).at(scaled_models, observed.pitch_um)
+    starts = start_with_terms(scaled_models, terms, prior)
     ended = minimise(
         CameraStack.of(starts),
         observed.points_mm,
@@ -256,9 +256,9 @@ def _integrate_noise(
     noise, log_evidence = np.empty((count, sensors)), grid.log_evidence.copy()
     for row in range(count):
         part = slice(row * sensors, (row + 1) * sensors)
-        found = estimate_noise(residuals[:, part], used[:, part], dof[part], point_sigma_px)
-        noise[row] = found.sigma_px
-        log_evidence[row] += found.log_evidence - here[part].sum()
+        estimate = estimate_noise(residuals[:, part], used[:, part], dof[part], point_sigma_px)
+        noise[row] = estimate.sigma_px
+        log_evidence[row] += estimate.log_evidence - here[part].sum()
     return replace(grid, noise_px=noise, log_evidence=log_evidence), noise
 
 

@@ -78,10 +78,12 @@ class ProjectiveCamera:
             points_mm: shape (N, 3) [mm].
             readings_px: shape (N,) [px]; NaN where not seen.
         """
-        seen = np.isfinite(readings_px)
-        transform = normalisation(points_mm[seen])
+        measured = np.isfinite(readings_px)
+        transform = normalisation(points_mm[measured])
         points = points_mm @ transform[:3, :3].T + transform[:3, 3]
-        return cls(points, float(readings_px[seen].mean()), float(readings_px[seen].std()) or 1.0)
+        return cls(
+            points, float(readings_px[measured].mean()), float(readings_px[measured].std()) or 1.0
+        )
 
     @property
     def zero_px(self) -> Array | float:
@@ -124,8 +126,8 @@ class ProjectiveCamera:
         design[..., 3] = 1.0
         design[..., 4:] = -q[..., None] * self.points
         design *= weights[..., None]
-        found = self._in_front(_solve(design, q * weights, 1e-12))
-        return np.pad(found, ((0, 0), (0, self.width - PARAMETER_COUNT)))
+        solution = self._in_front(_solve(design, q * weights, 1e-12))
+        return np.pad(solution, ((0, 0), (0, self.width - PARAMETER_COUNT)))
 
     def fit(self, readings_px: Array, weights: Array, theta: Array, steps: int) -> Array:
         """Minimise the weighted squares by Levenberg-Marquardt.
@@ -139,7 +141,7 @@ class ProjectiveCamera:
         Returns:
             theta at the minima, shape (K, width).
         """
-        found = theta.copy()
+        minimum = theta.copy()
         active = np.arange(len(theta))
         damping = np.full(len(theta), 1e-4)
         cost = self._cost(theta, readings_px, weights)
@@ -159,15 +161,15 @@ class ProjectiveCamera:
             )
             cost = np.where(better, new, cost)
             if settled.any():
-                found[active] = theta
+                minimum[active] = theta
                 going = ~settled
                 active, theta = active[going], theta[going]
                 cost, damping = cost[going], damping[going]
                 readings_px, weights = readings_px[going], weights[going]
                 if len(active) == 0:
                     break
-        found[active] = theta
-        return found
+        minimum[active] = theta
+        return minimum
 
     def _cost(self, theta: Array, readings_px: Array, weights: Array) -> Array:
         misfit = self.project(theta)
@@ -362,13 +364,15 @@ def search_starts(
     if initial_models is not None:
         others = problem.parameters(initial_models)[:, None]
         starts = np.concatenate([starts, others], axis=1)
-    found, squares = problem.search(starts)
+    solutions, squares = problem.search(starts)
     unsettled = np.flatnonzero(~_is_settled(problem, squares))
     if len(unsettled):
         part = problem.rows(unsettled)
         nodes = starting_cameras(part.camera, part.readings, part.weights)
-        found[unsettled] = part.search(np.concatenate([found[unsettled, None], nodes], axis=1))[0]
-    return problem.matrices(found)
+        solutions[unsettled] = part.search(
+            np.concatenate([solutions[unsettled, None], nodes], axis=1)
+        )[0]
+    return problem.matrices(solutions)
 
 
 def search_from(
@@ -425,21 +429,21 @@ def projective_matrices(theta: Array, transform: Array, centre_px: Array, scale_
 
 
 def metric_cameras(
-    matrices: Array, sensors: Sequence[SensorGeometry], seen_mm: Array
+    matrices: Array, sensors: Sequence[SensorGeometry], visible_mm: Array
 ) -> CameraStack:
     """Return the metric cameras of 2x4 matrices, whatever their scale and sign.
 
     Args:
         matrices: shape (S, 2, 4).
         sensors: the S sensors.
-        seen_mm: a point in front of each lens, shape (S, 3) [mm].
+        visible_mm: a point in front of each lens, shape (S, 3) [mm].
 
     Raises:
         DegeneratePoints: a camera reads the same of all points.
     """
     first, second = matrices[:, 0], matrices[:, 1]
     norm = np.sqrt((second[:, :3] ** 2).sum(axis=1))
-    facing = (second[:, :3] * seen_mm).sum(axis=1) + second[:, 3]
+    facing = (second[:, :3] * visible_mm).sum(axis=1) + second[:, 3]
     norm = np.where(facing < 0.0, -norm, norm)[:, None]
     first, second = first / norm, second / norm
     point = (first[:, :3] * second[:, :3]).sum(axis=1)

@@ -61,9 +61,14 @@ def estimate_noise(
     """
     squares = np.where(used, residuals_px**2, 0.0)
     share = dof / np.maximum(used.sum(axis=0), 1)
-    own = np.sqrt(squares.sum(axis=0) / np.maximum(dof, 1.0))
-    low = min(PRIOR_NOISE_PX * np.exp(-2.0 * PRIOR_LOG_SIGMA), float(own.min())) / GRID_MARGIN
-    high = max(PRIOR_NOISE_PX * np.exp(2.0 * PRIOR_LOG_SIGMA), float(own.max())) * GRID_MARGIN
+    sensor_sigma = np.sqrt(squares.sum(axis=0) / np.maximum(dof, 1.0))
+    low = (
+        min(PRIOR_NOISE_PX * np.exp(-2.0 * PRIOR_LOG_SIGMA), float(sensor_sigma.min()))
+        / GRID_MARGIN
+    )
+    high = (
+        max(PRIOR_NOISE_PX * np.exp(2.0 * PRIOR_LOG_SIGMA), float(sensor_sigma.max())) * GRID_MARGIN
+    )
     grid = np.linspace(np.log(max(low, MIN_NOISE_PX)), np.log(high), GRID_SIZE)
     variance = np.exp(2.0 * grid)
     likelihood = np.empty((len(dof), GRID_SIZE))

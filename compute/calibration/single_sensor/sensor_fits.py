@@ -169,25 +169,25 @@ class SensorFits:
         return equation_groups(self.models, observed.points_mm, weights, self.scaled_prior)
 
     def fit_without(
-        self, observed: ControlObservations, kept: NDArray[np.bool_]
+        self, observed: ControlObservations, subsets: NDArray[np.bool_]
     ) -> MinimisationResult:
         """Refit all cameras to parts of the points, starting from these.
 
         Args:
             observed: control points and readings.
-            kept: points of each part, shape (G, N).
+            subsets: points of each part, shape (G, N).
 
         Returns:
             G S cameras, the first part's first.
         """
         sensors = len(self.models)
-        index = np.tile(np.arange(sensors), len(kept))
+        index = np.tile(np.arange(sensors), len(subsets))
         weights = (observed.weights * np.sqrt(self.weights))[:, index]
         return minimise_with_distortion(
             CameraStack.of(self.models).rows(index),
             observed.points_mm,
             observed.readings_px[:, index],
-            weights * np.repeat(kept, sensors, axis=0).T,
+            weights * np.repeat(subsets, sensors, axis=0).T,
             self.scaled_prior.rows(index),
             multi_start=False,
         )
@@ -207,7 +207,7 @@ def fit_undistorted(
         ImplausibleReadings, DegeneratePoints, NoConvergence: see ``fit_metric_cameras``.
     """
     if loss == "linear":
-        found, groups, stack = fit_metric_cameras(
+        models, groups, stack = fit_metric_cameras(
             observed.points_mm,
             observed.readings_px,
             observed.sigma_px,
@@ -217,18 +217,18 @@ def fit_undistorted(
         )
         weights = np.ones(observed.readings_px.shape)
     else:
-        found, weights = _reweight(observed, _robust_start(observed), None)
+        models, weights = _reweight(observed, _robust_start(observed), None)
         # What a robust loss leaves out does not count: the median of the residuals.
-        squares = mad_sigma(observed.residuals_px(found), observed.seen, PARAMETER_COUNT) ** 2
+        squares = mad_sigma(observed.residuals_px(models), observed.seen, PARAMETER_COUNT) ** 2
         squares *= np.maximum(observed.seen.sum(axis=0) - PARAMETER_COUNT, 0)
         unit = observed.seen.astype(np.float64)
         shares, _ = _residual_shares(squares, observed.points_mm, observed.readings_px, unit)
         check_explained(shares, observed.readings_px, observed.sensors)
         used = np.where(weights > 0.0, observed.weights, 0.0)
-        stack = CameraStack.of(found)
-        groups = check_determined(found, observed.points_mm, used, stack=stack)
-    prior = LensPrior.of(found, observed.pitch_um, observed.points_mm, observed.seen, stack=stack)
-    return SensorFits(found, weights, prior, groups=groups, stack=stack)
+        stack = CameraStack.of(models)
+        groups = check_determined(models, observed.points_mm, used, stack=stack)
+    prior = LensPrior.of(models, observed.pitch_um, observed.points_mm, observed.seen, stack=stack)
+    return SensorFits(models, weights, prior, groups=groups, stack=stack)
 
 
 def fit_metric_cameras(
@@ -262,15 +262,15 @@ def fit_metric_cameras(
         NoConvergence: a few readings do not fit the camera of the others, or no start led to a
             minimum with all points in front of the lens.
     """
-    seen = np.isfinite(readings_px)
-    weights = np.where(seen, 1.0 / np.where(seen, sigma_px, 1.0), 0.0)
+    measured = np.isfinite(readings_px)
+    weights = np.where(measured, 1.0 / np.where(measured, sigma_px, 1.0), 0.0)
     matrices, centre_mm = np.empty((len(sensors), 2, 4)), np.empty((len(sensors), 3))
     patterns: dict[bytes, list[int]] = {}
     for column in range(len(sensors)):
-        patterns.setdefault(seen[:, column].tobytes(), []).append(column)
+        patterns.setdefault(measured[:, column].tobytes(), []).append(column)
     for members in patterns.values():
         columns = np.array(members)
-        rows = seen[:, columns[0]]
+        rows = measured[:, columns[0]]
         points = points_mm[rows]
         matrices[columns] = search_starts(
             points,
@@ -285,7 +285,7 @@ def fit_metric_cameras(
     shares, unbiased = _residual_shares(ended.squares, points_mm, readings_px, weights)
     if sigma_known:
         # Noise as large as that would have been stated.
-        dof = np.maximum(seen.sum(axis=0) - PARAMETER_COUNT, 1)
+        dof = np.maximum(measured.sum(axis=0) - PARAMETER_COUNT, 1)
         contradicted = ended.squares > CONTRADICTED_SIGMA_FACTOR**2 * dof
         shares = np.where(contradicted, unbiased, 0.0)
     _check_related(shares, points_mm, readings_px, sensors)
@@ -299,8 +299,9 @@ def fit_metric_cameras(
         if not ended.converged[column]:
             _check_related(unbiased, points_mm, readings_px, sensors)
             raise NoConvergence(
-                f"sensor {model.name}: no camera with all its {int(seen[:, column].sum())} control "
-                "points in front of it fits the readings; look for exchanged or wrong labels",
+                f"sensor {model.name}: no camera with all its {int(measured[:, column].sum())} "
+                "control points in front of it fits the readings; look for exchanged or wrong "
+                "labels",
                 sensor=model.name,
             )
     return fitted, groups, ended.cameras

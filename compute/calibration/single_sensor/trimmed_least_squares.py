@@ -30,15 +30,17 @@ def robust_starts(
         sigma_px: their standard deviations, shape (N,) [px].
         count: largest number of cameras returned.
     """
-    seen = np.flatnonzero(np.isfinite(readings_px))
+    measured = np.flatnonzero(np.isfinite(readings_px))
     rng = np.random.default_rng(SEED)
-    chosen = seen[np.argsort(rng.random((RANDOM_SUBSETS, len(seen))), axis=1)[:, :PARAMETER_COUNT]]
+    chosen = measured[
+        np.argsort(rng.random((RANDOM_SUBSETS, len(measured))), axis=1)[:, :PARAMETER_COUNT]
+    ]
     values = np.where(np.isfinite(readings_px), readings_px, camera.centre_px)
     unit = np.zeros(len(values))
-    unit[seen] = 1.0 / sigma_px[seen]
+    unit[measured] = 1.0 / sigma_px[measured]
     weights = np.zeros((RANDOM_SUBSETS, len(values)))
     np.put_along_axis(weights, chosen, unit[chosen], axis=1)
-    covered = min(len(seen), (len(seen) + camera.width + 1) // 2)
+    covered = min(len(measured), (len(measured) + camera.width + 1) // 2)
     theta = camera.algebraic(np.broadcast_to(values, weights.shape), weights)
     theta, cost = _concentrate(camera, values, unit, theta, covered, rounds=2, steps=2)
     theta = theta[np.argsort(cost, kind="stable")[:REFINED_SUBSETS]]

@@ -108,9 +108,9 @@ def _scale(scan: Array, model: Array) -> Array:
 
 def _lobe(model: Array, size: int) -> int:
     """Return the shift at which the template's own correlation ceases to fall [px]."""
-    own = irfft(abs(rfft(model, size)) ** 2, size)[: size // 2]
-    rising = np.flatnonzero(np.diff(own) >= 0.0)
-    return int(rising[0]) if len(rising) else len(own)
+    autocorrelation = irfft(abs(rfft(model, size)) ** 2, size)[: size // 2]
+    rising = np.flatnonzero(np.diff(autocorrelation) >= 0.0)
+    return int(rising[0]) if len(rising) else len(autocorrelation)
 
 
 def _peaks(correlation: Array, lag: NDArray[np.int64], lobe: int, scale: Array) -> MaskShift:

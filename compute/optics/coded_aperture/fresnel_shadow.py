@@ -139,10 +139,10 @@ class DiffractedShadow:
             along = (position_mm - self._start_mm) / self._step_mm
             sample = np.floor(along)
             spline = _cubic_spline(along - sample)
-            left = sample.astype(np.int64) - 1
+            lower = sample.astype(np.int64) - 1
             total = np.zeros(position_mm.shape)
             for column in range(4):
-                index = base + (left + column) % self._count
+                index = base + (lower + column) % self._count
                 over_rows = weights[0] * table.take(index)
                 for step in range(1, 4):
                     over_rows += weights[step] * table.take(index + step * self._count)

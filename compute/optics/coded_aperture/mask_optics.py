@@ -95,9 +95,9 @@ class MaskOptics:
         chunk = max(1, _PIXELS_AT_ONCE // max(1, self._pixels))
         for number, sensor in enumerate(self._sensors):
             local = _to_sensor_frame(sensor, points_mm)
-            seen = np.flatnonzero(self._in_front(local))
-            for start in range(0, len(seen), chunk):
-                part = seen[start : start + chunk]
+            visible = np.flatnonzero(self._in_front(local))
+            for start in range(0, len(visible), chunk):
+                part = visible[start : start + chunk]
                 light[part, number, : sensor.model.pixels] = self._line(sensor, local[part])
         return PixelSolidAngles(np.zeros(light.shape[:2], dtype=np.int64), light)
 
@@ -111,15 +111,15 @@ class MaskOptics:
         reading = np.full((len(points_mm), len(self._sensors)), np.nan)
         for number, sensor in enumerate(self._sensors):
             local = _to_sensor_frame(sensor, points_mm)
-            seen = self._in_front(local)
-            x, y, z = local[seen].T
+            visible = self._in_front(local)
+            x, y, z = local[visible].T
             lateral = np.hypot(x, y)
             thickness, index = window.plate_thickness_mm, window.plate_index
             slope = ray_tangent_in_air(lateral, z - thickness, thickness, index)
             with np.errstate(invalid="ignore"):
                 along = np.where(lateral > 0.0, x / lateral, 0.0)
             shift = window.gap_mm * slope * along / (sensor.pitch_um * 1e-3)
-            reading[seen, number] = sensor.model.principal_point_px + shift
+            reading[visible, number] = sensor.model.principal_point_px + shift
         return reading
 
     def _in_front(self, local: Array) -> NDArray[np.bool_]:
@@ -149,8 +149,8 @@ class MaskOptics:
     def _lit_share(self, share: Array, y: Array) -> Array:
         """Return the part of the pixels' height that is not shaded by the ends of the bars."""
         half = self._window.height_mm / 2.0
-        middle, reach = share * y, (1.0 - share) * self._height_mm / 2.0
-        lit = np.minimum(middle + reach, half) - np.maximum(middle - reach, -half)
+        centre, reach = share * y, (1.0 - share) * self._height_mm / 2.0
+        lit = np.minimum(centre + reach, half) - np.maximum(centre - reach, -half)
         return np.asarray(np.maximum(lit, 0.0) / (2.0 * reach))
 
 

@@ -120,8 +120,8 @@ def _displaced(
         reached = optics.readings(point + distance_mm[:, None] * unit)[:, sensor]
         distance_mm += (target - reached) / per_mm
     points = point + distance_mm[:, None] * unit
-    left = np.abs(optics.readings(points)[:, sensor] - target)
-    if not (left <= _REACHED_PX).all():
+    distance = np.abs(optics.readings(points)[:, sensor] - target)
+    if not (distance <= _REACHED_PX).all():
         raise InvalidParameter(
             f"far_px reaches to {float(np.abs(shifts_px).max())} px, where no point in front of "
             f"sensor {sensor} along the direction has its shadow; give smaller shifts",

@@ -98,8 +98,8 @@ class RetroSheet:
 
     def entrance_factor(self, angle_rad: Array) -> Array:
         """Return the relative R_A at entrance angles, any shape; zero from behind."""
-        left = np.exp2(-((angle_rad / self.entrance_half_angle_rad) ** 2))
-        return np.asarray(left * np.cos(angle_rad).clip(0.0))
+        transmitted = np.exp2(-((angle_rad / self.entrance_half_angle_rad) ** 2))
+        return np.asarray(transmitted * np.cos(angle_rad).clip(0.0))
 
 
 @dataclass(frozen=True)

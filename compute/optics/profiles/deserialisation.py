@@ -127,8 +127,8 @@ class ProfileDeserialiser:
             arguments = (arguments[0],) * len(value)
         if len(value) != len(arguments):
             raise self._invalid(path, f"it has {len(value)} items; it must have {len(arguments)}")
-        places = [f"{path}[{number}]" for number in range(len(value))]
-        return tuple(self._each(zip(arguments, value, places, strict=True), unit))
+        paths = [f"{path}[{number}]" for number in range(len(value))]
+        return tuple(self._each(zip(arguments, value, paths, strict=True), unit))
 
     def _mapping(self, expected: Any, value: object, path: str) -> Mapping[str, Any]:
         table = self._table(value, path)
@@ -170,13 +170,13 @@ class ProfileDeserialiser:
         table = self._table(value, path)
         before = len(self.problems)
         hints = get_type_hints(expected)
-        known = {split_unit(one.name)[0]: one for one in dataclasses.fields(expected)}
+        fields = {split_unit(one.name)[0]: one for one in dataclasses.fields(expected)}
         for key in table:
-            if key not in known:
-                text = f"there is no such field; there are {', '.join(known)}"
+            if key not in fields:
+                text = f"there is no such field; there are {', '.join(fields)}"
                 self._invalid(join(path, key), text)
         values = {}
-        for key, one in known.items():
+        for key, one in fields.items():
             here, unit = join(path, key), split_unit(one.name)[1]
             if key in table:
                 with suppress(_InvalidField):

@@ -133,12 +133,12 @@ class DeviceProfile:
                 f"optics has {', '.join(unused)}, which no sensor uses; leave it out",
                 optics=unused,
             )
-        given = self.error_sources.uncorrected_distortion_px
-        if given is not None and len(given) != len(self.sensors):
+        stated = self.error_sources.uncorrected_distortion_px
+        if stated is not None and len(stated) != len(self.sensors):
             raise InvalidParameter(
-                f"error_sources.uncorrected_distortion has {len(given)} values; give one for each "
+                f"error_sources.uncorrected_distortion has {len(stated)} values; give one for each "
                 f"of the {len(self.sensors)} sensors",
-                error_sources=given,
+                error_sources=stated,
             )
         for name, one in self.optics.items():
             if isinstance(one, PlateOptics) and one.plate.tracks != self.pixels.count:

@@ -113,11 +113,11 @@ def with_error_sources(profile: DeviceProfile, assignments: Iterable[str]) -> De
         raise InvalidParameter(
             "; ".join(map(str, problems)), problems=[str(problem) for problem in problems]
         )
-    given = {name: value for name, value in vars(sources).items() if value is not None}
+    set_sources = {name: value for name, value in vars(sources).items() if value is not None}
     paths = {f"error_sources.{name}" for name in table}
     return replace(
         profile,
-        error_sources=replace(profile.error_sources, **given),
+        error_sources=replace(profile.error_sources, **set_sources),
         assumed={path: reason for path, reason in profile.assumed.items() if path not in paths},
     )
 

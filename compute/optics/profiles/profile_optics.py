@@ -176,12 +176,12 @@ def profile_field(profile: DeviceProfile, sensors: Sequence[OpticalSensor]) -> F
     """
     centre, half = np.array(profile.volume.centre_mm), np.array(profile.volume.size_mm) / 2.0
     corners = centre + half * np.array(list(product((-1, 1), repeat=3)))
-    seen = np.concatenate([sensor.to_sensor_frame(corners) for sensor in sensors])
+    corners_in_sensor = np.concatenate([sensor.to_sensor_frame(corners) for sensor in sensors])
     front = max(-sensor.assembly.front_z_mm for sensor in sensors)
     # A volume may begin at the device itself; what is nearer than this is traced.
-    depth = np.maximum(seen[:, 2], 2.0 * front + _NEAREST_MM)
-    low = (seen[:, :2] / depth[:, None]).min(axis=0) - _MARGIN
-    high = (seen[:, :2] / depth[:, None]).max(axis=0) + _MARGIN
+    depth = np.maximum(corners_in_sensor[:, 2], 2.0 * front + _NEAREST_MM)
+    low = (corners_in_sensor[:, :2] / depth[:, None]).min(axis=0) - _MARGIN
+    high = (corners_in_sensor[:, :2] / depth[:, None]).max(axis=0) + _MARGIN
     return FieldOfView(
         (float(low[0]), float(high[0])),
         (float(low[1]), float(high[1])),

@@ -112,25 +112,25 @@ class GuideSeries:
         )
 
 
-def fit_series(values: Array, found: NDArray[np.bool_], otherwise: float) -> Array:
+def fit_series(values: Array, usable: NDArray[np.bool_], otherwise: float) -> Array:
     """Return Chebyshev coefficients (K, N, 1) of values at the nodes.
 
     Where rays are lost the series is a low one, fitted to those that are found.
 
     Args:
         values: at the nodes, shape (N, K).
-        found: which of them are known, same shape.
+        usable: which of them are known, same shape.
         otherwise: constant where none is.
     """
     basis = chebvander(NODES, GUIDES - 1)
-    series = np.linalg.solve(basis, np.where(found, values, 0.0).T)
-    for row in np.flatnonzero(~found.all(axis=1)):
+    series = np.linalg.solve(basis, np.where(usable, values, 0.0).T)
+    for row in np.flatnonzero(~usable.all(axis=1)):
         series[:, row] = 0.0
-        known = found[row]
-        terms = min(_FEW_TERMS, int(known.sum()))
+        usable_row = usable[row]
+        terms = min(_FEW_TERMS, int(usable_row.sum()))
         if terms == 0:
             series[0, row] = otherwise
             continue
-        fitted, *_ = np.linalg.lstsq(basis[known, :terms], values[row, known], rcond=None)
+        fitted, *_ = np.linalg.lstsq(basis[usable_row, :terms], values[row, usable_row], rcond=None)
         series[:terms, row] = fitted
     return np.asarray(series[:, :, None], dtype=np.float64)

@@ -146,9 +146,9 @@ class RayAimer:
         pupil = np.broadcast_to(self._centre_mm + self._reach_mm * NODES, (len(source_mm), GUIDES))
         aim = RayTargets.of(source_mm, height_mm, pupil)
         y, slope = self._aim_rays(aim)
-        found = hits_row(self._through(aim, y, self._open), aim)
-        found &= np.isfinite(y) & np.isfinite(slope) & (slope != 0.0)
-        by_fan = found.reshape(pupil.shape)
+        hits = hits_row(self._through(aim, y, self._open), aim)
+        hits &= np.isfinite(y) & np.isfinite(slope) & (slope != 0.0)
+        by_fan = hits.reshape(pupil.shape)
         return GuideSeries(
             self._centre_mm,
             self._reach_mm,
@@ -179,20 +179,20 @@ class RayAimer:
 
         count = self._coarse
         coarse = self._centre_mm + self._reach_mm * np.linspace(-1.0, 1.0, count)
-        seen = passes(np.broadcast_to(coarse, (len(source_mm), count)))
-        lit = np.asarray(seen.any(axis=1))
-        low = seen.argmax(axis=1)
-        high = count - 1 - seen[:, ::-1].argmax(axis=1)
+        passing = passes(np.broadcast_to(coarse, (len(source_mm), count)))
+        lit = np.asarray(passing.any(axis=1))
+        low = passing.argmax(axis=1)
+        high = count - 1 - passing[:, ::-1].argmax(axis=1)
         # Inside and outside of the two ends; at the ends of the pupil both are the end.
         inside = np.stack([coarse[low], coarse[high]], axis=1)
         beyond = np.stack(
             [coarse[np.maximum(low - 1, 0)], coarse[np.minimum(high + 1, count - 1)]], axis=1
         )
         for _ in range(_BISECTIONS):
-            middle = 0.5 * (inside + beyond)
-            good = passes(middle)
-            inside = np.where(good, middle, inside)
-            beyond = np.where(good, beyond, middle)
+            midpoint = 0.5 * (inside + beyond)
+            good = passes(midpoint)
+            inside = np.where(good, midpoint, inside)
+            beyond = np.where(good, beyond, midpoint)
         return inside[:, 0], inside[:, 1], lit
 
     def _aim_rays(

@@ -169,9 +169,9 @@ def spline_error_px(rays: RayFans, row: PixelRow) -> Array:
     nodes = np.linspace(0.0, 1.0, rays.position_mm.shape[2])
     position = rays.position_mm / row.pitch_mm
     gaps = ~np.isfinite(position).all(axis=2) | (rays.solid_angle_sr_per_mm2 == 0.0).any(axis=2)
-    known = np.where(gaps[..., None], 0.0, position)
-    coarse = CubicSpline(nodes[::2], known[..., ::2], axis=2)
-    miss = np.abs(coarse(nodes[1::2]) - known[..., 1::2]).mean(axis=2) / 15.0
+    finite = np.where(gaps[..., None], 0.0, position)
+    coarse = CubicSpline(nodes[::2], finite[..., ::2], axis=2)
+    miss = np.abs(coarse(nodes[1::2]) - finite[..., 1::2]).mean(axis=2) / 15.0
     miss = np.where(gaps, np.inf, miss)
     return np.asarray(np.where(rays.lit, miss, 0.0).max(axis=1))
 
@@ -179,17 +179,17 @@ def spline_error_px(rays: RayFans, row: PixelRow) -> Array:
 def _tubes(rays: RayFans, weights: Array, row: PixelRow) -> _Tubes:
     points, _, samples = rays.position_mm.shape
     ends = np.linspace(0.0, 1.0, _TUBES * (samples - 1) + 1)
-    middle = 0.5 * (ends[1:] + ends[:-1])
+    midpoints = 0.5 * (ends[1:] + ends[:-1])
     traced = np.linspace(0.0, 1.0, samples)
     # The image is upside down: readings grow against x.
     reading = row.centre_px - rays.position_mm / row.pitch_mm
-    known = np.isfinite(reading)
+    finite = np.isfinite(reading)
     light = rays.solid_angle_sr_per_mm2
-    left = np.minimum((middle * (samples - 1)).astype(np.int64), samples - 2)
-    ends_px = _interpolate(traced, np.where(known, reading, 0.0), ends, known)
-    density = _interpolate(traced, light, middle, light > 0.0)
-    density *= (light[..., left] > 0.0) & (light[..., left + 1] > 0.0)
-    width = np.diff(rays.pupil_mm[..., [0, -1]], axis=2) / len(middle)
+    lower = np.minimum((midpoints * (samples - 1)).astype(np.int64), samples - 2)
+    ends_px = _interpolate(traced, np.where(finite, reading, 0.0), ends, finite)
+    density = _interpolate(traced, light, midpoints, light > 0.0)
+    density *= (light[..., lower] > 0.0) & (light[..., lower + 1] > 0.0)
+    width = np.diff(rays.pupil_mm[..., [0, -1]], axis=2) / len(midpoints)
     light = np.maximum(density, 0.0) * width * weights[:, None]
     light *= rays.lit[..., None]
     one, other = ends_px[..., :-1], ends_px[..., 1:]
@@ -218,13 +218,13 @@ def _near_row(tubes: _Tubes, count: int) -> _Tubes:
 
 def _interpolate(nodes: Array, values: Array, at: Array, good: NDArray[np.bool_]) -> Array:
     """Interpolate along the last axis: by a spline, or linearly in a fan that has gaps."""
-    whole = good.all(axis=-1)
-    found = np.empty((*values.shape[:-1], len(at)))
-    if whole.any():
-        found[whole] = CubicSpline(nodes, values[whole], axis=-1)(at)
-    for index in zip(*np.nonzero(~whole), strict=True):
-        found[index] = np.interp(at, nodes, values[index])
-    return found
+    complete = good.all(axis=-1)
+    interpolated = np.empty((*values.shape[:-1], len(at)))
+    if complete.any():
+        interpolated[complete] = CubicSpline(nodes, values[complete], axis=-1)(at)
+    for index in zip(*np.nonzero(~complete), strict=True):
+        interpolated[index] = np.interp(at, nodes, values[index])
+    return interpolated
 
 
 def _gather_tubes(tubes: _Tubes, part: slice, first: NDArray[np.int64], cells: int) -> Array:
@@ -279,12 +279,12 @@ def _blur(cells: Array, emitter_px: Array, cutoff: Array) -> Array:
     below = (ends * np.sqrt(1.0 - ends**2) + np.arcsin(ends)) / np.pi
     large = rfft(below[1] - below[0], axis=1).real
     transfer *= np.where(variance < 0.5, small, large)
-    spread = irfft(transfer, length, axis=1)
+    kernel = irfft(transfer, length, axis=1)
     distance = np.abs(fftfreq(length, 1.0 / length)) / CELLS - emitter_px[:, None]
     outside = np.clip((distance - _TAIL_PX[0]) / (_TAIL_PX[1] - _TAIL_PX[0]), 0.0, 1.0)
-    spread *= np.cos(0.5 * np.pi * outside) ** 2
-    spread /= spread.sum(axis=1, keepdims=True)
-    blurred = irfft(rfft(cells, length, axis=1) * rfft(spread, axis=1), length, axis=1)
+    kernel *= np.cos(0.5 * np.pi * outside) ** 2
+    kernel /= kernel.sum(axis=1, keepdims=True)
+    blurred = irfft(rfft(cells, length, axis=1) * rfft(kernel, axis=1), length, axis=1)
     # The rounding of the transforms, 1e-16 of the peak, is not light.
     lit = np.maximum(blurred[:, : cells.shape[1]], 0.0)
     total = lit.sum(axis=1, keepdims=True)

@@ -135,7 +135,7 @@ class StripeTable:
         values = values.reshape(*shape, -1)
         self._low = np.array([axis[0] for axis in axes])
         self._step = np.array([axis[1] - axis[0] for axis in axes])
-        self._whole = _cells(lit.reshape(shape), all_of=True)
+        self._all_lit = _cells(lit.reshape(shape), all_of=True)
         self._dark = ~_cells(lit.reshape(shape), all_of=False)
         knots = []
         for axis, ticks in enumerate(axes):
@@ -162,22 +162,24 @@ class StripeTable:
             coordinates[:, 0] = np.abs(coordinates[:, 0])
             coordinates[:, 1] *= coordinates[:, 1]
         steps = (np.where(in_field[:, None], coordinates, self._low) - self._low) / self._step
-        cell = tuple(np.minimum(steps.astype(np.int64), np.array(self._whole.shape) - 1).T)
-        whole = in_field & self._whole[cell]
-        if whole.all():
+        cell = tuple(np.minimum(steps.astype(np.int64), np.array(self._all_lit.shape) - 1).T)
+        complete = in_field & self._all_lit[cell]
+        if complete.all():
             return self._interpolate(coordinates, mirrored)
         levels, light = np.zeros((len(points_mm), len(QUANTILE_LEVELS))), np.zeros(len(points_mm))
-        levels[whole], light[whole] = self._interpolate(coordinates[whole], mirrored[whole])
-        traced = ~whole & ~(in_field & self._dark[cell])
+        levels[complete], light[complete] = self._interpolate(
+            coordinates[complete], mirrored[complete]
+        )
+        traced = ~complete & ~(in_field & self._dark[cell])
         if traced.any():
             shapes = self._lines.shapes(points_mm[traced])
             levels[traced], light[traced] = quantiles(shapes), shapes.total_sr
         return levels, light
 
     def _interpolate(self, coordinates: Array, mirrored: NDArray[np.bool_]) -> tuple[Array, Array]:
-        found = self._spline(coordinates)
-        levels = self._basis.levels(found[:, :-1])
-        light = np.maximum(found[:, -1], 0.0) * coordinates[:, 2] ** 2
+        coefficients = self._spline(coordinates)
+        levels = self._basis.levels(coefficients[:, :-1])
+        light = np.maximum(coefficients[:, -1], 0.0) * coordinates[:, 2] ** 2
         if mirrored.any():
             levels[mirrored] = 2.0 * self._lines.row.centre_px - levels[mirrored, ::-1]
         return levels, light
@@ -201,9 +203,9 @@ class _Basis:
     def of(cls, quantiles_px: Array, lit: NDArray[np.bool_]) -> "_Basis":
         """Return the basis of the lines (N, K) that are lit, shape (N,)."""
         weights = np.sqrt(np.gradient(QUANTILE_LEVELS))
-        seen = quantiles_px[lit] if lit.any() else quantiles_px
-        mean = seen.mean(axis=0)
-        weighted = (seen - mean) * weights
+        lit_quantiles = quantiles_px[lit] if lit.any() else quantiles_px
+        mean = lit_quantiles.mean(axis=0)
+        weighted = (lit_quantiles - mean) * weights
         _, vectors = np.linalg.eigh(weighted.T @ weighted)
         shapes = vectors[:, : -_SHAPES - 1 : -1].T / weights
         return cls(mean, np.vstack([shapes, np.ones(len(QUANTILE_LEVELS))]), weights)
@@ -211,8 +213,8 @@ class _Basis:
     def coordinates(self, quantiles_px: Array) -> Array:
         """Return what lines (N, K) have of each shape, (N, C + 1); their centroids are kept."""
         parts = ((quantiles_px - self.mean_px) * self.weights**2) @ self.shapes[:-1].T
-        left = quantiles_px - self.mean_px - parts @ self.shapes[:-1]
-        return np.concatenate([parts, centroid_of_quantiles(left)[:, None]], axis=1)
+        residual = quantiles_px - self.mean_px - parts @ self.shapes[:-1]
+        return np.concatenate([parts, centroid_of_quantiles(residual)[:, None]], axis=1)
 
     def levels(self, coordinates: Array) -> Array:
         """Return the quantiles of coordinates (N, C + 1), shape (N, K) [px]."""

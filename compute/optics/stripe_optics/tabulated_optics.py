@@ -56,11 +56,11 @@ class TabulatedOptics:
         count, total = len(points_mm), len(self._sensors)
         levels, light = [], []
         for kind, numbers in self._of_kind.items():
-            seen = np.concatenate(
+            local = np.concatenate(
                 [self._sensors[number].to_sensor_frame(points_mm) for number in numbers]
             )
-            found, strength = self._tables[kind](seen)
-            levels.append(found)
+            stripe_levels, strength = self._tables[kind](local)
+            levels.append(stripe_levels)
             light.append(strength)
         first, window = pixel_windows(np.concatenate(levels), np.concatenate(light))
         # The sensors of a kind stand together: back into the device's order.

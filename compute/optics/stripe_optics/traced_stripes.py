@@ -89,20 +89,20 @@ class TracedStripes:
         # Points behind the optics are moved in front to be traced, then darkened.
         before = points_mm[:, 2] >= self._front_mm
         points = np.where(before[:, None], points_mm, [0.0, 0.0, self._front_mm + 1000.0])
-        parts, left, samples = [], np.arange(len(points)), self._sampling.rays
-        while len(left):
-            rays = self._aim.fans(to_optics_frame(points[left]), self._heights_mm, samples)
+        parts, unsettled, samples = [], np.arange(len(points)), self._sampling.rays
+        while len(unsettled):
+            rays = self._aim.fans(to_optics_frame(points[unsettled]), self._heights_mm, samples)
             settled = spline_error_px(rays, self.row) <= self._sampling.tolerance_px
             if samples >= self._sampling.max_rays:
                 settled[:] = True
             if settled.any():
-                part = left[settled]
+                part = unsettled[settled]
                 fans = rays.of_points(settled)
-                middle = fans.pupil_mm[:, len(self._heights_mm) // 2].mean(axis=1)
-                scale = self._scale(points[part], middle)
+                centre = fans.pupil_mm[:, len(self._heights_mm) // 2].mean(axis=1)
+                scale = self._scale(points[part], centre)
                 profiles = stripe_profiles(fans, self._weights_mm, self.row, self.blur, scale)
                 parts.append((part, profiles))
-            left, samples = left[~settled], min(4 * samples - 3, self._sampling.max_rays)
+            unsettled, samples = unsettled[~settled], min(4 * samples - 3, self._sampling.max_rays)
         lines = merge_profiles(parts, len(points))
         lines.cell_sr[~before] = 0.0
         return lines

@@ -87,16 +87,16 @@ class Lens:
         """Return which points (N, 3) of the system's frame [mm] lie in its glass, shape (N,)."""
         x, y = self.alignment.decentre_mm
         tilt = Rotation.from_rotvec(self.alignment.tilt_rad)
-        own = tilt.apply(points_mm - np.array([x, y, self.z_mm]), inverse=True)
-        wide, high = 2.0 * own[:, 0] / self.aperture.width_mm, 2.0 * own[:, 1]
+        local = tilt.apply(points_mm - np.array([x, y, self.z_mm]), inverse=True)
+        wide, high = 2.0 * local[:, 0] / self.aperture.width_mm, 2.0 * local[:, 1]
         high = high / self.aperture.height_mm
         if self.aperture.outline == "rectangular":
             across = np.maximum(np.abs(wide), np.abs(high)) <= 1.0
         else:
             across = wide**2 + high**2 <= 1.0
-        front = sag(self.shapes[0], own[:, 0], own[:, 1])
-        back = sum(self.thicknesses_mm) + sag(self.shapes[-1], own[:, 0], own[:, 1])
-        return np.asarray(across & (own[:, 2] >= front) & (own[:, 2] <= back))
+        front = sag(self.shapes[0], local[:, 0], local[:, 1])
+        back = sum(self.thicknesses_mm) + sag(self.shapes[-1], local[:, 0], local[:, 1])
+        return np.asarray(across & (local[:, 2] >= front) & (local[:, 2] <= back))
 
     def _check_piece(self, piece: int) -> None:
         front, back = self.shapes[piece], self.shapes[piece + 1]

@@ -159,10 +159,10 @@ def _toroid(record: np.void, origin: Vectors, direction: Vectors, t_min: Array) 
         monotonic = (flattest >= 0.0) | (steepest <= 0.0)
         crosses = (h <= 0.0) != (h2 <= 0.0)
         fine = width <= finest + ROUNDING * abs(low)
-        found = crosses & (monotonic | fine)
-        if found.any():
-            result[rays[found]] = _newton(
-                at, rays[found], low[found], right[found], h[found], close
+        bracketed = crosses & (monotonic | fine)
+        if bracketed.any():
+            result[rays[bracketed]] = _newton(
+                at, rays[bracketed], low[bracketed], right[bracketed], h[bracketed], close
             )
         # Lines from both ends bound h: if they meet on the side of the ends, there is no root.
         span = right - low
@@ -170,7 +170,7 @@ def _toroid(record: np.void, origin: Vectors, direction: Vectors, t_min: Array) 
         bottom = h + flattest * ((h2 - h - steepest * span) / (flattest - steepest))
         below, above = (h <= 0.0) & (top < 0.0), (h > 0.0) & (bottom > 0.0)
         clear = ~crosses & (monotonic | fine | below | above)
-        keep = ~found & ~(clear & (right >= high))
+        keep = ~bracketed & ~(clear & (right >= high))
         low = np.where(clear, right, low)[keep]
         h, gs, fs = (
             np.where(clear, new, old)[keep] for new, old in ((h2, h), (gs2, gs), (fs2, fs))
@@ -193,15 +193,15 @@ def _newton(
     t = 0.5 * (low + high)
     for step in range(MAX_STEPS):
         h, g_slope, f_slope = at(rays, t)
-        left = (h <= 0.0) == low_negative
-        low, high = np.where(left, t, low), np.where(left, high, t)
+        same_side = (h <= 0.0) == low_negative
+        low, high = np.where(same_side, t, low), np.where(same_side, high, t)
         newton = t - h / (g_slope - f_slope)
         inside = (newton >= low) & (newton <= high)
         new = np.where(inside, newton, 0.5 * (low + high))
         moved = np.where(inside, abs(new - t), high - low)
-        done = (moved <= close + ROUNDING * abs(new)) | (step == MAX_STEPS - 1)
-        result[index[done]] = new[done]
-        go = ~done
+        converged = (moved <= close + ROUNDING * abs(new)) | (step == MAX_STEPS - 1)
+        result[index[converged]] = new[converged]
+        go = ~converged
         if not go.any():
             break
         index, rays, low_negative = index[go], rays[go], low_negative[go]

@@ -275,9 +275,9 @@ def _refract(
         axis = record["rotation"][:, 2]
         n = axis[0], axis[1], axis[2]
     else:
-        own = normal(record, position)
-        cosine = dot(local, own)
-        n = _times(record["rotation"], own) if record["is_rotated"] else own
+        surface_normal = normal(record, position)
+        cosine = dot(local, surface_normal)
+        n = _times(record["rotation"], surface_normal) if record["is_rotated"] else surface_normal
     inner = abs(cosine)
     square = 1.0 - ratio * ratio * (1.0 - inner * inner)
     outer = np.sqrt(square)

@@ -115,10 +115,10 @@ def acquire_simultaneous(
     free = rest.usable.sum(axis=1)
 
     def acquire(index: int, tool: RigidBody) -> SimultaneousAcquisition:
-        found, observation = identified.get(index), observations.get(index)
-        if found is None or observation is None:
-            reason = _not_identified(found, len(position), settings)
-            status = PoseStatus.MISSING if found is None else PoseStatus.INVALID
+        identified_tool, observation = identified.get(index), observations.get(index)
+        if identified_tool is None or observation is None:
+            reason = _not_identified(identified_tool, len(position), settings)
+            status = PoseStatus.MISSING if identified_tool is None else PoseStatus.INVALID
             return _failed(model, tool, status, reason, len(position))
         against = observation.count_contradictions(free)
         if against > observation.readings:
@@ -128,7 +128,7 @@ def acquire_simultaneous(
             )
             return _failed(model, tool, PoseStatus.INVALID, reason, len(position))
         readings, sigma = observation.readings_px(measurements)
-        labelling, centred = found.labelling, observation.centred
+        labelling, centred = identified_tool.labelling, observation.centred
         translation = centred.translation(labelling.rotation, labelling.centroid_mm)
         start = Transform(labelling.rotation, translation)
         fit = fit_pose(model, tool, readings, sigma, start=start, settings=settings.fit)
@@ -152,8 +152,8 @@ def _unclaimed_points(
     """Return positions (N, 3) and covariances of the points that are no tracked tool's marker."""
     if points is None:
         return np.empty((0, 3)), np.empty((0, 3, 3))
-    known = np.isfinite(points.position_mm).all(axis=1)
-    position, covariance = points.position_mm[known], points.covariance_mm2[known]
+    finite = np.isfinite(points.position_mm).all(axis=1)
+    position, covariance = points.position_mm[finite], points.covariance_mm2[finite]
     if not len(position) or not tracked:
         return position, covariance
     markers = np.concatenate(
@@ -166,16 +166,16 @@ def _unclaimed_points(
 
 
 def _not_identified(
-    found: IdentifiedTool | None, points: int, settings: ToolTrackerSettings
+    identified_tool: IdentifiedTool | None, points: int, settings: ToolTrackerSettings
 ) -> str:
     """Return why a tool was not identified, or not unambiguously."""
     least = settings.labelling.min_markers
-    if found is not None:
-        return str(found.ambiguity)
+    if identified_tool is not None:
+        return str(identified_tool.ambiguity)
     if points < least:
         return (
             f"{points or 'no'} point{'' if points == 1 else 's'} that may be its markers; its "
-            f"geometry is told by {least} or more"
+            f"geometry is distinguished by {least} or more"
         )
     return f"none of the {points} points that may be its markers lie as its markers do"
 

@@ -1,4 +1,4 @@
-"""Acquisition of a strobed tool from exposures of its markers in turn.
+"""Acquisition of a strobed tool from exposures of one marker at a time.
 
 The tool moves while its markers are lit in turn, so its latest readings fit no single pose. They
 give a rough one, with standard deviations that grow with their age. A filter with a broad prior
@@ -95,7 +95,7 @@ class AcquisitionBackoff:
         """Restart: the tool was found, or its readings changed."""
         self._first_ns: int | None = None  # of the searches in vain
         self._failed_ns = 0
-        self._left = 0
+        self._remaining_exposures = 0
         self._max_readings = -1
 
     @property
@@ -105,7 +105,7 @@ class AcquisitionBackoff:
 
     def count_exposure(self) -> None:
         """Count an exposure of the tool's markers."""
-        self._left -= 1
+        self._remaining_exposures -= 1
 
     def due(self, time_ns: int, readings: int) -> bool:
         """Return whether to search now.
@@ -118,7 +118,9 @@ class AcquisitionBackoff:
             return True
         pause_ns = time_ns - self._failed_ns
         enough_ns = MAX_DELAY_FRACTION * (self._failed_ns - self._first_ns)
-        return pause_ns >= MAX_PAUSE_NS or (self._left <= 0 and pause_ns >= enough_ns)
+        return pause_ns >= MAX_PAUSE_NS or (
+            self._remaining_exposures <= 0 and pause_ns >= enough_ns
+        )
 
     def record_failure(self, time_ns: int, readings: int, exposures: int) -> None:
         """Record an unsuccessful search.
@@ -130,7 +132,7 @@ class AcquisitionBackoff:
         """
         if self._first_ns is None or readings > self._max_readings:
             self._first_ns, self._max_readings = time_ns, readings
-        self._failed_ns, self._left = time_ns, exposures
+        self._failed_ns, self._remaining_exposures = time_ns, exposures
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,9 +228,9 @@ class _Search:
         """Return the best state that the filter reaches from rough poses, if it is unambiguous."""
         poses = zip(candidates.rotation, candidates.centroid_mm, strict=True)
         accepted = [
-            found
+            solution
             for rotation, centroid_mm in islice(poses, MAX_CANDIDATES)
-            if (found := self.iterate_filter(rotation, centroid_mm)) is not None
+            if (solution := self.iterate_filter(rotation, centroid_mm)) is not None
         ]
         if not accepted:
             reason = self.too_few_sensors()
@@ -275,7 +277,7 @@ class _Search:
 
     def iterate_filter(self, rotation: Array, centroid_mm: Array) -> StrobedAcquisition | None:
         """Filter the exposures repeatedly from an initial pose; None where they do not fit."""
-        motion, fit, offered = self.settings.motion, self.settings.fit, self.count
+        motion, fit, readings = self.settings.motion, self.settings.fit, self.count
         begin_ns = self.exposures[0].time_ns
         span_s = 1e-9 * (self.exposures[-1].time_ns - begin_ns)
         position_sigma = (
@@ -288,26 +290,26 @@ class _Search:
             filtered = self.filter_pass(state, robust=iteration > 1)
             if filtered is None or filtered.state is None:
                 return None
-            found = filtered.state
+            end_state = filtered.state
             # The next pass starts from this state; the broad prior stays.
             state = replace(
                 state,
-                rotation=exp_so3(-span_s * found.angular_velocity_rad_s) @ found.rotation,
-                centroid_mm=found.centroid_mm - span_s * found.velocity_mm_s,
-                velocity_mm_s=found.velocity_mm_s,
-                angular_velocity_rad_s=found.angular_velocity_rad_s,
+                rotation=exp_so3(-span_s * end_state.angular_velocity_rad_s) @ end_state.rotation,
+                centroid_mm=end_state.centroid_mm - span_s * end_state.velocity_mm_s,
+                velocity_mm_s=end_state.velocity_mm_s,
+                angular_velocity_rad_s=end_state.angular_velocity_rad_s,
             )
         # Beyond these limits the last pass cannot be accepted any more: it ends early.
         filtered = self.filter_pass(
             state,
             robust=True,
-            max_nis=chi2_limit(offered - 6, fit.false_rejection_probability),
-            max_excluded=(1.0 - MIN_CONSISTENT_FRACTION) * offered,
+            max_nis=chi2_limit(readings - 6, fit.false_rejection_probability),
+            max_excluded=(1.0 - MIN_CONSISTENT_FRACTION) * readings,
         )
         if (
             filtered is None
             or filtered.readings < STATES + fit.min_redundancy
-            or filtered.readings < MIN_CONSISTENT_FRACTION * offered
+            or filtered.readings < MIN_CONSISTENT_FRACTION * readings
         ):
             return None
         limit = chi2_limit(filtered.readings - 6, fit.false_rejection_probability)
@@ -325,19 +327,19 @@ class _Search:
         nis, count, excluded = 0.0, 0, 0
         for one in self.exposures:
             state = predict(state, one.time_ns, self.settings.motion)
-            seen = np.flatnonzero(np.isfinite(one.readings_px))
-            if len(seen) == 0:
+            sensors = np.flatnonzero(np.isfinite(one.readings_px))
+            if len(sensors) == 0:
                 continue
             lit = np.array([one.marker])
             arms = self.centred.markers_mm[lit] @ state.rotation.T
             expected = self.model.predict(arms + state.centroid_mm, with_common_errors=True)
-            if not np.isfinite(expected.reading_px[0, seen]).all():
+            if not np.isfinite(expected.reading_px[0, sensors]).all():
                 return None
             common = common_jacobian(expected, lit, state.common.shape[1])
             prediction = predict_measurement(state, arms, expected, common)
-            if len(seen) < len(self.model):
-                prediction = prediction.of(seen)
-            residual, sigma = one.readings_px[seen] - prediction.value_px, one.sigma_px[seen]
+            if len(sensors) < len(self.model):
+                prediction = prediction.of(sensors)
+            residual, sigma = one.readings_px[sensors] - prediction.value_px, one.sigma_px[sensors]
             updated: FilterUpdate | None
             if robust:
                 gate_probability = self.settings.gate_probability
@@ -348,8 +350,8 @@ class _Search:
                 return None
             state = updated.state
             nis += updated.nis
-            count += len(updated.kept)
-            excluded += len(seen) - len(updated.kept)
+            count += len(updated.accepted)
+            excluded += len(sensors) - len(updated.accepted)
             if nis > max_nis or excluded > max_excluded + 0.5:
                 return None
         return StrobedAcquisition(state, None, False, nis, count)

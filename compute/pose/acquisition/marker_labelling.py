@@ -91,10 +91,10 @@ def identify_tools(
     chosen: list[tuple[int, MarkerLabelling]] = []
     free = np.ones(len(points_mm), dtype=np.bool_)
     for index, labelling in all_labellings:
-        own = labelling.points[labelling.points >= 0]
-        if any(index == other for other, _ in chosen) or not free[own].all():
+        labelled_points = labelling.points[labelling.points >= 0]
+        if any(index == other for other, _ in chosen) or not free[labelled_points].all():
             continue
-        free[own] = False
+        free[labelled_points] = False
         chosen.append((index, labelling))
     return [
         IdentifiedTool(
@@ -155,26 +155,28 @@ def find_labellings(
         The assignments, lowest chi2 first; empty where none has ``min_markers`` markers that are
         not collinear, or where the search would take more than ``max_search_steps``.
     """
-    known = np.flatnonzero(np.isfinite(points_mm).all(axis=1))
-    positions, covariances = points_mm[known], covariance_mm2[known]
-    if len(known) < settings.min_markers:
+    finite = np.flatnonzero(np.isfinite(points_mm).all(axis=1))
+    positions, covariances = points_mm[finite], covariance_mm2[finite]
+    if len(finite) < settings.min_markers:
         return []
     fits = _compatible_distances(tool, positions, covariances, settings)
-    found: list[MarkerLabelling] = []
-    most = settings.min_markers
+    labellings: list[MarkerLabelling] = []
+    max_count = settings.min_markers
     for points in _assignments(fits, settings.min_markers, settings.max_search_steps):
         if points is None:
             return []
         count = int((points >= 0).sum())
-        if count < most:
+        if count < max_count:
             continue
         labelling = _fit_labelling(tool, points, positions, covariances, settings)
         if labelling is not None:
-            found = [labelling] if count > most else [*found, labelling]
-            most = count
+            labellings = [labelling] if count > max_count else [*labellings, labelling]
+            max_count = count
     # Indices into all points.
-    found = [replace(one, points=np.where(one.points >= 0, known[one.points], -1)) for one in found]
-    return sorted(found, key=lambda one: one.chi2)
+    labellings = [
+        replace(one, points=np.where(one.points >= 0, finite[one.points], -1)) for one in labellings
+    ]
+    return sorted(labellings, key=lambda one: one.chi2)
 
 
 def _compatible_distances(
@@ -182,14 +184,14 @@ def _compatible_distances(
 ) -> NDArray[np.bool_]:
     """Return whether the distance of markers i, j agrees with that of points a, b, (M, M, N, N)."""
     markers = np.asarray(tool.markers_mm, dtype=np.float64)
-    wanted = np.linalg.norm(markers[:, None] - markers[None], axis=-1)
+    marker_distance = np.linalg.norm(markers[:, None] - markers[None], axis=-1)
     apart = points_mm[:, None] - points_mm[None]
     distance = np.linalg.norm(apart, axis=-1)
     along = apart / np.maximum(distance, 1e-9)[..., None]
     both = covariance_mm2[:, None] + covariance_mm2[None]
     variance = np.einsum("abi,abij,abj->ab", along, both, along) + 2.0 * settings.marker_sigma_mm**2
     tolerance = -float(ndtri(0.5 * settings.gate_probability)) * np.sqrt(variance)
-    fits: NDArray[np.bool_] = np.abs(distance - wanted[:, :, None, None]) <= tolerance
+    fits: NDArray[np.bool_] = np.abs(distance - marker_distance[:, :, None, None]) <= tolerance
     fits &= ~np.eye(len(points_mm), dtype=np.bool_)
     return fits
 
@@ -219,8 +221,8 @@ def _assignments(
         for point in np.flatnonzero(candidates):
             assigned[marker] = point
             # Later markers: only points whose distance from this one agrees.
-            left = open_points & fits[marker, :, point, :]
-            yield from extend(marker + 1, count + 1, left)
+            compatible_points = open_points & fits[marker, :, point, :]
+            yield from extend(marker + 1, count + 1, compatible_points)
         assigned[marker] = -1
         yield from extend(marker + 1, count, open_points)
 
@@ -239,13 +241,15 @@ def _fit_labelling(
 ) -> MarkerLabelling | None:
     """Fit the pose of a tool to its points by weighted least squares; None: chi2 is too large."""
     centred = CentredMarkers.of(tool)
-    own = np.flatnonzero(points >= 0)
-    markers, target = centred.markers_mm[own], positions_mm[points[own]]
+    labelled = np.flatnonzero(points >= 0)
+    markers, target = centred.markers_mm[labelled], positions_mm[points[labelled]]
     start = initial_pose_from_points(markers, target)
     if start is None:
         return None
     rotation, centroid = start
-    inverse = np.linalg.inv(covariance_mm2[points[own]] + settings.marker_sigma_mm**2 * np.eye(3))
+    inverse = np.linalg.inv(
+        covariance_mm2[points[labelled]] + settings.marker_sigma_mm**2 * np.eye(3)
+    )
     for _ in range(GAUSS_NEWTON_STEPS):
         arms = markers @ rotation.T
         jacobian = point_jacobian(arms)
@@ -256,6 +260,6 @@ def _fit_labelling(
         rotation, centroid = rotation_matrix(step[:3]) @ rotation, centroid + step[3:]
     rest = target - markers @ rotation.T - centroid
     chi2 = float(np.einsum("ni,nij,nj->", rest, inverse, rest))
-    if not chi2 <= chi2_limit(3 * len(own) - 6, settings.gate_probability):
+    if not chi2 <= chi2_limit(3 * len(labelled) - 6, settings.gate_probability):
         return None
     return MarkerLabelling(points, rotation, centroid, np.linalg.inv(normal), chi2)

@@ -1,4 +1,4 @@
-"""Tool geometry: whether markers determine a pose and tell tools apart."""
+"""Tool geometry: checks that markers determine a pose and distinguish tools."""
 
 from collections.abc import Sequence
 from itertools import combinations

@@ -35,7 +35,7 @@ def missing_readings(
         return None
     if len(markers) < 3 or are_collinear(centred.markers_mm[markers]):
         return (
-            f"only {_listed('marker', markers)} were seen, which are on a line: the turn about it "
+            f"only {_listed('marker', markers)} were seen, which are on a line: the rotation "
             "is not determined"
         )
     return None
@@ -64,20 +64,20 @@ def unobservable_motion(
     share = float(rotation @ rotation)
     parts = []
     if share > 0.1:
-        parts.append(f"a turn about {_direction(rotation)}")
+        parts.append(f"a rotation about {_direction(rotation)}")
     if share < 0.9:
         parts.append(f"a shift along {_direction(shift)}")
     size = "at all" if np.isinf(sigma_mm) else f"better than {sigma_mm:.3g} mm"
     if share > 0.5 and np.isfinite(sigma_mm):
         size = f"better than {sigma_mm / centred.radius_mm:.2g} rad"
-    seen = "; ".join(
+    readings = "; ".join(
         f"marker {marker + 1} by {_listed('sensor', np.flatnonzero(row))}"
         for marker, row in enumerate(used)
         if row.any()
     )
     return (
         f"the readings do not determine {' with '.join(parts)} {size} (at most {limit_mm:.3g} mm "
-        f"at the markers' radius of {centred.radius_mm:.3g} mm is allowed): {seen}"
+        f"at the markers' radius of {centred.radius_mm:.3g} mm is allowed): {readings}"
     )
 
 

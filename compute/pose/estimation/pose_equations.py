@@ -96,8 +96,8 @@ class PoseEquations:
 
     def lever_arms(self, rotation: Array) -> Array:
         """Return the markers about their centroid along the world's axes, shape (K, M, 3)."""
-        found: Array = self.centred.markers_mm @ rotation.swapaxes(-1, -2)
-        return found
+        arms: Array = self.centred.markers_mm @ rotation.swapaxes(-1, -2)
+        return arms
 
     def rows(self, rotation: Array, centroid_mm: Array) -> Array:
         """Return Jacobian and residuals side by side, not whitened, shape (K, n, 7).
@@ -107,8 +107,8 @@ class PoseEquations:
             centroid_mm: centroid of the markers, shape (K, 3) [mm].
         """
         lever_arms = self.lever_arms(rotation)
-        places = (lever_arms + centroid_mm[:, None, :]).reshape(-1, 3)
-        value, slope = self.model.linearise(places)
+        positions = (lever_arms + centroid_mm[:, None, :]).reshape(-1, 3)
+        value, slope = self.model.linearise(positions)
         count = len(rotation)
         slope = slope.reshape(count, -1, 3)[:, self._flat]
         rows = np.empty((count, len(self._flat), 7))
@@ -128,14 +128,14 @@ class PoseEquations:
             rotation: R_world_tool, shape (3, 3).
             centroid_mm: centroid of the markers, shape (3,) [mm].
         """
-        places = self.lever_arms(rotation) + centroid_mm
-        expected = self.model.predict(places, with_common_errors=True)
+        positions = self.lever_arms(rotation) + centroid_mm
+        expected = self.model.predict(positions, with_common_errors=True)
         variance = self.sigma_px**2 + expected.table_variance_px2
-        found = np.diag(variance.ravel()[self._flat])
+        covariance = np.diag(variance.ravel()[self._flat])
         if expected.common_jacobian_px.shape[2]:
             common = expected.common_jacobian_px[self.used]
-            found += common @ common.T
-        return found
+            covariance += common @ common.T
+        return covariance
 
     def whitening(self, rotation: Array, centroid_mm: Array) -> Array:
         """Return W with ``W covariance W' = 1`` at a pose, shape (n, n).
@@ -157,8 +157,8 @@ class PoseEquations:
         """
         rows = self.rows(rotation, centroid_mm)
         rows = whitening @ rows if whitening.ndim == 2 else whitening[:, None] * rows
-        found: Array = rows.transpose(0, 2, 1) @ rows
-        return found
+        gram: Array = rows.transpose(0, 2, 1) @ rows
+        return gram
 
     def refine(
         self, rotation: Array, centroid_mm: Array, whitening: Array, most: int = MAX_ITERATIONS
@@ -241,8 +241,8 @@ class PoseEquations:
         rows[:, 3:6] = slope
         rows[:, 6] = self._measured - value.ravel()[self._flat]
         rows = whitening @ rows if whitening.ndim == 2 else whitening[:, None] * rows
-        found: Array = rows.T @ rows
-        return found
+        gram: Array = rows.T @ rows
+        return gram
 
 
 def rotation_jacobian(arm_mm: Array, gradient_px_per_mm: Array, into: Array) -> None:

@@ -145,31 +145,31 @@ def fit_pose(
         first = initial_pose_from_points(tool.markers_mm, points_mm)
     if first is not None:
         first = first[0][None], centred.centroid(*first)[None]
-    found = _fit_from_start(equations, first, settings)
-    if found.status is PoseStatus.INVALID and found.chi2 is not None:
-        found = _exclude_outlier(equations, found, settings)
-    return _with_reliability(equations, found, settings)
+    fit = _fit_from_start(equations, first, settings)
+    if fit.status is PoseStatus.INVALID and fit.chi2 is not None:
+        fit = _exclude_outlier(equations, fit, settings)
+    return _with_reliability(equations, fit, settings)
 
 
-def _with_reliability(
-    equations: PoseEquations, found: PoseFit, settings: PoseFitSettings
-) -> PoseFit:
+def _with_reliability(equations: PoseEquations, fit: PoseFit, settings: PoseFitSettings) -> PoseFit:
     """Return a fit with its reliability, by which an OK one may be LOW_RELIABILITY."""
-    if found.status is not PoseStatus.OK:
-        return found
-    assert found.rotation is not None
-    assert found.translation_mm is not None
-    left = replace(equations, readings_px=np.where(found.used, equations.readings_px, np.nan))
-    centroid = equations.centred.centroid(found.rotation, found.translation_mm)
+    if fit.status is not PoseStatus.OK:
+        return fit
+    assert fit.rotation is not None
+    assert fit.translation_mm is not None
+    used_equations = replace(
+        equations, readings_px=np.where(fit.used, equations.readings_px, np.nan)
+    )
+    centroid = equations.centred.centroid(fit.rotation, fit.translation_mm)
     reliability = pose_reliability(
-        left, found.rotation, centroid, settings.false_rejection_probability
+        used_equations, fit.rotation, centroid, settings.false_rejection_probability
     )
     limit = settings.max_detectable_sigma
     low = None if limit is None else reliability.low_reason(limit)
     if low is None:
-        return replace(found, reliability=reliability)
-    reason = low if found.reason is None else f"{found.reason}; {low}"
-    return replace(found, status=PoseStatus.LOW_RELIABILITY, reason=reason, reliability=reliability)
+        return replace(fit, reliability=reliability)
+    reason = low if fit.reason is None else f"{fit.reason}; {low}"
+    return replace(fit, status=PoseStatus.LOW_RELIABILITY, reason=reason, reliability=reliability)
 
 
 def _validate(
@@ -195,8 +195,8 @@ def _validate(
             shape=sigma.shape,
         )
     sigma = np.broadcast_to(sigma, shape)
-    known = np.isfinite(readings) & np.isfinite(sigma) & (sigma > 0.0)
-    return np.where(known, readings, np.nan), np.where(known, sigma, np.nan)
+    usable = np.isfinite(readings) & np.isfinite(sigma) & (sigma > 0.0)
+    return np.where(usable, readings, np.nan), np.where(usable, sigma, np.nan)
 
 
 def _fit_from_start(
@@ -245,7 +245,7 @@ def solutions(equations: PoseEquations, rotation: Array, centroid_mm: Array) -> 
         centroid_mm: initial centroids of the markers, shape (K, 3) [mm].
     """
     if equations.has_independent_noise:
-        found = equations.refine(rotation, centroid_mm, equations.independent_whitening)
+        candidates = equations.refine(rotation, centroid_mm, equations.independent_whitening)
     else:
         near = equations.refine(
             rotation, centroid_mm, equations.independent_whitening, UNCORRELATED_ITERATIONS
@@ -255,19 +255,19 @@ def solutions(equations: PoseEquations, rotation: Array, centroid_mm: Array) -> 
             return near.of(np.empty(0, dtype=np.intp))
         best = int(np.nanargmin(value))
         whitening = equations.whitening(near.rotation[best], near.centroid_mm[best])
-        found = equations.refine(near.rotation, near.centroid_mm, whitening)
-    order = np.argsort(found.chi2, kind="stable")
+        candidates = equations.refine(near.rotation, near.centroid_mm, whitening)
+    order = np.argsort(candidates.chi2, kind="stable")
     if len(order) == 1:
-        return found
-    places = equations.lever_arms(found.rotation) + found.centroid_mm[:, None, :]
+        return candidates
+    positions = equations.lever_arms(candidates.rotation) + candidates.centroid_mm[:, None, :]
     same = SAME_POSE_FRACTION * equations.centred.radius_mm
-    kept: list[int] = []
+    distinct: list[int] = []
     for index in order:
-        if np.isfinite(found.chi2[index]) and all(
-            np.abs(places[index] - places[other]).max() > same for other in kept
+        if np.isfinite(candidates.chi2[index]) and all(
+            np.abs(positions[index] - positions[other]).max() > same for other in distinct
         ):
-            kept.append(int(index))
-    return found.of(np.array(kept, dtype=np.intp))
+            distinct.append(int(index))
+    return candidates.of(np.array(distinct, dtype=np.intp))
 
 
 def _pose(equations: PoseEquations, poses: PoseCandidates) -> PoseFit:
@@ -292,7 +292,7 @@ def _pose(equations: PoseEquations, poses: PoseCandidates) -> PoseFit:
 
 
 def _exclude_outlier(
-    equations: PoseEquations, whole: PoseFit, settings: PoseFitSettings
+    equations: PoseEquations, full_fit: PoseFit, settings: PoseFitSettings
 ) -> PoseFit:
     """Exclude the one wrong reading, if one explains the misfit unambiguously.
 
@@ -300,7 +300,7 @@ def _exclude_outlier(
     1968: ``w^2 = (Q r)^2 / Q_ii`` with ``Q = S^-1 - S^-1 J (J' S^-1 J)^-1 J' S^-1``); each is
     excluded in turn.
     """
-    refused = PoseFit(PoseStatus.INVALID, whole.reason, equations.used, chi2=whole.chi2)
+    refused = PoseFit(PoseStatus.INVALID, full_fit.reason, equations.used, chi2=full_fit.chi2)
     least = POSE_PARAMETERS + max(settings.min_redundancy, settings.min_redundancy_after_exclusion)
     if settings.max_excluded < 1 or refused.readings_used - 1 < least:
         return refused
@@ -311,7 +311,7 @@ def _exclude_outlier(
         ),
     )
     trials: list[tuple[float, PoseFit]] = []
-    for marker, sensor in _suspects(equations, whole):
+    for marker, sensor in _suspects(equations, full_fit):
         if equations.used[marker].sum() - 1 < MIN_MARKER_READINGS:
             # The marker itself may be elsewhere, as on a bent or a mirrored body.
             continue
@@ -340,13 +340,13 @@ def _exclude_outlier(
     return replace(best, reason=reason)
 
 
-def _suspects(equations: PoseEquations, whole: PoseFit) -> list[tuple[int, int]]:
+def _suspects(equations: PoseEquations, full_fit: PoseFit) -> list[tuple[int, int]]:
     """Return marker and sensor of the readings whose exclusion lowers chi2 most, largest first."""
-    assert whole.rotation is not None
-    assert whole.translation_mm is not None
-    centroid = equations.centred.centroid(whole.rotation, whole.translation_mm)
-    whitening = equations.whitening(whole.rotation, centroid)
-    rows = whitening @ equations.rows(whole.rotation[None], centroid[None])[0]
+    assert full_fit.rotation is not None
+    assert full_fit.translation_mm is not None
+    centroid = equations.centred.centroid(full_fit.rotation, full_fit.translation_mm)
+    whitening = equations.whitening(full_fit.rotation, centroid)
+    rows = whitening @ equations.rows(full_fit.rotation[None], centroid[None])[0]
     basis, _ = np.linalg.qr(rows[:, :6])
     rest = whitening.T @ (np.eye(len(rows)) - basis @ basis.T)
     weight = (rest @ whitening).diagonal()

@@ -36,8 +36,8 @@ def initial_pose_from_points(markers_mm: Array, points_mm: Array) -> tuple[Array
     Returns:
         None with fewer than three points, or collinear ones: they leave a rotation undetermined.
     """
-    known = np.isfinite(points_mm).all(axis=1)
-    source, target = markers_mm[known], points_mm[known]
+    finite = np.isfinite(points_mm).all(axis=1)
+    source, target = markers_mm[finite], points_mm[finite]
     if are_collinear(source) or are_collinear(target):
         return None
     weight = np.full(len(source), 1.0 / len(source))
@@ -113,37 +113,37 @@ def _planes(
     deviation = (sigma_px * slope)[used]
     weight = 1.0 / deviation
     shift = np.zeros(len(model))
-    place: Array | None = None
+    position_mm: Array | None = None
     for _ in range(3):
         rows = (
             cameras.matrices[sensor, 0]
             - (corrected + shift)[used][:, None] * cameras.matrices[sensor, 1]
         )
-        if place is not None:
-            depth = cameras.matrices[sensor, 1] @ np.append(place, 1.0)
+        if position_mm is not None:
+            depth = cameras.matrices[sensor, 1] @ np.append(position_mm, 1.0)
             weight = 1.0 / (deviation * np.maximum(np.abs(depth), 1e-3))
         rows = rows * weight[:, None]
-        found, _, rank, _ = np.linalg.lstsq(rows[:, :3], -rows[:, 3])
+        solution, _, rank, _ = np.linalg.lstsq(rows[:, :3], -rows[:, 3])
         if rank < 3:
             return None
-        place = found
-        shift = _linearising_shift(model, place)
+        position_mm = solution
+        shift = _linearising_shift(model, position_mm)
         if not np.isfinite(shift[np.unique(sensor)]).all():
             return None
         shift = np.nan_to_num(shift)
-    assert place is not None
-    return rows[:, :3], rows[:, 3], place
+    assert position_mm is not None
+    return rows[:, :3], rows[:, 3], position_mm
 
 
-def _linearising_shift(model: MeasurementModel, place_mm: Array) -> Array:
+def _linearising_shift(model: MeasurementModel, position_mm: Array) -> Array:
     """Return the shift of readings near a position that undoes distortion and table, (S,) [px]."""
     cameras = model.cameras
     shift = np.zeros(len(cameras))
     if cameras.has_distortion:
-        plain = cameras.matrices @ np.append(place_mm, 1.0)
-        shift = plain[:, 0] / plain[:, 1] - cameras.project(place_mm[None])[0]
+        plain = cameras.matrices @ np.append(position_mm, 1.0)
+        shift = plain[:, 0] / plain[:, 1] - cameras.project(position_mm[None])[0]
     if model.corrections is not None:
-        shift = shift + model.corrections.at(place_mm[None]).value_px[0]
+        shift = shift + model.corrections.at(position_mm[None]).value_px[0]
     return shift
 
 
@@ -179,11 +179,11 @@ def _separated(rotations: Array, cost: Array) -> NDArray[np.intp]:
     """Return indices of the rotations to keep, best first, none close to a better one."""
     near = 1.0 + 2.0 * np.cos(MIN_SEPARATION_RAD)
     traces = np.einsum("aij,bij->ab", rotations, rotations)
-    kept: list[int] = []
+    separated: list[int] = []
     for index in np.argsort(cost, kind="stable"):
-        if (traces[index, kept] < near).all():
-            kept.append(int(index))
-    return np.array(kept[:MAX_STARTS], dtype=np.intp)
+        if (traces[index, separated] < near).all():
+            separated.append(int(index))
+    return np.array(separated[:MAX_STARTS], dtype=np.intp)
 
 
 _AXES: Final = cross_matrix(np.eye(3))

@@ -1,4 +1,4 @@
-"""Reliability of a pose: which errors of a reading are found, and what the others do to it."""
+"""Reliability of a pose: detectable errors of a reading, and the effect of undetected ones."""
 
 from dataclasses import dataclass
 
@@ -74,13 +74,13 @@ def pose_reliability(
     influence = checks.influence.copy()
     influence[:3] /= centred.radius_mm
     tip = np.linalg.norm(centred.tip_jacobian(rotation) @ influence, axis=0) * size
-    turn = np.linalg.norm(influence[:3], axis=0) * size
+    rotation_mm = np.linalg.norm(influence[:3], axis=0) * size
     return PoseReliability(
         float(in_sigma[worst]),
         int(marker[worst]),
         int(sensor[worst]),
         float(tip.max()),
-        float(turn.max()),
+        float(rotation_mm.max()),
     )
 
 

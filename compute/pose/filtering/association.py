@@ -124,8 +124,8 @@ class ToolObservation:
             gate_probability: probability that a correct reading is outside the gate.
         """
         off = np.zeros(self.peaks.shape)
-        asked = (self.peaks < 0) & ~self.merged & free.usable.any(axis=1)
-        if not asked.any():
+        unassociated = (self.peaks < 0) & ~self.merged & free.usable.any(axis=1)
+        if not unassociated.any():
             return off
         (prediction,) = _predict_observed(
             model, [self], float(np.sqrt(free.variance_px2[free.usable].min()))
@@ -135,7 +135,7 @@ class ToolObservation:
         distance = np.where(free.usable, np.abs(free.position_px - value), np.inf)
         square = np.where(distance <= NEAR_MISS_PX, distance**2 / variance, np.inf).min(axis=2)
         # A peak within the gate fits; it was only ambiguous.
-        near = asked & (square < np.inf) & (square > chi2_limit(1, gate_probability))
+        near = unassociated & (square < np.inf) & (square > chi2_limit(1, gate_probability))
         off[near] = np.minimum(square[near], MAX_EXCLUDED_NIS)
         return off
 
@@ -214,20 +214,20 @@ def associate(
         # narrow ones.
         every = offers[0] if len(offers) == 1 else np.concatenate(offers)
         strong = RIVAL_VARIANCE_RATIO * every.min(axis=0)
-        wanted = (every <= strong) & (every < np.inf)
-        claims = wanted.sum(axis=0)
+        gated = (every <= strong) & (every < np.inf)
+        claims = gated.sum(axis=0)
         any_updated, any_open = False, bool((claims > 1).any())
         for observation, one, offer in zip(active, prediction, offers, strict=True):
-            known = offer < np.inf
-            number = known.sum(axis=2, keepdims=True)
-            single = known & (offer <= strong) & (claims == 1) & (number == 1)
+            gated_by_tool = offer < np.inf
+            number = gated_by_tool.sum(axis=2, keepdims=True)
+            single = gated_by_tool & (offer <= strong) & (claims == 1) & (number == 1)
             row, sensor, peak = np.nonzero(single)
             if len(row) and not observation.misfit:
                 any_updated |= _update_from_peaks(
                     observation, one, measurements, row, sensor, peak, gate_probability
                 )
-                taken, where = np.nonzero(observation.peaks >= 0)
-                free[where, observation.peaks[taken, where]] = False
+                row_updated, sensor_updated = np.nonzero(observation.peaks >= 0)
+                free[sensor_updated, observation.peaks[row_updated, sensor_updated]] = False
             any_open |= bool((number > 1).any())
         if not any_updated or not any_open:
             return
@@ -241,13 +241,13 @@ def _predict_observed(
     marker_positions = np.concatenate(
         [arm + one.state.centroid_mm for arm, one in zip(arms, observations, strict=True)]
     )
-    whole = model.predict(marker_positions, with_common_errors=True)
+    predicted = model.predict(marker_positions, with_common_errors=True)
     focal = float(model.cameras.principal_distance_px.min())
     predictions = []
     first = 0
     for arm, observation in zip(arms, observations, strict=True):
         centred, lit, state = observation.centred, observation.lit, observation.state
-        part = whole.part(first, first + len(arm))
+        part = predicted.part(first, first + len(arm))
         first += len(arm)
         common = common_jacobian(part, lit, state.common.shape[1])
         prediction = predict_measurement(state, arm, part, common)
@@ -270,12 +270,12 @@ def common_jacobian(
         lit: indices of the markers in the tool, shape (m,).
         common_errors: number of common errors of the tool's filter.
     """
-    own = expected.common_jacobian_px
-    markers, sensors, count = own.shape
+    calibration_jacobian = expected.common_jacobian_px
+    markers, sensors, count = calibration_jacobian.shape
     if common_errors == count:
-        return own
+        return calibration_jacobian
     common = np.zeros((markers, sensors, common_errors))
-    common[..., :count] = own
+    common[..., :count] = calibration_jacobian
     row, sensor = np.meshgrid(np.arange(markers), np.arange(sensors), indexing="ij")
     common[row, sensor, count + lit[row] * sensors + sensor] = np.sqrt(expected.table_variance_px2)
     return common
@@ -345,18 +345,20 @@ def _update_from_peaks(
     residual = measurements.position_px[sensor, peak] - some.value_px
     sigma = np.sqrt(measurements.variance_px2[sensor, peak])
     if observation.imm is None:
-        found = robust_update(observation.state, some, residual, sigma, probability)
+        filter_update = robust_update(observation.state, some, residual, sigma, probability)
     else:
-        found = _update_imm(observation, some, residual, sigma, probability)
-    if found is None:
+        filter_update = _update_imm(observation, some, residual, sigma, probability)
+    if filter_update is None:
         observation.misfit = True
         return False
-    observation.state = found.state
-    observation.nis += found.nis
-    if found.whitened is not None:
-        observation.whitened.append(found.whitened)
-    observation.readings += len(found.kept)
-    observation.peaks[row[found.kept], sensor[found.kept]] = peak[found.kept]
+    observation.state = filter_update.state
+    observation.nis += filter_update.nis
+    if filter_update.whitened is not None:
+        observation.whitened.append(filter_update.whitened)
+    observation.readings += len(filter_update.accepted)
+    observation.peaks[row[filter_update.accepted], sensor[filter_update.accepted]] = peak[
+        filter_update.accepted
+    ]
     return True
 
 
@@ -369,16 +371,18 @@ def _update_imm(
 ) -> FilterUpdate | None:
     """Update all motion models by n readings, those that fit the widest one."""
     assert observation.imm is not None
-    found = observation.imm.update(prediction, residual_px, sigma_px)
-    kept = np.arange(len(residual_px))
-    if not found.widest_nis <= chi2_limit(len(kept), probability):
+    imm_update = observation.imm.update(prediction, residual_px, sigma_px)
+    accepted = np.arange(len(residual_px))
+    if not imm_update.widest_nis <= chi2_limit(len(accepted), probability):
         robust = robust_update(observation.state, prediction, residual_px, sigma_px, probability)
         if robust is None:
             return None
-        kept = robust.kept
-        found = observation.imm.update(prediction.of(kept), residual_px[kept], sigma_px[kept])
-    observation.imm = found.imm
-    return FilterUpdate(found.imm.widest_state, found.nis, kept, found.whitened)
+        accepted = robust.accepted
+        imm_update = observation.imm.update(
+            prediction.of(accepted), residual_px[accepted], sigma_px[accepted]
+        )
+    observation.imm = imm_update.imm
+    return FilterUpdate(imm_update.imm.widest_state, imm_update.nis, accepted, imm_update.whitened)
 
 
 def robust_update(
@@ -403,16 +407,18 @@ def robust_update(
         The update; None where more than a quarter of the readings (one of three) would have to be
         excluded.
     """
-    found = update(state, prediction, residual_px, sigma_px)
-    if found.nis <= chi2_limit(len(residual_px), probability):
-        return found
+    filter_update = update(state, prediction, residual_px, sigma_px)
+    if filter_update.nis <= chi2_limit(len(residual_px), probability):
+        return filter_update
     index = np.arange(len(residual_px))
     for _ in range((len(index) + 1) // 4):
-        whole = prediction.covariance[np.ix_(index, index)] + np.diag(sigma_px[index] ** 2)
-        inverse = np.linalg.inv(whole)
+        innovation_covariance = prediction.covariance[np.ix_(index, index)] + np.diag(
+            sigma_px[index] ** 2
+        )
+        inverse = np.linalg.inv(innovation_covariance)
         blame = (inverse @ residual_px[index]) ** 2 / inverse.diagonal()
         index = np.delete(index, np.argmax(blame))
-        found = update(state, prediction.of(index), residual_px[index], sigma_px[index])
-        if found.nis <= chi2_limit(len(index), probability):
-            return replace(found, kept=index)
+        filter_update = update(state, prediction.of(index), residual_px[index], sigma_px[index])
+        if filter_update.nis <= chi2_limit(len(index), probability):
+            return replace(filter_update, accepted=index)
     return None

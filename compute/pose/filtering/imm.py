@@ -137,10 +137,10 @@ class ImmModel:
             mode_probabilities: probability of each model, shape (K,): the weighted mean of all is
                 returned, shape (18, 18).
         """
-        found: Array = step_s**_POWER @ self.noise_terms
+        noise: Array = step_s**_POWER @ self.noise_terms
         if mode_probabilities is None:
-            return found.reshape(-1, IMM_STATES, IMM_STATES)
-        return (mode_probabilities @ found.reshape(len(mode_probabilities), -1)).reshape(
+            return noise.reshape(-1, IMM_STATES, IMM_STATES)
+        return (mode_probabilities @ noise.reshape(len(mode_probabilities), -1)).reshape(
             IMM_STATES, IMM_STATES
         )
 
@@ -240,14 +240,14 @@ class ImmState:
         )
         covariances = jacobian @ covariances
         covariance = covariances[:, :IMM_STATES] @ jacobian.T + process_noise[:STATES, :STATES]
-        later = propagate(
+        predicted = propagate(
             self.widest_state,
             time_ns,
             jacobian[ROTATION, ROTATION],
             covariance,
             covariances[:, IMM_STATES:],
         )
-        return retract(later, jacobian @ mean, later.covariance, later.common)
+        return retract(predicted, jacobian @ mean, predicted.covariance, predicted.common)
 
     def predict(self, time_ns: int, manoeuvre_factor: float = 1.0) -> "ImmState":
         """Return the states mixed and predicted to the time of the next readings.
@@ -288,11 +288,11 @@ class ImmState:
         )
         # Exactly symmetric: rounding errors would otherwise grow while the tool is tracked.
         np.add(half, half.swapaxes(1, 2), out=covariances[:, :, :IMM_STATES])
-        later = propagate(
+        predicted = propagate(
             widest_state, time_ns, jacobian[ROTATION, ROTATION], *_pose_blocks(covariances[-1])
         )
         return ImmState(
-            model, later, (offsets - offsets[-1]) @ jacobian.T, covariances, mode_probabilities
+            model, predicted, (offsets - offsets[-1]) @ jacobian.T, covariances, mode_probabilities
         )
 
     def update(
@@ -317,10 +317,10 @@ class ImmState:
                 1, 2
             )
             crossed[:, :, IMM_STATES:] += by_common
-        own = crossed[:, :, :6] @ jacobian.T + crossed[:, :, IMM_STATES:] @ by_common.T
+        mode_covariance = crossed[:, :, :6] @ jacobian.T + crossed[:, :, IMM_STATES:] @ by_common.T
         # The second-order part of ``prediction.covariance`` is common to all models.
-        combined = prediction.covariance + (own - own[-1])
-        combined.reshape(len(own), -1)[:, :: number + 1] += sigma_px**2
+        combined = prediction.covariance + (mode_covariance - mode_covariance[-1])
+        combined.reshape(len(mode_covariance), -1)[:, :: number + 1] += sigma_px**2
         root = np.linalg.cholesky(combined)
         solved = np.linalg.solve(root, right)
         value = solved[:, :, 0]

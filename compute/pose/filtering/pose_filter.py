@@ -81,8 +81,8 @@ class PoseState:
 
     def marker_positions(self, centred: CentredMarkers) -> Array:
         """Return the markers in the world, shape (M, 3) [mm]."""
-        found: Array = centred.markers_mm @ self.rotation.T + self.centroid_mm
-        return found
+        positions: Array = centred.markers_mm @ self.rotation.T + self.centroid_mm
+        return positions
 
     def reported_pose(self, centred: CentredMarkers) -> ReportedPose:
         """Return the reported pose of a tool with these markers."""
@@ -279,14 +279,14 @@ class FilterUpdate:
     Args:
         state: the updated state.
         nis: normalised innovation squared of the readings that were used.
-        kept: indices of the readings that were used.
+        accepted: indices of the readings that were used.
         whitened: whitened innovations and their Jacobian with respect to the common errors, shape
             (n, 1 + E); None: not kept.
     """
 
     state: PoseState
     nis: float
-    kept: NDArray[np.intp]
+    accepted: NDArray[np.intp]
     whitened: Array | None = None
 
 
@@ -305,8 +305,8 @@ def update(
         LinAlgError: the covariance of the readings is not positive definite.
     """
     count = len(residual_px)
-    whole = prediction.covariance.copy()
-    whole.flat[:: count + 1] += sigma_px**2
+    innovation_covariance = prediction.covariance.copy()
+    innovation_covariance.flat[:: count + 1] += sigma_px**2
     common_errors = state.common.shape[1]
     # One triangular solve for residual, gains and common errors.
     right = np.empty((count, 1 + STATES + common_errors), order="F")
@@ -314,7 +314,7 @@ def update(
     right[:, 1 : 1 + STATES] = prediction.cross_covariance.T
     if common_errors:
         right[:, 1 + STATES :] = prediction.jacobian @ state.common[:6] + prediction.common
-    root, failed = dpotrf(whole, lower=1)
+    root, failed = dpotrf(innovation_covariance, lower=1)
     if failed:
         raise np.linalg.LinAlgError("the readings' covariance is not positive definite")
     solved, _ = dtrtrs(root, right, lower=1, overwrite_b=1)

@@ -73,9 +73,9 @@ def second_order_prediction(
     root = np.linalg.cholesky(state.covariance[:6, :6] + 1e-18 * np.eye(6))
     steps = CUBATURE_RADIUS * np.concatenate([root.T, -root.T])
     rotations = rotation_matrix(steps[:, :3]) @ state.rotation
-    places = centred.markers_mm[lit] @ rotations.swapaxes(1, 2)
-    places += (state.centroid_mm + steps[:, 3:])[:, None, :]
-    value = model.linearise(places.reshape(-1, 3))[0].reshape(2, 6, -1)
+    positions = centred.markers_mm[lit] @ rotations.swapaxes(1, 2)
+    positions += (state.centroid_mm + steps[:, 3:])[:, None, :]
+    value = model.linearise(positions.reshape(-1, 3))[0].reshape(2, 6, -1)
     even = 0.5 * (value[0] + value[1]) - prediction.value_px
     if not np.isfinite(even).all():
         # Some cubature points lie behind a lens: the readings are undefined.

@@ -55,9 +55,9 @@ class Similarity:
             source_covariance: shape (N, 3, 3) [mm^2].
             target_covariance: shape (N, 3, 3) [mm^2].
         """
-        turn = self.scale * self.rotation
-        found: Array = turn @ source_covariance @ turn.T + target_covariance
-        return found
+        linear = self.scale * self.rotation
+        covariance: Array = linear @ source_covariance @ linear.T + target_covariance
+        return covariance
 
     def retract(self, step: Array) -> "Similarity":
         """Return the similarity corrected by an increment of its 6 or 7 parameters."""
@@ -138,7 +138,7 @@ def fit_weighted_similarity(
     # About the centroid rotation and translation are least correlated.
     centre = source.mean(axis=0)
     centred = source - centre
-    found = fit_isotropic_similarity(centred, target, 1.0 / size, scaled)
+    similarity = fit_isotropic_similarity(centred, target, 1.0 / size, scaled)
     length = float(np.sqrt((centred**2).sum(axis=1).mean()))
     misfit = partial(
         _misfit,
@@ -147,22 +147,22 @@ def fit_weighted_similarity(
         source_covariance=source_covariance,
         target_covariance=target_covariance,
     )
-    chi2, information, residual = misfit(found)
+    chi2, information, residual = misfit(similarity)
     for _ in range(_STEPS):
-        turn = found.scale * found.rotation
+        linear = similarity.scale * similarity.rotation
         pull = np.einsum("nij,nj->ni", information, residual)
-        adjusted = centred - np.einsum("nij,kj,nk->ni", source_covariance, turn.T, pull)
-        jacobian = found.jacobian(adjusted, scaled)
+        adjusted = centred - np.einsum("nij,kj,nk->ni", source_covariance, linear.T, pull)
+        jacobian = similarity.jacobian(adjusted, scaled)
         normal = np.einsum("nia,nij,njb->ab", jacobian, information, jacobian, optimize=True)
         step = -np.linalg.solve(normal, np.einsum("nia,ni->a", jacobian, pull))
         # With exchanged points full steps may oscillate.
         for _ in range(_HALVINGS):
-            tried = found.retract(step)
+            tried = similarity.retract(step)
             after = misfit(tried)
             if after[0] <= chi2 * (1.0 + 1e-12) + 1e-15:
                 break
             step = 0.5 * step
-        found, (chi2, information, residual) = tried, after
+        similarity, (chi2, information, residual) = tried, after
         # In standard deviations of the result; where these are as small as rounding, in lengths.
         size = np.abs(step[:3]).max() * length + np.abs(step[3:6]).max()
         if step @ normal @ step < 1e-12 * (1.0 + chi2) or size < 1e-12 * length:
@@ -175,13 +175,13 @@ def fit_weighted_similarity(
         )
     covariance = np.linalg.inv(normal)
     # Back from the centroid: t = t_centroid - s R centroid.
-    swept = -found.scale * found.rotation @ centre
+    swept = -similarity.scale * similarity.rotation @ centre
     shift = np.eye(len(covariance))
     shift[3:6, :3] = -cross_matrix(swept)
     if scaled:
         shift[3:6, 6] = swept
     return SimilarityFit(
-        replace(found, translation_mm=found.translation_mm + swept),
+        replace(similarity, translation_mm=similarity.translation_mm + swept),
         shift @ covariance @ shift.T,
         residual,
         chi2,
@@ -189,15 +189,15 @@ def fit_weighted_similarity(
 
 
 def _misfit(
-    found: Similarity,
+    similarity: Similarity,
     source: Array,
     target: Array,
     source_covariance: Array,
     target_covariance: Array,
 ) -> tuple[float, Array, Array]:
     """Return chi2, the information of each pair (N, 3, 3), and the residuals (N, 3)."""
-    covariance = found.residual_covariance(source_covariance, target_covariance)
+    covariance = similarity.residual_covariance(source_covariance, target_covariance)
     information = np.asarray(np.linalg.inv(covariance), np.float64)
-    residual = found.apply(source) - target
+    residual = similarity.apply(source) - target
     chi2 = float(np.einsum("ni,nij,nj->", residual, information, residual))
     return chi2, information, residual

@@ -48,10 +48,10 @@ class CorrespondenceErrors:
 
 @dataclass(frozen=True, eq=False)
 class _Hypotheses:
-    """Hypotheses of one kind: orders (E, N), the pairs that each keeps, and their misfits."""
+    """Hypotheses of one kind: orders (E, N), the pairs that each uses, and their misfits."""
 
     order: NDArray[np.intp]
-    kept: NDArray[np.intp]
+    pairs: NDArray[np.intp]
     squares: Array
 
     @property
@@ -64,7 +64,7 @@ class _Hypotheses:
 
     @property
     def dof(self) -> int:
-        return 3 * int(self.kept.shape[1]) - 6
+        return 3 * int(self.pairs.shape[1]) - 6
 
 
 def find_correspondence_errors(
@@ -102,21 +102,24 @@ class _Pairs:
     variance: Array | None
 
     @cached_property
-    def given(self) -> _Hypotheses:
+    def original(self) -> _Hypotheses:
         return self.squares(np.arange(len(self.source))[None])
 
     def find_errors(self, orders: list[_Hypotheses]) -> CorrespondenceErrors | None:
-        known = self.variance is not None
-        if known and chi_square.sf(self.given.squares[0], self.given.dof) > SIGNIFICANCE:
+        sigma_known = self.variance is not None
+        if (
+            sigma_known
+            and chi_square.sf(self.original.squares[0], self.original.dof) > SIGNIFICANCE
+        ):
             return None
         # Exclusions come last: an exchange that explains the misfit needs no wrong point.
         tried = [*orders, *self.exclusions()]
         count = sum(len(one.squares) for one in tried)
         least, least_dof = min((one.min_square / one.dof, one.dof) for one in tried)
         for one in tried:
-            p_value = count * _p_value(self.given, one, known)
+            p_value = count * _p_value(self.original, one, sigma_known)
             # A hypothesis with a clearly larger misfit than another one is not the explanation.
-            if known:
+            if sigma_known:
                 as_good = chi_square.sf(one.min_square, one.dof) > SIGNIFICANCE
             else:
                 limit = max(least, 1e-300) * fisher.isf(0.01, one.dof, least_dof)
@@ -126,17 +129,19 @@ class _Pairs:
         return None
 
     def symmetric_orders(self, orders: list[_Hypotheses]) -> tuple[tuple[int, ...], ...]:
-        dof = self.given.dof
+        dof = self.original.dof
         if self.variance is None:
-            bound = max(self.given.squares[0], 1e-18) * fisher.isf(SYMMETRY_PROBABILITY, dof, dof)
+            bound = max(self.original.squares[0], 1e-18) * fisher.isf(
+                SYMMETRY_PROBABILITY, dof, dof
+            )
         else:
             bound = chi_square.isf(SYMMETRY_PROBABILITY, dof)
-        found = [
+        symmetric = [
             (float(tried.squares[one]), tuple(tried.order[one].tolist()))
             for tried in orders
             for one in np.flatnonzero(tried.squares <= bound)
         ]
-        return tuple(order for _, order in sorted(found))
+        return tuple(order for _, order in sorted(symmetric))
 
     def orders(self) -> list[_Hypotheses]:
         """Return the other orders of the targets, by the number of pairs that they change."""
@@ -159,15 +164,15 @@ class _Pairs:
 
     def exclusions(self) -> list[_Hypotheses]:
         count = len(self.source)
-        every, found = np.arange(count), []
+        every, hypotheses = np.arange(count), []
         for left_out in (1, 2):
             # Fewer than four pairs, or three degrees of freedom, fit by chance.
             if 3 * (count - left_out) - 6 < _MIN_DOF + 3 * (left_out - 1):
                 continue
             out = combinations(sorted(self.worst()), left_out)
-            kept = np.array([np.setdiff1d(every, one) for one in out])
-            found.append(self.squares(np.broadcast_to(every, (len(kept), count)), kept))
-        return found
+            pairs = np.array([np.setdiff1d(every, one) for one in out])
+            hypotheses.append(self.squares(np.broadcast_to(every, (len(pairs), count)), pairs))
+        return hypotheses
 
     def worst(self) -> list[int]:
         """Return the pairs with the largest residuals, largest first."""
@@ -177,9 +182,11 @@ class _Pairs:
         worst: list[int] = np.argsort(-off)[:_MAX_SWAP_PAIRS].tolist()
         return worst
 
-    def squares(self, order: NDArray[np.intp], kept: NDArray[np.intp] | None = None) -> _Hypotheses:
+    def squares(
+        self, order: NDArray[np.intp], pairs: NDArray[np.intp] | None = None
+    ) -> _Hypotheses:
         """Return the least sum of weighted squares of each of E orders over rigid transforms."""
-        rows = np.broadcast_to(np.arange(order.shape[1]), order.shape) if kept is None else kept
+        rows = np.broadcast_to(np.arange(order.shape[1]), order.shape) if pairs is None else pairs
         x, y = self.source[rows], self.target[np.take_along_axis(order, rows, axis=1)]
         weights = np.ones(rows.shape) if self.variance is None else 1.0 / self.variance[rows]
         share = weights / weights.sum(axis=1, keepdims=True)
@@ -192,13 +199,13 @@ class _Pairs:
         return _Hypotheses(order, rows, np.maximum(total - 2.0 * turned, 0.0))
 
     def describe(self, tried: _Hypotheses, p_value: float) -> CorrespondenceErrors:
-        order, kept = tried.order[tried.best], tried.kept[tried.best]
+        order, pairs = tried.order[tried.best], tried.pairs[tried.best]
         every = np.arange(len(order))
         moved = np.flatnonzero(order != every)
-        wrong = moved if len(moved) else np.setdiff1d(every, kept)
+        wrong = moved if len(moved) else np.setdiff1d(every, pairs)
         unweighted = replace(self, variance=None)
-        before = unweighted.given.squares[0] / len(every)
-        after = unweighted.squares(order[None], kept[None]).squares[0] / len(kept)
+        before = unweighted.original.squares[0] / len(every)
+        after = unweighted.squares(order[None], pairs[None]).squares[0] / len(pairs)
         return CorrespondenceErrors(
             "exchanged" if len(moved) else "misplaced",
             tuple(wrong.tolist()),
@@ -209,17 +216,17 @@ class _Pairs:
         )
 
 
-def _p_value(given: _Hypotheses, tried: _Hypotheses, known: bool) -> float:
+def _p_value(original: _Hypotheses, tried: _Hypotheses, sigma_known: bool) -> float:
     """Return the probability that noise makes the given order this much worse."""
-    before, after = float(given.squares[0]), tried.min_square
-    fewer = given.dof - tried.dof
-    if known:
-        return float(chi_square.sf(before - after, fewer or given.dof))
+    before, after = float(original.squares[0]), tried.min_square
+    fewer = original.dof - tried.dof
+    if sigma_known:
+        return float(chi_square.sf(before - after, fewer or original.dof))
     after = max(after, 1e-18)
     if fewer:
         ratio = (before - after) / fewer / (after / tried.dof)
         return float(fisher.sf(ratio, fewer, tried.dof))
-    return float(fisher.sf(before / after, given.dof, tried.dof))
+    return float(fisher.sf(before / after, original.dof, tried.dof))
 
 
 def _cycle(count: int, ring: tuple[int, ...]) -> list[int]:

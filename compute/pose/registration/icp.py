@@ -102,7 +102,7 @@ class _Alignment:
     rotation: Array
     translation: Array
     moved: Array
-    places: Array
+    closest: Array
     normals: Array
     along: Array
     off: Array
@@ -141,36 +141,36 @@ def register_surface(
         NoConvergence: the iteration did not converge.
         InvalidParameter, NonFiniteValue: the points are of a wrong shape, or not finite.
     """
-    wanted = settings or IcpSettings()
+    criteria = settings or IcpSettings()
     points = finite_points(points_mm, "points_mm")
-    if len(points) < wanted.min_points:
+    if len(points) < criteria.min_points:
         raise TooFewPoints(
-            f"{len(points)} points on the surface; at least {wanted.min_points} are needed",
+            f"{len(points)} points on the surface; at least {criteria.min_points} are needed",
             points=len(points),
-            needed=wanted.min_points,
+            needed=criteria.min_points,
         )
-    search = _Icp(surface, tell, wanted)
+    search = _Icp(surface, tell, criteria)
     alignment = search.iterate(points, start.rotation, start.translation_mm)
     centre = alignment.moved[alignment.kept].mean(axis=0)
     length, normal = _stiffness(alignment, centre)
     values, axes = np.linalg.eigh(normal)
     stiffness_ratio = float(max(values[0], 0.0) / values[-1])
     weakest_motion = _describe_motion(axes[:, 0], centre)
-    if stiffness_ratio < wanted.min_stiffness_ratio:
+    if stiffness_ratio < criteria.min_stiffness_ratio:
         raise UndeterminedParameters(
             f"the surface does not hold {weakest_motion}: its stiffness is {stiffness_ratio:.1e} "
-            f"of the best held motion's; at least {wanted.min_stiffness_ratio:.0e} is needed. Take "
-            "points where the surface bends another way",
+            f"of the best held motion's; at least {criteria.min_stiffness_ratio:.0e} is needed. "
+            "Take points where the surface bends another way",
             stiffness_ratio=stiffness_ratio,
-            needed=wanted.min_stiffness_ratio,
+            needed=criteria.min_stiffness_ratio,
             motion=weakest_motion,
         )
-    if alignment.rms > wanted.max_rms_mm:
+    if alignment.rms > criteria.max_rms_mm:
         raise HighError(
             f"the points are {alignment.rms:.3g} mm RMS off the surface; they must be within "
-            f"{wanted.max_rms_mm:g} mm: the start is too far off, or they are of another surface",
+            f"{criteria.max_rms_mm:g} mm: the start is too far off, or they are of another surface",
             rms_mm=alignment.rms,
-            max_mm=wanted.max_rms_mm,
+            max_mm=criteria.max_rms_mm,
         )
     other = _alternative_minimum(search, points, start, alignment, length)
     return IcpRegistration(
@@ -202,18 +202,18 @@ class _Icp:
         Raises:
             NoConvergence: they do not end within ``settings.max_steps``.
         """
-        spread = float(np.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=1).mean()))
+        radius = float(np.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=1).mean()))
         here = self.align(points, rotation, translation)
         steps = 0
         while steps < self.settings.max_steps:
             step, centre = self.step(here)
             for _ in range(_HALVINGS):
                 steps += 1
-                turn = rotation_matrix(step[:3])
+                increment = rotation_matrix(step[:3])
                 there = self.align(
                     points,
-                    nearest_rotation(turn @ here.rotation),
-                    turn @ (here.translation - centre) + centre + step[3:],
+                    nearest_rotation(increment @ here.rotation),
+                    increment @ (here.translation - centre) + centre + step[3:],
                 )
                 if there.misfit < here.misfit:
                     break
@@ -221,8 +221,8 @@ class _Icp:
             gained = here.misfit - there.misfit
             if gained > 0.0:
                 here = there
-            size = float(spread * np.linalg.norm(step[:3]) + np.linalg.norm(step[3:]))
-            if gained <= _MIN_RELATIVE_GAIN * here.misfit or size < 1e-9 * spread:
+            size = float(radius * np.linalg.norm(step[:3]) + np.linalg.norm(step[3:]))
+            if gained <= _MIN_RELATIVE_GAIN * here.misfit or size < 1e-9 * radius:
                 return replace(here, steps=steps)
         raise NoConvergence(
             f"the surface registration did not end in {self.settings.max_steps} steps; the last "
@@ -233,18 +233,18 @@ class _Icp:
         """Return how the points lie beside the surface after a motion."""
         moved = points @ rotation.T + translation
         self.tell()
-        places, normals = self.surface.nearest(moved)
-        off = moved - places
+        closest, normals = self.surface.nearest(moved)
+        off = moved - closest
         along = (off * normals).sum(axis=1)
         distance = np.linalg.norm(off, axis=1)
-        kept = np.zeros(len(points), bool)
+        inliers = np.zeros(len(points), bool)
         keep = max(int(np.ceil((1.0 - self.settings.trim) * len(points))), 6)
-        kept[np.argsort(distance, kind="stable")[:keep]] = True
+        inliers[np.argsort(distance, kind="stable")[:keep]] = True
         counted = along if self.surface.exact_normals else distance
-        misfit = float((counted[kept] ** 2).sum())
-        rms = float(np.sqrt((distance[kept] ** 2).mean()))
+        misfit = float((counted[inliers] ** 2).sum())
+        rms = float(np.sqrt((distance[inliers] ** 2).mean()))
         return _Alignment(
-            rotation, translation, moved, places, normals, along, distance, kept, misfit, rms
+            rotation, translation, moved, closest, normals, along, distance, inliers, misfit, rms
         )
 
     def step(self, here: _Alignment) -> tuple[Array, Array]:
@@ -252,9 +252,11 @@ class _Icp:
         moved = here.moved[here.kept]
         centre = moved.mean(axis=0)
         if not self.surface.exact_normals:
-            found = fit_isotropic_similarity(moved, here.places[here.kept], np.ones(len(moved)))
-            turn = rotation_vector(found.rotation)
-            return np.concatenate([turn, found.apply(centre) - centre]), centre
+            similarity = fit_isotropic_similarity(
+                moved, here.closest[here.kept], np.ones(len(moved))
+            )
+            rotation = rotation_vector(similarity.rotation)
+            return np.concatenate([rotation, similarity.apply(centre) - centre]), centre
         normals = here.normals[here.kept]
         jacobian = np.concatenate([np.cross(moved - centre, normals), normals], axis=1)
         # Motions that the surface does not constrain are left unchanged (and reported afterwards).
@@ -262,35 +264,35 @@ class _Icp:
 
 
 def _stiffness(alignment: _Alignment, centre: Array) -> tuple[float, Array]:
-    """Return the points' RMS distance from their middle, and the normal matrix in units of it."""
-    kept = alignment.kept
-    centred = alignment.moved[kept] - centre
+    """Return the points' RMS distance from their centroid, and the normal matrix in units of it."""
+    inliers = alignment.kept
+    centred = alignment.moved[inliers] - centre
     length = float(np.sqrt((centred**2).sum(axis=1).mean()))
-    normals = alignment.normals[kept]
+    normals = alignment.normals[inliers]
     jacobian = np.concatenate([np.cross(centred, normals) / length, normals], axis=1)
     return length, jacobian.T @ jacobian
 
 
 def _covariance(alignment: _Alignment, normal: Array, centre: Array, length: float) -> Array:
-    """Return the covariance of turn and translation."""
+    """Return the covariance of rotation and translation."""
     # Trimming removes the tails: the standard deviation comes from the median.
     sigma = float(np.median(alignment.off)) / MAD_OF_NORMAL
     sigma *= float(np.sqrt(len(alignment.off) / (len(alignment.off) - 6.0)))
     scale = np.diag([1.0 / length] * 3 + [1.0] * 3)
     centred = sigma**2 * scale @ np.linalg.inv(normal) @ scale
     back = np.eye(6)
-    # x = exp([w]x) (x - middle) + middle + d: seen from the origin t moves by -w x (middle - t).
+    # x = exp([w]x) (x - centre) + centre + d: seen from the origin t moves by -w x (centre - t).
     back[3:, :3] = cross_matrix(centre - alignment.translation)
-    found: Array = back @ centred @ back.T
-    return found
+    covariance: Array = back @ centred @ back.T
+    return covariance
 
 
 def _describe_motion(motion: Array, centre: Array) -> str:
-    turn, shift = np.linalg.norm(motion[:3]), np.linalg.norm(motion[3:])
-    if turn > shift:
-        x, y, z = motion[:3] / turn
+    angle, shift = np.linalg.norm(motion[:3]), np.linalg.norm(motion[3:])
+    if angle > shift:
+        x, y, z = motion[:3] / angle
         near = ", ".join(f"{one:.1f}" for one in centre)
-        return f"a turn about ({x:.2f}, {y:.2f}, {z:.2f}) near ({near}) mm"
+        return f"a rotation about ({x:.2f}, {y:.2f}, {z:.2f}) near ({near}) mm"
     x, y, z = motion[3:] / shift
     return f"a shift along ({x:.2f}, {y:.2f}, {z:.2f})"
 
@@ -312,7 +314,7 @@ def _alternative_minimum(
         apart = np.sqrt(((tried.moved - here.moved) ** 2).sum(axis=1).mean())
         return bool(apart > max(here.rms, 1e-3 * length) and tried.rms <= 1.5 * here.rms)
 
-    found: list[_Alignment] = []
+    alternatives: list[_Alignment] = []
     for rotation, translation in _other_starts(points, start, search.settings):
         try:
             tried = search.iterate(some, rotation, translation)
@@ -321,8 +323,8 @@ def _alternative_minimum(
         except NoConvergence:
             continue
         if len(tried.moved) == len(points) and is_other(tried, alignment):
-            found.append(tried)
-    return min(found, key=lambda one: one.rms, default=None)
+            alternatives.append(tried)
+    return min(alternatives, key=lambda one: one.rms, default=None)
 
 
 def _other_starts(
@@ -332,7 +334,7 @@ def _other_starts(
     centre = start.apply(points.mean(axis=0))
     for axis in np.concatenate([np.eye(3), -np.eye(3)]):
         if settings.start_turn_rad > 0.0:
-            turn = rotation_matrix(settings.start_turn_rad * axis)
-            yield turn @ start.rotation, turn @ (start.translation_mm - centre) + centre
+            tilt = rotation_matrix(settings.start_turn_rad * axis)
+            yield tilt @ start.rotation, tilt @ (start.translation_mm - centre) + centre
         if settings.start_shift_mm > 0.0:
             yield start.rotation, start.translation_mm + settings.start_shift_mm * axis

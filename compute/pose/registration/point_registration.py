@@ -32,7 +32,7 @@ Array = NDArray[np.float64]
 Weighting = Literal["covariances", "isotropic"]
 
 MIN_HEIGHT: Final = 0.01
-"""Fiducials flatter than this, RMS off their line over RMS along it, leave the turn open."""
+"""Smallest RMS off the fiducials' line over RMS along it that determines the rotation about it."""
 _MAX_ROTATION_SIGMA_RAD: Final = 1.0 / 3.0
 _UNIT: Final = np.eye(3)
 _DUPLICATE_TOLERANCE: Final = 1e-6
@@ -48,7 +48,7 @@ class Registration:
     Args:
         transform: T_target_source with its covariance; without the scale.
         scale: lengths in the target over lengths in the source; 1 unless asked for.
-        parameter_covariance: of turn [rad], translation [mm] and, if it was free, log scale,
+        parameter_covariance: of rotation [rad], translation [mm] and, if it was free, log scale,
             shape (6, 6) or (7, 7).
         residual_mm: of each fiducial, shape (N, 3) [mm]; its length is the fiducial
             registration error (FRE).
@@ -80,8 +80,8 @@ class Registration:
         """Return the covariance of ``apply`` at targets (..., 3), shape (..., 3, 3) [mm^2]."""
         targets = np.asarray(targets_mm, dtype=np.float64)
         jacobian = self._similarity.jacobian(targets, len(self.parameter_covariance) == 7)
-        found: Array = jacobian @ self.parameter_covariance @ jacobian.swapaxes(-1, -2)
-        return found
+        covariance: Array = jacobian @ self.parameter_covariance @ jacobian.swapaxes(-1, -2)
+        return covariance
 
     def target_error(self, targets_mm: Array) -> Array:
         """Return the expected RMS target registration error (TRE), shape (...) [mm].
@@ -91,8 +91,8 @@ class Registration:
         (doi:10.1109/42.736021).
         """
         covariance = self.target_covariance(targets_mm)
-        found: Array = np.sqrt(np.trace(covariance, axis1=-2, axis2=-1))
-        return found
+        sigma: Array = np.sqrt(np.trace(covariance, axis1=-2, axis2=-1))
+        return sigma
 
     @property
     def _similarity(self) -> Similarity:
@@ -146,40 +146,40 @@ def register_points(
             pairs=count,
             needed=3,
         )
-    known = source_covariance_mm2 is not None or target_covariance_mm2 is not None
+    sigma_known = source_covariance_mm2 is not None or target_covariance_mm2 is not None
     source_covariances = _covariances(source_covariance_mm2, count, "source")
     target_covariances = _covariances(target_covariance_mm2, count, "target")
     _check_distinct(source, "source", called)
     _check_distinct(target, "target", called)
     both = source_covariances + target_covariances
     variance = np.trace(both, axis1=1, axis2=2) / 3.0
-    if known and not (np.linalg.eigvalsh(both)[:, 0] > 0.0).all():
+    if sigma_known and not (np.linalg.eigvalsh(both)[:, 0] > 0.0).all():
         raise InvalidParameter("the covariances of a pair, both sides added, must be positive")
     for points, side in ((source, "source"), (target, "target")):
-        _check_not_collinear(points, side, float(np.sqrt(variance.mean())) if known else 0.0)
+        _check_not_collinear(points, side, float(np.sqrt(variance.mean())) if sigma_known else 0.0)
     fit = (
         fit_weighted_similarity(source, target, source_covariances, target_covariances, scaled)
-        if known and weighting == "covariances"
+        if sigma_known and weighting == "covariances"
         else _closed_form(
-            source, target, scaled, source_covariances, target_covariances if known else _UNIT
+            source, target, scaled, source_covariances, target_covariances if sigma_known else _UNIT
         )
     )
     parameters = 7 if scaled else 6
     fle = fiducial_localisation_error(fit.residual_mm, parameters)
-    covariance = fit.covariance if known else fit.covariance * fle**2 / 3.0
+    covariance = fit.covariance if sigma_known else fit.covariance * fle**2 / 3.0
     dof = 3 * count - parameters
     shrunk = fit.similarity.scale * source if scaled else source
     correspondence_errors, others = find_correspondence_errors(
-        shrunk, target, variance if known else None
+        shrunk, target, variance if sigma_known else None
     )
     similarity = fit.similarity
     warnings: list[str | None]
     if correspondence_errors is not None:
         warnings = [_wrong_pairs_message(correspondence_errors, called)]
     else:
-        misfit = _misfit_message(fit.chi2, dof) if known else None
+        misfit = _misfit_message(fit.chi2, dof) if sigma_known else None
         warnings = [misfit, _symmetry_message(others, called)]
-    warnings.append(_collinearity_message(source, covariance, known))
+    warnings.append(_collinearity_message(source, covariance, sigma_known))
     return Registration(
         Transform(similarity.rotation, similarity.translation_mm, covariance[:6, :6]),
         similarity.scale,
@@ -187,17 +187,17 @@ def register_points(
         fit.residual_mm,
         float(np.sqrt((fit.residual_mm**2).sum(axis=1).mean())),
         fle,
-        float(np.sqrt(3.0 * variance.mean())) if known else None,
-        float(np.sqrt(fit.chi2 / dof)) if known else None,
+        float(np.sqrt(3.0 * variance.mean())) if sigma_known else None,
+        float(np.sqrt(fit.chi2 / dof)) if sigma_known else None,
         correspondence_errors,
         tuple(message for message in warnings if message is not None),
     )
 
 
-def _covariances(given: Array | None, count: int, side: str) -> Array:
-    if given is None:
+def _covariances(covariances: Array | None, count: int, side: str) -> Array:
+    if covariances is None:
         return np.zeros((count, 3, 3))
-    covariance = np.asarray(given, dtype=np.float64)
+    covariance = np.asarray(covariances, dtype=np.float64)
     if covariance.shape not in ((3, 3), (count, 3, 3)):
         raise InvalidParameter(
             f"the {side}'s covariance has shape {covariance.shape}; it must be (3, 3) or "
@@ -217,7 +217,7 @@ def _check_distinct(points: Array, side: str, names: Sequence[str]) -> None:
     first, second = divmod(int(np.argmin(apart)), len(points))
     if not apart[first, second] > _DUPLICATE_TOLERANCE * length:
         raise DuplicatePoint(
-            f'fiducials "{names[first]}" and "{names[second]}" are at one place in the {side}, '
+            f'fiducials "{names[first]}" and "{names[second]}" are at one position in the {side}, '
             f"{np.round(points[first], 3).tolist()}; give each once, its measurements averaged",
             pairs=[first, second],
         )
@@ -256,16 +256,17 @@ def _symmetry_message(others: tuple[tuple[int, ...], ...], names: Sequence[str])
     )
 
 
-def _collinearity_message(source: Array, covariance: Array, known: bool) -> str | None:
+def _collinearity_message(source: Array, covariance: Array, sigma_known: bool) -> str | None:
     along, off = principal_line(source)
     if off >= _NEARLY_COLLINEAR * along:
         return None
-    turn = float(np.sqrt(np.linalg.eigvalsh(covariance[:3, :3])[-1]))
-    basis = "" if known else ", by what the residuals tell"
+    rotation_sigma = float(np.sqrt(np.linalg.eigvalsh(covariance[:3, :3])[-1]))
+    basis = "" if sigma_known else ", as estimated from the residuals"
     return (
         f"the fiducials are only {off:.3g} mm RMS off one line, along which they are spread "
-        f"by {along:.4g} mm: the turn about it is known to {np.degrees(turn):.2g} deg{basis}, "
-        f"and a target {along:.3g} mm from the line is {turn * along:.2g} mm off for it"
+        f"by {along:.4g} mm: the rotation about it is known to "
+        f"{np.degrees(rotation_sigma):.2g} deg{basis}, and a target {along:.3g} mm from "
+        f"the line is {rotation_sigma * along:.2g} mm off for it"
     )
 
 
@@ -278,13 +279,13 @@ def principal_line(points: Array) -> tuple[float, float]:
 
 def _check_not_collinear(points: Array, side: str, sigma_mm: float) -> None:
     along, off = principal_line(points)
-    turn = sigma_mm / (off * np.sqrt(len(points))) if off > 0.0 else np.inf
-    if off >= MIN_HEIGHT * along and turn <= _MAX_ROTATION_SIGMA_RAD:
+    rotation_sigma = sigma_mm / (off * np.sqrt(len(points))) if off > 0.0 else np.inf
+    if off >= MIN_HEIGHT * along and rotation_sigma <= _MAX_ROTATION_SIGMA_RAD:
         return
     needed = max(MIN_HEIGHT * along, sigma_mm / (_MAX_ROTATION_SIGMA_RAD * np.sqrt(len(points))))
     raise CollinearPoints(
         f"the fiducials in the {side} are {round(off, 9):.3g} mm RMS off one line, along which "
-        f"they are spread by {along:.4g} mm RMS: the turn about it is not known; they must be "
+        f"they are spread by {along:.4g} mm RMS: the rotation about it is not known; they must be "
         f"at least {needed:.3g} mm off it",
         off_mm=off,
         along_mm=along,
@@ -296,15 +297,15 @@ def _closed_form(
     source: Array, target: Array, scaled: bool, source_covariances: Array, target_covariances: Array
 ) -> SimilarityFit:
     """Return the closed form, its covariance propagated from that of the pairs."""
-    found = fit_isotropic_similarity(source, target, np.ones(len(source)), scaled)
-    residual = found.apply(source) - target
-    jacobian = found.jacobian(source, scaled)
+    similarity = fit_isotropic_similarity(source, target, np.ones(len(source)), scaled)
+    residual = similarity.apply(source) - target
+    jacobian = similarity.jacobian(source, scaled)
     inverse = np.linalg.inv(np.einsum("nia,nib->ab", jacobian, jacobian))
-    covariance = found.residual_covariance(source_covariances, target_covariances)
-    middle = np.einsum("nia,nij,njb->ab", jacobian, covariance, jacobian, optimize=True)
+    covariance = similarity.residual_covariance(source_covariances, target_covariances)
+    propagated = np.einsum("nia,nij,njb->ab", jacobian, covariance, jacobian, optimize=True)
     information = np.linalg.inv(covariance)
     chi2 = float(np.einsum("ni,nij,nj->", residual, information, residual))
-    return SimilarityFit(found, inverse @ middle @ inverse, residual, chi2)
+    return SimilarityFit(similarity, inverse @ propagated @ inverse, residual, chi2)
 
 
 def fiducial_localisation_error(residuals_mm: Array, parameters: int = 6) -> float:

@@ -45,14 +45,14 @@ class PointCloud:
         self._tree = cKDTree(self._points)
         self.exact_normals = normals is not None
         if normals is not None:
-            given = _not_empty(normals, "normals")
-            length = np.linalg.norm(given, axis=1, keepdims=True)
-            if given.shape != self._points.shape or not (length > 0.0).all():
+            directions = _not_empty(normals, "normals")
+            length = np.linalg.norm(directions, axis=1, keepdims=True)
+            if directions.shape != self._points.shape or not (length > 0.0).all():
                 raise InvalidParameter(
-                    f"normals have shape {given.shape}, some perhaps of no length; they must be "
-                    f"{self._points.shape}, one for each point"
+                    f"normals have shape {directions.shape}, some perhaps of no length; they must "
+                    f"be {self._points.shape}, one for each point"
                 )
-            self._normals = given / length
+            self._normals = directions / length
             return
         if len(self._points) < _NEIGHBOURS:
             raise TooFewPoints(
@@ -67,8 +67,8 @@ class PointCloud:
 
     def nearest(self, points_mm: Array) -> tuple[Array, Array]:
         """Return the nearest points of the cloud, and their normals."""
-        found = self._tree.query(points_mm)[1]
-        return self._points[found], self._normals[found]
+        nearest = self._tree.query(points_mm)[1]
+        return self._points[nearest], self._normals[nearest]
 
 
 class TriangleMesh:
@@ -112,7 +112,7 @@ class TriangleMesh:
         self._mesh = Trimesh(self.vertices_mm, faces[real], process=False)
 
     def nearest(self, points_mm: Array) -> tuple[Array, Array]:
-        """Return the nearest places on the triangles, exactly, and the directions off them."""
+        """Return the nearest points of the triangles, exactly, and the directions off them."""
         from trimesh.proximity import closest_point
 
         points = np.asarray(points_mm, np.float64)
@@ -120,11 +120,11 @@ class TriangleMesh:
             closest_point(self._mesh, points[first : first + _BATCH_POINTS])
             for first in range(0, len(points), _BATCH_POINTS)
         ]
-        place, distance, face = (np.concatenate(column) for column in zip(*parts, strict=True))
+        closest, distance, face = (np.concatenate(column) for column in zip(*parts, strict=True))
         # Next to an edge or a corner the distance increases away from it, not along a normal.
         tiny = (distance <= self._tiny_mm)[:, None]
-        away = (points - place) / np.where(tiny, 1.0, distance[:, None])
-        return place, np.where(tiny, self._normals[face], away)
+        away = (points - closest) / np.where(tiny, 1.0, distance[:, None])
+        return closest, np.where(tiny, self._normals[face], away)
 
 
 def _not_empty(points_mm: Array, name: str) -> Array:

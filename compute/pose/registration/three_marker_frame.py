@@ -41,9 +41,9 @@ def three_marker_frame(markers_mm: Array, covariance_mm2: Array | None = None) -
         The transform, its covariance that of the markers propagated to first order.
 
     Raises:
-        DuplicatePoint: two markers are at one place.
+        DuplicatePoint: two markers are at one position.
         CollinearPoints: they lie on one line.
-        UndeterminedParameters: they are so near one another that their noise leaves a turn open.
+        UndeterminedParameters: they are too near one another for their noise.
         InvalidParameter: an array is of another shape.
         NonFiniteValue: a marker's coordinate is not finite.
     """
@@ -57,7 +57,7 @@ def three_marker_frame(markers_mm: Array, covariance_mm2: Array | None = None) -
     longest = max(float(np.linalg.norm(side)) for side in sides.values())
     for names, side in sides.items():
         if not np.linalg.norm(side) > 1e-9 * longest:
-            raise DuplicatePoint(f"{names} are at one place; a frame takes three markers")
+            raise DuplicatePoint(f"{names} are at one position; a frame takes three markers")
     k = np.cross(i, j)
     flat = float(np.linalg.norm(k)) / longest**2
     if flat < MIN_HEIGHT:
@@ -81,28 +81,28 @@ def three_marker_frame(markers_mm: Array, covariance_mm2: Array | None = None) -
         )
     jacobian = _frame_jacobian(axes, i, j, k)
     covariance = jacobian @ joint @ jacobian.T
-    _check_turn(covariance[:3, :3], sides)
+    _check_rotation_sigma(covariance[:3, :3], sides)
     return Transform(axes, markers[0], covariance)
 
 
-def _check_turn(covariance: Array, sides: dict[str, Array]) -> None:
+def _check_rotation_sigma(covariance: Array, sides: dict[str, Array]) -> None:
     values, ways = np.linalg.eigh(covariance)
-    turn = float(np.sqrt(max(values[-1], 0.0)))
-    if turn <= MAX_ROTATION_SIGMA_RAD:
+    rotation_sigma = float(np.sqrt(max(values[-1], 0.0)))
+    if rotation_sigma <= MAX_ROTATION_SIGMA_RAD:
         return
     way = ", ".join(f"{one:.2f}" for one in ways[:, -1])
     apart = ", ".join(f"{names} {np.linalg.norm(side):.3g} mm" for names, side in sides.items())
     raise UndeterminedParameters(
         f"the markers are too near one another for how well they are known: {apart} apart, their "
-        f"noise leaves the turn about ({way}) open to {turn:.2g} rad; it must be within "
-        f"{MAX_ROTATION_SIGMA_RAD:.2g} rad: place them further apart, or measure them better",
-        turn_rad=turn,
+        f"noise leaves the rotation about ({way}) open to {rotation_sigma:.2g} rad; it must be "
+        f"within {MAX_ROTATION_SIGMA_RAD:.2g} rad: place them further apart, or measure better",
+        turn_rad=rotation_sigma,
         max_rad=MAX_ROTATION_SIGMA_RAD,
     )
 
 
 def _frame_jacobian(axes: Array, i: Array, j: Array, k: Array) -> Array:
-    """Return d (turn on the left, origin) / d (M1, M2, M3), shape (6, 9)."""
+    """Return d (rotation on the left, origin) / d (M1, M2, M3), shape (6, 9)."""
     eye = np.eye(3)
     d_i = np.concatenate([-eye, eye, np.zeros((3, 3))], axis=1)
     d_j = np.concatenate([np.zeros((3, 3)), -eye, eye], axis=1)

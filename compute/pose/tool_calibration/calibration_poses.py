@@ -1,4 +1,4 @@
-"""Poses for pivot and spin calibration: validation, and the spread of their orientations."""
+"""Poses for pivot and spin calibration: validation, and their orientation coverage."""
 
 from dataclasses import dataclass
 from typing import Final, Self
@@ -16,7 +16,7 @@ _PAIRS = 400
 
 @dataclass(frozen=True, eq=False)
 class OrientationCoverage:
-    """Spread of a tool's orientations.
+    """Coverage of a tool's orientations.
 
     A direction u of the tool points along R_i u. With M the mean of the R_i, the variance of
     these is ``1 - |M u|^2``: the sine squared of the RMS angle by which the direction swung. The
@@ -37,7 +37,7 @@ class OrientationCoverage:
 
     @classmethod
     def of(cls, rotations: Array) -> Self:
-        """Return the spread of N orientations R_world_tool (N, 3, 3)."""
+        """Return the coverage of N orientations R_world_tool (N, 3, 3)."""
         _, values, axes = np.linalg.svd(rotations.mean(axis=0))
         sine = np.sqrt(np.clip(1.0 - values**2, 0.0, 1.0))
         some = rotations[np.unique(np.linspace(0, len(rotations) - 1, _PAIRS).astype(int))]

@@ -92,60 +92,61 @@ def average_stationary_tip(
         TooFewPoses: there are too few, over too short a time, or with a gap.
         NotStationary: scatter or drift is too large.
     """
-    wanted = settings or StationarySettings()
+    criteria = settings or StationarySettings()
     times = (np.asarray(times_ns, np.int64) - times_ns[0]) * 1e-9 if len(times_ns) else np.empty(0)
     positions = np.asarray(positions_mm, dtype=np.float64)
-    _check_times(times, wanted)
+    _check_times(times, criteria)
     count = len(positions)
     mean = positions.mean(axis=0)
     off = positions - mean
     scatter = off.T @ off / (count - 1)
     deviation = float(np.sqrt(np.trace(scatter)))
-    if deviation > wanted.max_sigma_mm:
+    if deviation > criteria.max_sigma_mm:
         raise NotStationary(
             f"the tip scattered by {deviation:.3g} mm over {times[-1]:.2f} s; it must be within "
-            f"{wanted.max_sigma_mm:g} mm",
+            f"{criteria.max_sigma_mm:g} mm",
             sigma_mm=deviation,
-            max_mm=wanted.max_sigma_mm,
+            max_mm=criteria.max_sigma_mm,
         )
     drift, least = _drift(times, off)
-    if least > wanted.max_drift_mm:
+    if least > criteria.max_drift_mm:
         raise NotStationary(
             f"the tip moved by {drift:.3g} mm in {times[-1]:.2f} s; it must be within "
-            f"{wanted.max_drift_mm:g} mm",
+            f"{criteria.max_drift_mm:g} mm",
             drift_mm=drift,
-            max_mm=wanted.max_drift_mm,
+            max_mm=criteria.max_drift_mm,
         )
     covariance = scatter / count
     shared = np.zeros((3, 3)) if shared_mm2 is None else np.mean(shared_mm2, axis=0)
     if covariances_mm2 is not None:
-        own = np.mean(covariances_mm2, axis=0) - shared
-        covariance = covariance + shared + positive_semidefinite_part(own - scatter)
+        independent = np.mean(covariances_mm2, axis=0) - shared
+        covariance = covariance + shared + positive_semidefinite_part(independent - scatter)
     return StationaryPoint(
         mean, covariance, deviation, drift, count, int(times_ns[0]), int(times_ns[-1])
     )
 
 
-def _check_times(times: Array, wanted: StationarySettings) -> None:
-    if len(times) < wanted.min_poses:
+def _check_times(times: Array, criteria: StationarySettings) -> None:
+    if len(times) < criteria.min_poses:
         raise TooFewPoses(
-            f"{len(times)} positions of the tip; a capture needs at least {wanted.min_poses}",
+            f"{len(times)} positions of the tip; a capture needs at least {criteria.min_poses}",
             poses=len(times),
-            needed=wanted.min_poses,
+            needed=criteria.min_poses,
         )
     steps = np.diff(times)
     if (steps <= 0.0).any():
         raise InvalidParameter("the times of the tip's positions do not ascend")
-    if times[-1] < wanted.seconds * (1.0 - 1e-9):
+    if times[-1] < criteria.seconds * (1.0 - 1e-9):
         raise TooFewPoses(
-            f"the tip's positions span {times[-1]:.3g} s; it must be held for {wanted.seconds:g} s",
+            f"the tip's positions span {times[-1]:.3g} s; "
+            f"it must be held for {criteria.seconds:g} s",
             seconds=float(times[-1]),
-            needed_s=wanted.seconds,
+            needed_s=criteria.seconds,
         )
-    if steps.max() > wanted.max_gap_s:
+    if steps.max() > criteria.max_gap_s:
         raise TooFewPoses(
             f"the tip was not seen for {steps.max():.3g} s; gaps must be at most "
-            f"{wanted.max_gap_s:g} s",
+            f"{criteria.max_gap_s:g} s",
             gap_s=float(steps.max()),
         )
 
@@ -154,9 +155,9 @@ def _drift(times: Array, off: Array) -> tuple[float, float]:
     """Return the movement along the fitted line, and the least that is not noise [mm]."""
     centred = times - times.mean()
     slope = centred @ off / (centred @ centred)
-    left = off - np.outer(centred, slope)
+    residual = off - np.outer(centred, slope)
     count = len(times)
-    noise = np.sqrt(np.maximum((left**2).sum(axis=0), 0.0) / (count - 2) / (centred @ centred))
+    noise = np.sqrt(np.maximum((residual**2).sum(axis=0), 0.0) / (count - 2) / (centred @ centred))
     # One bound for three axes (Bonferroni), both signs.
     bound = noise * student.isf(_DRIFT_SIGNIFICANCE / 6.0, count - 2)
     least = np.maximum(np.abs(slope) - bound, 0.0)
@@ -166,8 +167,8 @@ def _drift(times: Array, off: Array) -> tuple[float, float]:
 def positive_semidefinite_part(matrix: Array) -> Array:
     """Return a symmetric matrix (n, n) without its negative eigenvalues."""
     values, axes = np.linalg.eigh(matrix)
-    found: Array = (axes * np.maximum(values, 0.0)) @ axes.T
-    return found
+    positive: Array = (axes * np.maximum(values, 0.0)) @ axes.T
+    return positive
 
 
 class StationaryCapture:
@@ -176,7 +177,7 @@ class StationaryCapture:
     def __init__(self, settings: StationarySettings | None = None) -> None:
         """Begin a capture."""
         self._settings = settings or StationarySettings()
-        self._held: deque[tuple[int, Array, Array | None, Array]] = deque()
+        self._samples: deque[tuple[int, Array, Array | None, Array]] = deque()
         self._error: NotStationary | TooFewPoses | None = None
 
     @property
@@ -205,33 +206,33 @@ class StationaryCapture:
             shared_mm2: part of the covariance that is common to all positions, shape (3, 3) [mm^2];
                 None: none.
         """
-        held = self._held
-        if held and time_ns <= held[-1][0]:
-            held.clear()
+        samples = self._samples
+        if samples and time_ns <= samples[-1][0]:
+            samples.clear()
         if position_mm is None:
             self._error = TooFewPoses("the tip is not seen")
             return
         shared = _NOTHING if shared_mm2 is None else shared_mm2
-        held.append((time_ns, np.asarray(position_mm, np.float64), covariance_mm2, shared))
+        samples.append((time_ns, np.asarray(position_mm, np.float64), covariance_mm2, shared))
         # As short as allowed, so that earlier motion does not count.
-        while len(held) > 1 and (time_ns - held[1][0]) * 1e-9 >= self._settings.seconds:
-            held.popleft()
+        while len(samples) > 1 and (time_ns - samples[1][0]) * 1e-9 >= self._settings.seconds:
+            samples.popleft()
 
     def take(self) -> StationaryPoint | None:
         """Return the point if the last ``seconds`` were still, and restart; None: they were not."""
-        held = self._held
-        times, positions, covariances, shared = zip(*held, strict=True) if held else ([],) * 4
+        samples = self._samples
+        times, positions, covariances, shared = zip(*samples, strict=True) if samples else ([],) * 4
         try:
-            found = average_stationary_tip(
+            point = average_stationary_tip(
                 np.array(times, np.int64),
                 np.array(positions).reshape(-1, 3),
                 None if any(one is None for one in covariances) else np.array(covariances),
                 self._settings,
-                np.array(shared) if held else None,
+                np.array(shared) if samples else None,
             )
         except (NotStationary, TooFewPoses) as error:
             self._error = error
             return None
-        held.clear()
+        samples.clear()
         self._error = None
-        return found
+        return point

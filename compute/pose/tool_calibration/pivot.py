@@ -103,19 +103,19 @@ def pivot_calibration(
         InvalidParameter, NonFiniteValue: an array is of a wrong shape, or not finite.
         NoConvergence: the adjustment did not converge.
     """
-    wanted = settings or PivotSettings()
+    criteria = settings or PivotSettings()
     poses = CalibrationPoses(rotations, translations_mm, covariances)
-    count, known = len(poses), poses.covariances is not None
-    if count < wanted.min_poses:
+    count, sigma_known = len(poses), poses.covariances is not None
+    if count < criteria.min_poses:
         raise TooFewPoses(
-            f"{count} poses; a pivot calibration needs at least {wanted.min_poses}, with the "
+            f"{count} poses; a pivot calibration needs at least {criteria.min_poses}, with the "
             "tool turned about its tip to and fro and to the sides",
             poses=count,
-            needed=wanted.min_poses,
+            needed=criteria.min_poses,
         )
-    _check_rotation(OrientationCoverage.of(poses.rotations), wanted)
+    _check_rotation(OrientationCoverage.of(poses.rotations), criteria)
     unknowns = _robust_fit(poses, _initial_estimate(poses))
-    limits = wanted.min_poses, wanted.max_outlier_fraction, "the tip moved, or there was none"
+    limits = criteria.min_poses, criteria.max_outlier_fraction, "the tip moved, or there was none"
     used = _inliers(poses, unknowns)
     for _ in range(3):
         check_agreement(used, *limits)
@@ -127,21 +127,21 @@ def pivot_calibration(
     check_agreement(used, *limits)
     some = poses.of(used)
     orientations = OrientationCoverage.of(some.rotations)
-    _check_rotation(orientations, wanted)
+    _check_rotation(orientations, criteria)
     distance = np.linalg.norm(_residuals(poses, unknowns), axis=1)
     rms = float(np.sqrt((distance[used] ** 2).mean()))
-    if rms > wanted.max_rms_mm:
+    if rms > criteria.max_rms_mm:
         raise HighError(
             f"the tip is {rms:.3g} mm RMS off the fixed point over {len(some)} poses; it "
-            f"must be within {wanted.max_rms_mm:g} mm: hold it in a pit, and check that the "
+            f"must be within {criteria.max_rms_mm:g} mm: hold it in a pit, and check that the "
             "markers are firm on the tool",
             rms_mm=rms,
-            max_mm=wanted.max_rms_mm,
+            max_mm=criteria.max_rms_mm,
         )
     normal, misfit = _normal(some, unknowns)
     factor = misfit / (3 * len(some) - UNKNOWNS)
     inverse: Array = np.asarray(np.linalg.inv(normal), np.float64)
-    covariance = inverse * (max(1.0, factor) if known else factor)
+    covariance = inverse * (max(1.0, factor) if sigma_known else factor)
     return PivotResult(
         unknowns[:3],
         covariance[:3, :3],
@@ -149,24 +149,24 @@ def pivot_calibration(
         covariance[3:, 3:],
         distance,
         rms,
-        float(np.sqrt(factor)) if known else None,
+        float(np.sqrt(factor)) if sigma_known else None,
         tuple(np.flatnonzero(~used).tolist()),
         orientations,
     )
 
 
-def _check_rotation(orientations: OrientationCoverage, wanted: PivotSettings) -> None:
+def _check_rotation(orientations: OrientationCoverage, criteria: PivotSettings) -> None:
     least = float(orientations.swing_rad[0])
-    if least >= wanted.min_swing_rad:
+    if least >= criteria.min_swing_rad:
         return
     x, y, z = orientations.axes[0]
     raise TooLittleRotation(
         f"{orientations.describe()}. Each must swing by at least "
-        f"{np.degrees(wanted.min_swing_rad):.1f} deg RMS: the tip is not determined along "
+        f"{np.degrees(criteria.min_swing_rad):.1f} deg RMS: the tip is not determined along "
         f"({x:.2f}, {y:.2f}, {z:.2f}); turn the tool about other axes too",
         swing_deg=np.degrees(orientations.swing_rad).tolist(),
         range_deg=float(np.degrees(orientations.range_rad)),
-        min_deg=float(np.degrees(wanted.min_swing_rad)),
+        min_deg=float(np.degrees(criteria.min_swing_rad)),
         undetermined=[float(x), float(y), float(z)],
     )
 
@@ -183,8 +183,8 @@ def _initial_estimate(poses: CalibrationPoses) -> Array:
         -poses.translations_mm[picks].reshape(_RANDOM_TRIPLES, 9),
     )
     every = _design(poses.rotations).reshape(-1, 6)
-    whole = np.linalg.lstsq(every, -poses.translations_mm.reshape(-1), rcond=None)[0]
-    tries = np.concatenate([whole[None], tries])
+    all_poses = np.linalg.lstsq(every, -poses.translations_mm.reshape(-1), rcond=None)[0]
+    tries = np.concatenate([all_poses[None], tries])
     scores = [np.median(np.linalg.norm(_residuals(poses, one), axis=1)) for one in tries]
     return np.asarray(tries[int(np.argmin(scores))])
 
@@ -213,12 +213,14 @@ def _normalised_residuals(poses: CalibrationPoses, unknowns: Array) -> Array:
     """Return the residuals in standard deviations, or in mm where these are unknown, (N,)."""
     residual = _residuals(poses, unknowns)
     _, information = _information(poses, unknowns)
-    found: Array = np.sqrt(np.einsum("ni,nij,nj->n", residual, information, residual))
-    return found
+    normalised: Array = np.sqrt(np.einsum("ni,nij,nj->n", residual, information, residual))
+    return normalised
 
 
-def _scale(normalised_residuals: Array, known: bool) -> float:
-    return max(float(np.median(normalised_residuals)) / _MEDIAN_SIGMAS, 1.0 if known else 1e-9)
+def _scale(normalised_residuals: Array, sigma_known: bool) -> float:
+    return max(
+        float(np.median(normalised_residuals)) / _MEDIAN_SIGMAS, 1.0 if sigma_known else 1e-9
+    )
 
 
 def _inliers(

@@ -95,30 +95,30 @@ def spin_calibration(
     Args:
         rotations: R_world_tool, shape (N, 3, 3).
         translations_mm: shape (N, 3) [mm].
-        covariances: of turn [rad] and translation [mm] as in ToolPose, shape (N, 6, 6); None: not
+        covariances: of rotation [rad] and translation [mm], as in ToolPose, (N, 6, 6); None: not
             known, the scatter of directions and of points tells.
         along: a direction (3,) of the tool that the axis points along, such as from the markers to
             the tip; None: its largest component is positive.
-        settings: what is asked of the poses.
+        settings: requirements on the poses.
 
     Raises:
         TooFewPoses: there are fewer than asked for.
         TooLittleRotation: the tool was turned less than asked for.
-        HighError: there is no single axis: its direction or its place did not stay.
+        HighError: there is no single axis: its direction or its position varies.
         InvalidParameter, NonFiniteValue: the arrays are not what they should be.
         NoConvergence: the adjustment did not end.
     """
-    wanted = settings or SpinSettings()
+    criteria = settings or SpinSettings()
     poses = CalibrationPoses(rotations, translations_mm, covariances)
-    count, known = len(poses), poses.covariances is not None
-    if count < wanted.min_poses:
+    count, sigma_known = len(poses), poses.covariances is not None
+    if count < criteria.min_poses:
         raise TooFewPoses(
-            f"{count} poses; a spin calibration needs at least {wanted.min_poses}, with the "
+            f"{count} poses; a spin calibration needs at least {criteria.min_poses}, with the "
             "tool turned about its long axis",
             poses=count,
-            needed=wanted.min_poses,
+            needed=criteria.min_poses,
         )
-    _check_rotation(OrientationCoverage.of(poses.rotations), wanted)
+    _check_rotation(OrientationCoverage.of(poses.rotations), criteria)
     axis = _initial_estimate(poses)
     used = _close_poses(poses, axis)
     for _ in range(5):
@@ -128,20 +128,20 @@ def spin_calibration(
             break
         used = again
         cause = "the tool was not turned about one axis"
-        check_agreement(used, wanted.min_poses, wanted.max_outlier_fraction, cause)
+        check_agreement(used, criteria.min_poses, criteria.max_outlier_fraction, cause)
     some = poses.of(used)
     orientations = OrientationCoverage.of(some.rotations)
-    _check_rotation(orientations, wanted)
+    _check_rotation(orientations, criteria)
     off = axis.differences(some)
     tilt = float(np.sqrt((off[:, :2] ** 2).sum(axis=1).mean()))
     rms = float(np.sqrt((off[:, 2:] ** 2).sum(axis=1).mean()))
-    _check_axis(tilt, rms, wanted)
+    _check_axis(tilt, rms, criteria)
     design = axis.design(some.rotations)
     information = weight[used]
     normal = np.einsum("nia,nij,njb->ab", design, information, design, optimize=True)
     factor = float(np.einsum("ni,nij,nj->", off, information, off))
     factor /= ROWS * used.sum() - UNKNOWNS
-    covariance = np.linalg.inv(normal) * (max(1.0, factor) if known else 1.0)
+    covariance = np.linalg.inv(normal) * (max(1.0, factor) if sigma_known else 1.0)
     sign = _sign(axis.tool_direction, along)
     across = axis.across_tool
     # The point is the closest to the origin: it depends on the direction.
@@ -157,38 +157,38 @@ def spin_calibration(
         axis.world_point,
         tilt,
         rms,
-        float(np.sqrt(factor)) if known else None,
+        float(np.sqrt(factor)) if sigma_known else None,
         tuple(np.flatnonzero(~used).tolist()),
         orientations,
     )
 
 
-def _check_rotation(orientations: OrientationCoverage, wanted: SpinSettings) -> None:
-    if orientations.swing_rad[1] >= wanted.min_swing_rad:
+def _check_rotation(orientations: OrientationCoverage, criteria: SpinSettings) -> None:
+    if orientations.swing_rad[1] >= criteria.min_swing_rad:
         return
     raise TooLittleRotation(
         f"{orientations.describe()}. Directions across the axis must swing by at least "
-        f"{np.degrees(wanted.min_swing_rad):.1f} deg RMS: turn the tool further about its axis",
+        f"{np.degrees(criteria.min_swing_rad):.1f} deg RMS: turn the tool further about its axis",
         swing_deg=np.degrees(orientations.swing_rad).tolist(),
-        min_deg=float(np.degrees(wanted.min_swing_rad)),
+        min_deg=float(np.degrees(criteria.min_swing_rad)),
     )
 
 
-def _check_axis(tilt: float, rms: float, wanted: SpinSettings) -> None:
-    if tilt > wanted.max_tilt_rad:
+def _check_axis(tilt: float, rms: float, criteria: SpinSettings) -> None:
+    if tilt > criteria.max_tilt_rad:
         raise HighError(
             f"the tool was not turned about a single axis: the one that moved least tilted by "
             f"{np.degrees(tilt):.2f} deg RMS; it must be within "
-            f"{np.degrees(wanted.max_tilt_rad):.2f} deg",
+            f"{np.degrees(criteria.max_tilt_rad):.2f} deg",
             tilt_deg=float(np.degrees(tilt)),
-            max_deg=float(np.degrees(wanted.max_tilt_rad)),
+            max_deg=float(np.degrees(criteria.max_tilt_rad)),
         )
-    if rms > wanted.max_rms_mm:
+    if rms > criteria.max_rms_mm:
         raise HighError(
-            f"the axis did not stay in its place: it is {rms:.3g} mm RMS off; it must be within "
-            f"{wanted.max_rms_mm:g} mm",
+            f"the axis did not stay at one position: it is {rms:.3g} mm RMS off; it must be within "
+            f"{criteria.max_rms_mm:g} mm",
             rms_mm=rms,
-            max_mm=wanted.max_rms_mm,
+            max_mm=criteria.max_rms_mm,
         )
 
 

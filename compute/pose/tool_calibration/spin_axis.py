@@ -50,8 +50,8 @@ class SpinAxis:
             axis=-1,
         ).reshape(-1, 4)
         goal = -(poses.translations_mm @ other.T).reshape(-1)
-        found = np.linalg.lstsq(design, goal, rcond=1e-9)[0]
-        return cls(tool_direction, world_direction, found[:2] @ across, found[2:] @ other)
+        solution = np.linalg.lstsq(design, goal, rcond=1e-9)[0]
+        return cls(tool_direction, world_direction, solution[:2] @ across, solution[2:] @ other)
 
     def retract(self, step: Array) -> "SpinAxis":
         """Return the axis corrected by an increment: two parameters of each direction and point."""

@@ -133,5 +133,5 @@ class StrobeCycle:
 
     def duration_ns(self, slots: tuple[int, ...] | None) -> int:
         """Return the longest period of the slots [ns]; 0: unknown, or markers lit together."""
-        known = [min(self._between[slot]) for slot in slots or () if slot in self._between]
-        return max(known, default=0)
+        periods = [min(self._between[slot]) for slot in slots or () if slot in self._between]
+        return max(periods, default=0)

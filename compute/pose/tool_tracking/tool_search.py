@@ -62,43 +62,53 @@ class ToolSearch:
             tool.exposures.popleft()
         tool.exposures_since_search += 1
         backoff.count_exposure()
-        seen = [one for one in tool.exposures if one.any_reading]
-        if not seen and tool.status is PoseStatus.OUT_OF_VIEW:
+        with_readings = [one for one in tool.exposures if one.any_reading]
+        if not with_readings and tool.status is PoseStatus.OUT_OF_VIEW:
             return
-        if not seen or not (backoff.is_waiting or tool.status is PoseStatus.INVALID):
+        if not with_readings or not (backoff.is_waiting or tool.status is PoseStatus.INVALID):
             tool.status = PoseStatus.MISSING
             tool.reason = (
-                f"{len({one.marker for one in seen})} of {markers} markers were seen in the last "
-                f"{1e-6 * window_ns:.3g} ms"
+                f"{len({one.marker for one in with_readings})} of {markers} markers were seen in "
+                f"the last {1e-6 * window_ns:.3g} ms"
             )
         # Wait for a cycle after a failure: the same exposures would fail again.
-        if tool.exposures_since_search < markers or not seen or seen[-1].time_ns != time_ns:
+        if (
+            tool.exposures_since_search < markers
+            or not with_readings
+            or with_readings[-1].time_ns != time_ns
+        ):
             return
-        readings = sum(int(np.isfinite(one.readings_px).sum()) for one in seen)
+        readings = sum(int(np.isfinite(one.readings_px).sum()) for one in with_readings)
         if not backoff.due(time_ns, readings):
             return
-        found = acquire_strobed(self._model, tool.centred, seen, tool.common_errors, self._settings)
-        if found.searched:
+        acquisition = acquire_strobed(
+            self._model, tool.centred, with_readings, tool.common_errors, self._settings
+        )
+        if acquisition.searched:
             # A failure until it is confirmed. Too few readings may suffice with the next exposure.
-            too_few = found.state is None and not found.inconsistent
+            too_few = acquisition.state is None and not acquisition.inconsistent
             backoff.record_failure(time_ns, readings, 1 if too_few else markers)
-        if found.state is None:
-            tool.exposures_since_search = 0 if found.inconsistent else tool.exposures_since_search
-            tool.status = PoseStatus.INVALID if found.inconsistent else PoseStatus.MISSING
-            tool.reason = str(found.reason)
+        if acquisition.state is None:
+            tool.exposures_since_search = (
+                0 if acquisition.inconsistent else tool.exposures_since_search
+            )
+            tool.status = PoseStatus.INVALID if acquisition.inconsistent else PoseStatus.MISSING
+            tool.reason = str(acquisition.reason)
             return
-        tool.begin(found.state, time_ns, exposures_to_confirm=markers)
+        tool.begin(acquisition.state, time_ns, exposures_to_confirm=markers)
         tool.exposures.clear()
         used = np.zeros((markers, len(self._model)), dtype=np.bool_)
         sigma = np.full(used.shape, np.nan)
-        for one in seen:
+        for one in with_readings:
             used[one.marker] = np.isfinite(one.readings_px)
             sigma[one.marker] = np.where(used[one.marker], one.sigma_px, np.nan)
         tool.keep_sigma(sigma)
         tool.record_used(used, CONSISTENCY_CYCLES * markers)
-        tool.recent_updates.append((found.nis, found.readings, used))
+        tool.recent_updates.append((acquisition.nis, acquisition.readings, used))
         nothing = np.zeros(markers, dtype=np.intp)
-        tool.recent_residuals.append(ExposureResiduals(found.nis, found.readings, nothing))
+        tool.recent_residuals.append(
+            ExposureResiduals(acquisition.nis, acquisition.readings, nothing)
+        )
 
     def simultaneous(
         self,
@@ -117,7 +127,7 @@ class ToolSearch:
             tracked: the other tools in this frame.
             points: reconstructed points of the frame; None: none.
         """
-        found = acquire_simultaneous(
+        acquisitions = acquire_simultaneous(
             self._model,
             [tool.body for tool in lost],
             [tool.common_errors for tool in lost],
@@ -127,7 +137,7 @@ class ToolSearch:
             points,
             self._settings,
         )
-        for tool, one in zip(lost, found, strict=True):
+        for tool, one in zip(lost, acquisitions, strict=True):
             if one.state is not None:
                 tool.begin(one.state, time_ns, exposures_to_confirm=0)
                 tool.keep_sigma(one.sigma_px)

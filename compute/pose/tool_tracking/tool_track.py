@@ -89,9 +89,9 @@ def chi2_test(
     count = sum(one.count for one in exposures)
     limit = chi2_limit(count, probability)
     if sum_of_squares > limit:
-        known = [one.whitened for one in exposures if one.whitened is not None]
-        if known and known[0].shape[1] > 1:
-            sum_of_squares = min(sum_of_squares, _jointly_whitened(sum_of_squares, known))
+        whitened = [one.whitened for one in exposures if one.whitened is not None]
+        if whitened and whitened[0].shape[1] > 1:
+            sum_of_squares = min(sum_of_squares, _jointly_whitened(sum_of_squares, whitened))
     return sum_of_squares, count, limit
 
 
@@ -102,8 +102,8 @@ def _jointly_whitened(sum_of_squares: float, whitened: Sequence[Array]) -> float
     covariance = common @ common.T
     first = 0
     for one in whitened:
-        own = slice(first, first + len(one))
-        covariance[own, own] = np.eye(len(one))
+        block = slice(first, first + len(one))
+        covariance[block, block] = np.eye(len(one))
         first += len(one)
     size, axes = np.linalg.eigh(covariance)
     alone = float(value @ value)
@@ -438,10 +438,10 @@ class ToolTrack:
             significance: of the chi-square test.
         """
         assert self.state is not None
-        known, state = self.reliability, self.state
+        reliability, state = self.reliability, self.state
         used: NDArray[np.bool_] = np.greater(self.use_count, 0)
-        if known is not None and known.holds(state, used, self.centred.radius_mm):
-            return known.value
+        if reliability is not None and reliability.holds(state, used, self.centred.radius_mm):
+            return reliability.value
         for observation, measurements in self.last_readings.values():
             self.keep_sigma(observation.readings_px(measurements)[1])
         sigma = np.where(np.isfinite(self.sigma_px), self.sigma_px, 1.0)

@@ -99,9 +99,9 @@ class ToolTracker:
 
     def adopt_state(self, other: "ToolTracker") -> None:
         """Take over the tracks of the same tools from another tracker of the same cameras."""
-        known = {tool.body.name: tool for tool in other._tools}
+        tools_by_name = {tool.body.name: tool for tool in other._tools}
         for index, tool in enumerate(self._tools):
-            before = known.get(tool.body.name)
+            before = tools_by_name.get(tool.body.name)
             if (
                 before is not None
                 and before.common_errors == tool.common_errors
@@ -191,10 +191,12 @@ class ToolTracker:
             self.settings.resolution_px,
         )
         self._retry_manoeuvring(observations, time_ns, marker, measurements)
-        found = list(observations.values())
+        all_observations = list(observations.values())
         # With several tools, before one of them rolls back; with one, only where it is needed.
-        rest = without_tools(measurements, found) if len(found) > 1 else None
-        free = partial(without_tools, measurements, found) if rest is None else lambda: rest
+        rest = without_tools(measurements, all_observations) if len(all_observations) > 1 else None
+        free = (
+            partial(without_tools, measurements, all_observations) if rest is None else lambda: rest
+        )
         for index, observation in observations.items():
             tool = self._tools[index]
             tool.check_consistency(
@@ -252,12 +254,12 @@ class ToolTracker:
         coast = f"nothing was seen of it for {1e-6 * self._coast_ns(tool):.3g} ms"
         if tool.fit_history and not tool.fit_history[-1]:
             tool.drop(PoseStatus.INVALID, MISFIT)
-        elif (left := self._left_view(tool, state)) is not None:
-            tool.drop(PoseStatus.OUT_OF_VIEW, f"{left}; {coast}")
+        elif (departure := self._departure_reason(tool, state)) is not None:
+            tool.drop(PoseStatus.OUT_OF_VIEW, f"{departure}; {coast}")
         else:
             tool.drop(PoseStatus.MISSING, coast)
 
-    def _left_view(self, tool: ToolTrack, state: PoseState) -> str | None:
+    def _departure_reason(self, tool: ToolTrack, state: PoseState) -> str | None:
         """Return a reason where too few predicted readings are on the pixels; None: enough are."""
         if self.pixels is None:
             return None
@@ -372,9 +374,9 @@ class ToolTracker:
         unobservable = self._unobservable(tool, state)
         if unobservable is None:
             return None
-        left = self._left_view(tool, state)
-        if left is not None:
-            return PoseStatus.OUT_OF_VIEW, left
+        departure = self._departure_reason(tool, state)
+        if departure is not None:
+            return PoseStatus.OUT_OF_VIEW, departure
         return PoseStatus.MISSING, unobservable
 
     def _unobservable(self, tool: ToolTrack, state: PoseState) -> str | None:

@@ -1,4 +1,4 @@
-"""ErrorEstimate: probability that a group is wrong, beyond what other sets of candidates show."""
+"""ErrorEstimate: probability that a group is wrong, besides that from competing sets."""
 
 from dataclasses import dataclass
 from math import log
@@ -71,10 +71,13 @@ class ErrorEstimate:
         """
         settings = self.settings
         used = candidates.choice >= 0
-        seen = used.sum(axis=1)
+        used_count = used.sum(axis=1)
         seeing = int((self.peaks.count > 0).sum())
         # A marker that these sensors saw, and the others not.
-        true = seen * log(settings.detection_probability) + (seeing - seen) * settings.log_missed
+        true = (
+            used_count * log(settings.detection_probability)
+            + (seeing - used_count) * settings.log_missed
+        )
         tracked = candidates.predicted >= 0
         # Three of the misfits are to the prediction, of which there is one.
         true += np.where(tracked, 0.0, log(self.markers))

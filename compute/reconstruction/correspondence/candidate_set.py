@@ -97,8 +97,10 @@ class CandidateSet:
         counts = tuple(int(count) for count in self.peaks.count)
         several = len(self.seeing) > 4
         plain = np.prod([counts[sensor] for sensor in self.seeing], dtype=np.float64)
-        whole = np.prod([counts[sensor] + several for sensor in self.seeing], dtype=np.float64)
-        if whole <= MAX_EXHAUSTIVE_COMBINATIONS:
+        all_combinations = np.prod(
+            [counts[sensor] + several for sensor in self.seeing], dtype=np.float64
+        )
+        if all_combinations <= MAX_EXHAUSTIVE_COMBINATIONS:
             self._add_all(_all_choices(counts, 4))
         elif self.model is not None:
             self._add_stepwise(self.model)
@@ -127,10 +129,10 @@ class CandidateSet:
         for least in (strict, 4) if seeing > 4 else (4,):
             for base in covering_triples(seeing, least):
                 sensors = tuple(self.seeing[index] for index in base)
-                left = self.free.sum(axis=1)
-                if (left > 0).sum() < least:
+                free_counts = self.free.sum(axis=1)
+                if (free_counts > 0).sum() < least:
                     return
-                work = int(np.prod(left[list(sensors)], dtype=np.int64))
+                work = int(np.prod(free_counts[list(sensors)], dtype=np.int64))
                 if self.points + work > self.settings.max_points:
                     self.cut += work
                     continue
@@ -153,12 +155,12 @@ class CandidateSet:
                     self._decide(_ACCEPTED_ERROR_SHARE * self.settings.max_error_rate)
 
     def _add_new(self, candidates: Candidates) -> None:
-        known = {
+        previous = {
             tuple(row) for row in self.candidates.choice[self.candidates.predicted < 0].tolist()
         }
-        new = [tuple(row) not in known for row in candidates.choice.tolist()]
-        kept = candidates.rows(np.array(new, dtype=np.bool_))
-        self.candidates = Candidates.concatenate([self.candidates, kept])
+        new = [tuple(row) not in previous for row in candidates.choice.tolist()]
+        unique = candidates.rows(np.array(new, dtype=np.bool_))
+        self.candidates = Candidates.concatenate([self.candidates, unique])
 
     def _missed(self, candidates: Candidates) -> NDArray[np.intp]:
         """Return how many sensors should have a peak of each candidate and have none."""
@@ -194,18 +196,18 @@ class CandidateSet:
         )
         room = self.peaks.position_px.shape[1]
         peaks = len(self.peaks) * room
-        left = self.free.sum(axis=1).astype(np.float64)
+        free_counts = self.free.sum(axis=1).astype(np.float64)
         for index in packing.chosen:
             for resource in columns[index]:
                 if resource < peaks:
-                    left[resource // room] -= 1.0
+                    free_counts[resource // room] -= 1.0
         chosen = self.candidates.rows(np.array(packing.chosen, np.intp))
         markers = max(len(chosen) + len(self.groups), 1)
-        unexplained = UnexplainedPeaks(self.peaks, settings, left, markers)
+        unexplained = UnexplainedPeaks(self.peaks, settings, free_counts, markers)
         errors = packing.error_probability + ErrorEstimate(
             self.solve, self.peaks, settings, unexplained, markers, self.predicted
         ).error_probability(chosen, self.misfit_density, self.predicted_misfit_density)
-        gone: set[int] = set()
+        used_resources: set[int] = set()
         for index, error in zip(packing.chosen, errors.tolist(), strict=True):
             if error <= max_error:
                 choice = tuple(self.candidates.choice[index].tolist())
@@ -213,22 +215,22 @@ class CandidateSet:
                 predicted = int(self.candidates.predicted[index])
                 self.groups.append(Group(choice, ambiguous, predicted))
                 self.group_points.append(self.candidates.points.part(index, index + 1))
-                gone.update(columns[index])
-        for resource in gone:
+                used_resources.update(columns[index])
+        for resource in used_resources:
             if resource < peaks:
                 self.free[divmod(resource, room)] = False
         if max_error == inf:
             self.cut += packing.cut
-        elif gone:
-            keep = np.array([gone.isdisjoint(column) for column in columns])
+        elif used_resources:
+            keep = np.array([used_resources.isdisjoint(column) for column in columns])
             self.candidates = self.candidates.rows(keep)
 
     def _add_single(self) -> None:
         """One peak left on each of three sensors or more may be a marker that others missed."""
-        left = self.free.sum(axis=1)
-        if (left == 1).sum() < 3 or left.max() > 1:
+        free_counts = self.free.sum(axis=1)
+        if (free_counts == 1).sum() < 3 or free_counts.max() > 1:
             return
-        choice = np.where(left == 1, self.free.argmax(axis=1), -1)
+        choice = np.where(free_counts == 1, self.free.argmax(axis=1), -1)
         candidates = solve_combinations(self.solve, self.peaks, choice[None]).candidates
         if (
             len(candidates)
@@ -244,6 +246,6 @@ def _all_choices(counts: tuple[int, ...], least: int) -> Choice:
     seeing = sum(count > 0 for count in counts)
     axes = [np.arange(-1 if count == 0 or seeing > least else 0, max(count, 0)) for count in counts]
     choice = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(counts))
-    kept: Choice = choice[(choice >= 0).sum(axis=1) >= least]
-    kept.setflags(write=False)
-    return kept
+    sufficient: Choice = choice[(choice >= 0).sum(axis=1) >= least]
+    sufficient.setflags(write=False)
+    return sufficient

@@ -80,7 +80,7 @@ class MatchSettings:
                 raise InvalidParameter(f"{name} is {value}; it must be positive", **{name: value})
 
     @property
-    def log_seen(self) -> float:
+    def log_detected(self) -> float:
         """Log likelihood ratio of a detected marker's peak to a false peak [log px]."""
         return log(self.detection_probability) - log(self.clutter_density_per_px)
 
@@ -137,14 +137,14 @@ class Candidates(Batch):
             settings: the model of peaks.
             missed: how many sensors should have a peak of it and have none, shape (C,).
         """
-        seen = (self.choice >= 0).sum(axis=1)
+        detections = (self.choice >= 0).sum(axis=1)
         # Were it not the predicted point, that would have been missed, by all sensors at once.
         tracked = self.log_density - settings.log_missed
         density = np.where(self.predicted < 0, log(settings.markers_per_mm3), tracked)
         score: Array = (
             density
             + self.log_marginal_capped
-            + seen * settings.log_seen
+            + detections * settings.log_detected
             + missed * settings.log_missed
         )
         return score
@@ -302,8 +302,8 @@ class UnexplainedPeaks:
     ) -> None:
         missed = markers * (1.0 - settings.detection_probability)
         self.expected: Array = np.maximum(unassigned, 0.0) + (_UNSEEN + missed)
-        place, count = peaks.position_px, peaks.count
-        last = place[np.arange(len(place)), np.maximum(count - 1, 0)]
+        position_px, count = peaks.position_px, peaks.count
+        last = position_px[np.arange(len(position_px)), np.maximum(count - 1, 0)]
         with np.errstate(divide="ignore", invalid="ignore"):
-            density = self.expected * (count - 1) / ((last - place[:, 0]) * (count + 1))
+            density = self.expected * (count - 1) / ((last - position_px[:, 0]) * (count + 1))
         self.density_per_px = np.where(count >= 3, density, settings.clutter_density_per_px)

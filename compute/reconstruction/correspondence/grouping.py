@@ -129,11 +129,11 @@ def _nothing_to_choose(solve: Solve, measurements: Measurements) -> Corresponden
 
 
 def _result(
-    found: Sequence[Group], points: PointBatch, peaks: Measurements, cut: int = 0
+    unordered: Sequence[Group], points: PointBatch, peaks: Measurements, cut: int = 0
 ) -> Correspondence:
     """Return groups and their points in the order of the groups' peaks."""
-    order = sorted(range(len(found)), key=lambda index: found[index].choice)
-    groups = [found[index] for index in order]
+    order = sorted(range(len(unordered)), key=lambda index: unordered[index].choice)
+    groups = [unordered[index] for index in order]
     choice = np.array([group.choice for group in groups], np.intp).reshape(-1, len(peaks))
     original = choice
     if peaks.original_index is not None:
@@ -165,7 +165,7 @@ class _Plan:
     """
 
     choice: Choice
-    whole: int
+    fours: int
     family: NDArray[np.intp] | None
     columns: list[tuple[int, ...]]
 
@@ -187,13 +187,13 @@ def group_four_sensor_frame(
         return None
     plan = _plan(counts)
     points = solve(*peaks.readings(plan.choice))
-    chi2 = points.chi2[: plan.whole]
+    chi2 = points.chi2[: plan.fours]
     good = (chi2 <= _LIMIT).nonzero()[0]
     rows = good.tolist()
-    taken = {(sensor, peak) for row in rows for sensor, peak in enumerate(plan.columns[row])}
-    left = [count - len(rows) for count in counts]
-    single = max(left) == 1 and left.count(1) >= 3
-    if not rows or len(taken) < SENSORS * len(rows) or single:
+    used_peaks = {(sensor, peak) for row in rows for sensor, peak in enumerate(plan.columns[row])}
+    free_counts = [count - len(rows) for count in counts]
+    single = max(free_counts) == 1 and free_counts.count(1) >= 3
+    if not rows or len(used_peaks) < SENSORS * len(rows) or single:
         return None
     if not points.used[good].all():
         return None
@@ -201,10 +201,12 @@ def group_four_sensor_frame(
     volume = volume.reshape(len(rows), SENSORS + 1)
     sensor = np.arange(SENSORS)
     log_sigma = np.log(peaks.sigma_px[sensor, plan.choice[good]])
-    own = chi2[good]
+    good_chi2 = chi2[good]
     misfit_density = MisfitDensity()
     misfit_density.count(chi2, 1, min(counts))
-    unexplained = UnexplainedPeaks(peaks, settings, np.array(left, dtype=np.float64), len(rows))
+    unexplained = UnexplainedPeaks(
+        peaks, settings, np.array(free_counts, dtype=np.float64), len(rows)
+    )
     odds = (
         float(np.log(unexplained.expected).sum())
         - SENSORS * log(settings.detection_probability)
@@ -213,14 +215,14 @@ def group_four_sensor_frame(
     )
     # Of a peak's innovation, by what the other three say.
     log_density = volume[:, :1] - volume[:, 1:] - log_sigma - _HALF_LOG_TWO_PI
-    foreign = np.exp(0.5 * own[:, None] - log_density) @ unexplained.density_per_px
+    foreign = np.exp(0.5 * good_chi2[:, None] - log_density) @ unexplained.density_per_px
     foreign *= 1.0 / settings.detection_probability - 1.0
-    score = compared[:: SENSORS + 1] - log_sigma.sum(axis=1) - _HALF_LOG_TWO_PI - 0.5 * own
-    score += log(settings.markers_per_mm3) + SENSORS * settings.log_seen
+    score = compared[:: SENSORS + 1] - log_sigma.sum(axis=1) - _HALF_LOG_TWO_PI - 0.5 * good_chi2
+    score += log(settings.markers_per_mm3) + SENSORS * settings.log_detected
     if score.min() <= 0.0:
         return None
     error = 1.0 / (1.0 + np.exp(np.minimum(score, 700.0))) + foreign
-    error += np.exp(np.minimum(odds + 0.5 * own, 0.0))
+    error += np.exp(np.minimum(odds + 0.5 * good_chi2, 0.0))
     variance = points.covariance_mm2[good].trace(axis1=1, axis2=2)
     ambiguous = (error > settings.max_error_rate) | (variance > MAX_EXTENT_MM**2)
     groups = [
@@ -246,8 +248,8 @@ def _family(
 def _plan(counts: tuple[int, ...]) -> _Plan:
     axes = [np.arange(-1, count) for count in counts]
     every = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, SENSORS)
-    seen = (every >= 0).sum(axis=1)
-    fours, threes = every[seen == SENSORS], every[seen == SENSORS - 1]
+    detections = (every >= 0).sum(axis=1)
+    fours, threes = every[detections == SENSORS], every[detections == SENSORS - 1]
     columns = [tuple(row) for row in fours.tolist()]
     if len(fours) > _MAX_JOINT_COMBINATIONS:
         return _Plan(fours, len(fours), None, columns)

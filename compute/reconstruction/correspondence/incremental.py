@@ -61,31 +61,31 @@ def find_gated_peaks(
         misfit_density: counts the peaks in and beside the gates.
         true: how many of a sensor's peaks may be where they should.
     """
-    seen = model.predict(points_mm)
-    systematic = _systematic_variance(model, seen, points_mm)
-    own = tuple(np.flatnonzero(row) for row in free)
+    predicted = model.predict(points_mm)
+    systematic = _systematic_variance(model, predicted, points_mm)
+    free_index = tuple(np.flatnonzero(row) for row in free)
     first = np.zeros((len(points_mm), len(peaks)), dtype=np.intp)
     count = np.zeros_like(first)
-    for sensor, index in enumerate(own):
+    for sensor, index in enumerate(free_index):
         if sensor in without or len(index) == 0:
             continue
-        place = peaks.position_px[sensor, index]
-        slope = seen.jacobian_px_per_mm[:, sensor]
+        position_px = peaks.position_px[sensor, index]
+        slope = predicted.jacobian_px_per_mm[:, sensor]
         by_point = np.einsum("ni,nij,nj->n", slope, covariance_mm2, slope)
-        spread = by_point + systematic[sensor] + peaks.sigma_px[sensor, index].max() ** 2
-        half = _GATE * np.sqrt(spread) + _ROUNDING_PX
-        centre = seen.reading_px[:, sensor]
+        variance = by_point + systematic[sensor] + peaks.sigma_px[sensor, index].max() ** 2
+        half = _GATE * np.sqrt(variance) + _ROUNDING_PX
+        centre = predicted.reading_px[:, sensor]
         there = np.isfinite(centre) & np.isfinite(half)
         centre, half = np.where(there, centre, -1e9), np.where(there, half, 0.0)
-        first[:, sensor] = np.searchsorted(place, centre - half)
-        count[:, sensor] = np.searchsorted(place, centre + half, "right") - first[:, sensor]
+        first[:, sensor] = np.searchsorted(position_px, centre - half)
+        count[:, sensor] = np.searchsorted(position_px, centre + half, "right") - first[:, sensor]
         hits = [float(count[:, sensor].sum())]
         for band in MISFIT_BANDS[1:]:
-            wide = np.searchsorted(place, centre + band * half, "right")
-            hits.append(float((wide - np.searchsorted(place, centre - band * half)).sum()))
+            wide = np.searchsorted(position_px, centre + band * half, "right")
+            hits.append(float((wide - np.searchsorted(position_px, centre - band * half)).sum()))
         tried = len(index) * float(there.sum())
         misfit_density.add(np.array(hits) - true, 2.0 * _GATE * MISFIT_BANDS * tried)
-    return GatedPeaks(first, count, own)
+    return GatedPeaks(first, count, free_index)
 
 
 def _systematic_variance(
@@ -198,11 +198,11 @@ def extend_with_gated_peaks(
             total = int(options.sum())
         source = np.repeat(np.arange(len(rows)), options)
         offset = np.arange(total) - np.repeat(np.cumsum(options) - options, options)
-        taken = offset < count[source]
+        in_range = offset < count[source]
         choice = choice[source]
         at = np.minimum(gated.first[rows[source], sensor] + offset, len(gated.free[sensor]) - 1)
-        choice[:, sensor] = np.where(taken, gated.free[sensor][at], -1)
-        left_out = left_out[source] + (~taken & (count[source] > 0))
+        choice[:, sensor] = np.where(in_range, gated.free[sensor][at], -1)
+        left_out = left_out[source] + (~in_range & (count[source] > 0))
         rows, ahead = rows[source], ahead[source]
     enough = (choice >= 0).sum(axis=1) >= min_peaks
     return choice[enough], cut

@@ -166,29 +166,34 @@ def _merged(
 ) -> IntersectionPoints:
     """Return candidates as points, each combination once, in an order of their own."""
     sensors = len(peaks)
-    whole = Candidates.concatenate([Candidates.empty(sensors), *candidates])
-    if len(whole) == 0:
+    merged = Candidates.concatenate([Candidates.empty(sensors), *candidates])
+    if len(merged) == 0:
         return IntersectionPoints.empty(sensors)
-    _, index = np.unique(whole.choice, axis=0, return_index=True)
-    whole = whole.rows(index)
-    used = whole.choice >= 0
-    missed = (~used & model.predict(whole.position_mm).in_view).sum(axis=1)
+    _, index = np.unique(merged.choice, axis=0, return_index=True)
+    merged = merged.rows(index)
+    used = merged.choice >= 0
+    missed = (~used & model.predict(merged.position_mm).in_view).sum(axis=1)
     crowd = np.log(settings.detection_probability) - peaks.log_density(
         settings.clutter_density_per_px
     )
-    peaks_only = whole.log_marginal + used @ crowd
+    peaks_only = merged.log_marginal + used @ crowd
     peaks_only += missed * settings.log_missed
     alone = np.where(used.sum(axis=1) > 3, peaks_only + log(settings.markers_per_mm3), -inf)
-    if len(whole) > MAX_INTERSECTION_POINTS:
+    if len(merged) > MAX_INTERSECTION_POINTS:
         best = np.sort(np.argsort(-peaks_only, kind="stable")[:MAX_INTERSECTION_POINTS])
-        whole, used, peaks_only, alone = whole.rows(best), used[best], peaks_only[best], alone[best]
-    position, sigma = peaks.readings(whole.choice)
+        merged, used, peaks_only, alone = (
+            merged.rows(best),
+            used[best],
+            peaks_only[best],
+            alone[best],
+        )
+    position, sigma = peaks.readings(merged.choice)
     assert peaks.original_index is not None
-    original_index = np.where(used, peaks.original_index[np.arange(sensors), whole.choice], -1)
+    original_index = np.where(used, peaks.original_index[np.arange(sensors), merged.choice], -1)
     return IntersectionPoints(
         original_index,
-        whole.position_mm,
-        whole.covariance_mm2,
+        merged.position_mm,
+        merged.covariance_mm2,
         position,
         sigma,
         peaks_only,
@@ -197,24 +202,24 @@ def _merged(
 
 
 @cache
-def covering_triples(sensors: int, seen: int) -> tuple[tuple[int, int, int], ...]:
-    """Return triples such that every choice of ``seen`` of the sensors holds one of them.
+def covering_triples(sensors: int, detecting: int) -> tuple[tuple[int, int, int], ...]:
+    """Return triples such that every choice of ``detecting`` of the sensors holds one of them.
 
     Greedy: each triple is the one that most of the choices left hold, the first in order of
     equals. For four sensors that all see, one triple is enough; for 4 of 8 it takes about twenty
     of the 56 (Turan's numbers are the least that there can be).
 
     Args:
-        sensors: how many there are, at least ``seen``.
-        seen: how many see a marker, at least 3.
+        sensors: how many there are, at least ``detecting``.
+        detecting: how many see a marker, at least 3.
     """
     triples = list(combinations(range(sensors), 3))
-    open_choices = {frozenset(choice) for choice in combinations(range(sensors), seen)}
-    taken = []
+    open_choices = {frozenset(choice) for choice in combinations(range(sensors), detecting)}
+    chosen = []
     while open_choices:
         best = max(
             triples, key=lambda triple: sum(choice.issuperset(triple) for choice in open_choices)
         )
-        taken.append(best)
+        chosen.append(best)
         open_choices = {choice for choice in open_choices if not choice.issuperset(best)}
-    return tuple(taken)
+    return tuple(chosen)

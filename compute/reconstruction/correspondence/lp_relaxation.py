@@ -56,10 +56,10 @@ class LpRelaxation:
         import numpy as np
         from scipy.optimize import linprog
 
-        found = linprog(self.cost, A_ub=self.matrix, b_ub=self.limits, method="highs-ds")
-        if found.status != 0:
+        solution = linprog(self.cost, A_ub=self.matrix, b_ub=self.limits, method="highs-ds")
+        if solution.status != 0:
             return None
-        values = np.maximum(-found.ineqlin.marginals, 0.0).tolist()
+        values = np.maximum(-solution.ineqlin.marginals, 0.0).tolist()
         prices = dict(zip(self.resources, values, strict=True))
         # Rounding may leave a column uncovered by a trifle; a bound has to be one.
         for index in self.cluster:

@@ -85,9 +85,11 @@ def predicted_candidates(
         The candidates, and how many combinations were cut.
     """
     free = peaks.usable
-    place, spread = predicted.position_mm, predicted.covariance_mm2
-    gated = find_gated_peaks(model, peaks, free, place, spread, (), misfit_density, len(place))
-    start = np.full((len(place), len(peaks)), -1)
+    position, covariance = predicted.position_mm, predicted.covariance_mm2
+    gated = find_gated_peaks(
+        model, peaks, free, position, covariance, (), misfit_density, len(position)
+    )
+    start = np.full((len(position), len(peaks)), -1)
     rows = np.flatnonzero((gated.count > 0).sum(axis=1) >= _MIN_SENSORS)
     choice, cut = extend_with_gated_peaks(start, gated, rows, _MIN_SENSORS, max_combinations)
     if len(choice) == 0:
@@ -95,20 +97,20 @@ def predicted_candidates(
     meets = solve_combinations(solve, peaks, np.unique(choice, axis=0)).candidates
     # Each of them for each prediction that it lies near.
     chi2, log_density = _distances(
-        meets.position_mm[:, None] - place, meets.covariance_mm2[:, None] + spread
+        meets.position_mm[:, None] - position, meets.covariance_mm2[:, None] + covariance
     )
     dof = meets.dof + 3
     limits = np.array([chi2_limit(n_dof, FALSE_REJECTION) for n_dof in range(len(peaks) + 1)])
     row, point = np.nonzero(meets.chi2[:, None] + chi2 <= limits[dof][:, None])
     near = meets.rows(row)
-    found = replace(
+    candidates = replace(
         near,
         chi2=near.chi2 + chi2[row, point],
         dof=near.dof + 3,
         predicted=point,
         log_density=log_density[row, point],
     )
-    return found, cut
+    return candidates, cut
 
 
 def log_prediction_density(
@@ -128,5 +130,5 @@ def log_prediction_density(
 def _distances(away_mm: Array, covariance_mm2: Array) -> tuple[Array, Array]:
     """Return chi2 of differences (..., 3) and the log of their densities, shape (...)."""
     chi2 = squared_distances(away_mm, covariance_mm2)
-    spread = 3.0 * log(2.0 * pi) + np.log(np.linalg.det(covariance_mm2))
-    return chi2, -0.5 * (spread + chi2)
+    log_volume = 3.0 * log(2.0 * pi) + np.log(np.linalg.det(covariance_mm2))
+    return chi2, -0.5 * (log_volume + chi2)

@@ -80,17 +80,18 @@ def solve_set_packing(
         near = [index for index in cluster if margins[index] <= reach + _PRICE_TOLERANCE]
         for part in _clusters(columns, near):
             search = _Search(problem, prices, margins, max_branches)
-            whole, complete = search.enumerate_near_best(part, window)
-            if whole is None:
+            near_best, complete = search.enumerate_near_best(part, window)
+            if near_best is None:
                 cut += 1
                 inside = set(part)
                 chosen.update((index, 1.0) for index in greedy if index in inside)
             elif complete:
                 chosen.update(
-                    (index, max(1.0 - whole.probability[index], 0.0)) for index in whole.best
+                    (index, max(1.0 - near_best.probability[index], 0.0))
+                    for index in near_best.best
                 )
             else:
-                chosen.update(LpRelaxation(problem, part).error_probability_bounds(whole.best))
+                chosen.update(LpRelaxation(problem, part).error_probability_bounds(near_best.best))
     order = tuple(sorted(chosen))
     return SetPacking(order, tuple(chosen[index] for index in order), cut)
 
@@ -99,13 +100,13 @@ def _greedy(problem: PackingProblem, cluster: Sequence[int]) -> list[int]:
     """Return columns by falling score, as long as there is room for them."""
     columns, scores, room = problem.columns, problem.scores, problem.room
     used: dict[int, int] = defaultdict(int)
-    taken = []
+    selected = []
     for index in sorted(cluster, key=lambda index: (-scores[index], index)):
         if all(used[r] < room.get(r, 1) for r in columns[index]):
-            taken.append(index)
+            selected.append(index)
             for r in columns[index]:
                 used[r] += 1
-    return taken
+    return selected
 
 
 def _clusters(columns: Sequence[Column], use: Sequence[int]) -> list[list[int]]:
@@ -124,10 +125,10 @@ def _clusters(columns: Sequence[Column], use: Sequence[int]) -> list[list[int]]:
         for other in others:
             parent.setdefault(other, other)
             parent[root(other)] = root(head)
-    found: dict[int, list[int]] = defaultdict(list)
+    clusters: dict[int, list[int]] = defaultdict(list)
     for index in use:
-        found[root(columns[index][0])].append(index)
-    return list(found.values())
+        clusters[root(columns[index][0])].append(index)
+    return list(clusters.values())
 
 
 def _prices(problem: PackingProblem, cluster: Sequence[int]) -> dict[int, float]:
@@ -189,7 +190,7 @@ class _Search:
         self.price = {bit[r]: price for r, price in prices.items()}
         self.double = sum(bit[r] for r in prices if problem.room.get(r, 1) > 1)
         self.margins, self.max_branches = margins, max_branches
-        self.known: dict[tuple[tuple[int, ...], int], tuple[float, _WeightedSets | None]] = {}
+        self.memo: dict[tuple[tuple[int, ...], int], tuple[float, _WeightedSets | None]] = {}
         self.nodes = 0
         self.cut = False
 
@@ -201,16 +202,16 @@ class _Search:
         None if there are too many branches even to find the best.
         """
         budget = _FIRST_BUDGET
-        whole = self._branch(tuple(cluster), 0, budget)
-        while whole is None and not self.cut:
+        best = self._branch(tuple(cluster), 0, budget)
+        while best is None and not self.cut:
             budget += _FIRST_BUDGET
-            whole = self._branch(tuple(cluster), 0, budget)
-        if whole is None or budget >= whole.loss + window:
-            return whole, True
+            best = self._branch(tuple(cluster), 0, budget)
+        if best is None or budget >= best.loss + window:
+            return best, True
         # As many branches again: the best is known, what comes near it may be bounded.
         self.nodes = 0
-        near = self._branch(tuple(cluster), 0, whole.loss + window)
-        return (whole, False) if near is None else (near, True)
+        near = self._branch(tuple(cluster), 0, best.loss + window)
+        return (best, False) if near is None else (near, True)
 
     def _branch(self, cluster: tuple[int, ...], once: int, budget: float) -> _WeightedSets | None:
         """Weigh the sets of a part; ``once`` are the double resources that are used once."""
@@ -218,23 +219,23 @@ class _Search:
         for index in cluster:
             covered |= self.mask[index]
         key = (cluster, once & covered)
-        known = self.known.get(key)
-        if known is not None and known[0] >= budget:
-            return known[1]
+        cached = self.memo.get(key)
+        if cached is not None and cached[0] >= budget:
+            return cached[1]
         self.nodes += 1
         if self.nodes > self.max_branches:
             self.cut = True
             return None
         resource, options = self._branch_options(cluster, covered, once, budget)
-        found: list[_WeightedSets] = []
-        for extra, taken in options:
-            one = self._fix_resource(cluster, covered, once, resource, extra, taken, budget)
+        alternatives: list[_WeightedSets] = []
+        for extra, selected in options:
+            one = self._fix_resource(cluster, covered, once, resource, extra, selected, budget)
             if self.cut:
                 return None
             if one is not None:
-                found.append(one)
-        result = _sum_alternatives(found)
-        self.known[key] = (budget, result)
+                alternatives.append(one)
+        result = _sum_alternatives(alternatives)
+        self.memo[key] = (budget, result)
         return result
 
     def _branch_options(
@@ -271,13 +272,13 @@ class _Search:
         once: int,
         resource: int,
         loss: float,
-        taken: tuple[int, ...],
+        selected: tuple[int, ...],
         budget: float,
     ) -> _WeightedSets | None:
         """Weigh what is left when a resource has been decided."""
         # Decided: full, whatever it has room for.
         full = resource
-        for index in taken:
+        for index in selected:
             mask = self.mask[index]
             full |= mask & (once | ~self.double)
             once |= mask & self.double
@@ -301,7 +302,7 @@ class _Search:
             loss += self.price[bit] * (2 if bit & self.double & ~once else 1)
         if loss > budget:
             return None
-        weight, best, probability = exp(-loss), taken, dict.fromkeys(taken, 1.0)
+        weight, best, probability = exp(-loss), selected, dict.fromkeys(selected, 1.0)
         for _, members in parts:
             some = self._branch(tuple(sorted(members)), once, budget - loss)
             if some is None:
@@ -320,21 +321,21 @@ def _bits(mask: int) -> Iterator[int]:
         mask &= mask - 1
 
 
-def _sum_alternatives(found: Sequence[_WeightedSets]) -> _WeightedSets | None:
+def _sum_alternatives(alternatives: Sequence[_WeightedSets]) -> _WeightedSets | None:
     """Return alternatives as one."""
-    if not found:
+    if not alternatives:
         return None
-    weight = sum(one.weight for one in found)
+    weight = sum(one.weight for one in alternatives)
     if weight <= 0.0:
         return None
     # Of sets that are equal to rounding, the first in order: the same on every machine.
-    least = min(one.loss for one in found)
+    least = min(one.loss for one in alternatives)
     best = min(
-        (one for one in found if one.loss <= least + _LOSS_TIE_TOLERANCE),
+        (one for one in alternatives if one.loss <= least + _LOSS_TIE_TOLERANCE),
         key=lambda one: sorted(one.best),
     )
     probability: dict[int, float] = defaultdict(float)
-    for one in found:
+    for one in alternatives:
         share = one.weight / weight
         for index, value in one.probability.items():
             probability[index] += share * value

@@ -136,7 +136,7 @@ struct Triangulation {
         return true;
     }
 
-    // Jacobian and residuals at a place, whitened.
+    // Jacobian and residuals at a position, whitened.
     LUMILINE_FN void whitened_rows(const double* at, Lanes (&rows)[4][V]) {
         Lanes p[V];
         cameras.project(at, p, rows);
@@ -242,14 +242,14 @@ struct Triangulation {
         for (int s = 0; s < S; ++s) {
             if (!used[s]) continue;
             // (W' W)_ss: column s of W is a forward substitution.
-            double column[R], whole = inverse[s] * inverse[s];
+            double column[R], information = inverse[s] * inverse[s];
             if (correlated) {
                 column[s] = inverse[s];
                 for (int t = s + 1; t < S; ++t) {
                     double rest = 0.0;
                     for (int k = s; k < t; ++k) rest -= covariance[t][k] * column[k];
                     column[t] = rest * inverse[t];
-                    whole += column[t] * column[t];
+                    information += column[t] * column[t];
                 }
             }
             double explained = 0.0, influence = 0.0;
@@ -258,8 +258,8 @@ struct Triangulation {
                 explained += y[i][s] * by;
                 influence += by * by;
             }
-            const double rest = whole - explained;
-            if (!(rest > min_redundancy * whole)) return infinity();
+            const double rest = information - explained;
+            if (!(rest > min_redundancy * information)) return infinity();
             largest = larger(largest, influence / rest);
         }
         return sqrt(job.noncentralities[count] * largest);

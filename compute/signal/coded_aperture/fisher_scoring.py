@@ -54,7 +54,7 @@ class ShadowModel:
         self.parameters = 4 if fit_scale else 3
         self._template = template
         self._shifted = ShiftedTemplate(template, pixels)
-        self._place = np.arange(float(pixels))
+        self._pixel = np.arange(float(pixels))
 
     def at(self, shift_px: Array, scale: Array) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
         """Return the template, its derivatives by shift and scale, and where known, each (L, P).
@@ -67,7 +67,7 @@ class ShadowModel:
         if not self.fit_scale:
             value, slope, known = self._shifted.at(shift_px)
             return value, np.negative(slope, out=slope), slope, known
-        arm = (self._place - reading - shift_px[:, None]) / scale[:, None]
+        arm = (self._pixel - reading - shift_px[:, None]) / scale[:, None]
         value, slope, known = self._template.at(reading + arm)
         by_shift = -slope / scale[:, None]
         return value, by_shift, by_shift * arm, known
@@ -120,12 +120,12 @@ def solve(
     """
     zero = np.zeros(len(counts))
     state = _State(start_px.astype(np.float64), zero, zero, np.ones(len(counts)), zero.copy())
-    done = ShadowSolution(*np.full((7, len(counts)), np.nan))
+    solutions = ShadowSolution(*np.full((7, len(counts)), np.nan))
     moving = np.arange(len(counts))
-    for turn in range(_ITERATIONS):
+    for iteration in range(_ITERATIONS):
         value, by_shift, by_scale, known = model.at(state.shift[moving], state.scale[moving])
         used = good[moving] & known
-        if turn == 0:
+        if iteration == 0:
             state.brightness, state.ambient = _level(value, counts, used)
         light = state.brightness[moving][:, None]
         mean = state.ambient[moving][:, None] + light * value
@@ -139,30 +139,33 @@ def solve(
         squares = (weight * rest**2).sum(axis=1)
         dof = used.sum(axis=1) - model.parameters
         misfit = np.sqrt(np.maximum(squares / np.maximum(dof, 1), 1.0))
-        left = state.advance(model, moving, step)
-        last = (left <= _CONVERGED * sigma * misfit) & (turn > 0)
+        unconverged = state.advance(model, moving, step)
+        last = (unconverged <= _CONVERGED * sigma * misfit) & (iteration > 0)
         ended = moving[last]
-        done.shift_px[ended], done.sigma_px[ended] = state.shift[ended], sigma[last]
-        done.amplitude[ended], done.ambient[ended] = state.brightness[ended], state.ambient[ended]
-        done.scale[ended] = state.scale[ended]
-        done.chi2[ended], done.dof[ended] = squares[last], dof[last]
+        solutions.shift_px[ended], solutions.sigma_px[ended] = state.shift[ended], sigma[last]
+        solutions.amplitude[ended], solutions.ambient[ended] = (
+            state.brightness[ended],
+            state.ambient[ended],
+        )
+        solutions.scale[ended] = state.scale[ended]
+        solutions.chi2[ended], solutions.dof[ended] = squares[last], dof[last]
         # What is not a number will never be.
         moving = moving[~last & np.isfinite(step).all(axis=1)]
         if not len(moving):
             break
-    return done
+    return solutions
 
 
 def _level(value: Array, counts: Array, used: NDArray[np.bool_]) -> tuple[Array, Array]:
     """Return brightness and ambient level by plain least squares, each (L,)."""
     number = np.maximum(used.sum(axis=1), 1)
-    middle = (value * used).sum(axis=1) / number
+    weighted_mean = (value * used).sum(axis=1) / number
     mean = (counts * used).sum(axis=1) / number
-    contrast = (value - middle[:, None]) * used
+    contrast = (value - weighted_mean[:, None]) * used
     squares = (contrast**2).sum(axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
         amplitude = np.where(squares > 0.0, (contrast * counts).sum(axis=1) / squares, 0.0)
-    return amplitude, mean - amplitude * middle
+    return amplitude, mean - amplitude * weighted_mean
 
 
 def _step(columns: list[Array], weight: Array, rest: Array) -> tuple[Array, Array]:

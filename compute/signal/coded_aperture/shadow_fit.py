@@ -166,26 +166,30 @@ class ShadowFitter:
         noise = self._noise.of_scans(sensor)
         first = self.search.find(counts)
         mean_variance = noise.variance(counts.mean(axis=1, keepdims=True))[:, 0]
-        kept = np.flatnonzero(first.height > self.threshold_sigma * np.sqrt(mean_variance))
-        if not len(kept):
+        significant = np.flatnonzero(first.height > self.threshold_sigma * np.sqrt(mean_variance))
+        if not len(significant):
             return fit
-        full = counts[kept] >= self._noise.full_scale_counts[sensor[kept]][:, None]
-        solution = solve(self._model, counts[kept], ~full, noise[kept], first.shift_px[kept])
-        lead = (first.height[kept] ** 2 - first.second_height[kept] ** 2) / (
-            2.0 * mean_variance[kept]
+        full = counts[significant] >= self._noise.full_scale_counts[sensor[significant]][:, None]
+        solution = solve(
+            self._model, counts[significant], ~full, noise[significant], first.shift_px[significant]
+        )
+        lead = (first.height[significant] ** 2 - first.second_height[significant] ** 2) / (
+            2.0 * mean_variance[significant]
         )
         # A fit that leaves the main lobe has not refined what was found. NaN is not near either.
-        near = np.abs(solution.shift_px - first.shift_px[kept]) <= max(self.search.lobe_px, 1)
+        near = np.abs(solution.shift_px - first.shift_px[significant]) <= max(
+            self.search.lobe_px, 1
+        )
         good = np.flatnonzero(near & (solution.amplitude > 0.0))
-        solution, place = solution[good], kept[good]
-        fit.found[place] = True
-        fit.shift_px[place], fit.sigma_px[place] = solution.shift_px, solution.sigma_px
-        fit.amplitude[place] = solution.amplitude * self.template.height
+        solution, candidate = solution[good], significant[good]
+        fit.found[candidate] = True
+        fit.shift_px[candidate], fit.sigma_px[candidate] = solution.shift_px, solution.sigma_px
+        fit.amplitude[candidate] = solution.amplitude * self.template.height
         dark = float(self.template.cells.min())
-        fit.ambient[place] = solution.amplitude * dark + solution.ambient
-        fit.scale[place] = solution.scale
-        fit.reduced_chi2[place] = solution.chi2 / solution.dof
-        fit.flags[place] = self._flags(solution, full[good], lead[good])
+        fit.ambient[candidate] = solution.amplitude * dark + solution.ambient
+        fit.scale[candidate] = solution.scale
+        fit.reduced_chi2[candidate] = solution.chi2 / solution.dof
+        fit.flags[candidate] = self._flags(solution, full[good], lead[good])
         return fit
 
     def _flags(
@@ -253,14 +257,14 @@ class MaskReader:
         """
         batch = PeakBatch.empty(len(scans), 1)
         for sensor, fitter in enumerate(self._fitters):
-            own = slice(sensor, None, len(self._fitters))
-            fit = fitter.fit(scans[own])
+            of_sensor = slice(sensor, None, len(self._fitters))
+            fit = fitter.fit(scans[of_sensor])
             template = fitter.template
-            batch.count[own] = fit.found
-            batch.position_px[own, 0] = template.reading_px + fit.shift_px
-            batch.sigma_px[own, 0] = fit.sigma_px
-            batch.amplitude[own, 0] = fit.amplitude
-            batch.width_px[own, 0] = template.lit_width_px * fit.scale
-            batch.flags[own, 0] = fit.flags
-            batch.reduced_chi2[own, 0] = fit.reduced_chi2
+            batch.count[of_sensor] = fit.found
+            batch.position_px[of_sensor, 0] = template.reading_px + fit.shift_px
+            batch.sigma_px[of_sensor, 0] = fit.sigma_px
+            batch.amplitude[of_sensor, 0] = fit.amplitude
+            batch.width_px[of_sensor, 0] = template.lit_width_px * fit.scale
+            batch.flags[of_sensor, 0] = fit.flags
+            batch.reduced_chi2[of_sensor, 0] = fit.reduced_chi2
         return batch

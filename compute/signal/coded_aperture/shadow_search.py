@@ -67,11 +67,11 @@ class ShadowSearch:
         contrast = self._contrast(model)
         self.shares = contrast / contrast.max()
         """Contrast on the scan at each whole shift, relative to the largest, shape (M,)."""
-        seen = self.shares >= MIN_CONTRAST_FRACTION
-        self.lowest_px, self.highest_px = (int(self._shifts[seen][end]) for end in (0, -1))
+        contrasted = self.shares >= MIN_CONTRAST_FRACTION
+        self.lowest_px, self.highest_px = (int(self._shifts[contrasted][end]) for end in (0, -1))
         """First and last shift that are looked at."""
         with np.errstate(divide="ignore"):
-            self._per_contrast = np.where(seen, 1.0 / np.sqrt(contrast), 0.0)
+            self._per_contrast = np.where(contrasted, 1.0 / np.sqrt(contrast), 0.0)
         self.lobe_px = self._lobe(model - model.mean())
         """Shift at which the pattern's correlation with itself ceases to fall."""
 
@@ -134,6 +134,6 @@ class ShadowSearch:
         return np.asarray(np.maximum(squares - sums**2 / self.pixels, 0.0))
 
     def _lobe(self, model: Array) -> int:
-        own = irfft(np.abs(rfft(model, self._size)) ** 2, self._size)[: self._size // 2]
-        rising = np.flatnonzero(np.diff(own) >= 0.0)
-        return int(rising[0]) if len(rising) else len(own)
+        autocorrelation = irfft(np.abs(rfft(model, self._size)) ** 2, self._size)[: self._size // 2]
+        rising = np.flatnonzero(np.diff(autocorrelation) >= 0.0)
+        return int(rising[0]) if len(rising) else len(autocorrelation)

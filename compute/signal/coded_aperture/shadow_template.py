@@ -95,10 +95,10 @@ class ShadowTemplate:
         the cells the value is 0, and known where it is dark.
         """
         cell = (position_px - self.first_px) * self.per_px
-        whole = np.floor(cell)
-        inside = (whole >= 0) & (whole < len(self.cells) - 1)
-        part = cell - whole
-        cubic = self.spline[np.where(inside, whole, 0.0).astype(np.int64)]
+        cell_index = np.floor(cell)
+        inside = (cell_index >= 0) & (cell_index < len(self.cells) - 1)
+        part = cell - cell_index
+        cubic = self.spline[np.where(inside, cell_index, 0.0).astype(np.int64)]
         value = cubic[..., 3] * part
         value += cubic[..., 2]
         value *= part
@@ -157,15 +157,15 @@ def interleave_scans(
     cells = np.full(int(index.max()) + 1, np.nan)
     for row in np.argsort(-np.abs(shift), kind="stable"):
         cells[index[row]] = light[row]
-    known = np.flatnonzero(~np.isnan(cells))
-    missing = np.flatnonzero(np.isnan(cells[known[0] :]))
-    if missing.size and _has_gaps(cells[known[0] :], per_px):
+    finite = np.flatnonzero(~np.isnan(cells))
+    missing = np.flatnonzero(np.isnan(cells[finite[0] :]))
+    if missing.size and _has_gaps(cells[finite[0] :], per_px):
         raise InvalidParameter(
             f"shifts_px leave holes in the template, the first at cell {int(missing[0])} of "
             f"{per_px} per pixel; give a shadow for every phase",
             cell=int(missing[0]),
         )
-    begin = -(-known[0] // per_px) * per_px
+    begin = -(-finite[0] // per_px) * per_px
     end = begin + int(np.argmax(np.append(np.isnan(cells[begin:]), True)))
     return ShadowTemplate(
         cells[begin:end], per_px, first + int(begin) // per_px, float(reading_px), dark_beyond
@@ -208,9 +208,9 @@ class ShiftedTemplate:
         """Return value, derivative [1/px] and where they are known, (L, P), at shifts (L,) [px]."""
         per_px = self._template.per_px
         cell = -(shift_px + self._template.first_px) * per_px
-        whole = np.floor(cell)
-        part = (cell - whole)[:, None]
-        start, phase = np.divmod(whole.astype(np.int64), per_px)
+        cell_index = np.floor(cell)
+        part = (cell - cell_index)[:, None]
+        start, phase = np.divmod(cell_index.astype(np.int64), per_px)
         start = np.clip(start + self._before, 0, self._last)
         cubic = self._cubics[phase, :, start]
         zeroth, first, second, third = (cubic[:, power] for power in range(4))

@@ -106,11 +106,11 @@ def variance_dof(groups: int) -> float:
 
     By the influence function of a mean of the lower half, min(x, median), exact for many groups.
     """
-    middle = float(chi2.median(GROUP_DOF))
+    median = float(chi2.median(GROUP_DOF))
 
     def moment(power: int) -> float:
-        below = quad(lambda x: x**power * chi2.pdf(x, GROUP_DOF), 0.0, middle)[0]
-        return float(below) + 0.5 * middle**power
+        below = quad(lambda x: x**power * chi2.pdf(x, GROUP_DOF), 0.0, median)[0]
+        return float(below) + 0.5 * median**power
 
     variance = groups * (moment(2) - moment(1) ** 2)
     return 2.0 * lowest_squares_mean(groups, groups // 2) ** 2 / variance

@@ -57,8 +57,8 @@ class FalseAlarms:
         many[short // 2] += pixels - short
         height = np.arange(0.0, _HIGHEST + _STEP / 2, _STEP)
         density = np.zeros_like(height)
-        for place in range(short):
-            density += many[place] * _density(rows, place, height * matched.norm) * matched.norm
+        for row in range(short):
+            density += many[row] * _density(rows, row, height * matched.norm) * matched.norm
         # From the far end, where it is smallest: no digits are lost.
         reverse = CubicSpline(height, density[::-1]).antiderivative()
         tail = float(density[-1]) / _HIGHEST
@@ -107,23 +107,23 @@ class FalseAlarms:
         )
 
 
-def _density(rows: Array, place: int, height: Array) -> Array:
+def _density(rows: Array, index: int, height: Array) -> Array:
     """Return the expected maxima at a place per unit of height, at heights of the answer."""
-    own = rows[place]
-    norm = float(np.sqrt(own @ own))
+    selected = rows[index]
+    norm = float(np.sqrt(selected @ selected))
     z = height / norm
     probability = np.exp(-0.5 * z**2) / np.sqrt(2.0 * np.pi) / norm
-    sides = [row for row in (place - 1, place + 1) if 0 <= row < len(rows)]
+    sides = [row for row in (index - 1, index + 1) if 0 <= row < len(rows)]
     cosines, limits = [], []
     for row in sides:
         other = rows[row]
         size = float(np.sqrt(other @ other))
-        cosine = float(own @ other) / (norm * size)
+        cosine = float(selected @ other) / (norm * size)
         cosines.append(cosine)
         limits.append((height / size - cosine * z) / np.sqrt(1.0 - cosine**2))
     if len(sides) == 1:
         return np.asarray(probability * ndtr(limits[0]))
-    before, after = rows[place - 1], rows[place + 1]
+    before, after = rows[index - 1], rows[index + 1]
     across = float(before @ after) / float(np.sqrt((before @ before) * (after @ after)))
     rest = (across - cosines[0] * cosines[1]) / float(
         np.sqrt((1.0 - cosines[0] ** 2) * (1.0 - cosines[1] ** 2))

@@ -77,8 +77,8 @@ class MatchedFilter:
     @cached_property
     def reach_px(self) -> int:
         """Pixels to each side where the shape has more than a twentieth of its maximum."""
-        seen = np.flatnonzero(self.shape >= _EDGE_OF_SHAPE) - self.half_px
-        return int(abs(seen).max())
+        significant = np.flatnonzero(self.shape >= _EDGE_OF_SHAPE) - self.half_px
+        return int(abs(significant).max())
 
     @property
     def snr_of_pixel_snr(self) -> float:
@@ -101,8 +101,8 @@ class MatchedFilter:
         rows = np.zeros((pixels, pixels), dtype=np.int64)
         rows[:half, :length] = self.left
         rows[pixels - half :, pixels - length :] = self.right[::-1]
-        for place in range(half, pixels - half):
-            rows[place, place - half : place + half + 1] = self.taps
+        for pixel in range(half, pixels - half):
+            rows[pixel, pixel - half : pixel + half + 1] = self.taps
         return rows
 
     def gains(self, pixels: int) -> Array:
@@ -207,9 +207,9 @@ def shape_filter(shape: ArrayLike, *, slope: bool = False) -> MatchedFilter:
             f"shape holds {least}; it must be finite and nowhere negative", shape=least
         )
     half = peak.size // 2
-    whole = _remove_background(peak, slope=slope)
+    response = _remove_background(peak, slope=slope)
     ends = [_cut(peak, slope), _cut(peak[::-1], slope)]
-    norms = [float(np.sqrt((row**2).sum())) for row in (whole, *ends[0], *ends[1])]
+    norms = [float(np.sqrt((row**2).sum())) for row in (response, *ends[0], *ends[1])]
     if min(norms) <= 1e-6 * float(peak.max()):
         raise InvalidParameter(
             "shape cannot be told from background in every window that an end of the line cuts; "
@@ -217,13 +217,13 @@ def shape_filter(shape: ArrayLike, *, slope: bool = False) -> MatchedFilter:
         )
     # Room for what rounding adds to the sum.
     scale = (MAX_ABSOLUTE_SUM - peak.size) / max(
-        float(abs(row).sum() / np.sqrt((row**2).sum())) for row in (whole, *ends[0], *ends[1])
+        float(abs(row).sum() / np.sqrt((row**2).sum())) for row in (response, *ends[0], *ends[1])
     )
-    floor = -float(whole[-1]) / norms[0]
+    floor = -float(response[-1]) / norms[0]
     if floor * scale >= 1.0:
         # The taps beside the shape become whole numbers as they are.
         scale = np.floor(floor * scale) / floor
-    inner = _round_taps(scale * whole / norms[0], slope=slope)
+    inner = _round_taps(scale * response / norms[0], slope=slope)
     left, right = (np.zeros((half, peak.size), dtype=np.int64) for _ in range(2))
     for rows, bank in zip(ends, (left, right), strict=True):
         for d, row in enumerate(rows):
@@ -294,11 +294,11 @@ def _zero_first_moment(taps: NDArray[np.int64]) -> None:
     """Move ones between taps until the first moment is zero; the sum stays."""
     length = len(taps)
     moment = int((np.arange(length) * taps).sum())
-    place = length // 3
+    start = length // 3
     while moment != 0:
         lag = min(abs(moment), length - 1)
         step = 1 if moment > 0 else -1
-        place = (place + 1) % (length - lag)
-        taps[place] += step
-        taps[place + lag] -= step
+        start = (start + 1) % (length - lag)
+        taps[start] += step
+        taps[start + lag] -= step
         moment -= step * lag

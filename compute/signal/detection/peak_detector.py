@@ -13,7 +13,7 @@ from compute.signal.centroid_settings import (
     MAX_PIXELS,
     MIN_PIXELS,
     require_choice,
-    require_whole,
+    require_integer,
     sample_starts,
 )
 from compute.signal.detection.background_estimate import estimate_background, variance_dof
@@ -85,7 +85,7 @@ class DetectionSettings:
     def __post_init__(self) -> None:
         check_positive(self, "false_alarms_per_line")
         require_choice("noise", self.noise, get_args(NoiseSource))
-        require_whole("max_peaks", self.max_peaks, 1, 1024)
+        require_integer("max_peaks", self.max_peaks, 1, 1024)
 
 
 class PeakDetector:
@@ -137,8 +137,8 @@ class PeakDetector:
         self.pixels = pixels
         self.settings = settings
         self._noise = noise
-        known = settings.noise == "model"
-        dof = np.inf if known else variance_dof(len(sample_starts(pixels)))
+        noise_modelled = settings.noise == "model"
+        dof = np.inf if noise_modelled else variance_dof(len(sample_starts(pixels)))
         self.threshold_sigma = FalseAlarms.of(matched, pixels).threshold_sigma(
             settings.false_alarms_per_line, dof
         )
@@ -163,8 +163,8 @@ class PeakDetector:
         responses = self.matched.respond(scans)
         deviation = np.sqrt(self._variance(scans))
         limit = np.minimum(np.floor(self.threshold_scale * deviation), _MAX_RESPONSE)
-        scan, place = np.nonzero(_maxima(responses, limit.astype(np.int64)))
-        return self._batch(scans, scan, place, responses[scan, place], deviation)
+        scan, pixel = np.nonzero(_maxima(responses, limit.astype(np.int64)))
+        return self._batch(scans, scan, pixel, responses[scan, pixel], deviation)
 
     def _variance(self, scans: NDArray[np.uint16]) -> NDArray[np.float64]:
         """Return the variance of a pixel of each scan [counts^2], shape (L,)."""
@@ -180,45 +180,45 @@ class PeakDetector:
         self,
         scans: NDArray[np.uint16],
         scan: NDArray[np.int64],
-        place: NDArray[np.int64],
+        pixel: NDArray[np.int64],
         answer: NDArray[np.int64],
         deviation: NDArray[np.float64],
     ) -> DetectionBatch:
         """Put detections, ordered by scan and place, into rows of one scan each."""
-        flags = self._flags(scans, scan, place)
+        flags = self._flags(scans, scan, pixel)
         room = self.settings.max_peaks
-        found = np.bincount(scan, minlength=len(scans))
-        flags[found[scan] > room] |= int(PeakFlag.TRUNCATED)
+        counts = np.bincount(scan, minlength=len(scans))
+        flags[counts[scan] > room] |= int(PeakFlag.TRUNCATED)
         # By scan, then by answer; of equal answers the first place comes first.
-        order = np.lexsort((place, -answer, scan))
-        kept = np.sort(order[number_within_scan(scan) < room])
-        scan, place, answer = (each[kept] for each in (scan, place, answer))
+        order = np.lexsort((pixel, -answer, scan))
+        strongest = np.sort(order[number_within_scan(scan) < room])
+        scan, pixel, answer = (each[strongest] for each in (scan, pixel, answer))
         column = number_within_scan(scan)
         shape = (len(scans), room)
         batch = DetectionBatch(
-            np.minimum(found, room).astype(np.int32),
+            np.minimum(counts, room).astype(np.int32),
             np.full(shape, -1, dtype=np.int32),
             np.full(shape, np.nan, dtype=np.float32),
             np.full(shape, np.nan, dtype=np.float32),
             np.zeros(shape, dtype=np.int32),
             deviation,
         )
-        batch.position_px[scan, column] = place
+        batch.position_px[scan, column] = pixel
         batch.response_sigma[scan, column] = answer / (self.matched.norm * deviation[scan])
-        batch.amplitude[scan, column] = answer / self._gains[place]
-        batch.flags[scan, column] = flags[kept]
+        batch.amplitude[scan, column] = answer / self._gains[pixel]
+        batch.flags[scan, column] = flags[strongest]
         return batch
 
     def _flags(
-        self, scans: NDArray[np.uint16], scan: NDArray[np.int64], place: NDArray[np.int64]
+        self, scans: NDArray[np.uint16], scan: NDArray[np.int64], pixel: NDArray[np.int64]
     ) -> NDArray[np.int32]:
         flags = np.zeros(len(scan), dtype=np.int32)
         reach = self.matched.reach_px
         full = self._noise.full_scale_counts[scan % len(self._noise)]
-        peak = np.clip(place[:, None] + np.arange(-reach, reach + 1), 0, self.pixels - 1)
+        peak = np.clip(pixel[:, None] + np.arange(-reach, reach + 1), 0, self.pixels - 1)
         flags[(scans[scan[:, None], peak] >= full[:, None]).any(axis=1)] |= int(PeakFlag.SATURATED)
-        flags[(place < reach) | (place >= self.pixels - reach)] |= int(PeakFlag.CLIPPED)
-        near = (np.diff(place) <= self.matched.half_px) & (np.diff(scan) == 0)
+        flags[(pixel < reach) | (pixel >= self.pixels - reach)] |= int(PeakFlag.CLIPPED)
+        near = (np.diff(pixel) <= self.matched.half_px) & (np.diff(scan) == 0)
         flags[np.flatnonzero(near)] |= int(PeakFlag.MERGED)
         flags[np.flatnonzero(near) + 1] |= int(PeakFlag.MERGED)
         return flags

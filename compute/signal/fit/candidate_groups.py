@@ -85,24 +85,24 @@ def form_groups(candidates: PeakBatch, pixels: int, settings: FitSettings) -> Gr
     rows: list[tuple[int, ...]] = []
     for scan in np.flatnonzero(candidates.count).tolist():
         count = int(candidates.count[scan])
-        place = candidates.position_px[scan, :count]
+        position_px = candidates.position_px[scan, :count]
         half = np.ceil(settings.reach * widths[scan, :count]).astype(np.int64) + 1
         half = np.minimum(half, _MAX_HALF_PX)
-        pixel = np.floor(place + 0.5).astype(np.int64)
+        pixel = np.floor(position_px + 0.5).astype(np.int64)
         low, high = pixel - half, pixel + half
         cuts: set[int] = set()
         bounds = [0, *(np.flatnonzero(high[:-1] < low[1:]) + 1).tolist(), count]
         parts = [
             part
             for ends in pairwise(bounds)
-            for part in _cut(*ends, place, low, high, settings.max_joint_peaks, cuts)
+            for part in _cut(*ends, position_px, low, high, settings.max_joint_peaks, cuts)
         ]
         first = np.array([low[start:stop].min() for start, stop in parts])
         last = np.array([high[start:stop].max() for start, stop in parts])
         reach = np.array([half[start:stop].max() for start, stop in parts])
         stops = np.array([stop for _, stop in parts[:-1]], dtype=np.int64)
-        middle = np.floor(0.5 * (place[stops - 1] + place[stops])).astype(np.int64)
-        last[:-1], first[1:] = np.minimum(last[:-1], middle), np.maximum(first[1:], middle + 1)
+        boundary = np.floor(0.5 * (position_px[stops - 1] + position_px[stops])).astype(np.int64)
+        last[:-1], first[1:] = np.minimum(last[:-1], boundary), np.maximum(first[1:], boundary + 1)
         first, last = np.maximum(first, 0), np.minimum(last, pixels - 1)
         grown_first, grown_last = _extend(first, last, reach, pixels)
         rows += [
@@ -123,17 +123,17 @@ def _extend(
 ) -> tuple[IntArray, IntArray]:
     """Return the windows of a scan grown by ``reach``, up to midway between them."""
     by = np.minimum(reach, (MAX_WINDOW_PX - (last - first + 1)) // 2)
-    middle = (last[:-1] + first[1:]) // 2
+    boundary = (last[:-1] + first[1:]) // 2
     return (
-        np.maximum(first - by, np.concatenate([[0], middle + 1])),
-        np.minimum(last + by, np.concatenate([middle, [pixels - 1]])),
+        np.maximum(first - by, np.concatenate([[0], boundary + 1])),
+        np.minimum(last + by, np.concatenate([boundary, [pixels - 1]])),
     )
 
 
 def _cut(
     start: int,
     stop: int,
-    place: Array,
+    position_px: Array,
     low: IntArray,
     high: IntArray,
     max_candidates: int,
@@ -143,12 +143,12 @@ def _cut(
     length = int(high[start:stop].max() - low[start:stop].min()) + 1
     if stop - start <= max_candidates and length <= MAX_WINDOW_PX:
         return [(start, stop)]
-    middle = start + 1 + int(np.argmax(np.diff(place[start:stop])))
-    cuts.add(middle)
+    split = start + 1 + int(np.argmax(np.diff(position_px[start:stop])))
+    cuts.add(split)
     return [
         part
-        for ends in ((start, middle), (middle, stop))
-        for part in _cut(*ends, place, low, high, max_candidates, cuts)
+        for ends in ((start, split), (split, stop))
+        for part in _cut(*ends, position_px, low, high, max_candidates, cuts)
     ]
 
 

@@ -20,30 +20,30 @@ def device_line_shape(
         default_width_px: standard deviation of the lines of the others [px]; None: the mean of
             those that were measured.
     """
-    known = [one for one in shapes if one is not None]
-    unit = float(np.mean([one.width_px for one in known]))
+    defined = [one for one in shapes if one is not None]
+    unit = float(np.mean([one.width_px for one in defined]))
     if default_width_px is None:
         default_width_px = unit
-    reach = max(max(-one.first_px for one in known), np.ceil(6.0 * default_width_px))
-    step = min(one.step_px for one in known)
+    reach = max(max(-one.first_px for one in defined), np.ceil(6.0 * default_width_px))
+    step = min(one.step_px for one in defined)
     edges = np.arange(-round(reach / step), round(reach / step) + 1) * step
-    low = min(one.first_node_px for one in known)
-    high = max(one.first_node_px + (len(one.light) - 1) * one.node_step_px for one in known)
-    node_step = min(one.node_step_px for one in known)
+    low = min(one.first_node_px for one in defined)
+    high = max(one.first_node_px + (len(one.light) - 1) * one.node_step_px for one in defined)
+    node_step = min(one.node_step_px for one in defined)
     nodes = max(int(np.ceil((high - low) / node_step)) + 1, 2)
-    places = np.linspace(low, high, nodes)
-    own = LineSpreadFunction.gaussian()
+    positions = np.linspace(low, high, nodes)
+    gaussian = LineSpreadFunction.gaussian()
     light = np.empty((len(shapes), nodes, len(edges) - 1))
     for row, one in zip(light, shapes, strict=True):
         if one is None:
-            row[:] = np.diff(own.at(edges / default_width_px)[0])
+            row[:] = np.diff(gaussian.at(edges / default_width_px)[0])
             continue
         function = LineSpreadFunction.from_cells(
             one.light[None], one.first_px, one.step_px, one.first_node_px, one.node_step_px
         )
-        for number, place in enumerate(places):
-            row[number] = np.maximum(np.diff(function.at(edges, 0, place)[0]), 0.0)
+        for number, position in enumerate(positions):
+            row[number] = np.maximum(np.diff(function.at(edges, 0, position)[0]), 0.0)
     function = LineSpreadFunction.from_cells(
-        light, float(edges[0]), step, float(low), float(places[1] - places[0]), unit
+        light, float(edges[0]), step, float(low), float(positions[1] - positions[0]), unit
     )
     return function, unit

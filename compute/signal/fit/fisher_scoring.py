@@ -94,12 +94,12 @@ def _iterate(
         solution.parameters[active] = updated
         variance = np.einsum("nqq->nq", step.covariance)[:, model.light]
         lit = (updated[:, model.light] > np.sqrt(np.maximum(variance, 0.0))).all(axis=1)
-        done = possible & ended & lit
-        rows = active[done]
+        converged = possible & ended & lit
+        rows = active[converged]
         solution.good[rows] = True
         solution.deviance[active] = np.minimum(solution.deviance[active], step.deviance)
         for name in ("covariance", "chi2", "deviance"):
-            getattr(solution, name)[rows] = getattr(step, name)[done]
+            getattr(solution, name)[rows] = getattr(step, name)[converged]
         active = active[possible & ~ended]
 
 
@@ -118,23 +118,23 @@ class _Step:
 def _scoring_step(model: WindowModel, windows: Windows, parameters: Array) -> _Step:
     sums = model.score_information(windows, parameters)
     score, information = sums.score, sums.information
-    known = model.settings.width_log_sigma == 0.0
-    held = _at_limit(parameters[:, -1], score[:, -1], known=known)
-    score[held, -1] = 0.0
-    information[held, -1, :] = information[held, :, -1] = 0.0
-    information[held, -1, -1] = 1.0
+    width_known = model.settings.width_log_sigma == 0.0
+    at_limit = _at_limit(parameters[:, -1], score[:, -1], width_known=width_known)
+    score[at_limit, -1] = 0.0
+    information[at_limit, -1, :] = information[at_limit, :, -1] = 0.0
+    information[at_limit, -1, -1] = 1.0
     covariance, regular = _inverse(information)
-    covariance[held, -1, -1] = 0.0
+    covariance[at_limit, -1, -1] = 0.0
     step = (covariance @ score[..., None])[..., 0]
     length2 = (step * score).sum(axis=1)
     return _Step(step, length2, regular, covariance, sums.chi2, sums.deviance)
 
 
-def _at_limit(log_width: Array, score: Array, *, known: bool) -> NDArray[np.bool_]:
+def _at_limit(log_width: Array, score: Array, *, width_known: bool) -> NDArray[np.bool_]:
     """Say which widths are known, or stay at a limit that they would leave."""
     low, high = _WIDTH_LIMITS
     outward = ((log_width <= low) & (score < 0.0)) | ((log_width >= high) & (score > 0.0))
-    return np.ones_like(outward) if known else outward
+    return np.ones_like(outward) if width_known else outward
 
 
 def _step_fraction(model: WindowModel, step: _Step, parameters: Array, last: Array) -> Array:
@@ -166,17 +166,17 @@ def _inverse(matrices: Array) -> tuple[Array, NDArray[np.bool_]]:
     diagonal = np.einsum("nii->ni", matrices)
     regular = (diagonal > 0.0).all(axis=1) & np.isfinite(matrices).all(axis=(1, 2))
     scale = np.where(regular[:, None], diagonal, 1.0) ** -0.5
-    whole = np.where(regular[:, None, None], matrices * scale[:, :, None] * scale[:, None, :], 0.0)
+    matrix = np.where(regular[:, None, None], matrices * scale[:, :, None] * scale[:, None, :], 0.0)
     size = matrices.shape[1]
     for k in range(size):
-        pivot = whole[:, k, k].copy()
+        pivot = matrix[:, k, k].copy()
         regular &= pivot >= MIN_PIVOT
         pivot[~regular] = 1.0
-        row = whole[:, k, :] / pivot[:, None]
-        column = whole[:, :, k].copy()
-        whole -= column[:, :, None] * row[:, None, :]
-        whole[:, k, :] = row
-        whole[:, :, k] = -column / pivot[:, None]
-        whole[:, k, k] = 1.0 / pivot
-        whole[~regular] = 0.0
-    return whole * scale[:, :, None] * scale[:, None, :], regular
+        row = matrix[:, k, :] / pivot[:, None]
+        column = matrix[:, :, k].copy()
+        matrix -= column[:, :, None] * row[:, None, :]
+        matrix[:, k, :] = row
+        matrix[:, :, k] = -column / pivot[:, None]
+        matrix[:, k, k] = 1.0 / pivot
+        matrix[~regular] = 0.0
+    return matrix * scale[:, :, None] * scale[:, None, :], regular

@@ -97,7 +97,7 @@ def fit_groups(
     groups = replace(groups, level=background_levels(scans, corrections)[groups.scan])
     if settings.background == "surrounding-slope":
         groups = take_surroundings(scans, groups, noise, corrections)
-    found: list[SelectedFits] = []
+    selected: list[SelectedFits] = []
     for count in np.unique(groups.count).tolist():
         model = WindowModel(count, settings, shape)
         part = groups[groups.count == count]
@@ -105,8 +105,8 @@ def fit_groups(
         start = initial_parameters(model, part, candidates, sensor)
         for fits in fit_windows(model, part, start, scans, noise, corrections):
             solution = marginalise_width(fits.model, fits.windows, fits.solution)
-            found.append(replace(fits, solution=solution))
-    return found
+            selected.append(replace(fits, solution=solution))
+    return selected
 
 
 def check_scans(scans: NDArray[np.uint16]) -> None:

@@ -13,7 +13,7 @@ from compute.signal.centroid_settings import (
     CentroidSettings,
     require_between,
     require_choice,
-    require_whole,
+    require_integer,
 )
 from compute.signal.peaks import MAX_JOINT_PEAKS
 
@@ -194,7 +194,7 @@ class FitSettings:
         require(sigma == 0.0 or sigma >= 1e-6, "be zero, or 1e-6 or more", width_log_sigma=sigma)
         require_between("reach", self.reach, 2.0, 8.0)
         require_between("shape_error", self.shape_error, 0.0, 0.5)
-        require_whole("max_joint_peaks", self.max_joint_peaks, 1, MAX_JOINT_PEAKS)
+        require_integer("max_joint_peaks", self.max_joint_peaks, 1, MAX_JOINT_PEAKS)
         require_between("false_split_rate", self.false_split_rate, 1e-12, 0.1)
         require_choice("background", self.background, get_args(BackgroundModel))
 

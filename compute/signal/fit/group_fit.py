@@ -97,27 +97,27 @@ def fit_scan(
     check_scans(scans)
     shape = LineSpreadFunction.gaussian() if shape is None else shape
     # Line l belongs to sensor l: the wanted one stands last, after empty ones.
-    own = sensor % len(noise)
-    scans = np.concatenate([np.zeros((own, len(values)), np.uint16), scans])
+    sensor_index = sensor % len(noise)
+    scans = np.concatenate([np.zeros((sensor_index, len(values)), np.uint16), scans])
     candidates = find_peaks_reference(scans, settings.search, noise)
     groups = form_groups(candidates, len(values), settings)
-    gain = float(noise.electrons_per_count[own])
-    found: list[GroupFit] = []
+    gain = float(noise.electrons_per_count[sensor_index])
+    group_fits: list[GroupFit] = []
     for fits in fit_groups(scans, groups, candidates, settings, noise, shape):
         good = fits.solution.good
         for some, peaks in (
             (fits[good], collect_fitted_peaks(fits, candidates, len(values))),
             (fits[~good], collect_unfitted_peaks(fits, candidates)),
         ):
-            found += [_group_fit(some, row, peaks, gain) for row in range(len(some.groups))]
-    return tuple(sorted(found, key=lambda group: float(group.position_px[0])))
+            group_fits += [_group_fit(some, row, peaks, gain) for row in range(len(some.groups))]
+    return tuple(sorted(group_fits, key=lambda group: float(group.position_px[0])))
 
 
 def _group_fit(selected: SelectedFits, row: int, peaks: FlatPeaks, gain: float) -> GroupFit:
     """Return the details of a group; ``peaks`` are those of all groups that are selected."""
     model, solution = selected.model, selected.solution[np.array([row])]
     windows = selected.windows[np.array([row])]
-    own = peaks[np.arange(row * model.peaks, (row + 1) * model.peaks)]
+    group_peaks = peaks[np.arange(row * model.peaks, (row + 1) * model.peaks)]
     # Peaks in the order of their positions.
     order = np.argsort(solution.parameters[0, model.position], kind="stable")
     index = np.arange(model.size)
@@ -145,10 +145,10 @@ def _group_fit(selected: SelectedFits, row: int, peaks: FlatPeaks, gain: float) 
         used=windows.used[0, inside],
         model=mean[0, inside],
         residual_sigma=residual[0, inside],
-        flags=own.flags,
-        position_px=own.position_px,
-        sigma_px=own.sigma_px,
-        amplitude=own.amplitude,
+        flags=group_peaks.flags,
+        position_px=group_peaks.position_px,
+        sigma_px=group_peaks.sigma_px,
+        amplitude=group_peaks.amplitude,
         light_counts=parameters[model.light],
         light_electrons=parameters[model.light] * gain,
         width_px=width,

@@ -79,14 +79,14 @@ def estimate_line_shape(
             f"measured from {MIN_WIDTH_PX:g} px on: sharper ones' shape and sub-pixel positions "
             "cannot be told apart"
         )
-    place = np.sort(samples.position_px)
-    gaps = np.diff(place)
+    positions = np.sort(samples.position_px)
+    gaps = np.diff(positions)
     widest = int(np.argmax(gaps))
-    if gaps[widest] > MAX_GAP_PART * (place[-1] - place[0]):
+    if gaps[widest] > MAX_GAP_PART * (positions[-1] - positions[0]):
         raise InvalidParameter(
-            f"no line lies between pixels {place[widest]:.0f} and {place[widest + 1]:.0f}; the "
-            f"lines lie in {place[0]:.0f} to {place[-1]:.0f}, and no gap may be more than "
-            f"{MAX_GAP_PART:.0%} of that: move the marker evenly through the field"
+            f"no line lies between pixels {positions[widest]:.0f} and {positions[widest + 1]:.0f}; "
+            f"the lines lie in {positions[0]:.0f} to {positions[-1]:.0f}, and no gap may be more "
+            f"than {MAX_GAP_PART:.0%} of that: move the marker evenly through the field"
         )
     problem = _ShapeProblem(samples)
     for number in range(MAX_ITERATIONS):
@@ -114,8 +114,8 @@ class _ShapeProblem:
         self.shapes[0] = gaussian / (gaussian.sum() * self.knot)
         # Third differences of a Gaussian's density reach this.
         roughness = ROUGHNESS * 0.55 * self.knot**3 / width**4
-        middle = self.knots[1:-2] + 0.5 * self.knot
-        local = roughness / (1.0 + (np.abs(middle) / (TAIL_WIDTHS * width)) ** 3)
+        centres = self.knots[1:-2] + 0.5 * self.knot
+        local = roughness / (1.0 + (np.abs(centres) / (TAIL_WIDTHS * width)) ** 3)
         difference = np.diff(np.eye(len(self.knots)), 3, axis=0) / local[:, None]
         self.penalty = difference.T @ difference
         self.keep = np.ones(len(samples.position_px), bool)
@@ -131,20 +131,24 @@ class _ShapeProblem:
         parts = np.array_split(np.arange(len(field)), 1 + len(field) // _PART)
         projected = []
         for lines in parts:
-            rows, own, residual = self._linearise(lines, field[lines])
-            gram = own.transpose(0, 2, 1) @ own
-            project = np.linalg.solve(gram, own.transpose(0, 2, 1))
+            rows, jacobian, residual = self._linearise(lines, field[lines])
+            gram = jacobian.transpose(0, 2, 1) @ jacobian
+            project = np.linalg.solve(gram, jacobian.transpose(0, 2, 1))
             projected.append((rows, project, residual))
             keep = self.keep[lines]
-            clear = (rows - own @ (project @ rows))[keep]
-            left = residual - np.einsum("lwa,law,lw->lw", own, project, residual, optimize=True)
+            clear = (rows - jacobian @ (project @ rows))[keep]
+            residual_rest = residual - np.einsum(
+                "lwa,law,lw->lw", jacobian, project, residual, optimize=True
+            )
             pairs = (field[lines][keep][:, :, None] * field[lines][keep][:, None, :]).reshape(
                 -1, orders * orders
             )
             squares = (clear.transpose(0, 2, 1) @ clear).reshape(-1, size * size)
             blocks = (pairs.T @ squares).reshape(orders, orders, size, size)
             normal += blocks.transpose(0, 2, 1, 3).reshape(total, total)
-            right += (field[lines][keep].T @ np.einsum("lwk,lw->lk", clear, left[keep])).ravel()
+            right += (
+                field[lines][keep].T @ np.einsum("lwk,lw->lk", clear, residual_rest[keep])
+            ).ravel()
         for order in range(orders):
             at = slice(order * size, (order + 1) * size)
             stiff = self.penalty * (orders / (2.0 * order + 1.0))
@@ -153,8 +157,8 @@ class _ShapeProblem:
         # Light one and centre of gravity zero everywhere stay: two conditions on each order.
         conditions = np.kron(np.eye(orders), np.stack([np.ones(size), self.knots]))
         count = len(conditions)
-        whole = np.block([[normal, conditions.T], [conditions, np.zeros((count, count))]])
-        change = np.linalg.solve(whole, np.append(right, np.zeros(count)))[:total]
+        bordered = np.block([[normal, conditions.T], [conditions, np.zeros((count, count))]])
+        change = np.linalg.solve(bordered, np.append(right, np.zeros(count)))[:total]
         moved = change.reshape(orders, size)
         self.shapes = self.shapes + moved
         own_steps = [
@@ -175,9 +179,9 @@ class _ShapeProblem:
         t = samples.pixel_offset[lines] - samples.position_px[lines][:, None]
         below, above = ((t[..., None] + at - self.knots) / self.knot for at in (-0.5, 0.5))
         basis = self.knot * (_cumulative(above) - _cumulative(below))
-        own = field @ self.shapes
-        share = np.einsum("lwk,lk->lw", basis, own)
-        falls = np.einsum("lwk,lk->lw", _density(below) - _density(above), own)
+        line_shapes = field @ self.shapes
+        share = np.einsum("lwk,lk->lw", basis, line_shapes)
+        falls = np.einsum("lwk,lk->lw", _density(below) - _density(above), line_shapes)
         mean, weight = samples.predict(share, lines)
         root = np.sqrt(weight)
         residual = (samples.values[lines] - mean) * root
@@ -190,8 +194,8 @@ class _ShapeProblem:
     def drop_outliers(self) -> None:
         """Leave out lines with another light in their window."""
         ratio = self.chi2 / self.dof
-        middle = float(np.median(ratio[self.keep]))
-        self.keep = ratio < middle * (1.0 + OUTLIER_SIGMA * np.sqrt(2.0 / self.dof))
+        median = float(np.median(ratio[self.keep]))
+        self.keep = ratio < median * (1.0 + OUTLIER_SIGMA * np.sqrt(2.0 / self.dof))
 
     def result(self) -> LineShape:
         """Return the shapes as light in cells at nodes."""
@@ -215,8 +219,10 @@ class _ShapeProblem:
 
     def _field(self, position_px: Array) -> Array:
         """Return Legendre polynomials at positions, shape (L, FIELD_DEGREE + 1)."""
-        place = (position_px - self.low) / (self.high - self.low) * 2.0 - 1.0
-        return np.asarray(legendre.legvander(np.clip(place, -1.0, 1.0), FIELD_DEGREE), np.float64)
+        normalised = (position_px - self.low) / (self.high - self.low) * 2.0 - 1.0
+        return np.asarray(
+            legendre.legvander(np.clip(normalised, -1.0, 1.0), FIELD_DEGREE), np.float64
+        )
 
 
 def _density(u: Array) -> Array:

@@ -197,23 +197,25 @@ class LineSpreadFunction:
             sensor: numbers of the sensors, of a shape that broadcasts to t's.
             position_px: where the lines are, of a shape that broadcasts to t's [px].
         """
-        sensors, nodes, places = self.cumulative.shape
+        sensors, nodes, cells = self.cumulative.shape
         row = np.asarray(sensor) % sensors * nodes
         node = (np.asarray(position_px, dtype=np.float64) - self.first_node_px) / self.node_step_px
         below = np.clip(np.floor(node), 0, max(nodes - 2, 0)).astype(np.int64)
         above = np.minimum(below + 1, nodes - 1)
         part = np.clip(node - below, 0.0, 1.0)
 
-        place = (np.asarray(t, dtype=np.float64) - self.first) / self.step
-        k = np.clip(np.floor(place), 0, places - 2).astype(np.int64)
-        s = np.clip(place - k, 0.0, 1.0)
+        cell = (np.asarray(t, dtype=np.float64) - self.first) / self.step
+        k = np.clip(np.floor(cell), 0, cells - 2).astype(np.int64)
+        s = np.clip(cell - k, 0.0, 1.0)
 
         def between(table: Array, at: NDArray[np.int64]) -> Array:
             values = table.ravel()
-            found: Array = values[(row + below) * places + at]
+            interpolated: Array = values[(row + below) * cells + at]
             if nodes > 1:
-                found = (1.0 - part) * found + part * values[(row + above) * places + at]
-            return found
+                interpolated = (1.0 - part) * interpolated + part * values[
+                    (row + above) * cells + at
+                ]
+            return interpolated
 
         e0, e1 = between(self.cumulative, k), between(self.cumulative, k + 1)
         d0, d1 = (between(self.density, at) * self.step for at in (k, k + 1))
@@ -222,5 +224,5 @@ class LineSpreadFunction:
         linear = 3.0 * rise - 2.0 * d0 - d1
         value = e0 + s * (d0 + s * (linear + s * square))
         derivative = (d0 + s * (2.0 * linear + s * 3.0 * square)) / self.step
-        outside = (place < 0.0) | (place > places - 1)
+        outside = (cell < 0.0) | (cell > cells - 1)
         return value, np.where(outside, 0.0, derivative)

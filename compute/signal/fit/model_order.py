@@ -96,7 +96,7 @@ def _misfits(solution: Solution, settings: FitSettings) -> NDArray[np.bool_]:
 def _add_peaks(fits: SelectedFits, base: Array) -> tuple[list[SelectedFits], NDArray[np.bool_]]:
     """Add peaks as long as they stand; say which of the windows got any."""
     settings = fits.model.settings
-    found: list[SelectedFits] = []
+    selected: list[SelectedFits] = []
     accepted: NDArray[np.bool_] | None = None
     while len(fits.groups) and fits.model.peaks < settings.max_joint_peaks:
         more = _best_additional_peak(fits.model, fits.windows, base)
@@ -107,15 +107,15 @@ def _add_peaks(fits: SelectedFits, base: Array) -> tuple[list[SelectedFits], NDA
         if accepted is None:
             accepted = better
         else:
-            found.append(fits[~better])
+            selected.append(fits[~better])
         fits = SelectedFits(
             fits.model.with_peak_more(), fits.groups[better], fits.windows[better], more[better]
         )
         poor = _misfits(fits.solution, settings)
-        found.append(fits[~poor])
+        selected.append(fits[~poor])
         fits = fits[poor]
         base = fits.solution.parameters
-    return [*found, fits], np.zeros(0, bool) if accepted is None else accepted
+    return [*selected, fits], np.zeros(0, bool) if accepted is None else accepted
 
 
 def _best_additional_peak(model: WindowModel, windows: Windows, parameters: Array) -> Solution:
@@ -148,11 +148,11 @@ def _start_at_largest_residual(model: WindowModel, windows: Windows, parameters:
     expected = model.evaluate(windows, parameters)
     residual = np.where(windows.used, windows.values - expected.mean, -np.inf)
     worst = np.argmax(residual / np.sqrt(expected.variance), axis=1)
-    place = (windows.first_px + worst).astype(np.float64)
+    position_px = (windows.first_px + worst).astype(np.float64)
     height = residual[np.arange(len(worst)), worst]
-    share = model.central_pixel_fraction(np.exp(parameters[:, -1]), windows.sensor, place)
+    share = model.central_pixel_fraction(np.exp(parameters[:, -1]), windows.sensor, position_px)
     light = np.column_stack([parameters[:, model.light], height / share])
-    position = np.column_stack([parameters[:, model.position], place])
+    position = np.column_stack([parameters[:, model.position], position_px])
     return _with_peaks(model, parameters, light, position)
 
 

@@ -53,9 +53,9 @@ def collect_fitted_peaks(selected: SelectedFits, candidates: PeakBatch, pixels: 
     selected = selected[selected.solution.good]
     model, groups, windows = selected.model, selected.groups, selected.windows
     solution, settings = selected.solution, model.settings
-    place = solution.parameters[:, model.position]
-    order = np.argsort(place, axis=1, kind="stable")
-    position = np.take_along_axis(place, order, axis=1)
+    position_px = solution.parameters[:, model.position]
+    order = np.argsort(position_px, axis=1, kind="stable")
+    position = np.take_along_axis(position_px, order, axis=1)
     light = np.take_along_axis(solution.parameters[:, model.light], order, axis=1)
     factor = settings.variance_factor(solution.chi2, solution.dof)
     covariance = solution.covariance[:, model.position, model.position] * factor[:, None, None]
@@ -84,8 +84,8 @@ def collect_fitted_peaks(selected: SelectedFits, candidates: PeakBatch, pixels: 
         )
 
     count = position.shape[1]
-    whole = np.zeros((len(groups), count, MAX_JOINT_PEAKS))
-    whole[:, :, :count] = covariance
+    padded_covariance = np.zeros((len(groups), count, MAX_JOINT_PEAKS))
+    padded_covariance[:, :, :count] = covariance
     f = settings.search.threshold_fraction
     full_width = np.broadcast_to(2.0 * np.sqrt(-2.0 * np.log(f)) * width, position.shape)
     reduced = (solution.chi2 / solution.dof)[:, None]
@@ -99,7 +99,7 @@ def collect_fitted_peaks(selected: SelectedFits, candidates: PeakBatch, pixels: 
         full_width.ravel(),
         flags.ravel(),
         np.broadcast_to(reduced, position.shape).ravel(),
-        whole.reshape(-1, MAX_JOINT_PEAKS),
+        padded_covariance.reshape(-1, MAX_JOINT_PEAKS),
     )
 
 

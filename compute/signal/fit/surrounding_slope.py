@@ -55,9 +55,9 @@ def take_surroundings(
         if min(size[0] + size[1], size[2] + size[3]) < MIN_SURROUNDING_PIXELS or not size.all():
             continue
         level = np.array([counts[scan, half].sum() for half in halves])
-        place = np.array([(half - first).sum() for half in halves])
+        position = np.array([(half - first).sum() for half in halves])
         side_size, side_level, side_place = (
-            each.reshape(2, 2).sum(axis=1) for each in (size, level, place)
+            each.reshape(2, 2).sum(axis=1) for each in (size, level, position)
         )
         means, places = side_level / side_size, side_place / side_size
         slope = (means[1] - means[0]) / (places[1] - places[0])
@@ -67,7 +67,7 @@ def take_surroundings(
         straight = True
         for inner, outer in ((0, 1), (2, 3)):
             rise = level[outer] / size[outer] - level[inner] / size[inner]
-            run = place[outer] / size[outer] - place[inner] / size[inner]
+            run = position[outer] / size[outer] - position[inner] / size[inner]
             limit = variance * (1.0 / size[inner] + 1.0 / size[outer])
             straight &= bool((rise - slope * run) ** 2 <= SURROUNDING_LIMIT_SIGMA**2 * limit)
         if straight:

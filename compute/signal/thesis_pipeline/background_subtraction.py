@@ -12,7 +12,7 @@ from scipy.ndimage import maximum_filter1d
 from scipy.sparse import csr_array
 
 from compute.robust_statistics import MAD_TO_SIGMA
-from compute.signal.centroid_settings import require_between, require_whole
+from compute.signal.centroid_settings import require_between, require_integer
 from compute.signal.thesis_pipeline.steps import Array, Background, ScanFilter
 
 Mask = NDArray[np.bool_]
@@ -46,10 +46,10 @@ class PeakMask:
     rounds: int = 50
 
     def __post_init__(self) -> None:
-        require_whole("degree", self.degree, 0, MAX_DEGREE)
+        require_integer("degree", self.degree, 0, MAX_DEGREE)
         require_between("above_sigma", self.above_sigma, 1.0, 100.0)
-        require_whole("margin_px", self.margin_px, 0, 1000)
-        require_whole("rounds", self.rounds, 1, 1000)
+        require_integer("margin_px", self.margin_px, 0, 1000)
+        require_integer("rounds", self.rounds, 1, 1000)
 
     def background_mask(self, scan: Array) -> Mask:
         """Return which pixels of one scan (P,) are no peak, shape (P,).
@@ -71,12 +71,12 @@ class PeakMask:
             # A lone pixel may be noise; it goes, but does not take its neighbours with it.
             wide = peak & (np.roll(peak, 1) | np.roll(peak, -1))
             peak |= maximum_filter1d(wide, 2 * self.margin_px + 1, mode="constant", cval=0)
-            left = free & ~peak
-            if left.sum() < 2 * (self.degree + 1) or (left == free).all():
+            remaining = free & ~peak
+            if remaining.sum() < 2 * (self.degree + 1) or (remaining == free).all():
                 break
-            gone = basis[free & ~left]
-            information = information - np.einsum("ij,ik->jk", gone, gone)
-            free = left
+            removed = basis[free & ~remaining]
+            information = information - np.einsum("ij,ik->jk", removed, removed)
+            free = remaining
         return free
 
 
@@ -148,9 +148,9 @@ class InterpolatedBackground(Background):
         smoothed = weights if self.smoothing is None else self.smoothing.adjoint(weights)
         count = weights.shape[-1]
         pixels = np.arange(count)
-        known = pixels[background_mask]
-        after = np.searchsorted(known, pixels).clip(1, len(known) - 1)
-        low, high = known[after - 1], known[after]
+        background = pixels[background_mask]
+        after = np.searchsorted(background, pixels).clip(1, len(background) - 1)
+        low, high = background[after - 1], background[after]
         share = ((pixels - low) / (high - low)).clip(0.0, 1.0)
         ends = (np.concatenate([low, high]), np.concatenate([pixels, pixels]))
         bridges = csr_array((np.concatenate([1.0 - share, share]), ends), shape=(count, count))
@@ -190,8 +190,10 @@ def _step(information: Array, score: Array) -> Array:
     except np.linalg.LinAlgError:
         pass
     values, vectors = np.linalg.eigh(information)
-    seen = values > _SINGULAR
-    return np.asarray(vectors[:, seen] @ ((vectors[:, seen].T @ score) / values[seen]))
+    nonsingular = values > _SINGULAR
+    return np.asarray(
+        vectors[:, nonsingular] @ ((vectors[:, nonsingular].T @ score) / values[nonsingular])
+    )
 
 
 def _fit_polynomial(scan: Array, free: Mask, degree: int) -> Array:

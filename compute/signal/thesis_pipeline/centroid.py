@@ -60,14 +60,14 @@ def centre_of_gravity(scan: Array, top_px: int, fraction: float, weighting: Weig
     ]
     corrected = ends if weighting == "edge-corrected" else []
     total = float(weights.sum()) + sum(end.excess for end in corrected)
-    moment = float(arms @ weights) + sum(end.excess * end.place for end in corrected)
+    moment = float(arms @ weights) + sum(end.excess * end.position_px for end in corrected)
     centre = moment / total
 
     derivative = np.zeros_like(scan)
     derivative[first : last + 1] = arms - centre
     by_threshold = 0.0 if weighting == "above-background" else -float((arms - centre).sum())
     for end in corrected:
-        arm = end.place - centre
+        arm = end.position_px - centre
         by_value = end.excess_by_value * arm + end.excess * end.side / end.slope
         by_slope = end.excess_by_slope * arm - end.excess * end.side * end.inside / end.slope
         derivative[end.pixel] += by_value + by_slope
@@ -75,8 +75,8 @@ def centre_of_gravity(scan: Array, top_px: int, fraction: float, weighting: Weig
         by_threshold -= by_value
     derivative[top_px] += fraction * by_threshold
 
-    left = next((e.place for e in ends if e.side < 0), first - top_px - 0.5)
-    right = next((e.place for e in ends if e.side > 0), last - top_px + 0.5)
+    left = next((e.position_px for e in ends if e.side < 0), first - top_px - 0.5)
+    right = next((e.position_px for e in ends if e.side > 0), last - top_px + 0.5)
     return Centroid(top_px + centre, first, last, right - left, derivative / total)
 
 
@@ -92,7 +92,7 @@ class _SegmentEnd:
         self.pixel, self.side = pixel, side
         self.slope = float(scan[pixel] - scan[pixel + side])
         self.inside = above / self.slope
-        self.place = pixel - top_px + side * self.inside
+        self.position_px = pixel - top_px + side * self.inside
         self.excess = 0.5 * (above * self.inside - above + self.slope / 6.0)
         self.excess_by_value = self.inside - 0.5
         self.excess_by_slope = 0.5 * (1.0 / 6.0 - self.inside**2)

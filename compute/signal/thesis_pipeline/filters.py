@@ -21,7 +21,7 @@ from scipy.signal import (
 )
 
 from compute.parameter_checks import require
-from compute.signal.centroid_settings import require_choice, require_whole
+from compute.signal.centroid_settings import require_choice, require_integer
 from compute.signal.thesis_pipeline.steps import (
     MAX_TAPS,
     Array,
@@ -112,7 +112,7 @@ class ButterworthFilter(_LowPass):
     compensation: Compensation = "phase"
 
     def __post_init__(self) -> None:
-        require_whole("order", self.order, 1, MAX_ORDER)
+        require_integer("order", self.order, 1, MAX_ORDER)
         self._check()
 
     @property
@@ -178,7 +178,7 @@ class FirFilter(_LowPass):
     compensation: Compensation = "phase"
 
     def __post_init__(self) -> None:
-        require_whole("taps", self.taps, 2, MAX_TAPS)
+        require_integer("taps", self.taps, 2, MAX_TAPS)
         self._check()
 
     @property
@@ -235,7 +235,7 @@ class MedianFilter(ScanFilter):
     compensation: Compensation = "delay"
 
     def __post_init__(self) -> None:
-        require_whole("aperture", self.aperture, 1, MAX_TAPS)
+        require_integer("aperture", self.aperture, 1, MAX_TAPS)
         require_choice("compensation", self.compensation, ("none", "delay"))
 
     @property

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from compute.signal.centroid_settings import require_between
 from compute.signal.thesis_pipeline.steps import Array, as_scans
 
-_GONE: Final = -1
+_REMOVED: Final = -1
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,16 +205,16 @@ def _split_at_valleys(scan: Array, min_depth: float) -> tuple[list[int], list[in
         if after[left] != right:
             continue  # One of the two has gone since.
         # Of two peaks that are one the higher stays.
-        gone = left if scan[tops[left]] < scan[tops[right]] else right
-        left, right = before[gone], after[gone]
-        after[gone] = _GONE
+        removed = left if scan[tops[left]] < scan[tops[right]] else right
+        left, right = before[removed], after[removed]
+        after[removed] = _REMOVED
         if right < count:
             before[right] = left
         if left >= 0:
             after[left] = right
             if right < count:
                 part(left, right)
-    stay = [k for k in range(count) if after[k] != _GONE]
+    stay = [k for k in range(count) if after[k] != _REMOVED]
     return [tops[k] for k in stay], [valleys[k] for k in stay[:-1]]
 
 

@@ -109,10 +109,12 @@ class PeakOutput:
         return PipelinePeak(position, sigma, height, centre.width_px, flags)
 
 
-def to_peak_batch(found: list[list[PipelinePeak]]) -> PeakBatch:
+def to_peak_batch(pipeline_peaks: list[list[PipelinePeak]]) -> PeakBatch:
     """Return the peaks of L scans as arrays, ordered by position, room for the most of a scan."""
-    batch = PeakBatch.empty(len(found), max((len(peaks) for peaks in found), default=0))
-    for scan, peaks in enumerate(found):
+    batch = PeakBatch.empty(
+        len(pipeline_peaks), max((len(peaks) for peaks in pipeline_peaks), default=0)
+    )
+    for scan, peaks in enumerate(pipeline_peaks):
         batch.count[scan] = len(peaks)
         ordered = sorted(peaks, key=lambda peak: peak.position_px)
         for name, values in zip(PipelinePeak._fields, zip(*ordered, strict=True), strict=False):

@@ -11,7 +11,7 @@ from compute.signal.centroid_settings import (
     Weighting,
     require_between,
     require_choice,
-    require_whole,
+    require_integer,
 )
 from compute.signal.peaks import PeakFlag
 from compute.signal.sensor_noise import SensorNoise
@@ -92,10 +92,10 @@ class SignalChain:
 
     def __post_init__(self) -> None:
         if self.average is not None:
-            require_whole("average", self.average, 1, _BLOCK)
-        require_whole("repeats", self.repeats, 1, MAX_REPEATS)
-        require_whole("min_width_px", self.min_width_px, 1, _BLOCK)
-        require_whole("max_peaks", self.max_peaks, 1, MAX_PEAKS)
+            require_integer("average", self.average, 1, _BLOCK)
+        require_integer("repeats", self.repeats, 1, MAX_REPEATS)
+        require_integer("min_width_px", self.min_width_px, 1, _BLOCK)
+        require_integer("max_peaks", self.max_peaks, 1, MAX_PEAKS)
         require_between("level_fraction", self.level_fraction, 0.0, 0.95)
         require_between("threshold_fraction", self.threshold_fraction, 0.0, 0.95)
         require_choice("weighting", self.weighting, get_args(Weighting))
@@ -247,23 +247,23 @@ class SignalChain:
         for values, top, cut in tops:
             if len(peaks) > self.max_peaks:
                 break
-            found = centre_of_gravity(values, top, self.threshold_fraction, self.weighting)
-            run = values[found.first_px : found.last_px + 1]
+            centroid = centre_of_gravity(values, top, self.threshold_fraction, self.weighting)
+            run = values[centroid.first_px : centroid.last_px + 1]
             if len(run) >= self.min_width_px and run.max() <= values[top]:
-                peaks.append((found, float(scan[top]), cut))
+                peaks.append((centroid, float(scan[top]), cut))
         return segments, peaks
 
     def _to_peaks(
         self, output: PeakOutput, centres: list[_Centre], derivatives: Array | None
     ) -> list[PipelinePeak]:
         truncated = PeakFlag.TRUNCATED if len(centres) > self.max_peaks else PeakFlag.NONE
-        found = []
+        peaks = []
         for number, (centre, height, cut) in enumerate(centres[: self.max_peaks]):
             by_pixel = None if derivatives is None else derivatives[number]
             peak = output.peak(centre, height, by_pixel, cut)
             if peak is not None:
-                found.append(peak._replace(flags=peak.flags | truncated))
-        return found
+                peaks.append(peak._replace(flags=peak.flags | truncated))
+        return peaks
 
     def _to_pixels(self, peaks: list[_Centre], state: PipelineState, number: int) -> Array:
         """Return the derivatives of K centres by the (averaged) raw scan's pixels, (K, P)."""

@@ -26,9 +26,9 @@ struct Association {
     LUMILINE_FN double noise_of(int s, int k) { return job.noise[s * tracks.K + k]; }
 
     // Finds the peaks of one sensor that leave no choice: -1 where there is none.
-    LUMILINE_NOINLINE void find_unambiguous(int s, int* found) {
+    LUMILINE_NOINLINE void find_unambiguous(int s, int* chosen) {
         int last[max_tracks], gated[max_tracks];
-        bool own[max_tracks], sought[max_tracks];
+        bool unambiguous[max_tracks], sought[max_tracks];
         for (int t = 0; t < tracks.T; ++t) {
             const double at = tracks.expected_of(t)[s], v = tracks.expected_variance_of(t)[s];
             sought[t] = tracks.visible[t * S + s] && tracks.contested[t * S + s]
@@ -37,7 +37,7 @@ struct Association {
             last[t] = -1;
             if (!sought[t]) continue;
             for (int k = 0; k < tracks.K; ++k) {
-                if (!job.usable[s * tracks.K + k] || tracks.taken[s * tracks.K + k]) continue;
+                if (!job.usable[s * tracks.K + k] || tracks.assigned[s * tracks.K + k]) continue;
                 const double off = position(s, k) - at;
                 if (off * off <= events.gate_squared * (v + noise_of(s, k))) {
                     ++gated[t];
@@ -46,39 +46,39 @@ struct Association {
             }
         }
         for (int t = 0; t < tracks.T; ++t) {
-            own[t] = gated[t] == 1;
-            for (int u = 0; own[t] && u < tracks.T; ++u) {
+            unambiguous[t] = gated[t] == 1;
+            for (int u = 0; unambiguous[t] && u < tracks.T; ++u) {
                 if (u == t || !sought[u]) continue;
                 const double off = position(s, last[t]) - tracks.expected_of(u)[s];
-                own[t] = !(off * off
-                           <= events.gate_squared
-                                  * (tracks.expected_variance_of(u)[s] + noise_of(s, last[t])));
+                unambiguous[t] = !(
+                    off * off <= events.gate_squared
+                                     * (tracks.expected_variance_of(u)[s] + noise_of(s, last[t])));
             }
         }
         for (int t = 0; t < tracks.T; ++t) {
             bool beside = false;
             for (int u = 0; !beside && sought[t] && u < tracks.T; ++u) {
-                if (u == t || !sought[u] || (own[t] && own[u])) continue;
+                if (u == t || !sought[u] || (unambiguous[t] && unambiguous[u])) continue;
                 const double off = tracks.expected_of(t)[s] - tracks.expected_of(u)[s];
                 beside = (off < 0.0 ? -off : off)
                          <= neighbour_reach
                                 * (events.resolution + sqrt(tracks.expected_variance_of(t)[s])
                                    + sqrt(tracks.expected_variance_of(u)[s]));
             }
-            const bool decided = own[t] && !beside;
-            found[t * S + s] = decided ? last[t] : -1;
+            const bool decided = unambiguous[t] && !beside;
+            chosen[t * S + s] = decided ? last[t] : -1;
             tracks.contested[t * S + s] = sought[t] && !decided && (gated[t] > 0 || beside);
         }
     }
 
-    // Updates a track by the readings found; returns whether there were any.
-    LUMILINE_NOINLINE bool update_unambiguous(int t, int* found, bool first) {
+    // Updates a track by the chosen readings; returns whether there were any.
+    LUMILINE_NOINLINE bool update_unambiguous(int t, int* chosen, bool first) {
         int used[S], peak[S], n = 0;
         double noise[S], off[S], result[S];
         for (int s = 0; s < S; ++s)
-            if (found[t * S + s] >= 0) {
+            if (chosen[t * S + s] >= 0) {
                 used[n] = s;
-                peak[n] = found[t * S + s];
+                peak[n] = chosen[t * S + s];
                 noise[n] = noise_of(s, peak[n]);
                 off[n] = position(s, peak[n]) - tracks.expected_of(t)[s];
                 ++n;
@@ -155,7 +155,7 @@ struct Association {
         for (int i = 0; i < n; ++i) {
             job.choice[t * S + used[i]] = peak[i];
             job.choice_probability[t * S + used[i]] = 1.0;
-            tracks.taken[used[i] * tracks.K + peak[i]] = 1;
+            tracks.assigned[used[i] * tracks.K + peak[i]] = 1;
         }
         return true;
     }
@@ -179,7 +179,7 @@ struct Association {
             }
         int peaks[max_tracks], m = 0;
         for (int k = 0; k < tracks.K; ++k)
-            if (job.usable[s * tracks.K + k] && !tracks.taken[s * tracks.K + k]) {
+            if (job.usable[s * tracks.K + k] && !tracks.assigned[s * tracks.K + k]) {
                 if (m == max_tracks) return false;
                 peaks[m++] = k;
                 widest = larger(widest, sqrt(noise_of(s, k)));
@@ -191,15 +191,16 @@ struct Association {
             int to = from;
             while (to < n) {
                 const int i = by_begin[to];
-                const double half = at[i] - begin[i];
+                const double half_width = at[i] - begin[i];
                 if (to > from && begin[i] - margin > end + 2.0 * between) break;
-                end = larger(end, at[i] + half + margin);
+                end = larger(end, at[i] + half_width + margin);
                 low = smaller(low, begin[i]);
-                high = larger(high, at[i] + half);
+                high = larger(high, at[i] + half_width);
                 ++to;
             }
             if (to - from > max_cluster_tracks) return false;
-            int members[max_cluster_tracks], size = to - from, count = 0, own[max_cluster_tracks];
+            int members[max_cluster_tracks], size = to - from, count = 0,
+                                             cluster_peaks[max_cluster_tracks];
             for (int i = 0; i < size; ++i) {
                 int where = i;
                 for (; where > 0 && members[where - 1] > by_begin[from + i]; --where)
@@ -216,13 +217,13 @@ struct Association {
                 const double here = position(s, peaks[i]);
                 if (here < low - margin - between || here > high + margin + between) continue;
                 if (count == max_cluster_tracks) return false;
-                own[count] = peaks[i];
+                cluster_peaks[count] = peaks[i];
                 z[count] = here;
                 vz[count++] = noise_of(s, peaks[i]);
             }
             from = to;
-            double given_up = 0.0;
-            const int ways = events.evaluate(size, a, va, count, z, vz, given_up);
+            double pruned_weight = 0.0;
+            const int ways = events.evaluate(size, a, va, count, z, vz, pruned_weight);
             if (ways < 0) return false;
             for (int i = 0; i < size; ++i) {
                 const int t = rows[members[i]];
@@ -248,15 +249,15 @@ struct Association {
                     }
                     ++claims;
                 }
-                if (given_up > max_given_up_fraction) job.doubtful[t] = 1;
+                if (pruned_weight > max_pruned_fraction) job.hypotheses_pruned[t] = 1;
                 tracks.pda_update(t, s, claims, weight, difference, noise);
                 for (int c = 0; c < claims; ++c) {
                     if (weight[c] <= min_reported_probability) continue;
-                    const int k = own[which[c]];
+                    const int k = cluster_peaks[which[c]];
                     job.choice[t * S + s] = k;
                     job.choice_probability[t * S + s] = weight[c];
                     job.merged[t * S + s] = shared[c];
-                    tracks.taken[s * tracks.K + k] = 1;
+                    tracks.assigned[s * tracks.K + k] = 1;
                     const double total = va[i] + noise[c];
                     const double off = difference[c] * difference[c] / total;
                     job.nis[t] += off;
@@ -269,12 +270,12 @@ struct Association {
 
     // Takes all peaks without rivals.
     LUMILINE_NOINLINE void decide(bool first) {
-        int* found = job.order;
+        int* chosen = job.order;
         for (int t = 0; t < tracks.T; ++t)
             for (int s = 0; s < S; ++s) tracks.predict_measurement(t, s);
-        for (int s = 0; s < S; ++s) find_unambiguous(s, found);
+        for (int s = 0; s < S; ++s) find_unambiguous(s, chosen);
         for (int t = 0; t < tracks.T; ++t)
-            if (update_unambiguous(t, found, first)) tracks.mix_modes(t);
+            if (update_unambiguous(t, chosen, first)) tracks.mix_modes(t);
     }
 
     // The number of tracks that this sensor's peaks leave undecided.
@@ -301,7 +302,7 @@ struct Association {
             }
             for (int s = 0; s < S; ++s) tracks.contested[t * S + s] = narrow;
         }
-        for (int i = 0; i < S * tracks.K; ++i) tracks.taken[i] = 0;
+        for (int i = 0; i < S * tracks.K; ++i) tracks.assigned[i] = 0;
         if (tracks.T > max_tracks || tracks.M > max_modes) {
             job.failed = 1;
             return;

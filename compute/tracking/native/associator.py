@@ -45,7 +45,7 @@ class Associator:
         cameras = model.cameras
         self._job = np.zeros(1, dtype=JOB)
         # Kept: the job has their addresses.
-        self._kept: list[NDArray[Any]] = []
+        self._arrays: list[NDArray[Any]] = []
         row = row_length(len(cameras), cuda=False)
         job = self._job
         fill_cameras(job["cameras"], self._keep, cameras, model.corrections, row)
@@ -124,5 +124,5 @@ class Associator:
 
     def _keep(self, array: NDArray[Any]) -> int:
         values = np.ascontiguousarray(array)
-        self._kept.append(values)
+        self._arrays.append(values)
         return address(values)

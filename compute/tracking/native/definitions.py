@@ -38,13 +38,13 @@ ASSOCIATION: Final = Record(
         "position": "const double*",
         "noise": "const double*",
         "usable": "const unsigned char*",
-        # What is written: (T, S), (T, S), (T, S), (T,), (T,), (T,), (T,); 0 before.
+        # Results: (T, S), (T, S), (T, S), (T,), (T,), (T,), (T,); 0 before.
         "choice": "int*",
         "merged": "unsigned char*",
         "choice_probability": "double*",
         "nis": "double*",
         "evidence": "double*",
-        "doubtful": "unsigned char*",
+        "hypotheses_pruned": "unsigned char*",
         "in_view": "int*",
         # Memory to work in.
         "numbers": "double*",
@@ -88,7 +88,7 @@ HEADER: Final = header(
             "neighbour_reach": SHARED_PEAK_REACH,
             "suspect_sigma": SUSPECT_RESIDUAL_SIGMA,
             "relinearisation_mm": RELINEARISATION_STEP_MM,
-            "max_given_up_fraction": PRUNED_WEIGHT_THRESHOLD,
+            "max_pruned_fraction": PRUNED_WEIGHT_THRESHOLD,
             "lost_sigma_factor": LOST_SIGMA_FACTOR,
             "min_reported_probability": ASSOCIATION_PROBABILITY_THRESHOLD,
             "min_mode_probability": MIN_MODE_PROBABILITY,

@@ -4,6 +4,7 @@
 #include "compute/native/platform.h"
 #include "compute/reconstruction/native/cameras.h"
 #include "compute/reconstruction/native/correction_table.h"
+#include "compute/reconstruction/native/cubic_distortion.h"
 #include "compute/reconstruction/native/lanes.h"
 #include "compute/tracking/native/definitions.gen.h"
 #include "compute/tracking/native/joint_events.h"
@@ -38,8 +39,8 @@ struct TrackStates {
     // where it was linearised (3), readings (S) and their Jacobian (3 S) there; expected readings
     // and their variances.
     static constexpr int stride = 15 + 9 * S;
-    // Marks (T, S): in view of a sensor; not decided; and of the peaks (S, K): taken.
-    unsigned char *const visible, *const contested, *const taken;
+    // Marks (T, S): in view of a sensor; not decided; and of the peaks (S, K): assigned.
+    unsigned char *const visible, *const contested, *const assigned;
 
     LUMILINE_FN explicit TrackStates(AssociationJob& from)
         : job(from),
@@ -50,7 +51,7 @@ struct TrackStates {
           K((int)from.room),
           visible(from.marks),
           contested(from.marks + T * S),
-          taken(from.marks + 2 * T * S) {}
+          assigned(from.marks + 2 * T * S) {}
 
     LUMILINE_FN double* position_of(int t) { return job.numbers + (long long)t * stride; }
 
@@ -101,16 +102,8 @@ struct TrackStates {
         for (int s = 0; s < S; ++s) {
             const int v = s / cpu_lanes, lane = s % cpu_lanes;
             double r = p[v][lane], scale = 1.0;
-            if (cameras.cubic[s] != 0.0) {
-                const double to = r;
-                for (int iteration = 0; iteration < 8; ++iteration) {
-                    const double off = r - cameras.principal_point[s];
-                    const double missing = r + cameras.cubic[s] * off * off * off - to;
-                    r -= missing / (1.0 + 3.0 * cameras.cubic[s] * off * off);
-                }
-                const double off = r - cameras.principal_point[s];
-                scale = 1.0 / (1.0 + 3.0 * cameras.cubic[s] * off * off);
-            }
+            if (cameras.cubic[s] != 0.0)
+                r = invert_cubic(r, cameras.principal_point[s], cameras.cubic[s], scale);
             for (int i = 0; i < 3; ++i) jacobian_of(t)[3 * s + i] = scale * g[i][v][lane];
             if (table.exists()) {
                 r -= value[v][lane];
@@ -172,12 +165,12 @@ struct TrackStates {
             for (int k = 0; k <= i; ++k) half[i] += inverse[i * S + k] * off[k];
         }
         for (int i = 0; i < n; ++i) {
-            double weighted = 0.0, own = 0.0;
+            double weighted = 0.0, squares = 0.0;
             for (int k = i; k < n; ++k) {
                 weighted += inverse[k * S + i] * half[k];
-                own += inverse[k * S + i] * inverse[k * S + i];
+                squares += inverse[k * S + i] * inverse[k * S + i];
             }
-            result[i] = weighted / sqrt(own);
+            result[i] = weighted / sqrt(squares);
         }
     }
 
@@ -232,21 +225,22 @@ struct TrackStates {
         nothing = larger(nothing, 0.0);
         for (int k = 0; k < M; ++k) {
             double *p = covariance_of(t, k), *q = with_bias_of(t, k), *m = mean_of(t, k);
-            double across[9], towards[S], own = bias_of(t)[s * S + s], apart = 0.0;
+            double across[9], towards[S], predicted_variance = bias_of(t)[s * S + s], apart = 0.0;
             for (int i = 0; i < 9; ++i)
                 across[i] =
                     p[9 * i] * g[0] + p[9 * i + 1] * g[1] + p[9 * i + 2] * g[2] + q[i * S + s];
             for (int i = 0; i < 3; ++i) {
-                own += (across[i] + q[i * S + s]) * g[i];
+                predicted_variance += (across[i] + q[i * S + s]) * g[i];
                 apart += (m[i] - position_of(t)[i]) * g[i];
             }
             for (int r = 0; r < S; ++r)
                 towards[r] =
                     g[0] * q[r] + g[1] * q[S + r] + g[2] * q[2 * S + r] + bias_of(t)[s * S + r];
-            double sum = nothing, shift = 0.0, known = 0.0, covariance_of_means = 0.0;
+            double sum = nothing, shift = 0.0, information = 0.0, covariance_of_means = 0.0;
             for (int iteration = 0; iteration < 2; ++iteration)
                 for (int c = 0; c < count; ++c) {
-                    const double v = own + noise[c], w = expected_variance_of(t)[s] + noise[c];
+                    const double v = predicted_variance + noise[c],
+                                 w = expected_variance_of(t)[s] + noise[c];
                     const double d = difference[c] - apart, e = difference[c];
                     const double gap = -0.5 * (d * d / v + log(v)) + 0.5 * (e * e / w + log(w));
                     const double likely = weight[c] * exp(smaller(gap, 50.0));
@@ -256,15 +250,15 @@ struct TrackStates {
                     }
                     const double probability = likely / larger(sum, 1e-300), by = d / v;
                     shift += probability * by;
-                    known += probability / v;
+                    information += probability / v;
                     covariance_of_means += probability * by * by;
                 }
             covariance_of_means -= shift * shift;
             for (int i = 0; i < 9; ++i) {
                 m[i] += shift * across[i];
-                const double by = (known - covariance_of_means) * across[i];
+                const double by = (information - covariance_of_means) * across[i];
                 for (int j = 0; j < 9; ++j) p[9 * i + j] -= by * across[j];
-                for (int r = 0; r < S; ++r) q[i * S + r] -= known * across[i] * towards[r];
+                for (int r = 0; r < S; ++r) q[i * S + r] -= information * across[i] * towards[r];
             }
             sums[k] = job.mode_probability[t * M + k] * larger(sum, 1e-12);
             total_probability += sums[k];

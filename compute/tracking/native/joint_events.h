@@ -21,7 +21,7 @@ struct Option {
 // option's first track.
 struct PartialEvent {
     double weight;
-    Bits taken_peaks, read_tracks, merged_peaks;
+    Bits assigned_peaks, read_tracks, merged_peaks;
     short option[max_cluster_tracks];
 };
 
@@ -61,7 +61,7 @@ struct JointEvents {
 
     LUMILINE_FN explicit JointEvents(const AssociationJob& from) : job(from) {}
 
-    // Moves the `most` heaviest to the front, in order: a heap of the places.
+    // Moves the `most` heaviest to the front, in order: a heap of indices.
     LUMILINE_NOINLINE void keep_heaviest(PartialEvent* all, int count, int most) {
         for (int i = 0; i < count; ++i) order[i] = i;
         auto lighter = [&](int a, int b) -> bool {
@@ -73,9 +73,9 @@ struct JointEvents {
                 if (child >= end) return;
                 if (child + 1 < end && lighter(order[child], order[child + 1])) ++child;
                 if (!lighter(order[at], order[child])) return;
-                const int kept = order[at];
+                const int moved = order[at];
                 order[at] = order[child];
-                order[child] = kept;
+                order[child] = moved;
                 at = child;
             }
         };
@@ -92,7 +92,7 @@ struct JointEvents {
     // Probabilities of the options of n tracks (at, va) and m peaks (z, vz); returns the number of
     // options, or -1 where there is not room enough.
     LUMILINE_NOINLINE int evaluate(int n, const double* at, const double* va, int m,
-                                   const double* z, const double* vz, double& given_up_fraction) {
+                                   const double* z, const double* vz, double& pruned_fraction) {
         if (n > max_cluster_tracks || m > max_cluster_tracks) return -1;
         for (int i = 0; i < n; ++i)
             for (int j = i + 1; j < n; ++j)
@@ -151,9 +151,9 @@ struct JointEvents {
         }
         int here = 1;
         partials[0].weight = 1.0;
-        partials[0].taken_peaks = partials[0].read_tracks = partials[0].merged_peaks = 0;
+        partials[0].assigned_peaks = partials[0].read_tracks = partials[0].merged_peaks = 0;
         for (int i = 0; i < n; ++i) partials[0].option[i] = -1;
-        double given_up = 0.0;
+        double pruned_weight = 0.0;
         for (int i = 0; i < n; ++i) {
             int more = 0;
             for (int p = 0; p < here; ++p) {
@@ -167,7 +167,7 @@ struct JointEvents {
                 grown[more++].weight = partial.weight * missed;
                 for (int o = first_option[i]; o < first_option[i + 1]; ++o) {
                     const Option& option = options[o];
-                    if (partial.taken_peaks >> option.peak & 1) continue;
+                    if (partial.assigned_peaks >> option.peak & 1) continue;
                     if (option.two >= 0 && partial.read_tracks >> option.two & 1) continue;
                     double weight = partial.weight * option.weight;
                     if (option.two < 0)
@@ -179,7 +179,7 @@ struct JointEvents {
                     PartialEvent& next = grown[more++];
                     next = partial;
                     next.weight = weight;
-                    next.taken_peaks |= 1ull << option.peak;
+                    next.assigned_peaks |= 1ull << option.peak;
                     next.read_tracks |= 1ull << i;
                     if (option.two >= 0) {
                         next.read_tracks |= 1ull << option.two;
@@ -188,33 +188,33 @@ struct JointEvents {
                     next.option[i] = (short)o;
                 }
             }
-            double ahead = 1.0, all = 0.0, kept = 0.0;
+            double ahead = 1.0, all = 0.0, kept_weight = 0.0;
             for (int t = i + 1; t < n; ++t) ahead *= factor[t];
-            int left = 0;
+            int kept = 0;
             for (int p = 0; p < more; ++p) {
                 all += grown[p].weight;
                 if (grown[p].weight * ahead >= least) {
-                    if (left != p) grown[left] = grown[p];
-                    ++left;
+                    if (kept != p) grown[kept] = grown[p];
+                    ++kept;
                 }
             }
-            if (left > job.max_hypotheses) {
-                keep_heaviest(grown, left, (int)job.max_hypotheses);
-                left = (int)job.max_hypotheses;
+            if (kept > job.max_hypotheses) {
+                keep_heaviest(grown, kept, (int)job.max_hypotheses);
+                kept = (int)job.max_hypotheses;
             } else {
-                for (int p = 0; p < left; ++p) partials[p] = grown[p];
+                for (int p = 0; p < kept; ++p) partials[p] = grown[p];
             }
-            here = left;
-            for (int p = 0; p < here; ++p) kept += partials[p].weight;
-            if (here < more) given_up += larger(all - kept, 0.0) * ahead;
+            here = kept;
+            for (int p = 0; p < here; ++p) kept_weight += partials[p].weight;
+            if (here < more) pruned_weight += larger(all - kept_weight, 0.0) * ahead;
         }
-        // Only the likeliest of the events that give the same peaks to the same tracks.
+        // Only the most probable of the events that give the same peaks to the same tracks.
         int single = 0;
         for (int p = 0; p < here; ++p) {
             int same = 0;
             while (same < single
                    && !(partials[same].read_tracks == partials[p].read_tracks
-                        && partials[same].taken_peaks == partials[p].taken_peaks
+                        && partials[same].assigned_peaks == partials[p].assigned_peaks
                         && partials[same].merged_peaks == partials[p].merged_peaks))
                 ++same;
             if (same == single) {
@@ -230,7 +230,7 @@ struct JointEvents {
             for (int i = 0; i < n; ++i)
                 if (partials[p].option[i] >= 0)
                     option_probability[partials[p].option[i]] += partials[p].weight / total;
-        given_up_fraction = given_up / total;
+        pruned_fraction = pruned_weight / total;
         return count;
     }
 };

@@ -1236,6 +1236,22 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/principal": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get: operations["get-principal"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/audit": {
         parameters: {
             query?: never;
@@ -4350,6 +4366,14 @@ export interface components {
             recording_id: string;
             /** @default 1 */
             speed: number | null;
+        };
+        RequestPrincipal: {
+            /** @enum {string} */
+            kind: "key" | "token" | "local" | "command" | "service";
+            id: string;
+            name: string;
+            scopes: ("read:stream" | "read:calibration" | "read:audit" | "operate:holds" | "operate:devices" | "operate:recordings" | "operate:checks" | "write:tools" | "write:registrations" | "write:holds" | "write:calibrations" | "write:recordings" | "write:results" | "activate:calibrations" | "admin:devices" | "admin:keys")[];
+            expires_at: string | null;
         };
         RetroMarkers: {
             illuminator_intensity_w_per_sr: number;
@@ -8872,6 +8896,33 @@ export interface operations {
                 };
                 content: {
                     "application/json": components["schemas"]["ApiKey"];
+                };
+            };
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    "get-principal": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["RequestPrincipal"];
                 };
             };
             default: {

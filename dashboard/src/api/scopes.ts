@@ -51,6 +51,7 @@ export const OPERATION_SCOPES = {
   "GET /api/v1/exports/{export_id}/file": "read:stream",
   "GET /api/v1/keys": "admin:keys",
   "GET /api/v1/keys/{key_id}": "admin:keys",
+  "GET /api/v1/principal": "read:stream",
   "GET /api/v1/quality-checks": "read:calibration",
   "GET /api/v1/quality-checks/{quality_check_id}": "read:calibration",
   "GET /api/v1/radiometric-calibrations": "read:calibration",

@@ -1,15 +1,12 @@
 /** Who this page is for the server, and what that allows. */
 
 import { computed, signal } from "@preact/signals";
-import { api, RequestFailed, sent } from "./client";
-import { key, setKey } from "./key";
+import { api, RequestFailed, type Schemas, sent } from "./client";
+import { setKey } from "./key";
 import { OPERATION_SCOPES } from "./scopes";
 
 export type Operation = keyof typeof OPERATION_SCOPES;
-export interface Session {
-  readonly kind: "local" | "key";
-  readonly scopes: readonly string[];
-}
+export type Session = Schemas["RequestPrincipal"];
 
 /** Null: not known yet, or no access. */
 export const session = signal<Session | null>(null);
@@ -32,10 +29,7 @@ export function scopeOf(operation: Operation): string {
 /** Ask the server who this is. */
 export async function openSession(): Promise<void> {
   try {
-    // The server has no resource that tells a key's own scopes: all are taken, and it refuses.
-    await sent(api.GET("/api/v1/devices", { params: { query: { limit: 1 } } }));
-    const scopes = [...new Set<string>(Object.values(OPERATION_SCOPES))];
-    session.value = { kind: key.value ? "key" : "local", scopes };
+    session.value = await sent(api.GET("/api/v1/principal"));
     refusal.value = null;
     serverReached.value = true;
   } catch (error) {

@@ -70,7 +70,7 @@ class WriterProcessClient:
         self._ready = Event()
         request = job.dumps()
         memory = make_memory(job.ring_bytes)
-        heads, self._heads = os.pipe()
+        read_end, self._header_pipe = os.pipe()
         try:
             self._ring = SharedBlockRing(
                 memory, RingShape(job.ring_bytes, sensors, pixels, job.lines)
@@ -81,21 +81,21 @@ class WriterProcessClient:
                     "-m",
                     "hardware.recording.writer_process.process",
                     str(memory),
-                    str(heads),
+                    str(read_end),
                 ],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
-                pass_fds=(memory, heads),
+                pass_fds=(memory, read_end),
                 start_new_session=True,
                 bufsize=0,
             )
         except BaseException:
-            os.close(self._heads)
+            os.close(self._header_pipe)
             raise
         finally:
             os.close(memory)
-            os.close(heads)
-        os.set_blocking(self._heads, False)
+            os.close(read_end)
+        os.set_blocking(self._header_pipe, False)
         name = f"recording-{job.path.name}"
         assert self._process.stdin is not None
         self._sender = PipeSender(self._process.stdin, f"{name}-input", self._cannot_send)
@@ -155,12 +155,12 @@ class WriterProcessClient:
                 return False
             self._dropped_compute = dropped_compute
             self._ring.tail = max(self._ring.tail, self.status.tail)
-            taken = self._ring.put(rows, lines, peaks, points, self._losses())
-            if not taken:
+            accepted = self._ring.put(rows, lines, peaks, points, self._losses())
+            if not accepted:
                 self.dropped_frames += len(rows)
         # The newest head counts: that one finds the pipe full does no harm.
         self._send_head()
-        return taken
+        return accepted
 
     def stop(self, reason: str) -> None:
         """Request that the writer finish and close the file; does not wait for it.
@@ -217,7 +217,7 @@ class WriterProcessClient:
                 return True
             lost = vars(self._losses()).values()
             try:
-                os.write(self._heads, HEAD.pack(self._ring.head, int(self._stop_sent), *lost))
+                os.write(self._header_pipe, HEAD.pack(self._ring.head, int(self._stop_sent), *lost))
             except BlockingIOError:
                 return False
             except BrokenPipeError:
@@ -246,7 +246,7 @@ class WriterProcessClient:
         self._ready.set()
         with self._lock:
             self._closed.set()
-            os.close(self._heads)
+            os.close(self._header_pipe)
             if self._deadline is not None:
                 self._deadline.cancel()
         self._sender.close()
@@ -286,8 +286,8 @@ class PipeSender:
 
     def _run(self) -> None:
         try:
-            while (found := self._waiting.get()) is not None:
-                make, then = found
+            while (entry := self._waiting.get()) is not None:
+                make, then = entry
                 try:
                     data = make()
                 except Exception as error:  # noqa: BLE001 - reported to the client, which ends it

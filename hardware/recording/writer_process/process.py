@@ -25,7 +25,7 @@ from hardware.recording.writer_process.job import DOCUMENT, HEAD, JOB, WriterJob
 from hardware.recording.writer_process.shared_ring import RingShape, SharedBlockRing
 
 ORPHANED: Final = "the program that recorded ended without closing the recording"
-_HEADS: Final = 1024
+_MAX_HEADERS: Final = 1024
 """Maximum number of head messages read at once; only the last one counts."""
 _REASON_S: Final = 5.0
 _PAUSE_S: Final = 0.025
@@ -37,13 +37,13 @@ class _Documents:
 
     def __init__(self, source: BinaryIO) -> None:
         self._source = source
-        self._found: SimpleQueue[tuple[bytes, bytes] | None] = SimpleQueue()
+        self._queue: SimpleQueue[tuple[bytes, bytes] | None] = SimpleQueue()
         self.reason: SimpleQueue[str] = SimpleQueue()
         Thread(target=self._read, daemon=True).start()
 
     def next(self) -> tuple[bytes, bytes] | None:
         """Return the next calibration and table; None: there are no more."""
-        return self._found.get()
+        return self._queue.get()
 
     def _read(self) -> None:
         while len(head := self._source.read(DOCUMENT.size)) == DOCUMENT.size:
@@ -51,8 +51,8 @@ class _Documents:
             if first < 0:
                 self.reason.put(self._source.read(second).decode(errors="replace"))
                 break
-            self._found.put((self._source.read(first), self._source.read(second)))
-        self._found.put(None)
+            self._queue.put((self._source.read(first), self._source.read(second)))
+        self._queue.put(None)
 
 
 class _Recording:
@@ -109,8 +109,8 @@ class _Recording:
     def check_disk(self) -> None:
         """End the recording while there is still disk space to close the file."""
         if self.ended is None:
-            found = os.statvfs(self._job.path.parent)
-            free = found.f_bavail * found.f_frsize
+            disk = os.statvfs(self._job.path.parent)
+            free = disk.f_bavail * disk.f_frsize
             if free < self._job.free_bytes:
                 self.ended = (
                     f"free space: {free} bytes are left on the disk; the limit is "
@@ -128,11 +128,11 @@ class _Recording:
                 self.ended = f"the limit of {job.seconds:g} s"
                 block = block.select(inside)
         while self._in_force <= int(block.rows["in_force"].max(initial=-1)):
-            found = self._documents.next()
-            if found is None:
+            documents = self._documents.next()
+            if documents is None:
                 self.ended = ORPHANED
                 return
-            self.writer.put_active_calibration(*found)
+            self.writer.put_active_calibration(*documents)
             self._in_force += 1
         self._refused += self.writer.append_block(block)
         self._bytes += sum(
@@ -143,7 +143,7 @@ class _Recording:
             self.ended = f"the limit of {job.size_bytes} bytes"
 
 
-def record(ring_descriptor: int, heads: int, source: BinaryIO, target: int) -> None:
+def record(ring_descriptor: int, header_pipe: int, source: BinaryIO, target: int) -> None:
     """Record until a stop request, a limit, an error or the parent's end."""
     job: WriterJob = JOB.validate_json(source.readline())
     sensors, pixels = scan_shape(job.description)
@@ -156,7 +156,7 @@ def record(ring_descriptor: int, heads: int, source: BinaryIO, target: int) -> N
         return
     try:
         _send_status(target, recording.status())
-        complete = _receive(recording, job, heads, target)
+        complete = _receive(recording, job, header_pipe, target)
         recording.writer.close(
             complete=complete, reason=recording.ended or "", losses=recording.losses
         )
@@ -168,15 +168,15 @@ def record(ring_descriptor: int, heads: int, source: BinaryIO, target: int) -> N
     _send_status(target, recording.status())
 
 
-def _receive(recording: _Recording, job: WriterJob, heads: int, target: int) -> bool:
+def _receive(recording: _Recording, job: WriterJob, header_pipe: int, target: int) -> bool:
     """Write blocks until the end; return whether it was a regular one."""
     flush_at = time.monotonic() + job.flush_s
     while True:
         wait_s = max(0.0, flush_at - time.monotonic())
         newest = None
-        if select.select([heads], [], [], wait_s)[0]:
+        if select.select([header_pipe], [], [], wait_s)[0]:
             time.sleep(_PAUSE_S)
-            packed = os.read(heads, _HEADS * HEAD.size)
+            packed = os.read(header_pipe, _MAX_HEADERS * HEAD.size)
             if not packed:
                 recording.ended = ORPHANED
                 return False
@@ -207,9 +207,9 @@ def _reason(error: Exception) -> str:
     if isinstance(error, OSError) and error.errno:
         return os.strerror(error.errno)
     # The file library tells the system's reason among addresses, behind its first line.
-    found = re.search(r"error message = '([^']+)'", str(error))
-    if found is not None:
-        return found[1]
+    match = re.search(r"error message = '([^']+)'", str(error))
+    if match is not None:
+        return match[1]
     return (str(error).splitlines() or [type(error).__name__])[0][:200]
 
 

@@ -59,7 +59,7 @@ class RingShape:
     def sections(self, frames: int, peaks: int, points: int) -> list[_Section]:
         """Return where a block's rows, counts, peaks and points lie, and its end."""
         counts = frames * self.sensors * self.pixels if self.lines else 0
-        found, at = [], _aligned(_HEADER.size)
+        columns, at = [], _aligned(_HEADER.size)
         for dtype, length in (
             (FRAME, frames),
             (np.dtype(np.uint16), counts),
@@ -67,9 +67,9 @@ class RingShape:
             (point_dtype(self.sensors), points),
             (np.dtype(np.uint8), 0),
         ):
-            found.append((at, dtype, length))
+            columns.append((at, dtype, length))
             at += _aligned(length * dtype.itemsize)
-        return found
+        return columns
 
 
 class SharedBlockRing:
@@ -114,8 +114,8 @@ class SharedBlockRing:
         block = self._block(start, *counts)
         block.rows[...] = rows
         if block.lines is not None:
-            for own, line in zip(block.lines, lines, strict=True):
-                own[...] = line
+            for target, line in zip(block.lines, lines, strict=True):
+                target[...] = line
         block.peaks[...] = peaks
         block.points[...] = points
         self.head += skipped + size
@@ -140,13 +140,13 @@ class SharedBlockRing:
 
     def _block(self, start: int, frames: int, peaks: int, points: int) -> FrameBlock:
         """Return views of a block's memory."""
-        rows, counts, found_peaks, found_points, _ = (
+        rows, counts, peak_records, point_records, _ = (
             self._bytes[start + at : start + at + length * dtype.itemsize].view(dtype)
             for at, dtype, length in self._shape.sections(frames, peaks, points)
         )
         shape = (frames, self._shape.sensors, self._shape.pixels)
         lines = counts.reshape(shape) if self._shape.lines else None
-        return FrameBlock(rows, lines, found_peaks, found_points)
+        return FrameBlock(rows, lines, peak_records, point_records)
 
 
 def _aligned(size: int) -> int:

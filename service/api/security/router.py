@@ -1,4 +1,4 @@
-"""REST resource /api/v1/keys."""
+"""REST resources /api/v1/keys and /api/v1/principal."""
 
 from typing import Annotated, Any, Final
 
@@ -7,10 +7,20 @@ from fastapi import Body, Request, Response
 from service.api.inputs import DatabaseDep, JsonTypes, id_in_path
 from service.api.openapi import ResourceRouter, raises
 from service.api.paging import Page, PagingDep, page_of
-from service.api.security.schema import ApiKey, CreatedApiKey, NewApiKey, created_document, document
+from service.api.security.schema import (
+    ApiKey,
+    CreatedApiKey,
+    NewApiKey,
+    RequestPrincipal,
+    created_document,
+    document,
+    principal_document,
+)
+from service.principal import current_act
 from service.security import store
 
 router = ResourceRouter("/api/v1/keys", "keys")
+principal_router = ResourceRouter("/api/v1/principal", "keys")
 
 _NEW_KEYS: Final[Any] = {
     "display": {
@@ -85,3 +95,12 @@ def revoke_key(request: Request, key_id: KeyPath, database: DatabaseDep) -> ApiK
         revoked = document(store.revoke_key(session, key_id))
     request.app.state.authenticator.remembered.forget(key_id)
     return revoked
+
+
+@principal_router.operation("GET", "get-principal", "Who am I, and what may I do?")
+def get_principal() -> RequestPrincipal:
+    """Whoever makes this request, by its key or token, with its scopes."""
+    act = current_act.get()
+    if act is None:
+        raise RuntimeError("the guard let a request in without an act")
+    return principal_document(act.principal)

@@ -13,7 +13,7 @@ from service.api.base_models import (
     from_attributes,
 )
 from service.database.models import ApiKeyRow
-from service.principal import SCOPES, Scope
+from service.principal import SCOPES, Kind, Principal, Scope
 from service.security.store import KeyState, state_of
 
 
@@ -47,6 +47,25 @@ class CreatedApiKey(ApiKey):
     """A key that was just made."""
 
     key: str = Field(description="Send it as `Authorization: Bearer ...`. It is shown here only.")
+
+
+class RequestPrincipal(ResponseModel):
+    """Who makes the request, and what that one may do."""
+
+    kind: Kind = Field(
+        description="An API key, a token of the identity provider, or a program on the server's "
+        "own machine without a key."
+    )
+    id: str = Field(description="The key's id, or the token's subject.")
+    name: str
+    scopes: list[Scope] = Field(description="What this one may do; none includes another.")
+    expires_at: Moment | None = Field(description="Until when the key or token is valid.")
+
+
+def principal_document(principal: Principal) -> RequestPrincipal:
+    """Return a principal as clients see it, the scopes in their usual order."""
+    scopes = [scope for scope in SCOPES if scope in principal.scopes]
+    return from_attributes(RequestPrincipal, principal, scopes=scopes)
 
 
 def document(row: ApiKeyRow) -> ApiKey:

@@ -66,25 +66,28 @@ class CareCollector(Collector):
             & (newest.c.at == DriftCheckRow.created_at),
         )  # fmt: skip
         with self._database.read() as session:
-            used = {device: (name, made) for device, name, made in session.execute(active)}
-            found = {
-                device: (good, made)
-                for device, name, good, made in session.execute(checks)
+            used = {device: (name, created) for device, name, created in session.execute(active)}
+            newest_checks = {
+                device: (good, created)
+                for device, name, good, created in session.execute(checks)
                 if used.get(device, ("", now))[0] == name
             }
         yield gauge(
             "calibration_age_seconds",
             "Since the calibration was made that a device uses.",
-            (((device,), (now - made).total_seconds()) for device, (_, made) in used.items()),
+            (((device,), (now - created).total_seconds()) for device, (_, created) in used.items()),
         )
         yield gauge(
             "drift_check_good",
             "1 when the newest drift check of the calibration in use found that it holds, 0 when "
             "not; none: it was never checked.",
-            (((device,), float(good)) for device, (good, _) in found.items()),
+            (((device,), float(good)) for device, (good, _) in newest_checks.items()),
         )
         yield gauge(
             "drift_check_age_seconds",
             "Since the newest drift check of the calibration that a device uses.",
-            (((device,), (now - made).total_seconds()) for device, (_, made) in found.items()),
+            (
+                ((device,), (now - created).total_seconds())
+                for device, (_, created) in newest_checks.items()
+            ),
         )

@@ -216,7 +216,7 @@ class LiveCollector(Collector):
         yield gauge(
             "stream_messages_kept",
             "Messages that are kept for clients which are behind or come back.",
-            (((name,), log.held) for name, log in logs.items()),
+            (((name,), log.message_count) for name, log in logs.items()),
         )
 
     def _tools(self) -> Iterator[Metric]:
@@ -257,17 +257,17 @@ class DatabaseCollector(Collector):
 
     def collect(self) -> Iterator[Metric]:
         """Yield what there is; without an answer no counts of runs, but that there was none."""
-        found: dict[tuple[str, str], int] | None = None
+        counts: dict[tuple[str, str], int] | None = None
         query = select(RunRow.kind, RunRow.state, func.count()).group_by(RunRow.kind, RunRow.state)
         with suppress(NotReady), self._database.read() as session:  # logged there
-            found = {(kind, state): count for kind, state, count in session.execute(query)}
-        yield single("database_up", "1 when the database answers.", float(found is not None))
-        if found is not None:
+            counts = {(kind, state): count for kind, state, count in session.execute(query)}
+        yield single("database_up", "1 when the database answers.", float(counts is not None))
+        if counts is not None:
             yield gauge(
                 "runs",
                 "Runs by kind and state, until they are deleted.",
                 (
-                    ((kind, state), found.get((kind, state), 0))
+                    ((kind, state), counts.get((kind, state), 0))
                     for kind in get_args(Kind)
                     for state in STATES
                 ),

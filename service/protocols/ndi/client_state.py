@@ -76,14 +76,14 @@ class UserParameters:
         Raises:
             CommandError: there is none.
         """
-        found = self._fixed | self._values
-        found["Param.Tracking.Frame Frequency"] = str(round(frame_rate_hz))
+        parameters = self._fixed | self._values
+        parameters["Param.Tracking.Frame Frequency"] = str(round(frame_rate_hz))
         if name.endswith("*"):
-            chosen = sorted(one for one in found if one.startswith(name[:-1]))
+            chosen = sorted(one for one in parameters if one.startswith(name[:-1]))
         else:
-            chosen = [name] if name in found else []
+            chosen = [name] if name in parameters else []
         require(bool(chosen), ErrorCode.NO_SUCH_PARAMETER)
-        return "\n".join(f"{one}={found[one]}" for one in chosen)
+        return "\n".join(f"{one}={parameters[one]}" for one in chosen)
 
     def set(self, assignment: str) -> None:
         """Set a parameter: ``name=value``; raises CommandError."""
@@ -132,12 +132,12 @@ class ClientState:
     """
 
     def __init__(
-        self, identity: Identity, look: GetPoseView, part_numbers: Mapping[str, str]
+        self, identity: Identity, get_view: GetPoseView, part_numbers: Mapping[str, str]
     ) -> None:
         self.problems: list[str] = []
         self.identity = identity
         self.part_numbers = part_numbers
-        self._look = look
+        self._get_view = get_view
         self.restart()
 
     def restart(self) -> None:
@@ -156,7 +156,7 @@ class ClientState:
 
     def view(self) -> PoseView:
         """Return what there is now; the first device that is seen stays the client's."""
-        view = self._look(self.device)
+        view = self._get_view(self.device)
         if self.device is None:
             self.device = view.device_id
         return view

@@ -170,10 +170,10 @@ def parse(line: bytes) -> Command:
     line = line.removeprefix(b"\n")
     if not line:
         raise CommandError(ErrorCode.TOO_SHORT)
-    found = _FORM.fullmatch(line)
-    if found is None or not line.isascii():
+    match = _FORM.fullmatch(line)
+    if match is None or not line.isascii():
         raise CommandError(ErrorCode.INVALID_COMMAND)
-    name, separator, rest = found.groups()
+    name, separator, rest = match.groups()
     if separator == b":":
         if len(rest) < 4:
             raise CommandError(ErrorCode.TOO_SHORT)

@@ -58,7 +58,7 @@ def initialise_handle(state: ClientState, text: str) -> None:
     port = state.port(text)
     if port.tool is None:
         port.tool = _meant(state, port)
-    require(port.tool is not None and not port.gone, ErrorCode.NO_TOOL)
+    require(port.tool is not None and not port.removed, ErrorCode.NO_TOOL)
     port.initialised = True
 
 
@@ -83,13 +83,13 @@ def free(state: ClientState, text: str) -> None:
 
 def _meant(state: ClientState, port: PortHandle) -> str | None:
     names, tools = names_in_definition(bytes(port.image)), state.view().tools
-    found = match_tool(names, tools, state.part_numbers)
-    if found not in tools:
+    tool = match_tool(names, tools, state.part_numbers)
+    if tool not in tools:
         called = ", ".join(name[:40] for name in names[:5]) or "nothing"
         ours = ", ".join(tools) or "ours: there are none"
         state.report_problem(f"it uploaded a tool, called {called}, that is none of {ours}")
         return None
-    return found
+    return tool
 
 
 def initialise(state: ClientState, text: str) -> None:
@@ -141,10 +141,10 @@ def api_revision(_: ClientState, text: str) -> str:
 
 def features(state: ClientState, text: str) -> str:
     """SFLIST: what there is."""
-    found = describe_features(hexadecimal(text, 2), len(state.view().tools))
-    if found is None:
+    features = describe_features(hexadecimal(text, 2), len(state.view().tools))
+    if features is None:
         raise CommandError(ErrorCode.OUT_OF_RANGE)
-    return found
+    return features
 
 
 def get(state: ClientState, text: str) -> str:

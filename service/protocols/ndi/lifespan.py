@@ -70,14 +70,14 @@ async def ndi_running(app: FastAPI, settings: Settings) -> AsyncIterator[None]:
         tools = live.tracked(device_id).tools
         return next((one.markers_mm for one in tools if one.name == tool), None)
 
-    known = ToolCache(app.state.database)
-    feed = PoseFeed(live.poses, settings.ndi_device, markers, known=known)
+    tool_cache = ToolCache(app.state.database)
+    feed = PoseFeed(live.poses, settings.ndi_device, markers, tip_limits=tool_cache)
     server = NdiServer(options, feed)
     try:
-        await known.start()
+        await tool_cache.start()
         await server.start()
     except OSError as error:
-        await known.close()
+        await tool_cache.close()
         _log.critical("NDI clients on %s port %d: %s", options.host, options.port, error)
         raise
     app.state.metrics.add(NdiCollector(server))
@@ -85,5 +85,5 @@ async def ndi_running(app: FastAPI, settings: Settings) -> AsyncIterator[None]:
     try:
         yield
     finally:
-        await known.close()
+        await tool_cache.close()
         await server.close()

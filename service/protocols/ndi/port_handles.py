@@ -28,26 +28,30 @@ def names_in_definition(image: bytes) -> tuple[str, ...]:
     file that holds a tool's name and nothing more will do.
     """
     searched = image[_PART_NUMBER] if image.startswith(_MAGIC) else image
-    found = (part.strip().decode() for part in _TEXT.findall(searched))
-    return tuple(dict.fromkeys(name for name in found if name))[:100]
+    names = (part.strip().decode() for part in _TEXT.findall(searched))
+    return tuple(dict.fromkeys(name for name in names if name))[:100]
 
 
 def match_tool(
     names: Sequence[str], tools: Sequence[str], part_numbers: Mapping[str, str]
 ) -> str | None:
     """Return the tool that one of these names means; None: none does, or more than one."""
-    known = {number.casefold(): tool for number, tool in part_numbers.items()}
-    meant = {tool for name in names for tool in _tools_called(name.casefold(), tools, known)}
+    tool_of_number = {number.casefold(): tool for number, tool in part_numbers.items()}
+    meant = {
+        tool for name in names for tool in _tools_called(name.casefold(), tools, tool_of_number)
+    }
     return meant.pop() if len(meant) == 1 else None
 
 
-def _tools_called(name: str, tools: Sequence[str], known: Mapping[str, str]) -> Iterator[str]:
-    if name in known:
-        yield known[name]
+def _tools_called(
+    name: str, tools: Sequence[str], tool_of_number: Mapping[str, str]
+) -> Iterator[str]:
+    if name in tool_of_number:
+        yield tool_of_number[name]
         return
-    whole = [tool for tool in tools if tool.casefold() == name]
+    exact = [tool for tool in tools if tool.casefold() == name]
     cut = [tool for tool in tools if tool.casefold()[:NAME_CHARACTERS] == name]
-    yield from whole or cut
+    yield from exact or cut
 
 
 MAX_HANDLES: Final = 24
@@ -79,12 +83,12 @@ class PortHandle:
     image: bytearray = field(default_factory=bytearray)
     initialised: bool = False
     enabled: bool = False
-    gone: bool = False
+    removed: bool = False
 
     @property
     def occupied(self) -> bool:
         """Whether there is a tool, or the definition of one."""
-        return not self.gone and (self.tool is not None or bool(self.image))
+        return not self.removed and (self.tool is not None or bool(self.image))
 
     @property
     def status(self) -> int:
@@ -130,10 +134,10 @@ class PortHandles:
         if len(self._ports) < MAX_HANDLES and any(tool not in plugged for tool in tools):
             self.changes |= 0x40
         for port in self._ports.values():
-            gone = port.tool is not None and port.tool not in tools
-            if gone and not port.gone:
+            removed = port.tool is not None and port.tool not in tools
+            if removed and not port.removed:
                 self.changes |= 0x80
-            port.gone = gone
+            port.removed = removed
 
     def settle(self, tools: Sequence[str]) -> None:
         """Give every tool that is there, and has none yet, a handle, as far as they go."""
@@ -185,7 +189,7 @@ def select_handles(ports: Iterable[PortHandle], option: int) -> list[PortHandle]
         for one in ports
         if (
             True,
-            one.gone,
+            one.removed,
             one.occupied and not one.initialised,
             one.occupied and one.initialised and not one.enabled,
             one.occupied and one.enabled,

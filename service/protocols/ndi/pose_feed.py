@@ -22,7 +22,7 @@ from service.database.engine import Database
 from service.database.models import ToolRow
 from service.pipeline.frame_batch import LatestPoses, PoseEntry
 
-_GIVEN: Final = (PoseStatus.OK, PoseStatus.OUT_OF_VOLUME)
+_REPORTED: Final = (PoseStatus.OK, PoseStatus.OUT_OF_VOLUME)
 """What a client can have, the latter if it asks for it."""
 Markers = Callable[[str], NDArray[np.float64] | None]
 
@@ -65,11 +65,11 @@ class PoseView:
         pose, limit = self.poses.get(tool), self.limits.get(tool)
         if pose is None or limit is None:
             return pose
-        if pose.status not in _GIVEN:
+        if pose.status not in _REPORTED:
             return pose
         why = limit.exceeded_reason(pose)
         reference = None if limit.reference is None else self.poses.get(limit.reference)
-        if why is None and reference is not None and reference.status in _GIVEN:
+        if why is None and reference is not None and reference.status in _REPORTED:
             why = limit.exceeded_reason(pose, reference)
         return pose if why is None else replace(pose, status=PoseStatus.HIGH_ERROR, reason=why)
 
@@ -126,11 +126,11 @@ class ToolCache:
             await self.refresh()
 
     def _read(self) -> Mapping[str, Mapping[str, TipLimit]]:
-        found: dict[str, dict[str, TipLimit]] = {}
+        limits: dict[str, dict[str, TipLimit]] = {}
         with self._database.read() as session:
             for tool in session.scalars(select(ToolRow)):
-                found.setdefault(tool.device_id, {})[tool.id] = tip_limit_of(session, tool)
-        return found
+                limits.setdefault(tool.device_id, {})[tool.id] = tip_limit_of(session, tool)
+        return limits
 
 
 AGE_S: Final = 0.5
@@ -167,7 +167,7 @@ class PoseFeed:
         age_s: float = AGE_S,
         now: Callable[[], float] = time.monotonic,
         wall_ns: Callable[[], int] = time.time_ns,
-        known: GetTipLimits = dict,
+        tip_limits: GetTipLimits = dict,
     ) -> None:
         self._board = board
         self._chosen = device
@@ -175,10 +175,10 @@ class PoseFeed:
         self._age_s = age_s
         self._now = now
         self._wall_ns = wall_ns
-        self._known = known
+        self._tip_limits = tip_limits
         self._came: dict[str, float] = dict.fromkeys(board.newest(), now())
         self._waiting: set[asyncio.Event] = set()
-        self._end = board.listen(self._told)
+        self._end = board.listen(self._on_poses)
 
     def look(self, device: str | None) -> PoseView:
         """Return what a session sees: of this device; None: of the one that has tools.
@@ -186,27 +186,27 @@ class PoseFeed:
         Tools of a device that does not run are there, without poses.
         """
         newest = self._board.newest()
-        wanted = device or self._chosen
-        if wanted is None:
+        device_id = device or self._chosen
+        if device_id is None:
             having = [name for name, entry in newest.items() if entry.poses]
-            having = having or [name for name, tools in self._known().items() if tools]
+            having = having or [name for name, tools in self._tip_limits().items() if tools]
             if len(having) != 1:
                 return PoseView(several=len(having) > 1)
-            wanted = having[0]
-        entry = newest.get(wanted)
+            device_id = having[0]
+        entry = newest.get(device_id)
         if entry is None:
-            tools = tuple(sorted(self._known().get(wanted, ())))
-            return PoseView(wanted, tools=tools, markers=partial(self._markers, wanted))
+            tools = tuple(sorted(self._tip_limits().get(device_id, ())))
+            return PoseView(device_id, tools=tools, markers=partial(self._markers, device_id))
         fresh = self._fresh(entry)
         return PoseView(
-            device_id=wanted,
+            device_id=device_id,
             tools=tuple(sorted(entry.poses)),
             poses=entry.poses if fresh else {},
             sequence=entry.sequence,
             fresh=fresh,
             frame_rate_hz=entry.frame_rate_hz,
-            markers=partial(self._markers, wanted),
-            limits=self._known().get(wanted, {}),
+            markers=partial(self._markers, device_id),
+            limits=self._tip_limits().get(device_id, {}),
         )
 
     async def newer(self, device: str | None, sequence: int, patience_s: float) -> None:
@@ -228,7 +228,7 @@ class PoseFeed:
         """Listen no longer."""
         self._end()
 
-    def _told(self, entry: PoseEntry) -> None:
+    def _on_poses(self, entry: PoseEntry) -> None:
         self._came[entry.device_id] = self._now()
         for news in self._waiting:
             news.set()

@@ -145,8 +145,8 @@ class NdiServer:
         self._server = await asyncio.start_server(
             self._connected, self._options.host, self._options.port, limit=READ_BYTES
         )
-        found = self._server.sockets[0].getsockname()
-        self.address = str(found[0]), int(found[1])
+        address = self._server.sockets[0].getsockname()
+        self.address = str(address[0]), int(address[1])
         _log.info("NDI clients: listening on %s port %d", *self.address)
 
     async def close(self) -> None:

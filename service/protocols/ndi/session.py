@@ -31,9 +31,12 @@ class Session:
     """
 
     def __init__(
-        self, identity: Identity, look: GetPoseView, part_numbers: Mapping[str, str] | None = None
+        self,
+        identity: Identity,
+        get_view: GetPoseView,
+        part_numbers: Mapping[str, str] | None = None,
     ) -> None:
-        self.state = ClientState(identity, look, part_numbers or {})
+        self.state = ClientState(identity, get_view, part_numbers or {})
         self.answered = self.refused = 0
 
     def repeats(self, received: Received) -> bool:
@@ -62,10 +65,10 @@ class Session:
         return text_reply(RESET)
 
     def _execute(self, command: Command) -> bytes:
-        found = _COMMANDS.get(command.name)
-        if found is None and command.name not in _TRACKING:
+        entry = _COMMANDS.get(command.name)
+        if entry is None and command.name not in _TRACKING:
             raise CommandError(ErrorCode.INVALID_COMMAND)
-        modes, carry = found or (_IN_TRACKING, None)
+        modes, carry = entry or (_IN_TRACKING, None)
         if self.state.mode not in modes:
             started = self.state.mode is Mode.STARTED
             raise CommandError(

@@ -40,11 +40,11 @@ def millimetres(values: Sequence[float]) -> str:
 def _digits(value: float, decimals: int, width: int) -> str:
     if not abs(value) < 10.0 ** (width - decimals):  # NaN, too
         raise TooLarge
-    whole = round(value * 10**decimals)
-    if abs(whole) >= 10**width:
+    scaled = round(value * 10**decimals)
+    if abs(scaled) >= 10**width:
         raise TooLarge
     # A rounded -0.001 has no minus: whole is an integer.
-    return f"{whole:+0{width + 1}d}"
+    return f"{scaled:+0{width + 1}d}"
 
 
 Array = NDArray[np.float64]
@@ -127,13 +127,13 @@ def report(
         return ToolReport(port.handle, HandleState.DISABLED, status, frame)
     if pose is None:
         return ToolReport(port.handle, HandleState.MISSING, status, frame)
-    given = pose.status is PoseStatus.OK
+    reported = pose.status is PoseStatus.OK
     if pose.status is PoseStatus.OUT_OF_VOLUME:
         status |= OUT_OF_VOLUME
-        given = out_of_volume
+        reported = out_of_volume
     information = _INFORMATION.get(pose.status, 0)
     rotation, translation = pose.rotation, pose.translation_mm
-    if given and rotation is not None and translation is not None:
+    if reported and rotation is not None and translation is not None:
         if np.isfinite(rotation).all() and np.abs(translation).max() <= MAX_MM:
             return ToolReport(
                 port.handle,
@@ -159,8 +159,8 @@ def _in_world(
 ) -> tuple[tuple[float, ...], ...]:
     if markers_mm is None:
         return ()
-    found = markers_mm[:MAX_MARKERS] @ rotation.T + translation_mm
-    return tuple(map(tuple, found.tolist())) if np.abs(found).max() <= MAX_MM else ()
+    positions = markers_mm[:MAX_MARKERS] @ rotation.T + translation_mm
+    return tuple(map(tuple, positions.tolist())) if np.abs(positions).max() <= MAX_MM else ()
 
 
 def error_mm(pose: ToolPose) -> float:
@@ -172,8 +172,8 @@ def error_mm(pose: ToolPose) -> float:
     variance = np.nan if pose.covariance is None else float(np.trace(pose.covariance[3:, 3:]))
     if not variance >= 0.0:
         return MAX_UNIT
-    found = math.sqrt(variance) * max(1.0, pose.residual_sigma or 0.0)
-    return min(found, MAX_UNIT) if math.isfinite(found) else MAX_UNIT
+    error = math.sqrt(variance) * max(1.0, pose.residual_sigma or 0.0)
+    return min(error, MAX_UNIT) if math.isfinite(error) else MAX_UNIT
 
 
 def tracking_text(reports: Sequence[ToolReport], system_status: int, options: ReplyOption) -> str:
@@ -209,7 +209,7 @@ def _text_markers(one: ToolReport) -> str:
     outside = (1 << count) - 1 if one.port_status & OUT_OF_VOLUME else 0
     digits = -(-count // 4)
     bits = f"{outside:0{digits}X}" if digits else ""
-    return f"{count:02X}{bits}" + "".join(millimetres(place) for place in one.markers_mm)
+    return f"{count:02X}{bits}" + "".join(millimetres(position) for position in one.markers_mm)
 
 
 def tracking_binary(
@@ -247,8 +247,8 @@ def _binary_record(one: ToolReport, options: ReplyOption) -> bytes:
 def _binary_markers(one: ToolReport) -> bytes:
     count = len(one.markers_mm)
     outside = (1 << count) - 1 if one.port_status & OUT_OF_VOLUME else 0
-    places = (struct.pack("<3f", *place) for place in one.markers_mm)
-    return bytes((count,)) + outside.to_bytes(-(-count // 8), "little") + b"".join(places)
+    positions = (struct.pack("<3f", *position) for position in one.markers_mm)
+    return bytes((count,)) + outside.to_bytes(-(-count // 8), "little") + b"".join(positions)
 
 
 RECOVERABLE: Final = 0x0008

@@ -110,15 +110,15 @@ class ApplicationHost:
             .order_by(RegistrationRow.created_at.desc())
             .limit(_MAX_ITEMS)
         )
-        found: list[Landmark] = []
+        landmarks: list[Landmark] = []
         with self._database.read() as session:
             for row in session.scalars(query):
                 owner, of = frame_name(row.reference_id), provenance(session, row)
-                found += (
-                    Landmark(f"{row.id} {name}", place, owner, of)
-                    for name, place in measured_points(row)
+                landmarks += (
+                    Landmark(f"{row.id} {name}", position, owner, of)
+                    for name, position in measured_points(row)
                 )
-        return tuple(found[:_MAX_ITEMS])
+        return tuple(landmarks[:_MAX_ITEMS])
 
     def _stop(self, device_id: str) -> str:
         recording_id = self._recordings.open_recording(device_id)
@@ -152,17 +152,19 @@ async def openigtlink_running(
     Raises:
         OSError: the port is taken, or the address is none of this machine.
     """
-    found = server_settings(settings)
-    if found is None:
+    server_options = server_settings(settings)
+    if server_options is None:
         yield
         return
     live = app.state.live
     host = ApplicationHost(app.state.database, live, recordings)
-    server = OpenIGTLinkServer(live.poses, host, found, live.holds)
+    server = OpenIGTLinkServer(live.poses, host, server_options, live.holds)
     try:
         await server.start()
     except OSError as error:
-        _log.critical("OpenIGTLink on %s port %d: %s", found.host, found.port, error)
+        _log.critical(
+            "OpenIGTLink on %s port %d: %s", server_options.host, server_options.port, error
+        )
         raise
     app.state.metrics.add(OpenIGTLinkCollector(server.counters, lambda: server.clients))
     app.state.openigtlink = server

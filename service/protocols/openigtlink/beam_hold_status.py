@@ -67,7 +67,7 @@ class BeamHoldStatusSender:
 
     def answer(self, session: Session, name: str) -> Message | None:
         """Return the STATUS of a hold by its name on the wire; None: there is no such hold."""
-        if not self._look():
+        if not self._queue_changes():
             if name not in map(_short, self._now):
                 return None
             return session.status(StatusCode.UNKNOWN_ERROR, "UNKNOWN", "it is not known", name)
@@ -81,14 +81,14 @@ class BeamHoldStatusSender:
         if self._device not in (None, device_id):
             return
         self._changes.append((now, last))
-        call_in_loop(self._loop, self._look)
+        call_in_loop(self._loop, self._queue_changes)
 
     def _tell_changes(self) -> None:
-        taken = []
+        changes = []
         while self._changes:
-            taken.append(self._changes.popleft())
-        for index, (now, last) in enumerate(taken):
-            newer = (one for one, _ in taken[index + 1 :] if one.hold_id == now.hold_id)
+            changes.append(self._changes.popleft())
+        for index, (now, last) in enumerate(changes):
+            newer = (one for one, _ in changes[index + 1 :] if one.hold_id == now.hold_id)
             if not now.held and any(newer):
                 # The beam is held again already: what was not told in time is not told.
                 continue
@@ -98,7 +98,7 @@ class BeamHoldStatusSender:
             if last:
                 del self._now[now.hold_id]
 
-    def _look(self) -> bool:
+    def _queue_changes(self) -> bool:
         """Hold what is past its deadline, and tell what changed; False: nobody knows."""
         try:
             self._board.check()
@@ -110,7 +110,7 @@ class BeamHoldStatusSender:
         return True
 
     def _tell_all(self, clients: Iterable[ClientConnection]) -> None:
-        if self._look():
+        if self._queue_changes():
             for client in clients:
                 for now in self._now.values():
                     client.send_beam_hold(self._message(client.session, now))
@@ -125,17 +125,17 @@ class BeamHoldStatusSender:
                 f'the names of the holds {", ".join(same)} are cut to the same "{name}": a name '
                 f"has {NAME_BYTES} bytes; give them shorter ids"
             )
-            found = session.status(StatusCode.CONFIGURATION_ERROR, "NotSent", text, name)
+            status = session.status(StatusCode.CONFIGURATION_ERROR, "NotSent", text, name)
         elif now.held:
             code = _CODES.get(now.cause, StatusCode.UNKNOWN_ERROR)
             word = now.cause.value.replace("-", "_").upper()
-            found = session.status(code, word, now.reason or now.cause.value, name)
+            status = session.status(code, word, now.reason or now.cause.value, name)
         else:
-            found = session.status(StatusCode.OK, "OK", "the beam may go on", name)
+            status = session.status(StatusCode.OK, "OK", "the beam may go on", name)
         cut = name != now.hold_id and len(same) < 2 and session.version > 1
         metadata = {FULL_NAME: now.hold_id} if cut else {}
         # When it was said: who reads it much later reads what is not so any more.
-        return replace(found, time_ns=time.time_ns(), metadata=metadata)
+        return replace(status, time_ns=time.time_ns(), metadata=metadata)
 
 
 def _short(hold_id: str) -> str:

@@ -28,7 +28,7 @@ from service.protocols.openigtlink.transforms import (
 )
 from service.version import package_version
 
-_SHOWN: Final = 200
+_MAX_CHARACTERS: Final = 200
 _NOT_XML: Final = re.compile("[^\t\n\r -\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
@@ -67,37 +67,39 @@ def read_command_request(name: str, text: str) -> CommandRequest:
         element = fromstring(text.rstrip("\0"), forbid_dtd=True)
     except (ParseError, DefusedXmlException, ValueError) as error:
         raise CommandRefused(
-            f"the command is not XML that is read here: {error}"[:_SHOWN]
+            f"the command is not XML that is read here: {error}"[:_MAX_CHARACTERS]
         ) from None
     if element.tag.lower() != "command":
-        raise CommandRefused(f"the element is <{element.tag[:_SHOWN]}>; it must be <Command>")
+        raise CommandRefused(
+            f"the element is <{element.tag[:_MAX_CHARACTERS]}>; it must be <Command>"
+        )
     attributes = {str(key): str(value) for key, value in element.attrib.items()}
-    found = name or attributes.get("Name", "")
-    if not found:
+    command = name or attributes.get("Name", "")
+    if not command:
         raise CommandRefused("a command without a name; give <Command Name=...>")
-    return CommandRequest(found, attributes)
+    return CommandRequest(command, attributes)
 
 
 def write_reply(name: str | None, reply: CommandReply) -> str:
     """Return the answer as PLUS writes it."""
-    shown = _clean(reply.message)
+    text = _clean(reply.message)
     parts = ["<CommandReply"]
     if name is not None:
         parts.append(f" Name={quoteattr(_clean(name))}")
     parts.append(f' Status="{"SUCCESS" if reply.done else "FAIL"}"')
     if name is not None and not reply.done:
-        parts.append(f" Error={quoteattr(shown)}")
-    parts.append(f" Message={quoteattr(shown)}")
+        parts.append(f" Error={quoteattr(text)}")
+    parts.append(f" Message={quoteattr(text)}")
     parts.append("></CommandReply>" if name is not None else " />")
     return "".join(parts)
 
 
 def reply_metadata(reply: CommandReply) -> dict[str, str]:
     """Return what PLUS says of an answer in metadata, too."""
-    found = {"Status": "SUCCESS" if reply.done else "FAIL", "Message": reply.message}
+    attributes = {"Status": "SUCCESS" if reply.done else "FAIL", "Message": reply.message}
     if not reply.done:
-        found["Error"] = reply.message
-    return found | dict(reply.values)
+        attributes["Error"] = reply.message
+    return attributes | dict(reply.values)
 
 
 def _clean(text: str) -> str:
@@ -180,8 +182,10 @@ class Commands:
         return CommandReply(done=True, message=device, values={device: device})
 
     async def _devices(self, _: CommandRequest) -> CommandReply:
-        found = list(await self._host.devices())
-        return CommandReply(done=True, message=",".join(found), values={one: one for one in found})
+        devices = list(await self._host.devices())
+        return CommandReply(
+            done=True, message=",".join(devices), values={one: one for one in devices}
+        )
 
     async def _get_transform(self, request: CommandRequest) -> CommandReply:
         name = read_name(_required(request, "TransformName"))
@@ -192,15 +196,15 @@ class Commands:
                 message=f"GetTransform ({name}): {write_matrix(tracked)}",
                 values={name: write_matrix(tracked), "persistent": "false"},
             )
-        found = self._transforms.find(name)
-        if found is None:
+        transform = self._transforms.find(name)
+        if transform is None:
             raise CommandRefused(f"GetTransform ({name}): no such transform, or it is not seen now")
-        values = {name: write_matrix(found.matrix), "persistent": "false"}
-        if found.error is not None:
-            values["error"] = f"{found.error:g}"
-        if found.date is not None:
-            values["date"] = found.date
-        text = f"GetTransform ({name}): {write_matrix(found.matrix)}"
+        values = {name: write_matrix(transform.matrix), "persistent": "false"}
+        if transform.error is not None:
+            values["error"] = f"{transform.error:g}"
+        if transform.date is not None:
+            values["date"] = transform.date
+        text = f"GetTransform ({name}): {write_matrix(transform.matrix)}"
         return CommandReply(done=True, message=text, values=values)
 
     def _tracked(self, name: str) -> Array | None:
@@ -236,39 +240,39 @@ class Commands:
         )
 
     async def _start_recording(self, request: CommandRequest) -> CommandReply:
-        wanted = request.attributes.get("OutputFilename")
-        name = None if not wanted else file_name(wanted)
-        begun = await self._host.start_recording(self._wanted(request), name)
+        file_requested = request.attributes.get("OutputFilename")
+        name = None if not file_requested else file_name(file_requested)
+        begun = await self._host.start_recording(self._recorded_device(request), name)
         text = f"StartRecording successful: {begun}"
         return CommandReply(done=True, message=text, values={"OutputFilename": begun})
 
     async def _stop_recording(self, request: CommandRequest) -> CommandReply:
-        told = await self._host.stop_recording(self._wanted(request))
-        return CommandReply(done=True, message=f"StopRecording successful: {told}")
+        stopped = await self._host.stop_recording(self._recorded_device(request))
+        return CommandReply(done=True, message=f"StopRecording successful: {stopped}")
 
     async def _set_transform(self, request: CommandRequest) -> CommandReply:
         name = read_name(_required(request, "TransformName"))
         snapshot = self._newest()
         if snapshot is not None and (snapshot.find(name) or snapshot.find_inverse(name)):
             raise CommandRefused(f"UpdateTransform ({name}): it is tracked, and cannot be set")
-        found = NamedTransform(
+        transform = NamedTransform(
             read_matrix(_required(request, "TransformValue")),
             read_error(request.attributes.get("TransformError")),
             read_date(request.attributes.get("TransformDate")),
         )
-        self._transforms.set(name, found)
+        self._transforms.set(name, transform)
         warning = ""
         if request.attributes.get("TransformPersistent", "TRUE").upper() != "FALSE":
             warning = " WARNING: it is kept until the server ends."
         text = f"UpdateTransform ({name}) completed successfully{warning}"
         return CommandReply(done=True, message=text)
 
-    def _wanted(self, request: CommandRequest) -> str:
+    def _recorded_device(self, request: CommandRequest) -> str:
         """Return the device that is asked for, by whichever of PLUS's names; else the one."""
-        found = request.attributes.get("CaptureDeviceId") or request.attributes.get("ChannelId")
-        if found is not None and len(found) > _ID_CHARACTERS:
+        device = request.attributes.get("CaptureDeviceId") or request.attributes.get("ChannelId")
+        if device is not None and len(device) > _ID_CHARACTERS:
             raise CommandRefused(f"a device's id has at most {_ID_CHARACTERS} characters")
-        return found or self._device()
+        return device or self._device()
 
     def _device(self) -> str:
         snapshot = self._newest()
@@ -277,21 +281,21 @@ class Commands:
         return snapshot.entry.device_id
 
 
-def file_name(wanted: str) -> str:
+def file_name(name: str) -> str:
     """Return the name of a recording for what a client calls it: no folders, and our suffix."""
-    last = wanted.replace("\\", "/").rpartition("/")[2]
+    last = name.replace("\\", "/").rpartition("/")[2]
     stem = last.rpartition(".")[0] or last
     cleaned = _FILE.sub("-", stem).strip("-_")[:90]
     if not cleaned:
-        raise CommandRefused(f'OutputFilename "{wanted[:100]}" has no letter or digit in it')
+        raise CommandRefused(f'OutputFilename "{name[:100]}" has no letter or digit in it')
     return f"{cleaned}.h5"
 
 
 def _required(request: CommandRequest, name: str) -> str:
-    found = request.attributes.get(name)
-    if not found:
+    value = request.attributes.get(name)
+    if not value:
         raise CommandRefused(f"{request.name} needs the attribute {name}")
-    return found
+    return value
 
 
 async def _tried(do: _Do, request: CommandRequest) -> CommandReply:

@@ -230,8 +230,8 @@ class ClientConnection(asyncio.Protocol):
 
     def _handle(self, event: Event) -> None:
         header = event if isinstance(event, Message) else event.header
-        known = header.type if header.type in KNOWN else _OTHER
-        self._counters.received[known] += 1
+        message_type = header.type if header.type in KNOWN else _OTHER
+        self._counters.received[message_type] += 1
         if isinstance(event, Damaged):
             self._refuse(event.reason)
             return
@@ -240,15 +240,15 @@ class ClientConnection(asyncio.Protocol):
             self._skip(header.type)
             return
         try:
-            found = self._server.handlers.handle(self.session, event)
+            answers = self._server.handlers.handle(self.session, event)
         except BadMessage as error:
             self._refuse(error)
             return
-        if found is None:
+        if answers is None:
             self._busy = True
             self._server.spawn(self._later(event))
         else:
-            self._send(found)
+            self._send(answers)
 
     def _skip(self, kind: str) -> None:
         """Tell of each type once: some clients send much of what is not for us."""

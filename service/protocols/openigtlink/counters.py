@@ -61,5 +61,5 @@ class OpenIGTLinkCollector(Collector):
             ("connections_refused", "Connections that were refused.", counts.refused, "reason"),
             ("connections_ended", "Connections that ended, by reason.", counts.ended, "reason"),
         ):
-            found = (((word,), count) for word, count in sorted(values.items()))
-            yield counter(f"openigtlink_{name}", text, found, (label,))
+            rows = (((word,), count) for word, count in sorted(values.items()))
+            yield counter(f"openigtlink_{name}", text, rows, (label,))

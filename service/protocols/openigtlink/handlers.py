@@ -87,8 +87,8 @@ def _of_tool(tool: WireTool, pose: WirePose, placed: tuple[Array, Array]) -> Ite
     owner = frame_name(pose.name.frame)
     if tool.markers_mm is not None:
         for number, marker in enumerate(tool.markers_mm):
-            place = _transform(placed, marker)
-            yield Point(f"{tool.id} marker {number}", "Marker", place, _MARKER, owner=owner)
+            position = _transform(placed, marker)
+            yield Point(f"{tool.id} marker {number}", "Marker", position, _MARKER, owner=owner)
     if tool.tip_mm is not None:
         yield Point(f"{tool.id} tip", "Tip", _transform(placed, tool.tip_mm), _TIP, owner=owner)
 
@@ -107,9 +107,9 @@ _KINDS: Final[dict[str, Kind]] = {
     "TDATA": "TDATA",
     "QTDATA": "QTDATA",
 }
-_ASKED: Final = ("GET_STATUS", "GET_CAPABIL", "GET_POINT", "STRING", "COMMAND", "STATUS")
+_REQUESTS: Final = ("GET_STATUS", "GET_CAPABIL", "GET_POINT", "STRING", "COMMAND", "STATUS")
 KNOWN: Final = frozenset(
-    (*_ASKED, *(f"{prefix}_{kind}" for prefix in ("GET", "STT", "STP") for kind in _KINDS))
+    (*_REQUESTS, *(f"{prefix}_{kind}" for prefix in ("GET", "STT", "STP") for kind in _KINDS))
 )
 """Types that are read; others are skipped."""
 _OLD_COMMAND: Final = "CMD_"
@@ -203,17 +203,17 @@ class MessageHandlers:
         if snapshot is None:
             text = "no device with tools runs now"
             return session.status(StatusCode.NOT_READY, "NotReady", text, message.device or SERVER)
-        found = session.pose_status(snapshot, message.device)
-        if found is not None:
-            return found
+        status = session.pose_status(snapshot, message.device)
+        if status is not None:
+            return status
         if message.device not in ("", SERVER, snapshot.entry.device_id):
-            known = ", ".join(pose.name.short for pose in snapshot.poses) or "none"
-            text = f'there is no transform "{message.device}"; there are: {known}'
+            names = ", ".join(pose.name.short for pose in snapshot.poses) or "none"
+            text = f'there is no transform "{message.device}"; there are: {names}'
             return session.status(StatusCode.NOT_FOUND, "NotFound", text, message.device)
-        seen = sum(pose.valid for pose in snapshot.poses)
+        visible = sum(pose.valid for pose in snapshot.poses)
         text = (
-            f"device {snapshot.entry.device_id}: {seen} of {len(snapshot.poses)} tools are seen in "
-            f"frame {snapshot.entry.sequence}"
+            f"device {snapshot.entry.device_id}: {visible} of {len(snapshot.poses)} tools are seen "
+            f"in frame {snapshot.entry.sequence}"
         )
         return session.status(StatusCode.OK, "OK", text, message.device or SERVER)
 
@@ -227,8 +227,8 @@ class MessageHandlers:
             return [snapshot.tracking(kind, session.version, message.device or SERVER, "")]
         poses = snapshot.poses
         if message.device:
-            found = snapshot.find(message.device)
-            poses = () if found is None else (found,)
+            pose = snapshot.find(message.device)
+            poses = () if pose is None else (pose,)
         messages = snapshot.messages(kind, session.version, invalid=self._invalid, poses=poses)
         return messages or nothing
 
@@ -237,7 +237,7 @@ class MessageHandlers:
     ) -> Sequence[Message]:
         """Begin or stop sending a kind, and say whether that was done."""
         answers: list[Message] = []
-        done = True
+        success = True
         if begin:
             start = read_start(message.type, message.content)
             snapshot = self._newest()
@@ -247,13 +247,15 @@ class MessageHandlers:
                 if start.frame and snapshot is not None:
                     snapshot.poses_in(start.frame)
                 device = message.device or SERVER
-                session.wanted[kind] = Subscription(start.resolution_ms / 1e3, device, start.frame)
+                session.subscriptions[kind] = Subscription(
+                    start.resolution_ms / 1e3, device, start.frame
+                )
             except BadMessage as error:
-                done = False
+                success = False
                 answers.append(session.status(StatusCode.NOT_FOUND, "NoFrame", error.detail))
         else:
-            session.wanted.pop(kind, None)
-        result = _answer(session, message, f"RTS_{rest}", write_result(done=done))
+            session.subscriptions.pop(kind, None)
+        result = _answer(session, message, f"RTS_{rest}", write_result(done=success))
         return [result, *answers]
 
     async def _points(self, session: Session, message: Message) -> Sequence[Message]:

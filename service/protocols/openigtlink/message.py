@@ -153,10 +153,10 @@ def read_body(header: Header, body: bytes) -> Message:
         WrongChecksum: the body is damaged.
         BadMessage: its parts do not fit in it.
     """
-    found = crc64.ecma_182(body)
-    if found != header.checksum:
+    checksum = crc64.ecma_182(body)
+    if checksum != header.checksum:
         raise WrongChecksum(
-            f"{header.type}: the checksum of the body is {found:016x}, the header says "
+            f"{header.type}: the checksum of the body is {checksum:016x}, the header says "
             f"{header.checksum:016x}"
         )
     if header.version == 1:
@@ -196,19 +196,19 @@ def decoded(encoding: int, text: bytes) -> str:
 
 
 def _write_metadata(metadata: Mapping[str, str]) -> tuple[bytes, bytes]:
-    heads: list[bytes] = []
+    headers: list[bytes] = []
     values: list[bytes] = []
     for name, value in metadata.items():
         key = name.encode()
         encoding, text = encoded(value)
         try:
-            heads.append(_ENTRY.pack(len(key), encoding, len(text)))
+            headers.append(_ENTRY.pack(len(key), encoding, len(text)))
         except struct.error:
             raise BadMessage(f"metadata: a name of {len(key)} bytes; 65535 fit") from None
         values += (key, text)
-    head = _COUNT.pack(len(heads)) + b"".join(heads) if len(heads) < 2**13 - 1 else b""
+    head = _COUNT.pack(len(headers)) + b"".join(headers) if len(headers) < 2**13 - 1 else b""
     if not head:
-        raise BadMessage(f"{len(heads)} metadata; a message has room for {2**13 - 2}")
+        raise BadMessage(f"{len(headers)} metadata; a message has room for {2**13 - 2}")
     return head, b"".join(values)
 
 
@@ -220,15 +220,15 @@ def _read_metadata(kind: str, head: bytes, values: bytes) -> dict[str, str]:
     (count,) = _COUNT.unpack_from(head)
     if len(head) != _COUNT.size + count * _ENTRY.size:
         raise BadMessage(f"{kind}: {count} metadata do not make a header of {len(head)} bytes")
-    found, at = {}, 0
+    metadata, at = {}, 0
     for key_bytes, encoding, value_bytes in _ENTRY.iter_unpack(head[_COUNT.size :]):
         if at + key_bytes + value_bytes > len(values):
             raise BadMessage(f"{kind}: metadata of {len(values)} bytes end too early")
         key = decoded(UTF8, values[at : at + key_bytes])
         at += key_bytes
-        found[key] = decoded(encoding, values[at : at + value_bytes])
+        metadata[key] = decoded(encoding, values[at : at + value_bytes])
         at += value_bytes
-    return found
+    return metadata
 
 
 MAX_BODY_BYTES: Final = 1 << 20
@@ -260,8 +260,8 @@ class Decoder:
     ``max_body_bytes``.
     """
 
-    def __init__(self, known: Container[str], max_body_bytes: int = MAX_BODY_BYTES) -> None:
-        self._known = known
+    def __init__(self, known_types: Container[str], max_body_bytes: int = MAX_BODY_BYTES) -> None:
+        self._known_types = known_types
         self._max_body_bytes = max_body_bytes
         self._buffer = bytearray()
         self._header: Header | None = None
@@ -291,7 +291,7 @@ class Decoder:
             if len(self._buffer) < HEADER_BYTES:
                 return None
             header = self._begin()
-            if header.type not in self._known:
+            if header.type not in self._known_types:
                 self._skip = header.body_bytes
                 self._pass_over()
                 return Skipped(header)
@@ -308,7 +308,7 @@ class Decoder:
     def _begin(self) -> Header:
         try:
             header = read_header(bytes(self._buffer[:HEADER_BYTES]))
-            if header.type in self._known and header.body_bytes > self._max_body_bytes:
+            if header.type in self._known_types and header.body_bytes > self._max_body_bytes:
                 raise BadMessage(
                     f"{header.type} with a body of {header.body_bytes} bytes; "
                     f"{self._max_body_bytes} is "

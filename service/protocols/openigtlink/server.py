@@ -67,10 +67,10 @@ class OpenIGTLinkServer:
         self._tools: Sequence[WireTool] = ()
         self._naming: dict[str, ToolNames] = {}
         self._limits: Mapping[str, TipLimit] = {}
-        self._asked_for: frozenset[str] = frozenset()
+        self._requested_tools: frozenset[str] = frozenset()
         self._wake = asyncio.Event()
         self._failing = False
-        self._refusal_told_s = 0.0
+        self._refusal_logged_s = 0.0
         self._others: set[str] = set()
 
     @property
@@ -81,8 +81,8 @@ class OpenIGTLinkServer:
     @property
     def address(self) -> tuple[str, int]:
         """Where it listens."""
-        found: tuple[str, int] = self._server.sockets[0].getsockname()[:2]
-        return found
+        address: tuple[str, int] = self._server.sockets[0].getsockname()[:2]
+        return address
 
     async def start(self) -> None:
         """Listen.
@@ -99,7 +99,7 @@ class OpenIGTLinkServer:
             backlog=_BACKLOG,
         )
         await self.refresh()
-        self._end = self._board.listen(self._told)
+        self._end = self._board.listen(self._on_poses)
         self.holds.start()
         self._watcher = loop.create_task(self._watch())
         host, port = self.address
@@ -131,8 +131,8 @@ class OpenIGTLinkServer:
 
     def _fresh(self) -> Snapshot | None:
         """Return the newest poses, unless they are too old to be sent."""
-        found = self._newest
-        return found if found is not None and found.fresh else None
+        newest = self._newest
+        return newest if newest is not None and newest.fresh else None
 
     def admit(self, client: ClientConnection) -> tuple[str, StatusCode | None] | None:
         """Let a client in, or say why not; who is not allowed is told nothing."""
@@ -157,8 +157,8 @@ class OpenIGTLinkServer:
     def _tell_refused(self, text: str) -> None:
         """Write into the log that somebody was refused, now and then: the metrics count all."""
         now = time.monotonic()
-        if now >= self._refusal_told_s:
-            self._refusal_told_s = now + _REFUSALS_S
+        if now >= self._refusal_logged_s:
+            self._refusal_logged_s = now + _REFUSALS_S
             _log.warning("OpenIGTLink: %s", text)
 
     def forget(self, client: ClientConnection) -> None:
@@ -168,7 +168,7 @@ class OpenIGTLinkServer:
             self.counters.ended[client.ending] += 1
             _log.info("OpenIGTLink client %s: %s", client.session.address, client.ending)
 
-    def _told(self, entry: PoseEntry) -> None:
+    def _on_poses(self, entry: PoseEntry) -> None:
         """Take a frame from the board, and give it to all clients."""
         device = self._device()
         if device is None:
@@ -184,8 +184,8 @@ class OpenIGTLinkServer:
                 )
             return
         unknown = frozenset(entry.poses) - {tool.id for tool in self._tools}
-        if unknown - self._asked_for:
-            self._asked_for |= unknown
+        if unknown - self._requested_tools:
+            self._requested_tools |= unknown
             self._wake.set()
         snapshot = Snapshot(entry, self.named(device), time.monotonic(), self._limits)
         self._newest = snapshot
@@ -204,24 +204,24 @@ class OpenIGTLinkServer:
 
     def named(self, device_id: str) -> ToolNames:
         """Return the names of a device's tools."""
-        found = self._naming.get(device_id)
-        if found is None:
+        names = self._naming.get(device_id)
+        if names is None:
             of_device = [tool for tool in self._tools if tool.device_id == device_id]
-            found = self._naming[device_id] = name_tools(of_device)
-            for tool, why in found.refused.items():
+            names = self._naming[device_id] = name_tools(of_device)
+            for tool, why in names.refused.items():
                 _log.warning("OpenIGTLink: tool %s is not sent: %s", tool, why)
-        return found
+        return names
 
     async def _watch(self) -> None:
         """Ask for the tools now and then, tell of beam holds again, and when no frames come."""
-        asked = time.monotonic()
+        requested_s = time.monotonic()
         while True:
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(self._wake.wait(), _LOOK_S)
-            if self._wake.is_set() or time.monotonic() - asked > _TOOLS_S:
+            if self._wake.is_set() or time.monotonic() - requested_s > _TOOLS_S:
                 self._wake.clear()
                 await self.refresh()
-                asked = time.monotonic()
+                requested_s = time.monotonic()
             self.holds.repeat()
             if self._newest is not None and not self._newest.fresh:
                 age_s = self._newest.age_s
@@ -231,7 +231,7 @@ class OpenIGTLinkServer:
     async def refresh(self) -> None:
         """Take the application's tools; while it cannot tell, those that are known stay."""
         try:
-            found = tuple(await self._host.tools())
+            tools = tuple(await self._host.tools())
         except Exception as error:  # noqa: BLE001 - the poses of known tools go on
             if not self._failing:
                 expected = isinstance(error, LumilineError)
@@ -241,11 +241,11 @@ class OpenIGTLinkServer:
             self._failing = True
             return
         self._failing = False
-        self._asked_for = frozenset()
-        if _names(found) != _names(self._tools):
+        self._requested_tools = frozenset()
+        if _names(tools) != _names(self._tools):
             self._naming = {}
-        self._tools = found
-        self._limits = {tool.id: tool.limit for tool in found if tool.limit is not None}
+        self._tools = tools
+        self._limits = {tool.id: tool.limit for tool in tools if tool.limit is not None}
 
 
 def _names(tools: Sequence[WireTool]) -> set[tuple[str, str, str | None]]:

@@ -59,7 +59,9 @@ class Session:
 
     address: str
     version: int = 1
-    wanted: dict[Kind, Subscription] = field(default_factory=lambda: {"TRANSFORM": Subscription()})
+    subscriptions: dict[Kind, Subscription] = field(
+        default_factory=lambda: {"TRANSFORM": Subscription()}
+    )
     _last_statuses: dict[str, PoseStatus] = field(default_factory=dict)
     _refused: dict[str, str] = field(default_factory=dict)
     _stale: bool = False
@@ -73,18 +75,20 @@ class Session:
     def frame(self, snapshot: Snapshot, now_s: float, *, invalid: bool) -> bytes:
         """Return all that the client is to get of a frame."""
         parts = [write_message(message) for message in self._statuses(snapshot)]
-        for kind, wanted in list(self.wanted.items()):
-            if now_s + _EARLY < wanted.due_s:
+        for kind, subscription in list(self.subscriptions.items()):
+            if now_s + _EARLY < subscription.due_s:
                 continue
-            wanted.due_s = now_s + wanted.interval_s
+            subscription.due_s = now_s + subscription.interval_s
             if kind == "TRANSFORM" or kind == "POSITION":
                 parts.append(snapshot.encoded(kind, self.version, invalid=invalid))
                 continue
             try:
-                found = snapshot.tracking(kind, self.version, wanted.device, wanted.frame)
-                parts.append(write_message(found))
+                tracking = snapshot.tracking(
+                    kind, self.version, subscription.device, subscription.frame
+                )
+                parts.append(write_message(tracking))
             except BadMessage as error:  # the frame has been taken away
-                del self.wanted[kind]
+                del self.subscriptions[kind]
                 parts.append(self.status_bytes(StatusCode.NOT_FOUND, "NoFrame", error.detail))
         return b"".join(parts)
 
@@ -122,13 +126,13 @@ class Session:
 
     def _statuses(self, snapshot: Snapshot) -> list[Message]:
         """Return STATUS messages for what has changed since the client was told last."""
-        found = []
+        messages = []
         if self._stale:
             self._stale = False
-            found.append(self.status(StatusCode.OK, "OK", "frames come again"))
+            messages.append(self.status(StatusCode.OK, "OK", "frames come again"))
         if snapshot.naming.refused != self._refused:
             self._refused = dict(snapshot.naming.refused)
-            found += [
+            messages += [
                 self.status(StatusCode.CONFIGURATION_ERROR, "NotSent", f"tool {tool}: {why}")
                 for tool, why in self._refused.items()
             ]
@@ -138,7 +142,7 @@ class Session:
                 "another calibration or correction table is active than when landmarks were "
                 "asked for: those do not hold any more; ask again"
             )
-            found.append(self.status(StatusCode.UNKNOWN_ERROR, "INVALID", text, LANDMARKS))
+            messages.append(self.status(StatusCode.UNKNOWN_ERROR, "INVALID", text, LANDMARKS))
         now = {}
         for pose in snapshot.poses:
             name, status = pose.name.short, pose.status
@@ -146,14 +150,14 @@ class Session:
             before = self._last_statuses.get(name, PoseStatus.OK)
             if status is not before:
                 text = pose.reason or ("tracked again" if pose.valid else status.value)
-                found.append(self.status(_CODES[status], status.value, text, name))
-        found += [
+                messages.append(self.status(_CODES[status], status.value, text, name))
+        messages += [
             self.status(StatusCode.NOT_FOUND, "NotSent", f"{name} is not sent any more", name)
             for name in self._last_statuses
             if name not in now
         ]
         self._last_statuses = now
-        return found
+        return messages
 
 
 def _in_force(snapshot: Snapshot) -> tuple[str, str | None, str | None]:

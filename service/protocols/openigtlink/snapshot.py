@@ -170,11 +170,11 @@ class Snapshot:
     def encoded(self, kind: str, version: int, *, invalid: bool) -> bytes:
         """Return the bytes of ``messages``, made once for all clients."""
         key = (kind, version, invalid)
-        found = self._sent.get(key)
-        if found is None:
+        encoded = self._sent.get(key)
+        if encoded is None:
             messages = self.messages(kind, version, invalid=invalid)
-            found = self._sent[key] = b"".join(map(write_message, messages))
-        return found
+            encoded = self._sent[key] = b"".join(map(write_message, messages))
+        return encoded
 
     def tracking(self, kind: Tracking, version: int, device: str, frame: str) -> Message:
         """Return TDATA or QTDATA of all tools whose pose is OK: the protocol leaves others out.
@@ -212,8 +212,8 @@ class Snapshot:
     def find_inverse(self, name: str) -> WirePose | None:
         """Return the pose of which a name is the inverse's: ``TrackerToProbe``."""
         names = (one for pose in self.poses for one in (pose.name.short, pose.name.full))
-        found = inverse_of(name, names)
-        return None if found is None else self.find(found)
+        inverse = inverse_of(name, names)
+        return None if inverse is None else self.find(inverse)
 
     def _tool_of(self, frame: str) -> str | None:
         if frame == TRACKER:
@@ -221,8 +221,8 @@ class Snapshot:
         for tool in self.naming.names:
             if frame in (tool, frame_name(tool)):
                 return tool
-        known = ", ".join([TRACKER, *map(frame_name, self.naming.names)])
-        raise BadMessage(f'there is no coordinate system "{frame}"; there are {known}')
+        systems = ", ".join([TRACKER, *map(frame_name, self.naming.names)])
+        raise BadMessage(f'there is no coordinate system "{frame}"; there are {systems}')
 
     def _pose(self, tool: ToolPose, name: TransformName) -> WirePose:
         status, reason = tool.status, tool.reason
@@ -233,9 +233,9 @@ class Snapshot:
         if name.frame is not None:
             frame = self.entry.poses.get(name.frame)
             if frame is None or frame.rotation is None or frame.translation_mm is None:
-                found = PoseStatus.MISSING if frame is None else _not_ok(frame.status)
+                pose_status = PoseStatus.MISSING if frame is None else _not_ok(frame.status)
                 why = "is not tracked" if frame is None else frame.reason
-                return WirePose(name, found, f'reference "{name.frame}": {why}', None, tool)
+                return WirePose(name, pose_status, f'reference "{name.frame}": {why}', None, tool)
             if status_rank(frame.status) > status_rank(status):
                 status, reason = frame.status, f'reference "{name.frame}": {frame.reason}'
             translation = frame.rotation.T @ (translation - frame.translation_mm)
@@ -254,20 +254,20 @@ class Snapshot:
 
     def _metadata(self, pose: WirePose) -> dict[str, str]:
         source = pose.source
-        found = {
+        metadata = {
             "TransformValid": "1" if pose.valid else "0",
             "TransformStatus": pose.status.value,
             "MarkersUsed": str(source.markers_used),
         }
         if pose.name.full != pose.name.short:
-            found[FULL_NAME] = pose.name.full
+            metadata[FULL_NAME] = pose.name.full
         if source.residual_sigma is not None:
-            found["ResidualSigma"] = f"{source.residual_sigma:.4g}"
+            metadata["ResidualSigma"] = f"{source.residual_sigma:.4g}"
         if pose.tip_sd_mm is not None:
-            found["TipSigmaMm"] = f"{pose.tip_sd_mm:.4g}"
+            metadata["TipSigmaMm"] = f"{pose.tip_sd_mm:.4g}"
         if not pose.valid and pose.reason:
-            found["TransformReason"] = pose.reason
-        return found | self._of_frame()
+            metadata["TransformReason"] = pose.reason
+        return metadata | self._of_frame()
 
     def _of_frame(self) -> dict[str, str]:
         late_ms = (time.time_ns() - self.entry.exposure_ns) / 1e6

@@ -25,11 +25,11 @@ class ToolNames:
 
 def name_tools(tools: Sequence[WireTool]) -> ToolNames:
     """Name all tools; those whose name would be another's too are all refused."""
-    known = {tool.id for tool in tools}
+    tool_ids = {tool.id for tool in tools}
     names: dict[str, TransformName] = {}
     refused: dict[str, str] = {}
     for tool in tools:
-        wrong = _wrong(tool, known)
+        wrong = _wrong(tool, tool_ids)
         if wrong is None:
             names[tool.id] = wire_name(tool.id, tool.reference)
         else:
@@ -42,17 +42,17 @@ def name_tools(tools: Sequence[WireTool]) -> ToolNames:
                 f'the names of {", ".join(others)} are cut to the same "{name.short}": a name has '
                 f"{NAME_BYTES} bytes; give the tools shorter ids"
             )
-    kept = {one: name for one, name in names.items() if one not in refused}
-    return ToolNames(MappingProxyType(kept), MappingProxyType(refused))
+    accepted = {one: name for one, name in names.items() if one not in refused}
+    return ToolNames(MappingProxyType(accepted), MappingProxyType(refused))
 
 
-def _wrong(tool: WireTool, known: set[str]) -> str | None:
+def _wrong(tool: WireTool, tool_ids: set[str]) -> str | None:
     for frame in filter(None, (tool.id, tool.reference)):
         if TO in frame or not frame.isascii():
             return f'"{frame}" cannot be the name of a frame: it has "{TO}" in it, or is not ASCII'
     if tool.id == tool.reference or tool.id == TRACKER:
         return f'"{tool.id}" cannot be given relative to itself, nor be called like the tracker'
-    if tool.reference is not None and tool.reference not in known:
+    if tool.reference is not None and tool.reference not in tool_ids:
         return f'its reference "{tool.reference}" is no tool of the same device'
     return None
 
@@ -96,13 +96,13 @@ class Transforms:
 
     def find(self, name: str) -> NamedTransform | None:
         """Return a transform by its name, or the inverse of the one in the other direction."""
-        found = self._named.get(name)
-        if found is not None:
-            return found
-        wanted = inverse_of(name, self._named)
-        if wanted is None:
+        transform = self._named.get(name)
+        if transform is not None:
+            return transform
+        inverse_name = inverse_of(name, self._named)
+        if inverse_name is None:
             return None
-        opposite = self._named[wanted]
+        opposite = self._named[inverse_name]
         try:
             inverse = np.linalg.inv(opposite.matrix).astype(np.float64)
         except np.linalg.LinAlgError:
@@ -126,16 +126,16 @@ def opposite_name(name: str) -> str:
     return f"{second}To{first}" if second else name
 
 
-def inverse_of(name: str, known: Iterable[str]) -> str | None:
+def inverse_of(name: str, names: Iterable[str]) -> str | None:
     """Return that of the known names whose inverse is wanted; None: there is none, or several.
 
     A frame that has a capital behind "To" may have none before it: of ``probeToTracker`` both
     ``TrackerToProbe`` and ``TrackerToprobe`` are the inverse.
     """
-    wanted = opposite_name(name)
-    alike = {one for one in known if one == wanted or _capital(one) == _capital(wanted)}
-    if wanted in alike:
-        return wanted
+    opposite = opposite_name(name)
+    alike = {one for one in names if one == opposite or _capital(one) == _capital(opposite)}
+    if opposite in alike:
+        return opposite
     return alike.pop() if len(alike) == 1 else None
 
 

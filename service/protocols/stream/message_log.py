@@ -71,21 +71,21 @@ class LogEntry:
     def payloads(self, variant: Variant) -> list[Payload]:
         """Return all messages, encoded."""
         over = self._over
-        known, found = self._all.get(variant, (-1, []))
-        if known != over:
-            found = self._encoded(variant, 0, self.count)
-            self._all[variant] = over, found
-        return found
+        variant_over, payloads = self._all.get(variant, (-1, []))
+        if variant_over != over:
+            payloads = self._encoded(variant, 0, self.count)
+            self._all[variant] = over, payloads
+        return payloads
 
     def payload(self, variant: Variant, number: int) -> Payload:
         """Return one message, encoded; the others of a batch are not touched."""
         index = number - self.first
         over = self._over
-        known, found = self._all.get(variant, (-1, []))
-        if known == over:
-            return found[index]
-        known, single = self._single.get((variant, index), (-1, b""))
-        if known != over:
+        variant_over, payloads = self._all.get(variant, (-1, []))
+        if variant_over == over:
+            return payloads[index]
+        variant_over, single = self._single.get((variant, index), (-1, b""))
+        if variant_over != over:
             (single,) = self._encoded(variant, index, index + 1)
             self._single[variant, index] = over, single
         return single
@@ -119,7 +119,7 @@ class StreamLog:
         """The newest frames."""
         self.newest_s = -math.inf
         """When the newest message came (``time.monotonic``)."""
-        self.held = 0
+        self.message_count = 0
         """How many messages are kept now."""
         self.missed = 0
         """Messages that clients were told to have missed, of all clients together."""
@@ -191,12 +191,12 @@ class StreamLog:
                 self._others.append(entry)
             self.newest_s = entry.at_s
             self.next = entry.end
-            self.held += count
+            self.message_count += count
             # The newest stays, however large it is.
-            while self.held > self._capacity and len(self._entries) > 1:
-                gone = self._entries.popleft()
-                self.held -= gone.count
-                if not gone.frames:
+            while self.message_count > self._capacity and len(self._entries) > 1:
+                oldest = self._entries.popleft()
+                self.message_count -= oldest.count
+                if not oldest.frames:
                     self._others.popleft()
 
     def since(self, number: int, limit: int) -> list[LogEntry]:

@@ -117,7 +117,7 @@ class StreamBatch:
     def _point_rows(self, first: int, count: int) -> Iterator[Rows]:
         """Yield the points: members of PointEstimate and the marker."""
         starts, part = _parts(self._owner, first, count)
-        own = self._points.part(part.start, part.stop)
+        frame_points = self._points.part(part.start, part.stop)
         names = self._sensor_names
         # Straight from the arrays: objects in between cost too much at thousands of frames.
         rows = [
@@ -132,12 +132,12 @@ class StreamBatch:
             }
             for frame, position, covariance, residual, shift, used, flags in _zip_lists(
                 self._owner[part],
-                own.position_mm,
-                own.covariance_mm2,
-                own.residual_sigma(),
-                own.external_reliability_mm,
-                own.used,
-                own.flags,
+                frame_points.position_mm,
+                frame_points.covariance_mm2,
+                frame_points.residual_sigma(),
+                frame_points.external_reliability_mm,
+                frame_points.used,
+                frame_points.flags,
             )
         ]
         return _split(rows, starts)
@@ -311,14 +311,14 @@ def missed_message(device_id: str, messages: int, first: int) -> dict[str, Any]:
     return {"type": "missed", "device_id": device_id, "messages": messages, "first": first}
 
 
-def describe_message(known: DeviceDescription | None) -> dict[str, Any]:
+def describe_message(description: DeviceDescription | None) -> dict[str, Any]:
     """Return what hello and status messages say of a device; None: it was never started."""
     return {
-        "sensors": [sensor.name for sensor in known.sensors] if known else [],
-        "frame_rate_hz": known.frame_rate_hz if known else None,
-        "markers": known.markers if known else None,
-        "readout": known.readout if known else None,
-        "method": peak_method(known) if known else None,
+        "sensors": [sensor.name for sensor in description.sensors] if description else [],
+        "frame_rate_hz": description.frame_rate_hz if description else None,
+        "markers": description.markers if description else None,
+        "readout": description.readout if description else None,
+        "method": peak_method(description) if description else None,
     }
 
 

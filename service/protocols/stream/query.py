@@ -73,50 +73,50 @@ def parse_stream_request(query: Mapping[str, str]) -> StreamRequest:
         rate_hz=rate_hz,
         bundle_s=None if bundle_ms is None else bundle_ms / 1000.0,
         stream=query.get("stream"),
-        after=None if after is None else _whole(after),
+        after=None if after is None else _parse_integer(after),
     )
 
 
 def _content(text: str) -> frozenset[Content]:
-    known = {str(one): one for one in CONTENTS}
+    contents = {str(one): one for one in CONTENTS}
     words = text.split(",")
     for word in words:
-        if word != STATE and word not in known:
+        if word != STATE and word not in contents:
             raise InvalidParameter(
                 f'content has "{word}"; it must be one or more of ' + ", ".join((*CONTENTS, STATE))
             )
-    return frozenset(known[word] for word in words if word != STATE)
+    return frozenset(contents[word] for word in words if word != STATE)
 
 
-def _one_of(query: Mapping[str, str], name: str, known: tuple[T, ...]) -> T:
+def _one_of(query: Mapping[str, str], name: str, allowed: tuple[T, ...]) -> T:
     """Return the value of a parameter; the first that is known when it is left out."""
-    given = query.get(name)
-    if given is None:
-        return known[0]
-    for one in known:
-        if one == given:
+    value = query.get(name)
+    if value is None:
+        return allowed[0]
+    for one in allowed:
+        if one == value:
             return one
-    raise InvalidParameter(f'{name} is "{given}"; it must be {" or ".join(map(str, known))}')
+    raise InvalidParameter(f'{name} is "{value}"; it must be {" or ".join(map(str, allowed))}')
 
 
 def _number(query: Mapping[str, str], name: str, most: float, unit: str) -> float | None:
-    given = query.get(name)
-    if given is None:
+    text = query.get(name)
+    if text is None:
         return None
     try:
-        value = float(given)
+        value = float(text)
     except ValueError:
         value = math.nan
     if not 0.0 < value <= most:
         raise InvalidParameter(
-            f'{name} is "{given}"; it must be a number above 0, at most {most:g} {unit}'
+            f'{name} is "{text}"; it must be a number above 0, at most {most:g} {unit}'
         )
     return value
 
 
-def _whole(given: str) -> int:
-    if not given.isascii() or not given.isdigit() or len(given) > 18:
+def _parse_integer(text: str) -> int:
+    if not text.isascii() or not text.isdigit() or len(text) > 18:
         raise InvalidParameter(
-            f'after is "{given}"; it must be the number n of the last message that you have'
+            f'after is "{text}"; it must be the number n of the last message that you have'
         )
-    return int(given)
+    return int(text)

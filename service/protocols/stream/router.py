@@ -59,8 +59,8 @@ async def stream(websocket: WebSocket, query: StreamQueryDep) -> None:
 async def _serve(websocket: WebSocket, request: StreamRequest, principal: Principal) -> None:
     live: PipelineManager = websocket.app.state.live
     hub: Hub = websocket.app.state.streams
-    offered = subprotocols(websocket.headers)
-    await websocket.accept(SUBPROTOCOL if SUBPROTOCOL in offered else None)
+    client_protocols = subprotocols(websocket.headers)
+    await websocket.accept(SUBPROTOCOL if SUBPROTOCOL in client_protocols else None)
     subscription = hub.subscribe(request)
     try:
         await _send(websocket, encode(_greeting(live, subscription), request.encoding))

@@ -63,7 +63,7 @@ def test_a_ball_without_measurements_is_a_hole(points, radius):
     assert hole is not None
     assert np.linalg.norm(np.array(hole.centre_mm) - centre) < 10.0
     assert hole.diameter_mm == pytest.approx(2.0 * radius, rel=0.2)
-    assert coverage.resolution_mm < 2.0 * radius
+    assert coverage.largest_gap_mm < 2.0 * radius
 
 
 def test_a_hole_among_dense_points_is_smaller_than_gaps_of_sparse_ones():
@@ -96,11 +96,11 @@ def test_coverage_slab_hole_among_regular_points_is_found(seed):
 
 
 @pytest.mark.parametrize("seed", [24, 25, 26])
-def test_resolution_random_points_is_no_smaller_than_any_gap(seed):
+def test_largest_gap_random_points_is_no_smaller_than_any_gap(seed):
     points = at_random(200, seed)
     coverage = Coverage.of(points)
     positions = at_random(40_000, 27)
     positions = positions[within_hull(points, positions) & ~coverage.in_hole(positions)]
     gaps = 2.0 * np.asarray(cKDTree(points).query(positions)[0])
     # On the hull's surface the largest gap is found on a lattice.
-    assert gaps.max() <= 1.01 * coverage.resolution_mm
+    assert gaps.max() <= 1.01 * coverage.largest_gap_mm

@@ -94,6 +94,11 @@ bool host_correction(const CameraRecord* record, const double* x, double* value,
     return table.is_valid(x, used);
 }
 
+double host_invert_cubic(double projected, double principal_point, double cubic,
+                         double* derivative) {
+    return invert_cubic(projected, principal_point, cubic, *derivative);
+}
+
 // Tracks.
 
 double host_merge_probability(double apart, double variance, double resolution) {
@@ -112,8 +117,8 @@ int host_joint_events(const tracking::AssociationJob* job, int n, const double* 
     mine.partials = (unsigned char*)partials;
     mine.order = order;
     tracking::JointEvents events(mine);
-    double given_up = 0.0;
-    const int options = events.evaluate(n, at, va, m, z, vz, given_up);
+    double pruned_weight = 0.0;
+    const int options = events.evaluate(n, at, va, m, z, vz, pruned_weight);
     for (int o = 0; o < options; ++o) {
         const tracking::Option& option = events.options[o];
         const double probability = events.option_probability[o];

@@ -1,6 +1,6 @@
 """Functions of the kernels, one by one on the host, against their definitions in NumPy."""
 
-from ctypes import CDLL, c_bool, c_double, c_int, c_void_p
+from ctypes import CDLL, byref, c_bool, c_double, c_int, c_void_p
 from math import exp, log
 
 import numpy as np
@@ -8,6 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from compute.camera.stack import CameraStack
+from compute.measurement.measurement_model import invert_cubic
 from compute.optics.tracing.intersection import intersect, normal
 from compute.optics.tracing.surface_records import Form, pack
 from compute.optics.tracing.surfaces import Conic, Plane, Surface, SurfaceStack, Toroid
@@ -160,6 +161,44 @@ def test_corrections_are_those_of_the_table(host: CDLL, degree: int) -> None:
         assert gradient == pytest.approx(wanted.gradient_px_per_mm[index], rel=1e-10, abs=1e-13)
         assert variance == pytest.approx(wanted.variance_px2[index], rel=1e-11)
         assert valid == wanted.inside[index].all()
+
+
+@pytest.mark.parametrize("share", [-0.3, -0.1, -0.003, 0.003, 0.1, 1.0])
+def test_inverse_of_the_cubic_distortion_is_exact_to_the_last_digits(
+    host: CDLL, share: float
+) -> None:
+    """``share``: distortion at the sensor's end, in parts of the distance from p0."""
+    host.host_invert_cubic.restype = c_double
+    principal_point, half_length = 1024.0, 1024.0
+    cubic = share / half_length**2
+    readings = principal_point + half_length * np.linspace(-1.0, 1.0, 401)
+    offsets = readings - principal_point
+    projected = readings + cubic * offsets**3
+    expected = invert_cubic(projected[:, None], np.array([principal_point]), np.array([cubic]))
+    derivative = c_double()
+    for value, reading, offset in zip(projected, expected[:, 0], offsets, strict=True):
+        inverted = host.host_invert_cubic(
+            c_double(value), c_double(principal_point), c_double(cubic), byref(derivative)
+        )
+        # An error of one rounding grows by the derivative, 10 where the distortion nearly folds.
+        tolerance = 4.0 * np.spacing(2048.0) * max(derivative.value, 1.0)
+        assert inverted == pytest.approx(reading, rel=0.0, abs=tolerance)
+        assert derivative.value == pytest.approx(1.0 / (1.0 + 3.0 * cubic * offset**2), rel=1e-12)
+
+
+@pytest.mark.parametrize("beyond", [1.001, 1.1, 5.0])
+def test_no_reading_projects_beyond_the_fold(host: CDLL, beyond: float) -> None:
+    host.host_invert_cubic.restype = c_double
+    principal_point, cubic = 1024.0, -1e-7
+    fold = 1.0 / np.sqrt(-3.0 * cubic)
+    projected = principal_point + beyond * (fold + cubic * fold**3)
+    inverted = host.host_invert_cubic(
+        c_double(projected), c_double(principal_point), c_double(cubic), byref(c_double())
+    )
+    assert np.isnan(inverted)
+    assert np.isnan(
+        invert_cubic(np.array([projected]), np.array([principal_point]), np.array([cubic]))[0]
+    )
 
 
 # Tracks.

@@ -129,7 +129,7 @@ def test_doubt_shortens_a_track_s_life() -> None:
         UNSUPPORTED_EXPOSURES,
         UNSUPPORTED_EXPOSURES - 1,
     ]
-    tracks.probation_left[:] = [PROBATION_EXPOSURES, 1, 0, PROBATION_EXPOSURES]
+    tracks.remaining_probation[:] = [PROBATION_EXPOSURES, 1, 0, PROBATION_EXPOSURES]
     assert expired(tracks, SETTINGS, 0).tolist() == [False, True, False, False]
     half = round(0.5 * SETTINGS.coast_s * 1e9)
     assert expired(tracks, SETTINGS, half).tolist() == [False, True, True, False]
@@ -138,10 +138,10 @@ def test_doubt_shortens_a_track_s_life() -> None:
 def test_what_four_sensors_see_proves_itself_and_what_is_hidden_is_not_doubted() -> None:
     still = [0.0, 0.0, 0.0]
     tracks = tracks_at([still] * 3, [still] * 3)
-    tracks.probation_left[:] = 1
+    tracks.remaining_probation[:] = 1
     rows, four = np.arange(3), np.array([4, 4, 4])
     tracks.update_support(rows, np.array([4, 3, 0]), np.array([4, 3, 0]), four)
-    assert tracks.probation_left.tolist() == [0, 1, 1]
+    assert tracks.remaining_probation.tolist() == [0, 1, 1]
     assert tracks.unsupported.tolist() == [0, 1, 0]
     # A peak that may be shared says nothing.
     tracks.update_support(rows, np.array([3, 3, 3]), four, four)

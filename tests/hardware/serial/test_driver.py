@@ -287,7 +287,7 @@ class BusyDevice:
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.left = 0
         self.status: list[str] = []
-        obey = SimulatedSerialDevice._done
+        obey = SimulatedSerialDevice._result_of
 
         def done(device: SimulatedSerialDevice, command: Any, now_ns: int) -> Result:
             self.status.append(type(command).__name__)
@@ -296,7 +296,7 @@ class BusyDevice:
                 return Result.BUSY
             return obey(device, command, now_ns)
 
-        monkeypatch.setattr(SimulatedSerialDevice, "_done", done)
+        monkeypatch.setattr(SimulatedSerialDevice, "_result_of", done)
         monkeypatch.setattr("hardware.serial.connection.RETRY_INTERVAL_NS", 20_000_000)
         monkeypatch.setattr("hardware.serial.connection.RETRY_INTERVAL_NS", 20_000_000)
 

@@ -87,7 +87,7 @@ def test_any_bytes_and_silences_never_raise_and_memory_is_bounded(
             collector.feed(event, 0)
             since += len(event)
         assert collector.pending == since
-        assert len(collector._kept) <= RESPONSE_BYTES
+        assert len(collector._buffer) <= RESPONSE_BYTES
 
 
 def test_a_flood_is_counted_but_not_kept() -> None:
@@ -95,4 +95,4 @@ def test_a_flood_is_counted_but_not_kept() -> None:
     for _ in range(100):
         collector.feed(bytes(3000), 0)
     assert collector.pending == 300_000
-    assert len(collector._kept) == RESPONSE_BYTES
+    assert len(collector._buffer) == RESPONSE_BYTES

@@ -89,7 +89,7 @@ def test_each_restored_into_each(filled: Database, target: Database, tmp_path: P
     assert stat.S_IMODE((tmp_path / "b").stat().st_mode) == 0o600
     assert [one.name for one in tmp_path.glob("*b*")] == ["b"]  # one file, nothing left beside it
     restored = restore(target, tmp_path / "b", None)
-    assert (restored.counts, restored.kept) == (counts, None)
+    assert (restored.counts, restored.previous) == (counts, None)
     assert without_entry_of_restore(rows_of(target)) == rows_of(filled)
     with target.engine.connect() as connection:
         assert find_inconsistencies(connection) == []
@@ -117,7 +117,7 @@ def test_what_was_there_is_kept(database: Database, target: Database, tmp_path: 
     with pytest.raises(DatabaseNotEmpty, match="--replace"):
         restore(target, tmp_path / "b", None)
     assert rows_of(target) == before
-    kept = restore(target, tmp_path / "b", tmp_path / "kept").kept
+    kept = restore(target, tmp_path / "b", tmp_path / "kept").previous
     assert without_entry_of_restore(rows_of(target)) == rows_of(database)
     assert kept is not None
     restore(target, kept, tmp_path / "kept")
@@ -207,8 +207,8 @@ def test_a_revoked_key_stays_so(database: Database, target: Database, tmp_path: 
     assert found == {revoked: moment, kept: None, both: earlier}
     assert dead not in found
     assert entries[-1] == {"backup": "b", "keys_revoked": sorted((revoked, early))}
-    assert again.kept is not None
-    assert restore(target, again.kept, tmp_path / "kept").keys.valid == (late,)
+    assert again.previous is not None
+    assert restore(target, again.previous, tmp_path / "kept").keys.valid == (late,)
 
 
 @pytest.mark.slow

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 import typer
 
-from service.cli.output import check_output, fail, whole_file
+from service.cli.output import atomic_file, check_output, fail
 
 
 def test_brackets_are_no_markup(capsys: pytest.CaptureFixture[str]) -> None:
@@ -33,12 +33,12 @@ def test_check_output_file_exists_refused_without_force(
 
 
 def _write_half(path: Path) -> None:
-    with whole_file(path) as temporary:
+    with atomic_file(path) as temporary:
         temporary.write_text("part", encoding="utf-8")
         raise ValueError("half way")
 
 
-def test_whole_file_failure_leaves_what_was_there(tmp_path: Path) -> None:
+def test_atomic_file_failure_leaves_what_was_there(tmp_path: Path) -> None:
     path = tmp_path / "file.json"
     for before in (None, "old"):
         if before is not None:
@@ -47,18 +47,18 @@ def test_whole_file_failure_leaves_what_was_there(tmp_path: Path) -> None:
             _write_half(path)
         assert [one.name for one in tmp_path.iterdir()] == ([] if before is None else [path.name])
     assert path.read_text(encoding="utf-8") == "old"
-    with whole_file(path) as temporary:
+    with atomic_file(path) as temporary:
         assert temporary.name == path.name
         temporary.write_text("new", encoding="utf-8")
     assert path.read_text(encoding="utf-8") == "new"
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_whole_file_link_its_target_is_replaced(tmp_path: Path) -> None:
+def test_atomic_file_link_its_target_is_replaced(tmp_path: Path) -> None:
     target, link = tmp_path / "target", tmp_path / "link"
     target.write_text("old", encoding="utf-8")
     link.symlink_to(target)
-    with whole_file(link) as temporary:
+    with atomic_file(link) as temporary:
         temporary.write_text("new", encoding="utf-8")
     assert link.is_symlink()
     assert target.read_text(encoding="utf-8") == "new"

@@ -113,7 +113,7 @@ def test_a_hold_is_told_when_it_changes_and_only_then(released: Bench):
     )
     assert moved.shift_mm == (1.5, 0.0, 0.0)
     assert released.causes()[3:] == [(True, "moved")]
-    assert "1.50 mm off its place" in released.told[-1]["reason"]
+    assert "1.50 mm off its reference position" in released.told[-1]["reason"]
 
 
 def test_each_frame_of_a_batch_has_its_own_state(bench: Bench):

@@ -95,7 +95,7 @@ def test_from_the_set_up_to_the_stop(client: Client) -> None:
             one for one in stream if isinstance(one, BeamHoldEvent) and one.cause == "moved"
         )
         assert moved.held
-        assert "off its place (limit 0.00 mm)" in str(moved.reason)
+        assert "off its reference position (limit 0.00 mm)" in str(moved.reason)
         client.change_beam_hold("chest", limits={"shift_mm": 3.0})
         until(stream, held=False)
         client.stop_device("sim")

@@ -95,9 +95,9 @@ def test_a_key_that_was_taken_back_or_ended_is_not_known(server: Secured, lost: 
     path = f"/api/v1/keys/{key_id(revoked)}/revoke"
     assert server.client.post(path, headers=bearer(admin)).status_code == 200
     remembered = server.client.app.state.authenticator.remembered
-    digest, found = remembered._found[key_id(ended)]
+    digest, found = remembered._entries[key_id(ended)]
     past = Principal(found.kind, found.id, found.name, found.scopes, datetime.now(UTC))
-    remembered._found[key_id(ended)] = (digest, past)
+    remembered._entries[key_id(ended)] = (digest, past)
     lost()
     # The device runs, so that nothing but the key could ask for the database.
     assert server.ask("POST", STOP, revoked).status_code == 503

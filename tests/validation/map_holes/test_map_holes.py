@@ -43,10 +43,9 @@ def test_holes_hold_part_of_the_box(shape):
 
 
 @pytest.mark.slow
-def test_a_feature_in_a_sphere_without_measurements_is_not_supported():
+def test_a_sphere_without_measurements_is_not_supported_and_a_wide_feature_is_mapped():
     found = run_trial("jittered", "sphere", np.random.default_rng([1, 5]))
-    assert found.resolved
     assert not np.isfinite(found.error_sigma[found.in_hole]).any()
     assert found.hidden_px.max() > 0.05
     assert np.isfinite(found.error_sigma).mean() > 0.2
-    assert np.nanmax(np.abs(found.feature_sigma)) < 3.0
+    assert (found.largest_feature[found.width >= 1.0] < 3.0).all()

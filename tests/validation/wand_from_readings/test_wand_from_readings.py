@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 import validation.wand_from_readings.case as case
+from compute.calibration.self_calibration.self_calibrate import self_calibrate
+from compute.calibration.self_calibration.targets import Recording, Wand
 from compute.camera.stack import CameraStack
 from validation.all_cases import ALL_CASES
 from validation.wand_from_readings.scene import random_bar
@@ -39,11 +41,20 @@ def test_marker_error_notices_a_mirror() -> None:
     assert not mirrored
 
 
+def test_adjustment_ends_at_a_minimum_where_steps_round_to_no_decrease() -> None:
+    wave = case.draw_wave(case.ROWS[0], 90002, 70)
+    sigma = np.full(wave.readings_px.shape, wave.sigma_px)
+    recording = Recording(Wand((0.0, wave.bar.wand_mm)), wave.readings_px, sigma)
+    found = self_calibrate(case.true_models(wave.bar), [recording])
+    assert found.chi2_per_dof == pytest.approx(1.139, abs=0.01)
+    assert case.inner_difference(found, found) == 0.0
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("row", case.ROWS[:3], ids=lambda row: row.label)
 def test_rigs_reach_the_cameras_of_a_start_from_the_truth(row: case.Row) -> None:
     outcomes = [case.judge(case.draw_wave(row, 1000, trial)) for trial in range(2)]
-    assert {one.verdict for one in outcomes} <= {"same", "lower"}
+    assert {one.verdict for one in outcomes} <= {"same", "lower", "near"}
     assert not any(one.mirrored for one in outcomes)
 
 

@@ -41,7 +41,7 @@ _OF_TOOLS: Final[dict[str, str | Record]] = {
     "scratch": "double*",
     "modes": "long long",
     "errors": "long long",
-    "own_errors": "long long",
+    "calibration_errors": "long long",
     "gate": "double",
     "radius_mm": "double",
     "principal_distance_px": "double",
@@ -65,7 +65,7 @@ probabilities, offsets and covariances follow."""
 HEAD: Final = 4
 """Number of values at the head of a result: outcome, number of readings, their NIS, and that of the
 widest model."""
-TAKEN: Final = 0
+UPDATED: Final = 0
 """Outcome: readings were used, or there were none within the gates."""
 _PREDICTION_ONLY: Final = {
     # Second-order terms matter, or the covariance has no Cholesky factor.
@@ -85,7 +85,7 @@ HEADER: Final = header(
             "D": IMM_STATES,
             "pose_size": POSE,
             "head_size": HEAD,
-            "status_taken": TAKEN,
+            "status_updated": UPDATED,
             **_PREDICTION_ONLY,
             "max_curvature_fraction": CURVATURE_SIGMA_FRACTION,
             "sigma_point_reach": CUBATURE_RADIUS,

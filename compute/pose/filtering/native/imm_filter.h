@@ -1,4 +1,4 @@
-// The modes of an interacting multiple model at a later instant, and their mixture:
+// Prediction and mixture of the modes of an interacting multiple model:
 // compute.pose.filtering.imm.
 #pragma once
 
@@ -73,19 +73,20 @@ struct ImmFilter {
             probability_to[j] = sum;
         }
         for (int j = 0; j < K; ++j) {
-            double *own = covariance_to + j * D * W, *at = offset_to + j * D, renewal = 0.0;
+            double *mode_covariance = covariance_to + j * D * W, *at = offset_to + j * D,
+                   renewal = 0.0;
             zero(D, at);
-            zero(D * W, own);
+            zero(D * W, mode_covariance);
             for (int i = 0; i < K; ++i) {
                 add(D, mixing[j * K + i], off + i * D, at);
-                add(D * W, mixing[j * K + i], covariance + i * D * W, own);
+                add(D * W, mixing[j * K + i], covariance + i * D * W, mode_covariance);
                 renewal += mixing[j * K + i] * step.renewal[i];
             }
             for (int i = 0; i < K; ++i) {
                 double about[D];
                 for (int r = 0; r < D; ++r) about[r] = off[i * D + r] - at[r];
                 for (int r = 0; r < D; ++r)
-                    add(D, mixing[j * K + i] * about[r], about, own + r * W);
+                    add(D, mixing[j * K + i] * about[r], about, mode_covariance + r * W);
             }
             // Where an acceleration does not last there is none; one that begins to is anything.
             const double *persists = step.persistence + j * D,
@@ -93,9 +94,10 @@ struct ImmFilter {
             for (int r = 0; r < D; ++r) {
                 at[r] *= persists[r];
                 for (int c = 0; c < D; ++c)
-                    own[r * W + c] = own[r * W + c] * (persists[r] * persists[c])
-                                     + more * renewal * fresh[r * D + c];
-                for (int c = D; c < W; ++c) own[r * W + c] *= persists[r];
+                    mode_covariance[r * W + c] =
+                        mode_covariance[r * W + c] * (persists[r] * persists[c])
+                        + more * renewal * fresh[r * D + c];
+                for (int c = D; c < W; ++c) mode_covariance[r * W + c] *= persists[r];
             }
         }
         double rotation[9], rotation_step[3], last[D];
@@ -106,17 +108,17 @@ struct ImmFilter {
         rotate(rotation, to, to);
         for (int i = 0; i < 3; ++i) to[9 + i] += h * to[12 + i];
         for (int j = 0; j < K; ++j) {
-            double *own = covariance_to + j * D * W, *at = offset_to + j * D;
+            double *mode_covariance = covariance_to + j * D * W, *at = offset_to + j * D;
             for (int r = 0; r < D; ++r) at[r] -= last[r];
             propagate(1, h, rotation, at);
-            propagate(W, h, rotation, own);
-            for (int r = 0; r < D; ++r) copy(D, own + r * W, square + r * D);
+            propagate(W, h, rotation, mode_covariance);
+            for (int r = 0; r < D; ++r) copy(D, mode_covariance + r * W, square + r * D);
             // The columns as well, as the rows: but for the rotation of the rows it is symmetric.
             for (int r = 0; r < D; ++r)
                 for (int c = 0; c < r; ++c) {
-                    const double kept = square[r * D + c];
+                    const double above = square[r * D + c];
                     square[r * D + c] = square[c * D + r];
-                    square[c * D + r] = kept;
+                    square[c * D + r] = above;
                 }
             propagate(D, h, rotation, square);
             double power = more;
@@ -127,7 +129,7 @@ struct ImmFilter {
             // Symmetric to the bit: what rounding leaves would grow.
             for (int r = 0; r < D; ++r)
                 for (int c = 0; c <= r; ++c)
-                    own[r * W + c] = own[c * W + r] =
+                    mode_covariance[r * W + c] = mode_covariance[c * W + r] =
                         0.5 * square[r * D + c] + 0.5 * square[c * D + r];
         }
     }

@@ -1,5 +1,5 @@
-// What the sensors are expected to read of the marker that is lit: values, Jacobians by rotation
-// and position, derivatives by the common errors, of all sensors; nan behind a lens. As
+// Predicted readings of the lit marker by all sensors: values, Jacobians by rotation and position,
+// derivatives by the common errors; nan behind a lens. As
 // compute.measurement.measurement_model and compute.pose.filtering.pose_filter.
 #pragma once
 
@@ -9,6 +9,7 @@
 #include "compute/pose/filtering/native/pose_algebra.h"
 #include "compute/reconstruction/native/cameras.h"
 #include "compute/reconstruction/native/correction_table.h"
+#include "compute/reconstruction/native/cubic_distortion.h"
 #include "compute/reconstruction/native/lanes.h"
 
 namespace lumiline::pose {
@@ -42,18 +43,8 @@ struct MeasurementPrediction {
         for (int s = 0; s < S; ++s) {
             auto of = [&](const Lanes* row) -> double { return ((const double*)row)[s]; };
             double gain = 1.0, reading = of(p);
-            if (cameras.cubic[s] != 0.0) {
-                // p + D (p - p0)^3 as projected, [5.12].
-                const double projected = reading;
-                for (int iteration = 0; iteration < 4; ++iteration) {
-                    const double apart = reading - cameras.principal_point[s];
-                    const double cubic_term = cameras.cubic[s] * apart * apart;
-                    reading -=
-                        (reading + cubic_term * apart - projected) / (1.0 + 3.0 * cubic_term);
-                }
-                const double apart = reading - cameras.principal_point[s];
-                gain = 1.0 / (1.0 + 3.0 * cameras.cubic[s] * apart * apart);
-            }
+            if (cameras.cubic[s] != 0.0)
+                reading = invert_cubic(reading, cameras.principal_point[s], cameras.cubic[s], gain);
             values[s] = reading;
             by_projected[s] = gain;
             for (int axis = 0; axis < 3; ++axis) by_axis[s][axis] = gain * of(g[axis]);
@@ -139,15 +130,16 @@ struct MeasurementPrediction {
             jacobian[s][2] = arm[0] * derivative[1] - arm[1] * derivative[0];
             double* common = by_common + s * E;
             zero(E, common);
-            const int own = (int)step.own_errors;
-            if (own > 0) {
+            const int calibration_errors = (int)step.calibration_errors;
+            if (calibration_errors > 0) {
                 double by_parameter[Cameras<S, TERMS>::parameter_capacity];
                 cameras.parameter_jacobian(s, position, by_parameter);
                 for (int i = 0; i < cameras.parameters; ++i)
-                    add(own, gains[s] * by_parameter[i],
-                        step.columns + (s * cameras.parameters + i) * own, common);
+                    add(calibration_errors, gains[s] * by_parameter[i],
+                        step.columns + (s * cameras.parameters + i) * calibration_errors, common);
             }
-            if (E > own) common[own + step.lit * S + s] = sqrt(variance[s]);
+            if (E > calibration_errors)
+                common[calibration_errors + step.lit * S + s] = sqrt(variance[s]);
         }
     }
 };

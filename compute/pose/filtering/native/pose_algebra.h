@@ -1,4 +1,4 @@
-// Sums of vectors, and rotations: compute.transform.
+// Vector sums and rotations: compute.transform.
 #pragma once
 
 #include "compute/native/platform.h"
@@ -44,12 +44,12 @@ LUMILINE_NOINLINE void rotation_matrix(const double* w, double* r) {
 
 // The product of two rotations; `to` may be `from`.
 LUMILINE_FN void rotate(const double* by, const double* from, double* to) {
-    double kept[9];
-    for (int i = 0; i < 9; ++i) kept[i] = from[i];
+    double rotation[9];
+    for (int i = 0; i < 9; ++i) rotation[i] = from[i];
     for (int i = 0; i < 3; ++i)
         for (int j = 0; j < 3; ++j)
-            to[3 * i + j] =
-                by[3 * i] * kept[j] + by[3 * i + 1] * kept[3 + j] + by[3 * i + 2] * kept[6 + j];
+            to[3 * i + j] = by[3 * i] * rotation[j] + by[3 * i + 1] * rotation[3 + j]
+                            + by[3 * i + 2] * rotation[6 + j];
 }
 
 // A pose after a step: rotation, centroid, velocity, angular velocity.

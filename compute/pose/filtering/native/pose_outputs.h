@@ -1,4 +1,4 @@
-// What is reported of a pose: PoseState.reported_pose of compute.pose.filtering.pose_filter.
+// The reported pose: PoseState.reported_pose of compute.pose.filtering.pose_filter.
 #pragma once
 
 #include "compute/native/platform.h"

@@ -1,5 +1,5 @@
-// One exposure of a strobed tool: its modes are predicted, and all take the readings within the
-// gates, as ImmState.update of compute.pose.filtering.imm.
+// One exposure of a strobed tool: prediction of its modes, and their update by the readings within
+// the gates, as ImmState.update of compute.pose.filtering.imm.
 #pragma once
 
 #include "compute/native/platform.h"
@@ -72,7 +72,7 @@ struct StrobedStepKernel {
     LUMILINE_FN void finish(int how, const double* modes) {
         result[0] = how;
         result[1] = count;
-        if (how != status_taken) return;
+        if (how != status_updated) return;
         imm.mixed_pose(modes, mixture);
         pose_outputs(step, mixture, step.reported_pose);
     }
@@ -91,26 +91,27 @@ struct StrobedStepKernel {
         for (int s = 0; s < S; ++s) peak_of[s] = -1.0;
         result[2] = result[3] = 0.0;
         if (!(min_variance < infinity())) {
-            finish(status_taken, predicted);
+            finish(status_updated, predicted);
             return;
         }
         expected.predict_marker(predicted);
         // The gates are the widest mode's.
         const double* widest = imm.covariances_of(predicted) + (K - 1) * D * W;
-        bool known = true;
+        bool all_finite = true;
         for (int s = 0; s < S; ++s)
             for (int axis = 3; axis < 6; ++axis) {
                 const double derivative = expected.jacobian[s][axis] < 0.0
                                               ? -expected.jacobian[s][axis]
                                               : expected.jacobian[s][axis];
-                known = known && derivative == derivative;
+                all_finite = all_finite && derivative == derivative;
                 max_gain = larger(max_gain, derivative);
             }
         const double rotation =
             0.5 * step.radius_mm * (widest[0] + widest[W + 1] + widest[2 * W + 2]);
         const double shifted = (widest[3 * W + 3] + widest[4 * W + 4] + widest[5 * W + 5])
                                * max_gain / step.principal_distance_px;
-        if (known && (rotation + shifted) * max_gain > max_curvature_fraction * sqrt(min_variance)
+        if (all_finite
+            && (rotation + shifted) * max_gain > max_curvature_fraction * sqrt(min_variance)
             && !expected.add_curvature(predicted, widest)) {
             finish(status_curved, predicted);
             return;
@@ -119,11 +120,13 @@ struct StrobedStepKernel {
         for (int s = 0; s < S; ++s) {
             double* crossed = all_crossed + s * W;
             cross_covariance(widest, s, crossed);
-            const double own = innovation_covariance(crossed, s) + expected.curvature[s][s];
+            const double predicted_variance =
+                innovation_covariance(crossed, s) + expected.curvature[s][s];
             int fitting = 0;
             for (int i = s * P; i < (s + 1) * P; ++i) {
                 const double off = step.position[i] - expected.value[s];
-                if (!step.usable[i] || !(off * off <= step.gate * (own + step.variance[i])))
+                if (!step.usable[i]
+                    || !(off * off <= step.gate * (predicted_variance + step.variance[i])))
                     continue;
                 fitting += 1;
                 innovation[s] = off;
@@ -137,7 +140,7 @@ struct StrobedStepKernel {
             if (fitting) sensor[count++] = s;
         }
         if (count == 0) {
-            finish(status_taken, predicted);
+            finish(status_updated, predicted);
             return;
         }
         double* after = step.after;
@@ -147,12 +150,12 @@ struct StrobedStepKernel {
         for (int k = K - 1; k >= 0; --k) {
             const double *off = imm.offsets_of(predicted) + k * D,
                          *covariance = imm.covariances_of(predicted) + k * D * W;
-            double* own = whitened_rows + k * S * row;
+            double* mode_rows = whitened_rows + k * S * row;
             double root[S][S], inverse[S], log_size = 0.0;
             nis[k] = 0.0;
             for (int i = 0; i < count; ++i) {
                 const int s = sensor[i];
-                double* right = own + i * row;
+                double* right = mode_rows + i * row;
                 if (k == K - 1)
                     copy(W, all_crossed + s * W, right + 1);
                 else
@@ -180,8 +183,8 @@ struct StrobedStepKernel {
                 }
                 log_size += 0.5 * log(root[i][i]);
                 inverse[i] = 1.0 / sqrt(root[i][i]);
-                double* right = own + i * row;
-                for (int j = 0; j < i; ++j) add(row, -root[i][j], own + j * row, right);
+                double* right = mode_rows + i * row;
+                for (int j = 0; j < i; ++j) add(row, -root[i][j], mode_rows + j * row, right);
                 for (int c = 0; c < row; ++c) right[c] *= inverse[i];
                 nis[k] += right[0] * right[0];
             }
@@ -196,7 +199,7 @@ struct StrobedStepKernel {
             copy(D, off, offset_after);
             copy(D * W, covariance, covariance_after);
             for (int i = 0; i < count; ++i) {
-                const double* right = own + i * row;
+                const double* right = mode_rows + i * row;
                 for (int r = 0; r < D; ++r) {
                     offset_after[r] += right[1 + r] * right[0];
                     add(W, -right[1 + r], right + 1, covariance_after + r * W);
@@ -204,10 +207,10 @@ struct StrobedStepKernel {
             }
         }
         double sum = 0.0;
-        int likeliest = 0;
+        int most_probable = 0;
         for (int k = 0; k < K; ++k) {
             sum += imm.probabilities_of(after)[k] = exp(log_probability[k] - highest);
-            likeliest = log_probability[k] > log_probability[likeliest] ? k : likeliest;
+            most_probable = log_probability[k] > log_probability[most_probable] ? k : most_probable;
         }
         result[3] = nis[K - 1];
         for (int k = 0; k < K; ++k) {
@@ -219,11 +222,11 @@ struct StrobedStepKernel {
         retract(predicted, last, after);
         for (int k = 0; k < K; ++k) add(D, -1.0, last, imm.offsets_of(after) + k * D);
         for (int i = 0; i < count; ++i) {
-            const double* right = whitened_rows + (likeliest * S + i) * row;
+            const double* right = whitened_rows + (most_probable * S + i) * row;
             whitened[i * (1 + E)] = right[0];
             copy(E, right + 1 + D, whitened + i * (1 + E) + 1);
         }
-        finish(status_taken, after);
+        finish(status_updated, after);
     }
 };
 

@@ -17,7 +17,7 @@ from compute.pose.filtering.native.definitions import (
     HEAD,
     POSE,
     STEP,
-    TAKEN,
+    UPDATED,
 )
 from compute.pose.filtering.pose_filter import STATES, PoseState, ReportedPose
 from compute.pose.rigid_body import CentredMarkers
@@ -38,7 +38,7 @@ _POSE_VIEWS: Final[dict[str, tuple[tuple[int, ...], int]]] = {
     "velocity_mm_s": ((3,), 12),
     "angular_velocity_rad_s": ((3,), 15),
 }
-"""Members of PoseState: shape, and place in memory."""
+"""Members of PoseState: shape, and offset in memory."""
 _REPORTED_SHAPES: Final = ((3, 3), (3,), (3,), (6, 6), (3,), (3, 3), (3,))
 """Shapes of the members of ReportedPose, in their order in memory."""
 _ENDS: Final = tuple(accumulate(map(prod, _REPORTED_SHAPES)))
@@ -56,7 +56,7 @@ class PackedPose(PoseState):
         covariances: int,
         row: int,
         common_errors: int,
-        known: tuple[CentredMarkers, Array] | None = None,
+        reported: tuple[CentredMarkers, Array] | None = None,
     ) -> "PackedPose":
         """Return the state in a block of memory.
 
@@ -68,12 +68,12 @@ class PackedPose(PoseState):
                 accelerations and common errors; 0: the covariance with the common errors follows
                 the state's.
             common_errors: number of common errors.
-            known: the markers and the values of the reported pose, in the order of its members;
+            reported: the markers and the values of the reported pose, in the order of its members;
                 None: not computed yet.
         """
         state = object.__new__(cls)
         state.__dict__.update(
-            time_ns=time_ns, _block=block, _at=(covariances, row, common_errors), _known=known
+            time_ns=time_ns, _block=block, _at=(covariances, row, common_errors), _reported=reported
         )
         return state
 
@@ -102,11 +102,11 @@ class PackedPose(PoseState):
 
     def reported_pose(self, centred: CentredMarkers) -> ReportedPose:
         """As of PoseState."""
-        known = self.__dict__["_known"]
-        if known is None or known[0] is not centred:
+        reported = self.__dict__["_reported"]
+        if reported is None or reported[0] is not centred:
             return super().reported_pose(centred)
         return ReportedPose(
-            *(known[1][first:last].reshape(shape) for first, last, shape in _REPORTED_VIEWS)
+            *(reported[1][first:last].reshape(shape) for first, last, shape in _REPORTED_VIEWS)
         )
 
 
@@ -132,10 +132,10 @@ class PackedImmState(ImmState):
             combined: the combined state, if known.
         """
         state = object.__new__(cls)
-        known: dict[str, Any] = {"model": model, "packed": block, "_at": (time_ns, common_errors)}
+        members: dict[str, Any] = {"model": model, "packed": block, "_at": (time_ns, common_errors)}
         if combined is not None:
-            known["combined"] = combined
-        state.__dict__.update(known)
+            members["combined"] = combined
+        state.__dict__.update(members)
         return state
 
     def __getattr__(self, name: str) -> Any:
@@ -150,18 +150,18 @@ class PackedImmState(ImmState):
         count, wide = len(self.model), IMM_STATES + common_errors
         offsets = POSE + count
         covariances = offsets + count * IMM_STATES
-        found: object
+        member: object
         if name == "widest_state":
             last = covariances + (count - 1) * IMM_STATES * wide
-            found = PackedPose.within(time_ns, self.packed, last, wide, common_errors)
+            member = PackedPose.within(time_ns, self.packed, last, wide, common_errors)
         elif name == "offsets":
-            found = self.packed[offsets:covariances].reshape(count, IMM_STATES)
+            member = self.packed[offsets:covariances].reshape(count, IMM_STATES)
         elif name == "covariances":
-            found = self.packed[covariances:].reshape(count, IMM_STATES, wide)
+            member = self.packed[covariances:].reshape(count, IMM_STATES, wide)
         else:
-            found = self.packed[POSE:offsets]
-        self.__dict__[name] = found
-        return found
+            member = self.packed[POSE:offsets]
+        self.__dict__[name] = member
+        return member
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,7 +223,7 @@ class StrobedStepKernel:
         columns = model.covariance_factor * model.cameras.parameter_mask[..., None]
         limits = [chi2_limit(count, gate_probability) for count in range(sensors + 1)]
         # Kept alive: the records hold their addresses.
-        self._kept: list[Any] = [step]
+        self._buffers: list[Any] = [step]
         for name, values in (
             ("columns", columns),
             ("persistence", imm.state_mask),
@@ -240,7 +240,7 @@ class StrobedStepKernel:
         for name, value in (
             ("modes", len(imm)),
             ("errors", common_errors),
-            ("own_errors", columns.shape[2]),
+            ("calibration_errors", columns.shape[2]),
             ("gate", chi2_limit(1, gate_probability)),
             ("radius_mm", centred.radius_mm),
             ("principal_distance_px", model.cameras.principal_distance_px.min()),
@@ -299,18 +299,18 @@ class StrobedStepKernel:
         outcome, count, nis, _ = block[after : after + HEAD].tolist()
         peak, mixture = after + HEAD, after + HEAD + sensors
         peaks = block[peak:mixture].astype(np.intp)[None]
-        taken, readings = outcome == TAKEN, int(count)
+        updated, readings = outcome == UPDATED, int(count)
         combined = None
-        if taken:
+        if updated:
             combined = PackedPose.within(
                 time_ns, block[mixture:], POSE, 0, common_errors, (self._centred, reported_pose)
             )
-        if not taken or not readings:
+        if not updated or not readings:
             predicted = PackedImmState.within(
                 self._imm_model, time_ns, block[:size], common_errors, combined
             )
             nothing = np.empty((0, 1 + common_errors))
-            imm = predicted if taken else None
+            imm = predicted if updated else None
             return Step(predicted, imm, np.full_like(peaks, -1), 0, 0.0, nothing)
         predicted = PackedImmState.within(self._imm_model, time_ns, block[:size], common_errors)
         imm = PackedImmState.within(
@@ -356,7 +356,7 @@ class StrobedStepKernel:
 
     def _keep(self, values: NDArray[Any]) -> int:
         array = np.ascontiguousarray(values)
-        self._kept.append(array)
+        self._buffers.append(array)
         return address(array)
 
     def _input_arrays(

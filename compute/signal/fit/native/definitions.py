@@ -1,4 +1,4 @@
-"""What the fit in C++ shares with Python: constants, records of peaks, settings as one buffer."""
+"""Definitions of the fit for C++ and Python: constants, records of peaks, settings as a buffer."""
 
 from math import exp, log, sqrt
 from typing import Final
@@ -122,7 +122,7 @@ def pack_plan(settings: FitSettings, shape: LineSpreadFunction) -> NDArray[np.ui
     factor = exp(min(2.0 * sigma, 700.0))
     # The chi-square whose excess widens lies behind that of a false split.
     limits = np.concatenate([settings.chi2_limits(), settings.noise_chi2()])
-    sensors, nodes, places = shape.cumulative.shape
+    sensors, nodes, cells = shape.cumulative.shape
     # The pieces in float32 are read 16 bytes at a time.
     limits = np.append(limits, np.full((PLAN.dtype.itemsize // 8 + len(limits)) % 2, np.inf))
     plan = np.zeros((), PLAN.dtype)
@@ -144,7 +144,7 @@ def pack_plan(settings: FitSettings, shape: LineSpreadFunction) -> NDArray[np.ui
     plan["surrounded"] = settings.background == "surrounding-slope"
     plan["width_is_fitted"] = sigma > 0.0
     plan["has_prior"] = 0.0 < sigma < np.inf
-    plan["sensors"], plan["nodes"], plan["pieces"] = sensors, nodes, places + 1
+    plan["sensors"], plan["nodes"], plan["pieces"] = sensors, nodes, cells + 1
     plan["limits"] = len(limits)
     plan["further_peaks"] = settings.further_peaks
     pieces = _pieces(shape)

@@ -1,4 +1,4 @@
-// The model of a window: its line spread function, what it says of a pixel, and its score.
+// The model of a window: its line-spread function, the expected count of a pixel, and its score.
 #pragma once
 
 #include "compute/native/platform.h"

@@ -1,4 +1,4 @@
-// What a fit knows of its scan: pixels, noise, line spread function, candidates and results.
+// A scan as the fit reads it: pixels, noise, line spread function, candidates and results.
 #pragma once
 
 #include "compute/native/platform.h"

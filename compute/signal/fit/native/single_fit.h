@@ -1,4 +1,4 @@
-// The fit of one peak alone, in float32: nearly all peaks are that.
+// The fit of one peak alone, in float32: nearly all peaks are fitted so.
 //
 // It gives an answer only where there is no doubt: the fit has converged in few steps, the peak is
 // whole and not so bright that float32 would tell, and the misfit is clear of its limit: below, or

@@ -1,4 +1,4 @@
-// Covariances of faint lines: means over the widths that are open. As
+// Covariances of faint lines: averages over the widths that the fit leaves open. As
 // compute.signal.fit.width_marginalisation.
 #pragma once
 

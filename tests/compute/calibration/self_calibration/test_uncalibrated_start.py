@@ -5,10 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import compute.calibration.self_calibration.self_calibrate as module
 from compute.calibration.bundle_adjustment.solver import adjust
 from compute.calibration.self_calibration.initial_poses import start_poses
 from compute.calibration.self_calibration.pose_screening import find_exchanges
 from compute.calibration.self_calibration.projective_reconstruction import (
+    SEED,
     adjust_projective,
     affine_start,
     dual,
@@ -21,6 +23,7 @@ from compute.calibration.self_calibration.recording_checks import (
 from compute.calibration.self_calibration.self_calibrate import self_calibrate
 from compute.calibration.self_calibration.targets import Recording, Wand
 from compute.calibration.self_calibration.uncalibrated_start import (
+    UncalibratedStart,
     direction_vectors,
     handedness,
     mirrored,
@@ -155,6 +158,29 @@ def test_a_scale_that_differs_from_the_start_is_warned_of() -> None:
     assert found.calibration.diagnosis is not None
     assert found.calibration.diagnosis.remarks == found.warnings
     assert self_calibrate(rig(), [read]).warnings == ()
+
+
+def test_cameras_that_leave_more_than_the_noise_are_attempted_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def first_attempt_fails(
+        sensors: list[SensorGeometry], recordings: list[Recording], seed: int
+    ) -> UncalibratedStart:
+        seeds.append(seed)
+        found = uncalibrated_start(sensors, recordings, seed)
+        if len(seeds) > 1:
+            return found
+        wrong = [
+            replace(one, principal_distance_px=0.5 * one.principal_distance_px)
+            for one in found.models
+        ]
+        return replace(found, models=tuple(wrong))
+
+    seeds: list[int] = []
+    monkeypatch.setattr(module, "uncalibrated_start", first_attempt_fails)
+    found = self_calibrate(_geometry(), [_recording()])
+    assert seeds == [SEED, SEED + 1]
+    assert found.chi2_per_dof < 2.0
 
 
 def test_what_cannot_start_from_readings_is_refused() -> None:

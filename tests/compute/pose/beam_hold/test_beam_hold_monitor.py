@@ -60,7 +60,10 @@ def test_held_until_the_first_poses_are_well_within() -> None:
 
 @pytest.mark.parametrize(
     ("pose", "words"),
-    [(at(1.2), "1.20 mm off its place (limit 1.00 mm)"), (at(0.0, 0.03), "turned by 1.72 deg")],
+    [
+        (at(1.2), "1.20 mm off its reference position (limit 1.00 mm)"),
+        (at(0.0, 0.03), "turned by 1.72 deg"),
+    ],
 )
 def test_the_first_pose_beyond_a_limit_holds_at_once(pose: Transform, words: str) -> None:
     monitor, time = running()

@@ -172,7 +172,7 @@ def test_a_cloud_with_and_without_normals(normals: bool) -> None:
 
 @pytest.mark.parametrize(
     ("axes", "motion"),
-    [((80.0, 80.0, 80.0), "a turn about"), ((60.0, 60.0, 110.0), "a turn about")],
+    [((80.0, 80.0, 80.0), "a rotation about"), ((60.0, 60.0, 110.0), "a rotation about")],
 )
 def test_a_surface_that_lets_the_points_slide_is_refused(
     axes: tuple[float, ...], motion: str
@@ -184,7 +184,7 @@ def test_a_surface_that_lets_the_points_slide_is_refused(
         register_surface(points, surface, start, ALONE)
     assert caught.value.context["stiffness_ratio"] < 1e-3  # type: ignore[operator]
     if axes[2] > axes[0]:
-        # It is the turn about the long axis.
+        # It is the rotation about the long axis.
         assert "1.00) near" in str(caught.value.context["motion"])
 
 

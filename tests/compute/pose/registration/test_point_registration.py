@@ -333,9 +333,9 @@ def test_requests_that_cannot_be_served_are_told_why() -> None:
     other = TETRAHEDRON[::-1]
     with pytest.raises(TooFewPoints, match=r"2 pairs of points; .* at least 3"):
         register_points(TETRAHEDRON[:2], TETRAHEDRON[:2])
-    with pytest.raises(DuplicatePoint, match='"a" and "c" are at one place in the source'):
+    with pytest.raises(DuplicatePoint, match='"a" and "c" are at one position in the source'):
         register_points(TETRAHEDRON[[0, 1, 0, 2]], other, names=["a", "b", "c", "d"])
-    with pytest.raises(DuplicatePoint, match='"1" and "2" are at one place in the target'):
+    with pytest.raises(DuplicatePoint, match='"1" and "2" are at one position in the target'):
         register_points(other, TETRAHEDRON[[0, 0, 1, 2]])
     with pytest.raises(InvalidParameter, match="4 source points and 3"):
         register_points(TETRAHEDRON, TETRAHEDRON[:3])

@@ -109,5 +109,5 @@ def test_reasons_with_values() -> None:
         spin_calibration(*spun(chance, tilt_rad=0.1))
     assert 5.0 < caught.value.context["tilt_deg"] < 12.0  # type: ignore[operator]
     rotations, translations = spun(chance)
-    with pytest.raises(HighError, match="did not stay in its place"):
+    with pytest.raises(HighError, match="did not stay at one position"):
         spin_calibration(rotations, translations + 5.0 * chance.normal(size=(40, 3)))

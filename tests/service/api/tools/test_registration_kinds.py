@@ -271,7 +271,7 @@ def test_a_surface_refines_a_registration(client: Any):
     assert 0.05 < fit["rms_mm"] < 0.3
     assert (fit["points"], len(fit["used"]), len(fit["distance_mm"])) == (108, 120, 120)
     assert fit["stiffness_ratio"] > 1e-3
-    assert fit["weakest_motion"].startswith(("a turn about", "a shift along"))
+    assert fit["weakest_motion"].startswith(("a rotation about", "a shift along"))
     assert 1.0 < fit["rotation_deg"] < 2.0
     assert fit["alternative"] is None
     assert (found["kind"], found["parent_id"]) == ("surface", "ct")
@@ -343,7 +343,7 @@ def test_what_a_surface_does_not_hold_is_refused_with_the_motion(sqlite_client: 
     assert "does not hold a " in answer.json()["detail"]
     context = answer.json()["context"]
     assert context["stiffness_ratio"] < 1e-9
-    assert context["motion"].startswith(("a turn about", "a shift along"))
+    assert context["motion"].startswith(("a rotation about", "a shift along"))
 
 
 NOTHING_REFINED: list[tuple[Any, ...]] = [

@@ -50,7 +50,7 @@ def test_tools_of_a_device_that_does_not_run():
         limit = TipLimit(1e9)
         known = {"bar": {"b": limit, "a": limit}}
         board = LatestPoses()
-        feed = PoseFeed(board, known=lambda: known)
+        feed = PoseFeed(board, tip_limits=lambda: known)
         session = Session(Identity("Model", "1", "LUMILINE"), feed.look)
 
         def ask(name: str, text: str) -> str:
@@ -171,7 +171,7 @@ def test_what_a_driver_forms_of_two_poses_is_judged():
         alone_mm, both_mm = float(np.trace(alone)) ** 0.5, float(np.trace(both)) ** 0.5
         assert 1.2 * alone_mm < both_mm
         known: dict[str, TipLimit] = {"patient": TipLimit(1e9)}
-        feed = PoseFeed(board, age_s=PATIENT_S, known=lambda: {"bar": known})
+        feed = PoseFeed(board, age_s=PATIENT_S, tip_limits=lambda: {"bar": known})
         session = Session(Identity("Model", "1", "LUMILINE"), feed.look)
 
         def tx() -> list[str]:

@@ -90,7 +90,7 @@ def test_every_change_is_told_to_everybody_in_order(loop: str):
             for peer in peers:
                 status = told(await other_than(peer, StatusCode.OK))
                 assert (status.code, status.name) == (8, "MOVED")
-                assert "1.50 mm off its place" in status.text
+                assert "1.50 mm off its reference position" in status.text
 
     run(test, loop)
 

@@ -87,6 +87,9 @@ START_ATTEMPTS: Final = 6
 """Attempts at cameras from readings alone, each with other random subsets of the markers."""
 RETRY_NOISE: Final = 2.0
 """Noise that they leave, over the stated one, above which they are attempted again."""
+NOISE_WARNING: Final = 1.5
+"""The same above which the result says that they may be wrong: the few redundant readings of 40
+poses tell the noise to 15 %."""
 Initial = Literal["start", "readings"]
 SCREENING_ROUNDS: Final = 3
 
@@ -279,6 +282,13 @@ def _begin(
             "near and far; or name distortion terms, or give initial cameras",
             noise_px=least,
         )
+    if stated is not None and least > NOISE_WARNING * stated:
+        warning = (
+            f"The cameras found from the readings leave {least:.2g} px where {stated:.2g} px are "
+            "stated, and may be wrong: wave the wand at more poses, in all directions, near and "
+            "far, or name distortion terms."
+        )
+        best = replace(best, warnings=(*best.warnings, warning))
     return best
 
 

@@ -181,6 +181,15 @@ def test_cameras_that_leave_more_than_the_noise_are_attempted_again(
     found = self_calibrate(_geometry(), [_recording()])
     assert seeds == [SEED, SEED + 1]
     assert found.chi2_per_dof < 2.0
+    assert not any("may be wrong" in warning for warning in found.warnings)
+
+
+def test_readings_with_more_noise_than_stated_are_warned_of() -> None:
+    recording = _recording()
+    assert recording.sigma_px is not None
+    optimistic = replace(recording, sigma_px=recording.sigma_px / 2.5)
+    found = self_calibrate(_geometry(), [optimistic])
+    assert any("may be wrong" in warning for warning in found.warnings)
 
 
 def test_what_cannot_start_from_readings_is_refused() -> None:

@@ -38,20 +38,22 @@ def service_process(
     data_dir: Path,
     settings: Mapping[str, str] | None = None,
     *,
+    port: int | None = None,
     doing: str = "starting the service",
     quiet: bool = False,
 ) -> Iterator[RunningService]:
-    """Run ``lumiline serve`` on a free port; ends it afterwards.
+    """Run ``lumiline serve``; ends it afterwards.
 
     Args:
         data_dir: its data directory, which also gets its log, ``service.log``.
         settings: further settings by name.
+        port: where it listens; None: on a free port.
         doing: shown until it is ready.
         quiet: show nothing.
     """
     data_dir.mkdir(parents=True, exist_ok=True)
     log_path = data_dir / "service.log"
-    port = free_port()
+    port = free_port() if port is None else port
     # The embedded default, whatever this user's environment says of another database.
     environment = {k: v for k, v in os.environ.items() if not k.startswith("LUMILINE_")}
     environment |= {f"LUMILINE_{k.upper()}": v for k, v in (settings or {}).items()}

@@ -3,6 +3,7 @@
 import os
 import shutil
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -57,15 +58,15 @@ def browser() -> "Iterator[Browser]":
         browser.close()
 
 
-@pytest.fixture
-def visit(browser: "Browser", server: str) -> Iterator[Visit]:
-    """The dashboard of a running server; whatever it asks of another origin fails the test."""
+@contextmanager
+def visiting(browser: "Browser", url: str) -> Iterator[Visit]:
+    """Open the dashboard of a server; whatever it asks of another origin fails the test."""
     context = browser.new_context(viewport={"width": 1280, "height": 900})
     context.set_default_timeout(120_000)  # the machine may be busy
-    visit = Visit(context.new_page(), server)
+    visit = Visit(context.new_page(), url)
 
     def route(route: "Route") -> None:
-        if route.request.url.startswith((f"{server}/", "blob:")):
+        if route.request.url.startswith((f"{url}/", "blob:")):
             route.continue_()
         else:
             visit.foreign.append(route.request.url)
@@ -74,9 +75,11 @@ def visit(browser: "Browser", server: str) -> Iterator[Visit]:
     context.route("**/*", route)
     visit.page.on("pageerror", lambda error: visit.errors.append(str(error)))
     visit.page.on("console", lambda message: _keep_policy_violation(visit, message.text))
-    visit.page.goto(f"{server}/")
-    yield visit
-    context.close()
+    visit.page.goto(f"{url}/")
+    try:
+        yield visit
+    finally:
+        context.close()
     assert not visit.foreign
     assert not visit.errors
 
@@ -84,3 +87,10 @@ def visit(browser: "Browser", server: str) -> Iterator[Visit]:
 def _keep_policy_violation(visit: Visit, text: str) -> None:
     if "Content Security Policy" in text:
         visit.errors.append(text)
+
+
+@pytest.fixture
+def visit(browser: "Browser", server: str) -> Iterator[Visit]:
+    """The dashboard of the server with the simulated device."""
+    with visiting(browser, server) as visit:
+        yield visit

@@ -49,6 +49,7 @@ from service.pipeline.pipeline_manager import PipelineManager
 from service.problems.handlers import install_problem_handlers, unknown_websocket
 from service.protocols.metrics.registry import Metrics
 from service.protocols.metrics.registry import router as metrics
+from service.protocols.stream.asyncapi import router as asyncapi
 from service.protocols.stream.router import router as stream
 from service.security.guard import Guard, check_complete, confirm
 from service.security.stream_limit import StreamLimit
@@ -170,6 +171,7 @@ def _routes() -> tuple[BaseRoute, ...]:
         line_scans,
         device_profiles,
         stream,
+        asyncapi,
         keys,
         principal,
         audit,

@@ -22,6 +22,7 @@ OPERATION_SCOPES: Final[Mapping[str, Access]] = {
     "list-problems": "public",
     "get-problem": "public",
     "openapi": "public",
+    "asyncapi": "public",
     "swagger-ui": "public",
     "redoc": "public",
     "api-page-asset": "public",

@@ -56,7 +56,7 @@ def drift(
         names = None if sensors is None else sensors.replace(",", " ").split()
         updated = update_calibration(checked, still, sensors=names)
     if as_json:
-        print_json({"verdict": verdict_of(check), "in_words": in_words(check), **asdict(check)})
+        print_json({"status": verdict_of(check), "in_words": in_words(check), **asdict(check)})
     else:
         rows = (
             (one.sensor, one.readings, f"{one.rms_px:.3g}", f"{one.p_value:.2g}",

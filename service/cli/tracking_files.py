@@ -26,7 +26,7 @@ class _Tool(BaseModel):
     tip_mm: Position | None = None
     tip: _Tip | None = None
     limits: ToolLimits = Field(default_factory=ToolLimits)
-    device: Slug | None = None
+    device_id: Slug | None = None
 
 
 _TOOLS: Final = TypeAdapter(list[_Tool])
@@ -56,7 +56,7 @@ def read_tools(path: Path, device: str | None = None) -> tuple[RigidBody, ...]:
         'a tool is {"id": "probe", "markers_mm": [[0, 0, 0], ...]}, with "strobe_markers", '
         '"tip_mm" and "limits" if it has them',
     )
-    tools = tuple(_body(one) for one in listed if device is None or one.device in (None, device))
+    tools = tuple(_body(one) for one in listed if device is None or one.device_id in (None, device))
     names = [one.name for one in tools]
     if len(set(names)) < len(names):
         raise InvalidParameter(f"{path} has tools of one name: {', '.join(names)}")

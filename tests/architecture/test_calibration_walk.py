@@ -9,7 +9,7 @@ from service.settings import Settings
 from tests.architecture.walks import differences, listed, tracing
 from tests.service.fake_pipeline import FakePipeline, TestClient
 
-MAX_REQUEST = 11
+MAX_REQUEST = 12
 MAX_CALIBRATION = 26
 BACKGROUND = {
     "compute.errors",  # of devices that do not run

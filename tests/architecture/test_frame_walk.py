@@ -159,7 +159,7 @@ def test_walk_of_a_frame_runs_the_modules_of_the_table(
         ran, last = asyncio.run(walk(illumination, content, config(illumination), scene=SCENE))
         assert '"tracks":[{' in last
         assert last.count('"status":"OK"') == 2
-        assert '"holds":[{"hold":"watch","held":false' in last
+        assert '"holds":[{"hold_id":"watch","held":false' in last
     table = [name for heading in headings for name in listed(heading)]
     assert not differences(ran, table)
     assert len(ran) <= most

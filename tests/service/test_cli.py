@@ -32,7 +32,7 @@ def test_openapi_prints_the_served_document():
 def test_serve_hands_the_settings_to_uvicorn(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
     calls: list[Any] = []
     monkeypatch.setattr(
-        "service.application.shutdown.run_server", lambda app, given: calls.append((app, given))
+        "service.application.shutdown.run_server", lambda app, given, _: calls.append((app, given))
     )
     monkeypatch.setattr("service.cli.preflight.check_ports", lambda _: None)
     monkeypatch.setenv("LUMILINE_PORT", "1234")

@@ -28,7 +28,7 @@ def array(values: Vector3 | None) -> np.ndarray:
 
 def test_a_plan_is_json() -> None:
     text = json.dumps(asdict(PLAN), allow_nan=False)
-    assert json.loads(text)["profile"] == "bar"
+    assert json.loads(text)["profile_id"] == "bar"
 
 
 def test_the_bar() -> None:

@@ -43,7 +43,7 @@ def test_json_of_ones_own_file(tmp_path: Path) -> None:
         "source": "given",
     }  # fmt: skip
     assert by_name["control_points"]["value"] == 300
-    assert found["profile"] == "own"
+    assert found["profile_id"] == "own"
     assert len(found["points"]) == 27
     assert found["noise"]["centre"][2] > found["noise"]["centre"][0] > 0.0
     assert [ghost["markers"] for ghost in found["ghosts"]] == [2]

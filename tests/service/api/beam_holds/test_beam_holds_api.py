@@ -197,7 +197,7 @@ def test_what_is_taken_or_in_use_stays(sqlite_client: Any):
     assert code(new(sqlite_client, CHEST, id="head")) == (409, "beam-hold-exists")
     refused = sqlite_client.delete("/api/v1/tools/patient")
     assert code(refused) == (409, "tool-in-use")
-    assert 'hold "head"' in refused.json()["detail"]
+    assert '1 hold ("head")' in refused.json()["detail"]
     refused = sqlite_client.delete("/api/v1/devices/sim")
     assert code(refused) == (409, "device-in-use")
     assert "1 hold" in refused.json()["detail"]

@@ -128,7 +128,8 @@ def test_more_than_a_hundred_points_are_not_left_out_one_by_one(client: Any):
 
 def hash_by_the_recipe(document: dict[str, Any]) -> str:
     """The content hash as the guide says, of a calibration that is no updated one."""
-    content = {key: document[key] for key in ("device", "provenance", "points", "result")}
+    content = {key: document[key] for key in ("provenance", "points", "result")}
+    content["device"] = document["device_id"]
     text = json.dumps(content, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
     return hashlib.sha256(text.encode()).hexdigest()
 

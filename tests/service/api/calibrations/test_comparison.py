@@ -97,7 +97,7 @@ def test_stored_calibrations_are_compared(client: Any):
     for example in NEW_CALIBRATIONS.values():
         assert client.post("/api/v1/calibrations", json=example["value"]).status_code == 201
     found = client.get("/api/v1/calibrations/sim-nominal/compare/sim-frame").json()
-    assert (found["one"], found["other"]) == ("sim-nominal", "sim-frame")
+    assert (found["calibration_id"], found["other_calibration_id"]) == ("sim-nominal", "sim-frame")
     comparison = found["comparison"]
     names = ("vertical", "horizontal", "diagonal-rising", "diagonal-falling")
     assert {row["sensor"] for row in comparison["parameters"]} == set(names)

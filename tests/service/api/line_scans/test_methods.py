@@ -47,7 +47,7 @@ DEFAULTS_OF_THEIR_OWN = {
 
 # What compute is given beside its settings.
 OF_THEIR_OWN = {
-    "method", "kind", "width_px", "length_px", "shape", "estimator", "template", "profile",
+    "method", "kind", "width_px", "length_px", "shape", "estimator", "template", "profile_id",
     "sensors",
 }  # fmt: skip
 

@@ -254,7 +254,7 @@ def test_a_report_is_drawn_once(sqlite_client: Any, monkeypatch: pytest.MonkeyPa
         return len(drawn)
 
     assert times(".html") == 1
-    assert times(".html", previous="two") == 1
+    assert times(".html", previous_calibration_id="two") == 1
     assert times("/residuals-order.png") == 1
     assert times("/residuals-pixels.png") == 1
     assert times("/coverage.png") == 2  # a problem, which is not kept
@@ -262,7 +262,7 @@ def test_a_report_is_drawn_once(sqlite_client: Any, monkeypatch: pytest.MonkeyPa
     assert "sim-nominal" in sqlite_client.get(f"{url}.html").text
     # What the page says has changed: which one is active, and the device's title.
     sqlite_client.post("/api/v1/calibrations/two/activate")
-    assert times(".html", previous="two") == 0
+    assert times(".html", previous_calibration_id="two") == 0
     assert "two" in sqlite_client.get(f"{url}.html").text
     sqlite_client.patch("/api/v1/devices/sim", json={"title": "Another title"})
     assert times(".html") == 1

@@ -9,7 +9,7 @@ import hashlib
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import UTC, datetime
 from typing import Annotated, Any, Final, Generic, TypeVar
 
 from fastapi import Depends, Query, Request
@@ -100,7 +100,7 @@ def _paging(request: Request, limit: Limit = 50, cursor: Cursor = None) -> Pagin
     except (ValueError, RecursionError):
         given = None
     values = given[1:] if isinstance(given, list) else []
-    if not values or not all(type(value) in (str, int) for value in values):
+    if not values or not all(map(_is_storable, values)):
         raise _refusal(cursor, "must be `next_cursor` of the page before; leave it out to begin")
     if given[0] != of:
         raise _refusal(
@@ -109,6 +109,15 @@ def _paging(request: Request, limit: Limit = 50, cursor: Cursor = None) -> Pagin
             "begin",
         )
     return Paging(limit, tuple(values), of)
+
+
+def _is_storable(value: object) -> bool:
+    """Whether databases can compare with a value: others would fail in them."""
+    if type(value) is int:
+        return -(2**63) <= value < 2**63
+    if type(value) is not str or "\0" in value:
+        return False
+    return not any("\ud800" <= character <= "\udfff" for character in value)
 
 
 def _refusal(cursor: str, message: str) -> RequestValidationError:
@@ -225,10 +234,11 @@ def _value(value: Any) -> Value:
 
 
 def _moment(paging: Paging, text: str) -> datetime:
+    refusal = _refusal(paging.cursor(paging.after or ()), "must be `next_cursor` of a page")
     try:
         moment = datetime.fromisoformat(text)
-    except ValueError:
-        moment = None
-    if moment is None or moment.tzinfo is None:
-        raise _refusal(paging.cursor(paging.after or ()), "must be `next_cursor` of a page")
-    return moment
+        if moment.tzinfo is None:
+            raise refusal
+        return moment.astimezone(UTC)
+    except (ValueError, OverflowError):  # the year 0 or 10000 elsewhere
+        raise refusal from None

@@ -1,6 +1,7 @@
 """Pages of lists: every item once, whatever happens between the pages; cursors that are refused."""
 
 import base64
+import hashlib
 import json
 from datetime import UTC, datetime, timedelta
 from typing import Any
@@ -150,3 +151,23 @@ def test_every_list_refuses_a_cursor_that_is_none(sqlite_client: Any) -> None:
             pages(sqlite_client, here, limit=1)
         asked += 1
     assert asked > 20
+
+
+@pytest.mark.parametrize(
+    ("path", "values"),
+    [
+        ("/api/v1/audit", [10**30]),
+        ("/api/v1/audit", [-(10**30)]),
+        ("/api/v1/calibrations", ["2020-01-01T00:00:00+00:00", "a\0"]),
+        ("/api/v1/calibrations", ["2020-01-01T00:00:00+00:00", "\ud800"]),
+        ("/api/v1/calibrations", ["0001-01-01T00:00:00+14:00", "a"]),
+        ("/api/v1/calibrations", ["9999-12-31T23:59:59-14:00", "a"]),
+        ("/api/v1/tools", ["a\0"]),
+    ],
+)
+def test_forged_cursor_that_no_database_can_compare_with_is_refused(
+    client: Any, path: str, values: list[Any]
+) -> None:
+    of = hashlib.sha256(json.dumps([path, []]).encode()).hexdigest()[:16]
+    cursor = base64.urlsafe_b64encode(json.dumps([of, *values]).encode()).decode().rstrip("=")
+    assert client.get(path, params={"cursor": cursor}).status_code == 422

@@ -95,7 +95,7 @@ def test_a_server_that_is_told_to_stop(tmp_path: Path):
     with server(tmp_path) as (process, port):
         url = f"ws://127.0.0.1:{port}/api/v1/stream?device_id=sim"
         recording = httpx.post(
-            f"http://127.0.0.1:{port}/api/v1/devices/sim/recordings", json={"name": "a.h5"}
+            f"http://127.0.0.1:{port}/api/v1/devices/sim/recordings", json={"id": "a.h5"}
         )
         assert recording.status_code == 201, recording.text
         with (

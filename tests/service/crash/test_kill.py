@@ -104,7 +104,7 @@ def check_runs(url: str, acknowledged: list[str]) -> None:
 
 def check_recordings(url: str, folder: Path, clients: Clients) -> int:
     """Each file can be read to what was said to be safe, and beyond; return its frames."""
-    states = {item["name"]: item["state"] for item in pages(url, "/api/v1/recordings")}
+    states = {item["id"]: item["state"] for item in pages(url, "/api/v1/recordings")}
     for name, safe in clients.recordings.items():
         assert states[name] == ("complete" if name in clients.complete else "incomplete")
         with RecordingReader(folder / name) as recording:

@@ -117,7 +117,7 @@ def test_profile_that_is_damaged_leaves_the_list_whole(tmp_path: Path):
     folder = settings.folders.profiles
     whole = profile_text(PROFILE, folder).replace(f'"{PROFILE}"', '"own"', 1).encode()
     with TestClient(create_app(settings, FakePipeline())) as client:
-        names = {one["name"] for one in client.get("/api/v1/device-profiles").json()}
+        names = {one["id"] for one in client.get("/api/v1/device-profiles").json()["items"]}
         folder.mkdir(exist_ok=True)
         (folder / "sound.toml").write_bytes(whole.replace(b'"own"', b'"sound"', 1))
         for number, data in enumerate(damages(whole, DAMAGES)):
@@ -126,7 +126,7 @@ def test_profile_that_is_damaged_leaves_the_list_whole(tmp_path: Path):
             listed = client.get("/api/v1/device-profiles")
             assert one.status_code in (200, 422), data
             assert listed.status_code == 200, data
-            found = {item["name"] for item in listed.json()}
+            found = {item["id"] for item in listed.json()["items"]}
             assert found >= names | {"sound"}
             assert ("own" in found) == (one.status_code == 200)
             if number % PLANNED == PLANNED - 1:  # what is read as a profile can be planned with

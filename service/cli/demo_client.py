@@ -70,6 +70,7 @@ class DemoClient(Client):
     def show(self, scene: dict[str, Any]) -> None:
         """Let the simulated device show a scene, from its start."""
         source = {"kind": "simulated", "settings": {"scene": scene}}
+        self.device(SIMULATED)  # as it is now: an activation changes it, too
         self.request("PATCH", f"/api/v1/devices/{SIMULATED}", body={"source": source})
         self.start_device(SIMULATED)
 

@@ -99,7 +99,7 @@ def check_runs(url: str, acknowledged: list[str]) -> None:
         run = found[name]
         assert run["state"] in ENDED | {"queued", "running"}
         if run["state"] == "succeeded":
-            get(url, run["result"])
+            get(url, run["result_path"])
 
 
 def check_recordings(url: str, folder: Path, clients: Clients) -> int:

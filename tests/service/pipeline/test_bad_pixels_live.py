@@ -102,7 +102,7 @@ def test_pixels_are_masked_and_a_recording_gives_the_same_bits(
     recordings = RecordingManager(live, tmp_path, flush_s=0.05)
     live.start_device("sim", SimulatedDriver("sim", SETTINGS), ActiveCalibration("c1", nominal()))
     try:
-        recordings.start("sim", NewRecording(name="r.h5"))
+        recordings.start("sim", NewRecording(id="r.h5"))
         monkeypatch.setattr(bad_pixel_watch, "SAMPLE_INTERVAL_S", 0.0)
         wait_for(lambda: len(live.status("sim").bad_pixels) >= len(defects()))
         found = live.status("sim").bad_pixels

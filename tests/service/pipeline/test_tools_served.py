@@ -88,7 +88,7 @@ def test_a_tool_from_rest_to_the_stream(server: str):
         assert next_frame(socket, lambda one: one["tracks"])["tracks"][0]["id"] >= 1
         pose = sent("GET", f"{api}/tools/pointer/pose")
         assert pose["sequence"] > frame["sequence"]
-        assert pose["frame"] == "tracker"
+        assert pose["frame_id"] == "tracker"
         answer = sent("POST", f"{api}/tools/pointer/pivot-calibrations", json={"duration_s": 2.5})
         error = np.linalg.norm(np.subtract(answer["tip_mm"], TIP))
         assert error < 1.0, answer

@@ -139,9 +139,9 @@ def test_a_profile_s_shadows_sensor_by_sensor(sqlite_client: Any) -> None:
     last = [names[2], names[0]]
     assert read(last, [2, 0]) == pytest.approx([true[name] for name in last], abs=0.1)
     # A line's picture is that of its own sensor, whichever lines there are.
-    method = MaskMethod(profile="coda-mpx30")
+    method = MaskMethod(profile_id="coda-mpx30")
     assert method.of_line(4, built_in_profile).sensors == [names[1]]
-    by_name = MaskMethod(profile="coda-mpx30", sensors=last)
+    by_name = MaskMethod(profile_id="coda-mpx30", sensors=last)
     assert by_name.of_line(3, built_in_profile).sensors == [names[0]]
     pictures = [
         sqlite_client.post(f"{PATH}.png?scan=1", json=body(chosen, scans=counts[order].tolist()))

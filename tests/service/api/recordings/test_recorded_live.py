@@ -118,7 +118,7 @@ def record(
         recordings.start("sim", NewRecording(id="r.h5", **request))
         path = recordings.library.path("r.h5")
         first = recordings.get("r.h5")
-        assert (first.state, first.device) == ("recording", "sim")
+        assert (first.state, first.device_id) == ("recording", "sim")
         for found in (None, mapped(nominal(2.0)), ActiveCalibration()):
             if found is not None:
                 live.set_calibration("sim", found)

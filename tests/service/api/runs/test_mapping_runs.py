@@ -47,7 +47,7 @@ def test_a_run_makes_the_table_that_mends_a_known_error(
     )  # fmt: skip
     assert table["settings"]["points"] == 125
     assert table["settings"]["points_made_the_calibration"] is False
-    made = read_table(client.get(f"{found['result']}/file").content)
+    made = read_table(client.get(f"{found['result_path']}/file").content)
     places = np.array([0.0, 0.0, 1500.0]) + np.random.default_rng(1).uniform(-80, 80, (200, 3))
     corrections = made.table.at(places)
     assert corrections.inside.mean() > 0.9

@@ -84,7 +84,7 @@ def test_a_run_makes_the_calibration_that_a_request_makes(client: Any):
     for one, other in zip(models, others, strict=True):
         assert one["principal_distance_px"] == pytest.approx(other["principal_distance_px"])
     # What a run makes is the doing of whoever posted it.
-    (entry,) = client.get("/api/v1/audit", params={"object": "made"}).json()["items"]
+    (entry,) = client.get("/api/v1/audit", params={"object_id": "made"}).json()["items"]
     assert (entry["actor"]["kind"], entry["operation"]) == ("local", "create-calibration-run")
     assert entry["request_id"] == posted.headers["x-request-id"]
     listed = client.get("/api/v1/runs", params={"device_id": "sim", "kind": "calibration"}).json()

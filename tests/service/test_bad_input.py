@@ -574,7 +574,9 @@ def _() -> Sent:
     return sent
 
 
-builds("self-calibration from another device's start")(lambda: post_wand(start_calibration_id="of-bar"))
+builds("self-calibration from another device's start")(
+    lambda: post_wand(start_calibration_id="of-bar")
+)
 builds("table that is not HDF5")(lambda: upload(b"points=3"))
 builds("table cut short")(lambda: upload(table()[:3000]))
 builds("table declared as JSON")(lambda: upload(table(), media_type="application/json"))

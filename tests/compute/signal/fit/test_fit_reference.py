@@ -12,7 +12,7 @@ from compute.errors import InvalidParameter
 from compute.signal.centroid_reference import find_peaks_reference
 from compute.signal.centroid_settings import CentroidSettings
 from compute.signal.fit.fit_reference import fit_scans
-from compute.signal.fit.fit_settings import FitSettings
+from compute.signal.fit.fit_settings import CONVERGENCE_THRESHOLD_SIGMA, FitSettings
 from compute.signal.fit.group_fit import fit_scan
 from compute.signal.fit.line_spread_function import LineSpreadFunction
 from compute.signal.peaks import PeakFlag
@@ -321,9 +321,13 @@ def test_a_batch_is_its_lines_one_by_one():
             one = fit_scans(lines[number : number + 1], options, NOISE)
             assert one.count[0] == batch.count[number]
             np.testing.assert_array_equal(one.flags[0], batch.flags[number])
-            np.testing.assert_allclose(
-                one.position_px[0], batch.position_px[number], atol=1e-6, rtol=0
+            # Sums of a batch are rounded otherwise, as the processor has it: where a step is just
+            # at the threshold, one of the two ends a step earlier.
+            difference = np.abs(one.position_px[0] - batch.position_px[number])
+            assert (
+                np.nanmax(difference / one.sigma_px[0], initial=0.0) < CONVERGENCE_THRESHOLD_SIGMA
             )
+            np.testing.assert_array_equal(np.isnan(one.position_px[0]), np.isnan(difference))
         found = find_peaks_reference(lines, options.search, NOISE)
         same(batch, fit_scans(lines, options, NOISE, candidates=found))
 

@@ -133,7 +133,7 @@ def record(
     assert done.frames_refused == 0
     dropped = (done.frames_dropped_compute or 0) + (done.frames_dropped_writer or 0)
     assert (done.frames_missing or 0) <= lost + dropped
-    assert [(one.calibration, one.table) for one in done.calibrations] == [
+    assert [(one.calibration_id, one.table_id) for one in done.calibrations] == [
         ("c1", None),
         ("c2", "t1"),
     ]

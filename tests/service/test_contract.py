@@ -106,9 +106,6 @@ def shorter(schema: Any) -> Any:
     return schema
 
 
-DOCUMENT = without_cursors(shorter(json.loads(json.dumps(relay.app.openapi()))))
-
-
 def without_cursors(document: Any) -> Any:
     """The same document, without the cursors of lists: no text but the server's own is one."""
     for item in document["paths"].values():
@@ -116,6 +113,9 @@ def without_cursors(document: Any) -> Any:
             parameters = operation.get("parameters", [])
             operation["parameters"] = [one for one in parameters if one["name"] != "cursor"]
     return document
+
+
+DOCUMENT = without_cursors(shorter(json.loads(json.dumps(relay.app.openapi()))))
 
 
 def contract(accepted: list[str], *, every_value: bool = True) -> Any:

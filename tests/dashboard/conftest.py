@@ -1,7 +1,5 @@
 """A browser in which nothing but the server may be reached."""
 
-import os
-import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -13,14 +11,6 @@ from tests.running_server import serving
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page, Route
-
-ARGUMENTS = (
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-    "--no-first-run",
-    "--use-angle=swiftshader",
-)
 
 
 @dataclass
@@ -42,20 +32,6 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     """Base URL of a running service with the simulated device."""
     with serving(tmp_path_factory.mktemp("dashboard")) as url:
         yield url
-
-
-@pytest.fixture(scope="session")
-def browser() -> "Iterator[Browser]":
-    path = shutil.which("chromium") or shutil.which("google-chrome")
-    if path is None:
-        assert "LUMILINE_TEST_REQUIRE_BROWSER" not in os.environ
-        pytest.skip("no Chromium on this machine")
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=path, args=list(ARGUMENTS))
-        yield browser
-        browser.close()
 
 
 @contextmanager

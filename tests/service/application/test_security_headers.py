@@ -1,9 +1,7 @@
 """Security headers of all answers; documentation pages without anything from elsewhere."""
 
-import os
 import re
-import shutil
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import httpx
 import pytest
@@ -12,6 +10,9 @@ from fastapi.routing import iter_route_contexts
 from service.application.app import create_app
 from service.settings import Settings
 from tests.service.fake_pipeline import FakePipeline, TestClient
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Request
 
 HEADERS = {
     "x-content-type-options": "nosniff",
@@ -79,32 +80,23 @@ def test_what_the_pages_load_is_served_here(sqlite_client: Any, path: str):
 @pytest.mark.parametrize(
     ("path", "shown"), [("/docs", "Calibrates linear (1D)"), ("/redoc", "Calibrates linear (1D)")]
 )
-def test_pages_work_in_a_browser_without_another_origin(server: str, path: str, shown: str):
-    browser_path = shutil.which("chromium") or shutil.which("google-chrome")
-    if browser_path is None:
-        assert "LUMILINE_TEST_REQUIRE_BROWSER" not in os.environ
-        pytest.skip("no Chromium on this machine")
-    from playwright.sync_api import Request, sync_playwright
-
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(
-            executable_path=browser_path,
-            args=["--disable-background-networking", "--disable-sync", "--no-first-run"],
-        )
-        page = browser.new_page()
-        requested: list[Request] = []
-        problems: list[str] = []
-        page.on("request", lambda request: requested.append(request))
-        page.on("pageerror", lambda error: problems.append(str(error)))
-        page.goto(f"{server}{path}")
-        page.get_by_text(shown).first.wait_for(timeout=60_000)
-        page.wait_for_load_state("networkidle")
-        foreign = {
-            request.url: request.failure
-            for request in requested
-            if not request.url.startswith((server, "data:", "blob:"))
-        }
-        browser.close()
+def test_pages_work_in_a_browser_without_another_origin(
+    browser: "Browser", server: str, path: str, shown: str
+):
+    page = browser.new_page()
+    requested: list[Request] = []
+    problems: list[str] = []
+    page.on("request", lambda request: requested.append(request))
+    page.on("pageerror", lambda error: problems.append(str(error)))
+    page.goto(f"{server}{path}")
+    page.get_by_text(shown).first.wait_for(timeout=60_000)
+    page.wait_for_load_state("networkidle")
+    foreign = {
+        request.url: request.failure
+        for request in requested
+        if not request.url.startswith((server, "data:", "blob:"))
+    }
+    page.close()
     # ReDoc would load its maker's logo; the policy does not let the request out.
     assert set(foreign) <= {"https://cdn.redoc.ly/redoc/logo-mini.svg"}
     assert set(foreign.values()) <= {"csp"}

@@ -1,6 +1,7 @@
 /** The newest data of one device, over a websocket that comes back by itself. */
 
 import { batch, effect, type Signal, signal } from "@preact/signals";
+import { useEffect, useRef } from "preact/hooks";
 import { key } from "../api/key";
 import { decodeMessage, type Frame, type Hello, type HoldSample, type Message } from "./messages";
 import { visible } from "./visibility";
@@ -147,4 +148,14 @@ export class DeviceStream {
   private setHolds(holds: readonly HoldSample[]): void {
     this.holds.value = new Map(holds.map((hold) => [hold.hold_id, hold]));
   }
+}
+
+/** Return a stream of a device that is open as long as the component is shown; another device needs
+ * another component (a key). */
+export function useDeviceStream(device: string, content: readonly Content[], rateHz: number): DeviceStream {
+  const held = useRef<DeviceStream | null>(null);
+  held.current ??= new DeviceStream(device, content, rateHz);
+  const stream = held.current;
+  useEffect(() => () => stream.close(), []);
+  return stream;
 }

@@ -1,8 +1,7 @@
 /** Beam holds: a board that can be read from three metres. */
 
-import { useEffect, useRef } from "preact/hooks";
 import { api, type Schemas, sent } from "../api/client";
-import { DeviceStream } from "../live/device_stream";
+import { useDeviceStream } from "../live/device_stream";
 import { toMilliseconds } from "../live/messages";
 import { usePolled } from "../live/polling";
 import { text } from "../text";
@@ -32,10 +31,7 @@ export function Holds() {
 }
 
 function DeviceHolds({ device, holds }: { device: string; holds: readonly Hold[] }) {
-  const held = useRef<DeviceStream | null>(null);
-  held.current ??= new DeviceStream(device, ["holds"], RATE_HZ);
-  const stream = held.current;
-  useEffect(() => () => stream.close(), []);
+  const stream = useDeviceStream(device, ["holds"], RATE_HZ);
   // A board that does not know must not say that the beam may be on.
   const known = stream.connection.value === "open" && !stream.stale.value;
   return (

@@ -1,10 +1,9 @@
 /** Tools: define by showing, pivot, see each one's state, delete. */
 
 import { useSignal } from "@preact/signals";
-import { useEffect, useRef } from "preact/hooks";
 import { api, type Schemas, sent } from "../api/client";
 import { device } from "../devices";
-import { DeviceStream } from "../live/device_stream";
+import { useDeviceStream } from "../live/device_stream";
 import { type Polled, usePolled } from "../live/polling";
 import { text } from "../text";
 import { meanSigma, position, significant } from "../ui/format";
@@ -21,10 +20,7 @@ export function Tools() {
 }
 
 function DeviceTools({ id }: { id: string }) {
-  const held = useRef<DeviceStream | null>(null);
-  held.current ??= new DeviceStream(id, ["tools"], RATE_HZ);
-  const stream = held.current;
-  useEffect(() => () => stream.close(), []);
+  const stream = useDeviceStream(id, ["tools"], RATE_HZ);
   const tools = usePolled(`tools ${id}`, () =>
     sent(api.GET("/api/v1/tools", { params: { query: { device_id: id, limit: 100 } } })),
   );

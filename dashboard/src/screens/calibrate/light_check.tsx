@@ -1,9 +1,9 @@
 /** What each sensor sees now, and what to do about the light. */
 
 import { useSignal } from "@preact/signals";
-import { useEffect, useRef } from "preact/hooks";
+import { useEffect } from "preact/hooks";
 import type { Device } from "../../devices";
-import { DeviceStream } from "../../live/device_stream";
+import { useDeviceStream } from "../../live/device_stream";
 import type { Frame } from "../../live/messages";
 import { text } from "../../text";
 import { significant } from "../../ui/format";
@@ -17,9 +17,7 @@ const FRAMES = 40;
 const TABLE_MS = 500;
 
 export function LightCheck({ device }: { device: Device }) {
-  const held = useRef<DeviceStream | null>(null);
-  held.current ??= new DeviceStream(device.id, ["peaks"], RATE_HZ);
-  const stream = held.current;
+  const stream = useDeviceStream(device.id, ["peaks"], RATE_HZ);
   const names = device.sensors.map(({ name }) => name);
   const lights = useSignal<readonly SensorLight[]>([]);
   useEffect(() => {
@@ -31,7 +29,6 @@ export function LightCheck({ device }: { device: Device }) {
     return () => {
       stop();
       clearInterval(timer);
-      stream.close();
     };
   }, [stream]);
   return (

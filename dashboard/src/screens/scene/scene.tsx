@@ -4,7 +4,7 @@ import { useSignal } from "@preact/signals";
 import { useEffect, useRef } from "preact/hooks";
 import { api, type Schemas, sent } from "../../api/client";
 import { device } from "../../devices";
-import { DeviceStream } from "../../live/device_stream";
+import { type DeviceStream, useDeviceStream } from "../../live/device_stream";
 import type { Frame, Point, ToolPose, Track } from "../../live/messages";
 import { usePolled } from "../../live/polling";
 import { text } from "../../text";
@@ -25,7 +25,7 @@ export function Scene() {
 }
 
 function DeviceScene({ device: shown }: { device: Schemas["Device"] }) {
-  const stream = useStream(shown.id);
+  const stream = useDeviceStream(shown.id, ["points", "tracks", "tools"], RATE_HZ);
   const state = useRef(new SceneState()).current;
   const selected = useSignal<Picked | null>(null);
   const view = useSignal<View>("free");
@@ -141,13 +141,6 @@ function DeviceScene({ device: shown }: { device: Schemas["Device"] }) {
       />
     </div>
   );
-}
-
-function useStream(id: string): DeviceStream {
-  const stream = useRef<DeviceStream | null>(null);
-  stream.current ??= new DeviceStream(id, ["points", "tracks", "tools"], RATE_HZ);
-  useEffect(() => () => stream.current?.close(), []);
-  return stream.current;
 }
 
 /** Says over what is shown that it is old, and why. */

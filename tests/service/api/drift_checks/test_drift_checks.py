@@ -207,8 +207,8 @@ def test_an_update_run_makes_a_calibration_that_holds_again(client: Any):
     assert hashlib.sha256(text.encode()).hexdigest() == made["content_hash"]
     # Other markers than those that mended it.
     again = {"points": read(moved_models(), PLACES[8:16], 21)}
-    mended = client.post("/api/v1/calibrations/mended/drift-checks", json=again).json()
-    assert mended["status"] == "good", mended["in_words"]
+    repaired = client.post("/api/v1/calibrations/mended/drift-checks", json=again).json()
+    assert repaired["status"] == "good", repaired["in_words"]
     assert client.post(URL, json=again).json()["status"] == "sensors-moved"
     assert client.get("/api/v1/devices/sim").json()["active_calibration_id"] == "sim-nominal"
 

@@ -150,9 +150,9 @@ def device_frames(session: Session, live: PipelineManager, device_id: str) -> De
     entry = live.poses.newest().get(device_id)
     now_ns = time.time_ns()
     active = active_ids(session, device_id)
-    active_ids = active["calibration_id"], active["table_id"]
+    calibration_and_table = active["calibration_id"], active["table_id"]
     if entry is not None and entry.calibration_id is not None:
-        active_ids = entry.calibration_id, entry.table_id
+        calibration_and_table = entry.calibration_id, entry.table_id
     nodes = [Node(TRACKER, "tracker", None)]
     for tool in session.scalars(tools(device_id)):
         pose = board_pose(live, tool.id, device_id, entry, now_ns)
@@ -160,7 +160,7 @@ def device_frames(session: Session, live: PipelineManager, device_id: str) -> De
         nodes.append(Node(tool.id, "tool", TRACKER, pose.status, pose.reason, known))
     for row in session.scalars(REGISTRATIONS.newest_first(device_id=device_id)):
         to = row.reference_id or TRACKER
-        why = provenance(session, row).invalid_reason(*active_ids)
+        why = provenance(session, row).invalid_reason(*calibration_and_table)
         if why is not None:
             nodes.append(Node(row.id, "registration", to, PoseStatus.INVALID, why))
             continue

@@ -36,7 +36,7 @@ $(PAGE): $(PAGE_SOURCES) | $(STAMP)
 	@touch $(PAGE)
 
 demo: $(STAMP) $(PAGE)
-	$(BIN)/lumiline demo
+	$(BIN)/lumiline demo --force
 
 # Compiled modules are kept, also where the environment says not to: tests start many processes.
 PYTEST := PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2

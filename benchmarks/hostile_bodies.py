@@ -84,7 +84,7 @@ def bodies() -> dict[str, tuple[str, str, bytes]]:
         "targets": (
             write, "captures", filled('{"device_id": "sim", "targets": [', "{}", "]}", medium),
         ),
-        "points of a run": (write, "mapping-runs", filled(_POINTS, "{}", "]}", medium)),
+        "points of a run": (write, "runs/mapping", filled(_POINTS, "{}", "]}", medium)),
         "vertices": (register, "registrations", filled(_SURFACE, "[0,0,0]", "]}}", large)),
         "empty vertices": (register, "registrations", filled(_SURFACE, "[]", "]}}", large)),
         "frames": (

@@ -1,15 +1,8 @@
-"""Benchmark of a stream beside clients that never read: latencies of those that do, and /healthz.
+"""Benchmark of a stream beside clients that never read: latencies of good ones, and /healthz."""
 
-Run beside a service: ``python -m benchmarks.stalled_clients URL --stalled 100 --good 10``. Rounds
-without and with stalled clients follow each other in turn.
-"""
-
-import argparse
 import asyncio
 import base64
-import json
 import socket
-import sys
 import time
 from typing import Any, Final
 from urllib.parse import urlsplit
@@ -20,14 +13,20 @@ from websockets.asyncio.client import connect
 from benchmarks.stream_clients import percentiles
 
 PROBE_S: Final = 0.02
+SETTLED_S: Final = 2.0
+"""After this the stalled ones are connected and have their buffers full."""
 
 
-async def _read(url: str, end: float, latencies_ns: list[int]) -> None:
+async def _read(
+    url: str, end: float, settled: float, latencies_ns: list[int], settled_ns: list[int]
+) -> None:
     async with connect(url, compression=None, max_size=None, max_queue=64) as stream:
         while time.monotonic() < end:
             message = msgpack.unpackb(await stream.recv())
             if message["type"] == "frame":
                 latencies_ns.append(time.time_ns() - message["exposure_ns"])
+                if time.monotonic() > settled:
+                    settled_ns.append(latencies_ns[-1])
 
 
 async def _probe(server: str, end: float, latencies_ns: list[int]) -> None:
@@ -55,15 +54,21 @@ def _open_unread(server: str, query: str) -> socket.socket:
 
 
 async def measure(server: str, query: str, seconds: float, good: int, stalled: int) -> Any:
-    """Return the latencies of good clients and of /healthz [ms]."""
+    """Return the latencies of good clients and of /healthz [ms].
+
+    The stalled ones connect at once after a tenth of the time; ``settled_ms`` is of SETTLED_S after
+    that and later, with or without them.
+    """
     end = time.monotonic() + seconds
+    settled = end - 0.9 * seconds + SETTLED_S
     latencies: list[int] = []
+    latencies_settled: list[int] = []
     probes: list[int] = []
     opened: list[socket.socket] = []
     url = f"{server.replace('http', 'ws', 1)}/api/v1/stream?{query}"
     async with asyncio.TaskGroup() as tasks:
         for _ in range(good):
-            tasks.create_task(_read(url, end, latencies))
+            tasks.create_task(_read(url, end, settled, latencies, latencies_settled))
         tasks.create_task(_probe(server, end, probes))
         await asyncio.sleep(seconds / 10)
         lossless = f"{query}&mode=lossless&content=points,peaks"
@@ -74,28 +79,6 @@ async def measure(server: str, query: str, seconds: float, good: int, stalled: i
         "stalled": stalled,
         "frames": len(latencies),
         "frame_ms": percentiles(latencies),
+        "settled_ms": percentiles(latencies_settled),
         "healthz_ms": percentiles(probes),
     }
-
-
-def main(arguments: list[str] | None = None) -> int:
-    """Print the figures of each round as a line of JSON."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("server")
-    parser.add_argument("--device", default="sim")
-    parser.add_argument("--seconds", type=float, default=10.0)
-    parser.add_argument("--rounds", type=int, default=2)
-    parser.add_argument("--good", type=int, default=10)
-    parser.add_argument("--stalled", type=int, default=80)
-    chosen = parser.parse_args(arguments)
-    for _ in range(chosen.rounds):
-        for stalled in (0, chosen.stalled):
-            query = f"device={chosen.device}"
-            found = asyncio.run(measure(chosen.server, query, chosen.seconds, chosen.good, stalled))
-            print(json.dumps(found), flush=True)
-            time.sleep(1.0)
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,7 +1,7 @@
-"""M-estimators: Tukey's biweight and Huber's weights, and the scale of residuals.
+"""M-estimation: Tukey's biweight, and the scale of residuals.
 
-Huber's weights leave a wrong reading of an outer point, which has much leverage, its influence.
-The biweight redescends: from a start that outliers did not affect, they get no weight at all.
+Huber's weights would leave a wrong reading of an outer point, which has much leverage, its
+influence. The biweight redescends: from a start that outliers did not affect, they get no weight.
 """
 
 from typing import Final
@@ -15,7 +15,6 @@ BIWEIGHT_LIMIT: Final = 6.0
 """Residual, in standard deviations, beyond which a reading counts for nothing."""
 EFFICIENCY_LOSS: Final = 1.01934
 """E[psi^2] / E[psi']^2 for Gaussian noise and this limit: the variance beside least squares'."""
-HUBER_LIMIT: Final = 1.5
 MAD_OF_NORMAL: Final = 0.6745
 """Median of the absolute value of a standard normal deviate."""
 MAD_TO_SIGMA: Final = 1.4826
@@ -29,15 +28,6 @@ def biweight(standardised: Array) -> Array:
     doi:10.1080/00401706.1974.10489171.
     """
     weights: Array = np.maximum(1.0 - (standardised / BIWEIGHT_LIMIT) ** 2, 0.0) ** 2
-    return weights
-
-
-def huber(standardised: Array) -> Array:
-    """Return Huber's weights min(1, HUBER_LIMIT / |z|), of z's shape.
-
-    P. J. Huber, doi:10.1214/aoms/1177703732.
-    """
-    weights: Array = HUBER_LIMIT / np.maximum(np.abs(standardised), HUBER_LIMIT)
     return weights
 
 

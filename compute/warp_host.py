@@ -1,8 +1,11 @@
 """Host side of the Warp kernels: device, memory of arrays, CPU threads."""
 
+import ctypes
 import os
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from functools import cache
+from functools import cache, partial
+from operator import attrgetter
 from typing import Any
 
 from numpy.typing import NDArray
@@ -41,6 +44,43 @@ def host_memory(array: Any) -> NDArray[Any]:
     """Return the memory of a Warp array on the host, not a copy of it."""
     view: NDArray[Any] = array.numpy()
     return view
+
+
+address: Callable[[NDArray[Any]], int] = attrgetter("ctypes.data")
+"""Returns the memory address of an array."""
+
+
+class PackedLaunch:
+    """A launch of a kernel on the CPU whose arguments stay packed from call to call.
+
+    Warp packs them at each launch, which takes longer than a kernel takes for one frame.
+
+    Args:
+        launch: recorded by ``warp.launch(..., device="cpu", record_cmd=True)``.
+    """
+
+    def __init__(self, launch: Any) -> None:
+        self._launch = launch
+        _, *values = launch.params
+        names = [argument.label for argument in launch.kernel.adj.args]
+        fields = [(name, type(value)) for name, value in zip(names, values, strict=True)]
+        packed = type("Arguments", (ctypes.Structure,), {"_fields_": fields})
+        self.arguments: Any = packed(*values)
+        """The kernel's arguments by name, to be changed between calls."""
+        self._dim: int | None = None
+        self._prepare()
+
+    def set_dim(self, dim: int) -> None:
+        """Set the number of threads, where it is another: it takes as long as a kernel."""
+        if dim != self._dim:
+            self._launch.set_dim(dim)
+            self._dim = dim
+            self._prepare()
+
+    def _prepare(self) -> None:
+        bounds = ctypes.byref(self._launch.params[0])
+        self.run = partial(self._launch.hooks.forward, bounds, ctypes.byref(self.arguments))
+        """Runs the kernel."""
 
 
 @cache

@@ -5,8 +5,9 @@ import logging
 import re
 import sys
 import traceback
+from collections import deque
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from contextvars import ContextVar
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -169,6 +170,76 @@ def _trace(record: logging.LogRecord) -> str | None:
     return "".join(traceback.format_exception(*record.exc_info)).rstrip()
 
 
+ACCESS: Final = "service.access"
+"""Logger of the lines of requests."""
+MAX_RECENT: Final = 1000
+"""Log records that are kept to be looked at; a few hundred bytes each."""
+
+
+@dataclass(frozen=True)
+class RecentRecord:
+    """A log record as it can be looked at, without secrets.
+
+    Args:
+        number: counted from the server's start.
+        created_s: when, since 1970 [s].
+        level: in lower case.
+        logger: by which part.
+        message: what.
+        request_id: of the request that it belongs to.
+        device_id: of the device.
+        traceback: of an error.
+    """
+
+    number: int
+    created_s: float
+    level: str
+    logger: str
+    message: str
+    request_id: str | None
+    device_id: str | None
+    traceback: str | None
+
+
+class RecentRecords(logging.Handler):
+    """Keeps the newest log records in memory."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._records: deque[RecentRecord] = deque(maxlen=MAX_RECENT)
+        self._count = 0
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Keep a record; called under the handler's lock."""
+        if record.name == ACCESS and record.levelno < logging.WARNING:
+            return  # requests, of which a page that shows these makes several a second
+        try:
+            marks, trace = _marks(record), _trace(record)
+            self._count += 1
+            self._records.append(
+                RecentRecord(
+                    self._count,
+                    record.created,
+                    record.levelname.lower(),
+                    record.name,
+                    redact(record.getMessage()),
+                    marks["request"],
+                    marks["device"],
+                    None if trace is None else redact(trace),
+                )
+            )
+        except Exception:  # noqa: BLE001 - as logging's own handlers: a log line breaks nothing
+            self.handleError(record)
+
+    def newest(self) -> list[RecentRecord]:
+        """Return what is kept, oldest first."""
+        with self.lock or nullcontext():
+            return list(self._records)
+
+
+RECENT: Final = RecentRecords()
+"""Of this process, while its logging is configured."""
+
 _SERVER_LOGGERS: Final = ("service", "hardware", "compute")
 _UVICORN: Final = "uvicorn.error"
 _WEBSOCKET_MESSAGES: Final = (
@@ -192,10 +263,12 @@ def configured_logging(settings: Settings) -> Iterator[None]:
         logger.setLevel(level)
     logging.getLogger(_UVICORN).addFilter(is_server_record)
     root.addHandler(handler)
+    root.addHandler(RECENT)
     try:
         yield
     finally:
         root.removeHandler(handler)
+        root.removeHandler(RECENT)
         logging.getLogger(_UVICORN).removeFilter(is_server_record)
         for logger, was in zip(loggers, before, strict=True):
             logger.setLevel(was)

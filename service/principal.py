@@ -22,6 +22,7 @@ Scope = Literal[
     "write:results",
     "activate:calibrations",
     "admin:devices",
+    "admin:webhooks",
     "admin:keys",
 ]
 """Scopes by what their misuse can break; none includes another."""
@@ -31,7 +32,7 @@ SCOPE_MEANINGS: Final[Mapping[Scope, str]] = {
     "read:stream": "measure: devices and their state, the stream, tools and their poses, beam "
     "holds, points from posted readings",
     "read:calibration": "read calibrations, reports, tables, captures, checks, runs and history",
-    "read:audit": "read the audit log",
+    "read:audit": "read the audit log and the newest lines of the server's log",
     "operate:holds": "acknowledge beam holds, and set or remove their references",
     "operate:devices": "start and stop devices",
     "operate:recordings": "start and stop recordings",
@@ -45,6 +46,7 @@ SCOPE_MEANINGS: Final[Mapping[Scope, str]] = {
     "write:results": "make and delete exports, cancel and delete runs, delete reconstructions",
     "activate:calibrations": "activate, deactivate, roll back and retire calibrations and tables",
     "admin:devices": "create, change and delete devices",
+    "admin:webhooks": "make, change, test and delete webhooks",
     "admin:keys": "make keys of any scope, and revoke keys",
 }
 
@@ -68,6 +70,8 @@ SCOPE_RISKS: Final[Mapping[Scope, str]] = {
     "activate:calibrations": "everything that a device measures is wrong",
     "admin:devices": "a device measures nothing or something else; what belongs to it is deleted "
     "with it",
+    "admin:webhooks": "alarms go nowhere or to somebody else, who sees them; the server sends "
+    "requests into its network",
     "admin:keys": "anything: a key with every scope",
 }
 """What goes wrong when a scope is in the wrong hands."""

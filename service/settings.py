@@ -64,7 +64,7 @@ class Settings(BaseSettings):
     log_level: Literal["critical", "error", "warning", "info", "debug"] = "info"
     log_format: Literal["text", "json"] = "text"
     """Log lines as readable text, or one JSON object each."""
-    device: str | None = None
+    profile: str | None = None
     """A device profile to start as a device: the name of a built-in one, or the path of a file."""
     compute_device: str | None = None
     """Where the live pipeline computes: ``cpu``, ``cuda:0``, ...; None: the compute's choice."""
@@ -76,6 +76,10 @@ class Settings(BaseSettings):
     """What recordings, and exports of them, leave free on their disk [bytes]."""
     recording_flush_s: float = Field(default=1.0, ge=0.01, le=60.0)
     """How often what is recorded is brought to the file, to be read and safe from a crash [s]."""
+    recording_max_age_days: float | None = Field(default=None, gt=0.0, le=36_525.0)
+    """Recordings that were last changed longer ago are deleted [days]; None: none are."""
+    recording_max_total_bytes: int | None = Field(default=None, ge=1024**2)
+    """Above it the oldest recordings are deleted [bytes]; None: none are."""
     runs_at_once: int = Field(default=1, ge=1, le=64)
     """Calibrations and mappings computed at the same time, each on one core."""
     runs_waiting: int = Field(default=100, ge=1)

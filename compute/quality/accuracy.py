@@ -99,12 +99,18 @@ def single_point(
         reference_mm: where it is, shape (3,) [mm]; None: not known.
 
     Raises:
-        TooFewPoints: fewer than two points.
-        InvalidParameter: a value is not finite.
+        TooFewPoints: fewer than three points.
+        InvalidParameter: a value is not finite, or all times are the same.
     """
+    if len(position_mm) < 3:
+        raise TooFewPoints(
+            f"the marker was measured {len(position_mm)} times; at least 3 are needed: is it in "
+            "view?",
+            count=len(position_mm),
+        )
     if not (np.isfinite(position_mm).all() and np.isfinite(covariance_mm2).all()):
         raise InvalidParameter("a position or covariance is not a number; leave such points out")
-    mean = position_mm.mean(axis=0) if len(position_mm) else np.zeros(3)
+    mean = position_mm.mean(axis=0)
     deviations = position_mm - mean
     scatter = error_statistics(np.linalg.norm(deviations, axis=1))
     speed, sigma = _drift(deviations, time_s)
@@ -121,11 +127,15 @@ def single_point(
 
 
 def _drift(deviations: Array, time_s: Array) -> tuple[float, float]:
-    """Return the speed of the linear fit to the points and its standard deviation [mm/s]."""
+    """Return the speed of the linear fit to the points and its standard deviation [mm/s].
+
+    Raises:
+        InvalidParameter: all times are the same.
+    """
     since = time_s - time_s.mean()
     lever = float((since**2).sum())
-    if lever == 0.0 or len(deviations) < 3:
-        return 0.0, np.inf
+    if lever == 0.0:
+        raise InvalidParameter("all positions have the same time")
     velocity = since @ deviations / lever
     residual = deviations - since[:, None] * velocity
     variance = (residual**2).sum() / (len(deviations) - 2) / lever

@@ -15,7 +15,13 @@ from compute.reconstruction.native.cuda_launch import MOVED_WORDS, THREADS_PER_B
 from compute.reconstruction.native.definitions import JOB, MAX_POWER, fill_cameras, row_length
 from compute.reconstruction.point_batch import PointBatch
 from compute.reconstruction.triangulation import chi2_limits, noncentralities
-from compute.warp_host import check_threads, warp_device, worker_threads
+from compute.warp_host import (
+    PackedLaunch,
+    address,
+    check_threads,
+    warp_device,
+    worker_threads,
+)
 
 Array = NDArray[np.float64]
 
@@ -27,11 +33,6 @@ POINTS_PER_THREAD: Final = 512
 """Fewest points for which another CPU thread is worth its start."""
 _POINT_BYTES: Final = 116
 """Bytes of a point's position, covariance, chi2, external reliability and flags."""
-
-
-def address(array: NDArray[Any]) -> int:
-    """Return the memory address of an array."""
-    return int(array.__array_interface__["data"][0])
 
 
 class CpuLaunch:
@@ -55,12 +56,14 @@ class CpuLaunch:
         self._counts = [1] * self._threads
         first = address(self._jobs)
         self._launches = [
-            wp.launch(
-                kernel,
-                dim=1,
-                inputs=[first + thread * JOB.itemsize],
-                device="cpu",
-                record_cmd=True,
+            PackedLaunch(
+                wp.launch(
+                    kernel,
+                    dim=1,
+                    inputs=[first + thread * JOB.itemsize],
+                    device="cpu",
+                    record_cmd=True,
+                )
             )
             for thread in range(self._threads)
         ]
@@ -97,7 +100,7 @@ class CpuLaunch:
         parts = max(min(self._threads, count // POINTS_PER_THREAD), 1)
         if parts == 1:
             self._prepare(0, addresses, count)
-            self._launches[0].launch()
+            self._launches[0].run()
             return points
         strides = (8 * sensors, 8 * sensors, 24, 72, 8, 8, sensors, 4)
         starts = [count * part // parts for part in range(parts + 1)]
@@ -107,8 +110,8 @@ class CpuLaunch:
             ]
             self._prepare(part, moved, starts[part + 1] - starts[part])
         # Warp is not thread-safe, but all that a helper calls is the compiled kernel.
-        pending = [worker_threads().submit(launch.launch) for launch in self._launches[1:parts]]
-        self._launches[0].launch()
+        pending = [worker_threads().submit(launch.run) for launch in self._launches[1:parts]]
+        self._launches[0].run()
         for future in pending:
             future.result()
         return points

@@ -13,7 +13,14 @@ from compute.signal.native.definitions import BLOCK_THREADS
 from compute.signal.peaks import MAX_JOINT_PEAKS, PeakBatch
 from compute.signal.pixel_corrections import PixelCorrections
 from compute.signal.sensor_noise import SensorNoise
-from compute.warp_host import check_threads, host_memory, warp_device, worker_threads
+from compute.warp_host import (
+    PackedLaunch,
+    address,
+    check_threads,
+    host_memory,
+    warp_device,
+    worker_threads,
+)
 
 if TYPE_CHECKING:
     from compute.signal.native.scan_kernel import Search
@@ -125,13 +132,16 @@ class PeakFinder:
             self._staged_records = wp.zeros(words, dtype=wp.uint64, device="cpu", pinned=True)
         else:
             self._staged_records = self._records
-        self._host_records = host_memory(self._staged_records).view(record)
+        self._host_words = host_memory(self._staged_records)
+        self._record = record
+        self._columns = record["peaks"].base.names or ()
         # Read-only columns of all batches of centres of gravity, whose records lack them.
         shape = (max_scans, settings.max_peaks)
-        self._absent = {
+        fitted = {
             "reduced_chi2": np.full(shape, np.nan, np.float32),
             "covariance_px2": np.zeros((*shape, MAX_JOINT_PEAKS - 1), np.float32),
         }
+        self._absent = {name: fitted[name] for name in fitted if name not in self._columns}
         for array in self._absent.values():
             array.flags.writeable = False
 
@@ -159,18 +169,20 @@ class PeakFinder:
         self._source = np.empty(0, np.uint16)
         self._graphs: dict[int, Any] = {}
         self._prepared: list[tuple[int, int] | None] = [None] * self._threads
-        address = self._input.ptr if self.cuda else 0
-        self._launches = [
+        scans = self._input.ptr if self.cuda else 0
+        launches = [
             wp.launch(
                 scan_kernel(search, corrections is not None),
                 dim=1,
-                inputs=[address, max_scans, 1, self._records.ptr, batch],
+                inputs=[scans, max_scans, 1, self._records.ptr, batch],
                 device=self._device,
                 block_dim=BLOCK_THREADS if self.cuda else 1,
                 record_cmd=True,
             )
             for _ in range(1 if self.cuda else self._threads)
         ]
+        self._cuda_launch: Any = launches[0]
+        self._cpu_launches = [] if self.cuda else [PackedLaunch(launch) for launch in launches]
 
     def find(self, scans: NDArray[np.uint16]) -> PeakBatch:
         """Find the peaks of scans, uint16, shape (L, P), L at most the finder's ``max_scans``.
@@ -228,18 +240,19 @@ class PeakFinder:
             self._launch_cuda(count)
             return
         starts = self._parts(count)
-        launches = self._launches[: len(starts) - 1]
+        source = address(self._source)
+        launches = self._cpu_launches[: len(starts) - 1]
         for part, (first, end) in enumerate(pairwise(starts)):
             launch = launches[part]
-            launch.set_param_at_index(_SCANS, self._source.ctypes.data + first * self.pixels * 2)
-            # Setting a parameter takes a microsecond: as long as a scan.
+            launch.arguments.scans_address = source + first * self.pixels * 2
+            # It takes as long as some scans.
             if self._prepared[part] != (first, end):
                 self._prepared[part] = (first, end)
-                launch.set_param_at_index(_COUNT, end - first)
-                launch.set_param_at_index(_RECORDS, self._records.ptr + first * self._record_bytes)
+                launch.arguments.scans = end - first
+                launch.arguments.records_address = self._records.ptr + first * self._record_bytes
                 launch.set_dim(end - first)
-        pending = [worker_threads().submit(launch.launch) for launch in launches[1:]]
-        launches[0].launch()
+        pending = [worker_threads().submit(launch.run) for launch in launches[1:]]
+        launches[0].run()
         for future in pending:
             future.result()
 
@@ -252,12 +265,13 @@ class PeakFinder:
 
     def _peaks(self, count: int) -> PeakBatch:
         """Return the peaks of the newest records, which stand only until the next call."""
-        records = self._host_records[:count]
+        # As words: NumPy copies structures, and columns of them, more slowly.
+        words = self._host_words[: count * self._record_bytes // 8].copy()
+        records = words.view(self._record)
         peaks = records["peaks"]
-        # Column by column: NumPy copies whole structures more slowly.
-        columns = {name: peaks[name].copy() for name in peaks.dtype.names or ()}
-        absent = {name: values[:count] for name, values in self._absent.items()}
-        return PeakBatch(count=records["count"].copy(), **(absent | columns))
+        columns = {name: peaks[name] for name in self._columns}
+        absent: dict[str, Any] = {name: values[:count] for name, values in self._absent.items()}
+        return PeakBatch(count=records["count"], **absent, **columns)
 
     def _parts(self, count: int) -> list[int]:
         """Return where the parts of a batch begin, and its end; each begins with sensor 0.
@@ -265,8 +279,8 @@ class PeakFinder:
         The first is the caller's own.
         """
         shared = count * self.pixels - HEAD_START_PIXELS
-        threads = min(self._threads, max(shared // self._pixels_per_thread, 1))
-        if threads == 1:
+        threads = min(self._threads, shared // self._pixels_per_thread)
+        if threads <= 1:
             return [0, count]
         frames = -(-count // self._sensors)
         ahead = min(HEAD_START_PIXELS // (self.pixels * self._sensors), frames)
@@ -274,7 +288,7 @@ class PeakFinder:
         return [0, *dict.fromkeys(start * self._sensors for start in starts if start > 0), count]
 
     def _launch_cuda(self, count: int) -> None:
-        launch = self._launches[0]
+        launch = self._cuda_launch
         per_warp = max(min(self._scans_per_warp, count // FILLING_WARPS), 1)
         launch.set_param_at_index(_COUNT, count)
         launch.set_param_at_index(_PER_WARP, per_warp)
@@ -295,7 +309,7 @@ class PeakFinder:
 
     def _capture(self, count: int) -> Any:
         direct = self._reads_once and count * self.pixels <= DIRECT_PIXELS
-        launch = self._launches[0]
+        launch = self._cuda_launch
         if direct:
             launch.set_param_at_index(_SCANS, self._staged_input.ptr)
             launch.set_param_at_index(_RECORDS, self._staged_records.ptr)

@@ -10,10 +10,13 @@ import { usePolled } from "./live/polling";
 import { visible } from "./live/visibility";
 import { Administration } from "./screens/administration";
 import { Calibrate } from "./screens/calibrate/calibrate";
-import { Health } from "./screens/health";
+import { Health } from "./screens/health/health";
 import { Holds } from "./screens/holds";
-import { Recordings } from "./screens/recordings";
+import { PlanScreen } from "./screens/plan/plan";
+import { QualityScreen } from "./screens/quality/quality";
+import { Recordings } from "./screens/recordings/recordings";
 import { Scene } from "./screens/scene/scene";
+import { ScansScreen } from "./screens/scans/scans";
 import { Tools } from "./screens/tools";
 import { text } from "./text";
 import { Action, Badge, Failure } from "./ui/parts";
@@ -22,10 +25,13 @@ type Name = keyof typeof text.screens;
 
 const SCREENS: Record<Name, ComponentType> = {
   scene: Scene,
+  scans: ScansScreen,
   calibrate: Calibrate,
   tools: Tools,
   holds: Holds,
   recordings: Recordings,
+  quality: QualityScreen,
+  plan: PlanScreen,
   health: Health,
   administration: Administration,
 };

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Final
 
 import httpx
-from playwright.sync_api import sync_playwright
+from playwright.sync_api import Page, sync_playwright
 
 from service.cli.service_process import service_process
 
@@ -19,10 +19,13 @@ DOCS: Final = Path(__file__).parents[1]
 PICTURES: Final = DOCS / "dashboard"
 SCREENS: Final = {
     "scene": "Scene",
+    "scans": "Scans",
     "calibrate": "Calibrate",
     "tools": "Tools",
     "beam-holds": "Beam holds",
     "recordings": "Recordings",
+    "quality": "Quality",
+    "plan": "Plan",
     "health": "Health",
     "administration": "Administration",
 }
@@ -34,17 +37,48 @@ HOLD: Final = {
     "watch": {"kind": "tool", "tool_id": "pointer"},
     "limits": {"shift_mm": 2},
 }
+CHECKS: Final = 10
+CHECK: Final = {
+    "kind": "point-to-point",
+    "markers": [0, 1],
+    "reference_mm": 80.0,
+    "duration_s": 0.5,
+    "tolerance_mm": 0.2,
+}
+METRICS_MS: Final = 8_000
+"""Until the page has two readings of the server's metrics, and something between them."""
+
+
+def show_details(page: Page, name: str) -> None:
+    """Bring a screen to what its picture is to show."""
+    if name == "recordings":
+        page.get_by_role("button", name="Open").click()
+        page.get_by_label("Position in the recording").fill("1500")
+    elif name == "plan":
+        page.get_by_role("heading", name="What it would reach").wait_for()
+        page.get_by_label("Baseline").fill("0.5")
+        page.locator(".stale").wait_for()
+        page.locator(".stale").wait_for(state="detached")
+    elif name == "scans":
+        page.get_by_role("button", name="Freeze").click()
+        page.get_by_role("button", name="1: zoom").click()
+        page.evaluate("scrollTo(0, 0)")
+    elif name == "health":
+        page.wait_for_timeout(METRICS_MS)
 
 
 def prepare(api: httpx.Client) -> None:
     """Let the simulated device show a tool that a beam hold watches, and record it."""
     moving = json.loads((DOCS / "examples" / "moving-tool.json").read_text())
-    api.patch("/devices/sim", json=moving).raise_for_status()
+    api.patch("/devices/sim", json=moving, headers={"If-Match": "*"}).raise_for_status()
     api.post("/devices/sim/start").raise_for_status()
     tool = json.loads((DOCS / "examples" / "tool.json").read_text())
     api.post("/tools", json=tool).raise_for_status()
     api.post("/beam-holds", json=HOLD).raise_for_status()
     api.post("/devices/sim/recordings", json={"id": "morning.h5"}).raise_for_status()
+    for _ in range(CHECKS):
+        api.post("/devices/sim/quality-checks", json=CHECK).raise_for_status()
+    api.post("/recordings/morning.h5/stop").raise_for_status()
 
 
 def main() -> int:
@@ -71,6 +105,8 @@ def main() -> int:
         for name, title in SCREENS.items():
             page.get_by_role("link", name=title, exact=True).click()
             page.wait_for_timeout(2_500)
+            show_details(page, name)
+            page.wait_for_timeout(1_500)
             page.screenshot(path=PICTURES / f"{name}.png")
         browser.close()
     return 0

@@ -22,6 +22,10 @@ _PATH_RATES: Final = (1.0, 2.0, 3.0)
 _PATH_PHASES: Final = (0.0, 0.125, 0.25)
 _ROTATION_RATES: Final = (2.0, 3.0, 1.0)
 _ROTATION_PHASES: Final = (0.0, 0.25, 0.125)
+# Of a waved wand: swings in a period, and turns of its direction from pole to pole and round it.
+_WAVE_RATES: Final = (5.0, 4.0, 3.0)
+_WAVE_PHASES: Final = (0.0, 0.125, 0.25)
+_WAVE_ROTATION_RATES: Final = (2.0, 7.0)
 
 
 @dataclass(frozen=True)
@@ -245,6 +249,46 @@ class MovingTools(CheckedSettings):
 
 
 @dataclass(frozen=True)
+class WavedWand(CheckedSettings):
+    """A wand of two markers that is waved through a volume in all directions, for calibration.
+
+    Its middle goes along a Lissajous curve; its direction goes from pole to pole of the sphere
+    and round it meanwhile, smoothly. Nothing repeats before the period.
+
+    Args:
+        length_mm: distance between the two markers [mm].
+        centre_mm: middle of the curve, in the world [mm].
+        swing_mm: how far the curve goes to either side, along X, Y, Z [mm].
+        period_s: duration of the whole motion [s].
+    """
+
+    kind: Literal["waved-wand"] = "waved-wand"
+    length_mm: Annotated[float, Field(gt=0.0, le=1e5)] = 300.0
+    centre_mm: Point = (0.0, 0.0, 1500.0)
+    swing_mm: Point = (250.0, 250.0, 300.0)
+    period_s: Annotated[float, Field(ge=1e-3, le=1e6)] = 30.0
+
+    @property
+    def markers(self) -> int:
+        """Number of markers."""
+        return 2
+
+    def points(self, time_s: float | Array) -> Array:
+        """Return the markers at times (...,) [s], shape (..., 2, 3) [mm]."""
+        # Within the period, so that hours later it is as exact as at the start.
+        at = np.asarray(time_s, dtype=np.float64) / self.period_s % 1.0
+        path = np.asarray(self.swing_mm) * _swings(at, _WAVE_RATES, _WAVE_PHASES)
+        polar, azimuth = (2.0 * np.pi * rate * at for rate in _WAVE_ROTATION_RATES)
+        along = np.stack(
+            [np.cos(polar) * np.cos(azimuth), np.cos(polar) * np.sin(azimuth), np.sin(polar)],
+            axis=-1,
+        )
+        middle = np.asarray(self.centre_mm) + path
+        half = 0.5 * self.length_mm * along
+        return np.stack([middle - half, middle + half], axis=-2)
+
+
+@dataclass(frozen=True)
 class EvenLight(CheckedSettings):
     """Even light on all pixels and no marker, for radiometric calibration.
 
@@ -268,7 +312,13 @@ class EvenLight(CheckedSettings):
 
 
 Scene = Annotated[
-    CalibrationTarget | StillPoints | ShiftedPoints | RotatingBar | MovingTools | EvenLight,
+    CalibrationTarget
+    | StillPoints
+    | ShiftedPoints
+    | RotatingBar
+    | MovingTools
+    | WavedWand
+    | EvenLight,
     Field(discriminator="kind"),
 ]
 

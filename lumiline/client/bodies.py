@@ -65,6 +65,16 @@ class MovingTools(TypedDict):
     kind: Literal["moving-tools"]
 
 
+class WavedWand(TypedDict):
+    """A wand of two markers that is waved through a volume in all directions, for calibration."""
+
+    kind: Literal["waved-wand"]
+    length_mm: NotRequired[float]
+    centre_mm: NotRequired[Sequence[float]]
+    swing_mm: NotRequired[Sequence[float]]
+    period_s: NotRequired[float]
+
+
 class EvenLight(TypedDict):
     """Even light on all pixels and no marker, for radiometric calibration."""
 
@@ -111,7 +121,13 @@ class SimulationSettings(TypedDict):
     """
 
     scene: NotRequired[
-        CalibrationTarget | StillPoints | ShiftedPoints | RotatingBar | MovingTools | EvenLight
+        CalibrationTarget
+        | StillPoints
+        | ShiftedPoints
+        | RotatingBar
+        | MovingTools
+        | WavedWand
+        | EvenLight
     ]
     frame_rate_hz: NotRequired[float]
     illumination: NotRequired[Literal["strobed", "simultaneous"]]
@@ -149,6 +165,7 @@ class ProfileSettings(TypedDict):
         | ShiftedPoints
         | RotatingBar
         | MovingTools
+        | WavedWand
         | EvenLight
         | None
     ]
@@ -483,7 +500,7 @@ class SelfCalibrationNewRecording(TypedDict):
 
     target: WandTarget | BodyTarget | UnknownTarget
     poses: Sequence[Mapping[str, Sequence[float | None]]]
-    sigma_px: NotRequired[float | None]
+    sigma_px: NotRequired[float | Sequence[Mapping[str, Sequence[float | None]]] | None]
 
 
 class NewSelfCalibrationRun(TypedDict):
@@ -510,7 +527,8 @@ class NewSelfCalibrationRun(TypedDict):
         | Sequence[Sequence[int]]
     ]
     result_id: NotRequired[str | None]
-    recordings: Sequence[SelfCalibrationNewRecording]
+    recordings: NotRequired[Sequence[SelfCalibrationNewRecording] | None]
+    wave_capture_id: NotRequired[str | None]
     datum: NotRequired[Literal["start", "first-pose"]]
     note: NotRequired[str]
 
@@ -581,9 +599,27 @@ class NewCapture(TypedDict):
 
     id: NotRequired[str | None]
     device_id: str
+    note: NotRequired[str]
     targets: Sequence[CapturesTarget]
     settings: NotRequired[CaptureSettings]
+
+
+class WaveSettings(TypedDict):
+    """When the taking of poses ends."""
+
+    duration_s: NotRequired[float]
+    end_when_enough: NotRequired[bool]
+
+
+class NewWaveCapture(TypedDict):
+    """A session to begin, in which a wand or rigid body is waved in front of a running device."""
+
+    id: NotRequired[str | None]
+    device_id: str
     note: NotRequired[str]
+    target: WandTarget | BodyTarget | UnknownTarget
+    markers: NotRequired[Sequence[int] | None]
+    settings: NotRequired[WaveSettings]
 
 
 class RadiometricCaptureSettings(TypedDict):
@@ -600,8 +636,8 @@ class NewRadiometricCapture(TypedDict):
 
     id: NotRequired[str | None]
     device_id: str
-    settings: NotRequired[RadiometricCaptureSettings]
     note: NotRequired[str]
+    settings: NotRequired[RadiometricCaptureSettings]
 
 
 class FromCapture(TypedDict):
@@ -1122,6 +1158,19 @@ class LineScanRequest(TypedDict):
     detail: NotRequired[bool]
 
 
+class NewDeviceProfile(TypedDict):
+    """A profile to keep."""
+
+    toml: str
+
+
+class PlanRequest(TypedDict):
+    """A profile to plan, which is not kept."""
+
+    toml: str
+    grid: NotRequired[int]
+
+
 class NewApiKey(TypedDict):
     """A key to make."""
 
@@ -1143,10 +1192,38 @@ class NewApiKey(TypedDict):
             "write:results",
             "activate:calibrations",
             "admin:devices",
+            "admin:webhooks",
             "admin:keys",
         ]
     ]
     expires_at: NotRequired[datetime | None]
+
+
+class NewWebhook(TypedDict):
+    """Where events are to be sent, and which."""
+
+    id: NotRequired[str | None]
+    title: str
+    url: str
+    event_types: Sequence[
+        Literal["hold.held", "hold.released", "device.lost", "device.recovered", "drift.detected"]
+    ]
+    enabled: NotRequired[bool]
+
+
+class WebhookChange(TypedDict):
+    """What is to change; what is left out stays. Another secret needs another webhook."""
+
+    title: NotRequired[str]
+    url: NotRequired[str]
+    event_types: NotRequired[
+        Sequence[
+            Literal[
+                "hold.held", "hold.released", "device.lost", "device.recovered", "drift.detected"
+            ]
+        ]
+    ]
+    enabled: NotRequired[bool]
 
 
 class NewQualityCheck(TypedDict):

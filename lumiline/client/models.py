@@ -72,6 +72,16 @@ class MovingTools(ResponseModel):
     kind: Literal["moving-tools"]
 
 
+class WavedWand(ResponseModel):
+    """A wand of two markers that is waved through a volume in all directions, for calibration."""
+
+    kind: Literal["waved-wand"]
+    length_mm: float = 300.0
+    centre_mm: tuple[float, float, float] = (0.0, 0.0, 1500.0)
+    swing_mm: tuple[float, float, float] = (250.0, 250.0, 300.0)
+    period_s: float = 30.0
+
+
 class EvenLight(ResponseModel):
     """Even light on all pixels and no marker, for radiometric calibration."""
 
@@ -123,6 +133,7 @@ class SimulationSettings(ResponseModel):
         | ShiftedPoints
         | RotatingBar
         | MovingTools
+        | WavedWand
         | EvenLight
         | None
     ) = None
@@ -162,6 +173,7 @@ class ProfileSettings(ResponseModel):
         | ShiftedPoints
         | RotatingBar
         | MovingTools
+        | WavedWand
         | EvenLight
         | None
     ) = None
@@ -597,12 +609,25 @@ class PointErrors(ResponseModel):
     readings: int | None = None
 
 
+class LengthErrors(ResponseModel):
+    """Known lengths of a waved target as they were measured at poses that the cameras never
+    saw.
+    """
+
+    poses: int
+    lengths: int
+    rms_mm: float
+    mean_mm: float
+    max_mm: float
+
+
 class ControlPointErrors(ResponseModel):
-    """How well a calibration reproduces its control points."""
+    """How well a calibration reproduces its control points, or the lengths of a waved target."""
 
     fitted: PointErrors | None
     leave_one_out: PointErrors | None
     blocks_left_out: PointErrors | None = None
+    lengths_left_out: LengthErrors | None = None
 
 
 class CalibrationDocument(ResponseModel):
@@ -733,10 +758,10 @@ class CapturedSensor(ResponseModel):
 class CapturedTarget(ResponseModel):
     """What was read of a target."""
 
-    target: str
     frames: int
-    sensors: tuple[CapturedSensor, ...]
     captured_at: datetime
+    target: str
+    sensors: tuple[CapturedSensor, ...]
 
 
 class Capture(ResponseModel):
@@ -744,14 +769,123 @@ class Capture(ResponseModel):
 
     id: str
     device_id: str
-    settings: CaptureSettings
-    targets: tuple[CapturesTarget, ...]
-    captured: tuple[CapturedTarget, ...]
-    next: str | None
+    instruction: str
     left: int
     note: str
     created_at: datetime
     updated_at: datetime
+    settings: CaptureSettings
+    targets: tuple[CapturesTarget, ...]
+    captured: tuple[CapturedTarget, ...]
+    next: str | None
+
+
+class WandTarget(ResponseModel):
+    """Markers on a line at known places."""
+
+    kind: Literal["wand"]
+    position_mm: tuple[float, ...]
+    sigma_mm: float = 0.0
+
+
+class BodyTarget(ResponseModel):
+    """A rigid body, or calibration frame, of known shape."""
+
+    kind: Literal["rigid-body"]
+    marker_mm: tuple[tuple[float, float, float], ...]
+    sigma_mm: float = 0.0
+
+
+class UnknownTarget(ResponseModel):
+    """A rigid body of unknown shape, with one known distance for the scale."""
+
+    kind: Literal["unknown-body"]
+    markers: int
+    first: int
+    second: int
+    length_mm: float
+    sigma_mm: float = 0.0
+
+
+class WaveSettings(ResponseModel):
+    """When the taking of poses ends."""
+
+    duration_s: float = 180.0
+    end_when_enough: bool = True
+
+
+class WaveExposures(ResponseModel):
+    """What became of the exposures of the target's first marker, each of which may make a
+    pose.
+    """
+
+    all: int
+    taken: int
+    still: int
+    too_few_sensors: int
+    not_lit: int
+
+
+class WaveSensor(ResponseModel):
+    """What one sensor read of the target."""
+
+    sensor: str
+    clear: int
+    unclear: int
+    unseen: int
+    readings: int
+    cells: tuple[int, ...]
+    wanted: int
+    covered: float
+
+
+class WaveDirections(ResponseModel):
+    """Directions of the wand in the device's frame: z towards the sensors, x along the pixels
+    of the first sensor.
+    """
+
+    rms: tuple[float, float, float]
+    rings: tuple[int, ...]
+    bins: tuple[int, ...]
+    wanted: int
+
+
+class WaveVolume(ResponseModel):
+    """Where the target was, in the device's frame."""
+
+    extent_mm: tuple[float, float, float]
+    octants: tuple[int, ...]
+
+
+class WaveProgress(ResponseModel):
+    """What a wave has covered so far, and what is missing."""
+
+    poses: int
+    wanted_poses: int
+    exposures: WaveExposures
+    sensors: tuple[WaveSensor, ...]
+    directions: WaveDirections | None
+    volume: WaveVolume | None
+    missing: tuple[str, ...]
+    enough: bool
+
+
+class WaveCapture(ResponseModel):
+    """A session: what has been covered, what is missing, what to do next."""
+
+    id: str
+    device_id: str
+    instruction: str
+    left: int
+    note: str
+    created_at: datetime
+    updated_at: datetime
+    target: WandTarget | BodyTarget | UnknownTarget
+    markers: tuple[int, ...]
+    settings: WaveSettings
+    state: str
+    ended: str | None
+    progress: WaveProgress
 
 
 class RadiometricCaptureSettings(ResponseModel):
@@ -776,14 +910,14 @@ class CapturedLevel(ResponseModel):
 class CapturedFrames(ResponseModel):
     """One dark or flat capture."""
 
+    frames: int
+    captured_at: datetime
     name: str
     kind: str
-    frames: int
     temperature_c: float | None
     relative_light: float | None
     full_scale_counts: int
     sensors: tuple[CapturedLevel, ...]
-    captured_at: datetime
 
 
 class RadiometricCapture(ResponseModel):
@@ -791,14 +925,14 @@ class RadiometricCapture(ResponseModel):
 
     id: str
     device_id: str
-    settings: RadiometricCaptureSettings
-    captured: tuple[CapturedFrames, ...]
-    next: str | None
     instruction: str
     left: int
     note: str
     created_at: datetime
     updated_at: datetime
+    settings: RadiometricCaptureSettings
+    captured: tuple[CapturedFrames, ...]
+    next: str | None
 
 
 class SensorFigures(ResponseModel):
@@ -1060,6 +1194,114 @@ class RecordingDocument(ResponseModel):
     size_bytes: int
     started_at: datetime | None
     updated_at: datetime
+
+
+class RetentionDocument(ResponseModel):
+    """How long recordings are kept, and what was deleted. What is null is without limit."""
+
+    max_age_s: float | None
+    max_total_bytes: int | None
+    checked_at: datetime | None
+    total_bytes: int
+    held_recording_ids: tuple[str, ...]
+    deleted_recordings: int
+    deleted_bytes: int
+
+
+class RecordedPoint(ResponseModel):
+    """A point as it was found while it was recorded, or is by another calibration."""
+
+    marker: int | None
+    position_mm: tuple[float, float, float] | None
+    covariance_mm2: (
+        tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
+        | None
+    )
+    residual_sigma: float | None
+    sensors: tuple[str, ...]
+    flags: tuple[str, ...]
+
+
+class RecordedFrame(ResponseModel):
+    """One frame of a recording, with what was found in it."""
+
+    number: int
+    sequence: int
+    exposure_ns: int
+    marker: int | None
+    points: tuple[RecordedPoint, ...]
+
+
+class RecordedFrames(ResponseModel):
+    """Consecutive frames of a recording."""
+
+    recording_id: str
+    calibration_id: str | None
+    frames_written: int
+    frames: tuple[RecordedFrame, ...]
+
+
+class LinePeak(ResponseModel):
+    """One peak; what the method does not give is null."""
+
+    position_px: float
+    sigma_px: float | None
+    amplitude: float | None
+    width_px: float | None
+    reduced_chi2: float | None
+    response_sigma: float | None
+    flags: tuple[str, ...]
+
+
+class FitWindow(ResponseModel):
+    """Pixels that were fitted together, and the stripes in them; null where no fit was
+    possible.
+    """
+
+    first_px: int
+    values: tuple[float, ...]
+    used: tuple[bool, ...]
+    model: tuple[float | None, ...]
+    residual_sigma: tuple[float | None, ...]
+    position_px: tuple[float, ...]
+    sigma_px: tuple[float | None, ...]
+    light_counts: tuple[float | None, ...]
+    light_electrons: tuple[float | None, ...]
+    width_px: float | None
+    width_sigma_px: float | None
+    background_counts: float | None
+    slope_counts_per_px: float | None
+    parameters: tuple[str, ...]
+    covariance: tuple[tuple[float | None, ...], ...]
+    chi2: float | None
+    dof: int
+
+
+class DeviceScan(ResponseModel):
+    """One sensor's scan of an exposure, and what the device's own method found in it."""
+
+    sensor: str
+    counts: tuple[int, ...]
+    background_counts: float
+    noise_counts: float
+    threshold_counts: float | None
+    full_scale_counts: int
+    saturated_pixels: int
+    masked_pixels: tuple[int, ...]
+    peaks: tuple[LinePeak, ...]
+    windows: tuple[FitWindow, ...] | None
+
+
+class DeviceScans(ResponseModel):
+    """The scans of one exposure of a running device."""
+
+    device_id: str
+    sequence: int
+    exposure_ns: int
+    marker: int | None
+    method: str | None
+    radiometric_id: str | None
+    scans: tuple[DeviceScan, ...]
 
 
 class Export(ResponseModel):
@@ -1582,42 +1824,6 @@ class PixelNoise(ResponseModel):
     full_scale_counts: int = 65535
 
 
-class LinePeak(ResponseModel):
-    """One peak; what the method does not give is null."""
-
-    position_px: float
-    sigma_px: float | None
-    amplitude: float | None
-    width_px: float | None
-    reduced_chi2: float | None
-    response_sigma: float | None
-    flags: tuple[str, ...]
-
-
-class FitWindow(ResponseModel):
-    """Pixels that were fitted together, and the stripes in them; null where no fit was
-    possible.
-    """
-
-    first_px: int
-    values: tuple[float, ...]
-    used: tuple[bool, ...]
-    model: tuple[float | None, ...]
-    residual_sigma: tuple[float | None, ...]
-    position_px: tuple[float, ...]
-    sigma_px: tuple[float | None, ...]
-    light_counts: tuple[float | None, ...]
-    light_electrons: tuple[float | None, ...]
-    width_px: float | None
-    width_sigma_px: float | None
-    background_counts: float | None
-    slope_counts_per_px: float | None
-    parameters: tuple[str, ...]
-    covariance: tuple[tuple[float | None, ...], ...]
-    chi2: float | None
-    dof: int
-
-
 class Stage(ResponseModel):
     """A line on its way."""
 
@@ -1948,6 +2154,21 @@ class Plan(ResponseModel):
     notes: tuple[str, ...]
 
 
+class StreamClient(ResponseModel):
+    """A client of a device's stream."""
+
+    id: str
+    device_id: str
+    client: str
+    opened_at: datetime
+    content: tuple[str, ...]
+    encoding: str
+    mode: str
+    rate_hz: float | None
+    messages_waiting: int
+    messages_missed: int
+
+
 class ApiKey(ResponseModel):
     """A key that was given out, without its secret, which is kept nowhere."""
 
@@ -1987,6 +2208,44 @@ class RequestPrincipal(ResponseModel):
     expires_at: datetime | None
 
 
+class Webhook(ResponseModel):
+    """Where events are sent, without the secret."""
+
+    id: str
+    title: str
+    url: str
+    event_types: tuple[str, ...]
+    enabled: bool
+    created_at: datetime
+    updated_at: datetime
+
+
+class CreatedWebhook(ResponseModel):
+    """A webhook that was just made."""
+
+    id: str
+    title: str
+    url: str
+    event_types: tuple[str, ...]
+    enabled: bool
+    created_at: datetime
+    updated_at: datetime
+    secret: str
+
+
+class WebhookState(ResponseModel):
+    """How this server's deliveries to a webhook go, since its start."""
+
+    webhook_id: str
+    state: str
+    events_waiting: int
+    events_delivered: int
+    events_failed: int
+    events_dropped: int
+    attempted_at: datetime | None
+    reason: str | None
+
+
 class Actor(ResponseModel):
     """Who acted."""
 
@@ -2010,6 +2269,19 @@ class AuditEntry(ResponseModel):
     detail: str | None
     request_id: str | None
     address: str | None
+
+
+class LogRecord(ResponseModel):
+    """A line of the server's log."""
+
+    id: int
+    created_at: datetime
+    level: str
+    logger: str
+    message: str
+    request_id: str | None
+    device_id: str | None
+    traceback: str | None
 
 
 class ErrorStatistics(ResponseModel):

@@ -222,7 +222,7 @@ class Operations(Exchanges):
         return await self._send(
             models.Run,
             "POST",
-            "/api/v1/calibration-runs",
+            "/api/v1/runs/calibration",
             body=members,
             headers={"Idempotency-Key": idempotency_key},
         )
@@ -235,7 +235,7 @@ class Operations(Exchanges):
         return await self._send(
             models.Run,
             "POST",
-            "/api/v1/mapping-runs",
+            "/api/v1/runs/mapping",
             body=members,
             headers={"Idempotency-Key": idempotency_key},
         )
@@ -248,7 +248,7 @@ class Operations(Exchanges):
         return await self._send(
             models.Run,
             "POST",
-            "/api/v1/self-calibration-runs",
+            "/api/v1/runs/self-calibration",
             body=members,
             headers={"Idempotency-Key": idempotency_key},
         )
@@ -261,7 +261,7 @@ class Operations(Exchanges):
         return await self._send(
             models.Run,
             "POST",
-            "/api/v1/update-runs",
+            "/api/v1/runs/update",
             body=members,
             headers={"Idempotency-Key": idempotency_key},
         )
@@ -274,7 +274,7 @@ class Operations(Exchanges):
         return await self._send(
             models.Run,
             "POST",
-            "/api/v1/export-runs",
+            "/api/v1/runs/export",
             body=members,
             headers={"Idempotency-Key": idempotency_key},
         )
@@ -354,6 +354,57 @@ class Operations(Exchanges):
             path_of("/api/v1/captures/{}/capture", capture_id),
             params={"target": target},
             extra_timeout_s=60.0,
+        )
+
+    @ClientMethod
+    async def wave_captures(
+        self, *, device_id: str | None = None, limit: int | None = None
+    ) -> list[models.WaveCapture]:
+        """List captures of waved wands and bodies."""
+        return await self._get_all(
+            models.WaveCapture,
+            "/api/v1/wave-captures",
+            params={"device_id": device_id},
+            limit=limit,
+        )
+
+    @ClientMethod
+    async def create_wave_capture(
+        self, *, idempotency_key: str | None = None, **members: Unpack[bodies.NewWaveCapture]
+    ) -> models.WaveCapture:
+        """Begin a capture of a waved wand or body."""
+        return await self._send(
+            models.WaveCapture,
+            "POST",
+            "/api/v1/wave-captures",
+            body=members,
+            headers={"Idempotency-Key": idempotency_key},
+        )
+
+    @ClientMethod
+    async def wave_capture(self, wave_capture_id: str) -> models.WaveCapture:
+        """What is covered and what is missing."""
+        return await self._send(
+            models.WaveCapture, "GET", path_of("/api/v1/wave-captures/{}", wave_capture_id)
+        )
+
+    @ClientMethod
+    async def delete_wave_capture(self, wave_capture_id: str) -> None:
+        """Cancel or delete a capture."""
+        await self._request("DELETE", path_of("/api/v1/wave-captures/{}", wave_capture_id))
+
+    @ClientMethod
+    async def start_wave_capture(self, wave_capture_id: str) -> models.WaveCapture:
+        """Take poses while it is waved."""
+        return await self._send(
+            models.WaveCapture, "POST", path_of("/api/v1/wave-captures/{}/start", wave_capture_id)
+        )
+
+    @ClientMethod
+    async def stop_wave_capture(self, wave_capture_id: str) -> models.WaveCapture:
+        """Take no more poses."""
+        return await self._send(
+            models.WaveCapture, "POST", path_of("/api/v1/wave-captures/{}/stop", wave_capture_id)
         )
 
     @ClientMethod
@@ -691,6 +742,11 @@ class Operations(Exchanges):
         )
 
     @ClientMethod
+    async def recording_retention(self) -> models.RetentionDocument:
+        """How long recordings are kept."""
+        return await self._send(models.RetentionDocument, "GET", "/api/v1/recording-retention")
+
+    @ClientMethod
     async def stop_recording(self, recording_id: str) -> models.RecordingDetail:
         """End a recording."""
         return await self._send(
@@ -702,6 +758,35 @@ class Operations(Exchanges):
         """Download a recording."""
         return await self._download(
             "GET", file, path_of("/api/v1/recordings/{}/file", recording_id)
+        )
+
+    @ClientMethod
+    async def recorded_frames(
+        self,
+        recording_id: str,
+        *,
+        first: int | None = None,
+        count: int | None = None,
+        calibration_id: str | None = None,
+    ) -> models.RecordedFrames:
+        """Look at frames of a recording."""
+        return await self._send(
+            models.RecordedFrames,
+            "GET",
+            path_of("/api/v1/recordings/{}/frames", recording_id),
+            params={"first": first, "count": count, "calibration_id": calibration_id},
+        )
+
+    @ClientMethod
+    async def recorded_scans(
+        self, recording_id: str, *, number: int | None = None, detail_sensor: str | None = None
+    ) -> models.DeviceScans:
+        """Look at the scans of a recorded frame."""
+        return await self._send(
+            models.DeviceScans,
+            "GET",
+            path_of("/api/v1/recordings/{}/scans", recording_id),
+            params={"number": number, "detail_sensor": detail_sensor},
         )
 
     @ClientMethod
@@ -1021,6 +1106,23 @@ class Operations(Exchanges):
         )
 
     @ClientMethod
+    async def device_scans(
+        self,
+        device_id: str,
+        *,
+        after: int | None = None,
+        marker: int | None = None,
+        detail_sensor: str | None = None,
+    ) -> models.DeviceScans:
+        """What the sensors of a device see now."""
+        return await self._send(
+            models.DeviceScans,
+            "GET",
+            path_of("/api/v1/devices/{}/scans", device_id),
+            params={"after": after, "marker": marker, "detail_sensor": detail_sensor},
+        )
+
+    @ClientMethod
     async def device_profiles(
         self, *, limit: int | None = None
     ) -> list[models.DeviceProfileSummary]:
@@ -1028,6 +1130,24 @@ class Operations(Exchanges):
         return await self._get_all(
             models.DeviceProfileSummary, "/api/v1/device-profiles", limit=limit
         )
+
+    @ClientMethod
+    async def create_device_profile(
+        self, *, idempotency_key: str | None = None, **members: Unpack[bodies.NewDeviceProfile]
+    ) -> models.DeviceProfileDocument:
+        """Keep a device profile."""
+        return await self._send(
+            models.DeviceProfileDocument,
+            "POST",
+            "/api/v1/device-profiles",
+            body=members,
+            headers={"Idempotency-Key": idempotency_key},
+        )
+
+    @ClientMethod
+    async def plan_profile(self, **members: Unpack[bodies.PlanRequest]) -> models.Plan:
+        """Plan a device that is not kept."""
+        return await self._send(models.Plan, "POST", "/api/v1/profile-plans", body=members)
 
     @ClientMethod
     async def device_profile(self, profile_id: str) -> models.DeviceProfileDocument:
@@ -1059,6 +1179,11 @@ class Operations(Exchanges):
         )
 
     @ClientMethod
+    async def stream_clients(self, *, limit: int | None = None) -> list[models.StreamClient]:
+        """Who receives the streams, and who is slow."""
+        return await self._get_all(models.StreamClient, "/api/v1/stream-clients", limit=limit)
+
+    @ClientMethod
     async def keys(self, *, limit: int | None = None) -> list[models.ApiKey]:
         """List keys."""
         return await self._get_all(models.ApiKey, "/api/v1/keys", limit=limit)
@@ -1082,6 +1207,65 @@ class Operations(Exchanges):
     async def principal(self) -> models.RequestPrincipal:
         """Who am I, and what may I do?."""
         return await self._send(models.RequestPrincipal, "GET", "/api/v1/principal")
+
+    @ClientMethod
+    async def webhooks(self, *, limit: int | None = None) -> list[models.Webhook]:
+        """List webhooks."""
+        return await self._get_all(models.Webhook, "/api/v1/webhooks", limit=limit)
+
+    @ClientMethod
+    async def create_webhook(self, **members: Unpack[bodies.NewWebhook]) -> models.CreatedWebhook:
+        """Make a webhook."""
+        return await self._send(models.CreatedWebhook, "POST", "/api/v1/webhooks", body=members)
+
+    @ClientMethod
+    async def webhook(self, webhook_id: str) -> models.Webhook:
+        """Read a webhook."""
+        return await self._send(models.Webhook, "GET", path_of("/api/v1/webhooks/{}", webhook_id))
+
+    @ClientMethod
+    async def change_webhook(
+        self,
+        webhook_id: str,
+        /,
+        *,
+        if_match: str | None = None,
+        **members: Unpack[bodies.WebhookChange],
+    ) -> models.Webhook:
+        """Change a webhook."""
+        return await self._send(
+            models.Webhook,
+            "PATCH",
+            path_of("/api/v1/webhooks/{}", webhook_id),
+            body=members,
+            headers={"If-Match": if_match},
+        )
+
+    @ClientMethod
+    async def delete_webhook(self, webhook_id: str, *, if_match: str | None = None) -> None:
+        """Delete a webhook."""
+        await self._request(
+            "DELETE", path_of("/api/v1/webhooks/{}", webhook_id), headers={"If-Match": if_match}
+        )
+
+    @ClientMethod
+    async def webhook_state(self, webhook_id: str) -> models.WebhookState:
+        """How deliveries go."""
+        return await self._send(
+            models.WebhookState, "GET", path_of("/api/v1/webhooks/{}/state", webhook_id)
+        )
+
+    @ClientMethod
+    async def test_webhook(
+        self, webhook_id: str, *, idempotency_key: str | None = None
+    ) -> models.WebhookState:
+        """Send a test event."""
+        return await self._send(
+            models.WebhookState,
+            "POST",
+            path_of("/api/v1/webhooks/{}/test", webhook_id),
+            headers={"Idempotency-Key": idempotency_key},
+        )
 
     @ClientMethod
     async def audit(
@@ -1110,6 +1294,18 @@ class Operations(Exchanges):
                 "until": until,
             },
             limit=limit,
+        )
+
+    @ClientMethod
+    async def log_records(
+        self,
+        *,
+        level: Literal["debug", "info", "warning", "error", "critical"] | None = None,
+        limit: int | None = None,
+    ) -> list[models.LogRecord]:
+        """The newest lines of the server's log."""
+        return await self._get_all(
+            models.LogRecord, "/api/v1/log-records", params={"level": level}, limit=limit
         )
 
     @ClientMethod

@@ -31,6 +31,9 @@ from service.problems.handlers import error_response
 
 NAME: Final = "Idempotency-Key"
 LIFETIME: Final = timedelta(hours=24)
+ABANDONED_AFTER: Final = timedelta(minutes=15)
+"""No request is carried out for longer: one that is older ended with its server, while others on
+the same database went on."""
 PROBLEMS: Final = ("idempotency-key-reused", "invalid-idempotency-key", "request-in-progress")
 PARAMETER: Final[dict[str, Any]] = {
     "name": NAME,
@@ -104,10 +107,16 @@ def _received(body: bytes, receive: Receive) -> Receive:
     return received
 
 
-def forget_unfinished(database: Database) -> None:
-    """Forget requests that ended with a server: at the start, when no other has the database."""
+def forget_unfinished(database: Database, before: datetime) -> None:
+    """Forget requests that ended with their server.
+
+    Args:
+        database: of the servers.
+        before: when no server had the database: whatever was begun earlier has ended.
+    """
+    begun = IdempotencyKeyRow.created_at < before
     with database.write() as session:
-        session.execute(delete(IdempotencyKeyRow).where(IdempotencyKeyRow.status.is_(None)))
+        session.execute(delete(IdempotencyKeyRow).where(IdempotencyKeyRow.status.is_(None), begun))
 
 
 def _fingerprint(request: Request, body: bytes) -> str:
@@ -126,8 +135,10 @@ def _claim(database: Database, claim: tuple[str, str], fingerprint: str) -> Resp
     now = datetime.now(UTC)
     try:
         with database.write() as session:
-            expired = IdempotencyKeyRow.created_at < now - LIFETIME
-            session.execute(delete(IdempotencyKeyRow).where(expired))
+            created = IdempotencyKeyRow.created_at
+            unfinished = IdempotencyKeyRow.status.is_(None)
+            abandoned = unfinished & (created < now - ABANDONED_AFTER)
+            session.execute(delete(IdempotencyKeyRow).where((created < now - LIFETIME) | abandoned))
             row = session.get(IdempotencyKeyRow, claim)
             if row is None:
                 principal, key = claim

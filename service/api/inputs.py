@@ -13,7 +13,7 @@ from starlette.responses import Response
 from service.api.base_models import SLUG_PATTERN
 from service.api.idempotency import once, takes_key
 from service.api.json_body import INLINE_BYTES, BodyReader, check_json_body, validate_text
-from service.api.preconditions import tagged
+from service.api.preconditions import members_apart, tagged
 from service.database.engine import Database
 from service.jobs.run_manager import RunManager
 from service.pipeline.pipeline_manager import PipelineManager
@@ -113,9 +113,9 @@ class _JsonRequest(Request):
 _Handler = Callable[[Request], Coroutine[Any, Any, Response]]
 
 
-def _tagging(handle: _Handler) -> _Handler:
+def _tagging(handle: _Handler, apart: frozenset[str]) -> _Handler:
     async def answer(request: Request) -> Response:
-        return tagged(request, await handle(request))
+        return tagged(request, await handle(request), apart)
 
     return answer
 
@@ -127,7 +127,7 @@ class JsonRoute(APIRoute):
         """Return FastAPI's handler behind the check of the body."""
         handle = super().get_route_handler()
         if "headers" in self.responses.get(200, {}):
-            handle = _tagging(handle)
+            handle = _tagging(handle, members_apart(self.response_model))
         if self.body_field is None:
             return once(handle) if takes_key(self.openapi_extra) else handle
         wanted = self.body_field.field_info.annotation

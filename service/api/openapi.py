@@ -63,7 +63,8 @@ _SCHEMES: Final = {
 _TAGS: Final = {
     "devices": "What is read, by which driver, and what it is doing.",
     "calibrations": "Camera models from control points. Immutable: create, read, activate, retire.",
-    "captures": "Guided measurement: place a marker, hold it, capture it, go to the next.",
+    "captures": "Guided measurement: place a marker, hold it, capture it, go to the next; or wave "
+    "a wand, and see what is covered.",
     "radiometric-calibrations": "Offset, response, noise and bad pixels of the sensors, from dark "
     "and flat captures. Immutable: capture, create, activate.",
     "drift-checks": "Is a calibration still good? Still markers read again, kept over time.",
@@ -78,6 +79,7 @@ _TAGS: Final = {
     "device-profiles": "Tracking devices as published, and what they would reach: planning before "
     "building.",
     "keys": "Who may do what, and who did what.",
+    "webhooks": "Where events of holds, devices and drift are sent.",
     "server": "Health, and what problem types mean.",
 }
 

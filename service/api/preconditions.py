@@ -1,11 +1,14 @@
 """Entity tags of resources and conditional requests: ETag, If-Match, If-None-Match (RFC 9110).
 
 A tag is the hash of the resource as clients read it, so that it changes with whatever they see and
-with nothing else. What a request depends on is compared in the transaction that makes the change,
-with the row locked.
+with nothing else: If-None-Match goes by all of it. Where a resource has members that other
+operations change, as a device its active calibration, its class names them, and the tag begins with
+the hash of the others: If-Match goes by that part alone, since a PATCH undoes nothing of the rest.
+What a request depends on is compared in the transaction that makes the change, with the row locked.
 """
 
 import hashlib
+import json
 import re
 from dataclasses import dataclass
 from typing import Annotated, Any, Final
@@ -49,11 +52,31 @@ IF_NONE_MATCH: Final[dict[str, Any]] = {
 
 def etag_of(document: BaseModel) -> str:
     """Return the strong entity tag of a resource as clients read it."""
-    return _tag_of_body(document.model_dump_json(by_alias=True).encode())
+    return _tag_of_body(document.model_dump_json(by_alias=True).encode(), members_apart(document))
 
 
-def _tag_of_body(body: bytes) -> str:
-    return f'"{hashlib.sha256(body).hexdigest()[:32]}"'
+def members_apart(model: object) -> frozenset[str]:
+    """Return the members of a resource, or of its class, that PATCH and PUT do not change."""
+    apart: frozenset[str] = getattr(model, "MEMBERS_APART", frozenset())
+    return apart
+
+
+def _tag_of_body(body: bytes, apart: frozenset[str]) -> str:
+    whole = _hash(body)
+    if not apart:
+        return f'"{whole}"'
+    document = json.loads(body)
+    kept = {name: value for name, value in document.items() if name not in apart}
+    return f'"{_hash(json.dumps(kept, sort_keys=True).encode())}.{whole}"'
+
+
+def _hash(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()[:32]
+
+
+def _changeable(tag: str) -> str:
+    """Return the part of a tag that If-Match goes by."""
+    return tag.strip('"').partition(".")[0]
 
 
 def _tags(text: str) -> frozenset[str]:
@@ -62,9 +85,15 @@ def _tags(text: str) -> frozenset[str]:
 
 @dataclass(frozen=True)
 class Precondition:
-    """What a change depends on: one of these tags, or, if None, only that the resource exists."""
+    """What a change depends on.
+
+    Args:
+        tags: one of them is the resource's; None: it need only exist.
+        whole: the whole resource is as it was read, as for its deletion; else what PATCH changes.
+    """
 
     tags: frozenset[str] | None = None
+    whole: bool = False
 
     def check(self, current: BaseModel) -> None:
         """Compare with the resource as it is now, in the transaction that changes it.
@@ -75,7 +104,10 @@ class Precondition:
         if self.tags is None:
             return
         tag = etag_of(current)
-        if tag not in self.tags:
+        same = tag in self.tags
+        if not self.whole:
+            same = _changeable(tag) in map(_changeable, self.tags)
+        if not same:
             given = ", ".join(sorted(self.tags))[:_SHOWN_CHARACTERS]
             raise PreconditionFailed(
                 f"the resource was changed after you read it: its ETag is {tag}, If-Match has "
@@ -99,6 +131,10 @@ _IfMatch = Annotated[
 
 
 def _optional(if_match: _IfMatch = None) -> Precondition:
+    return _precondition(if_match, whole=True)
+
+
+def _precondition(if_match: str | None, *, whole: bool) -> Precondition:
     if if_match is None or if_match.strip() == _ANY:
         return Precondition()
     if _LIST.fullmatch(if_match) is None:
@@ -107,7 +143,7 @@ def _optional(if_match: _IfMatch = None) -> Precondition:
             'quotes, such as "5f0c", or *',
             if_match=if_match[:_SHOWN_CHARACTERS],
         )
-    return Precondition(_tags(if_match))
+    return Precondition(_tags(if_match), whole)
 
 
 def _required(request: Request, if_match: _IfMatch = None) -> Precondition:
@@ -117,7 +153,7 @@ def _required(request: Request, if_match: _IfMatch = None) -> Precondition:
             "it answers, so that nobody's change is undone unseen, or * to change it whatever it "
             "is now"
         )
-    return _optional(if_match)
+    return _precondition(if_match, whole=False)
 
 
 RequiredIfMatch = Annotated[Precondition, Depends(_required)]
@@ -135,14 +171,14 @@ def has_etag(method: str, path: str, answer: object) -> bool:
     )
 
 
-def tagged(request: Request, response: Response) -> Response:
+def tagged(request: Request, response: Response, apart: frozenset[str]) -> Response:
     """Return the answer with its entity tag, or 304 where the client has it already.
 
     What no cache may keep has no tag: it is another thing with each request.
     """
     if response.status_code != 200 or response.headers.get("Cache-Control") == "no-store":
         return response
-    tag = _tag_of_body(bytes(response.body))
+    tag = _tag_of_body(bytes(response.body), apart)
     response.headers["ETag"] = tag
     wanted = request.headers.get("If-None-Match")
     if wanted is None or request.method != "GET":

@@ -7,6 +7,7 @@ from typing import Final
 from fastapi import APIRouter, Depends, FastAPI
 from starlette.routing import BaseRoute
 
+from service.api.audit.log_records import router as log_records
 from service.api.audit.router import router as audit
 from service.api.beam_holds.router import router as holds
 from service.api.calibrations.router import router as calibrations
@@ -24,6 +25,7 @@ from service.api.quality.router import router as quality
 from service.api.radiometric_calibrations.captures_router import router as radiometric_captures
 from service.api.radiometric_calibrations.router import router as radiometric_calibrations
 from service.api.reconstructions.router import router as reconstructions
+from service.api.recordings.recalculation import Recalculation
 from service.api.recordings.router import router as recordings_router
 from service.api.reports.cache import ReportCache
 from service.api.reports.router import router as reports
@@ -34,6 +36,8 @@ from service.api.tools.frames_router import router as frames
 from service.api.tools.points_router import router as points
 from service.api.tools.registrations_router import router as registrations
 from service.api.tools.router import router as tools
+from service.api.wave_captures.router import router as wave_captures
+from service.api.webhooks.router import router as webhooks
 from service.application.api_pages import router as api_pages
 from service.application.dashboard import router as dashboard
 from service.application.lifespan import running
@@ -50,6 +54,7 @@ from service.problems.handlers import install_problem_handlers, unknown_websocke
 from service.protocols.metrics.registry import Metrics
 from service.protocols.metrics.registry import router as metrics
 from service.protocols.stream.asyncapi import router as asyncapi
+from service.protocols.stream.clients import router as stream_clients
 from service.protocols.stream.router import router as stream
 from service.security.guard import Guard, check_complete, confirm
 from service.security.stream_limit import StreamLimit
@@ -62,7 +67,7 @@ OBSERVATION_BODY_BYTES: Final = 4 * 1024 * 1024
 """Largest body of readings; 10,000 control points of four sensors have 1.7 MB."""
 _OBSERVATIONS: Final = (
     *("calibrations", "captures", "reconstructions"),
-    *("calibration-runs", "mapping-runs", "self-calibration-runs", "update-runs"),
+    *("runs/calibration", "runs/mapping", "runs/self-calibration", "runs/update"),
 )
 _LARGE: Final = ("line-scans", "line-scans.png", "radiometric-calibrations", "registrations")
 
@@ -121,6 +126,7 @@ def create_app(
     app.state.stopping = False
     app.state.reports = ReportCache()
     app.state.bodies = BodyReader(settings.body_limit_bytes)
+    app.state.recalculation = Recalculation()
     app.state.open_streams = StreamLimit(settings.streams_per_key)
     app.add_middleware(
         BodyLimitMiddleware,
@@ -156,6 +162,7 @@ def _routes() -> tuple[BaseRoute, ...]:
         reports,
         runs_router,
         captures,
+        wave_captures,
         radiometric_captures,
         radiometric_calibrations,
         drift_checks,
@@ -171,10 +178,13 @@ def _routes() -> tuple[BaseRoute, ...]:
         line_scans,
         device_profiles,
         stream,
+        stream_clients,
         asyncapi,
         keys,
         principal,
+        webhooks,
         audit,
+        log_records,
         metrics,
         quality,
         server,

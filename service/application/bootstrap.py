@@ -25,9 +25,9 @@ def prepare(settings: Settings, database: Database) -> tuple[str, ...]:
     """
     settings.folders.recordings.mkdir(parents=True, exist_ok=True)
     migrate(database, fill=seed)
-    if settings.device is None:
+    if settings.profile is None:
         return ()
-    return (_stored_device(settings.device, settings.folders.profiles, database),)
+    return (_stored_device(settings.profile, settings.folders.profiles, database),)
 
 
 def trace_optics(settings: Settings, database: Database, named: tuple[str, ...]) -> None:

@@ -2,6 +2,7 @@
 
 from collections.abc import AsyncIterator, Callable
 from contextlib import AsyncExitStack, asynccontextmanager
+from datetime import UTC, datetime, timedelta
 from functools import partial
 
 from anyio.to_thread import run_sync
@@ -16,10 +17,14 @@ from service.api.idempotency import forget_unfinished
 from service.api.quality.drift_monitor import DriftMonitor
 from service.api.radiometric_calibrations.store import active_radiometric
 from service.api.recordings.recording_manager import RecordingManager
+from service.api.recordings.retention import RecordingRetention, RetentionLimits
 from service.api.runs.kind_registry import kinds_with
+from service.api.wave_captures.wave_capture_manager import WaveCaptureManager
+from service.api.webhooks.dispatcher import WebhookDispatcher
+from service.api.webhooks.sources import EventSources
 from service.application.bootstrap import prepare
 from service.database.engine import Database
-from service.database.server_lock import server_lock
+from service.database.server_lock import is_unused, server_lock
 from service.jobs.run_manager import RunManager
 from service.jobs.store import running_runs
 from service.pipeline.pipeline_manager import PipelineManager
@@ -28,6 +33,7 @@ from service.protocols.metrics.collectors import (
     DatabaseCollector,
     LiveCollector,
     RecordingsCollector,
+    WebhooksCollector,
 )
 from service.protocols.ndi.lifespan import ndi_running
 from service.protocols.openigtlink.application_host import openigtlink_running
@@ -57,11 +63,15 @@ async def running(
             stack.push_async_callback(run_sync, close)
 
         at_the_end(app.state.bodies.close)
+        at_the_end(app.state.recalculation.close)
         database = Database(settings.effective_database_url, query_timeout=True)
         at_the_end(database.close)
+        started_at = datetime.now(UTC)
+        alone = await run_sync(is_unused, settings.effective_database_url)
         stack.enter_context(server_lock(database))
         named = await run_sync(prepare, settings, database)
-        await run_sync(forget_unfinished, database)
+        if alone:
+            await run_sync(forget_unfinished, database, started_at)
         app.state.database = database
         app.state.authenticator = Authenticator(database, settings)
         manager = _live_manager(settings) if live is None else live
@@ -75,6 +85,8 @@ async def running(
             settings.folders,
             StoredContent(active_calibration, active_radiometric, tracking_config_of),
         )
+        app.state.wave_captures = WaveCaptureManager(database, manager)
+        at_the_end(app.state.wave_captures.close)
         recordings = RecordingManager(
             manager,
             settings.folders.recordings,
@@ -83,6 +95,9 @@ async def running(
         )
         at_the_end(recordings.close)
         app.state.recordings = recordings
+        retention = RecordingRetention(recordings, database, _retention_limits(settings))
+        at_the_end(retention.close)
+        app.state.retention = retention
         await run_sync(app.state.device_service.autostart, *named)
         exports = ExportRepository(settings.folders.exports, settings.recording_free_bytes)
         app.state.exports = exports
@@ -95,21 +110,36 @@ async def running(
         watch = DriftMonitor(database, manager)
         at_the_end(watch.close)
         watch.start()
+        retention.start()
+        webhooks = WebhookDispatcher(database)
+        at_the_end(webhooks.close)
+        webhooks.start()
+        app.state.webhooks = webhooks
+        sources = EventSources(manager, webhooks.emit)
+        at_the_end(sources.close)
         app.state.metrics.add(
             LiveCollector(manager, app.state.streams),
             DatabaseCollector(database, runs.durations),
-            RecordingsCollector(recordings),
+            RecordingsCollector(recordings, retention),
             CareCollector(
                 database,
                 settings.data_dir,
                 partial(getattr, app.state.authenticator, "failed_logins"),
             ),
+            WebhooksCollector(webhooks),
         )
         await stack.enter_async_context(openigtlink_running(app, settings, recordings))
         await stack.enter_async_context(ndi_running(app, settings))
         if started is not None:
             started()
         yield
+
+
+def _retention_limits(settings: Settings) -> RetentionLimits:
+    days = settings.recording_max_age_days
+    return RetentionLimits(
+        None if days is None else timedelta(days=days), settings.recording_max_total_bytes
+    )
 
 
 def _live_manager(settings: Settings) -> PipelineManager:

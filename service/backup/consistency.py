@@ -22,6 +22,7 @@ from service.database.models import (
     RadiometricActivationRow,
     RadiometricCalibrationRow,
     RadiometricCaptureRow,
+    WaveCaptureRow,
 )
 
 
@@ -169,5 +170,6 @@ def _of_table(connection: Connection, table: Table) -> Iterator[str]:
 
 
 _DATA: Final = tuple(
-    row.__table__.columns["data"] for row in (CorrectionTableRow, RadiometricCaptureRow)
+    row.__table__.columns["data"]
+    for row in (CorrectionTableRow, RadiometricCaptureRow, WaveCaptureRow)
 )

@@ -10,14 +10,20 @@ from service.database.models import (
     CorrectionTableRow,
     RadiometricCalibrationRow,
     RadiometricCaptureRow,
+    WaveCaptureRow,
 )
 
 _BATCH: Final = 200
 _LARGE: Final = frozenset(
     row.__tablename__
-    for row in (CorrectionTableRow, RadiometricCalibrationRow, RadiometricCaptureRow)
+    for row in (
+        CorrectionTableRow,
+        RadiometricCalibrationRow,
+        RadiometricCaptureRow,
+        WaveCaptureRow,
+    )
 )
-"""Tables of which a row may have 64 MB."""
+"""Tables of which a row may have 64 MB, or many rows some 100 kB each."""
 
 TableCopied = Callable[[str, int], None]
 

@@ -107,7 +107,6 @@ app = typer.Typer(
     cls=Commands,
     help="Tracking server for linear (1D) optical sensors.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_show_locals=False,
 )
 

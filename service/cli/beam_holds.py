@@ -17,8 +17,9 @@ from lumiline.client.errors import ClientError
 from lumiline.client.messages import BeamHoldEvent, BeamHoldSample, Frame, Hello, Message
 from lumiline.client.models import BeamHoldStatus
 from lumiline.client.stream import Stream
-from service.cli.output import AsJson, console, make_table, print_json, say
-from service.cli.server_session import HERE, DeviceOption, Key, Url, WatchSeconds, client_session
+from service.cli.options import HERE, AsJson, DeviceOption, Key, Url, WatchSeconds
+from service.cli.output import console, make_table, print_json, say
+from service.cli.server_session import client_session
 
 MAX_SILENCE_S: Final = 2.0
 """Longest time without a message of the server; then the beam counts as held."""

@@ -5,7 +5,8 @@ from typing import Annotated, Final
 
 import typer
 
-from service.cli.output import AsJson, console, fail, make_table
+from service.cli.options import AsJson, ComputeDevice, RateHz, refuse_unused
+from service.cli.output import console, fail, make_table, print_json
 
 BENCHMARKS: Final = {
     "live": "60 s of the live pipeline: 4 sensors x 2048 pixels at 1 kHz to one websocket client",
@@ -14,6 +15,7 @@ BENCHMARKS: Final = {
     "navigation": "simulated optics to an OpenIGTLink client: latency, jitter and tip errors",
     "hold": "a patient who moves, to the signal that holds the beam: latency, missed, false",
     "hostile-bodies": "the worst bodies of each scope: stalls of a stream, hold statuses, /healthz",
+    "stalled-clients": "ten clients of a stream, without and with 100 others that never read",
     "signal": "raw scans to peaks: rates and latency beside a memory copy, numba, NumPy, SciPy",
     "points": "readings to points, beside SciPy",
     "pose": "poses of ten tools from readings, beside SciPy; a tracker's step",
@@ -26,30 +28,48 @@ BENCHMARKS: Final = {
     "simulation": "simulated frames of a profile's device on one core, beside ideal lenses",
 }
 _OF_A_SERVICE: Final = (
-    *("live", "load", "openigtlink", "navigation", "hold", "hostile-bodies", "decoder", "clock"),
+    *("live", "load", "openigtlink", "navigation", "hold", "hostile-bodies", "stalled-clients"),
+    *("decoder", "clock"),
 )
+LOAD_RATE_HZ: Final = 5000.0
 _MODULES: Final = {
     "points": "triangulation", "reconstruct": "mapped_reconstruction", "rays": "ray_tracing"
 }  # fmt: skip
 """Modules of the package ``benchmarks`` that are not named as their benchmark."""
 _ON_A_DEVICE: Final = ("signal", "reconstruct", "rays")
+_TIMED: Final = ("live", "load", "openigtlink", "navigation", "hold", "stalled-clients")
+
+
+def _complete_name(incomplete: str) -> list[str]:
+    """Return the benchmarks whose names begin so, for the shell's completion."""
+    return [name for name in BENCHMARKS if name.startswith(incomplete)]
 
 
 def bench(
+    context: typer.Context,
     name: Annotated[
-        str | None, typer.Argument(help="live, load, signal, points, calibration, ...")
+        str | None,
+        typer.Argument(
+            help="live, load, signal, points, calibration, ...", autocompletion=_complete_name
+        ),
     ] = None,
     seconds: Annotated[
         float, typer.Option(min=1.0, help="Duration of those of a running server.")
     ] = 60.0,
-    rate: Annotated[float, typer.Option(min=1.0, help="Frames a second of load.")] = 5000.0,
-    device: Annotated[
-        str | None, typer.Option(help="cpu, cuda:0, ... for signal, reconstruct, rays.")
-    ] = None,
+    rate_hz: RateHz = None,
+    compute_device: ComputeDevice = None,
     as_json: AsJson = False,
 ) -> None:
     """List the benchmarks, or run one."""
-    if name is None:
+    if name not in _TIMED:
+        refuse_unused(context, f"here, only on {', '.join(_TIMED)}", "seconds")
+    if name != "load":
+        refuse_unused(context, "here, only on load", "rate_hz")
+    if name not in _ON_A_DEVICE:
+        refuse_unused(context, f"here, only on {', '.join(_ON_A_DEVICE)}", "compute_device")
+    if name is None and as_json:
+        print_json([{"name": one, "measured": what} for one, what in BENCHMARKS.items()])
+    elif name is None:
         title = "benchmarks: lumiline bench NAME"
         console.print(
             make_table(("name", "what is measured"), BENCHMARKS.items(), title, texts=None)
@@ -58,9 +78,9 @@ def bench(
         raise fail(f'there is no benchmark "{name}"; there are {", ".join(BENCHMARKS)}')
     elif name in _OF_A_SERVICE:
         module = import_module(f"service.cli.bench_{name.replace('-', '_')}")
-        module.run(seconds=seconds, rate_hz=rate, as_json=as_json)
+        module.run(seconds=seconds, rate_hz=rate_hz or LOAD_RATE_HZ, as_json=as_json)
     else:
         options = ["--json"] if as_json else []
-        if device and name in _ON_A_DEVICE:
-            options += ["--device", device]
+        if compute_device:
+            options += ["--device", compute_device]
         import_module(f"benchmarks.{_MODULES.get(name, name)}").main(options)

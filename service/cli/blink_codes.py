@@ -5,6 +5,7 @@ from typing import Annotated
 import typer
 
 from compute.tracking.blink_codes import blink_codes
+from service.cli.options import AsJson
 from service.cli.output import console, make_table, print_json
 
 
@@ -14,7 +15,7 @@ def print_codes(
     distance: Annotated[
         int, typer.Option(min=3, help="Bits in which any two differ, at least, in any phase.")
     ] = 3,
-    as_json: Annotated[bool, typer.Option("--json", help="The words only.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Print the code word of each marker."""
     codes = blink_codes(markers, bits, distance)

@@ -1,8 +1,9 @@
 """`lumiline calibrate`: cameras from a CSV file of control points, without a server."""
 
 from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, cast
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import numpy as np
 import typer
@@ -22,15 +23,18 @@ from compute.camera.model import SensorGeometry
 from compute.errors import InvalidParameter
 from service.cli.json_files import DOCUMENT
 from service.cli.observations_csv import ObservationTable, read_observations
+from service.cli.options import AsJson, Force, PositionSigma, refuse_unused
 from service.cli.output import (
-    Force,
     atomic_file,
+    check_folder,
     check_output,
     console,
     error_table,
     make_table,
+    print_json,
     progress,
     say,
+    say_written,
     write_file,
 )
 
@@ -42,10 +46,11 @@ MAX_LISTED = 10
 
 
 def calibrate(
+    context: typer.Context,
     observations: Annotated[Path, typer.Argument(help="CSV: X_mm,Y_mm,Z_mm,NAME_px,...")],
     pixels: Annotated[int, typer.Option(min=8, help="Pixels of each sensor.")],
-    pitch: Annotated[
-        float | None, typer.Option(min=0.01, help="Pixel pitch \\[um]; helps wide-field lenses.")
+    pitch_um: Annotated[
+        float | None, typer.Option(min=0.01, help=r"Pixel pitch \[um]; helps wide-field lenses.")
     ] = None,
     distortion: Annotated[
         str,
@@ -53,10 +58,7 @@ def calibrate(
             help="none, auto (its scale estimated), a set's name, or terms u^i v^j as '3,0 1,2'."
         ),
     ] = "auto",
-    control_sigma: Annotated[
-        float | None,
-        typer.Option(help=r"Standard deviation of the control points' coordinates \[mm]."),
-    ] = None,
+    position_sigma: PositionSigma = 0.0,
     loss: Annotated[str, typer.Option(help="linear or robust.")] = "linear",
     labels: Annotated[
         str, typer.Option(help="Wrong and exchanged labels: off, report, exclude or repair.")
@@ -66,61 +68,114 @@ def calibrate(
     report_figures: Annotated[
         Path | None, typer.Option(help="Folder for the report's figures as PNG.")
     ] = None,
+    as_json: AsJson = False,
     force: Force = False,
 ) -> None:
     """Calibrate from a CSV file; print the fit, write the calibration as JSON, and a report."""
-    settings = CalibrationSettings(
-        parse_distortion(distortion), control_sigma, cast("Loss", loss), cast("LabelPolicy", labels)
-    )
     check_output(output, force=force)
     check_output(report, force=force)
+    if report is None:
+        refuse_unused(context, "without --report", "report_figures")
+    if output is None and report is None:
+        refuse_unused(context, "without --output or --report", "force")
+    check_folder(report_figures)
+    settings = CalibrationSettings(
+        parse_distortion(distortion),
+        position_sigma or None,
+        cast("Loss", loss),
+        cast("LabelPolicy", labels),
+    )
     table = read_observations(observations)
-    sensors = [SensorGeometry(name, pixels, pitch) for name in table.sensors]
-    with progress("calibrating", 1.0) as report_progress:
+    sensors = [SensorGeometry(name, pixels, pitch_um) for name in table.sensors]
+    with progress("calibrating", 1.0, quiet=as_json) as report_progress:
         result = calibrate_and_assess(
             table.points_mm, table.readings_px, sensors, table.sigma_px, settings,
             lambda share, _stage: report_progress(share),
         )  # fmt: skip
-    rows, unpredicted = _error_rows(result, table)
-    console.print(fit_table(result, f"{observations}: {len(table.points_mm)} points"))
+    errors = _error_rows(result, table)
+    if as_json:
+        print_json(_figures(result, table, errors))
+    else:
+        _print(result, table, errors, str(observations), settings.labels)
+    if output is not None:
+        write_calibration(output, result, quiet=as_json)
+    if report is not None:
+        with progress("drawing the report", quiet=as_json):
+            _report(observations, table, result, report, report_figures)
+        if not as_json:
+            say_written(report)
+
+
+def _figures(result: Calibration, table: ObservationTable, errors: "_ErrorRows") -> dict[str, Any]:
+    """Return what is printed, for machines; points by their labels."""
+    findings = [
+        asdict(one) | {"message": label_message(one, table.labels)} for one in result.labels
+    ]
+    return {
+        "calibration": DOCUMENT.dump_python(result, mode="json"),
+        "labels": findings,
+        "errors": [
+            {"label": label, "readings": count, **asdict(one)} for label, one, count in errors.rows
+        ],
+        "points_without_errors": [table.labels[index] for index in errors.missing_points],
+        "not_shown": errors.remarks,
+    }
+
+
+def _print(
+    result: Calibration,
+    table: ObservationTable,
+    errors: "_ErrorRows",
+    source: str,
+    labels: LabelPolicy,
+) -> None:
+    console.print(fit_table(result, f"{source}: {len(table.points_mm)} points"))
     if result.distortion is not None:
         say(f"distortion: {result.distortion.chosen} ({result.distortion.reason})")
     for finding in result.labels:
         kind = "outlier" if finding.kind == "outlier" else "label"
         say(f"[yellow]{kind}:[/yellow] {escape(label_message(finding, table.labels))}")
-    if result.labels and settings.labels == "report":
+    if result.labels and labels == "report":
         console.print("look at them; --labels exclude or --labels repair takes them as they are")
-    if rows:
+    for remark in errors.remarks:
+        say(remark)
+    if errors.rows:
         title = "control points, absolute errors in mm"
-        counts = [count for _, _, count in rows]
+        counts = [count for _, _, count in errors.rows]
         console.print(
-            error_table(title, [(label, errors, "") for label, errors, _ in rows], counts)
+            error_table(title, [(label, one, "") for label, one, _ in errors.rows], counts)
         )
-        if unpredicted:
-            names = ", ".join(escape(table.labels[index]) for index in unpredicted[:MAX_LISTED])
-            more = ", ..." if len(unpredicted) > MAX_LISTED else ""
+        missing = errors.missing_points
+        if missing:
+            names = ", ".join(escape(table.labels[index]) for index in missing[:MAX_LISTED])
+            more = ", ..." if len(missing) > MAX_LISTED else ""
             say(
-                f"{len(unpredicted)} of {len(table.labels)} points are in no row, because they "
+                f"{len(missing)} of {len(table.labels)} points are in no row, because they "
                 f"could not be reconstructed or predicted: {names}{more}"
             )
     else:
         console.print("fewer than three sensors saw each point: no points were reconstructed")
     for remark in result.diagnosis.remarks if result.diagnosis is not None else ():
         say(remark)
-    if output is not None:
-        write_calibration(output, result)
-    if report is not None:
-        _report(observations, table, result, report, report_figures)
 
 
-def _error_rows(
-    result: Calibration, table: ObservationTable
-) -> tuple[list[tuple[str, AxisErrors, int]], list[int]]:
-    """Return the errors of the control points, fitted and predicted, all over the same readings.
+@dataclass(frozen=True)
+class _ErrorRows:
+    """Errors of the control points, fitted and predicted, all over the same readings.
 
-    Each row has its label, its errors, and how many of the used readings it is over. Then come
-    the indices of the points that are in no row. There are no rows without any point.
+    Args:
+        rows: label, errors, and how many of the used readings they are over.
+        missing_points: indices of the points that are in no row.
+        remarks: why a cross-validation has no row.
     """
+
+    rows: list[tuple[str, AxisErrors, int]]
+    missing_points: list[int]
+    remarks: list[str]
+
+
+def _error_rows(result: Calibration, table: ObservationTable) -> _ErrorRows:
+    """Return the errors of the control points; there are no rows without any point."""
     readings = table.readings_px
     differences, _ = control_errors(result, table.points_mm, readings, table.sigma_px)
     error_sets = [("fitted", differences)]
@@ -132,10 +187,12 @@ def _error_rows(
     # it has no row, and takes none of the others' points.
     points = [int(np.isfinite(errors).all(axis=1).sum()) for _, errors in error_sets]
     if not points[0]:
-        return [], []
-    for (label, _), count in zip(error_sets, points, strict=True):
-        if 2 * count < points[0]:
-            say(f"{label}: no row, because only {count} of {points[0]} points could be predicted")
+        return _ErrorRows([], [], [])
+    remarks = [
+        f"{label}: no row, because only {count} of {points[0]} points could be predicted"
+        for (label, _), count in zip(error_sets, points, strict=True)
+        if 2 * count < points[0]
+    ]
     error_sets = [
         one for one, count in zip(error_sets, points, strict=True) if 2 * count >= points[0]
     ]
@@ -146,12 +203,12 @@ def _error_rows(
     for label, errors in error_sets:
         shared = np.where(common[:, None], errors, np.nan)
         rows.append((label, AxisErrors.of(shared), count_readings(used, shared)))
-    return rows, np.flatnonzero(~common).tolist()
+    return _ErrorRows(rows, np.flatnonzero(~common).tolist(), remarks)
 
 
-def write_calibration(path: Path, calibration: Calibration) -> None:
+def write_calibration(path: Path, calibration: Calibration, *, quiet: bool = False) -> None:
     """Write a calibration as JSON, or end the command with the reason."""
-    write_file(path, DOCUMENT.dump_json(calibration, indent=2) + b"\n")
+    write_file(path, DOCUMENT.dump_json(calibration, indent=2) + b"\n", quiet=quiet)
 
 
 def _report(
@@ -166,7 +223,6 @@ def _report(
     )  # fmt: skip
     with atomic_file(page) as temporary:
         write_report(content, temporary, figures)
-    console.print(f"written: {page}")
 
 
 def fit_table(calibration: Calibration, title: str) -> Table:

@@ -5,7 +5,8 @@ from dataclasses import astuple
 import typer
 
 from hardware.genicam.camera import cameras
-from service.cli.output import AsJson, console, make_table, print_json
+from service.cli.options import AsJson
+from service.cli.output import console, make_table, print_json
 
 
 def list_cameras(as_json: AsJson = False) -> None:

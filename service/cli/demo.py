@@ -14,7 +14,19 @@ from hardware.simulated.scenes import CalibrationTarget, RotatingBar
 from lumiline.client.errors import ClientError
 from service.cli.demo_client import DemoClient
 from service.cli.demo_picture import save_picture
-from service.cli.output import console, error_table, fail, make_table, millimetres, progress
+from service.cli.options import AsJson, Force
+from service.cli.output import (
+    check_folder,
+    check_output,
+    console,
+    error_table,
+    fail,
+    make_table,
+    millimetres,
+    print_json,
+    progress,
+    say,
+)
 from service.cli.service_process import service_process
 from validation.published_errors import DLT, PUBLISHED
 
@@ -28,31 +40,51 @@ def demo(
         "demo-output"
     ),
     seconds: Annotated[float, typer.Option(min=2.0, help="How long the bar is streamed.")] = 5.0,
+    as_json: AsJson = False,
+    force: Force = False,
 ) -> None:
     """Start the service, calibrate, stream, print the figures and write the picture."""
-    data = output / "data"
+    data, picture = output / "data", output / "demo.png"
+    check_folder(output)
+    if output.is_dir():
+        check_output(picture, force=force)
+    if data.exists() and not force:
+        raise fail(f"{data} exists; choose another --output, or overwrite it with --force")
+    # Figures are shown as they come; machines get all of them at the end.
+    console.quiet = as_json
     shutil.rmtree(data, ignore_errors=True)
     doing = "starting the service (the first time it compiles its kernels)"
     try:
-        with service_process(data, doing=doing) as service, DemoClient(service.url) as client:
-            console.print(
-                f"service: {service.url}  (SQLite in {data}, log in {data / 'service.log'})"
-            )
-            _measured_frames(client)
-            _simulated_calibration(client)
-            _rotating_bar(client, seconds, output / "demo.png")
-        console.print(f"to look at it in the browser: lumiline serve --data-dir {data} --open")
+        with (
+            service_process(data, doing=doing, quiet=as_json) as service,
+            DemoClient(service.url) as client,
+        ):
+            say(f"service: {service.url}  (SQLite in {data}, log in {data / 'service.log'})")
+            figures = {
+                "measured_frames": _measured_frames(client),
+                "simulated_calibration": _simulated_calibration(client),
+                "rotating_bar": _rotating_bar(client, seconds, picture),
+            }
+        say(f"to look at it in the browser: lumiline serve --data-dir {data} --open")
     except (RuntimeError, ClientError) as error:
         raise fail(str(error)) from error
+    finally:
+        console.quiet = False
+    if as_json:
+        print_json({**figures, "picture": str(picture), "data": str(data)})
 
 
-def _measured_frames(client: DemoClient) -> None:
+def _measured_frames(client: DemoClient) -> dict[str, Any]:
     """Tests 5.3 and 5.4 of the thesis: 19 LEDs, 4 sensors, as measured."""
     client.create_thesis_device()
+    figures = {}
     for number, distance in (("5.3", "3 m"), ("5.4", "1 m")):
         with progress(f"calibrating with the frame at {distance}"):
             calibration = client.calibrate_thesis_frame(number)
         errors = calibration["errors"]
+        figures[f"test-{number}"] = {
+            name: errors[name]["statistics"] for name in ("fitted", "leave_one_out")
+        }
         console.print()
         console.print(
             error_table(
@@ -65,13 +97,14 @@ def _measured_frames(client: DemoClient) -> None:
                 ],
             )
         )
+    return figures
 
 
 def _axis_errors(document: dict[str, Any]) -> AxisErrors:
     return AxisErrors(**document["statistics"])
 
 
-def _simulated_calibration(client: DemoClient) -> None:
+def _simulated_calibration(client: DemoClient) -> dict[str, Any]:
     """Calibrate the simulated device with the peaks of a frame that it sees."""
     client.show(asdict(FRAME))
     with progress("observing the simulated frame", FRAME_SECONDS) as report:
@@ -92,9 +125,14 @@ def _simulated_calibration(client: DemoClient) -> None:
         "mean absolute error, leave one out, X Y Z, mm: "
         + " ".join(millimetres(value) for value in left_out.mean_absolute_mm)
     )
+    return {
+        "points": calibration["point_count"],
+        "rms_px": [fit["rms_px"] for fit in calibration["result"]["sensors"]],
+        "leave_one_out": asdict(left_out),
+    }
 
 
-def _rotating_bar(client: DemoClient, seconds: float, picture: Path) -> None:
+def _rotating_bar(client: DemoClient, seconds: float, picture: Path) -> dict[str, Any]:
     """Stream the bar of section 6.1.2 and print what came of it."""
     client.show(asdict(BAR))
     with progress("streaming the rotating bar", seconds) as report:
@@ -124,4 +162,13 @@ def _rotating_bar(client: DemoClient, seconds: float, picture: Path) -> None:
         save_picture(
             picture, time, (first, second), BAR.length_mm, np.array(stream.latency_ns) / 1e6
         )
-    console.print(f"picture: {picture}")
+    say(f"picture: {picture}")
+    return {
+        **asdict(figures),
+        "messages_missed": stream.missed,
+        "bar_length_mm": {
+            "true": BAR.length_mm,
+            "mean": float(length.mean()),
+            "standard_deviation": float(length.std(ddof=1)),
+        },
+    }

@@ -16,13 +16,15 @@ from service.api.drift_checks.messages import in_words, verdict_of
 from service.cli.calibrate import write_calibration
 from service.cli.json_files import read_calibration
 from service.cli.observations_csv import ObservationTable, read_observations
-from service.cli.output import AsJson, Force, check_output, console, make_table, print_json, say
+from service.cli.options import AsJson, Force, PositionSigma, refuse_unused
+from service.cli.output import check_output, console, make_table, print_json, progress, say
 
 EXIT_DRIFTED = 1
 """Exit code where the calibration does not hold, and no update was asked for."""
 
 
 def drift(
+    context: typer.Context,
     markers: Annotated[
         Path, typer.Argument(help="CSV of still markers, read now: X_mm,Y_mm,Z_mm,NAME_px,...")
     ],
@@ -33,10 +35,7 @@ def drift(
         Path | None,
         typer.Option(help="CSV of the same markers as they read when it was made: finer."),
     ] = None,
-    position_sigma: Annotated[
-        float,
-        typer.Option(min=0.0, help=r"Standard deviation of the markers' coordinates \[mm]."),
-    ] = 0.0,
+    position_sigma: PositionSigma = 0.0,
     output: Annotated[
         Path | None, typer.Option(help="Write the calibration, brought up to date, as JSON.")
     ] = None,
@@ -48,13 +47,18 @@ def drift(
 ) -> None:
     """Check a calibration by still markers; write it brought up to date where that is asked."""
     check_output(output, force=force)
+    if output is None:
+        refuse_unused(context, "without --output", "sensors", "force")
+    if earlier is not None:
+        refuse_unused(context, "with --earlier, which tells readings apart", "position_sigma")
     checked = read_calibration(calibration).calibration
     still = _stationary_markers(markers, earlier, checked, position_sigma)
-    check = check_drift(checked, still)
     updated = None
-    if output is not None:
-        names = None if sensors is None else sensors.replace(",", " ").split()
-        updated = update_calibration(checked, still, sensors=names)
+    with progress("comparing", quiet=as_json):
+        check = check_drift(checked, still)
+        if output is not None:
+            names = None if sensors is None else sensors.replace(",", " ").split()
+            updated = update_calibration(checked, still, sensors=names)
     if as_json:
         print_json({"status": verdict_of(check), "in_words": in_words(check), **asdict(check)})
     else:
@@ -68,7 +72,7 @@ def drift(
         for sentence in in_words(check):
             say(sentence)
     if output is not None and updated is not None:
-        write_calibration(output, updated)
+        write_calibration(output, updated, quiet=as_json)
     elif not check.good:
         raise typer.Exit(EXIT_DRIFTED)
 

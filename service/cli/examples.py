@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from compute.camera.stack import CameraStack
 from hardware.simulated.simulated_rig import WORKING_CENTRE_MM, simulated_sensor_models
 from service.cli.json_files import DOCUMENT
-from service.cli.output import fail, file_errors, write_file
+from service.cli.options import AsJson, Force
+from service.cli.output import check_folder, check_output, file_errors, print_json, write_file
 
 Array = NDArray[np.float64]
 
@@ -29,8 +30,10 @@ _VOLUME_MM: Final = 250.0
 def examples(
     folder: Annotated[Path, typer.Argument(help="Folder to write them to; made if need be.")],
     seed: Annotated[int, typer.Option(min=0, help="Seed of the readings' noise.")] = 1,
+    as_json: AsJson = False,
+    force: Force = False,
 ) -> None:
-    """Write waved.csv, volume.csv, nominal.json and my-bar.toml; existing files are kept."""
+    """Write waved.csv, volume.csv, nominal.json and my-bar.toml."""
     from service.application.initial_content import nominal_calibration
 
     profile = resources.files("compute.optics.profiles") / "devices" / "bar.toml"
@@ -41,13 +44,15 @@ def examples(
         "nominal.json": DOCUMENT.dump_json(nominal_calibration(), indent=2) + b"\n",
         "my-bar.toml": profile.read_text("utf-8").replace('"bar"', '"my-bar"', 1).encode(),
     }
-    present = [name for name in files if (folder / name).exists()]
-    if present:
-        raise fail(f"{folder / present[0]} exists; choose another folder, no file is overwritten")
+    check_folder(folder)
     with file_errors(folder):
-        folder.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(exist_ok=True)
+    for name in files:
+        check_output(folder / name, force=force)
     for name, content in files.items():
-        write_file(folder / name, content)
+        write_file(folder / name, content, quiet=as_json)
+    if as_json:
+        print_json({"files": [str(folder / name) for name in files]})
 
 
 def _waved(rng: np.random.Generator) -> bytes:

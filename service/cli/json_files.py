@@ -3,9 +3,8 @@
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Final, TypeVar
+from typing import Any, Final, TypeVar
 
-import typer
 from pydantic import TypeAdapter, ValidationError
 
 from compute.calibration.result import Calibration
@@ -16,17 +15,6 @@ from service.pipeline.active_calibration import ActiveCalibration
 T = TypeVar("T")
 
 DOCUMENT: Final = TypeAdapter(Calibration)
-
-CalibrationOption = Annotated[
-    Path | None,
-    typer.Option(help="Calibration as JSON, from `calibrate`; left out: the recorded ones."),
-]
-TableOption = Annotated[
-    Path | None, typer.Option(help="Correction table (HDF5) of that calibration.")
-]
-SimulationOption = Annotated[
-    Path | None, typer.Option(help="Simulation settings as JSON, as in a device's source.")
-]
 
 
 def read_json(path: Path) -> Any:

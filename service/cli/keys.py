@@ -5,11 +5,13 @@ from typing import Annotated, Final
 
 import typer
 from pydantic import TypeAdapter, ValidationError
+from rich.markup import escape
 
 from service.api.security.schema import ApiKey, NewApiKey, document
 from service.application.initial_content import seed
 from service.cli.local_database import DataDir, local_database
-from service.cli.output import AsJson, console, fail, make_table, progress_console, spec
+from service.cli.options import AsJson
+from service.cli.output import console, fail, hint, make_table, print_json, spec
 from service.database.migration import migrate
 from service.principal import SCOPES
 from service.security import store
@@ -22,18 +24,27 @@ keys = typer.Typer(
 )
 
 
+def _complete_scope(incomplete: str) -> list[str]:
+    """Return the scopes whose names begin so, for the shell's completion."""
+    return [name for name in (*SCOPES, "all") if name.startswith(incomplete)]
+
+
 @keys.command("create")
 def create(
     name: Annotated[str, typer.Argument(help="Who or what it is for.")],
     scope: Annotated[
         list[str],
-        typer.Option(help=f"{', '.join(SCOPES)}; may be given several times. all: every one."),
+        typer.Option(
+            autocompletion=_complete_scope,
+            help=f"{', '.join(SCOPES)}; may be given several times. all: every one.",
+        ),
     ],
     days: Annotated[
         float | None,
         typer.Option(min=0.001, max=36_525, help="Valid so long; left out: until revoked."),
     ] = None,
     data_dir: DataDir = None,
+    as_json: AsJson = False,
 ) -> None:
     """Make a key, and print it once: it is kept nowhere."""
     unknown = [one for one in scope if one not in (*SCOPES, "all")]
@@ -51,8 +62,11 @@ def create(
         with database.write() as session:
             row, key = store.add_key(session, **dict(request))
             identity = row.id
-    progress_console.print(f"key {identity} for {name}: {', '.join(scopes)}", highlight=False)
-    progress_console.print("It is shown once and kept nowhere:", highlight=False)
+    if as_json:
+        print_json({"id": identity, "name": name, "scopes": scopes, "key": key.text})
+        return
+    hint(f"key {identity} for {escape(name)}: {', '.join(scopes)}")
+    hint("It is shown once and kept nowhere:")
     # Its text, and nothing else, goes to standard output.
     typer.echo(key.text)
 
@@ -79,8 +93,12 @@ def show(data_dir: DataDir = None, as_json: AsJson = False) -> None:
 def revoke(
     key: Annotated[str, typer.Argument(help="Its id: the part between lumi_ and the secret.")],
     data_dir: DataDir = None,
+    as_json: AsJson = False,
 ) -> None:
     """Take a key back for good; its open streams end within seconds."""
     with local_database(data_dir, "keys revoke") as (database, _), database.write() as session:
         store.revoke_key(session, key)
-    progress_console.print(f"key {key} is revoked", highlight=False)
+    if as_json:
+        print_json({"id": key, "state": "revoked"})
+    else:
+        hint(f"key {escape(key)} is revoked")

@@ -15,14 +15,16 @@ from compute.mapping.measurements import MappingMeasurements
 from compute.mapping.result import MappingMethod, MappingResult, MappingSettings
 from service.cli.json_files import read_calibration
 from service.cli.observations_csv import read_observations
+from service.cli.options import AsJson, Force, PositionSigma
 from service.cli.output import (
-    Force,
     atomic_file,
     check_output,
     console,
     make_table,
+    print_json,
     progress,
     say,
+    say_written,
     spec,
 )
 
@@ -36,37 +38,42 @@ def map_volume(
     method: Annotated[
         str, typer.Option(help="b-spline for points anywhere; trilinear, tricubic for a grid.")
     ] = "b-spline",
-    pitch: Annotated[
+    cell: Annotated[
         float | None, typer.Option(help=r"Edge of a cell \[mm]; left out: from the points.")
     ] = None,
     penalty_weight: Annotated[
         float | None, typer.Option(help="Weight of the penalty; left out: by cross-validation.")
     ] = None,
-    point_sigma: Annotated[
-        float,
-        typer.Option(min=0.0, help=r"Standard deviation of the points' coordinates \[mm]."),
-    ] = 0.0,
+    position_sigma: PositionSigma = 0.0,
     calibration_points: Annotated[
         bool,
         typer.Option("--calibration-points", help="They are the calibration's own control points."),
     ] = False,
+    as_json: AsJson = False,
     force: Force = False,
 ) -> None:
     """Map a volume: build the correction table, print what is known of it, write it as HDF5."""
     check_output(output, force=force)
-    cell_mm = None if pitch is None else (pitch,) * 3
+    cell_mm = None if cell is None else (cell,) * 3
     settings = MappingSettings(cast("MappingMethod", method), cell_mm, penalty_weight)
     parent = read_calibration(calibration)
     models = parent.calibration.models
     table = read_observations(measurements).in_order_of(models)
-    measured = MappingMeasurements(table.points_mm, table.readings_px, table.sigma_px, point_sigma)
+    measured = MappingMeasurements(
+        table.points_mm, table.readings_px, table.sigma_px, position_sigma
+    )
     covariance = None if calibration_points else np.array(parent.calibration.covariance)
-    with progress("mapping", 1.0) as report:
+    with progress("mapping", 1.0, quiet=as_json) as report:
         result = build_table(
             models, parent.content_hash, measured, covariance, settings,
             lambda share, _stage: report(share),
         )  # fmt: skip
     _write(result, parent.device, output)
+    if as_json:
+        grid = {"cells": result.table.grid.cells, "pitch_mm": list(result.table.grid.pitch_mm)}
+        settings_and_grid = {"settings": asdict(result.settings), "grid": grid}
+        print_json(settings_and_grid | {"validation": asdict(result.validation)})
+        return
     console.print(_summary(result, str(measurements)))
     for sensor in result.validation.sensors:
         say(f"sensor {sensor.sensor}: {sensor.coverage}")
@@ -76,7 +83,7 @@ def map_volume(
                 f"sensor {sensor.sensor} is off by {suspect.left_out_px:.3g} px, "
                 f"{suspect.normalised_error:.1f} standard deviations"
             )
-    console.print(f"written: {output}")
+    say_written(output)
 
 
 def _write(result: MappingResult, device: str, output: Path) -> None:

@@ -7,22 +7,42 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, is_dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import typer
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
+from rich.text import Text
 
 if TYPE_CHECKING:
     from compute.calibration.result import AxisErrors
 
-AsJson = Annotated[bool, typer.Option("--json", help="For machines.")]
-Force = Annotated[bool, typer.Option("--force", help="Overwrite files that exist.")]
 
-console = Console()
-progress_console = Console(stderr=True)
+class WholeWordsConsole(Console):
+    """A console that breaks lines between words only: an id or a path stays whole, to be copied.
+
+    A table whose words do not fit into the terminal is wider than it.
+    """
+
+    def print(self, *objects: Any, **named: Any) -> None:
+        """Print as Rich does."""
+        widths = [
+            self.measure(one, options=self.options.update(max_width=_UNLIMITED)).minimum
+            for one in objects
+            if isinstance(one, Table)
+        ]
+        if max(widths, default=0) > self.width:
+            named.setdefault("width", max(widths))
+        whole: dict[str, Any] = {"overflow": "ignore", "crop": False}
+        super().print(*objects, **whole | named)
+
+
+_UNLIMITED: Final = 10_000
+
+console = WholeWordsConsole()
+progress_console = WholeWordsConsole(stderr=True)
 """Progress goes to standard error, so that standard output holds the result only."""
 
 
@@ -51,6 +71,16 @@ def say(message: str) -> None:
     console.print(message, highlight=False)
 
 
+def say_written(path: Path) -> None:
+    """Print that a file is written."""
+    say(f"written: {escape(str(path))}")
+
+
+def hint(message: str) -> None:
+    """Print on standard error what a person is to do, where standard output holds JSON alone."""
+    progress_console.print(message, highlight=False)
+
+
 def print_json(value: Any) -> None:
     """Print a dataclass, a Pydantic model, or a list of them, as JSON on standard output."""
     typer.echo(json.dumps(value, indent=2, default=_plain))
@@ -63,7 +93,8 @@ def _plain(value: Any) -> Any:
 def fail(message: str) -> typer.Exit:
     """Print an error and return what ends the command: ``raise fail(...)``."""
     # What looks like markup in a message is none: [export], a path with brackets.
-    Console(stderr=True).print(f"[red]error:[/red] {escape(message)}", highlight=False)
+    # A console of its own: tests exchange standard error.
+    WholeWordsConsole(stderr=True).print(f"[red]error:[/red] {escape(message)}", highlight=False)
     return typer.Exit(2)
 
 
@@ -76,6 +107,15 @@ def file_errors(path: Path, doing: str = " cannot be written") -> Iterator[None]
         raise
     except OSError as error:
         raise fail(f"{error.filename or path}{doing}: {error.strerror or error}") from error
+
+
+def check_folder(path: Path | None) -> None:
+    """End the command before its work where a folder for its files could not be made."""
+    if path is None or path.is_dir():
+        return
+    if path.exists():
+        raise fail(f"{path} cannot be written into: it is a file; give a folder")
+    check_output(path, force=False)
 
 
 def check_output(path: Path | None, *, force: bool) -> None:
@@ -123,11 +163,12 @@ def _is_special(path: Path) -> bool:
     return path.exists() and not path.is_file() and not path.is_dir()
 
 
-def write_file(path: Path, content: bytes) -> None:
-    """Write a whole file and say so, or end the command with the reason."""
+def write_file(path: Path, content: bytes, *, quiet: bool = False) -> None:
+    """Write a whole file and say so unless quiet, or end the command with the reason."""
     with atomic_file(path) as temporary:
         temporary.write_bytes(content)
-    console.print(f"written: {path}")
+    if not quiet:
+        say_written(path)
 
 
 def make_table(
@@ -148,13 +189,21 @@ def make_table(
         no_wrap: keep numbers in one line.
     """
     table = Table(title=title, title_justify="left")
+    cells = [["-" if cell is None else str(cell) for cell in row] for row in rows]
     for index, heading in enumerate(headings):
         if texts is None or index < texts:
-            table.add_column(heading, overflow="fold")
+            words = [Text.from_markup(row[index]).plain.split() or [""] for row in cells]
+            table.add_column(
+                heading,
+                overflow="fold",
+                # An id is one word, and stays whole.
+                no_wrap=all(len(one) == 1 for one in words),
+                min_width=max((len(word) for one in words for word in one), default=None),
+            )
         else:
             table.add_column(heading, justify="right", no_wrap=no_wrap)
-    for row in rows:
-        table.add_row(*("-" if cell is None else str(cell) for cell in row))
+    for row in cells:
+        table.add_row(*row)
     return table
 
 

@@ -18,15 +18,16 @@ from service.api.line_scans.noise import NoiseConstants
 from service.api.line_scans.peak_search import find_peaks
 from service.api.line_scans.schema import LinePeak, LineScan, LineScans, PixelNoise
 from service.cli.json_files import error_messages
+from service.cli.options import AsJson, Force, refuse_unused
 from service.cli.output import (
-    AsJson,
-    Force,
     atomic_file,
     check_output,
     console,
     fail,
     make_table,
+    progress,
     say,
+    say_written,
     spec,
 )
 from service.cli.scan_files import ScanFile, read_scans
@@ -38,11 +39,14 @@ METHOD: Final[TypeAdapter[Method]] = TypeAdapter(Method)
 
 
 def peaks(
+    context: typer.Context,
     file: Annotated[
         Path, typer.Argument(help="CSV (one scan of counts a row), .npy (L, P), or a recording.")
     ],
     scan: Annotated[int | None, typer.Option(min=0, help="Only this scan, from 0.")] = None,
-    frame: Annotated[int | None, typer.Option(min=0, help="Of a recording, from 0.")] = None,
+    exposure: Annotated[
+        int | None, typer.Option(min=0, help="Of a recording: this exposure, from 0.")
+    ] = None,
     sensor: Annotated[str | None, typer.Option(help="Of a recording: only this one.")] = None,
     method: Annotated[
         str | None,
@@ -50,8 +54,8 @@ def peaks(
             help="centroid, fit, chain, matched or mask; left out: the recording's, or fit."
         ),
     ] = None,
-    width: Annotated[
-        float | None, typer.Option(help="Standard deviation of the lines \\[px]: fit, matched.")
+    line_sigma_px: Annotated[
+        float | None, typer.Option(help=r"Standard deviation of the lines \[px]: fit, matched.")
     ] = None,
     further_peaks: Annotated[
         bool | None, typer.Option(help="Fit: more peaks than are seen; left out: with a width.")
@@ -76,22 +80,28 @@ def peaks(
     check_output(output, force=force)
     if output is not None and output.suffix.lower() != ".png":
         raise fail(f"{output} cannot be written: pictures are PNG, and their names end in .png")
-    if detail and not as_json:
-        raise fail("--detail is for --json; give both, or --output for a picture")
+    if not as_json:
+        refuse_unused(context, "without --json", "detail")
+    if output is None:
+        refuse_unused(context, "without --output", "force")
+    if settings is not None:
+        why = "with --settings, which has the method"
+        refuse_unused(context, why, "method", "line_sigma_px", "further_peaks")
     noise = {
         "electrons_per_count": gain,
         "read_noise_electrons": read_noise,
         "offset_counts": offset,
         "full_scale_counts": full_scale,
     }
-    read = read_scans(file, scan=scan, frame=frame, sensor=sensor)
+    read = read_scans(file, scan=scan, exposure=exposure, sensor=sensor)
     if settings is not None:
         chosen = _from_file(settings)
-    elif read.device is not None and width is None and further_peaks is None:
+    elif read.device is not None and line_sigma_px is None and further_peaks is None:
         chosen = recorded_method(method, read.device, read.sensors)
     else:
-        chosen = _named(method or "fit", width, further_peaks)
-    result = find_peaks(read.scans, chosen, _noise(noise, read.noise), detail=detail)
+        chosen = _named(method or "fit", line_sigma_px, further_peaks)
+    with progress("finding peaks", quiet=as_json):
+        result = find_peaks(read.scans, chosen, _noise(noise, read.noise), detail=detail)
     if output is not None:
         _draw(read, chosen, result, output)
     if as_json:
@@ -108,7 +118,7 @@ def peaks(
         return
     _print(result, read.names)
     if output is not None:
-        console.print(f"written: {output}")
+        say_written(output)
 
 
 def _named(name: str, width_px: float | None = None, further: bool | None = None) -> Method:
@@ -120,7 +130,7 @@ def _named(name: str, width_px: float | None = None, further: bool | None = None
     if name not in get_args(MethodName):
         raise fail(f'the method is "{name}"; it must be one of {", ".join(get_args(MethodName))}')
     if width_px is not None and name not in ("fit", "matched"):
-        raise fail(f"--width is for the methods fit and matched, not for {name}")
+        raise fail(f"--line-sigma-px is for the methods fit and matched, not for {name}")
     if further is not None and name != "fit":
         raise fail(f"--further-peaks is for the method fit, not for {name}")
     if name == "chain":
@@ -132,7 +142,7 @@ def _named(name: str, width_px: float | None = None, further: bool | None = None
             "the method mask has to know the shadow: give it by --settings, as "
             '{"method": "mask", "profile": "coda-mpx30"}'
         )
-    with _refusals("--width"):
+    with _refusals("--line-sigma-px"):
         return METHOD.validate_python({"method": name, **set_options})
 
 

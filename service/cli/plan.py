@@ -13,24 +13,27 @@ from compute.optics.profiles.profile_loader import (
     with_error_sources,
 )
 from compute.planning.plan_result import AccuracyBudget, AxisSummary, Plan
+from service.cli.options import AsJson, Force, complete_profile, refuse_unused
 from service.cli.output import (
-    AsJson,
-    Force,
     atomic_file,
     check_output,
     console,
-    fail,
     make_table,
     millimetres,
     print_json,
     progress,
     say,
+    say_written,
 )
 
 
 def plan(
+    context: typer.Context,
     profile: Annotated[
-        str | None, typer.Argument(help="A device profile's name, or its TOML file.")
+        str | None,
+        typer.Argument(
+            help="A device profile's name, or its TOML file.", autocompletion=complete_profile
+        ),
     ] = None,
     grid: Annotated[
         int, typer.Option(min=3, max=21, help="Points of the volume along each axis.")
@@ -52,11 +55,13 @@ def plan(
 ) -> None:
     """Work out and print a plan; draw it where a file is given. No profile: list them."""
     if profile is None:
-        if output is not None:
-            raise fail("--output wants a profile to draw the plan of")
+        names = ("grid", "markers", "assume", "output", "force")
+        refuse_unused(context, "without a profile to plan with", *names)
         _list(as_json=as_json)
         return
     check_output(output, force=force)
+    if output is None:
+        refuse_unused(context, "without --output", "force")
     from compute.planning import plan as planning
 
     device = with_error_sources(load_profile(profile), assume or ())
@@ -72,7 +77,7 @@ def plan(
         return
     _print(result)
     if output is not None:
-        console.print(f"written: {output}")
+        say_written(output)
 
 
 def _list(*, as_json: bool) -> None:

@@ -95,7 +95,7 @@ def check_startup(settings: Settings) -> None:
         reason = database_fault(error, database.engine.url)
         raise _end(f"database {name} cannot be used: {reason}", _FAILED) from None
     except LumilineError as error:
-        raise _end(f"setting device: {error.detail}", _WRONG_SETTING) from None
+        raise _end(f"setting profile: {error.detail}", _WRONG_SETTING) from None
     finally:
         database.close()
 

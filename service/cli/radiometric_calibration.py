@@ -5,24 +5,26 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from rich.markup import escape
 from rich.table import Table
 
 from lumiline.client.models import RadiometricCalibrationSummary, RadiometricCapture
 from service.cli.json_files import read_json
+from service.cli.options import HERE, AsJson, DeviceOption, Force, Key, TemperatureC, Url
 from service.cli.output import (
-    AsJson,
-    Force,
     atomic_file,
     check_output,
     console,
     fail,
+    hint,
     make_table,
     print_json,
     progress,
     say,
+    say_written,
     spec,
 )
-from service.cli.server_session import HERE, DeviceOption, Key, Url, client_session
+from service.cli.server_session import client_session
 
 radiometric_calibration = typer.Typer(
     help="Radiometric calibrations of sensors: offset, response, noise and bad pixels.",
@@ -35,7 +37,6 @@ Light = Annotated[
     list[float] | None,
     typer.Option(help="Light of each flat level in any unit, in their order: for the linearity."),
 ]
-Temperature = Annotated[float | None, typer.Option(help=r"Of the sensors \[°C].")]
 NewId = Annotated[str | None, typer.Option("--id", help="Left out: the server's choice.")]
 
 
@@ -47,7 +48,7 @@ def estimate(
     ],
     output: Annotated[Path, typer.Option(help="JSON file to write; `upload` takes it.")],
     light: Light = None,
-    temperature: Temperature = None,
+    temperature_c: TemperatureC = None,
     as_json: AsJson = False,
     force: Force = False,
 ) -> None:
@@ -58,7 +59,7 @@ def estimate(
     check_output(output, force=force)
     with progress("estimating", quiet=as_json):
         device, estimates = estimate_from_recordings(
-            dark, flat, relative_light=light, temperature_c=temperature
+            dark, flat, relative_light=light, temperature_c=temperature_c
         )
     sensors = {name: one.to_document() for name, one in estimates.items()}
     content = {"device": device.name, "sensors": sensors}
@@ -69,7 +70,7 @@ def estimate(
         print_json(figures)
     else:
         console.print(_figures(figures, str(dark)))
-        say(f"written: {output}")
+        say_written(output)
 
 
 @radiometric_calibration.command("line-shape")
@@ -78,7 +79,7 @@ def line_shape(
         Path, typer.Argument(help="Recording of one marker, moved over all pixels.")
     ],
     output: Annotated[Path, typer.Option(help="JSON file to write; `upload` takes it.")],
-    pixels: Annotated[
+    estimate_file: Annotated[
         Path | None, typer.Option(help="JSON file of `estimate`; left out: pixels are alike.")
     ] = None,
     as_json: AsJson = False,
@@ -89,8 +90,8 @@ def line_shape(
     from service.api.radiometric_calibrations.recorded_lines import with_line_shapes
 
     check_output(output, force=force)
-    pixel_content = {} if pixels is None else content_of(read_json(pixels)).sensors
-    with progress("estimating", quiet=as_json):
+    pixel_content = {} if estimate_file is None else content_of(read_json(estimate_file)).sensors
+    with progress("measuring the lines", quiet=as_json):
         device, content = with_line_shapes(recording, pixel_content)
     sensors = {name: one.to_document() for name, one in content.items()}
     with atomic_file(output) as temporary:
@@ -110,7 +111,7 @@ def line_shape(
     )  # fmt: skip
     headings = ("sensor", "lines", "width, px", "skewness,\nfirst", "skewness,\nlast", "chi2 / dof")
     console.print(make_table(headings, rows, str(recording)))
-    say(f"written: {output}")
+    say_written(output)
 
 
 @radiometric_calibration.command("list")
@@ -142,10 +143,11 @@ def capture(
     device: Annotated[str, typer.Argument(help="A running device.")],
     frames: Annotated[int, typer.Option(min=16, max=4096, help="Of each capture.")] = 128,
     levels: Annotated[int, typer.Option(min=2, max=32, help="Levels of light.")] = 6,
-    temperature: Temperature = None,
+    temperature_c: TemperatureC = None,
     radiometric_id: NewId = None,
     url: Url = HERE,
     key: Key = None,
+    as_json: AsJson = False,
 ) -> None:
     """Capture dark and flat frames step by step, and estimate the calibration from them."""
     with client_session(url, key, timeout_s=60.0) as client:
@@ -153,18 +155,21 @@ def capture(
             device_id=device, settings={"frames": frames, "levels": levels}
         )
         while session.next is not None:
-            say(session.instruction)
-            answer = typer.prompt("Enter captures, q ends", default="", show_default=False)
+            hint(session.instruction)
+            answer = typer.prompt(
+                "Enter captures, q ends", default="", show_default=False, err=True
+            )
             if answer.strip().lower() == "q":
-                say(f"session {session.id} stays as it is")
+                hint(f"session {session.id} stays as it is")
                 raise typer.Exit(1)
-            session = _captured(client, session, temperature)
+            with progress("capturing", quiet=as_json):
+                session = _captured(client, session, temperature_c)
         created = client.create_radiometric_calibration(
             id=radiometric_id,
             device_id=device,
             source={"kind": "capture", "radiometric_capture_id": session.id},
         )
-    _print_created(created)
+    _print_created(created, as_json=as_json)
 
 
 def _captured(
@@ -180,7 +185,7 @@ def _captured(
     except ServerProblem as problem:
         if problem.code != "unusable-radiometric-capture":
             raise
-        say(f"[yellow]{problem.detail}[/yellow]")
+        hint(f"[yellow]{escape(problem.detail)}[/yellow]")
         return session
     return capture
 
@@ -193,6 +198,7 @@ def upload(
     note: Annotated[str, typer.Option(help="For people.")] = "",
     url: Url = HERE,
     key: Key = None,
+    as_json: AsJson = False,
 ) -> None:
     """Store an estimated calibration on a server; it is not activated."""
     content = read_json(file)
@@ -206,26 +212,39 @@ def upload(
             source={"kind": "document", "sensors": sensors},
             note=note,
         )
-    _print_created(created)
+    _print_created(created, as_json=as_json)
 
 
 @radiometric_calibration.command("activate")
-def activate(radiometric_id: RadiometricId, url: Url = HERE, key: Key = None) -> None:
+def activate(
+    radiometric_id: RadiometricId, url: Url = HERE, key: Key = None, as_json: AsJson = False
+) -> None:
     """Find the peaks of its device with it, from the next frame on."""
     with client_session(url, key) as client:
         activation = client.activate_radiometric_calibration(radiometric_id)
-    say(f"device {activation.device_id} uses {activation.id}")
+    if as_json:
+        print_json(activation)
+    else:
+        say(f"device {activation.device_id} uses {activation.id}")
 
 
 @radiometric_calibration.command("deactivate")
-def deactivate(radiometric_id: RadiometricId, url: Url = HERE, key: Key = None) -> None:
+def deactivate(
+    radiometric_id: RadiometricId, url: Url = HERE, key: Key = None, as_json: AsJson = False
+) -> None:
     """Let its device go on without it."""
     with client_session(url, key) as client:
         deactivation = client.deactivate_radiometric_calibration(radiometric_id)
-    say(f"device {deactivation.device_id} does not use {deactivation.id}")
+    if as_json:
+        print_json(deactivation)
+    else:
+        say(f"device {deactivation.device_id} does not use {deactivation.id}")
 
 
-def _print_created(created: RadiometricCalibrationSummary) -> None:
+def _print_created(created: RadiometricCalibrationSummary, *, as_json: bool) -> None:
+    if as_json:
+        print_json(created)
+        return
     console.print(_figures([one.model_dump() for one in created.sensors], created.id))
     say(f"stored as {created.id}; `lumiline radiometric-calibration activate {created.id}` uses it")
 

@@ -16,7 +16,8 @@ from compute.errors import InvalidParameter
 from service.api.captures.averaging import average
 from service.api.captures.schema import Target
 from service.cli.json_files import read_json, validate
-from service.cli.output import fail, progress, say, write_file
+from service.cli.options import AsJson, Force, refuse_unused
+from service.cli.output import check_output, print_json, progress, say, write_file
 from service.problems.errors import NoObservation, TargetMoved
 
 if TYPE_CHECKING:
@@ -50,8 +51,9 @@ class StrobeCycles:
 
 
 def readings(
+    context: typer.Context,
     recording: Annotated[Path, typer.Argument(help="HDF5 file of a recording.")],
-    output: Annotated[Path, typer.Option("--output", "-o", help="CSV file to write.")],
+    output: Annotated[Path, typer.Option(help="CSV file to write.")],
     targets: Annotated[
         Path | None,
         typer.Option(
@@ -66,12 +68,19 @@ def readings(
         float,
         typer.Option(min=0.001, help=r"Largest change of a reading within a still period \[px]."),
     ] = 0.5,
+    as_json: AsJson = False,
+    force: Force = False,
 ) -> None:
     """Write control points (with --targets) or poses and markers, for `lumiline wand`, as CSV."""
-    if output.exists():
-        raise fail(f"{output} exists; choose another name")
+    check_output(output, force=force)
     target_points = None if targets is None else _read_targets(targets)
-    with progress("finding peaks", 1.0) as report:
+    if target_points is not None:
+        refuse_unused(context, "with --targets, which are averaged always", "still")
+        if any(one.marker is not None for one in target_points):
+            refuse_unused(context, "for targets with markers", "still_px")
+    elif not still:
+        refuse_unused(context, "without --still or --targets", "still_px")
+    with progress("finding peaks", 1.0, quiet=as_json) as report:
         cycles = read_cycles(recording, report)
     if target_points is None:
         rows = _poses(cycles, still_px) if still else _every_cycle(cycles)
@@ -91,7 +100,11 @@ def readings(
     for identifiers, values, sigma in rows:
         pairs = np.column_stack([values, sigma]).ravel().tolist()
         writer.writerow([*identifiers, *("" if np.isnan(cell) else repr(cell) for cell in pairs)])
-    write_file(output, text.getvalue().encode())
+    write_file(output, text.getvalue().encode(), quiet=as_json)
+    if as_json:
+        cycle_count = len(cycles.readings_px)
+        print_json({"file": str(output), "rows": len(rows), "strobe_cycles": cycle_count})
+        return
     say(f"{len(rows)} rows, {len(cycles.readings_px)} strobe cycles of {recording}")
 
 

@@ -1,6 +1,8 @@
 """`lumiline record`: records a simulated device with its calibration, without a server."""
 
 import signal
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -8,8 +10,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from compute.errors import LumilineError
-from service.cli.json_files import SimulationOption, read_settings
-from service.cli.output import console, fail, file_errors, progress, say
+from service.cli.json_files import read_settings
+from service.cli.options import AsJson, Force, ProfileOption, SimulationOption
+from service.cli.output import check_output, file_errors, hint, print_json, progress, say_written
 
 if TYPE_CHECKING:
     from compute.calibration.result import Calibration
@@ -19,10 +22,10 @@ if TYPE_CHECKING:
 def record(
     output: Annotated[Path, typer.Argument(help="HDF5 file to write.")],
     seconds: Annotated[float, typer.Option(min=0.001, help="Duration.")] = 5.0,
-    settings: SimulationOption = None,
-    device: Annotated[
-        str | None, typer.Option(help="A device profile: optotrak, ..., or a TOML file.")
-    ] = None,
+    simulation: SimulationOption = None,
+    profile: ProfileOption = None,
+    as_json: AsJson = False,
+    force: Force = False,
 ) -> None:
     """Record line scans of the simulated bar, or of a profile's device, to a file.
 
@@ -34,21 +37,23 @@ def record(
     from service.api.recordings.active_calibration_file import dump_active_calibration
     from service.pipeline.active_calibration import ActiveCalibration
 
-    if output.exists():
-        raise fail(f"{output} exists; choose another name, a recording is never overwritten")
+    check_output(output, force=force)
     with file_errors(output, ""):
-        if device is None:
-            (driver, calibration), doing = _simulated(settings, seconds), "recording"
+        if profile is None:
+            (driver, calibration), doing = _simulated(simulation, seconds), "recording"
         else:
-            with progress("tracing the optics"):
-                driver, calibration = _profile(device, settings, seconds)
+            with progress("tracing the optics", quiet=as_json):
+                driver, calibration = _profile(profile, simulation, seconds)
             doing = "tracing the scene, recording"
         driver.open()
         description = driver.description
         total = max(1, int(seconds * description.frame_rate_hz))
+        output.unlink(missing_ok=True)  # the writer makes a new file
+        count = 0
         with (
+            _removed_if_empty(output, lambda: count),
             RecordingWriter(output, description) as writer,
-            progress(doing, total) as report,
+            progress(doing, total, quiet=as_json) as report,
         ):
             row = NO_CALIBRATION_ROW
             if calibration is not None:
@@ -57,41 +62,61 @@ def record(
             # Ctrl-C ends the frames, so that the file is closed whole and can be read.
             interrupted = signal.signal(signal.SIGINT, lambda *_: driver.close())
             try:
-                for count, frame in enumerate(driver.frames(), start=1):
+                for frame in driver.frames():
                     writer.append(frame, row)
+                    count += 1
                     report(count)
             finally:
                 signal.signal(signal.SIGINT, interrupted)
-    console.print(f"written: {output}")
+    if as_json:
+        print_json({
+            "file": str(output),
+            "device": description.name,
+            "frames": count,
+            "calibration": calibration is not None,
+        })  # fmt: skip
+    else:
+        say_written(output)
+
+
+@contextmanager
+def _removed_if_empty(path: Path, frames: Callable[[], int]) -> Iterator[None]:
+    """Remove a file of no frames after a failure; what was recorded until then is kept."""
+    try:
+        yield
+    except BaseException:
+        if not frames():
+            path.unlink(missing_ok=True)
+        raise
 
 
 def _simulated(
-    settings: Path | None, seconds: float
+    simulation: Path | None, seconds: float
 ) -> "tuple[RenderedDriver, Calibration | None]":
     from hardware.simulated.driver import SimulatedDriver
     from hardware.simulated.settings import SimulationSettings
     from service.application.initial_content import nominal_calibration
 
-    chosen = read_settings(SimulationSettings, settings)
+    chosen = read_settings(SimulationSettings, simulation)
     driver = SimulatedDriver("sim", replace(chosen, realtime=False, duration_s=seconds))
     return driver, nominal_calibration()
 
 
 def _profile(
-    device: str, settings: Path | None, seconds: float
+    name: str, simulation: Path | None, seconds: float
 ) -> "tuple[RenderedDriver, Calibration | None]":
     from compute.optics.profiles.profile_loader import load_profile
     from hardware.simulated.profile_driver import ProfileDriver
     from hardware.simulated.profile_settings import ProfileSettings
     from service.application.profile_device import nominal_calibration
 
-    profile = load_profile(device)
-    chosen = replace(read_settings(ProfileSettings, settings), realtime=False, duration_s=seconds)
+    profile = load_profile(name)
+    chosen = replace(read_settings(ProfileSettings, simulation), realtime=False, duration_s=seconds)
     driver = ProfileDriver(profile.name, profile, chosen)
     calibration = None
     if driver.description.readout != "gray-tracks":
         try:
             calibration = nominal_calibration(profile)
         except LumilineError as error:
-            say(f"recorded without a calibration: {error.detail}")
+            hint(f"recorded without a calibration: {error.detail}")
     return driver, calibration

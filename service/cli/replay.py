@@ -11,9 +11,15 @@ import typer
 from pydantic import ValidationError
 
 from compute.errors import InvalidRecording
-from service.cli.json_files import CalibrationOption, TableOption, read_active_calibration
-from service.cli.output import (
+from service.cli.json_files import read_active_calibration
+from service.cli.options import (
+    AsJson,
+    CalibrationOption,
     Force,
+    TableOption,
+    refuse_unused,
+)
+from service.cli.output import (
     atomic_file,
     check_output,
     fail,
@@ -24,23 +30,32 @@ from service.cli.output import (
 
 
 def replay(
+    context: typer.Context,
     recording: Annotated[Path, typer.Argument(help="HDF5 file of a recording.")],
     calibration: CalibrationOption = None,
     table: TableOption = None,
-    output: Annotated[Path | None, typer.Option(help="File; left out: standard output.")] = None,
+    output: Annotated[
+        Path | None, typer.Option(help="File to write; left out: standard output.")
+    ] = None,
     check: Annotated[
         bool, typer.Option("--check", help="Compare with the recorded results, bit by bit.")
     ] = False,
     batch: Annotated[
-        int, typer.Option(min=1, max=64, help="Frames that are processed together.")
+        int, typer.Option(min=1, max=64, help="Of --check: frames that are processed together.")
     ] = 64,
-    as_json: Annotated[bool, typer.Option("--json", help="Of --check, for machines.")] = False,
+    as_json: AsJson = False,
     force: Force = False,
 ) -> None:
     """Replay a recording; print one JSON message a frame, or whether it gives the live results."""
     if check:
+        why = "with --check, which compares what was recorded"
+        refuse_unused(context, why, "calibration", "table", "output", "force")
         _check(recording, batch, as_json=as_json)
         return
+    refuse_unused(context, "without --check", "batch")
+    refuse_unused(context, "without --check: what is printed is JSON", "as_json")
+    if output is None:
+        refuse_unused(context, "without --output", "force")
     check_output(output, force=force)
     try:
         _replay(recording, calibration, table, output)

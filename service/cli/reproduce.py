@@ -8,9 +8,8 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
+from service.cli.options import AsJson, Force, refuse_unused
 from service.cli.output import (
-    AsJson,
-    Force,
     atomic_file,
     check_output,
     console,
@@ -28,8 +27,16 @@ from validation.tests_5_1_to_5_8 import Case, CaseResult
 SETTLED_PX = 0.01
 
 
+def _complete_case(incomplete: str) -> list[str]:
+    """Return the cases whose names begin so, for the shell's completion."""
+    return [name for name in (*ALL_CASES, "all") if name.startswith(incomplete)]
+
+
 def reproduce(
-    case: Annotated[str | None, typer.Argument(help="A case's name, or all.")] = None,
+    context: typer.Context,
+    case: Annotated[
+        str | None, typer.Argument(help="A case's name, or all.", autocompletion=_complete_case)
+    ] = None,
     as_json: AsJson = False,
     output: Annotated[Path | None, typer.Option(help="Draw the case's picture: a PNG.")] = None,
     seed: Annotated[
@@ -41,9 +48,8 @@ def reproduce(
     force: Force = False,
 ) -> None:
     """List the cases, or run one of them, or all; draw the picture of one where it is wanted."""
-    if output is not None:
-        _draw(case, output, force=force)
     if case is None:
+        refuse_unused(context, "without a case", "output", "seed", "trials", "force")
         _list(as_json=as_json)
         return
     if case != "all" and case not in ALL_CASES:
@@ -57,6 +63,10 @@ def reproduce(
             if name not in _options(chosen[0]):
                 takers = [one.name for one in ALL_CASES.values() if name in _options(one)]
                 raise fail(f"{case} has no --{name}; the cases that have one: {', '.join(takers)}")
+    if output is None:
+        refuse_unused(context, "without --output", "force")
+    else:
+        _draw(case, output, force=force)
     results: list[CaseResult | TablesResult] = []
     with progress("reproducing", float(len(chosen)), quiet=as_json) as report:
         for index, one in enumerate(chosen):
@@ -85,9 +95,9 @@ def _from(index: int, report: Callable[[float], None]) -> Listener:
     return lambda share, _stage: report(index + share)
 
 
-def _draw(name: str | None, output: Path, *, force: bool) -> None:
+def _draw(name: str, output: Path, *, force: bool) -> None:
     """Draw a case's picture, or say which cases have one."""
-    case = ALL_CASES.get(name) if name is not None else None
+    case = ALL_CASES.get(name)
     if not isinstance(case, TablesCase) or case.picture is None:
         drawn = [
             other.name

@@ -44,14 +44,14 @@ class ScanFile:
 
 
 def read_scans(
-    path: Path, *, scan: int | None = None, frame: int | None = None, sensor: str | None = None
+    path: Path, *, scan: int | None = None, exposure: int | None = None, sensor: str | None = None
 ) -> ScanFile:
     """Read the scans of a file, which is recognised by its content.
 
     Args:
         path: the file.
-        scan: only this one, counted from 0; of a recording's frame, the sensor of this number.
-        frame: of a recording, counted from 0; None: the first.
+        scan: only this one, counted from 0; of a recording's exposure, the sensor of this number.
+        exposure: of a recording, counted from 0; None: the first.
         sensor: only the line of this sensor of a recording.
 
     Raises:
@@ -64,10 +64,10 @@ def read_scans(
     except OSError as error:
         raise InvalidParameter(f"{path} cannot be read: {error.strerror}") from error
     if start == _HDF5:
-        scan_file = _recorded(path, frame or 0, sensor)
+        scan_file = _recorded(path, exposure or 0, sensor)
     else:
-        if frame is not None or sensor is not None:
-            name = "--frame" if sensor is None else "--sensor"
+        if exposure is not None or sensor is not None:
+            name = "--exposure" if sensor is None else "--sensor"
             raise InvalidParameter(f"{path} is no recording; {name} is for recordings")
         lines = _numpy(path) if start.startswith(_NUMPY) else _csv(path)
         scan_file = ScanFile(lines, 0, tuple(f"line {row}" for row in range(len(lines))), None)
@@ -93,19 +93,19 @@ def read_scans(
     )
 
 
-def _recorded(path: Path, frame: int, sensor: str | None) -> ScanFile:
+def _recorded(path: Path, exposure: int, sensor: str | None) -> ScanFile:
     # The file library is loaded by who reads a recording.
     from hardware.recording.reader import RecordingReader
 
     with RecordingReader(path) as recording:
         device, frames = recording.info.description, recording.info.frames
-        if frame >= frames:
+        if exposure >= frames:
             raise InvalidParameter(
-                f"{path} has no frame {frame}; its frames have the numbers 0 to {frames - 1}"
+                f"{path} has no exposure {exposure}; its exposures are 0 to {frames - 1}"
                 if frames
-                else f"{path} has no frames"
+                else f"{path} has no exposures"
             )
-        read = recording.chunk(frame)[0]
+        read = recording.chunk(exposure)[0]
     names = [one.name for one in device.sensors]
     first, last = 0, len(names)
     if sensor is not None:
@@ -121,7 +121,7 @@ def _recorded(path: Path, frame: int, sensor: str | None) -> ScanFile:
         offset_counts=device.offset_counts,
         full_scale_counts=2**device.bits - 1,
     )
-    chosen = tuple(f"{name}, frame {frame}" for name in names[first:last])
+    chosen = tuple(f"{name}, exposure {exposure}" for name in names[first:last])
     return ScanFile(read.lines[first:last], first, chosen, noise, tuple(names[first:last]), device)
 
 

@@ -12,6 +12,7 @@ import typer
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
+from service.cli.options import ComputeDevice, ProfileOption
 from service.settings import Settings
 
 _SETTINGS: Final = tuple(Settings.model_fields)
@@ -24,12 +25,8 @@ def serve(
     host: Annotated[str | None, typer.Option(help="Address to listen on.")] = None,
     port: Annotated[int | None, typer.Option(help="Port to listen on; 0: a free one.")] = None,
     data_dir: Annotated[Path | None, typer.Option(help="Database, recordings, profiles.")] = None,
-    device: Annotated[
-        str | None, typer.Option(help="Start a device profile: optotrak, ..., or a TOML file.")
-    ] = None,
-    compute_device: Annotated[
-        str | None, typer.Option(help="Where the pipeline computes: cpu, cuda:0, ...")
-    ] = None,
+    profile: ProfileOption = None,
+    compute_device: ComputeDevice = None,
     open_browser: Annotated[
         bool, typer.Option("--open", help="Open the dashboard in the browser once all is running.")
     ] = False,
@@ -37,7 +34,7 @@ def serve(
     """Run until interrupted; ends the command with one line when it cannot start."""
     set_private_umask()
     settings = load_settings(
-        host=host, port=port, data_dir=data_dir, device=device, compute_device=compute_device
+        host=host, port=port, data_dir=data_dir, profile=profile, compute_device=compute_device
     )
     from service.application import shutdown
     from service.application.app import create_app

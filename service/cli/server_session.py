@@ -1,25 +1,11 @@
-"""Options of the commands that are clients of a running server, and their session with it."""
+"""Session of a command that is a client of a running server."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Annotated
-
-import typer
 
 from lumiline.client import Client
 from lumiline.client.errors import ClientError
 from service.cli.output import fail
-
-HERE = "http://127.0.0.1:8000"
-Url = Annotated[str, typer.Option(envvar="LUMILINE_URL", help="The server.", show_default=True)]
-Key = Annotated[
-    str | None,
-    typer.Option(envvar="LUMILINE_KEY", help="API key; better in the variable than here."),
-]
-DeviceOption = Annotated[str | None, typer.Option(help="Only those of this device.")]
-WatchSeconds = Annotated[
-    float | None, typer.Option(min=0.1, help="How long; left out: until Ctrl-C.")
-]
 
 
 @contextmanager

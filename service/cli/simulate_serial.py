@@ -13,28 +13,33 @@ import typer
 from hardware.serial.emulator import serve_socket, serve_terminal
 from hardware.serial.simulated_device import SimulatedSerialDevice
 from hardware.simulated.settings import SimulationSettings
-from service.cli.json_files import SimulationOption, read_settings
-from service.cli.output import console, fail
+from service.cli.json_files import read_settings
+from service.cli.options import AsJson, RateHz, SimulationOption, refuse_unused
+from service.cli.output import fail, print_json, say
 
 
 def simulate_serial(
+    context: typer.Context,
     listen: Annotated[str | None, typer.Option(help="HOST:PORT to be reached at.")] = None,
     pty: Annotated[bool, typer.Option("--pty", help="Be a pseudo-terminal instead.")] = False,
     link: Annotated[
         Path | None, typer.Option(help="Of a pseudo-terminal: a symbolic link to make.")
     ] = None,
-    rate: Annotated[float | None, typer.Option(help="Exposures per second.")] = None,
+    rate_hz: RateHz = None,
     cycle: Annotated[
         int | None, typer.Option(min=1, help="Number of exposures to render and repeat.")
     ] = None,
     part: Annotated[
         int | None, typer.Option(min=1, help="Counts in a message; left out: an exposure's all.")
     ] = None,
-    settings: SimulationOption = None,
+    simulation: SimulationOption = None,
+    as_json: AsJson = False,
 ) -> None:
     """Serve the device until interrupted."""
     if (listen is None) == (not pty):
         raise fail("give one of --listen HOST:PORT and --pty")
+    if not pty:
+        refuse_unused(context, "without --pty", "link")
     if link is not None and link.exists() and not link.is_symlink():
         raise fail(f"{link} exists and is no symbolic link; choose another name")
     ended = Event()
@@ -43,22 +48,25 @@ def simulate_serial(
         for number in (signal.SIGINT, signal.SIGTERM)
     }
     try:
-        chosen = read_settings(SimulationSettings, settings)
-        if rate is not None:
-            chosen = replace(chosen, frame_rate_hz=rate)
+        chosen = read_settings(SimulationSettings, simulation)
+        if rate_hz is not None:
+            chosen = replace(chosen, frame_rate_hz=rate_hz)
 
         def make(now_ns: int) -> SimulatedSerialDevice:
             return SimulatedSerialDevice(chosen, now_ns, rendered=cycle, part_counts=part)
 
+        def say_where(url: str) -> None:
+            if as_json:
+                print_json({"url": url, "link": None if link is None else str(link)})
+            else:
+                say(f"the device is at {url}" + (f", also {link}" if link else ""))
+
         if listen is None:
-            also = f", also {link}" if link else ""
-            serve_terminal(
-                make, link, ended, lambda name: console.print(f"the device is at {name}{also}")
-            )
+            serve_terminal(make, link, ended, say_where)
         else:
             with socket.create_server(_address(listen)) as listener:
                 host, port = listener.getsockname()[:2]
-                console.print(f"the device is at socket://{host}:{port}")
+                say_where(f"socket://{host}:{port}")
                 serve_socket(make, listener, ended)
     except OSError as error:
         raise fail(f"{listen or link or 'the terminal'}: {error.strerror or error}") from error

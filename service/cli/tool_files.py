@@ -10,8 +10,9 @@ import typer
 
 from lumiline.client.models import Tool
 from service.cli.json_files import read_json
-from service.cli.output import AsJson, fail, print_json, say
-from service.cli.server_session import HERE, Key, Url, client_session
+from service.cli.options import HERE, AsJson, Key, StrobeMarkers, Url, numbers
+from service.cli.output import fail, hint, print_json, progress, say
+from service.cli.server_session import client_session
 
 _OF_THE_SERVER: Final = ("tip", "origin", "created_at", "updated_at")
 """Members that GET sends and POST does not take."""
@@ -62,9 +63,7 @@ def capture(
     markers: Annotated[
         int | None, typer.Option(help="How many it has, lit together; nothing else is lit.")
     ] = None,
-    strobe_markers: Annotated[
-        str | None, typer.Option(help="Its slots, lit one by one: 0,1,2,3.")
-    ] = None,
+    strobe_markers: StrobeMarkers = None,
     seconds: Annotated[float, typer.Option(min=0.05, max=60.0, help="How long to look.")] = 1.0,
     title: Annotated[str | None, typer.Option(help="For people.")] = None,
     url: Url = HERE,
@@ -74,10 +73,11 @@ def capture(
     """Make a tool by showing it: hold it still until this answers."""
     if (markers is None) == (strobe_markers is None):
         raise fail("give --markers or --strobe-markers: how many are lit together, or which slots")
-    slots = None if strobe_markers is None else _numbers(strobe_markers)
-    with client_session(url, key) as client:
-        if not as_json:
-            say(f"Hold {tool} still in view of {device}.")
+    slots = None
+    if strobe_markers is not None:
+        slots = numbers(strobe_markers, "--strobe-markers", "0,1,2,3")
+    with client_session(url, key) as client, progress("looking"):
+        hint(f"Hold {tool} still in view of {device}.")
         created = client.capture_tool(
             id=tool, device_id=device, title=title or tool, duration_s=seconds,
             markers=markers, strobe_markers=slots,
@@ -92,13 +92,6 @@ def capture(
 
 def _say_created(tool: Tool) -> None:
     say(f"made: {tool.id}, {len(tool.markers_mm)} markers, of device {tool.device_id}")
-
-
-def _numbers(text: str) -> list[int]:
-    try:
-        return [int(one) for one in text.replace(",", " ").split()]
-    except ValueError:
-        raise fail(f'--strobe-markers is "{text}"; give numbers, such as 0,1,2,3') from None
 
 
 def _read(path: Path) -> list[dict[str, Any]]:

@@ -1,7 +1,8 @@
 """`lumiline tools`: tools of a running server and their poses, through the client."""
 
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from math import sqrt
 from typing import Annotated, Final
 
@@ -11,8 +12,18 @@ from rich.live import Live
 from rich.text import Text
 
 from lumiline.client.models import Pose
-from service.cli.output import AsJson, console, fail, make_table, print_json, say, spec
-from service.cli.server_session import HERE, DeviceOption, Key, Url, WatchSeconds, client_session
+from service.cli.options import HERE, AsJson, DeviceOption, Key, Url, WatchSeconds
+from service.cli.output import (
+    console,
+    fail,
+    hint,
+    make_table,
+    print_json,
+    progress,
+    say,
+    spec,
+)
+from service.cli.server_session import client_session
 from service.cli.tool_files import capture, create
 
 REFRESHES_PER_S: Final = 5.0
@@ -81,8 +92,9 @@ def watch(
     seconds: WatchSeconds = None,
     url: Url = HERE,
     key: Key = None,
+    as_json: AsJson = False,
 ) -> None:
-    """Show where all tools are, several times a second."""
+    """Show where all tools are, several times a second; as JSON a pose in each line."""
     end = None if seconds is None else time.monotonic() + seconds
     with client_session(url, key) as client:
         if device is not None:
@@ -91,18 +103,31 @@ def watch(
         if not watched:
             raise fail("there are no tools; POST /api/v1/tools makes one (docs/how-to/tools.md)")
 
-        def poses() -> Group:
+        def poses() -> Iterator[Pose]:
             # In the frame of a tool that tool itself is left out: it is where it is.
             others = (tool for tool in watched if tool.id != frame)
-            return _poses(client.tool_pose(tool.id, frame_id=frame) for tool in others)
+            return (client.tool_pose(tool.id, frame_id=frame) for tool in others)
 
-        try:
-            with Live(poses(), console=console, auto_refresh=False) as live:
-                while end is None or time.monotonic() < end:
-                    time.sleep(1.0 / REFRESHES_PER_S)
-                    live.update(poses(), refresh=True)
-        except KeyboardInterrupt:
-            return
+        with suppress(KeyboardInterrupt), _shown(as_json=as_json) as show:
+            show(poses())
+            while end is None or time.monotonic() < end:
+                time.sleep(1.0 / REFRESHES_PER_S)
+                show(poses())
+
+
+@contextmanager
+def _shown(*, as_json: bool) -> Iterator[Callable[[Iterable[Pose]], None]]:
+    """Yield a function that shows the newest poses in place of those before, or prints them."""
+    if as_json:
+
+        def print_lines(poses: Iterable[Pose]) -> None:
+            for pose in poses:
+                typer.echo(pose.model_dump_json())
+
+        yield print_lines
+        return
+    with Live(console=console, auto_refresh=False) as live:
+        yield lambda poses: live.update(_poses(poses), refresh=True)
 
 
 tools.command("create")(create)
@@ -117,17 +142,18 @@ def measure(
     seconds: Annotated[
         float, typer.Option(min=0.05, max=10.0, help="How long the tip has to be still.")
     ] = 0.5,
-    timeout: Annotated[float, typer.Option(min=0.1, max=120.0, help="How long to wait [s].")] = 30,
+    timeout_s: Annotated[
+        float, typer.Option(min=0.1, max=120.0, help=r"How long to wait \[s].")
+    ] = 30,
     url: Url = HERE,
     key: Key = None,
     as_json: AsJson = False,
 ) -> None:
     """Measure a point: hold the tool's tip on it until this answers."""
-    with client_session(url, key) as client:
-        if not as_json:
-            say(f"Hold the tip of {tool} still on the point.")
+    with client_session(url, key) as client, progress("waiting for a still tip"):
+        hint(f"Hold the tip of {tool} still on the point.")
         point = client.measure_point(
-            tool, frame_id=frame, name=name, timeout_s=timeout, duration_s=seconds
+            tool, frame_id=frame, name=name, timeout_s=timeout_s, duration_s=seconds
         )
     if as_json:
         print_json(point)

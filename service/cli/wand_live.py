@@ -13,6 +13,8 @@ from rich.text import Text
 from compute.calibration.self_calibration.targets import Recording, Wand
 from compute.calibration.self_calibration.uncalibrated_start import uncalibrated_start
 from compute.calibration.self_calibration.wave_coverage import (
+    FIRST_CAMERAS_POSES,
+    GROWTH,
     MIN_CELL_READINGS,
     WaveCoverage,
     wave_coverage,
@@ -20,14 +22,10 @@ from compute.calibration.self_calibration.wave_coverage import (
 from compute.camera.model import SensorModel
 from compute.errors import LumilineError
 from service.cli.observations_csv import ReadingTable
-from service.cli.output import console, make_table
+from service.cli.output import console, make_table, progress_console
 from service.cli.wand_sources import LiveWand
 
 EVERY_S: Final = 0.5
-FIRST_CAMERAS_POSES: Final = 40
-"""Poses from which cameras are computed where none are given, to judge directions and volume."""
-GROWTH: Final = 1.3
-"""They are computed again when there are this many times the poses."""
 MAX_LINES: Final = 8
 
 
@@ -37,6 +35,8 @@ def wave_live(
     cameras: Sequence[SensorModel] | None,
     seconds: float,
     every_s: float = EVERY_S,
+    *,
+    quiet: bool = False,
 ) -> ReadingTable:
     """Collect poses, show their coverage as it grows, and return them when they are enough.
 
@@ -48,10 +48,12 @@ def wave_live(
         cameras: approximate cameras; None: computed from the readings as soon as these suffice.
         seconds: how long at most.
         every_s: time between two looks [s].
+        quiet: show it on standard error, as standard output is for machines.
     """
     start_s = time.monotonic()
     estimate = _EstimatedCameras(source) if cameras is None else None
-    with Live(Text("Wave the wand."), console=console, auto_refresh=False) as live:
+    screen = progress_console if quiet else console
+    with Live(Text("Wave the wand."), console=screen, auto_refresh=False) as live:
         try:
             for table in source.collect(seconds, every_s):
                 if cameras is not None:

@@ -8,7 +8,10 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.calibration.self_calibration.strobed_poses import StrobedReadings, strobed_poses
+from compute.calibration.self_calibration.strobed_poses import (
+    StrobedPoseCollector,
+    StrobedReadings,
+)
 from compute.camera.model import SensorGeometry
 from compute.errors import InvalidParameter
 from lumiline.client import Client
@@ -23,8 +26,6 @@ Array = NDArray[np.float64]
 UNCLEAR_FLAGS: Final = frozenset({"saturated", "clipped", "merged", "unfitted", "ambiguous"})
 """Flags of peaks whose position is not that of one marker alone; as ``taps.UNCLEAR``."""
 BUNDLE_MS: Final = 50.0
-KEPT_CYCLES: Final = 4
-"""Strobe cycles that are kept to interpolate what comes next."""
 
 
 def read_recorded_wand(
@@ -111,43 +112,43 @@ class _Exposures:
     def __init__(self, source: str, sensors: Sequence[SensorGeometry], markers: Sequence[int]):
         self._source = source
         self._sensors = sensors
-        self._markers = markers
         self._rows: list[tuple[int, int, Array, Array]] = []
-        self._poses: list[tuple[Array, Array]] = []
+        self._begin_ns: int | None = None
+        self._collector = StrobedPoseCollector(markers, [sensor.pixels for sensor in sensors])
 
     def add(self, device_ns: int, marker: int, position_px: Array, sigma_px: Array) -> None:
         self._rows.append((device_ns, marker, position_px, sigma_px))
 
     @property
     def complete(self) -> bool:
-        """Whether each of the wand's markers was lit among the newest exposures."""
-        return {row[1] for row in self._rows}.issuperset(self._markers)
+        """Whether each of the wand's markers was lit."""
+        self._collect()
+        return self._collector.all_lit
 
     def table(self) -> ReadingTable:
         """Return all poses so far."""
-        if self._rows:
-            self._add_poses()
-        shape = (-1, len(self._markers), len(self._sensors))
-        readings, sigma = (
-            np.array([pose[part] for pose in self._poses]).reshape(shape) for part in (0, 1)
-        )
+        self._collect()
+        if self._begin_ns is not None:
+            self._collector.check_lit()
+        readings, sigma = self._collector.poses()
         names = tuple(sensor.name for sensor in self._sensors)
         return ReadingTable(Path(self._source), names, readings, sigma)
 
-    def _add_poses(self) -> None:
-        begin = self._rows[0][0]
-        exposures = StrobedReadings(
-            np.array([1e-9 * (row[0] - begin) for row in self._rows]),
-            np.array([row[1] for row in self._rows], dtype=np.intp),
-            np.array([row[2] for row in self._rows]),
-            np.array([row[3] for row in self._rows]),
+    def _collect(self) -> None:
+        if not self._rows:
+            return
+        if self._begin_ns is None:
+            self._begin_ns = self._rows[0][0]
+        times, markers, readings, sigma = zip(*self._rows, strict=True)
+        self._rows = []
+        self._collector.add(
+            StrobedReadings(
+                1e-9 * (np.array(times) - self._begin_ns),
+                np.array(markers, dtype=np.intp),
+                np.array(readings),
+                np.array(sigma),
+            )
         )
-        last = self._poses[-1][0] if self._poses else None
-        pixels = [sensor.pixels for sensor in self._sensors]
-        poses = strobed_poses(exposures, self._markers, pixels, last)
-        self._poses += zip(*poses, strict=True)
-        # What comes next is interpolated from the last cycles.
-        self._rows = self._rows[-KEPT_CYCLES * (1 + int(exposures.marker.max())) :]
 
 
 def _brightest(frame: Frame, columns: "Mapping[str, int]") -> tuple[Array, Array]:

@@ -32,6 +32,7 @@ _REDACTED_COLUMNS: Final = frozenset(
     {
         "id",
         "digest",
+        "secret",
         "data",
         "content",
         "errors",

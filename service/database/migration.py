@@ -62,8 +62,11 @@ def migrate(
     """
     with database.engine.execution_options(lumiline_write=True).begin() as connection:
         lock_schema(connection)
-        new = revision_of(connection) is None
-        command.upgrade(alembic_config(connection), revision)
+        current = revision_of(connection)
+        new = current is None
+        # Alembic reads all revisions even where there is nothing to do.
+        if current != newest_revision():
+            command.upgrade(alembic_config(connection), revision)
         if new and fill is not None:
             with Session(connection) as session:
                 fill(session)

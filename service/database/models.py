@@ -208,6 +208,25 @@ class RadiometricCaptureRow(_NotedOfDevice, Base):
     updated_at: Mapped[datetime] = mapped_column(UtcDateTime)
 
 
+class WaveCaptureRow(_NotedOfDevice, Base):
+    """Poses of a wand or rigid body that was waved in front of a device, and what they cover.
+
+    ``data`` holds the readings, as a NumPy archive.
+    """
+
+    __tablename__ = "wave_captures"
+    __table_args__ = (Index(None, "device_id", "created_at"),)
+
+    sensors: Mapped[list[dict[str, Any]]] = mapped_column(JSON)
+    target: Mapped[dict[str, Any]] = mapped_column(JSON)
+    markers: Mapped[list[int]] = mapped_column(JSON)
+    settings: Mapped[dict[str, Any]] = mapped_column(JSON)
+    progress: Mapped[dict[str, Any]] = mapped_column(JSON)
+    ended: Mapped[str | None] = mapped_column(Text)
+    data: Mapped[bytes] = mapped_column(LargeBinary, deferred=True)
+    updated_at: Mapped[datetime] = mapped_column(UtcDateTime)
+
+
 class ReconstructionRow(_OfDevice, Base):
     """Readings given by a client and the points computed from them."""
 
@@ -410,6 +429,21 @@ class ApiKeyRow(Base):
     expires_at: Mapped[datetime | None] = mapped_column(UtcDateTime)
     revoked_at: Mapped[datetime | None] = mapped_column(UtcDateTime)
     last_used_at: Mapped[datetime | None] = mapped_column(UtcDateTime)
+
+
+class WebhookRow(Base):
+    """Where events are sent; the secret is here as it is, since signatures are made with it."""
+
+    __tablename__ = "webhooks"
+
+    id: Mapped[str] = mapped_column(String(63), primary_key=True)
+    title: Mapped[str] = mapped_column(String(200))
+    url: Mapped[str] = mapped_column(String(2000))
+    event_types: Mapped[list[str]] = mapped_column(JSON)
+    enabled: Mapped[bool]
+    secret: Mapped[str] = mapped_column(String(100))
+    created_at: Mapped[datetime] = mapped_column(UtcDateTime)
+    updated_at: Mapped[datetime] = mapped_column(UtcDateTime)
 
 
 class IdempotencyKeyRow(Base):

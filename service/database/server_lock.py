@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from sqlalchemy import event
+from sqlalchemy.exc import SQLAlchemyError
 
 from service.database.engine import Database, file_of
 from service.problems.errors import DatabaseInUse
@@ -33,6 +34,19 @@ def server_lock(database: Database) -> Iterator[None]:
             file.parent.mkdir(parents=True, exist_ok=True)
             fcntl.flock(stack.enter_context(_lock_file(file)), fcntl.LOCK_SH)
         yield
+
+
+def is_unused(url: str) -> bool:
+    """Whether no server uses a database now; one that starts asks before it takes its lock."""
+    # A connection of its own, as it must not come back with the ones that share the lock.
+    database = Database(url)
+    try:
+        with exclusive_lock(database):
+            return True
+    except (DatabaseInUse, SQLAlchemyError, OSError):  # or there is none yet
+        return False
+    finally:
+        database.close()
 
 
 @contextmanager

@@ -2,6 +2,7 @@
 
 import multiprocessing
 import pickle
+import signal
 from collections.abc import Callable
 from threading import Lock
 from typing import TYPE_CHECKING, Any, Final
@@ -16,6 +17,9 @@ if TYPE_CHECKING:
 
 _JOIN_S: Final = 5.0
 _IDLE_S: Final = 60.0
+_WAIT_FACTOR: Final = 10.0
+"""How much longer than its computing time a call may take: the process is nice, and on a busy
+machine gets a small share."""
 
 
 class CallProcess:
@@ -42,7 +46,8 @@ class CallProcess:
         Args:
             function: importable by its name.
             arguments: what can be pickled.
-            timeout_s: the process is killed after it.
+            timeout_s: time for which the process may compute; it may take ten times as long in
+                all, since other processes go first.
 
         Raises:
             WorkerEnded: the process crashed, took too long or too much memory.
@@ -62,14 +67,19 @@ class CallProcess:
     def close(self) -> None:
         """End the process."""
         with self._lock:
-            self._end()
+            self._end(wait_s=0.0)
 
     def _exchange(self, task: bytes, timeout_s: float) -> Message:
         running = self._pipe is not None
         try:
             return self._ask(task, timeout_s)
         except (EOFError, OSError) as error:
-            self._end()
+            code = self._end()
+            if code == -getattr(signal, "SIGPROF", 0):
+                raise WorkerEnded(
+                    f"it computed for longer than {timeout_s:g} s and was ended",
+                    timeout_s=timeout_s,
+                ) from error
             if not running:
                 raise WorkerEnded("the process that computed ended without a result") from error
         return self._exchange(task, timeout_s)  # the one that was kept had been idle for too long
@@ -78,11 +88,12 @@ class CallProcess:
         if self._pipe is None:
             self._start()
         assert self._pipe is not None
-        self._pipe.send_bytes(task)
-        if not self._pipe.poll(timeout_s):
-            self._end()
+        self._pipe.send((task, timeout_s))
+        longest_s = _WAIT_FACTOR * timeout_s
+        if not self._pipe.poll(longest_s):
+            self._end(wait_s=0.0)
             raise WorkerEnded(
-                f"it took longer than {timeout_s:g} s and was ended", timeout_s=timeout_s
+                f"it took longer than {longest_s:g} s and was ended", timeout_s=longest_s
             )
         message: Message = self._pipe.recv()
         return message
@@ -96,11 +107,16 @@ class CallProcess:
         self._process.start()
         theirs.close()
 
-    def _end(self) -> None:
+    def _end(self, wait_s: float = _JOIN_S) -> int | None:
+        """End the process, which may be about to end by itself; return its exit code."""
+        code = None
         if self._process is not None:
+            self._process.join(wait_s)
+            code = self._process.exitcode
             self._process.kill()
             self._process.join(_JOIN_S)
             self._process = None
         if self._pipe is not None:
             self._pipe.close()
             self._pipe = None
+        return code

@@ -79,7 +79,8 @@ def serve(connection: Connection, memory_bytes: int, idle_s: float, peak_bytes: 
     """Run one pickled ``(function, arguments)`` after another; the target of a ``CallProcess``.
 
     Args:
-        connection: brings the tasks and takes what comes of them.
+        connection: brings the tasks, each with the time for which it may compute [s], after which
+            the process is ended by SIGPROF; takes what comes of them.
         memory_bytes: most memory that the process may take.
         idle_s: how long it waits for the next task before it ends.
         peak_bytes: it ends after a task that took more memory, which goes back to the system.
@@ -87,7 +88,10 @@ def serve(connection: Connection, memory_bytes: int, idle_s: float, peak_bytes: 
     _prepare(memory_bytes)
     with contextlib.suppress(BrokenPipeError, EOFError):
         while connection.poll(idle_s):
-            connection.send(_outcome(connection.recv_bytes()))
+            task, computing_s = connection.recv()
+            _limit_computing(computing_s)
+            connection.send(_outcome(task))
+            _limit_computing(0.0)
             if _peak_memory_bytes() > peak_bytes:
                 break
     connection.close()
@@ -145,6 +149,12 @@ def _limit_memory(limit_bytes: int) -> None:
     _, hard = resource.getrlimit(resource.RLIMIT_DATA)
     if hard == resource.RLIM_INFINITY or hard > limit_bytes:
         resource.setrlimit(resource.RLIMIT_DATA, (limit_bytes, hard))
+
+
+def _limit_computing(limit_s: float) -> None:
+    """Let SIGPROF end this process when it has computed for so long; 0: no limit. POSIX only."""
+    if hasattr(signal, "setitimer"):
+        signal.setitimer(signal.ITIMER_PROF, limit_s)
 
 
 def _end_with_parent() -> None:

@@ -23,6 +23,7 @@ from compute.signal.coded_aperture.shadow_template import ShadowTemplate
 from compute.signal.fit.device_line_shape import device_line_shape
 from compute.signal.fit.fit_finder import FitFinder
 from compute.signal.fit.fit_settings import WIDTH_LIMITS_PX, FitSettings
+from compute.signal.fit.line_spread_function import LineSpreadFunction
 from compute.signal.peaks import PeakBatch, PeakFlag, no_peaks
 from compute.signal.pixel_corrections import PixelCorrections, calibrated_noise
 from compute.signal.radiometric_calibration import RadiometricCalibration
@@ -115,6 +116,25 @@ tests/service/pipeline/test_peak_methods.py)."""
 _Find = Callable[[NDArray[np.uint16]], PeakBatch]
 
 
+@dataclass(frozen=True, eq=False)
+class SearchModel:
+    """What the peaks of a device are searched and fitted with, for whoever shows how.
+
+    Args:
+        noise: of the sensors.
+        search: how candidates are found; None: shadows, or nothing reads the scans.
+        fit: how they are fitted; None: they are not.
+        shape: the line-spread function; None: a Gaussian.
+        corrections: of the sensors' pixels; None: counts are taken as they are.
+    """
+
+    noise: SensorNoise
+    search: CentroidSettings | None = None
+    fit: FitSettings | None = None
+    shape: LineSpreadFunction | None = None
+    corrections: PixelCorrections | None = None
+
+
 def peak_method(description: DeviceDescription) -> Method | None:
     """Return the method by which a device's peaks are measured; None: nothing reads its scans.
 
@@ -168,8 +188,13 @@ class DetectionStage:
         """That of peaks that were not fitted, of all sensors; 0 where all are."""
         sensors, pixels = len(description.sensors), description.sensors[0].pixels
         self._pixels = {sensor.name: sensor.pixels for sensor in description.sensors}
-        self._make_find = partial(_find, self.method, description, frames, model, compute_device)
-        self._find = self._make_find([None] * sensors, [np.empty(0, np.intp)] * sensors)
+        self._search_model = partial(_search_model, self.method, description, model)
+        self._make_find = partial(
+            _find, self.method, frames * sensors, pixels, model.templates, compute_device
+        )
+        self.search_model = self._search_model([None] * sensors, [np.empty(0, np.intp)] * sensors)
+        """What peaks are found with now; replaced as a whole, so that it may be read."""
+        self._find = self._make_find(self.search_model)
         if self._find is not None:
             # Loads the kernel and touches the buffers, before the first frame waits for it.
             self._find(np.zeros((sensors, pixels), np.uint16))
@@ -222,10 +247,11 @@ class DetectionStage:
         ]
         if self._find is None:
             return
-        find = self._make_find([calibrations.get(name) for name in self._pixels], masked)
+        search_model = self._search_model([calibrations.get(name) for name in self._pixels], masked)
+        find = self._make_find(search_model)
         assert find is not None
         find(np.zeros((len(self._pixels), next(iter(self._pixels.values()))), np.uint16))
-        self._find = find
+        self._find, self.search_model = find, search_model
 
     @property
     def reads(self) -> bool:
@@ -248,33 +274,46 @@ class DetectionStage:
         if self.method == "shadow":
             stretch = np.sqrt(np.maximum(peaks.reduced_chi2, np.float32(1.0)))
             return replace(peaks, sigma_px=peaks.sigma_px * stretch)
+        changed: dict[str, Any] = {}
         if self.method == "fit":
-            peaks = replace(peaks, width_px=peaks.width_px * np.float32(_TO_THIRD))
-        if self.error_px is None:
-            return peaks
-        error = np.tile(self.error_px, len(lines) // len(self.error_px))[:, None]
-        unfitted = (peaks.flags & PeakFlag.UNFITTED) != 0
-        sigma = np.hypot(peaks.sigma_px, np.where(unfitted, self.unfitted_error_px, error))
-        return replace(peaks, sigma_px=sigma.astype(np.float32))
+            changed["width_px"] = peaks.width_px * np.float32(_TO_THIRD)
+        if self.error_px is not None:
+            # By frame, sensor and peak for the errors, which are by sensor.
+            sigma = peaks.sigma_px.reshape(-1, len(self.error_px), peaks.sigma_px.shape[1])
+            error: Array | np.float64 = self.error_px[:, None]
+            unfitted = (peaks.flags & int(PeakFlag.UNFITTED)) != 0
+            if np.count_nonzero(unfitted):
+                error = np.where(unfitted.reshape(sigma.shape), self.unfitted_error_px, error)
+            widened = np.hypot(sigma, error, dtype=np.float64).astype(np.float32)
+            changed["sigma_px"] = widened.reshape(peaks.sigma_px.shape)
+        return replace(peaks, **changed) if changed else peaks
 
 
-def _find(
+def nominal_search_model(description: DeviceDescription) -> SearchModel:
+    """Return what a device's peaks are found with while no radiometric calibration is active."""
+    sensors = len(description.sensors)
+    return _search_model(
+        peak_method(description),
+        description,
+        ExpectedScans(),
+        [None] * sensors,
+        [np.empty(0, np.intp)] * sensors,
+    )
+
+
+def _search_model(
     method: Method | None,
     description: DeviceDescription,
-    frames: int,
     model: ExpectedScans,
-    compute_device: str | None,
     calibrations: Sequence[RadiometricCalibration | None],
     masked: Sequence[NDArray[np.intp]],
-) -> _Find | None:
-    """Return what finds the peaks; None: nothing does.
+) -> SearchModel:
+    """Return what a device's peaks are found with.
 
     Args:
         method: how.
         description: the device.
-        frames: most frames of one call.
         model: what is known of its lines.
-        compute_device: as of FitFinder.
         calibrations: radiometric ones of the sensors; None for one without.
         masked: further bad pixels of each sensor.
     """
@@ -291,31 +330,58 @@ def _find(
         corrections = PixelCorrections.of(calibrations, pixels, description.offset_counts)
         for number, bad in enumerate(masked):
             corrections = corrections.with_masked(number, bad)
-    lines = frames * sensors
-    if method == "fit":
-        sigma = description.line_sigma_px
-        settings = (
-            FREE_WIDTH_FIT
-            if sigma is None
-            else FitSettings(search=_SEARCH, width_px=sigma, width_log_sigma=0.0)
+    if method == "centroid":
+        return SearchModel(noise, CentroidSettings(), corrections=corrections)
+    if method != "fit":
+        return SearchModel(noise, corrections=corrections)
+    sigma = description.line_sigma_px
+    settings = (
+        FREE_WIDTH_FIT
+        if sigma is None
+        else FitSettings(search=_SEARCH, width_px=sigma, width_log_sigma=0.0)
+    )
+    # Where the lines of the volume are known, ``error_px`` holds what their shape costs.
+    settings = replace(settings, widen_misfit=model.volume is None)
+    shape = None
+    if any(one is not None and one.line_shape is not None for one in calibrations):
+        shape, unit_px = device_line_shape(
+            [None if one is None else one.line_shape for one in calibrations], sigma
         )
-        # Where the lines of the volume are known, ``error_px`` holds what their shape costs.
-        settings = replace(settings, widen_misfit=model.volume is None)
-        shape = None
-        if any(one is not None and one.line_shape is not None for one in calibrations):
-            shape, unit_px = device_line_shape(
-                [None if one is None else one.line_shape for one in calibrations], sigma
-            )
-            settings = replace(settings, width_px=unit_px)
+        settings = replace(settings, width_px=unit_px)
+    return SearchModel(noise, settings.search, settings, shape, corrections)
+
+
+def _find(
+    method: Method | None,
+    lines: int,
+    pixels: int,
+    templates: tuple[ShadowTemplate, ...],
+    compute_device: str | None,
+    model: SearchModel,
+) -> _Find | None:
+    """Return what finds the peaks; None: nothing does.
+
+    Args:
+        method: how.
+        lines: most scans of one call.
+        pixels: of each scan.
+        templates: shadows of coded windows, by sensor.
+        compute_device: as of FitFinder.
+        model: what they are found with.
+    """
+    noise, corrections = model.noise, model.corrections
+    if method == "fit":
+        assert model.fit is not None
         return FitFinder(
-            lines, pixels, settings, noise, shape, compute_device, corrections=corrections
+            lines, pixels, model.fit, noise, model.shape, compute_device, corrections=corrections
         ).find
     if method == "centroid":
+        assert model.search is not None
         return CentroidFinder(
-            lines, pixels, CentroidSettings(), noise, device=compute_device, corrections=corrections
+            lines, pixels, model.search, noise, device=compute_device, corrections=corrections
         ).find
-    if method == "shadow" and model.templates:
-        read = MaskReader(model.templates, pixels, noise, ShadowSettings(fit_scale=True)).read
+    if method == "shadow" and templates:
+        read = MaskReader(templates, pixels, noise, ShadowSettings(fit_scale=True)).read
         return read if corrections is None else partial(_read_corrected, read, corrections)
     return None
 

@@ -12,7 +12,7 @@ from collections import Counter, deque
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from statistics import median
-from threading import Lock
+from threading import Lock, RLock
 from typing import Final, Protocol
 
 from compute.pose.rigid_body import PoseStatus, ToolPose
@@ -31,6 +31,7 @@ from service.pipeline.frame_batch import (
     TrackingResult,
 )
 from service.pipeline.frame_processor import MAX_FRAMES, FrameProcessor
+from service.pipeline.stage_latency import StageLatency
 from service.pipeline.taps import Tap
 from service.pipeline.threads import FrameRing, ReaderThread
 from service.pipeline.tracking_config import TrackingConfig
@@ -231,13 +232,16 @@ class DeviceSession:
         self.frames_not_tracked_count = 0
         self.load_shedding = LoadShedding(description.frame_rate_hz)
         self.reader: ReaderThread | None = None
-        self._taps_lock = Lock()
+        self._taps_lock = RLock()
+        """Held while a batch is offered: a detached tap has all that it was being given."""
         self.taps: tuple[Tap, ...] = ()
         self._sampled_taps: tuple[Tap, ...] = ()
         """Who takes batches beside the streams; replaced as a whole, so that it may be read."""
         self.processed = 0
         self.latency = LatencyHistogram()
         """From the exposure of a batch's oldest frame until its streams have it."""
+        self.stages = StageLatency(ring)
+        """Of one frame a second, from its exposure to the streams."""
         self.failure: str | None = None
         self.stopped = False
         self._batch = MAX_FRAMES
@@ -265,7 +269,10 @@ class DeviceSession:
                     return True
                 frames = [frames[index] for index in rendered]
                 track = None if track is None else tuple(track[index] for index in rendered)
+            timed = begin >= self.stages.due_s and self.stages.sampled(frames, begin)
+            taken_ns = time.time_ns() if timed else 0
             batch = self.processor.process(frames, track=track)
+            computed_ns = time.time_ns() if timed else 0
             if self._watches_holds:
                 # Before all others: whoever holds a beam waits for nothing else.
                 batch = replace(batch, holds=self.holds.take(batch))
@@ -275,6 +282,8 @@ class DeviceSession:
             self._offer(batch)
             self.streams.publish_batch(batch)
             self.latency.count((time.time_ns() - frames[0].exposure_host_ns) * 1e-9)
+            if timed:
+                self.stages.count(frames, taken_ns, computed_ns)
             self._watch_pixels(frames)
         except Exception as error:  # noqa: BLE001 - becomes the status
             self._fail(error)
@@ -397,25 +406,26 @@ class DeviceSession:
                 self._sampled_taps = (*self._sampled_taps, tap)
 
     def detach(self, tap: Tap) -> None:
-        """Give a tap no more batches."""
+        """Give a tap no more batches; what it was being given, it has when this returns."""
         with self._taps_lock:
             self.taps = tuple(one for one in self.taps if one is not tap)
             self._sampled_taps = tuple(one for one in self._sampled_taps if one is not tap)
 
     def _offer(self, batch: FrameBatch) -> None:
         """Offer a batch to all taps; one that fails has no more, and the device goes on."""
-        for tap in self.taps:
-            try:
-                tap.offer(batch)
-            except Exception as error:  # noqa: BLE001 - of the tap, not of the device
-                self.detach(tap)
-                _log.error(
-                    "device %s: %s failed and has no more of its frames",
-                    self.device_id,
-                    type(tap).__name__,
-                    exc_info=error,
-                    extra={"device": self.device_id},
-                )
+        with self._taps_lock:
+            for tap in self.taps:
+                try:
+                    tap.offer(batch)
+                except Exception as error:  # noqa: BLE001 - of the tap, not of the device
+                    self.detach(tap)
+                    _log.error(
+                        "device %s: %s failed and has no more of its frames",
+                        self.device_id,
+                        type(tap).__name__,
+                        exc_info=error,
+                        extra={"device": self.device_id},
+                    )
 
     def _fail(self, error: Exception) -> None:
         """Give the device up: its driver is closed, clients are told, the log has the cause."""

@@ -3,7 +3,7 @@
 import asyncio
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence, Sized
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -130,15 +130,22 @@ class TrackingResult:
         """
         return cls(
             TrackBatch.concatenate(tracks),
-            np.repeat(np.arange(len(tracks)), [len(one) for one in tracks]),
-            tuple(pose for found in poses for pose in found),
-            np.repeat(np.arange(len(poses)), [len(found) for found in poses]),
+            _owners(tracks),
+            tuple([pose for found in poses for pose in found]),
+            _owners(poses),
         )
 
     def poses_of(self, frame: int) -> tuple[ToolPose, ...]:
         """Return the poses of the frame with this index."""
         first, last = self.pose_owner.searchsorted((frame, frame + 1)).tolist()
         return self.poses[first:last]
+
+
+def _owners(parts: Sequence[Sized]) -> NDArray[np.intp]:
+    """Return the index of the part that each item belongs to."""
+    if len(parts) == 1:
+        return np.zeros(len(parts[0]), dtype=np.intp)
+    return np.repeat(np.arange(len(parts)), [len(part) for part in parts])
 
 
 @dataclass(frozen=True, eq=False)

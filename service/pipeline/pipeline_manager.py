@@ -27,6 +27,7 @@ from service.pipeline.device_session import (
 from service.pipeline.device_status import DeviceStatus
 from service.pipeline.frame_batch import LatestPoses
 from service.pipeline.frame_processor import FrameProcessor
+from service.pipeline.stage_latency import Stage
 from service.pipeline.taps import PeakTap, Tap, looks
 from service.pipeline.threads import ComputeThread, FrameRing, ReaderThread
 from service.pipeline.tracking_config import NO_TRACKING, TrackingConfig
@@ -278,6 +279,10 @@ class PipelineManager:
     def latencies(self) -> dict[str, tuple[tuple[int, ...], float]]:
         """Return the latencies of batches by class, and their sum [s], by device. Never waits."""
         return {name: session.latency.counts() for name, session in tuple(self._sessions.items())}
+
+    def stage_latencies(self) -> dict[str, tuple[int, dict[Stage, float]]]:
+        """Return frames that were timed, and their time in each stage [s], by device."""
+        return {name: session.stages.sums() for name, session in tuple(self._sessions.items())}
 
     def pose_counts(self) -> dict[str, dict[str, ToolCounts]]:
         """Return pose counts by device and tool, of devices that were started. Never waits."""

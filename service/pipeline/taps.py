@@ -80,12 +80,14 @@ class PeakTap:
         return position, sigma
 
 
-def clear_readings(batch: FrameBatch, lines: slice, *, strobed: bool) -> tuple[Array, Array]:
+def clear_readings(
+    batch: FrameBatch, lines: slice | NDArray[np.intp], *, strobed: bool
+) -> tuple[Array, Array]:
     """Return the readings of the marker in some lines of a batch, and their sigmas [px].
 
     Args:
         batch: frames with their peaks.
-        lines: those of one frame.
+        lines: those of one frame, or the numbers of any.
         strobed: whether the brightest peak is the marker; else a line must have one peak only.
 
     Returns:

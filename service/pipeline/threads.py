@@ -49,6 +49,13 @@ class FrameRing:
         """Exposures missing in the sequence numbers: lost in the device or on the way."""
         self.dropped = 0
         """Frames dropped here because nobody took them in time."""
+        self.sample: tuple[int, int] | None = None
+        """Sequence number of the sampled frame, and when it was put in [ns since 1970]."""
+        self._sample_requested = False
+
+    def request_sample(self) -> None:
+        """Note when the next frame is put in."""
+        self._sample_requested = True
 
     def put(self, frame: LineFrame) -> None:
         """Add a frame; never blocks."""
@@ -57,6 +64,9 @@ class FrameRing:
             if self._last is not None and frame.sequence > self._last + 1:
                 self.lost += frame.sequence - self._last - 1
             self._last = frame.sequence
+            if self._sample_requested:
+                self._sample_requested = False
+                self.sample = (frame.sequence, time.time_ns())
             if len(self._frames) == self._capacity:
                 self._frames.popleft()
                 self.dropped += 1

@@ -132,7 +132,7 @@ class TrackingStage:
         self, device_id: str, sensors: int, *, reads: bool, make: TrackerFactory | None = None
     ) -> None:
         self._device_id = device_id
-        self._sensors = sensors
+        self._no_tracks = TrackBatch.empty(sensors)
         self._reads = reads
         self._make = make or TrackerFactory()
         self._tracked = NO_TRACKING
@@ -190,21 +190,20 @@ class TrackingStage:
         tracks: list[TrackBatch] = []
         poses: list[Sequence[ToolPose]] = []
         starts = owner.searchsorted(range(len(frames) + 1)).tolist()
-        none = TrackBatch.empty(self._sensors)
         unavailable = NO_CALIBRATION if self._reads else NO_DETECTION_METHOD
         tools = self._tracked.tools
         for index, frame in enumerate(frames):
             if measurements is None:
-                tracks.append(none)
+                tracks.append(self._no_tracks)
                 poses.append(_without(tools, frame, PoseStatus.UNKNOWN, unavailable))
                 continue
             self._check_clock(frame)
             if track is not None and not track[index]:
-                tracks.append(none)
+                tracks.append(self._no_tracks)
                 poses.append(_without(tools, frame, PoseStatus.MISSING, FRAME_SKIPPED))
                 continue
             exposure = measurements.exposure(index)
-            tracks.append(self._track_markers(frame, exposure) or none)
+            tracks.append(self._track_markers(frame, exposure) or self._no_tracks)
             lit = frame.marker is None
             frame_points = points.part(starts[index], starts[index + 1]) if lit else None
             poses.append(self._track_tools(frame, exposure, frame_points))
@@ -297,7 +296,12 @@ class TrackingStage:
                 continue
             try:
                 poses += group.tracker.step(
-                    frame.exposure_device_ns, frame.sequence, measurements, frame.marker, points
+                    frame.exposure_device_ns,
+                    frame.sequence,
+                    measurements,
+                    frame.marker,
+                    points,
+                    frame.exposure_host_ns,
                 )
                 groups.append(group)
             except Exception as error:  # noqa: BLE001 - becomes the tools' status
@@ -305,11 +309,7 @@ class TrackingStage:
                 poses += _without(group.tools, frame, PoseStatus.INVALID, reason)
                 groups += self._failed(group, reason, frame.exposure_device_ns)
         self._groups = groups
-        host_ns = frame.exposure_host_ns
-        return tuple(
-            pose if pose.exposure_ns == host_ns else replace(pose, exposure_ns=host_ns)
-            for pose in poses
-        )
+        return tuple(poses)
 
     def _failed(self, group: _Group, reason: str, now_ns: int) -> list[_Group]:
         """Return what to do after a fault: each tool by itself; one that was so, after a while."""

@@ -223,6 +223,14 @@ class RadiometricCaptureExists(ServiceError, status=409):
     """A session of radiometric captures of this id exists already; choose another id."""
 
 
+class UnknownWaveCapture(ServiceError, status=404):
+    """No capture of a waved wand or body has the given id."""
+
+
+class WaveCaptureExists(ServiceError, status=409):
+    """A capture of a waved wand or body of this id exists already; choose another id."""
+
+
 class RadiometricCaptureIncomplete(ServiceError, status=409):
     """The dark capture, or flat captures of enough levels of light, are missing."""
 
@@ -285,6 +293,22 @@ class ActivationConflict(ServiceError, status=409):
 
 class UnknownKey(ServiceError, status=404):
     """No API key has the given id."""
+
+
+class UnknownWebhook(ServiceError, status=404):
+    """No webhook has the given id."""
+
+
+class WebhookExists(ServiceError, status=409):
+    """The id is taken by another webhook."""
+
+
+class TooManyWebhooks(ServiceError, status=409):
+    """There are as many webhooks as may be."""
+
+
+class WebhookTargetRefused(ServiceError, status=422):
+    """No event is sent to such a URL."""
 
 
 class Unauthenticated(ServiceError, status=401):

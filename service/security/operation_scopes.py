@@ -33,9 +33,13 @@ OPERATION_SCOPES: Final[Mapping[str, Access]] = {
     "list-devices": "read:stream",
     "get-device": "read:stream",
     "get-device-state": "read:stream",
+    "get-device-scans": "read:stream",
     "list-recordings": "read:stream",
     "get-recording": "read:stream",
     "download-recording": "read:stream",
+    "get-recorded-frames": "read:stream",
+    "get-recorded-scans": "read:stream",
+    "get-recording-retention": "read:stream",
     # What is in them can be had from the recordings.
     "list-exports": "read:stream",
     "get-export": "read:stream",
@@ -109,6 +113,8 @@ OPERATION_SCOPES: Final[Mapping[str, Access]] = {
     "get-run": "read:calibration",
     "list-captures": "read:calibration",
     "get-capture": "read:calibration",
+    "list-wave-captures": "read:calibration",
+    "get-wave-capture": "read:calibration",
     "list-radiometric-calibrations": "read:calibration",
     "get-radiometric-calibration": "read:calibration",
     "list-radiometric-activations": "read:calibration",
@@ -134,6 +140,10 @@ OPERATION_SCOPES: Final[Mapping[str, Access]] = {
     "create-capture": "write:calibrations",
     "capture-target": "write:calibrations",
     "delete-capture": "write:calibrations",
+    "create-wave-capture": "write:calibrations",
+    "start-wave-capture": "write:calibrations",
+    "stop-wave-capture": "write:calibrations",
+    "delete-wave-capture": "write:calibrations",
     "create-radiometric-capture": "write:calibrations",
     "capture-radiometric-frames": "write:calibrations",
     "delete-radiometric-capture": "write:calibrations",
@@ -145,6 +155,9 @@ OPERATION_SCOPES: Final[Mapping[str, Access]] = {
     "deactivate-correction-table": "activate:calibrations",
     "delete-correction-table": "write:calibrations",
     "create-device": "admin:devices",
+    "create-device-profile": "admin:devices",
+    # A profile of one's own may take the server long: whoever makes devices plans them.
+    "plan-profile": "admin:devices",
     "change-device": "admin:devices",
     "delete-device": "admin:devices",
     "start-device": "operate:devices",
@@ -152,11 +165,22 @@ OPERATION_SCOPES: Final[Mapping[str, Access]] = {
     "start-recording": "operate:recordings",
     "stop-recording": "operate:recordings",
     "delete-recording": "write:recordings",
+    # Whoever may read them sees addresses of the network.
+    "list-webhooks": "admin:webhooks",
+    "create-webhook": "admin:webhooks",
+    "get-webhook": "admin:webhooks",
+    "get-webhook-state": "admin:webhooks",
+    "test-webhook": "admin:webhooks",
+    "change-webhook": "admin:webhooks",
+    "delete-webhook": "admin:webhooks",
     "list-keys": "admin:keys",
     "create-key": "admin:keys",
     "get-key": "admin:keys",
     "revoke-key": "admin:keys",
     "list-audit": "read:audit",
+    # Lines of the log name addresses, devices and requests, as the audit log does.
+    "list-log-records": "read:audit",
+    "list-stream-clients": "read:audit",  # names of keys
 }
 """Every route by its operation id; routes outside the contract by their name."""
 

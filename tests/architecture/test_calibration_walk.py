@@ -16,6 +16,7 @@ BACKGROUND = {
     "service.api.quality.drift_monitor",
     "service.api.quality.store",
     "service.api.recordings.recording_manager",
+    "service.api.webhooks.sources",
     "service.jobs.run_manager",
     "service.jobs.store",
 }
@@ -29,6 +30,7 @@ def calibrate(client: Any, name: str) -> None:
         "device_id": "sim",
         "points": NEW_CALIBRATIONS["frame"]["value"]["points"],
         "distortion": "none",
+        "labels": "off",
     }
     assert client.post("/api/v1/calibrations", json=body).status_code == 201
     assert client.post(f"/api/v1/calibrations/{name}/activate").status_code == 200

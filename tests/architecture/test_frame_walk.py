@@ -15,7 +15,7 @@ from compute.transform import Transform
 from hardware.line_frame import LineFrame
 from hardware.simulated.driver import SimulatedDriver
 from hardware.simulated.settings import SimulationSettings
-from service.pipeline import bad_pixel_watch
+from service.pipeline import bad_pixel_watch, stage_latency
 from service.pipeline.active_calibration import ActiveCalibration
 from service.pipeline.pipeline_manager import PipelineManager
 from service.pipeline.tracking_config import (
@@ -152,6 +152,8 @@ def test_walk_of_a_frame_runs_the_modules_of_the_table(
 ) -> None:
     # Twenty frames of a second are also looked through for bad pixels: no plain ones.
     monkeypatch.setattr(bad_pixel_watch, "SAMPLE_INTERVAL_S", float("inf"))
+    # One frame a second is timed; here the first one, while nothing is traced yet.
+    monkeypatch.setattr(stage_latency, "INTERVAL_S", 1e9)
     if content == "points":
         ran, last = asyncio.run(walk(illumination, content, NO_TRACKING))
         assert '"points":[{' in last

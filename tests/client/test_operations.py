@@ -7,7 +7,6 @@ import subprocess
 import sys
 import typing
 from collections.abc import Iterator
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +16,7 @@ import pytest
 from lumiline.client import Client, ServerProblem, bodies, models
 from lumiline.client.exchange import ClientMethod
 from lumiline.client.operations import Operations
-from service.application.app import create_app
-from service.settings import Settings
+from tests.openapi_document import openapi_document
 
 BEYOND_THE_INTERFACE = {"request", "stream", "wait_for_run", "close"}
 """Methods that are no operation's."""
@@ -31,13 +29,8 @@ def method_name(operation_id: str) -> str:
     return operation_id.removeprefix("list-").removeprefix("get-").replace("-", "_")
 
 
-@cache
-def document() -> dict[str, Any]:
-    return create_app(Settings()).openapi()
-
-
 def operations() -> Iterator[tuple[str, str, dict[str, Any]]]:
-    for path, verbs in document()["paths"].items():
+    for path, verbs in openapi_document()["paths"].items():
         for verb, operation in verbs.items():
             yield path, verb.upper(), operation
 
@@ -119,7 +112,7 @@ def test_method_sends_the_request_of_its_operation(operation_id: str, tmp_path: 
 
 def schema(name: str) -> dict[str, Any]:
     """Return a schema by its type's name, which leaves the module out."""
-    schemas = document()["components"]["schemas"]
+    schemas = openapi_document()["components"]["schemas"]
     found = [one for full, one in schemas.items() if full.rsplit("__", 1)[-1] == name]
     for full, one in schemas.items():
         *modules, last = full.split("__")

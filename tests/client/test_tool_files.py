@@ -196,4 +196,4 @@ def test_what_is_not_said_of_a_tool_to_show(command: Command) -> None:
         output = command("capture", "x", "--device", "sim", *given, code=2).output
         assert "--markers or --strobe-markers" in " ".join(output.split())
     output = command("capture", "x", "--device", "sim", "--strobe-markers", "0,a", code=2).output
-    assert "give numbers" in output
+    assert "whole numbers" in output

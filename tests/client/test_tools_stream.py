@@ -151,11 +151,11 @@ def test_a_point_is_measured_and_registered(server: str, tool: str) -> None:
 
 
 def test_a_point_by_the_command_line(server: str, tool: str) -> None:
-    words = ["tools", "point", tool, "--url", server, "--timeout", "60", "--name", "nasion"]
+    words = ["tools", "point", tool, "--url", server, "--timeout-s", "60", "--name", "nasion"]
     words += ["--seconds", "0.1"]
     result = CliRunner().invoke(app, [*words, "--json"])
     assert result.exit_code == 0, result.output
-    assert json.loads(result.output)["name"] == "nasion"
+    assert json.loads(result.stdout)["name"] == "nasion"
     with Client(server) as client:
         client.change_tool(tool, tip_mm=None)
         refused = CliRunner().invoke(app, words)

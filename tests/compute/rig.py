@@ -1,7 +1,11 @@
 """A rig of 1D cameras and control points that tests of the compute packages share."""
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from compute.camera.model import SensorGeometry, SensorModel
 from compute.camera.stack import CameraStack
@@ -9,6 +13,8 @@ from compute.camera.stack import CameraStack
 Array = NDArray[np.float64]
 
 PIXELS = 2048
+THIRD_LENS_MM = np.array([100.0, 40.0, 0.0])
+"""The lens of the third of four sensors of ``rig``."""
 
 
 def camera(name: str, position_mm: Array, slit_angle_rad: float, target_mm: Array) -> SensorModel:
@@ -19,11 +25,24 @@ def camera(name: str, position_mm: Array, slit_angle_rad: float, target_mm: Arra
     up = np.cross(view, side)
     along = np.cos(slit_angle_rad) * side + np.sin(slit_angle_rad) * up
     rotation = np.array([along, np.cross(view, along), view])
-    from scipy.spatial.transform import Rotation
-
     x, y, z = Rotation.from_matrix(rotation).as_rotvec().tolist()
     offset = -rotation @ position_mm
     return SensorModel(name, PIXELS, 3000.0, 1023.5, (x, y, z), float(offset[0]), float(offset[2]))
+
+
+def turned_about_lens(
+    model: SensorModel, rotation_rad: Sequence[float], lens_mm: Array
+) -> SensorModel:
+    """A camera turned where it stands, by a rotation vector in its own frame."""
+    rotation = Rotation.from_rotvec(rotation_rad).as_matrix() @ model.rotation
+    x, y, z = Rotation.from_matrix(rotation).as_rotvec().tolist()
+    offset = -rotation @ lens_mm
+    return replace(
+        model,
+        rotation_vector_rad=(x, y, z),
+        offset_x_mm=float(offset[0]),
+        offset_z_mm=float(offset[2]),
+    )
 
 
 def rig(sensors: int = 4) -> tuple[SensorModel, ...]:

@@ -38,7 +38,7 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
 def visiting(browser: "Browser", url: str) -> Iterator[Visit]:
     """Open the dashboard of a server; whatever it asks of another origin fails the test."""
     context = browser.new_context(viewport={"width": 1280, "height": 900})
-    context.set_default_timeout(120_000)  # the machine may be busy
+    context.set_default_timeout(270_000)  # the machine may be busy
     visit = Visit(context.new_page(), url)
 
     def route(route: "Route") -> None:

@@ -2,7 +2,7 @@
 
 import re
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import httpx
 import pytest
@@ -10,12 +10,18 @@ import pytest
 from hardware.simulated.calibration_target import calibration_target_points_mm
 from tests.dashboard.conftest import Visit
 
+if TYPE_CHECKING:
+    from playwright.sync_api import Page
+
 pytestmark = pytest.mark.slow
 
 AXE = Path(__file__).parents[2] / "dashboard" / "node_modules" / "axe-core" / "axe.min.js"
 ANY = {"If-Match": "*"}
 """A change of the resource whatever it is."""
-SCREENS = ("Scene", "Calibrate", "Tools", "Beam holds", "Recordings", "Health", "Administration")
+SCREENS = (
+    *("Scene", "Scans", "Calibrate", "Tools", "Beam holds", "Recordings", "Quality"),
+    *("Plan", "Health", "Administration"),
+)
 
 
 def show(server: str, scene: dict[str, Any]) -> None:
@@ -26,11 +32,48 @@ def show(server: str, scene: dict[str, Any]) -> None:
     httpx.post(f"{device}/start", timeout=60).raise_for_status()
 
 
+def serious_findings(page: "Page") -> list[tuple[str, list[str]]]:
+    """What axe finds on a page that is serious or critical."""
+    page.evaluate(AXE.read_text())
+    found = page.evaluate("axe.run()")
+    assert found["passes"]
+    return [
+        (violation["id"], [node["html"] for node in violation["nodes"]])
+        for violation in found["violations"]
+        if violation["impact"] in ("serious", "critical")
+    ]
+
+
 def test_scene_shows_the_markers_of_the_running_device(visit: Visit):
     show(visit.url, {"kind": "rotating-bar"})
     rows = visit.page.get_by_role("region", name="Points").locator("tbody tr")
     rows.first.wait_for()
     assert re.search(r"-?\d+\.\d+, -?\d+\.\d+, -?\d+\.\d+", rows.first.inner_text())
+
+
+def test_scan_is_frozen_zoomed_and_saved(visit: Visit, tmp_path: Path):
+    show(visit.url, {"kind": "calibration-frame"})
+    page = visit.page
+    visit.screen("Scans")
+    page.get_by_role("button", name="1: zoom").wait_for()
+    page.get_by_role("button", name="Freeze").click()
+    exposure = page.get_by_role("definition").filter(has_text="marker")
+    frozen = exposure.inner_text()
+    page.get_by_role("button", name="1: zoom").click()
+    page.wait_for_timeout(1000)
+    assert exposure.inner_text() == frozen
+    for name, start in (
+        ("Save as CSV", b"pixel,vertical [counts]"),
+        ("Save as picture", b"\x89PNG"),
+    ):
+        with page.expect_download() as download:
+            page.get_by_role("button", name=name).click()
+        download.value.save_as(tmp_path / name)
+        assert (tmp_path / name).read_bytes().startswith(start)
+    page.get_by_role("button", name="Next exposure").click()
+    exposure.filter(has_not_text=frozen).wait_for()
+    page.get_by_role("button", name=re.compile("^horizontal")).click()
+    page.get_by_text("Only the sensor that was shown").wait_for()
 
 
 def test_device_is_calibrated_by_clicks_alone(visit: Visit):
@@ -65,7 +108,7 @@ def test_device_is_calibrated_by_clicks_alone(visit: Visit):
 
 def test_wrong_table_of_targets_is_refused_with_what_to_change(visit: Visit):
     visit.screen("Calibrate")
-    visit.page.get_by_label("Table").fill("X,Y\n1,2\n")
+    visit.page.get_by_label("Table", exact=True).fill("X,Y\n1,2\n")
     visit.page.get_by_text('There is no column Z in the heading "X,Y".').wait_for()
     assert visit.page.get_by_role("button", name="Begin capturing").is_disabled()
 
@@ -89,15 +132,7 @@ def test_no_serious_finding_of_axe(visit: Visit, screen: str, scheme: Any):
     visit.screen(screen)
     visit.page.get_by_role("heading", name=screen, level=1).wait_for(state="attached")
     visit.page.wait_for_timeout(1000)
-    visit.page.evaluate(AXE.read_text())
-    found = visit.page.evaluate("axe.run()")
-    assert found["passes"]
-    serious = [
-        (violation["id"], [node["html"] for node in violation["nodes"]])
-        for violation in found["violations"]
-        if violation["impact"] in ("serious", "critical")
-    ]
-    assert not serious
+    assert not serious_findings(visit.page)
 
 
 @pytest.mark.parametrize("screen", ["Beam holds", "Tools", "Health"])
@@ -106,3 +141,34 @@ def test_screen_fits_a_phone(visit: Visit, screen: str):
     visit.screen(screen)
     visit.page.wait_for_timeout(500)
     assert visit.page.evaluate("document.documentElement.scrollWidth") <= 375
+
+
+def test_planned_profile_is_changed_kept_and_simulated(visit: Visit):
+    page = visit.page
+    visit.screen("Plan")
+    page.get_by_role("heading", name="What it would reach").wait_for()
+    page.get_by_label("Baseline").fill("0.5")
+    better = page.get_by_role("row", name=re.compile("^Precision .noise., median"))
+    better.get_by_text(re.compile(r"^−\d+ %$")).wait_for()
+    page.get_by_label("Name").fill("planned")
+    page.get_by_role("button", name="Keep the profile").click()
+    page.get_by_role("option", name="planned").wait_for(state="attached")
+    page.get_by_role("button", name="Simulate it as a device").click()
+    page.get_by_role("button", name="1: zoom").wait_for()
+    assert httpx.get(f"{visit.url}/api/v1/devices/planned/state").json()["state"] == "running"
+    httpx.delete(f"{visit.url}/api/v1/devices/planned?cascade=true", headers=ANY, timeout=60)
+
+
+def test_quick_check_says_what_it_found_and_what_to_do(visit: Visit):
+    show(visit.url, {"kind": "rotating-bar"})
+    page = visit.page
+    visit.screen("Quality")
+    checks = page.get_by_role("region", name="Quick checks").first
+    checks.get_by_label("Kind").select_option("point-to-point")
+    checks.get_by_label("Strobed markers").fill("0, 1")
+    checks.get_by_label("Distance [mm]").fill("292")
+    checks.get_by_label("Seconds").fill("0.5")
+    checks.get_by_role("button", name="Measure").click()
+    checks.get_by_text("passed", exact=True).wait_for()
+    checks.get_by_text(re.compile("error .* mm on average")).wait_for()
+    page.get_by_text("mean error of the distance").first.wait_for()

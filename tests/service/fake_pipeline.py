@@ -1,26 +1,31 @@
 """A live side that records its calls, and the test client, for tests of the REST side."""
 
 import warnings
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.signal.sensor_noise import SensorNoise
 from hardware.driver import DeviceDescription, Driver
 from service.api.beam_holds.reference_capture import ReferenceTap
+from service.api.line_scans.live_scans import ScanTap
 from service.api.quality.interval_statistics_tap import IntervalStatisticsTap
 from service.api.quality.point_tap import PointTap
 from service.api.radiometric_calibrations.frame_tap import FrameTap
 from service.api.tools.marker_tap import MarkerTap
 from service.api.tools.pose_taps import PoseTap, TipTap
+from service.api.wave_captures.exposure_tap import ExposureTap
 from service.pipeline.active_calibration import NO_ACTIVE_CALIBRATION, ActiveCalibration
 from service.pipeline.beam_hold_registry import BeamHoldRegistry
-from service.pipeline.detection_stage import DetectionStage
+from service.pipeline.detection_stage import DetectionStage, SearchModel
 from service.pipeline.device_session import DeviceSession, ToolCounts
 from service.pipeline.device_status import DeviceStatus
 from service.pipeline.frame_batch import LatestPoses
 from service.pipeline.frame_processor import FrameProcessor
 from service.pipeline.pipeline_manager import Accept, PipelineManager, any_device
+from service.pipeline.stage_latency import Stage
 from service.pipeline.taps import Tap
 from service.pipeline.threads import FrameRing
 from service.pipeline.tracking_config import TrackingConfig
@@ -72,6 +77,7 @@ class _Processor(FrameProcessor):
         self.detection = DetectionStage.__new__(DetectionStage)
         self.detection.method = self.detection.error_px = None
         self.detection.unfitted_error_px = 0.0
+        self.detection.search_model = SearchModel(SensorNoise.of([12.0] * 4, 30.0))
         self.active_calibration = NO_ACTIVE_CALIBRATION
 
 
@@ -115,6 +121,9 @@ class FakePipeline(PipelineManager):
     @property
     def busy_s(self) -> float:
         return self.busy
+
+    def stage_latencies(self) -> dict[str, tuple[int, dict[Stage, float]]]:
+        return {}
 
     def latencies(self) -> dict[str, tuple[tuple[int, ...], float]]:
         return {}
@@ -193,10 +202,17 @@ class FakePipeline(PipelineManager):
             | ReferenceTap
             | MarkerTap
             | TipTap
-            | FrameTap,
+            | FrameTap
+            | ExposureTap,
         ):
             for batch in self.batches:
                 tap.offer(batch)
+
+        if isinstance(tap, ScanTap):
+            dark = np.zeros((4, 64), np.uint16)  # frames of others have hardly any pixels
+            for batch in self.batches:
+                frames = tuple(replace(frame, lines=dark) for frame in batch.frames)
+                tap.offer(replace(batch, frames=frames))
 
     def detach(self, session: DeviceSession, tap: Tap) -> None:
         self.calls.append(("detach", session.device_id))

@@ -21,6 +21,7 @@ from service.api.drift_checks.examples import NEW_DRIFT_CHECKS
 from service.api.paging import Paging
 from service.api.reconstructions.examples import NEW_RECONSTRUCTIONS
 from service.api.runs.examples import NEW_MAPPING_RUNS, NEW_SELF_CALIBRATION_RUNS, NEW_UPDATE_RUNS
+from service.api.wave_captures.examples import NEW_WAVE_CAPTURES
 from service.application.app import create_app
 from service.application.initial_content import nominal_calibration
 from service.database.models import Base
@@ -202,7 +203,7 @@ def copied() -> Json:
 
 builds("readings of one sensor copied to another")(lambda: post_calibration(copied()))
 builds("readings of one sensor copied to another for a run")(
-    lambda: Sent("POST", "/api/v1/calibration-runs", copied())
+    lambda: Sent("POST", "/api/v1/runs/calibration", copied())
 )
 builds("always the same reading")(lambda: post_calibration(with_column("vertical", lambda *_: 5.0)))
 
@@ -443,12 +444,12 @@ builds("unknown problem type")(lambda: Sent("GET", "/problems/nothing"))
 
 def post_run(**changes: Any) -> Sent:
     body = calibration() | {"result_id": None} | changes
-    return Sent("POST", "/api/v1/calibration-runs", body)
+    return Sent("POST", "/api/v1/runs/calibration", body)
 
 
 def post_mapping(**changes: Any) -> Sent:
     body = copy.deepcopy(NEW_MAPPING_RUNS["grid"]["value"]) | {"id": None} | changes
-    return Sent("POST", "/api/v1/mapping-runs", body)
+    return Sent("POST", "/api/v1/runs/mapping", body)
 
 
 def post_drift_check(calibration_id: str = "sim-nominal", **changes: Any) -> Sent:
@@ -458,7 +459,7 @@ def post_drift_check(calibration_id: str = "sim-nominal", **changes: Any) -> Sen
 
 def post_update(**changes: Any) -> Sent:
     body = copy.deepcopy(NEW_UPDATE_RUNS["frame"]["value"]) | {"id": None} | changes
-    return Sent("POST", "/api/v1/update-runs", body)
+    return Sent("POST", "/api/v1/runs/update", body)
 
 
 def still(**changes: Any) -> list[Json]:
@@ -479,7 +480,7 @@ builds("drift check read by an unknown sensor")(
 builds("unknown drift check")(lambda: Sent("GET", "/api/v1/drift-checks/nothing"))
 builds("update by nothing")(lambda: post_update(points=None))
 builds("update by an unknown drift check")(
-    lambda: Sent("POST", "/api/v1/update-runs", {"device_id": "sim", "drift_check_id": "nothing"})
+    lambda: Sent("POST", "/api/v1/runs/update", {"device_id": "sim", "drift_check_id": "nothing"})
 )
 builds("update of what no camera has")(lambda: post_update(allowance={"colour": 1.0}))
 builds("update of a calibration of another device")(lambda: post_update(device_id="bar"))
@@ -554,7 +555,12 @@ builds("pitch of a map through every value")(
 
 def post_wand(**changes: Any) -> Sent:
     body = copy.deepcopy(NEW_SELF_CALIBRATION_RUNS["wand"]["value"]) | {"id": None} | changes
-    return Sent("POST", "/api/v1/self-calibration-runs", body)
+    return Sent("POST", "/api/v1/runs/self-calibration", body)
+
+
+def post_wave(**changes: Any) -> Sent:
+    body = NEW_WAVE_CAPTURES["wand"]["value"] | {"id": None} | changes
+    return Sent("POST", "/api/v1/wave-captures", body)
 
 
 @builds("wand with one marker")
@@ -577,6 +583,25 @@ def _() -> Sent:
 builds("self-calibration from another device's start")(
     lambda: post_wand(start_calibration_id="of-bar")
 )
+builds("self-calibration from no wand and no session")(lambda: post_wand(recordings=None))
+builds("self-calibration from a session that there is none of")(
+    lambda: post_wand(recordings=None, wave_capture_id="nothing")
+)
+
+
+@builds("self-calibration from sigmas of fewer poses")
+def _() -> Sent:
+    sent = post_wand()
+    sent.body["recordings"][0]["sigma_px"] = sent.body["recordings"][0]["poses"][:1]
+    return sent
+
+
+builds("waved wand with one marker")(
+    lambda: post_wave(target={"kind": "wand", "position_mm": [0.0]})
+)
+builds("waved wand with more strobed markers than its own")(lambda: post_wave(markers=[0, 1, 2]))
+builds("waved wand of an unknown device")(lambda: post_wave(device_id="nothing"))
+builds("waved wand that is not there")(lambda: Sent("POST", "/api/v1/wave-captures/nothing/start"))
 builds("table that is not HDF5")(lambda: upload(b"points=3"))
 builds("table cut short")(lambda: upload(table()[:3000]))
 builds("table declared as JSON")(lambda: upload(table(), media_type="application/json"))

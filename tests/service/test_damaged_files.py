@@ -1,11 +1,9 @@
-"""Damaged tables, backups, profiles and tool files: refused with a reason, or read as written.
+"""Damaged tables, backups, profiles, tools and calibrations: refused, or read as written.
 
-Bits are flipped, bytes overwritten and ends cut off, at random places; recordings have a test of
-their own (tests/hardware/recording/test_damage.py).
+Recordings have a test of their own (tests/hardware/recording/test_damage.py).
 """
 
 import json
-import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
@@ -20,50 +18,22 @@ from compute.errors import LumilineError
 from service.api.correction_tables.hdf5_file import read_table, write_table
 from service.api.devices.profiles import profile_text
 from service.application.app import create_app
-from service.application.initial_content import seed
+from service.application.initial_content import nominal_calibration, seed
 from service.backup.backup import back_up
 from service.backup.restore import restore
 from service.cli import app, tool_files
+from service.cli.json_files import DOCUMENT, read_calibration
 from service.cli.output import fail
+from service.cli.tracking_files import read_tools
 from service.database.engine import Database
 from service.database.migration import migrate
 from service.problems.errors import BackupUnusable
 from service.settings import Settings
+from tests.damage import FEW_OR_MANY, MANY, damages
 from tests.service.api.correction_tables.tables import content as content_of_table
 from tests.service.fake_pipeline import FakePipeline, TestClient
 
-DAMAGES = 1000
-A_FEW = 40
 PLANNED = 50
-
-
-def damaged(whole: bytes, random: np.random.Generator) -> bytes:
-    """Flip one bit or eight, overwrite up to 16 bytes, or cut the end off."""
-    kind = random.integers(4)
-    if kind == 3:
-        return whole[: random.integers(len(whole))]
-    data = bytearray(whole)
-    place = int(random.integers(len(data)))
-    if kind == 2:
-        data[place : place + 16] = random.bytes(len(data[place : place + 16]))
-    else:
-        for at in place + random.integers(0, 16, 1 + 7 * kind):
-            data[min(int(at), len(data) - 1)] ^= 1 << random.integers(8)
-    return bytes(data)
-
-
-def damages(whole: bytes, count: int) -> Iterator[bytes]:
-    """The first ones are the same in each run, a thousand are new ones."""
-    first = 0 if count == A_FEW else int.from_bytes(os.urandom(3))
-    for seed_ in range(first, first + count):
-        found = damaged(whole, np.random.default_rng([23, seed_]))
-        if found != whole:
-            yield found
-
-
-FEW_OR_MANY = pytest.mark.parametrize(
-    "count", [A_FEW, pytest.param(DAMAGES, marks=pytest.mark.slow)]
-)
 
 
 @FEW_OR_MANY
@@ -120,7 +90,7 @@ def test_profile_that_is_damaged_leaves_the_list_whole(tmp_path: Path):
         names = {one["id"] for one in client.get("/api/v1/device-profiles").json()["items"]}
         folder.mkdir(exist_ok=True)
         (folder / "sound.toml").write_bytes(whole.replace(b'"own"', b'"sound"', 1))
-        for number, data in enumerate(damages(whole, DAMAGES)):
+        for number, data in enumerate(damages(whole, MANY)):
             (folder / "own.toml").write_bytes(data)
             one = client.get("/api/v1/device-profiles/own")
             listed = client.get("/api/v1/device-profiles")
@@ -172,6 +142,46 @@ def test_tool_file_that_is_damaged_is_refused_or_holds_tools(
             assert listed.status_code == 200
             for tool in listed.json()["items"]:
                 assert server.delete(f"/api/v1/tools/{tool['id']}").status_code == 204
+
+
+@FEW_OR_MANY
+def test_tool_file_for_offline_commands_that_is_damaged_is_refused_or_holds_tools(
+    tmp_path: Path, count: int
+):
+    """`export --tools`; what the file still holds is checked as what a person wrote."""
+    file, whole = tmp_path / "tools.json", json.dumps(TOOLS, ensure_ascii=False).encode()
+    details = []
+    for data in damages(whole, count):
+        file.write_bytes(data)
+        try:
+            tools = read_tools(file)
+        except LumilineError as error:
+            details.append(error.detail)
+            continue
+        assert all(np.isfinite(tool.markers_mm).all() and len(tool) >= 3 for tool in tools), data
+    assert len(details) > count / 3
+    assert all(str(file) in one or "tool" in one for one in details)
+
+
+@FEW_OR_MANY
+def test_calibration_file_that_is_damaged_is_refused_or_a_calibration(tmp_path: Path, count: int):
+    """It has no checksum: a digit that is another one is another calibration, with another hash."""
+    file, whole = tmp_path / "camera.json", DOCUMENT.dump_json(nominal_calibration())
+    file.write_bytes(whole)
+    expected = read_calibration(file)
+    details = []
+    for data in damages(whole, count):
+        file.write_bytes(data)
+        try:
+            found = read_calibration(file)
+        except LumilineError as error:
+            details.append(error.detail)
+            continue
+        same = found.calibration == expected.calibration
+        assert same == (found.content_hash == expected.content_hash), data
+        assert all(model.pixels > 0 for model in found.calibration.models), data
+    assert len(details) > count / 3
+    assert all(str(file) in one for one in details)
 
 
 @contextmanager

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from compute.calibration.bundle_adjustment.gauge import shift_origins
 from compute.camera.model import PARAMETER_COUNT, SensorModel
 
 Array = NDArray[np.float64]
@@ -20,10 +21,13 @@ class SensorPrior:
         models: the means; the sensors that are adjusted, with the same terms.
         information: inverse covariance, shape (P, P), sensor by sensor in the order of
             ``SensorModel.parameter_names``; 0 for parameters without a prior. It may be singular.
+        origins_mm: points of the world about which the sensors' rotations and offsets count in the
+            prior, shape (S, 3) [mm]; None: the world's origin.
     """
 
     models: tuple[SensorModel, ...]
     information: Array
+    origins_mm: Array | None = None
 
     @classmethod
     def of_lens_offsets(
@@ -47,12 +51,21 @@ class SensorPrior:
 
     def difference(self, models: Sequence[SensorModel]) -> tuple[Array, Array]:
         """Return models minus means (P,), and its Jacobian by the parameters (P, P)."""
-        steps = [step_between(old, new) for old, new in zip(self.models, models, strict=True)]
-        jacobian = np.eye(sum(len(step) for step in steps))
+        origins = np.zeros((len(models), 3)) if self.origins_mm is None else self.origins_mm
+        steps = []
+        jacobian = shift_origins(
+            models, [model.rotation @ origin for model, origin in zip(models, origins, strict=True)]
+        )
         first = 0
-        for step in steps:
+        for old, new, origin in zip(self.models, models, origins, strict=True):
+            step = step_between(old, new)
+            shift = (new.rotation - old.rotation) @ origin
+            step[5:7] += shift[[0, 2]]
+            if new.distortion is not None:
+                step[PARAMETER_COUNT] += shift[1]
             rotation_rows = slice(first + 2, first + 5)
             jacobian[rotation_rows, rotation_rows] = inverse_left_jacobian(step[2:5])
+            steps.append(step)
             first += len(step)
         return np.concatenate(steps), jacobian
 

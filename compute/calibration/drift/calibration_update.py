@@ -7,10 +7,15 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.calibration.bundle_adjustment.gauge import shift_origins
 from compute.calibration.bundle_adjustment.pose_set import PoseSet
 from compute.calibration.bundle_adjustment.sensor_prior import SensorPrior
 from compute.calibration.bundle_adjustment.solver import adjust
-from compute.calibration.drift.stability_check import StationaryMarkers, prediction_residuals
+from compute.calibration.drift.stability_check import (
+    StationaryMarkers,
+    lens_positions,
+    prediction_residuals,
+)
 from compute.calibration.result import Calibration, nested_rows
 from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter, UnknownSensor
@@ -23,9 +28,18 @@ ALLOWANCE: Final = {
     "rotation_z_rad": 5e-3,
     "principal_distance_px": 10.0,
 }
-"""Standard deviations of changes: a knock rotates a sensor, a temperature change moves its lens. A
-translation by some hundredths of a millimetre is equivalent to a rotation."""
+"""Standard deviations of changes: a knock rotates a sensor about its lens, a temperature change
+moves the lens. A translation by some hundredths of a millimetre is equivalent to a rotation."""
 EXACT_MM: Final = 1e-6
+"""Standard deviation of positions that count as known."""
+LENS_SHIFT_MM: Final = 1e-3
+"""Standard deviation of the position of a lens that turns: so small that the readings do not show
+it, and large enough to leave the equations regular."""
+MAX_ITERATIONS: Final = 5000
+"""Largest number of trial steps. Readings that are much more precise than the calibration leave
+curved valleys where its distortion is hardly known: most searches take ten steps, some a
+thousand."""
+OFFSETS: Final = ("offset_x_mm", "offset_y_mm", "offset_z_mm")
 
 
 def update_calibration(
@@ -46,7 +60,8 @@ def update_calibration(
         calibration: a metric calibration or one without known coordinates.
         stationary: the readings, with known positions or earlier readings.
         sensors: names of those that may have changed, from ``check_drift``; None: all.
-        allowance: standard deviation of the change by parameter name; None: ALLOWANCE.
+        allowance: standard deviation of the change by parameter name, rotations about the lens;
+            None: ALLOWANCE.
 
     Returns:
         The calibration with method "update"; residuals are those of the stationary markers.
@@ -58,15 +73,21 @@ def update_calibration(
     """
     check_update(calibration, sensors=sensors, allowance=allowance)
     compared = prediction_residuals(calibration, stationary)
-    changes = _changes(calibration, sensors, ALLOWANCE if allowance is None else allowance)
     models = calibration.models
+    lenses = lens_positions(models, compared.positions_mm.mean(axis=0))
+    about_lenses = shift_origins(
+        models, [model.rotation @ lens for model, lens in zip(models, lenses, strict=True)]
+    )
+    changes = _changes(calibration, sensors, ALLOWANCE if allowance is None else allowance)
     old = np.array(calibration.covariance)
     cameras = CameraStack.of(models)
     measured = np.isfinite(compared.residual_px)
     expected = cameras.project(compared.positions_mm)
     readings = np.where(measured, expected + compared.residual_px, np.nan)
     relative = stationary.earlier_px is not None
-    before = np.diag(changes**2) if relative else old + np.diag(changes**2)
+    before = np.diag(changes**2)
+    if not relative:
+        before += about_lenses @ old @ about_lenses.T
     free = np.diagonal(before) > 0.0
     information = np.zeros_like(before)
     information[np.ix_(free, free)] = np.linalg.inv(before[np.ix_(free, free)])
@@ -78,7 +99,13 @@ def update_calibration(
         compared.positions_mm,
         np.broadcast_to(position_sigma**2 * np.eye(3), (len(readings), 3, 3)),
     )
-    adjusted = adjust(models, [poses], prior=SensorPrior(models, information), free=free)
+    adjusted = adjust(
+        models,
+        [poses],
+        prior=SensorPrior(models, information, lenses),
+        free=free,
+        max_iterations=MAX_ITERATIONS,
+    )
     covariance = adjusted.sensor_covariance + (old if relative else 0.0)
     counts = [model.parameter_count for model in models]
     touched = [part.any() for part in np.split(free, np.cumsum(counts)[:-1])]
@@ -128,7 +155,9 @@ def check_update(
 def _changes(
     calibration: Calibration, sensors: Sequence[str] | None, allowance: dict[str, float]
 ) -> Array:
-    """Return the standard deviation of every parameter's change, shape (P,).
+    """Return the standard deviation of every parameter's change about the lens, shape (P,).
+
+    The offsets of a lens that turns vary: seen from the lens by LENS_SHIFT_MM.
 
     Raises:
         UnknownSensor: the device has no sensor of this name.
@@ -147,9 +176,10 @@ def _changes(
                 f"allowance has {name} = {sigma}; it must be one of "
                 f"{', '.join(sorted(parameter_names))} with a positive standard deviation"
             )
+    given = dict.fromkeys(OFFSETS, LENS_SHIFT_MM) | allowance
     return np.array(
         [
-            allowance.get(name, 0.0) if sensors is None or model.name in sensors else 0.0
+            given.get(name, 0.0) if sensors is None or model.name in sensors else 0.0
             for model in calibration.models
             for name in model.parameter_names
         ]

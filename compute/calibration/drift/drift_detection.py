@@ -4,6 +4,7 @@ The markers' positions are known, or they were read when the calibration was mad
 more sensitive: the calibration's own error is the same in both readings and cancels.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -11,12 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
+from compute.calibration.bundle_adjustment.gauge import shift_origins
 from compute.calibration.drift.stability_check import (
     PredictionResiduals,
     StationaryMarkers,
+    lens_positions,
     prediction_residuals,
 )
 from compute.calibration.result import Calibration
+from compute.camera.model import SensorModel
 from compute.camera.stack import CameraStack
 
 Array = NDArray[np.float64]
@@ -30,8 +34,8 @@ EXPLANATIONS: Final = {
     "rotation_x_rad": "tilted about its row",
     "offset_z_mm": "moved along its optical axis",
 }
-"""Single-parameter motions of a sensor; a translation along the row or a shift of the principal
-point is equivalent to a rotation about the slit."""
+"""Single-parameter motions of a sensor, rotations about its lens; a translation along the row or a
+shift of the principal point is equivalent to a rotation about the slit."""
 
 
 @dataclass(frozen=True)
@@ -106,7 +110,7 @@ def check_drift(calibration: Calibration, stationary: StationaryMarkers) -> Drif
     measured = np.isfinite(compared.residual_px)
     chi2, dof = _chi2(compared, measured)
     p_value = float(chdtrc(dof, chi2))
-    jacobian = np.nan_to_num(cameras.parameter_jacobian(compared.positions_mm))
+    jacobian = _lens_motion_jacobian(calibration.models, cameras, compared.positions_mm)
     limit = FALSE_ALARM_PROBABILITY / len(cameras)
     sensors = tuple(
         _sensor_drift(calibration, compared, measured, jacobian, column, limit)
@@ -118,6 +122,22 @@ def check_drift(calibration: Calibration, stationary: StationaryMarkers) -> Drif
         motion = _fit_rigid_motion(cameras, compared, measured)
     angle, shift = motion or (None, None)
     return DriftCheck(good, p_value, chi2, dof, motion is not None, angle, shift, sensors)
+
+
+def _lens_motion_jacobian(
+    models: Sequence[SensorModel], cameras: CameraStack, positions_mm: Array
+) -> list[Array]:
+    """Return each sensor's readings by its parameters, (M, P) each, with rotations about its lens.
+
+    The parameters' own rotations are about the world's origin, wherever that is.
+    """
+    jacobian = np.nan_to_num(cameras.parameter_jacobian(positions_mm))
+    lenses = lens_positions(models, positions_mm.mean(axis=0))
+    columns = []
+    for column, (model, lens) in enumerate(zip(models, lenses, strict=True)):
+        to_world = shift_origins([model], [-model.rotation @ lens])
+        columns.append(jacobian[:, column, cameras.parameter_mask[column]] @ to_world)
+    return columns
 
 
 def _chi2(compared: PredictionResiduals, which: NDArray[np.bool_]) -> tuple[float, int]:
@@ -151,7 +171,7 @@ def _sensor_drift(
     calibration: Calibration,
     compared: PredictionResiduals,
     measured: NDArray[np.bool_],
-    jacobian: Array,
+    jacobian: list[Array],
     column: int,
     limit: float,
 ) -> SensorDrift:
@@ -169,7 +189,7 @@ def _sensor_drift(
     fits = []
     for name in EXPLANATIONS:
         change_jacobian = np.zeros((*measured.shape, 1))
-        change_jacobian[:, column, 0] = jacobian[:, column, model.parameter_names.index(name)]
+        change_jacobian[:, column, 0] = jacobian[column][:, model.parameter_names.index(name)]
         values, covariance, chi2_after = _fit_change(compared, of_sensor, change_jacobian)
         fits.append((chi2_after, name, float(values[0]), float(np.sqrt(covariance[0, 0]))))
     chi2_after, name, change, sigma = min(fits, key=lambda fit: fit[0])

@@ -1,11 +1,13 @@
 """Residuals of stationary markers: their readings minus what the calibration predicts."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from compute.calibration.result import Calibration, measurement_sigma
+from compute.camera.model import SensorModel
 from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter, NonFiniteValue, TooFewPoints
 from compute.reconstruction.triangulation import reconstruct
@@ -157,3 +159,22 @@ def _check_any(residual: Array) -> None:
             "no stationary marker can be compared: it must be read now and, without known "
             "positions, have been read by three sensors or more before"
         )
+
+
+def lens_positions(models: Sequence[SensorModel], aimed_at_mm: Array) -> Array:
+    """Return the lenses' positions, about which a knock rotates a sensor, shape (S, 3) [mm].
+
+    Readings without distortion do not tell where along its slit a lens is; such a lens is taken to
+    be aimed at a point.
+
+    Args:
+        models: S cameras.
+        aimed_at_mm: the point, shape (3,) [mm].
+    """
+    positions = []
+    for model in models:
+        row = model.rotation[1]
+        along = -row @ aimed_at_mm if model.distortion is None else model.distortion.offset_y_mm
+        offset = np.array([model.offset_x_mm, along, model.offset_z_mm])
+        positions.append(-model.rotation.T @ offset)
+    return np.array(positions)

@@ -1,6 +1,7 @@
 """Checks of recordings for self-calibration: number of poses, coverage, units of lengths."""
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -12,7 +13,12 @@ from compute.calibration.self_calibration.datum import rotation_between
 from compute.calibration.self_calibration.targets import Recording, Wand
 from compute.camera.model import SensorGeometry, SensorModel
 from compute.camera.observation_checks import FLATNESS_LIMIT, check_inside
-from compute.errors import DegeneratePoints, InvalidParameter, TooFewPoints
+from compute.errors import (
+    DegeneratePoints,
+    InvalidParameter,
+    TooFewPoints,
+    UndeterminedParameters,
+)
 
 Array = NDArray[np.float64]
 
@@ -30,6 +36,8 @@ WEAK_CONIC_LIMIT: Final = 0.1
 """The same where the cameras turn out uncertain: noise lifts directions off their cone."""
 DISTANCE_UNCERTAINTY_LIMIT: Final = 0.03
 """Relative standard deviation of a principal distance from which cameras are uncertain."""
+DISTANCE_UNKNOWN_LIMIT: Final = 0.3
+"""The same from which nothing can be measured with them."""
 FLAT_READINGS_LIMIT: Final = 0.05
 """Third singular value of the readings, of the second: markers in a plane have 0.01 to 0.03, in a
 volume 0.1 and more. Only failures are explained by it: a short bar far away has little, too."""
@@ -164,16 +172,16 @@ def check_volume_coverage(pose_sets: Sequence[PoseSet], conic_limit: float = CON
     if any(poses.shape.distances for poses in pose_sets):
         # A rigid body of unknown shape says by itself that its lengths are the same all round.
         return
-    x, y, z = directions.T
-    products = np.stack([x * x, y * y, z * z, x * y, y * z, z * x], axis=1)
-    singular = np.linalg.svd(products, compute_uv=False)
-    if len(products) >= 6 and singular[5] > conic_limit * singular[0]:
+    if conic_share(directions) > conic_limit:
         return
     direction_shares = np.linalg.svd(directions, compute_uv=False) / np.sqrt(len(directions))
     alike = (
         "all parallel"
         if direction_shares[1] < 0.1
         else "all in one plane"
+        if direction_shares[2] < 0.03
+        # Cameras that are still uncertain may flatten a cone.
+        else "all in one plane or on a cone"
         if direction_shares[2] < 0.1
         else "too few or all on a cone"
     )
@@ -185,24 +193,53 @@ def check_volume_coverage(pose_sets: Sequence[PoseSet], conic_limit: float = CON
     )
 
 
-def check_certainty(adjusted: AdjustmentResult, pose_sets: Sequence[PoseSet]) -> None:
-    """Check that cameras are not uncertain because of the directions of the known lengths.
+def conic_share(directions: Array) -> float:
+    """Return how far directions are from lying on one cone or plane: see CONIC_LIMIT.
+
+    Args:
+        directions: unit vectors, shape (N, 3).
+
+    Returns:
+        Smallest singular value of their squares and products, of the largest; 0 for fewer than six.
+    """
+    if len(directions) < 6:
+        return 0.0
+    x, y, z = directions.T
+    products = np.stack([x * x, y * y, z * z, x * y, y * z, z * x], axis=1)
+    singular = np.linalg.svd(products, compute_uv=False)
+    return float(singular[5] / singular[0])
+
+
+def check_certainty(
+    adjusted: AdjustmentResult, recordings: Sequence[Recording], pose_sets: Sequence[PoseSet]
+) -> None:
+    """Check that the readings determine the cameras.
 
     Args:
         adjusted: the solution.
+        recordings: the readings.
         pose_sets: its poses.
 
     Raises:
-        DegeneratePoints: as ``check_volume_coverage``, where a principal distance is uncertain.
+        DegeneratePoints: as ``check_wave``, where a principal distance is uncertain.
+        UndeterminedParameters: one is next to unknown, for another reason.
     """
     variance = np.diagonal(adjusted.sensor_covariance)
     first = 0
-    worst = 0.0
+    worst, sensor = 0.0, ""
     for model in adjusted.models:
-        worst = max(worst, float(np.sqrt(variance[first])) / model.principal_distance_px)
+        uncertainty = float(np.sqrt(variance[first])) / model.principal_distance_px
+        worst, sensor = max((worst, sensor), (uncertainty, model.name))
         first += model.parameter_count
     if worst > DISTANCE_UNCERTAINTY_LIMIT:
-        check_volume_coverage(pose_sets, WEAK_CONIC_LIMIT)
+        check_wave(recordings, pose_sets)
+    if worst > DISTANCE_UNKNOWN_LIMIT:
+        raise UndeterminedParameters(
+            f"the readings leave the principal distance of sensor {sensor} open: its standard "
+            f"deviation is {100.0 * worst:.3g} % of it, at most {100.0 * DISTANCE_UNKNOWN_LIMIT:g} "
+            "% is accepted; take more poses, in all directions, near and far",
+            sensor=sensor,
+        )
 
 
 def check_flat_readings(recordings: Sequence[Recording]) -> None:
@@ -237,6 +274,30 @@ def check_flat_readings(recordings: Sequence[Recording]) -> None:
             f"{singular[1]:.3g}, {singular[2]:.3g} px), which leaves the sensors' parameters "
             "undetermined; wave the wand nearer and farther, and towards the sensors too"
         )
+
+
+def check_wave(recordings: Sequence[Recording], pose_sets: Sequence[PoseSet]) -> None:
+    """Check whether a degenerate wave explains that an adjustment failed.
+
+    Args:
+        recordings: the readings.
+        pose_sets: their poses by the cameras of the failed adjustment.
+
+    Raises:
+        DegeneratePoints: the markers lie near a plane, or the known lengths' directions near a
+            cone; both are named where both may be, since the cameras are uncertain.
+    """
+    reasons = []
+    for check in (
+        partial(check_flat_readings, recordings),
+        partial(check_volume_coverage, pose_sets, WEAK_CONIC_LIMIT),
+    ):
+        try:
+            check()
+        except DegeneratePoints as error:
+            reasons.append(error.detail)
+    if reasons:
+        raise DegeneratePoints("; or ".join(reasons))
 
 
 def _directions(poses: PoseSet) -> Array:

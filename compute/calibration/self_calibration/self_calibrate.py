@@ -43,6 +43,7 @@ from compute.calibration.self_calibration.recording_checks import (
     check_recordings,
     check_scale,
     check_volume_coverage,
+    check_wave,
     device_scale,
     scale_warning,
 )
@@ -71,8 +72,9 @@ from compute.progress import Progress, no_progress
 Array = NDArray[np.float64]
 
 REJECTION_ROUNDS: Final = 20
-MAX_ITERATIONS: Final = 800
-"""Trial steps of an adjustment: four sensors that miss many readings leave curved valleys."""
+MAX_ITERATIONS: Final = 2000
+"""Trial steps of an adjustment: four sensors that miss many readings leave curved valleys, some of
+which take 900."""
 MIN_SHARE: Final = 0.6
 """Smallest share of the readings that must agree."""
 NOISE_ROUNDS: Final = 2
@@ -177,23 +179,12 @@ def _calibrate_recordings(
         check_scale(begin.reference, work.models)
     progress(0.5, "adjustment")
     check_volume_coverage([start.poses for start in work.starts()])
-    for _ in range(SCREENING_ROUNDS):
-        adjusted = work.adjusted(work.screen_poses())
-        if not work.sigma_given:
-            work.scale_sigma(sensor_sigma(adjusted, robust=True))
-    progress(0.7, "outliers")
-    starts, adjusted = work.without_outliers()
-    if work.rejected or work.exchanged:
-        # What less accurate cameras took for an outlier may be none.
-        work.restore_readings()
-        starts, adjusted = work.without_outliers()
-    if not work.sigma_given:
-        for _ in range(NOISE_ROUNDS):
-            work.scale_sigma(sensor_sigma(adjusted, robust=False))
-            starts = work.screen_poses()
-            adjusted = work.adjusted(starts)
-    work.check_share(starts)
-    check_certainty(adjusted, [start.poses for start in starts])
+    try:
+        starts, adjusted = work.solve(progress)
+    except (UndeterminedParameters, NoConvergence):
+        check_wave(recordings, [start.poses for start in work.starts()])
+        raise
+    check_certainty(adjusted, recordings, [start.poses for start in starts])
     progress(0.95, "world frame")
     placed = _apply_datum(adjusted, begin.reference, starts, recordings, datum)
     scale = device_scale(begin.reference, placed.models) if begin.given else None
@@ -482,6 +473,33 @@ class _SelfCalibrationState:
             self.rejected.append(
                 RejectedMeasurement(number + 1, pose + 1, marker + 1, name, residual)
             )
+
+    def solve(self, progress: Progress) -> tuple[list[InitialPoses], AdjustmentResult]:
+        """Adjust cameras and poses, without outliers, with the noise that the readings tell.
+
+        Args:
+            progress: called with the fraction done and the stage.
+
+        Raises:
+            UndeterminedParameters, NoConvergence: as ``self_calibrate``.
+        """
+        for _ in range(SCREENING_ROUNDS):
+            adjusted = self.adjusted(self.screen_poses())
+            if not self.sigma_given:
+                self.scale_sigma(sensor_sigma(adjusted, robust=True))
+        progress(0.7, "outliers")
+        starts, adjusted = self.without_outliers()
+        if self.rejected or self.exchanged:
+            # What less accurate cameras took for an outlier may be none.
+            self.restore_readings()
+            starts, adjusted = self.without_outliers()
+        if not self.sigma_given:
+            for _ in range(NOISE_ROUNDS):
+                self.scale_sigma(sensor_sigma(adjusted, robust=False))
+                starts = self.screen_poses()
+                adjusted = self.adjusted(starts)
+        self.check_share(starts)
+        return starts, adjusted
 
     def check_share(self, starts: Sequence[InitialPoses]) -> None:
         """Check that enough of the readings agree with one another.

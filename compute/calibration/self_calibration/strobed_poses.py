@@ -1,7 +1,7 @@
-"""Poses of a moved target whose markers are lit one after the other."""
+"""StrobedPoseCollector: poses of a moved target whose markers are lit one after the other."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields
 from typing import Final
 
 import numpy as np
@@ -16,6 +16,12 @@ MAX_GAP_CYCLES: Final = 1.5
 MIN_MOTION: Final = 0.02
 """Share of the pixels by which a reading must have changed since the pose before, on the mean of
 the markers and sensors: nearly equal poses say nothing new."""
+MIN_SENSORS: Final = 3
+"""Sensors that must read each marker of a pose."""
+KEPT_CYCLES: Final = 8
+"""Strobe cycles that are kept of exposures already used: later ones are interpolated from them."""
+MAX_KEPT: Final = 4096
+"""Largest number of exposures that are kept while the first marker is not lit."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,24 +40,166 @@ class StrobedReadings:
     readings_px: Array
     sigma_px: Array
 
+    def select(self, rows: NDArray[np.bool_]) -> "StrobedReadings":
+        """Return some of the exposures, by a mask (F,)."""
+        return StrobedReadings(*(getattr(self, one.name)[rows] for one in fields(self)))
 
-def strobed_poses(
-    exposures: StrobedReadings,
-    markers: Sequence[int],
-    pixels: Sequence[int],
-    previous_px: Array | None = None,
-) -> tuple[Array, Array]:
-    """Return the readings of a target's K markers at the same instants, and their sigmas.
+    def followed_by(self, later: "StrobedReadings") -> "StrobedReadings":
+        """Return these exposures and later ones."""
+        return StrobedReadings(
+            *(
+                np.concatenate([getattr(self, one.name), getattr(later, one.name)])
+                for one in fields(self)
+            )
+        )
+
+
+@dataclass
+class PoseCounts:
+    """What became of the exposures of a target's first marker, each of which may make a pose.
+
+    Args:
+        taken: poses taken.
+        still: the target had hardly moved since the pose before.
+        too_few_sensors: a marker was read by fewer than MIN_SENSORS sensors.
+        not_lit: another marker was not lit soon enough before and after: exposures were lost.
+    """
+
+    taken: int = 0
+    still: int = 0
+    too_few_sensors: int = 0
+    not_lit: int = 0
+
+    @property
+    def all(self) -> int:
+        """All exposures of the first marker."""
+        return self.taken + self.still + self.too_few_sensors + self.not_lit
+
+
+@dataclass
+class StrobedPoseCollector:
+    """Collects the readings of a target's K markers at the same instants, as exposures come.
 
     A pose is taken at exposures of the first marker. The readings of the others are interpolated
     linearly between their exposures before and after; what moves at 2 m/s^2 in a cycle of 4 ms is
     then off by 0.004 mm. Poses that hardly differ from the one before are left out.
 
     Args:
+        markers: numbers of the target's markers, in the target's order, shape (K,).
+        pixels: of the S sensors.
+
+    Raises:
+        InvalidParameter: a marker is given twice.
+    """
+
+    markers: Sequence[int]
+    pixels: Sequence[int]
+    counts: PoseCounts = field(default_factory=PoseCounts)
+    _poses: list[tuple[Array, Array]] = field(default_factory=list)
+    _lit: set[int] = field(default_factory=set)
+    _kept: StrobedReadings | None = None
+    _decided_s: float = -np.inf
+    """Exposures of the first marker up to here have become poses, or not."""
+
+    def __post_init__(self) -> None:
+        if len(set(self.markers)) != len(self.markers):
+            raise InvalidParameter(
+                f"markers {list(self.markers)} has one twice; each has its own number"
+            )
+
+    def restore(self, readings_px: Array, sigma_px: Array) -> None:
+        """Put poses that were taken earlier before all others.
+
+        Args:
+            readings_px: shape (B, K, S) [px]; NaN where not seen.
+            sigma_px: their standard deviations, shape (B, K, S) [px].
+        """
+        self._poses = [*zip(readings_px, sigma_px, strict=True), *self._poses]
+
+    def __len__(self) -> int:
+        """Return the number of poses."""
+        return len(self._poses)
+
+    def poses(self) -> tuple[Array, Array]:
+        """Return readings and standard deviations, shape (B, K, S) [px]; NaN where not seen."""
+        shape = (len(self._poses), len(self.markers), len(self.pixels))
+        readings, sigma = (
+            np.array([pose[part] for pose in self._poses]).reshape(shape) for part in (0, 1)
+        )
+        return readings, sigma
+
+    @property
+    def all_lit(self) -> bool:
+        """Whether each of the target's markers was lit alone."""
+        return self._lit.issuperset(self.markers)
+
+    def check_lit(self) -> None:
+        """Check that each marker was lit.
+
+        Raises:
+            InvalidParameter: a marker was never lit alone.
+        """
+        for number in self.markers:
+            if number not in self._lit:
+                strobed = sorted(one for one in self._lit if one >= 0)
+                what = (
+                    f"markers {strobed} are" if strobed else "all markers are lit together: none is"
+                )
+                raise InvalidParameter(
+                    f"marker {number} was never lit alone; {what} strobed", marker=int(number)
+                )
+
+    def add(self, exposures: StrobedReadings) -> None:
+        """Add exposures that follow those before; where time goes back, the device began anew."""
+        if len(exposures.time_s) == 0:
+            return
+        self._lit.update(exposures.marker.tolist())
+        kept = self._kept
+        if kept is not None and exposures.time_s[0] <= kept.time_s[-1]:
+            kept, self._decided_s = None, -np.inf
+        kept = exposures if kept is None else kept.followed_by(exposures)
+        lit = [np.flatnonzero(kept.marker == one) for one in self.markers]
+        time = kept.time_s[lit[0]]
+        cycle = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
+        # Up to here nothing that is still to come can be interpolated with.
+        until = max(
+            min(kept.time_s[rows[-1]] if len(rows) else -np.inf for rows in lit[1:]),
+            kept.time_s[-1] - MAX_GAP_CYCLES * cycle,
+        )
+        due = (time > self._decided_s) & (time <= until)
+        if len(time) > 1 and due.any():
+            self._take(*_interpolate(kept, lit, time[due], cycle))
+            self._decided_s = float(time[due][-1])
+        still_used = np.arange(len(kept.time_s)) >= len(kept.time_s) - MAX_KEPT
+        if len(time) > 1:
+            still_used = kept.time_s >= self._decided_s - KEPT_CYCLES * cycle
+        self._kept = kept.select(still_used)
+
+    def _take(self, readings: Array, sigma: Array, lit: NDArray[np.bool_]) -> None:
+        """Take poses that each differ from the one before, and count the others."""
+        pixels = np.asarray(self.pixels, dtype=np.float64)
+        seen = (np.isfinite(readings).sum(axis=2) >= MIN_SENSORS).all(axis=1)
+        for index in range(len(readings)):
+            if not lit[index]:
+                self.counts.not_lit += 1
+            elif not seen[index]:
+                self.counts.too_few_sensors += 1
+            elif self._poses and not _moved(readings[index], self._poses[-1][0], pixels):
+                self.counts.still += 1
+            else:
+                self.counts.taken += 1
+                self._poses.append((readings[index], sigma[index]))
+
+
+def strobed_poses(
+    exposures: StrobedReadings, markers: Sequence[int], pixels: Sequence[int]
+) -> tuple[Array, Array]:
+    """Return the poses in strobed exposures: see StrobedPoseCollector.
+
+    Args:
         exposures: readings in the order of time.
         markers: numbers of the target's markers, in the target's order, shape (K,).
         pixels: of the S sensors.
-        previous_px: readings of the last pose before, shape (K, S) [px]; None: there is none.
 
     Returns:
         Readings and standard deviations, shape (B, K, S) [px]; NaN where not seen.
@@ -59,52 +207,43 @@ def strobed_poses(
     Raises:
         InvalidParameter: a marker is given twice or was never lit.
     """
-    if len(set(markers)) != len(markers):
-        raise InvalidParameter(f"markers {list(markers)} has one twice; each has its own number")
-    lit = [np.flatnonzero(exposures.marker == one) for one in markers]
-    for number, rows in zip(markers, lit, strict=True):
-        if len(rows) == 0:
-            strobed = sorted({int(one) for one in exposures.marker if one >= 0})
-            what = f"markers {strobed} are" if strobed else "all markers are lit together: none is"
-            raise InvalidParameter(
-                f"marker {number} was never lit alone; {what} strobed", marker=int(number)
-            )
-    time = exposures.time_s[lit[0]]
-    sensors = exposures.readings_px.shape[1]
-    readings = np.full((len(time), len(markers), sensors), np.nan)
-    sigma = np.full(readings.shape, np.nan)
-    readings[:, 0], sigma[:, 0] = exposures.readings_px[lit[0]], exposures.sigma_px[lit[0]]
-    cycle = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
+    collector = StrobedPoseCollector(markers, pixels)
+    collector.add(exposures)
+    collector.check_lit()
+    return collector.poses()
+
+
+def _interpolate(
+    exposures: StrobedReadings, lit: Sequence[NDArray[np.intp]], time_s: Array, cycle_s: float
+) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Return readings, sigmas and whether all markers were lit, at exposures of the first."""
+    first = lit[0][np.searchsorted(exposures.time_s[lit[0]], time_s)]
+    shape = (len(time_s), len(lit), exposures.readings_px.shape[1])
+    readings, sigma = np.full(shape, np.nan), np.full(shape, np.nan)
+    readings[:, 0], sigma[:, 0] = exposures.readings_px[first], exposures.sigma_px[first]
+    all_lit = np.ones(len(time_s), dtype=np.bool_)
     for column, rows in enumerate(lit[1:], start=1):
         if len(rows) < 2:
+            all_lit[:] = False
             continue
         own = exposures.time_s[rows]
-        after = np.clip(np.searchsorted(own, time), 1, len(rows) - 1)
+        after = np.clip(np.searchsorted(own, time_s), 1, len(rows) - 1)
         span = own[after] - own[after - 1]
-        share = (time - own[after - 1]) / span
-        known = (share >= 0.0) & (share <= 1.0) & (span <= MAX_GAP_CYCLES * cycle)
+        share = (time_s - own[after - 1]) / span
+        known = (share >= 0.0) & (share <= 1.0) & (span <= MAX_GAP_CYCLES * cycle_s)
+        all_lit &= known
         share = np.where(known, share, np.nan)[:, None]
-        first, second = rows[after - 1], rows[after]
-        readings[:, column] = (1.0 - share) * exposures.readings_px[first]
-        readings[:, column] += share * exposures.readings_px[second]
+        before, behind = rows[after - 1], rows[after]
+        readings[:, column] = (1.0 - share) * exposures.readings_px[before]
+        readings[:, column] += share * exposures.readings_px[behind]
         sigma[:, column] = np.hypot(
-            (1.0 - share) * exposures.sigma_px[first], share * exposures.sigma_px[second]
+            (1.0 - share) * exposures.sigma_px[before], share * exposures.sigma_px[behind]
         )
-    chosen = _distinct(readings, np.asarray(pixels, dtype=np.float64), previous_px)
-    return readings[chosen], sigma[chosen]
+    return readings, sigma, all_lit
 
 
-def _distinct(readings: Array, pixels: Array, last: Array | None) -> NDArray[np.intp]:
-    """Return indices of poses of which each differs from the one before."""
-    seen = np.isfinite(readings)
-    rows = np.flatnonzero((seen.sum(axis=2) >= 3).all(axis=1))
-    chosen: list[int] = []
-    for row in rows.tolist():
-        if last is not None:
-            change = np.abs(readings[row] - last) / pixels
-            both = np.isfinite(change)
-            if both.any() and change[both].mean() < MIN_MOTION:
-                continue
-        chosen.append(row)
-        last = readings[row]
-    return np.array(chosen, dtype=np.intp)
+def _moved(readings_px: Array, before_px: Array, pixels: Array) -> bool:
+    """Return whether a pose differs from the one before; also where no sensor tells."""
+    change = np.abs(readings_px - before_px) / pixels
+    both = np.isfinite(change)
+    return not both.any() or bool(change[both].mean() >= MIN_MOTION)

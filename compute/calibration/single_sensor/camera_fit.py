@@ -210,6 +210,18 @@ class MinimisationResult:
     converged: NDArray[np.bool_]
     normal: Array
 
+    @cached_property
+    def cofactors(self) -> Array:
+        """Inverses of the normal equations, shape (B, width, width)."""
+        diagonal = np.arange(self.normal.shape[1])
+        length = np.sqrt(self.normal[:, diagonal, diagonal])
+        scale = 1.0 / np.where(length > 0.0, length, 1.0)
+        scale = scale[:, :, None] * scale[:, None, :]
+        scaled = self.normal * scale
+        # A parameter that a camera has not got.
+        scaled[:, diagonal, diagonal] = 1.0
+        return np.asarray(np.linalg.inv(scaled) * scale)
+
 
 def minimise(
     cameras: CameraStack,

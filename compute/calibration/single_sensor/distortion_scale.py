@@ -6,6 +6,7 @@ the readings do not determine stay near 0, with the prior's own variance in the 
 of terms is chosen, so that few readings need no other method than many.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -24,10 +25,12 @@ from compute.calibration.single_sensor.camera_fit import (
 )
 from compute.calibration.single_sensor.reading_noise import estimate_noise
 from compute.calibration.single_sensor.sensor_fits import (
+    SETTLED_WEIGHTS,
+    SIGMA_FLOOR_PX,
     ControlObservations,
     SensorFits,
     check_converged,
-    fit_lenses,
+    studentised_weights,
 )
 from compute.camera.model import PARAMETER_COUNT, SensorModel
 from compute.camera.stack import CameraStack
@@ -44,6 +47,7 @@ NOISE_ITERATIONS: Final = 3
 NOISE_TOLERANCE: Final = 0.05
 MIN_DOF: Final = 1e-3
 """Smallest degrees of freedom of a sensor's residuals, for rounding."""
+MAX_REWEIGHTINGS: Final = 30
 FINAL_ITERATIONS: Final = 10 * MAX_ITERATIONS
 """Largest number of trial steps of the last fit. Few readings leave flat, curved valleys, along
 which the sum of squares falls by thousandths for a thousand steps."""
@@ -110,32 +114,70 @@ def fit_distortion_scale(
     Raises:
         NoConvergence: a search did not converge.
     """
+    if loss == "robust" and observed.sigma_known:
+        # Where the noise is known, wrong readings ask for a lens that distorts as they do.
+        unknown = replace(observed, sigma_known=False)
+        first = _fit_scale(unknown, undistorted, loss, point_sigma_px, progress)[0]
+        undistorted = replace(undistorted, weights=first.weights)
+    fits, ended, estimate = _fit_scale(observed, undistorted, loss, point_sigma_px, progress)
+    check_converged(observed, fits.models, ended.converged)
+    progress(1.0, "scale of the distortion")
+    return fits, estimate
+
+
+def _fit_scale(
+    observed: ControlObservations,
+    undistorted: SensorFits,
+    loss: Loss,
+    point_sigma_px: Array | None,
+    progress: Progress,
+) -> tuple[SensorFits, MinimisationResult, DistortionEstimate]:
+    """Fit as ``fit_distortion_scale``, from the weights of the undistorted cameras."""
     sensors = len(undistorted.models)
-    terms = (AUTO_TERMS,) * sensors
-    prior = undistorted.prior
-    models, weights = start_with_terms(undistorted.models, terms, prior), undistorted.weights
-    first_noise = None if observed.sigma_known else _first_noise(observed, undistorted)
-    if loss == "robust":
-        wide = prior.with_strength(STRENGTHS[-1])
-        scaled = wide if first_noise is None else wide.scaled(first_noise)
-        models, weights = fit_lenses(observed, models, scaled, loss)
-    cameras = CameraStack.of(models).rows(np.tile(np.arange(sensors), len(STRENGTHS)))
-    if first_noise is None:
-        grid = _fit_grid(observed, cameras, prior, weights, None, None)
-    else:
+    starts = start_with_terms(undistorted.models, (AUTO_TERMS,) * sensors, undistorted.prior)
+    cameras = CameraStack.of(starts).rows(np.tile(np.arange(sensors), len(STRENGTHS)))
+    noise = None
+    if not observed.sigma_known:
+        noise = np.tile(_first_noise(observed, undistorted), (len(STRENGTHS), 1))
+    weights = undistorted.weights
+    for _ in range(1 if loss == "linear" else MAX_REWEIGHTINGS):
         grid = _fit_grid_and_noise(
-            observed, cameras, prior, weights, first_noise, point_sigma_px, progress
+            observed, cameras, undistorted.prior, weights, noise, point_sigma_px, progress
         )
+        strength, fits, ended = _fit_mean_strength(
+            observed, starts, undistorted.prior, grid, weights, point_sigma_px
+        )
+        if loss == "linear":
+            break
+        sigma = _total_sigma(observed, fits.unit_px, point_sigma_px)
+        # The known noise is the lower bound of its estimate; without it, rounding is.
+        min_scale = 1.0 if fits.unit_px is None else SIGMA_FLOOR_PX / fits.unit_px
+        new = studentised_weights(observed, ended, weights, sigma, min_scale)
+        if np.abs(new - weights).max() < SETTLED_WEIGHTS:
+            break
+        weights, cameras, noise = new, grid.ended.cameras, grid.noise_px
+    return fits, ended, _describe(grid, strength, undistorted.models)
+
+
+def _fit_mean_strength(
+    observed: ControlObservations,
+    with_terms: Sequence[SensorModel],
+    prior: LensPrior,
+    grid: _Grid,
+    weights: Array,
+    point_sigma_px: Array | None,
+) -> tuple[float, SensorFits, MinimisationResult]:
+    """Return the posterior mean strength, its cameras, and the search that found them."""
     probability = grid.probability
     strength = float(np.sqrt(probability @ STRENGTHS**2))
     noise = None if grid.noise_px is None else np.sqrt(probability @ grid.noise_px**2)
     sigma = _total_sigma(observed, noise, point_sigma_px)
-    cameras = grid.ended.cameras
+    sensors = len(with_terms)
     nearest = int(np.abs(np.log(STRENGTHS / strength)).argmin())
     rows = np.arange(nearest * sensors, (nearest + 1) * sensors)
-    scaled_models = cameras.rows(rows).models(models)
-    prior = prior.with_strength(strength).at(scaled_models, observed.pitch_um)
-    starts = start_with_terms(scaled_models, terms, prior)
+    models = grid.ended.cameras.rows(rows).models(with_terms)
+    prior = prior.with_strength(strength).at(models, observed.pitch_um)
+    starts = start_with_terms(models, (AUTO_TERMS,) * sensors, prior)
     ended = minimise(
         CameraStack.of(starts),
         observed.points_mm,
@@ -145,13 +187,7 @@ def fit_distortion_scale(
         FINAL_ITERATIONS,
         variance=1.0,
     )
-    final = ended.cameras.models(starts)
-    check_converged(observed, starts, ended.converged)
-    progress(1.0, "scale of the distortion")
-    return (
-        SensorFits(final, weights, prior, noise),
-        _describe(grid, strength, undistorted.models),
-    )
+    return strength, SensorFits(ended.cameras.models(starts), weights, prior, noise), ended
 
 
 def _first_noise(observed: ControlObservations, undistorted: SensorFits) -> Array:
@@ -174,12 +210,17 @@ def _fit_grid_and_noise(
     cameras: CameraStack,
     prior: LensPrior,
     weights: Array,
-    first_noise: Array,
+    noise_px: Array | None,
     point_sigma_px: Array | None,
     progress: Progress,
 ) -> _Grid:
-    """Fit cameras with each strength, each with the noise that its own residuals tell."""
-    noise = np.tile(first_noise, (len(STRENGTHS), 1))
+    """Fit cameras with each strength, each with the noise that its own residuals tell.
+
+    Noise to begin with, shape (G, S) [px]; None: known.
+    """
+    if noise_px is None:
+        return _fit_grid(observed, cameras, prior, weights, None, None)
+    noise = noise_px
     for iteration in range(NOISE_ITERATIONS):
         progress(iteration / (NOISE_ITERATIONS + 1), "scale of the distortion")
         grid = _fit_grid(observed, cameras, prior, weights, noise, point_sigma_px)
@@ -244,11 +285,7 @@ def _integrate_noise(
     used = (observed.seen & (weights > 0.0))[:, index]
     residuals = grid.ended.cameras.project(observed.points_mm) - observed.readings_px[:, index]
     residuals = np.where(used, residuals * np.sqrt(weights)[:, index], 0.0)
-    diagonal = np.arange(grid.information.shape[1])
-    scale = 1.0 / np.sqrt(grid.ended.normal[:, diagonal, diagonal])
-    scale = scale[:, :, None] * scale[:, None, :]
-    cofactors = np.linalg.inv(grid.ended.normal * scale) * scale
-    dof = used.sum(axis=0) - effective_parameters(cofactors, grid.information)
+    dof = used.sum(axis=0) - effective_parameters(grid.ended.cofactors, grid.information)
     dof = np.maximum(dof, MIN_DOF)
     share = dof / np.maximum(used.sum(axis=0), 1)
     logarithms = np.where(used, np.log(grid.sigma_px), 0.0).sum(axis=0)

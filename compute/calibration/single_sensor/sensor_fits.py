@@ -32,7 +32,7 @@ from compute.camera.model import PARAMETER_COUNT, SensorGeometry, SensorModel
 from compute.camera.observation_checks import MAX_RESIDUAL_SHARE, check_explained
 from compute.camera.stack import CameraStack
 from compute.errors import DegeneratePoints, NoConvergence, TooFewPoints
-from compute.robust_statistics import biweight, huber, mad_sigma
+from compute.robust_statistics import biweight, mad_sigma
 
 Array = NDArray[np.float64]
 
@@ -49,7 +49,9 @@ MAX_WRONG_SHARE: Final = 0.25
 WRONG_READING_SIGMA: Final = 10.0
 MAX_REWEIGHTINGS: Final = 60
 WEIGHT_TOLERANCE: Final = 1e-6
-HUBER_ITERATIONS: Final = 8
+SETTLED_WEIGHTS: Final = 1e-3
+MIN_REDUNDANCY: Final = 0.01
+"""Smallest share of a reading's variance that is taken to be left in its residual."""
 STEPS_PER_REWEIGHTING: Final = 4
 MAX_BLOCKS: Final = 16
 MIN_BLOCKS: Final = 5
@@ -217,7 +219,7 @@ def fit_undistorted(
         )
         weights = np.ones(observed.readings_px.shape)
     else:
-        models, weights = _reweight(observed, _robust_start(observed), None)
+        models, weights = _reweight(observed, _robust_start(observed))
         # What a robust loss leaves out does not count: the median of the residuals.
         squares = mad_sigma(observed.residuals_px(models), observed.seen, PARAMETER_COUNT) ** 2
         squares *= np.maximum(observed.seen.sum(axis=0) - PARAMETER_COUNT, 0)
@@ -416,40 +418,15 @@ def fit_distorted(
             unknown = np.full(len(models), INITIAL_SIGMA_PX)
             unit = unknown if first else residual_sigma(observed, models, weights)
         scaled = prior if unit is None else prior.scaled(unit)
-        models, weights = fit_lenses(observed, models, scaled, loss, multi_start=first)
+        if loss == "robust":
+            models, weights = _reweight_distorted(observed, models, scaled, weights, first)
+        else:
+            models = _minimise(observed, models, scaled, observed.weights, multi_start=first)
         # The first fit gives the principal distance with distortion, and the noise.
         prior = prior.at(models, observed.pitch_um)
     fits = SensorFits(models, weights, prior, unit)
     check_determined(models, observed.points_mm, fits.known_weights(observed), fits.scaled_prior)
     return fits
-
-
-def fit_lenses(
-    observed: ControlObservations,
-    starts: Sequence[SensorModel],
-    prior: LensPrior,
-    loss: Loss,
-    multi_start: bool = True,
-) -> tuple[tuple[SensorModel, ...], Array]:
-    """Fit cameras with distortion from starting ones.
-
-    Args:
-        observed: control points and readings.
-        starts: S cameras with their terms.
-        prior: of the lenses, in units of the readings' weights.
-        loss: "linear" or "robust".
-        multi_start: see ``minimise_with_distortion``.
-
-    Returns:
-        The cameras, and the weights of the readings by a robust loss, shape (N, S).
-
-    Raises:
-        DegeneratePoints, NoConvergence: see ``fit_distorted``.
-    """
-    if loss == "robust":
-        return _reweight(observed, starts, prior, multi_start=multi_start)
-    models = _minimise(observed, starts, prior, observed.weights, multi_start=multi_start)
-    return models, np.ones(observed.readings_px.shape)
 
 
 def residual_sigma(
@@ -572,45 +549,97 @@ def check_converged(
 
 
 def _reweight(
-    observed: ControlObservations,
-    starts: Sequence[SensorModel],
-    prior: LensPrior | None,
-    multi_start: bool = True,
+    observed: ControlObservations, starts: Sequence[SensorModel]
 ) -> tuple[tuple[SensorModel, ...], Array]:
-    """Iteratively reweighted least squares with Tukey's biweight, until the weights settle.
-
-    A multi-start fit of distortion begins with undistorted cameras, whose residuals are large
-    everywhere: its first iterations take Huber's weights, which leave no reading out.
-    """
+    """Iteratively reweighted least squares with Tukey's biweight, until the weights settle."""
     stack = CameraStack.of(starts)
     weights = np.zeros(observed.readings_px.shape)
-    free = max(model.parameter_count for model in starts)
-    prior = prior if stack.has_distortion else None
-    huber_iterations = 0 if prior is None or not multi_start else HUBER_ITERATIONS
-    for iteration in range(MAX_REWEIGHTINGS):
+    for _ in range(MAX_REWEIGHTINGS):
         residuals = stack.project(observed.points_mm) - observed.readings_px
         used = observed.seen & np.isfinite(residuals)
         size = np.where(used, np.abs(residuals) * observed.weights, 0.0)
-        scale = mad_sigma(size, used, free)
+        scale = mad_sigma(size, used, PARAMETER_COUNT)
         # The known noise is the lower bound of its estimate; without it, rounding is.
         scale = np.maximum(scale, 1.0 if observed.sigma_known else SIGMA_FLOOR_PX)
-        new = np.where(
-            used, (huber if iteration < huber_iterations else biweight)(size / scale), 0.0
-        )
+        new = np.where(used, biweight(size / scale), 0.0)
         change = float(np.abs(new - weights).max())
         weights = new
         problem = observed.points_mm, observed.readings_px, observed.weights * np.sqrt(weights)
-        if iteration == 0 and prior is not None and multi_start:
-            stack = minimise_with_distortion(stack, *problem, prior).cameras
-        else:
-            stack = minimise(stack, *problem, prior, STEPS_PER_REWEIGHTING).cameras
-        if change < WEIGHT_TOLERANCE and iteration > huber_iterations:
+        stack = minimise(stack, *problem, None, STEPS_PER_REWEIGHTING).cameras
+        if change < WEIGHT_TOLERANCE:
             break
-    models = stack.models(starts)
-    models = _minimise(
-        observed, models, prior, observed.weights * np.sqrt(weights), multi_start=False
-    )
+    weighted = observed.weights * np.sqrt(weights)
+    models = _minimise(observed, stack.models(starts), None, weighted)
     return models, np.where(observed.seen, weights, 1.0)
+
+
+def _reweight_distorted(
+    observed: ControlObservations,
+    starts: Sequence[SensorModel],
+    prior: LensPrior,
+    weights: Array,
+    multi_start: bool,
+) -> tuple[tuple[SensorModel, ...], Array]:
+    """Fit cameras with distortion to reweighted readings, until the weights settle.
+
+    Args:
+        observed: control points and readings.
+        starts: S cameras with their terms.
+        prior: of the lenses, in units of the readings' weights.
+        weights: those to begin with, shape (N, S).
+        multi_start: see ``minimise_with_distortion``; the noise then counts as unknown, since
+            cameras that are far from the solution leave more of it.
+    """
+    stack = CameraStack.of(starts)
+    min_scale = 1.0 if observed.sigma_known and not multi_start else SIGMA_FLOOR_PX
+    for iteration in range(MAX_REWEIGHTINGS):
+        ended = minimise_with_distortion(
+            stack,
+            observed.points_mm,
+            observed.readings_px,
+            observed.weights * np.sqrt(weights),
+            prior,
+            multi_start=multi_start and iteration == 0,
+        )
+        stack = ended.cameras
+        new = studentised_weights(observed, ended, weights, observed.sigma_px, min_scale)
+        if np.abs(new - weights).max() < SETTLED_WEIGHTS:
+            break
+        weights = new
+    weighted = observed.weights * np.sqrt(weights)
+    models = _minimise(observed, stack.models(starts), prior, weighted, multi_start=False)
+    return models, weights
+
+
+def studentised_weights(
+    observed: ControlObservations,
+    ended: MinimisationResult,
+    weights: Array,
+    sigma_px: Array,
+    min_scale: float | Array,
+) -> Array:
+    """Return Tukey's weights of the readings by their distance from fitted cameras, shape (N, S).
+
+    The distance counts in its own standard deviation, that of a residual where the reading
+    counts, of a prediction where it does not (Baarda's data snooping): few readings leave small
+    residuals even of wrong ones, and cameras far from the others are unsure.
+
+    Args:
+        observed: control points and readings.
+        ended: the search that fitted S cameras.
+        weights: with which it did, shape (N, S).
+        sigma_px: the readings' standard deviations, shape (N, S) [px].
+        min_scale: smallest ratio of the residuals to these, one or shape (S,).
+    """
+    fitted, jacobian = ended.cameras.project_with_parameter_jacobian(observed.points_mm)
+    seen = observed.seen & np.isfinite(fitted)
+    jacobian = np.nan_to_num(jacobian)
+    leverage = np.einsum("nsp,spq,nsq->ns", jacobian, ended.cofactors, jacobian, optimize=True)
+    variance = 1.0 + (1.0 - 2.0 * weights) * leverage / sigma_px**2
+    distance = np.where(seen, np.abs(fitted - observed.readings_px), 0.0)
+    distance /= sigma_px * np.sqrt(np.maximum(variance, MIN_REDUNDANCY))
+    scale = np.maximum(mad_sigma(distance, seen, 0), min_scale)
+    return np.where(observed.seen, np.where(seen, biweight(distance / scale), 0.0), 1.0)
 
 
 def _robust_start(observed: ControlObservations) -> tuple[SensorModel, ...]:

@@ -117,13 +117,13 @@ class TrackReliability:
 
     Args:
         value: the reliability.
-        used: which readings, shape (M, S).
+        used: which readings: bytes of a mask of shape (M, S).
         rotation: R_world_tool, shape (3, 3).
         centroid_mm: centroid of the markers, shape (3,) [mm].
     """
 
     value: PoseReliability
-    used: NDArray[np.bool_]
+    used: bytes
     rotation: Array
     centroid_mm: Array
 
@@ -135,7 +135,7 @@ class TrackReliability:
             used: which readings its pose is based on, shape (M, S).
             radius_mm: RMS distance of the markers from their centroid.
         """
-        if used.tobytes() != self.used.tobytes():
+        if used.tobytes() != self.used:
             return False
         shift = state.centroid_mm - self.centroid_mm
         trace = float(np.vdot(self.rotation, state.rotation))
@@ -162,6 +162,7 @@ class ToolTrack:
         sigma_px: standard deviations of its readings when they were last needed, shape (M, S)
             [px]; NaN where unknown.
         reliability: that of its pose, and what it was computed for; None: not computed yet.
+        exposures_to_reliability: number of frames until that is looked at again.
         recent_residuals: residuals of its last exposures.
         exposures: the last exposures of a lost strobed tool.
         exposures_since_search: number of exposures since the last unsuccessful search.
@@ -187,6 +188,7 @@ class ToolTrack:
     last_readings: dict[int, tuple[ToolObservation, Measurements]] = field(default_factory=dict)
     sigma_px: Array | float = np.nan
     reliability: TrackReliability | None = None
+    exposures_to_reliability: int = 0
     recent_residuals: deque[ExposureResiduals] = field(default_factory=deque)
     exposures: deque[MarkerExposure] = field(default_factory=deque)
     exposures_since_search: int = 0
@@ -196,6 +198,7 @@ class ToolTrack:
     lit_by_slot: dict[int | None, NDArray[np.intp]] = field(default_factory=dict)
     status: PoseStatus = PoseStatus.UNKNOWN
     reason: str = "no exposure could have shown it yet"
+    _counted: tuple[bytes, tuple[int, int]] | None = field(default=None, init=False)
 
     def begin(self, state: PoseState, time_ns: int, exposures_to_confirm: int) -> None:
         """Begin a track.
@@ -208,6 +211,7 @@ class ToolTrack:
         self.state, self.updated_ns = state, time_ns
         self.imm = self._initial_imm(state)
         self.exposures_to_confirm = exposures_to_confirm
+        self.exposures_to_reliability = 0
         self.fit_history.clear()
         self._forget_readings()
 
@@ -317,6 +321,16 @@ class ToolTrack:
             [sensors for _, _, sensors in self.recent_updates]
         )
         return used
+
+    def count_used(self, used: NDArray[np.bool_]) -> tuple[int, int]:
+        """Return the number of readings and of markers among ``used``, shape (M, S).
+
+        Most often they are those of the exposure before.
+        """
+        pattern = used.tobytes()
+        if self._counted is None or self._counted[0] != pattern:
+            self._counted = pattern, (int(used.sum()), int(used.any(axis=1).sum()))
+        return self._counted[1]
 
     @property
     def residual_sigma(self) -> float | None:
@@ -430,8 +444,8 @@ class ToolTrack:
 
         Those over which its readings are tested too, so that a marker that is hidden for a moment
         does not count as gone. Taken as of one time and without the prediction, which a wrong
-        reading that lasts has drawn along. Computed anew where other readings are used or the
-        tool has moved.
+        reading that lasts has drawn along. Once in a cycle of its markers it is computed anew,
+        where other readings are used or the tool has moved.
 
         Args:
             model: the cameras.
@@ -439,6 +453,10 @@ class ToolTrack:
         """
         assert self.state is not None
         reliability, state = self.reliability, self.state
+        if reliability is not None and self.exposures_to_reliability > 0:
+            self.exposures_to_reliability -= 1
+            return reliability.value
+        self.exposures_to_reliability = len(self.body) - 1
         used: NDArray[np.bool_] = np.greater(self.use_count, 0)
         if reliability is not None and reliability.holds(state, used, self.centred.radius_mm):
             return reliability.value
@@ -447,7 +465,9 @@ class ToolTrack:
         sigma = np.where(np.isfinite(self.sigma_px), self.sigma_px, 1.0)
         equations = PoseEquations(model, self.centred, np.where(used, 0.0, np.nan), sigma)
         value = pose_reliability(equations, state.rotation, state.centroid_mm, significance)
-        self.reliability = TrackReliability(value, used, state.rotation, state.centroid_mm)
+        self.reliability = TrackReliability(
+            value, used.tobytes(), state.rotation, state.centroid_mm
+        )
         return value
 
     def keep_sigma(self, sigma_px: Array) -> None:

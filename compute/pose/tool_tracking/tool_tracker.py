@@ -134,6 +134,7 @@ class ToolTracker:
         measurements: Measurements,
         marker: int | None,
         points: PointBatch | None = None,
+        exposure_ns: int | None = None,
     ) -> tuple[ToolPose, ...]:
         """Return the pose of every tool at a frame.
 
@@ -146,6 +147,7 @@ class ToolTracker:
             marker: strobe slot that was lit; None: all markers.
             points: reconstructed points of this frame, for the identification of tools by their
                 geometry; None: none.
+            exposure_ns: the same time on the clock of the poses' users [ns]; None: ``time_ns``.
 
         Raises:
             InvalidParameter: time goes back, or the peaks are of another number of sensors.
@@ -164,7 +166,8 @@ class ToolTracker:
         self._cycle.add_exposure(marker, time_ns)
         starting = measurements.only(measurements.can_initiate)
         self._acquire(time_ns, marker, starting, observations, points)
-        return tuple(self._report(tool, time_ns, sequence) for tool in self._tools)
+        of_frame = time_ns if exposure_ns is None else exposure_ns, sequence
+        return tuple([self._report(tool, time_ns, of_frame) for tool in self._tools])
 
     def _track(
         self, time_ns: int, marker: int | None, measurements: Measurements
@@ -295,16 +298,22 @@ class ToolTracker:
         if lost:
             self._search.simultaneous(lost, time_ns, measurements, tracked, points)
 
-    def _report(self, tool: ToolTrack, time_ns: int, sequence: int) -> ToolPose:
-        """Return the pose of a tool, or the reason why there is none."""
+    def _report(self, tool: ToolTrack, time_ns: int, of_frame: tuple[int, int]) -> ToolPose:
+        """Return the pose of a tool, or the reason why there is none.
+
+        Args:
+            tool: the tool.
+            time_ns: time of the frame [ns].
+            of_frame: its time and number as its users know them.
+        """
         name, state = tool.body.name, tool.state
         if state is None:
-            return ToolPose(name, tool.status, tool.reason, time_ns, sequence)
+            return ToolPose(name, tool.status, tool.reason, *of_frame)
         missing = self._missing(tool, state, time_ns)
         if missing is not None:
-            return ToolPose(name, *missing, time_ns, sequence)
+            return ToolPose(name, *missing, *of_frame)
         pose, used = state.reported_pose(tool.centred), tool.used
-        readings, markers = int(used.sum()), int(used.any(axis=1).sum())
+        readings, markers = tool.count_used(used)
         tip_sd = sqrt(pose.tip_covariance_mm2.trace())
         limit = tool.body.max_tip_sd_mm
         if limit is None:
@@ -328,8 +337,7 @@ class ToolTracker:
             name,
             status,
             reason,
-            time_ns,
-            sequence,
+            *of_frame,
             pose.rotation,
             pose.translation_mm,
             pose.covariance,

@@ -14,6 +14,7 @@ from compute.signal.fit.model_order import SelectedFits
 from compute.signal.fit.peak_batches import FlatPeaks, collect_fitted_peaks, collect_unfitted_peaks
 from compute.signal.fit.window_model import Array
 from compute.signal.peaks import PeakFlag
+from compute.signal.pixel_corrections import PixelCorrections
 from compute.signal.sensor_noise import SensorNoise
 
 
@@ -75,6 +76,7 @@ def fit_scan(
     noise: SensorNoise,
     shape: LineSpreadFunction | None = None,
     sensor: int = 0,
+    corrections: PixelCorrections | None = None,
 ) -> tuple[GroupFit, ...]:
     """Fit the peaks of one scan as ``fit_scans`` does, and return all details.
 
@@ -86,6 +88,7 @@ def fit_scan(
         noise: of the sensors.
         shape: the line-spread function; None: a Gaussian.
         sensor: number of the scan's sensor.
+        corrections: of the sensors' pixels; None: counts are taken as they are.
 
     Returns:
         The groups, in the order of their places.
@@ -99,11 +102,11 @@ def fit_scan(
     # Line l belongs to sensor l: the wanted one stands last, after empty ones.
     sensor_index = sensor % len(noise)
     scans = np.concatenate([np.zeros((sensor_index, len(values)), np.uint16), scans])
-    candidates = find_peaks_reference(scans, settings.search, noise)
+    candidates = find_peaks_reference(scans, settings.search, noise, corrections)
     groups = form_groups(candidates, len(values), settings)
     gain = float(noise.electrons_per_count[sensor_index])
     group_fits: list[GroupFit] = []
-    for fits in fit_groups(scans, groups, candidates, settings, noise, shape):
+    for fits in fit_groups(scans, groups, candidates, settings, noise, shape, corrections):
         good = fits.solution.good
         for some, peaks in (
             (fits[good], collect_fitted_peaks(fits, candidates, len(values))),

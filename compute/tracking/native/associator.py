@@ -8,12 +8,13 @@ from numpy.typing import NDArray
 from compute.measurement.measurement_model import MeasurementModel
 from compute.measurement.measurements import Measurements
 from compute.reconstruction.native.definitions import fill_cameras, row_length
-from compute.reconstruction.solver import address, term_capacity
+from compute.reconstruction.solver import term_capacity
 from compute.tracking.association import associate
 from compute.tracking.motion_model import ImmStates, MotionModels
 from compute.tracking.native.definitions import JOB, MAX_OPTIONS, PARTIAL_BYTES
 from compute.tracking.settings import TrackerSettings
 from compute.tracking.tracks import AssociationResult
+from compute.warp_host import PackedLaunch, address
 
 Array = NDArray[np.float64]
 
@@ -68,15 +69,17 @@ class Associator:
         self._tracks = self._room = 0
         self._work: list[NDArray[Any]] = []
         sizes = f"{len(cameras)}, {term_capacity(cameras)}"
-        self._launch = wp.launch(
-            native_kernel(
-                "compute/tracking/native/association.h",
-                f"lumiline::tracking::associate_frame<{sizes}>(address);",
-            ),
-            dim=1,
-            inputs=[address(job)],
-            device="cpu",
-            record_cmd=True,
+        self._launch = PackedLaunch(
+            wp.launch(
+                native_kernel(
+                    "compute/tracking/native/association.h",
+                    f"lumiline::tracking::associate_frame<{sizes}>(address);",
+                ),
+                dim=1,
+                inputs=[address(job)],
+                device="cpu",
+                record_cmd=True,
+            )
         )
 
     def associate(self, states: ImmStates, bias: Array, peaks: Measurements) -> AssociationResult:
@@ -106,7 +109,7 @@ class Associator:
         words = job.view(np.uint64)
         words[: len(arrays)] = [address(array) for array in arrays]
         job["tracks"], job["room"], job["failed"] = count, room, 0
-        self._launch.launch()
+        self._launch.run()
         if job["failed"][0]:
             return associate(self.model, self.motion, self.settings, states, bias, peaks)
         return result

@@ -228,7 +228,7 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
-    "/api/v1/calibration-runs": {
+    "/api/v1/runs/calibration": {
         parameters: {
             query?: never;
             header?: never;
@@ -244,7 +244,7 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
-    "/api/v1/mapping-runs": {
+    "/api/v1/runs/mapping": {
         parameters: {
             query?: never;
             header?: never;
@@ -260,7 +260,7 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
-    "/api/v1/self-calibration-runs": {
+    "/api/v1/runs/self-calibration": {
         parameters: {
             query?: never;
             header?: never;
@@ -276,7 +276,7 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
-    "/api/v1/update-runs": {
+    "/api/v1/runs/update": {
         parameters: {
             query?: never;
             header?: never;
@@ -292,7 +292,7 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
-    "/api/v1/export-runs": {
+    "/api/v1/runs/export": {
         parameters: {
             query?: never;
             header?: never;
@@ -398,6 +398,70 @@ export interface paths {
         get?: never;
         put?: never;
         post: operations["capture-target"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/wave-captures": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get: operations["list-wave-captures"];
+        put?: never;
+        post: operations["create-wave-capture"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/wave-captures/{wave_capture_id}": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get: operations["get-wave-capture"];
+        put?: never;
+        post?: never;
+        delete: operations["delete-wave-capture"];
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/wave-captures/{wave_capture_id}/start": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        post: operations["start-wave-capture"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/wave-captures/{wave_capture_id}/stop": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        post: operations["stop-wave-capture"];
         delete?: never;
         options?: never;
         head?: never;
@@ -724,6 +788,22 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/recording-retention": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get: operations["get-recording-retention"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/recordings/{recording_id}/stop": {
         parameters: {
             query?: never;
@@ -748,6 +828,38 @@ export interface paths {
             cookie?: never;
         };
         get: operations["download-recording"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/recordings/{recording_id}/frames": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get: operations["get-recorded-frames"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/recordings/{recording_id}/scans": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get: operations["get-recorded-scans"];
         put?: never;
         post?: never;
         delete?: never;
@@ -1124,6 +1236,22 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/devices/{device_id}/scans": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get: operations["get-device-scans"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/device-profiles": {
         parameters: {
             query?: never;
@@ -1133,7 +1261,23 @@ export interface paths {
         };
         get: operations["list-device-profiles"];
         put?: never;
-        post?: never;
+        post: operations["create-device-profile"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/profile-plans": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        post: operations["plan-profile"];
         delete?: never;
         options?: never;
         head?: never;
@@ -1180,6 +1324,22 @@ export interface paths {
             cookie?: never;
         };
         get: operations["get-plan-picture"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/stream-clients": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get: operations["list-stream-clients"];
         put?: never;
         post?: never;
         delete?: never;
@@ -1252,6 +1412,70 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/webhooks": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get: operations["list-webhooks"];
+        put?: never;
+        post: operations["create-webhook"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/webhooks/{webhook_id}": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get: operations["get-webhook"];
+        put?: never;
+        post?: never;
+        delete: operations["delete-webhook"];
+        options?: never;
+        head?: never;
+        patch: operations["change-webhook"];
+        trace?: never;
+    };
+    "/api/v1/webhooks/{webhook_id}/state": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get: operations["get-webhook-state"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/webhooks/{webhook_id}/test": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        post: operations["test-webhook"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/audit": {
         parameters: {
             query?: never;
@@ -1260,6 +1484,22 @@ export interface paths {
             cookie?: never;
         };
         get: operations["list-audit"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/log-records": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get: operations["list-log-records"];
         put?: never;
         post?: never;
         delete?: never;
@@ -1521,7 +1761,7 @@ export interface components {
         ApiKey: {
             id: string;
             name: string;
-            scopes: ("read:stream" | "read:calibration" | "read:audit" | "operate:holds" | "operate:devices" | "operate:recordings" | "operate:checks" | "write:tools" | "write:registrations" | "write:holds" | "write:calibrations" | "write:recordings" | "write:results" | "activate:calibrations" | "admin:devices" | "admin:keys")[];
+            scopes: ("read:stream" | "read:calibration" | "read:audit" | "operate:holds" | "operate:devices" | "operate:recordings" | "operate:checks" | "write:tools" | "write:registrations" | "write:holds" | "write:calibrations" | "write:recordings" | "write:results" | "activate:calibrations" | "admin:devices" | "admin:webhooks" | "admin:keys")[];
             /** @enum {string} */
             state: "valid" | "expired" | "revoked";
             created_by: string;
@@ -1824,16 +2064,17 @@ export interface components {
         Capture: {
             id: string;
             device_id: string;
-            settings: components["schemas"]["CaptureSettings"];
-            targets: components["schemas"]["service__api__captures__schema__Target"][];
-            captured: components["schemas"]["CapturedTarget"][];
-            next: string | null;
+            instruction: string;
             left: number;
             note: string;
             /** Format: date-time */
             created_at: string;
             /** Format: date-time */
             updated_at: string;
+            settings: components["schemas"]["CaptureSettings"];
+            targets: components["schemas"]["service__api__captures__schema__Target"][];
+            captured: components["schemas"]["CapturedTarget"][];
+            next: string | null;
         };
         CaptureSettings: {
             /** @default 50 */
@@ -1845,16 +2086,16 @@ export interface components {
             timeout_s: number;
         };
         CapturedFrames: {
+            frames: number;
+            /** Format: date-time */
+            captured_at: string;
             name: string;
             /** @enum {string} */
             kind: "dark" | "flat";
-            frames: number;
             temperature_c: number | null;
             relative_light: number | null;
             full_scale_counts: number;
             sensors: components["schemas"]["CapturedLevel"][];
-            /** Format: date-time */
-            captured_at: string;
         };
         CapturedLevel: {
             sensor: string;
@@ -1872,11 +2113,11 @@ export interface components {
             sigma_px: number;
         };
         CapturedTarget: {
-            target: string;
             frames: number;
-            sensors: components["schemas"]["CapturedSensor"][];
             /** Format: date-time */
             captured_at: string;
+            target: string;
+            sensors: components["schemas"]["CapturedSensor"][];
         };
         CentroidMethod: {
             /** @default 0.3333333333333333 */
@@ -1970,6 +2211,7 @@ export interface components {
             fitted: components["schemas"]["PointErrors"] | null;
             leave_one_out: components["schemas"]["PointErrors"] | null;
             blocks_left_out?: components["schemas"]["PointErrors"] | null;
+            lengths_left_out?: components["schemas"]["LengthErrors"] | null;
         };
         CorrectionTableDocument: {
             id: string;
@@ -2007,7 +2249,7 @@ export interface components {
         CreatedApiKey: {
             id: string;
             name: string;
-            scopes: ("read:stream" | "read:calibration" | "read:audit" | "operate:holds" | "operate:devices" | "operate:recordings" | "operate:checks" | "write:tools" | "write:registrations" | "write:holds" | "write:calibrations" | "write:recordings" | "write:results" | "activate:calibrations" | "admin:devices" | "admin:keys")[];
+            scopes: ("read:stream" | "read:calibration" | "read:audit" | "operate:holds" | "operate:devices" | "operate:recordings" | "operate:checks" | "write:tools" | "write:registrations" | "write:holds" | "write:calibrations" | "write:recordings" | "write:results" | "activate:calibrations" | "admin:devices" | "admin:webhooks" | "admin:keys")[];
             /** @enum {string} */
             state: "valid" | "expired" | "revoked";
             created_by: string;
@@ -2017,6 +2259,18 @@ export interface components {
             revoked_at: string | null;
             last_used_at: string | null;
             key: string;
+        };
+        CreatedWebhook: {
+            id: string;
+            title: string;
+            url: string;
+            event_types: ("hold.held" | "hold.released" | "device.lost" | "device.recovered" | "drift.detected")[];
+            enabled: boolean;
+            /** Format: date-time */
+            created_at: string;
+            /** Format: date-time */
+            updated_at: string;
+            secret: string;
         };
         CrossValidation: {
             /** @enum {string} */
@@ -2095,6 +2349,27 @@ export interface components {
             sensor_count: number;
             pixel_count: number;
             max_markers: number;
+        };
+        DeviceScan: {
+            sensor: string;
+            counts: number[];
+            background_counts: number;
+            noise_counts: number;
+            threshold_counts: number | null;
+            full_scale_counts: number;
+            saturated_pixels: number;
+            masked_pixels: number[];
+            peaks: components["schemas"]["LinePeak"][];
+            windows: components["schemas"]["FitWindow"][] | null;
+        };
+        DeviceScans: {
+            device_id: string;
+            sequence: number;
+            exposure_ns: number;
+            marker: number | null;
+            method: ("fit" | "centroid" | "shadow") | null;
+            radiometric_id: string | null;
+            scans: components["schemas"]["DeviceScan"][];
         };
         DeviceStateDocument: {
             /** @enum {string} */
@@ -2678,6 +2953,13 @@ export interface components {
             /** @enum {string} */
             illumination: "strobed" | "simultaneous";
         };
+        LengthErrors: {
+            poses: number;
+            lengths: number;
+            rms_mm: number;
+            mean_mm: number;
+            max_mm: number;
+        };
         Limits: {
             shift_mm?: number | null;
             axis_mm?: [
@@ -2772,6 +3054,18 @@ export interface components {
             kind: "hot" | "stuck" | "dead";
             /** Format: date-time */
             found_at: string;
+        };
+        LogRecord: {
+            id: number;
+            /** Format: date-time */
+            created_at: string;
+            /** @enum {string} */
+            level: "debug" | "info" | "warning" | "error" | "critical";
+            logger: string;
+            message: string;
+            request_id: string | null;
+            device_id: string | null;
+            traceback: string | null;
         };
         Mask: {
             /** @default 5 */
@@ -3008,7 +3302,7 @@ export interface components {
         };
         NewApiKey: {
             name: string;
-            scopes: ("read:stream" | "read:calibration" | "read:audit" | "operate:holds" | "operate:devices" | "operate:recordings" | "operate:checks" | "write:tools" | "write:registrations" | "write:holds" | "write:calibrations" | "write:recordings" | "write:results" | "activate:calibrations" | "admin:devices" | "admin:keys")[];
+            scopes: ("read:stream" | "read:calibration" | "read:audit" | "operate:holds" | "operate:devices" | "operate:recordings" | "operate:checks" | "write:tools" | "write:registrations" | "write:holds" | "write:calibrations" | "write:recordings" | "write:results" | "activate:calibrations" | "admin:devices" | "admin:webhooks" | "admin:keys")[];
             expires_at?: string | null;
         };
         NewBeamHold: {
@@ -3023,7 +3317,7 @@ export interface components {
             note: string;
         };
         NewCalibration: {
-            /** @default none */
+            /** @default auto */
             distortion: ("none" | "auto" | "odd-powers" | "all-powers" | "symmetric-3" | "symmetric-5" | "symmetric-7" | "all-3" | "all-5" | "factory-19") | [
                 number,
                 number
@@ -3035,7 +3329,7 @@ export interface components {
              */
             loss: "linear" | "robust";
             /**
-             * @default off
+             * @default report
              * @enum {string}
              */
             labels: "off" | "report" | "exclude" | "repair";
@@ -3075,10 +3369,10 @@ export interface components {
         NewCapture: {
             id?: string | null;
             device_id: string;
-            targets: components["schemas"]["service__api__captures__schema__Target"][];
-            settings?: components["schemas"]["CaptureSettings"];
             /** @default  */
             note: string;
+            targets: components["schemas"]["service__api__captures__schema__Target"][];
+            settings?: components["schemas"]["CaptureSettings"];
         };
         NewCapturedTool: {
             id: string;
@@ -3105,6 +3399,9 @@ export interface components {
             /** @default false */
             autostart: boolean;
             tracking?: components["schemas"]["Tracking"];
+        };
+        NewDeviceProfile: {
+            toml: string;
         };
         NewDriftCheck: {
             points?: components["schemas"]["StationaryPoint"][] | null;
@@ -3224,9 +3521,9 @@ export interface components {
         NewRadiometricCapture: {
             id?: string | null;
             device_id: string;
-            settings?: components["schemas"]["RadiometricCaptureSettings"];
             /** @default  */
             note: string;
+            settings?: components["schemas"]["RadiometricCaptureSettings"];
         };
         NewReconstruction: {
             id?: string | null;
@@ -3262,7 +3559,8 @@ export interface components {
                 number
             ][];
             result_id?: string | null;
-            recordings: components["schemas"]["service__api__runs__self_calibration_schema__NewRecording"][];
+            recordings?: components["schemas"]["service__api__runs__self_calibration_schema__NewRecording"][] | null;
+            wave_capture_id?: string | null;
             /**
              * @default start
              * @enum {string}
@@ -3457,6 +3755,23 @@ export interface components {
             /** @default  */
             note: string;
         };
+        NewWaveCapture: {
+            id?: string | null;
+            device_id: string;
+            /** @default  */
+            note: string;
+            target: components["schemas"]["WandTarget"] | components["schemas"]["BodyTarget"] | components["schemas"]["UnknownTarget"];
+            markers?: number[] | null;
+            settings?: components["schemas"]["WaveSettings"];
+        };
+        NewWebhook: {
+            id?: string | null;
+            title: string;
+            url: string;
+            event_types: ("hold.held" | "hold.released" | "device.lost" | "device.recovered" | "drift.detected")[];
+            /** @default true */
+            enabled: boolean;
+        };
         ObservedPoint: {
             name: string;
             readings: {
@@ -3515,6 +3830,10 @@ export interface components {
             items: components["schemas"]["Export"][];
             next_cursor: string | null;
         };
+        Page_LogRecord_: {
+            items: components["schemas"]["LogRecord"][];
+            next_cursor: string | null;
+        };
         Page_ProblemType_: {
             items: components["schemas"]["ProblemType"][];
             next_cursor: string | null;
@@ -3551,6 +3870,10 @@ export interface components {
             items: components["schemas"]["Run"][];
             next_cursor: string | null;
         };
+        Page_StreamClient_: {
+            items: components["schemas"]["StreamClient"][];
+            next_cursor: string | null;
+        };
         Page_ToolCalibration_: {
             items: components["schemas"]["ToolCalibration"][];
             next_cursor: string | null;
@@ -3561,6 +3884,14 @@ export interface components {
         };
         Page_WatchSample_: {
             items: components["schemas"]["WatchSample"][];
+            next_cursor: string | null;
+        };
+        Page_WaveCapture_: {
+            items: components["schemas"]["WaveCapture"][];
+            next_cursor: string | null;
+        };
+        Page_Webhook_: {
+            items: components["schemas"]["Webhook"][];
             next_cursor: string | null;
         };
         ParameterDifference: {
@@ -3626,6 +3957,11 @@ export interface components {
             ghosts: components["schemas"]["GhostCount"][];
             points: components["schemas"]["PlannedPoint"][];
             notes: string[];
+        };
+        PlanRequest: {
+            toml: string;
+            /** @default 3 */
+            grid: number;
         };
         PlannedPoint: {
             position_mm: [
@@ -3890,7 +4226,7 @@ export interface components {
             meaning: string;
         };
         ProfileSettings: {
-            scene?: (components["schemas"]["CalibrationTarget"] | components["schemas"]["StillPoints"] | components["schemas"]["ShiftedPoints"] | components["schemas"]["RotatingBar"] | components["schemas"]["MovingTools"] | components["schemas"]["EvenLight"]) | null;
+            scene?: (components["schemas"]["CalibrationTarget"] | components["schemas"]["StillPoints"] | components["schemas"]["ShiftedPoints"] | components["schemas"]["RotatingBar"] | components["schemas"]["MovingTools"] | components["schemas"]["WavedWand"] | components["schemas"]["EvenLight"]) | null;
             /**
              * @default tabulated
              * @enum {string}
@@ -3999,9 +4335,6 @@ export interface components {
         RadiometricCapture: {
             id: string;
             device_id: string;
-            settings: components["schemas"]["RadiometricCaptureSettings"];
-            captured: components["schemas"]["CapturedFrames"][];
-            next: ("dark" | "flat") | null;
             instruction: string;
             left: number;
             note: string;
@@ -4009,6 +4342,9 @@ export interface components {
             created_at: string;
             /** Format: date-time */
             updated_at: string;
+            settings: components["schemas"]["RadiometricCaptureSettings"];
+            captured: components["schemas"]["CapturedFrames"][];
+            next: ("dark" | "flat") | null;
         };
         RadiometricCaptureSettings: {
             /** @default 128 */
@@ -4053,6 +4389,47 @@ export interface components {
             point_count: number;
             /** Format: date-time */
             created_at: string;
+        };
+        RecordedFrame: {
+            number: number;
+            sequence: number;
+            exposure_ns: number;
+            marker: number | null;
+            points: components["schemas"]["RecordedPoint"][];
+        };
+        RecordedFrames: {
+            recording_id: string;
+            calibration_id: string | null;
+            frames_written: number;
+            frames: components["schemas"]["RecordedFrame"][];
+        };
+        RecordedPoint: {
+            marker: number | null;
+            position_mm: [
+                number,
+                number,
+                number
+            ] | null;
+            covariance_mm2: [
+                [
+                    number,
+                    number,
+                    number
+                ],
+                [
+                    number,
+                    number,
+                    number
+                ],
+                [
+                    number,
+                    number,
+                    number
+                ]
+            ] | null;
+            residual_sigma: number | null;
+            sensors: string[];
+            flags: string[];
         };
         RecordingDetail: {
             id: string;
@@ -4372,8 +4749,17 @@ export interface components {
             kind: "key" | "token" | "local" | "command" | "service";
             id: string;
             name: string;
-            scopes: ("read:stream" | "read:calibration" | "read:audit" | "operate:holds" | "operate:devices" | "operate:recordings" | "operate:checks" | "write:tools" | "write:registrations" | "write:holds" | "write:calibrations" | "write:recordings" | "write:results" | "activate:calibrations" | "admin:devices" | "admin:keys")[];
+            scopes: ("read:stream" | "read:calibration" | "read:audit" | "operate:holds" | "operate:devices" | "operate:recordings" | "operate:checks" | "write:tools" | "write:registrations" | "write:holds" | "write:calibrations" | "write:recordings" | "write:results" | "activate:calibrations" | "admin:devices" | "admin:webhooks" | "admin:keys")[];
             expires_at: string | null;
+        };
+        RetentionDocument: {
+            max_age_s: number | null;
+            max_total_bytes: number | null;
+            checked_at: string | null;
+            total_bytes: number;
+            held_recording_ids: string[];
+            deleted_recordings: number;
+            deleted_bytes: number;
         };
         RetroMarkers: {
             illuminator_intensity_w_per_sr: number;
@@ -4653,7 +5039,7 @@ export interface components {
             settings?: components["schemas"]["SimulationSettings"];
         };
         SimulationSettings: {
-            scene?: components["schemas"]["CalibrationTarget"] | components["schemas"]["StillPoints"] | components["schemas"]["ShiftedPoints"] | components["schemas"]["RotatingBar"] | components["schemas"]["MovingTools"] | components["schemas"]["EvenLight"];
+            scene?: components["schemas"]["CalibrationTarget"] | components["schemas"]["StillPoints"] | components["schemas"]["ShiftedPoints"] | components["schemas"]["RotatingBar"] | components["schemas"]["MovingTools"] | components["schemas"]["WavedWand"] | components["schemas"]["EvenLight"];
             /** @default 1000 */
             frame_rate_hz: number;
             /**
@@ -4805,6 +5191,21 @@ export interface components {
             /** @default 5 */
             initial_shift_tolerance_mm: number;
             surface: components["schemas"]["SurfaceSummary"];
+        };
+        StreamClient: {
+            id: string;
+            device_id: string;
+            client: string;
+            /** Format: date-time */
+            opened_at: string;
+            content: string[];
+            /** @enum {string} */
+            encoding: "json" | "msgpack";
+            /** @enum {string} */
+            mode: "live" | "lossless";
+            rate_hz: number | null;
+            messages_waiting: number;
+            messages_missed: number;
         };
         StrobeSchedule: {
             slots: (number | null)[];
@@ -5182,6 +5583,138 @@ export interface components {
             interval_s: number;
             reference?: components["schemas"]["ReferenceMarker"] | null;
         };
+        WaveCapture: {
+            id: string;
+            device_id: string;
+            instruction: string;
+            left: number;
+            note: string;
+            /** Format: date-time */
+            created_at: string;
+            /** Format: date-time */
+            updated_at: string;
+            target: components["schemas"]["WandTarget"] | components["schemas"]["BodyTarget"] | components["schemas"]["UnknownTarget"];
+            markers: number[];
+            settings: components["schemas"]["WaveSettings"];
+            /** @enum {string} */
+            state: "ready" | "capturing" | "stopped";
+            ended: string | null;
+            progress: components["schemas"]["WaveProgress"];
+        };
+        WaveDirections: {
+            rms: [
+                number,
+                number,
+                number
+            ];
+            rings: number[];
+            bins: number[];
+            wanted: number;
+        };
+        WaveExposures: {
+            all: number;
+            taken: number;
+            still: number;
+            too_few_sensors: number;
+            not_lit: number;
+        };
+        WaveProgress: {
+            poses: number;
+            wanted_poses: number;
+            exposures: components["schemas"]["WaveExposures"];
+            sensors: components["schemas"]["WaveSensor"][];
+            directions: components["schemas"]["WaveDirections"] | null;
+            volume: components["schemas"]["WaveVolume"] | null;
+            missing: string[];
+            enough: boolean;
+        };
+        WaveSensor: {
+            sensor: string;
+            clear: number;
+            unclear: number;
+            unseen: number;
+            readings: number;
+            cells: number[];
+            wanted: number;
+            covered: number;
+        };
+        WaveSettings: {
+            /** @default 180 */
+            duration_s: number;
+            /** @default true */
+            end_when_enough: boolean;
+        };
+        WaveVolume: {
+            extent_mm: [
+                number,
+                number,
+                number
+            ];
+            octants: number[];
+        };
+        WavedWand: {
+            /**
+             * @description discriminator enum property added by openapi-typescript
+             * @enum {string}
+             */
+            kind: "waved-wand";
+            /** @default 300 */
+            length_mm: number;
+            /**
+             * @default [
+             *       0,
+             *       0,
+             *       1500
+             *     ]
+             */
+            centre_mm: [
+                number,
+                number,
+                number
+            ];
+            /**
+             * @default [
+             *       250,
+             *       250,
+             *       300
+             *     ]
+             */
+            swing_mm: [
+                number,
+                number,
+                number
+            ];
+            /** @default 30 */
+            period_s: number;
+        };
+        Webhook: {
+            id: string;
+            title: string;
+            url: string;
+            event_types: ("hold.held" | "hold.released" | "device.lost" | "device.recovered" | "drift.detected")[];
+            enabled: boolean;
+            /** Format: date-time */
+            created_at: string;
+            /** Format: date-time */
+            updated_at: string;
+        };
+        WebhookChange: {
+            title?: string;
+            url?: string;
+            event_types?: ("hold.held" | "hold.released" | "device.lost" | "device.recovered" | "drift.detected")[];
+            enabled?: boolean;
+        };
+        WebhookState: {
+            webhook_id: string;
+            /** @enum {string} */
+            state: "idle" | "delivering" | "retrying" | "disabled";
+            events_waiting: number;
+            events_delivered: number;
+            events_failed: number;
+            events_dropped: number;
+            attempted_at: string | null;
+            reason: string | null;
+        };
         compute__optics__profiles__profile_sections__Rates: {
             line_rate_hz: number;
             exposure_s: number;
@@ -5224,7 +5757,9 @@ export interface components {
             poses: {
                 [key: string]: (number | null)[];
             }[];
-            sigma_px?: number | null;
+            sigma_px?: number | {
+                [key: string]: (number | null)[];
+            }[] | null;
         };
         service__api__tools__registration_schema__Target: {
             name: string;
@@ -6488,6 +7023,194 @@ export interface operations {
             };
         };
     };
+    "list-wave-captures": {
+        parameters: {
+            query?: {
+                device_id?: string | null;
+                limit?: number;
+                cursor?: string | null;
+            };
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Page_WaveCapture_"];
+                };
+            };
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    "create-wave-capture": {
+        parameters: {
+            query?: never;
+            header?: {
+                "Idempotency-Key"?: string;
+            };
+            path?: never;
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["NewWaveCapture"];
+            };
+        };
+        responses: {
+            201: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["WaveCapture"];
+                };
+            };
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    "get-wave-capture": {
+        parameters: {
+            query?: never;
+            header?: {
+                "If-None-Match"?: string;
+            };
+            path: {
+                wave_capture_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            200: {
+                headers: {
+                    ETag?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["WaveCapture"];
+                };
+            };
+            304: {
+                headers: {
+                    ETag?: string;
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    "delete-wave-capture": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                wave_capture_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            204: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    "start-wave-capture": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                wave_capture_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["WaveCapture"];
+                };
+            };
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    "stop-wave-capture": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                wave_capture_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["WaveCapture"];
+                };
+            };
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
     "list-radiometric-captures": {
         parameters: {
             query?: {
@@ -7427,6 +8150,33 @@ export interface operations {
             };
         };
     };
+    "get-recording-retention": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["RetentionDocument"];
+                };
+            };
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
     "stop-recording": {
         parameters: {
             query?: never;
@@ -7482,6 +8232,91 @@ export interface operations {
                 content: {
                     "application/x-hdf5": string;
                 };
+            };
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    "get-recorded-frames": {
+        parameters: {
+            query?: {
+                first?: number;
+                count?: number;
+                calibration_id?: string | null;
+            };
+            header?: {
+                "If-None-Match"?: string;
+            };
+            path: {
+                recording_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            200: {
+                headers: {
+                    ETag?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["RecordedFrames"];
+                };
+            };
+            304: {
+                headers: {
+                    ETag?: string;
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    "get-recorded-scans": {
+        parameters: {
+            query?: {
+                number?: number;
+                detail_sensor?: string | null;
+            };
+            header?: {
+                "If-None-Match"?: string;
+            };
+            path: {
+                recording_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            200: {
+                headers: {
+                    ETag?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["DeviceScans"];
+                };
+            };
+            304: {
+                headers: {
+                    ETag?: string;
+                    [name: string]: unknown;
+                };
+                content?: never;
             };
             default: {
                 headers: {
@@ -8648,6 +9483,49 @@ export interface operations {
             };
         };
     };
+    "get-device-scans": {
+        parameters: {
+            query?: {
+                after?: number | null;
+                marker?: number | null;
+                detail_sensor?: string | null;
+            };
+            header?: {
+                "If-None-Match"?: string;
+            };
+            path: {
+                device_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            200: {
+                headers: {
+                    ETag?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["DeviceScans"];
+                };
+            };
+            304: {
+                headers: {
+                    ETag?: string;
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
     "list-device-profiles": {
         parameters: {
             query?: {
@@ -8666,6 +9544,70 @@ export interface operations {
                 };
                 content: {
                     "application/json": components["schemas"]["Page_DeviceProfileSummary_"];
+                };
+            };
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    "create-device-profile": {
+        parameters: {
+            query?: never;
+            header?: {
+                "Idempotency-Key"?: string;
+            };
+            path?: never;
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["NewDeviceProfile"];
+            };
+        };
+        responses: {
+            201: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["DeviceProfileDocument"];
+                };
+            };
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    "plan-profile": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["PlanRequest"];
+            };
+        };
+        responses: {
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Plan"];
                 };
             };
             default: {
@@ -8767,6 +9709,36 @@ export interface operations {
                 };
                 content: {
                     "image/png": string;
+                };
+            };
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    "list-stream-clients": {
+        parameters: {
+            query?: {
+                limit?: number;
+                cursor?: string | null;
+            };
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Page_StreamClient_"];
                 };
             };
             default: {
@@ -8935,6 +9907,241 @@ export interface operations {
             };
         };
     };
+    "list-webhooks": {
+        parameters: {
+            query?: {
+                limit?: number;
+                cursor?: string | null;
+            };
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Page_Webhook_"];
+                };
+            };
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    "create-webhook": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["NewWebhook"];
+            };
+        };
+        responses: {
+            201: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["CreatedWebhook"];
+                };
+            };
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    "get-webhook": {
+        parameters: {
+            query?: never;
+            header?: {
+                "If-None-Match"?: string;
+            };
+            path: {
+                webhook_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            200: {
+                headers: {
+                    ETag?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Webhook"];
+                };
+            };
+            304: {
+                headers: {
+                    ETag?: string;
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    "delete-webhook": {
+        parameters: {
+            query?: never;
+            header?: {
+                "If-Match"?: string;
+            };
+            path: {
+                webhook_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            204: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    "change-webhook": {
+        parameters: {
+            query?: never;
+            header: {
+                "If-Match": string;
+            };
+            path: {
+                webhook_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["WebhookChange"];
+            };
+        };
+        responses: {
+            200: {
+                headers: {
+                    ETag?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Webhook"];
+                };
+            };
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    "get-webhook-state": {
+        parameters: {
+            query?: never;
+            header?: {
+                "If-None-Match"?: string;
+            };
+            path: {
+                webhook_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            200: {
+                headers: {
+                    ETag?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["WebhookState"];
+                };
+            };
+            304: {
+                headers: {
+                    ETag?: string;
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    "test-webhook": {
+        parameters: {
+            query?: never;
+            header?: {
+                "Idempotency-Key"?: string;
+            };
+            path: {
+                webhook_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            202: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["WebhookState"];
+                };
+            };
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
     "list-audit": {
         parameters: {
             query?: {
@@ -8960,6 +10167,37 @@ export interface operations {
                 };
                 content: {
                     "application/json": components["schemas"]["Page_AuditEntry_"];
+                };
+            };
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    "list-log-records": {
+        parameters: {
+            query?: {
+                level?: "debug" | "info" | "warning" | "error" | "critical";
+                limit?: number;
+                cursor?: string | null;
+            };
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Page_LogRecord_"];
                 };
             };
             default: {

@@ -120,6 +120,9 @@ interface TableProps<T> {
   select?: (identity: string | number) => void;
 }
 
+/** More rows nobody reads, and drawn some times a second they would take the browser's time. */
+const MAX_ROWS = 200;
+
 export function Table<T>(props: TableProps<T>) {
   if (!props.rows.length) return <p class="muted">{props.empty}</p>;
   return (
@@ -136,7 +139,7 @@ export function Table<T>(props: TableProps<T>) {
           </tr>
         </thead>
         <tbody>
-          {props.rows.map((item) => {
+          {props.rows.slice(0, MAX_ROWS).map((item) => {
             const identity = props.identity(item);
             const cells = props.row(item);
             return (
@@ -162,6 +165,7 @@ export function Table<T>(props: TableProps<T>) {
           })}
         </tbody>
       </table>
+      {props.rows.length > MAX_ROWS ? <p class="muted">{text.moreRows(props.rows.length - MAX_ROWS)}</p> : null}
     </div>
   );
 }

@@ -16,7 +16,8 @@ from compute.calibration.assessment.assess import (
     control_errors,
 )
 from compute.calibration.result import AxisErrors, Calibration, count_readings, effective_readings
-from compute.calibration.settings import DEFAULTS, CalibrationSettings
+from compute.calibration.settings import DEFAULTS as PLAIN
+from compute.calibration.settings import CalibrationSettings
 from compute.camera.model import SensorGeometry
 from compute.errors import DuplicatePoint, InvalidParameter, ReadingOutsideSensor, UnknownSensor
 from compute.progress import Progress, no_progress
@@ -62,11 +63,11 @@ def run_calibration(request: NewCalibration, sensors: Sequence[SensorDescription
         LumilineError: the points cannot calibrate; see ``calibrate_and_assess``.
     """
     settings = request.settings()
-    if len(request.points) > MAX_LEAVE_ONE_OUT_POINTS and settings != DEFAULTS:
+    if len(request.points) > MAX_LEAVE_ONE_OUT_POINTS and settings != PLAIN:
         raise InvalidParameter(
-            f"{len(request.points)} points are calibrated with distortion, uncertain points, a "
-            f"robust loss or labels in a run only: POST it to /api/v1/calibration-runs, or give at "
-            f"most {MAX_LEAVE_ONE_OUT_POINTS} points",
+            f"{len(request.points)} points take longer than a request may: POST them to "
+            f"/api/v1/runs/calibration, or give at most {MAX_LEAVE_ONE_OUT_POINTS} points, or "
+            f"distortion none and labels off, with exact points and the linear loss",
             points=len(request.points),
         )
     return calibration_outcome(no_progress, request.device_id, request.points, sensors, settings)

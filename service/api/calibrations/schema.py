@@ -94,7 +94,7 @@ class CalibrationOptions(RequestModel):
     """How a device is calibrated; the members of CalibrationSettings as clients give them."""
 
     distortion: GivenDistortion = Field(
-        default="none",
+        default="auto",
         description="Terms of the lens's distortion: `none`, `auto` (all terms up to the fifth "
         "order, their scale estimated from the readings of all sensors), the name of a set, or the "
         "terms themselves as pairs of powers of the two field angles.",
@@ -105,7 +105,7 @@ class CalibrationOptions(RequestModel):
     )
     loss: Loss = Field(default="linear", description="`robust`: wrong readings lose their weight.")
     labels: LabelPolicy = Field(
-        default="off",
+        default="report",
         description="What is done with exchanged and wrong labels and with outliers: not looked "
         "for, reported, left out, or repaired (outliers: left out).",
     )
@@ -143,8 +143,18 @@ class PointErrors(ResponseModel):
     )
 
 
+class LengthErrors(ResponseModel):
+    """Known lengths of a waved target as they were measured at poses that the cameras never saw."""
+
+    poses: int = Field(description="Poses that were held out, each once.")
+    lengths: int = Field(description="Lengths measured at them.")
+    rms_mm: float = Field(description="RMS of measured minus known lengths.")
+    mean_mm: float = Field(description="Their mean: an error of scale.")
+    max_mm: float = Field(description="The largest, without its sign.")
+
+
 class ControlPointErrors(ResponseModel):
-    """How well a calibration reproduces its control points."""
+    """How well a calibration reproduces its control points, or the lengths of a waved target."""
 
     fitted: PointErrors | None = Field(description="The points that made it; null without any.")
     leave_one_out: PointErrors | None = Field(
@@ -155,6 +165,11 @@ class ControlPointErrors(ResponseModel):
         default=None,
         description="Each point by a calibration that never saw its block of space, as in the "
         "result's `cross_validation`; null where that was not made.",
+    )
+    lengths_left_out: LengthErrors | None = Field(
+        default=None,
+        description="Of a self-calibration: lengths at poses held out; null: too few poses, or "
+        "made by an earlier version.",
     )
 
 

@@ -49,14 +49,19 @@ class CaptureSettings(RequestModel):
     )
 
 
-class NewCapture(RequestModel):
-    """A capture session to begin."""
+class NewCaptureSession(RequestModel):
+    """What sessions of all kinds of captures begin with."""
 
     id: Slug | None = Field(default=None, description="Left out or null: the server makes one.")
     device_id: Slug
+    note: Note = ""
+
+
+class NewCapture(NewCaptureSession):
+    """A capture session to begin."""
+
     targets: Annotated[list[Target], Field(min_length=1, max_length=MAX_TARGETS), FIRST_ERROR_ONLY]
     settings: CaptureSettings = Field(default_factory=CaptureSettings)
-    note: Note = ""
 
 
 class CapturedSensor(ResponseModel):
@@ -72,25 +77,36 @@ class CapturedSensor(ResponseModel):
     sigma_px: float = Field(description="Standard deviation of the mean.")
 
 
-class CapturedTarget(ResponseModel):
-    """What was read of a target."""
+class Captured(ResponseModel):
+    """What each capture of a session has."""
 
-    target: str
-    frames: int
-    sensors: list[CapturedSensor] = Field(description="Those that saw it.")
+    frames: int = Field(description="Frames that it was made of.")
     captured_at: Moment
 
 
-class Capture(ResponseModel):
-    """A capture session: what is done and what is left."""
+class CapturedTarget(Captured):
+    """What was read of a target."""
+
+    target: str
+    sensors: list[CapturedSensor] = Field(description="Those that saw it.")
+
+
+class CaptureSession(ResponseModel):
+    """What sessions of all kinds of captures have: how far they are, and what to do next."""
 
     id: str
     device_id: str
+    instruction: str = Field(description="What to do now.")
+    left: int = Field(description="Captures that are left.")
+    note: str
+    created_at: Moment
+    updated_at: Moment
+
+
+class Capture(CaptureSession):
+    """A capture session: what is done and what is left."""
+
     settings: CaptureSettings
     targets: list[Target]
     captured: list[CapturedTarget] = Field(description="In the order of the targets.")
     next: str | None = Field(description="The next target; null: all are captured.")
-    left: int = Field(description="Targets that are not captured yet.")
-    note: str
-    created_at: Moment
-    updated_at: Moment

@@ -14,7 +14,12 @@ from service.api.captures.averaging import MIN_POINT_DISTANCE_MM, check_marker_m
 from service.api.captures.schema import Capture, CapturedTarget, NewCapture, Target
 from service.api.devices.store import get_device, sensors_of_row
 from service.database.engine import Resource
-from service.database.models import CaptureRow, DeviceRow, RadiometricCaptureRow
+from service.database.models import (
+    CaptureRow,
+    DeviceRow,
+    RadiometricCaptureRow,
+    WaveCaptureRow,
+)
 from service.problems.errors import (
     CaptureComplete,
     CaptureExists,
@@ -25,6 +30,8 @@ from service.problems.errors import (
 )
 
 _MIN_SIGMA_PX = 1e-6
+_AnyCaptureRow = CaptureRow | RadiometricCaptureRow | WaveCaptureRow
+ALL_CAPTURED = "All targets are captured: post a run with this capture_id."
 
 
 CAPTURES = Resource(CaptureRow, "capture", UnknownCapture, CaptureExists, "capture session")
@@ -96,7 +103,7 @@ def next_target(row: CaptureRow, name: str | None) -> Target:
     return found
 
 
-def check_device(session: Session, row: CaptureRow | RadiometricCaptureRow, device_id: str) -> None:
+def check_device(session: Session, row: _AnyCaptureRow, device_id: str) -> None:
     """Check that a session is of a device, and of the sensors that it has now.
 
     Raises:
@@ -111,7 +118,7 @@ def check_device(session: Session, row: CaptureRow | RadiometricCaptureRow, devi
     check_sensors_now(session, row)
 
 
-def check_sensors_now(session: Session, row: CaptureRow | RadiometricCaptureRow) -> None:
+def check_sensors_now(session: Session, row: _AnyCaptureRow) -> None:
     """Raise CaptureOfAnotherDevice when the device has other sensors than at the beginning."""
     now = sensors_of_row(get_device(session, row.device_id))
     names = [(sensor["name"], sensor["pixels"]) for sensor in row.sensors]
@@ -200,4 +207,12 @@ def document(row: CaptureRow) -> Capture:
         captured=[row.captured[name] for name in names if name in row.captured],
         next=left[0] if left else None,
         left=len(left),
+        instruction=_instruction(next_target(row, left[0])) if left else ALL_CAPTURED,
     )
+
+
+def _instruction(target: Target) -> str:
+    """Return what a person is to do at a target."""
+    x, y, z = target.position_mm
+    which = "the marker" if target.marker is None else f"strobed marker {target.marker}"
+    return f"Hold {which} still at {target.name}, ({x:g}, {y:g}, {z:g}) mm, and capture it."

@@ -1,6 +1,8 @@
 """REST resource /api/v1/correction-tables."""
 
-from typing import Annotated, Final
+from pathlib import Path
+from tempfile import NamedTemporaryFile
+from typing import IO, Annotated, Final
 
 from fastapi import Query, Request
 from fastapi.concurrency import run_in_threadpool
@@ -29,6 +31,7 @@ router = ResourceRouter(TABLES_PATH, "correction-tables")
 
 _BINARY: Final = {"schema": {"type": "string", "format": "binary"}}
 _TYPES: Final = (MEDIA_TYPE, "application/octet-stream")
+_WRITE_BYTES: Final = 2**20
 
 TablePath = Annotated[str, id_in_path("The table's id.", "sim-map", "map", "one that was mapped")]
 SparePath = Annotated[
@@ -85,16 +88,33 @@ async def upload_table(
     if media_type not in _TYPES:
         given = f'"{media_type}"' if media_type else "not given"
         raise UnsupportedMediaType(f"the body's media type is {given}; send {MEDIA_TYPE}")
-    made = await run_in_threadpool(_stored, database, await request.body(), table_id, note)
+    # To a file: a body that is put together and handed on as bytes is copied many times, each time
+    # with the interpreter's lock held.
+    with NamedTemporaryFile(prefix="lumiline-upload-") as file:
+        await _receive(request, file)
+        made = await run_in_threadpool(_stored, database, Path(file.name), table_id, note)
     return JSONResponse(made.model_dump(mode="json"), 201, {"Location": f"{TABLES_PATH}/{made.id}"})
 
 
+async def _receive(request: Request, file: IO[bytes]) -> None:
+    """Write a body to a file as it comes."""
+    waiting: list[bytes] = []
+    size = 0
+    async for part in request.stream():
+        waiting.append(part)
+        size += len(part)
+        if size >= _WRITE_BYTES or not part:
+            await run_in_threadpool(file.writelines, waiting)
+            waiting, size = [], 0
+    await run_in_threadpool(file.flush)
+
+
 def _stored(
-    database: Database, data: bytes, table_id: str | None, note: str
+    database: Database, path: Path, table_id: str | None, note: str
 ) -> CorrectionTableDocument:
     with database.read() as session:
         store.TABLES.check_unused(session, table_id)
-    content = read_in_process(data)
+    content = read_in_process(path)
     with database.write() as session:
         parent = store.find_parent(session, content)
         row = store.add_table(session, content, parent, "upload", note, table_id)

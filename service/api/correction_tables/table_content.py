@@ -15,6 +15,7 @@ from service.problems.errors import InvalidTableFile, NoValidCells
 MEDIA_TYPE: Final = "application/x-hdf5"
 """Of the files that tables are exchanged in; see ``service.api.correction_tables.hdf5_file``."""
 _SIGNATURE: Final = b"\x89HDF\r\n\x1a\n"
+SIGNATURE_BYTES: Final = len(_SIGNATURE)
 MAX_PX: Final = 1e5
 """Largest correction that means something: more than the pixels of any sensor."""
 MAX_MM: Final = 1e6

@@ -1,9 +1,15 @@
 """Reads an uploaded table in a separate process with limits of time and memory."""
 
+from pathlib import Path
 from typing import Any, Final
 
 from service.api.concurrency_limit import ConcurrencyLimit
-from service.api.correction_tables.table_content import TableContent, check_signature, check_table
+from service.api.correction_tables.table_content import (
+    SIGNATURE_BYTES,
+    TableContent,
+    check_signature,
+    check_table,
+)
 from service.jobs.worker_process import call_in_process
 from service.problems.errors import InvalidTableFile, WorkerEnded
 
@@ -17,19 +23,20 @@ _limit = ConcurrencyLimit(
 )
 
 
-def read_in_process(data: bytes) -> TableContent:
-    """Return what an uploaded file holds.
+def read_in_process(path: Path) -> TableContent:
+    """Return what an uploaded file holds; only the process loads it.
 
     Raises:
         Busy: as many uploads as may are being read.
         InvalidTableFile: as ``read_table``; also when reading crashes or takes too much.
         InvalidParameter, NonFiniteValue, NoValidCells: as ``read_table`` and ``check_table``.
     """
-    check_signature(data)
+    with path.open("rb") as file:
+        check_signature(file.read(SIGNATURE_BYTES))
     try:
         with _limit:
             found: TableContent = call_in_process(
-                _read, data, timeout_s=TIMEOUT_S, memory_bytes=MEMORY_BYTES
+                _read, path, timeout_s=TIMEOUT_S, memory_bytes=MEMORY_BYTES
             )
     except WorkerEnded as error:
         raise InvalidTableFile(
@@ -39,9 +46,9 @@ def read_in_process(data: bytes) -> TableContent:
     return found
 
 
-def _read(_tell: Any, data: bytes) -> TableContent:
+def _read(_tell: Any, path: Path) -> TableContent:
     from service.api.correction_tables.hdf5_file import read_table
 
-    content = read_table(data)
+    content = read_table(path.read_bytes())
     check_table(content.table)
     return content

@@ -133,10 +133,37 @@ def keep(name_or_path: str, profile: DeviceProfile, profiles_dir: Path) -> None:
     kept = stored_profile_path(profile.name, profiles_dir)
     if profile.name in profile_names() or kept.is_file():
         return
-    profiles_dir.mkdir(parents=True, exist_ok=True)
-    part = kept.with_suffix(".part")  # never half a profile under its name
-    part.write_bytes(Path(name_or_path).read_bytes())
+    _write(kept, Path(name_or_path).read_bytes())
+
+
+def _write(kept: Path, content: bytes) -> None:
+    """Write a profile's file, never half of one under its name."""
+    kept.parent.mkdir(parents=True, exist_ok=True)
+    part = kept.with_suffix(".part")
+    part.write_bytes(content)
     part.replace(kept)
+
+
+def posted_profile(text: str) -> DeviceProfile:
+    """Return the profile of a text that a client sent; raises InvalidParameter."""
+    return parse_profile(text, origin="toml")
+
+
+def store_posted(text: str, profiles_dir: Path) -> DeviceProfile:
+    """Keep a profile that a client sent in the data directory, under its name.
+
+    Raises:
+        InvalidParameter: it is not a profile, its name cannot be a device's, or is that of
+            another profile.
+    """
+    profile = _with_usable_name(posted_profile(text))
+    if profile.name in (*profile_names(), *stored_profile_names(profiles_dir)):
+        raise InvalidParameter(
+            f'name is "{profile.name}", and there is a profile of this name; give yours another',
+            name=profile.name,
+        )
+    _write(stored_profile_path(profile.name, profiles_dir), text.encode())
+    return profile
 
 
 def _with_usable_name(profile: DeviceProfile) -> DeviceProfile:

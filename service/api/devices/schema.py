@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import ConfigDict, Field, StringConstraints
 from pydantic.dataclasses import dataclass as checked_dataclass
@@ -126,6 +126,12 @@ class DeviceChange(RequestModel):
 
 class Device(ResponseModel):
     """A device."""
+
+    # Activations change these, and a PATCH changes none of them (but the time): who read the
+    # device before its own activation may change its title after it.
+    MEMBERS_APART: ClassVar[frozenset[str]] = frozenset(
+        {"active_calibration_id", "active_table_id", "active_radiometric_id", "updated_at"}
+    )
 
     id: str
     title: str

@@ -40,6 +40,7 @@ from service.database.models import (
     ToolRow,
     WatchRow,
     WatchSampleRow,
+    WaveCaptureRow,
 )
 from service.database.referrers import Conditions, refuse_if_referred
 from service.problems.errors import (
@@ -148,6 +149,7 @@ def delete_device(session: Session, device_id: str, *, cascade: bool) -> None:
             ReconstructionRow,
             RunRow,
             CaptureRow,
+            WaveCaptureRow,
             ActivationRow,
             ActiveCalibrationRow,
             RadiometricActivationRow,
@@ -177,6 +179,7 @@ _BELONGING: Final[Mapping[str, type[Any]]] = {
     "radiometric calibrations": RadiometricCalibrationRow,
     "radiometric captures": RadiometricCaptureRow,
     "captures": CaptureRow,
+    "wave captures": WaveCaptureRow,
     "runs": RunRow,
     "tools": ToolRow,
     "registrations": RegistrationRow,

@@ -23,6 +23,7 @@ from service.api.inputs import (
 )
 from service.api.openapi import ResourceRouter, raises
 from service.api.paging import Page, PagingDep, page_of
+from service.api.webhooks.dispatcher import WebhooksDep
 
 router = ResourceRouter("/api/v1", "drift-checks")
 
@@ -43,6 +44,7 @@ def create_drift_check(
     calibration_id: CalibrationPath,
     request: NewDriftCheckBody,
     database: DatabaseDep,
+    webhooks: WebhooksDep,
     response: Response,
 ) -> DriftCheckDocument:
     """Compare what is read of still markers with what the calibration expects, within both errors.
@@ -64,6 +66,18 @@ def create_drift_check(
         calibration = get_calibration(session, calibration_id)
         get_device(session, calibration.device_id, lock=True)
         made = store.document(store.add_drift_check(session, calibration, request, markers, found))
+    if not found.good:
+        webhooks.emit(
+            "drift.detected",
+            {
+                "device_id": made.device_id,
+                "calibration_id": made.calibration_id,
+                "drift_check_id": made.id,
+                "status": made.status,
+                "moved": made.moved,
+                "in_words": made.in_words,
+            },
+        )
     response.headers["Location"] = f"/api/v1/drift-checks/{made.id}"
     return made
 

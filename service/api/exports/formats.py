@@ -61,6 +61,7 @@ _TRAJECTORIES: Final[dict[str, Callable[[MotionTable, list[Trajectory], Path], N
     ".trc": write_trc,
 }
 SUFFIXES: Final = (*_TRAJECTORIES, *_TABLES)
+TRAJECTORY_SUFFIXES: Final = tuple(_TRAJECTORIES)
 
 
 def suffix_of(path: Path) -> str:

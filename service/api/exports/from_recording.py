@@ -1,35 +1,18 @@
 """Motion table of a recording: points, tracks and poses as the live pipeline makes them."""
 
-from collections.abc import Callable, Iterator, Sequence
-from typing import Final
-
-import numpy as np
+from collections.abc import Callable, Sequence
 
 from compute.errors import InvalidRecording
 from compute.pose.rigid_body import RigidBody
-from compute.signal.peaks import PeakBatch
-from hardware.line_frame import FrameFlag, LineFrame
-from hardware.recording.frame_block import FrameBlock
-from hardware.recording.layout import NO_MARKER
 from hardware.recording.reader import RecordingReader
 from service.api.devices.tracking_settings import Tracking
 from service.api.exports.motion_table import MotionTable
 from service.api.exports.table_builder import TableBuilder
-from service.api.recordings.reprocessing import calibration_intervals, reprocess
+from service.api.recordings.recorded_peaks import reprocess_peaks
+from service.api.recordings.reprocessing import reprocess
 from service.pipeline.active_calibration import ActiveCalibration
-from service.pipeline.frame_batch import FrameBatch
-from service.pipeline.frame_processor import MAX_FRAMES, FrameProcessor
+from service.pipeline.frame_processor import FrameProcessor
 from service.pipeline.tracking_config import TrackingConfig
-
-_OF_PEAKS: Final = (
-    "position_px",
-    "sigma_px",
-    "amplitude",
-    "width_px",
-    "flags",
-    "reduced_chi2",
-    "covariance_px2",
-)
 
 
 def table_from_recording(
@@ -73,7 +56,7 @@ def table_from_recording(
     )
     used: list[str] = []
     batches = (
-        _from_peaks(reader, processor, given)
+        reprocess_peaks(reader, processor, given)
         if info.results
         else reprocess(reader, processor, given=given)
     )
@@ -83,53 +66,3 @@ def table_from_recording(
             used.append(batch.calibration_id)
         done(len(builder))
     return builder.build({"calibration": " ".join(used)})
-
-
-def _from_peaks(
-    reader: RecordingReader, processor: FrameProcessor, given: ActiveCalibration | None
-) -> Iterator[FrameBatch]:
-    for first, end, found in calibration_intervals(reader, given):
-        processor.set_calibration(found)
-        for start in range(first, end, MAX_FRAMES):
-            block = reader.block(start, min(start + MAX_FRAMES, end))
-            frames = _frames(block, reader.info.description.name)
-            yield processor.process_peaks(
-                frames, peak_batch(block, len(reader.info.description.sensors))
-            )
-
-
-def _frames(block: FrameBlock, device: str) -> list[LineFrame]:
-    """Return frames whose lines are not needed any more."""
-    none = np.empty((0, 0), np.uint16)
-    return [
-        LineFrame(
-            device,
-            sequence,
-            device_ns,
-            host_ns,
-            None if marker == NO_MARKER else marker,
-            none,
-            FrameFlag(flags),
-        )
-        for sequence, device_ns, host_ns, marker, flags, *_ in block.rows.tolist()
-    ]
-
-
-def peak_batch(block: FrameBlock, sensors: int) -> PeakBatch:
-    """Return the recorded peaks of F frames as they were when they were found."""
-    rows = block.peaks
-    lines = len(block.rows) * sensors
-    line = rows["frame"] * sensors + rows["sensor"]
-    if len(line) and (
-        (np.diff(line) < 0).any()
-        or int(rows["sensor"].min()) < 0
-        or int(rows["sensor"].max()) >= sensors
-    ):
-        raise InvalidRecording("the recording has peaks in an order, or of sensors, that cannot be")
-    count = np.bincount(line, minlength=lines)
-    number = np.arange(len(line)) - np.repeat(np.cumsum(count) - count, count)
-    found = PeakBatch.empty(lines, max(1, int(count.max(initial=0))))
-    found.count[:] = count
-    for name in _OF_PEAKS:
-        getattr(found, name)[line, number] = rows[name]
-    return found

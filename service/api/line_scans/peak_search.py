@@ -1,6 +1,6 @@
 """Finds the peaks of posted scans and reports what each method did."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from functools import lru_cache
 from math import isfinite
@@ -18,9 +18,8 @@ from compute.signal.detection.background_estimate import estimate_background
 from compute.signal.detection.matched_filter import MatchedFilter, gaussian_filter
 from compute.signal.detection.peak_detector import DetectionBatch, PeakDetector
 from compute.signal.fit.fit_reference import fit_scans
-from compute.signal.fit.group_fit import fit_scan
+from compute.signal.fit.group_fit import GroupFit, fit_scan
 from compute.signal.peaks import PeakBatch, PeakFlag
-from compute.signal.sensor_noise import SensorNoise
 from service.api.line_scans.chain_steps import ChainMethod
 from service.api.line_scans.mask_method import MaskMethod
 from service.api.line_scans.methods import CentroidMethod, FitMethod, MatchedMethod, Method
@@ -112,11 +111,15 @@ def _by_search(
             lines[line : line + 1],
             noise,
             line,
-            _peaks(batch, line),
+            line_peaks(batch, line),
             limit_counts=float(limits[line]),
             further_peaks=further[line],
             covariance_px2=_covariance(batch, line),
-            windows=_windows(lines[line], fit, model) if detail and fit is not None else None,
+            windows=(
+                fit_windows(fit_scan(lines[line], fit.settings, model, fit.line_shape))
+                if detail and fit is not None
+                else None
+            ),
         )
         for line in range(len(lines))
     ]
@@ -142,7 +145,7 @@ def _by_chain(
             Stage(name=one.name, unit="counts", shift_px=one.shift_px, values=one.scans[0].tolist())
             for one in result.stages
         ]
-        peaks = _peaks(result.peaks, 0)
+        peaks = line_peaks(result.peaks, 0)
         scans.append(_scan(averaged, noise, first, peaks, stages=stages if detail else None))
     return scans
 
@@ -194,7 +197,7 @@ def _by_mask(
                 values[None],
                 noise,
                 line,
-                _peaks(shadow.peaks, 0, _plain(shadow.response_sigma)),
+                line_peaks(shadow.peaks, 0, _plain(shadow.response_sigma)),
                 limit_sigma=shadow.limit_sigma,
                 windows=shadow.windows if detail and method.estimator == "fit" else None,
                 stages=[shadow.stage] if detail else None,
@@ -233,7 +236,8 @@ def _scan(
     )
 
 
-def _peaks(batch: PeakBatch, line: int, response_sigma: float | None = None) -> list[LinePeak]:
+def line_peaks(batch: PeakBatch, line: int, response_sigma: float | None = None) -> list[LinePeak]:
+    """Return the peaks of a line of a batch."""
     known = [_plain(asdict(peak)) for peak in batch.peaks(line)]
     return [LinePeak(**one, response_sigma=response_sigma) for one in known]
 
@@ -261,10 +265,11 @@ def _covariance(batch: PeakBatch, line: int) -> list[list[float]] | None:
     return found
 
 
-def _windows(line: NDArray[np.uint16], method: FitMethod, noise: SensorNoise) -> list[FitWindow]:
+def fit_windows(groups: Iterable[GroupFit]) -> list[FitWindow]:
+    """Return the details of a line's fits."""
     return [
         FitWindow(**{name: _plain(getattr(group, name)) for name in FitWindow.model_fields})
-        for group in fit_scan(line, method.settings, noise, method.line_shape)
+        for group in groups
     ]
 
 

@@ -1,4 +1,4 @@
-"""REST resource /api/v1/line-scans: stateless, computed in the request's own thread."""
+"""REST resource /api/v1/line-scans, and the newest scans of a device; stateless."""
 
 from functools import partial
 from typing import Annotated, Final
@@ -10,9 +10,16 @@ from starlette.responses import Response
 from compute.errors import InvalidParameter
 from service.api.concurrency_limit import ConcurrencyLimit
 from service.api.devices.profiles import find_profile
-from service.api.inputs import JsonTypes
+from service.api.devices.store import get_device
+from service.api.inputs import DatabaseDep, DevicePath, JsonTypes, LiveDep
 from service.api.line_scans.chain_steps import ChainMethod
 from service.api.line_scans.examples import NEW_LINE_SCANS
+from service.api.line_scans.live_scans import (
+    AfterQuery,
+    DetailQuery,
+    MarkerQuery,
+    live_scans,
+)
 from service.api.line_scans.mask_method import MaskMethod
 from service.api.line_scans.noise import NoiseConstants
 from service.api.line_scans.peak_search import Scans, find_peaks
@@ -23,6 +30,7 @@ from service.api.line_scans.schema import (
     DETAIL_PIXELS,
     MAX_SCANS,
     MAX_TOTAL_PIXELS,
+    DeviceScans,
     LineScanRequest,
     LineScans,
     PixelNoise,
@@ -109,6 +117,33 @@ def draw_peaks_of_scan(
         )
         picture = draw_scan(chosen[0], found, method, f"scan {scan}")
     return Response(picture, media_type="image/png")
+
+
+@router.operation(
+    "GET /devices/{device_id}/scans",
+    "get-device-scans",
+    "What the sensors of a device see now",
+    response_model=DeviceScans,
+)
+@raises("unknown-device", "device-not-running", "invalid-parameter", "busy")
+def get_device_scans(
+    device_id: DevicePath,
+    database: DatabaseDep,
+    live: LiveDep,
+    after: AfterQuery = None,
+    marker: MarkerQuery = None,
+    detail_sensor: DetailQuery = None,
+) -> Response:
+    """The pixels of the next exposure, as an oscilloscope shows them: levels, peaks, fits.
+
+    Peaks are those of the stream. Ask again with `after` for a later one; that some requests a
+    second are made is meant, more than ten are not.
+    """
+    with database.read() as session:
+        get_device(session, device_id)
+    found = live_scans(live, device_id, after, marker, detail_sensor)
+    # Here and not by the framework, which would write it in the event loop.
+    return Response(found.model_dump_json(), media_type="application/json")
 
 
 def select_scan(scans: Scans, scan: int, average: int) -> Scans:

@@ -1,6 +1,6 @@
 """Line scans and detected peaks as clients send and receive them."""
 
-from typing import Annotated, Final
+from typing import Annotated, Final, Literal
 
 from pydantic import Field
 
@@ -187,3 +187,40 @@ class LineScans(ResponseModel):
     noise: PixelNoise = Field(description="As given, or as guessed.")
     assumed: list[str] = Field(description="What was guessed, and how; empty: nothing.")
     scans: list[LineScan]
+
+
+class DeviceScan(ResponseModel):
+    """One sensor's scan of an exposure, and what the device's own method found in it."""
+
+    sensor: str = Field(description="Its name.")
+    counts: list[int] = Field(description="Of its pixels, as they came.")
+    background_counts: float = Field(description="Between the peaks.")
+    noise_counts: float = Field(
+        description="Standard deviation of a pixel at the background, by the noise model."
+    )
+    threshold_counts: float | None = Field(
+        description="A peak's highest pixel reaches at least this, in the scan's middle where the "
+        "background slopes; null: the method has no such limit."
+    )
+    full_scale_counts: int = Field(description="The count of a saturated pixel.")
+    saturated_pixels: int = Field(description="Pixels at full scale.")
+    masked_pixels: list[int] = Field(description="Bad pixels, which no peak is measured with.")
+    peaks: list[LinePeak] = Field(description="As the stream has them.")
+    windows: list[FitWindow] | None = Field(
+        description="Fits, of the sensor whose detail was asked for; null: of another, or the "
+        "method fits nothing."
+    )
+
+
+class DeviceScans(ResponseModel):
+    """The scans of one exposure of a running device."""
+
+    device_id: str
+    sequence: int = Field(description="The exposure's number.")
+    exposure_ns: int = Field(description="Its middle on the host's clock [ns].")
+    marker: int | None = Field(description="The strobed marker; null: all are lit.")
+    method: Literal["fit", "centroid", "shadow"] | None = Field(
+        description="How peaks are measured; null: no method reads these scans."
+    )
+    radiometric_id: str | None = Field(description="The peaks' radiometric calibration.")
+    scans: list[DeviceScan] = Field(description="In the order of the device's sensors.")

@@ -10,7 +10,7 @@ from cachetools import FIFOCache
 from compute.planning.plan import plan
 from compute.planning.plan_result import Plan
 from service.api.concurrency_limit import ConcurrencyLimit
-from service.api.devices.profiles import find_profile, profile_text
+from service.api.devices.profiles import find_profile, posted_profile, profile_text
 
 MAX_CONCURRENT: Final = 2
 """Plans worked out at the same time: they are work of seconds, and threads are for all."""
@@ -66,6 +66,17 @@ def cached_plan(name: str, profiles_dir: Path, grid: int) -> Plan:
     # By what the file says, which may change.
     key = profile_text(name, profiles_dir), grid
     return _plans.get(key, lambda: plan(profile, grid=grid))
+
+
+def posted_plan(text: str, grid: int) -> Plan:
+    """Return the plan of a profile that a client sent.
+
+    Raises:
+        InvalidParameter: it is not a profile, or no plan can be made of it.
+        Busy: as many plans as may be are being worked out.
+    """
+    profile = posted_profile(text)
+    return _plans.get((text, grid), lambda: plan(profile, grid=grid))
 
 
 def cached_plot(name: str, profiles_dir: Path, grid: int) -> bytes:

@@ -3,7 +3,7 @@
 from typing import Annotated, Any, TypeVar
 
 from fastapi import Path, Query
-from pydantic import Field
+from pydantic import Field, StringConstraints
 
 from compute.optics.pixel_row import PixelRow
 from compute.optics.profiles.device_profile import DeviceProfile, SensorProfile
@@ -16,10 +16,18 @@ from compute.optics.profiles.profile_sections import (
     RetroMarkers,
     Volume,
 )
-from service.api.base_models import ResponseModel
+from service.api.base_models import RequestModel, ResponseModel
 from service.api.devices.schema import PROFILE_PATTERN
 
 MAX_GRID = 5
+
+MAX_PROFILE_CHARACTERS = 65_536
+
+ProfileText = Annotated[
+    str,
+    StringConstraints(min_length=1, max_length=MAX_PROFILE_CHARACTERS),
+    Field(description="A profile's file (docs/how-to/profiles.md); `toml` of one is a beginning."),
+]
 
 Model = TypeVar("Model", bound=ResponseModel)
 
@@ -74,6 +82,21 @@ class DeviceProfileDocument(DeviceProfileSummary):
     )
     toml: str = Field(
         description="The profile's file, its optics too: the start of one's own profile."
+    )
+
+
+class NewDeviceProfile(RequestModel):
+    """A profile to keep."""
+
+    toml: ProfileText
+
+
+class PlanRequest(RequestModel):
+    """A profile to plan, which is not kept."""
+
+    toml: ProfileText
+    grid: Annotated[int, Field(ge=3, le=MAX_GRID)] = Field(
+        default=3, description="Points of the working volume along each axis."
     )
 
 

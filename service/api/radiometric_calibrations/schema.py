@@ -15,6 +15,7 @@ from service.api.base_models import (
     ResponseModel,
     Slug,
 )
+from service.api.captures.schema import Captured, CaptureSession, NewCaptureSession
 from service.api.devices.schema import RECORDING_PATTERN
 from service.api.radiometric_calibrations.capture_checks import Kind
 
@@ -44,13 +45,10 @@ class RadiometricCaptureSettings(RequestModel):
     )
 
 
-class NewRadiometricCapture(RequestModel):
+class NewRadiometricCapture(NewCaptureSession):
     """A session of dark and flat captures to begin."""
 
-    id: Slug | None = Field(default=None, description="Left out or null: the server makes one.")
-    device_id: Slug
     settings: RadiometricCaptureSettings = Field(default_factory=RadiometricCaptureSettings)
-    note: Note = ""
 
 
 class CapturedLevel(ResponseModel):
@@ -65,32 +63,23 @@ class CapturedLevel(ResponseModel):
     flicker: float = Field(description="Relative standard deviation of the mean, frame to frame.")
 
 
-class CapturedFrames(ResponseModel):
+class CapturedFrames(Captured):
     """One dark or flat capture."""
 
     name: str = Field(description="`dark`, `flat-1`, `flat-2`, ...")
     kind: Kind
-    frames: int
     temperature_c: float | None
     relative_light: float | None = Field(description="Its light beside that of the others.")
     full_scale_counts: int
     sensors: list[CapturedLevel]
-    captured_at: Moment
 
 
-class RadiometricCapture(ResponseModel):
+class RadiometricCapture(CaptureSession):
     """A session of dark and flat captures: what is done, and what to do next."""
 
-    id: str
-    device_id: str
     settings: RadiometricCaptureSettings
     captured: list[CapturedFrames]
     next: Kind | None = Field(description="Kind of the next capture; null: there are enough.")
-    instruction: str = Field(description="What to do now.")
-    left: int = Field(description="Captures that are left.")
-    note: str
-    created_at: Moment
-    updated_at: Moment
 
 
 Light = Annotated[float, Field(gt=0.0, le=1e12)]

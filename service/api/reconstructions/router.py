@@ -82,7 +82,7 @@ def create_reconstruction(
     with database.write() as session:
         get_device(session, request.device_id, lock=True)
         row = store.add_reconstruction(session, request, calibration_id, table_id, estimates)
-        made = store.document(row)
+        made = store.with_points(row, request.points, estimates)
     response.headers["Location"] = f"/api/v1/reconstructions/{made.id}"
     return made
 

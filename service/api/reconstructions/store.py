@@ -30,8 +30,7 @@ from service.problems.errors import (
 RECONSTRUCTIONS = Resource(
     ReconstructionRow, "reconstruction", UnknownReconstruction, ReconstructionExists
 )
-_POINTS = TypeAdapter(list[ObservedPoint])
-_ESTIMATES = TypeAdapter(list[NamedEstimate])
+_ESTIMATE = TypeAdapter(NamedEstimate)
 
 
 def calibration_for(session: Session, request: NewReconstruction) -> CalibrationRow:
@@ -85,8 +84,9 @@ def add_reconstruction(
         device_id=request.device_id,
         calibration_id=calibration_id,
         table_id=table_id,
-        points=_POINTS.dump_python(request.points, mode="json"),
-        estimates=_ESTIMATES.dump_python(estimates, mode="json"),
+        # One by one: the interpreter's lock is held for as long as the library is at work.
+        points=[point.model_dump(mode="json") for point in request.points],
+        estimates=[_ESTIMATE.dump_python(estimate, mode="json") for estimate in estimates],
         point_count=len(request.points),
         created_at=datetime.now(UTC),
     )
@@ -114,8 +114,15 @@ def summary(row: ReconstructionRow) -> ReconstructionSummary:
 
 def document(row: ReconstructionRow) -> Reconstruction:
     """Return the reconstruction as clients see it."""
-    return Reconstruction(
-        **vars(summary(row)),
-        points=_POINTS.validate_python(row.points),
-        estimates=_ESTIMATES.validate_python(row.estimates),
+    return with_points(
+        row,
+        [ObservedPoint.model_validate(point) for point in row.points],
+        [_ESTIMATE.validate_python(estimate) for estimate in row.estimates],
     )
+
+
+def with_points(
+    row: ReconstructionRow, points: list[ObservedPoint], estimates: list[NamedEstimate]
+) -> Reconstruction:
+    """Return the same with its points and estimates, which are at hand."""
+    return Reconstruction.model_construct(**vars(summary(row)), points=points, estimates=estimates)

@@ -156,10 +156,10 @@ class RecordingManager:
             files = [
                 (name, changed_ns)
                 for name, changed_ns in files
-                if (found := self._listed(name)) is not None and found.device_id == device_id
+                if (found := self.listed(name)) is not None and found.device_id == device_id
             ]
         return page_of_sequence(
-            files, paging, lambda file: self._listed(file[0]), lambda file: (-file[1], file[0])
+            files, paging, lambda file: self.listed(file[0]), lambda file: (-file[1], file[0])
         )
 
     def finished_path(self, name: str) -> Path:
@@ -177,26 +177,21 @@ class RecordingManager:
             )
         return path
 
-    def delete(self, name: str, replayed_by: Callable[[str], list[str]]) -> None:
+    def delete(self, name: str, referrers_of: Callable[[str], dict[str, list[str]]]) -> None:
         """Delete a recording's file.
 
         Args:
             name: of the recording.
-            replayed_by: returns the devices that replay it.
+            referrers_of: returns the ids of what refers to it, by kind.
 
         Raises:
             UnknownRecording, RecordingInProgress.
-            RecordingInUse: a device replays it.
+            RecordingInUse: a device replays it, or an open run reads it.
         """
         path = self.finished_path(name)
-        devices = replayed_by(name)
-        if devices:
-            raise RecordingInUse(
-                f'recording "{name}" is the source of device "{devices[0]}"; give that another '
-                "source, or delete it, first",
-                recording_id=name,
-                referrers={"devices": devices},
-            )
+        referrers = referrers_of(name)
+        if referrers:
+            raise RecordingInUse(_in_use(name, referrers), recording_id=name, referrers=referrers)
         path.unlink(missing_ok=True)
         with self._lock:
             self._failed.pop(name, None)
@@ -260,7 +255,7 @@ class RecordingManager:
                 device = recorder.session.device_id
                 self._past[device] = self._past.get(device, WriteCounters()).with_recorder(recorder)
 
-    def _listed(self, name: str) -> RecordingDocument | None:
+    def listed(self, name: str) -> RecordingDocument | None:
         """Return the document of a recording of a list; None: it was deleted meanwhile."""
         try:
             return self._document(name)
@@ -310,6 +305,18 @@ def _why(session: DeviceSession) -> str:
     if status.state == "stopped":
         return "the device was stopped"
     return f"the device has {status.state}: {status.reason or 'no reason given'}"
+
+
+def _in_use(name: str, referrers: dict[str, list[str]]) -> str:
+    if "devices" in referrers:
+        return (
+            f'recording "{name}" is the source of device "{referrers["devices"][0]}"; give that '
+            "another source, or delete it, first"
+        )
+    return (
+        f'recording "{name}" is read by run "{referrers["runs"][0]}"; wait for its end, or cancel '
+        "it, first"
+    )
 
 
 def _exists(name: str) -> RecordingExists:

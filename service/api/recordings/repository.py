@@ -23,7 +23,8 @@ from service.api.recordings.schema import (
     UsedCalibration,
 )
 from service.database.engine import Database
-from service.database.models import DeviceRow
+from service.database.models import DeviceRow, RunRow
+from service.jobs.store import OPEN
 
 if TYPE_CHECKING:
     from hardware.recording.layout import RecordingInfo
@@ -192,13 +193,21 @@ def _used(reader: "RecordingReader") -> list[UsedCalibration]:
     return used
 
 
-def replaying_devices(database: Database, name: str) -> list[str]:
-    """Return the ids of the devices that replay a recording."""
+def recording_referrers(database: Database, name: str) -> dict[str, list[str]]:
+    """Return the ids of the devices that replay a recording, and of the open runs that read it."""
+    path = PurePosixPath(name)
     with database.read() as session:
         sources = session.execute(select(DeviceRow.id, DeviceRow.source)).all()
-    return [
+        open_runs = select(RunRow.id, RunRow.request).where(RunRow.state.in_(OPEN))
+        requests = session.execute(open_runs).all()
+    devices = [
         str(device_id)
         for device_id, source in sources
-        if source.get("kind") == "replay"
-        and PurePosixPath(str(source.get("recording_id"))) == PurePosixPath(name)
+        if source.get("kind") == "replay" and _recording_path(source) == path
     ]
+    runs = [str(run_id) for run_id, request in requests if _recording_path(request) == path]
+    return {kind: ids for kind, ids in (("devices", devices), ("runs", runs)) if ids}
+
+
+def _recording_path(document: dict[str, Any]) -> PurePosixPath:
+    return PurePosixPath(str(document.get("recording_id")))

@@ -3,9 +3,12 @@
 from functools import partial
 from typing import Annotated, Any, Final
 
-from fastapi import Body, Path, Response
+from fastapi import Body, Path, Query, Response
 from starlette.responses import FileResponse
 
+from service.api.base_models import SLUG_PATTERN
+from service.api.calibrations.calibration_content import result_of
+from service.api.calibrations.store import get_calibration
 from service.api.devices import store
 from service.api.devices.schema import RECORDING_PATTERN
 from service.api.inputs import (
@@ -13,12 +16,25 @@ from service.api.inputs import (
     DeviceFilter,
     DevicePath,
     JsonTypes,
+    of_application,
 )
+from service.api.line_scans.live_scans import DetailQuery
+from service.api.line_scans.schema import DeviceScans
 from service.api.openapi import ResourceRouter, raises
 from service.api.paging import Page, PagingDep
+from service.api.recordings.playback import MAX_FRAMES, recorded_frames, recorded_scans
+from service.api.recordings.recalculation import Recalculation
 from service.api.recordings.recording_manager import RecordingsDep
-from service.api.recordings.repository import replaying_devices
-from service.api.recordings.schema import NewRecording, RecordingDetail, RecordingDocument
+from service.api.recordings.repository import recording_referrers
+from service.api.recordings.retention import RetentionDep
+from service.api.recordings.schema import (
+    NewRecording,
+    RecordedFrames,
+    RecordingDetail,
+    RecordingDocument,
+    RetentionDocument,
+)
+from service.pipeline.active_calibration import ActiveCalibration
 
 MEDIA_TYPE: Final = "application/x-hdf5"
 
@@ -31,6 +47,7 @@ _NEW_RECORDINGS: Final[dict[str, Any]] = {
     },
 }
 _FILE: Final = {MEDIA_TYPE: {"schema": {"type": "string", "format": "binary"}}}
+RecalculationDep = Annotated[Recalculation, of_application("recalculation")]
 NewRecordingBody = Annotated[NewRecording, JsonTypes(), Body(openapi_examples=_NEW_RECORDINGS)]
 
 
@@ -79,6 +96,14 @@ def list_recordings(
     return recordings.page(device_id, paging)
 
 
+@router.operation(
+    "GET /recording-retention", "get-recording-retention", "How long recordings are kept"
+)
+def get_recording_retention(retention: RetentionDep) -> RetentionDocument:
+    """Limits of the settings, what the last check found, and what was deleted."""
+    return retention.document()
+
+
 # The paths that go on from a name come first: a name may have slashes in it.
 @router.operation("POST /recordings/{recording_id:path}/stop", "stop-recording", "End a recording")
 @raises("unknown-recording")
@@ -107,6 +132,71 @@ def download_recording(recording_id: FinishedPath, recordings: RecordingsDep) ->
     return FileResponse(path, media_type=MEDIA_TYPE, filename=path.name)
 
 
+@router.operation(
+    "GET /recordings/{recording_id:path}/frames",
+    "get-recorded-frames",
+    "Look at frames of a recording",
+    response_model=RecordedFrames,
+)
+@raises("unknown-recording", "invalid-recording", "unknown-calibration", "sensors-changed", "busy")
+def get_recorded_frames(
+    recording_id: FinishedPath,
+    recordings: RecordingsDep,
+    database: DatabaseDep,
+    recalculation: RecalculationDep,
+    first: Annotated[
+        int, Query(ge=0, lt=2**53, description="Number of the first frame, from 0.", examples=[0])
+    ] = 0,
+    count: Annotated[int, Query(ge=1, le=MAX_FRAMES, description="How many frames, at most.")] = 32,
+    calibration_id: Annotated[
+        str | None,
+        Query(
+            pattern=SLUG_PATTERN,
+            description="A calibration of the same sensors: points are worked out with it from the "
+            "recorded peaks, without a correction table. Left out: they are as found live.",
+        ),
+    ] = None,
+) -> Response:
+    """Consecutive frames with the points that were found in them live; a player asks for them.
+
+    A recording without results has no points: a device that replays it finds them again.
+    """
+    path = recordings.library.path(recording_id)
+    if calibration_id is None:
+        found = recorded_frames(path, recording_id, first, count).model_dump_json()
+    else:
+        with database.read() as session:
+            row = get_calibration(session, calibration_id)
+            given = ActiveCalibration(row.id, result_of(row.content))
+        found = recalculation.frames(path, recording_id, first, count, given)
+    return Response(found, media_type="application/json")
+
+
+@router.operation(
+    "GET /recordings/{recording_id:path}/scans",
+    "get-recorded-scans",
+    "Look at the scans of a recorded frame",
+    response_model=DeviceScans,
+)
+@raises("unknown-recording", "invalid-recording", "invalid-parameter")
+def get_recorded_scans(
+    recording_id: FinishedPath,
+    recordings: RecordingsDep,
+    number: Annotated[
+        int, Query(ge=0, lt=2**53, description="The frame's number, from 0.", examples=[0])
+    ] = 0,
+    detail_sensor: DetailQuery = None,
+) -> Response:
+    """The pixels of one recorded exposure, as `/devices/{device_id}/scans` has those of a live one.
+
+    Peaks are the recorded ones; without results they are found now. Levels and fits are those
+    without a radiometric calibration.
+    """
+    path = recordings.library.path(recording_id)
+    found = recorded_scans(path, recording_id, number, detail_sensor)
+    return Response(found.model_dump_json(), media_type="application/json")
+
+
 @router.operation("GET /recordings/{recording_id:path}", "get-recording", "Read about a recording")
 @raises("unknown-recording")
 def get_recording(recording_id: BegunPath, recordings: RecordingsDep) -> RecordingDetail:
@@ -121,5 +211,5 @@ def get_recording(recording_id: BegunPath, recordings: RecordingsDep) -> Recordi
 def delete_recording(
     recording_id: FinishedPath, database: DatabaseDep, recordings: RecordingsDep
 ) -> None:
-    """Delete the file; not while it is written, or a device replays it."""
-    recordings.delete(recording_id, partial(replaying_devices, database))
+    """Delete the file; not while it is written, a device replays it, or an open run reads it."""
+    recordings.delete(recording_id, partial(recording_referrers, database))

@@ -82,7 +82,65 @@ class RecordingDocument(ResponseModel):
     updated_at: Moment
 
 
+class RecordedPoint(ResponseModel):
+    """A point as it was found while it was recorded, or is by another calibration."""
+
+    marker: int | None = Field(description="The strobed marker; null: all were lit.")
+    position_mm: tuple[float, float, float] | None = Field(description="Null: it has none.")
+    covariance_mm2: (
+        tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
+        | None
+    ) = Field(description="Of the position.")
+    residual_sigma: float | None = Field(
+        description="Of its readings, in standard deviations; null: nothing checks them."
+    )
+    sensors: list[str] = Field(description="Those that it comes from.")
+    flags: tuple[str, ...] = Field(description="As in the stream.")
+
+
+class RecordedFrame(ResponseModel):
+    """One frame of a recording, with what was found in it."""
+
+    number: int = Field(description="Its place in the recording, from 0.")
+    sequence: int = Field(description="The device's number of the exposure.")
+    exposure_ns: int = Field(description="Middle of the exposure on the host's clock then [ns].")
+    marker: int | None = Field(description="The strobed marker; null: all were lit.")
+    points: list[RecordedPoint]
+
+
+class RecordedFrames(ResponseModel):
+    """Consecutive frames of a recording."""
+
+    recording_id: str = Field(description="File name below the folder `recordings`.")
+    calibration_id: str | None = Field(
+        description="The calibration that the points were worked out with now; null: they are as "
+        "they were found live."
+    )
+    frames_written: int = Field(description="Frames in the file.")
+    frames: list[RecordedFrame]
+
+
 class RecordingDetail(RecordingDocument):
     """A recording with what its results were made with."""
 
     calibrations: list[UsedCalibration]
+
+
+class RetentionDocument(ResponseModel):
+    """How long recordings are kept, and what was deleted. What is null is without limit."""
+
+    max_age_s: float | None = Field(
+        description="Since a file was last changed; setting `recording_max_age_days`."
+    )
+    max_total_bytes: int | None = Field(
+        description="Of all recordings; the oldest are deleted first. Setting "
+        "`recording_max_total_bytes`."
+    )
+    checked_at: Moment | None = Field(description="Last check; null: none yet, or no limit.")
+    total_bytes: int = Field(description="Size of all recordings after the last check.")
+    held_recording_ids: list[str] = Field(
+        description="Over a limit and kept all the same: a device replays it, an open run reads "
+        "it, or the file cannot be read."
+    )
+    deleted_recordings: int = Field(description="Since the server's start.")
+    deleted_bytes: int = Field(description="Since the server's start.")

@@ -13,7 +13,7 @@ from service.api.calibrations.calibration_content import (
     result_of,
 )
 from service.api.calibrations.comparison import compare
-from service.api.calibrations.schema import ControlPoint
+from service.api.calibrations.schema import ControlPoint, LengthErrors
 from service.api.calibrations.store import active_id, get_calibration, with_control_points
 from service.api.devices.schema import Sensor, sensors_match
 from service.api.devices.store import get_device, sensors_of_row
@@ -84,6 +84,7 @@ def assemble_report(
         "content hash": row.content_hash,
         "report by": f"Lumiline {package_version()}",
     }
+    lengths = row.errors.get("lengths_left_out")
     return ReportContent(
         title=f"Calibration {row.id} of {device.title}",
         calibration=held.calibration,
@@ -93,6 +94,7 @@ def assemble_report(
         sigma_px=observed.sigma_px if np.isfinite(observed.sigma_px).any() else None,
         provenance=provenance,
         compared=compared,
+        lengths_left_out=None if lengths is None else LengthErrors.model_validate(lengths),
     )
 
 

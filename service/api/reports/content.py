@@ -20,6 +20,7 @@ from compute.calibration.result import (
 )
 from compute.camera.stack import CameraStack
 from service.api.calibrations.comparison import Comparison, predicted_readings
+from service.api.calibrations.schema import LengthErrors
 
 Array = NDArray[np.float64]
 
@@ -59,6 +60,8 @@ class ReportContent:
         provenance: what is known of where it comes from, in words, by name.
         compared: another calibration that it is compared with, the second of the two in the
             comparison; None: there is none.
+        lengths_left_out: errors of a waved target's lengths at poses that were held out; None: it
+            is not of a wave.
     """
 
     title: str
@@ -69,6 +72,7 @@ class ReportContent:
     sigma_px: Array | None = None
     provenance: Mapping[str, str] = field(default_factory=dict)
     compared: ComparedCalibration | None = None
+    lengths_left_out: LengthErrors | None = None
 
     @property
     def sensors(self) -> tuple[str, ...]:

@@ -29,6 +29,10 @@ def summary(content: ReportContent, _draw: Draw) -> str:
         if rms is not None:
             over = content.count_readings(differences)
             facts.append((f"{what}, RMS over {over} readings", f"{number(rms)} mm"))
+    lengths = content.lengths_left_out
+    if lengths is not None:
+        what = f"{lengths.lengths} lengths at poses held out, RMS"
+        facts.append((what, f"{number(lengths.rms_mm)} mm"))
     deviation = np.linalg.norm(content.volume_uncertainty_mm, axis=1)
     if np.isfinite(deviation).any():
         facts.append(("expected deviation", f"{number(float(np.nanmedian(deviation)))} mm"))
@@ -126,6 +130,16 @@ def cross_validation(content: ReportContent, draw: Draw) -> str:
         f"{kind} {axis}, mm" for kind in ("mean |e|", "max |e|", "mean") for axis in "XYZ"
     ]
     return figure("point-errors", draw) + (table(headings, rows) if rows else "")
+
+
+def lengths_left_out(content: ReportContent, _draw: Draw) -> str:
+    """Return the errors of a waved target's lengths at poses that the cameras never saw."""
+    found = content.lengths_left_out
+    if found is None:
+        return ""
+    headings = ("poses held out", "lengths", "RMS, mm", "mean, mm", "largest, mm")
+    row = found.poses, found.lengths, found.rms_mm, found.mean_mm, found.max_mm
+    return "<p>The mean is an error of scale.</p>" + table(headings, [row])
 
 
 def _point(content: ReportContent, place: int) -> str:

@@ -12,6 +12,12 @@ from service.api.drift_checks.marker_references import resolve_stationary_marker
 from service.api.drift_checks.schema import StationaryMarker
 from service.api.drift_checks.store import DRIFT_CHECKS, markers_of
 from service.api.runs.schema import NewUpdateRun
+from service.api.runs.self_calibration_schema import (
+    NewRecording,
+    NewSelfCalibrationRun,
+    recording_of_wave,
+)
+from service.api.wave_captures.store import captured_recording
 from service.database.models import CalibrationRow
 from service.problems.errors import CalibrationOfAnotherDevice, NoActiveCalibration
 
@@ -62,6 +68,27 @@ def resolve_calibration(session: Session, device_id: str, named: str | None) -> 
             device_id=device_id,
         )
     return row
+
+
+def resolve_recordings(
+    session: Session, request: NewSelfCalibrationRun, sensors: list[Sensor]
+) -> list[NewRecording]:
+    """Return the recordings of a self-calibration, given or of a wave capture.
+
+    Raises:
+        InvalidParameter: both or neither are given.
+        UnknownWaveCapture, CaptureOfAnotherDevice, CaptureIncomplete: as they say.
+    """
+    if (request.recordings is None) == (request.wave_capture_id is None):
+        raise InvalidParameter(
+            "give recordings or wave_capture_id: what the sensors read of the wand, or the session "
+            "in which the server took it; not both"
+        )
+    if request.recordings is not None:
+        return request.recordings
+    assert request.wave_capture_id is not None
+    target, taken = captured_recording(session, request.wave_capture_id, request.device_id)
+    return [recording_of_wave(target, taken, sensors)]
 
 
 def resolve_markers(

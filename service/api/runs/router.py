@@ -14,7 +14,6 @@ from service.jobs.store import Kind, State
 
 router = APIRouter()
 router.include_router(submit_router.router)
-router.include_router(submit_router.exports_router)
 _runs = ResourceRouter("/api/v1/runs", "runs")
 
 RunPath = Annotated[str, id_in_path("The run's id.", "sim-frame-run", "frame")]

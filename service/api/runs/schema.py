@@ -4,7 +4,6 @@ from typing import Annotated
 
 from pydantic import Field
 
-from compute.calibration.settings import LabelPolicy
 from compute.mapping.result import MappingMethod, MappingSettings
 from service.api.base_models import (
     FIRST_ERROR_ONLY,
@@ -19,7 +18,6 @@ from service.api.calibrations.schema import (
     MAX_POINTS,
     CalibrationOptions,
     ControlPoint,
-    GivenDistortion,
     SensorName,
 )
 from service.api.drift_checks.schema import StationaryMarkersRequest
@@ -84,13 +82,6 @@ class PointsRequest(RequestModel):
 class NewCalibrationRun(PointsRequest, CalibrationOptions):
     """Control points, or a capture session that holds them, from which a device is calibrated."""
 
-    distortion: GivenDistortion = Field(
-        default="auto",
-        description="As of a calibration; a run estimates the distortion by default.",
-    )
-    labels: LabelPolicy = Field(
-        default="report", description="As of a calibration; a run reports them by default."
-    )
     id: RunId = None
     device_id: Slug
     result_id: CalibrationToMake = None
@@ -161,8 +152,8 @@ class NewUpdateRun(StationaryMarkersRequest):
     ) = Field(
         default=None,
         description="Standard deviation of what each parameter may have changed by, by its name in "
-        "the models; others stay. Left out: turns of 5 mrad about each axis and 10 px of the "
-        "principal distance.",
+        "the models; others stay. Left out: rotations of 5 mrad about each axis "
+        "through the lens and 10 px of the principal distance.",
     )
     note: Note = ""
 

@@ -1,27 +1,28 @@
 """Self-calibration requests: wands, rigid bodies and frames at unknown positions."""
 
+from collections.abc import Sequence
 from typing import Annotated, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
-from compute.calibration.bundle_adjustment.target_shape import KnownDistance
-from compute.calibration.self_calibration.targets import (
-    Recording,
-    RigidBody,
-    UnknownRigidBody,
-    Wand,
-)
+from compute.calibration.self_calibration.targets import Recording
 from compute.errors import InvalidParameter, ReadingOutsideSensor, UnknownSensor
 from hardware.driver import SensorDescription
-from service.api.base_models import FIRST_ERROR_ONLY, Note, Position, RequestModel, Slug
+from service.api.base_models import FIRST_ERROR_ONLY, Note, RequestModel, Slug
 from service.api.calibrations.schema import GivenDistortion, SensorName
+from service.api.wave_captures.schema import (
+    MAX_MARKERS,
+    MAX_POSES,
+    BodyTarget,
+    MovedTarget,
+    UnknownTarget,
+    WandTarget,
+    calibration_target,
+)
+from service.api.wave_captures.stored_wave import StoredWave
 
-MAX_POSES = 5_000
-MAX_MARKERS = 64
-
-Length = Annotated[float, Field(gt=0, le=1e6, description="[mm]")]
-Deviation = Annotated[float, Field(ge=0, le=1e3, description="[mm]")]
 MarkerReadings = Annotated[
     dict[SensorName, Annotated[list[float | None], Field(max_length=MAX_MARKERS)]],
     Field(
@@ -32,43 +33,19 @@ MarkerReadings = Annotated[
 ]
 
 
-class WandTarget(RequestModel):
-    """Markers on a line at known places."""
-
-    kind: Literal["wand"]
-    position_mm: Annotated[
-        list[Annotated[float, Field(ge=-1e6, le=1e6)]],
-        Field(max_length=MAX_MARKERS, description="Of the markers along the wand [mm]."),
-    ]
-    sigma_mm: Deviation = 0.0
-
-
-class BodyTarget(RequestModel):
-    """A rigid body, or calibration frame, of known shape."""
-
-    kind: Literal["rigid-body"]
-    marker_mm: Annotated[list[Position], Field(max_length=MAX_MARKERS)]
-    sigma_mm: Deviation = 0.0
-
-
-class UnknownTarget(RequestModel):
-    """A rigid body of unknown shape, with one known distance for the scale."""
-
-    kind: Literal["unknown-body"]
-    markers: Annotated[int, Field(ge=1, le=MAX_MARKERS)]
-    first: Annotated[int, Field(ge=1, le=MAX_MARKERS, description="Marker, counted from 1.")]
-    second: Annotated[int, Field(ge=1, le=MAX_MARKERS, description="Marker, counted from 1.")]
-    length_mm: Length
-    sigma_mm: Deviation = 0.0
-
-
 class NewRecording(RequestModel):
     """One target, held or waved, and what the sensors read of it."""
 
-    target: Annotated[WandTarget | BodyTarget | UnknownTarget, Field(discriminator="kind")]
+    target: MovedTarget
     poses: Annotated[list[MarkerReadings], Field(max_length=MAX_POSES), FIRST_ERROR_ONLY]
-    sigma_px: Annotated[float, Field(ge=1e-6, le=1e4)] | None = Field(
-        default=None, description="Standard deviation of the readings; null: from the residuals."
+    sigma_px: (
+        Annotated[float, Field(ge=1e-6, le=1e4)]
+        | Annotated[list[MarkerReadings], Field(max_length=MAX_POSES), FIRST_ERROR_ONLY]
+        | None
+    ) = Field(
+        default=None,
+        description="Standard deviation of the readings, or of each, in the form of `poses`; null: "
+        "from the residuals.",
     )
 
 
@@ -104,7 +81,12 @@ class NewSelfCalibrationRun(RequestModel):
     result_id: Slug | None = Field(
         default=None, description="Of the calibration to be made; left out: the server's choice."
     )
-    recordings: Annotated[list[NewRecording], Field(min_length=1, max_length=16)]
+    recordings: Annotated[list[NewRecording], Field(min_length=1, max_length=16)] | None = Field(
+        default=None, description="Give these, or `wave_capture_id`."
+    )
+    wave_capture_id: Slug | None = Field(
+        default=None, description="A capture of a waved wand or body, in place of recordings."
+    )
     datum: Literal["start", "first-pose"] = Field(
         default="start",
         description="The world's frame: of the start, or of the first recording's body where it "
@@ -149,48 +131,83 @@ def recording_of(given: NewRecording, sensors: list[SensorDescription]) -> Recor
         ReadingOutsideSensor: a reading lies outside its sensor's pixels.
         InvalidParameter: a pose has more or fewer readings than the target has markers.
     """
-    target = given.target
-    found: Wand | RigidBody | UnknownRigidBody
-    if isinstance(target, WandTarget):
-        markers, found = (
-            len(target.position_mm),
-            Wand(tuple(target.position_mm), target.sigma_mm),
-        )
-    elif isinstance(target, BodyTarget):
-        markers = len(target.marker_mm)
-        found = RigidBody(tuple(target.marker_mm), target.sigma_mm)
-    else:
-        markers = target.markers
-        distance = KnownDistance(
-            target.first - 1, target.second - 1, target.length_mm, target.sigma_mm
-        )
-        found = UnknownRigidBody(markers, distance)
+    target = calibration_target(given.target)
+    readings = _array(given.poses, len(target), sensors, "pose")
+    for column, sensor in enumerate(sensors):
+        read = readings[..., column]
+        last = sensor.pixels - 0.5
+        outside = np.argwhere((read < -0.5) | (read > last))
+        if len(outside):
+            row, marker = outside[0].tolist()
+            raise ReadingOutsideSensor(
+                f"the reading {read[row, marker]:g} px of pose {row + 1} lies outside sensor "
+                f'"{sensor.name}", whose pixels reach from -0.5 to {last:g} px',
+                sensor=sensor.name,
+            )
+    sigma = None
+    if isinstance(given.sigma_px, list):
+        if len(given.sigma_px) != len(given.poses):
+            raise InvalidParameter(
+                f"sigma_px has {len(given.sigma_px)} poses, the recording {len(given.poses)}; give "
+                "the standard deviations of each"
+            )
+        sigma = _array(given.sigma_px, len(target), sensors, "sigma_px: pose")
+    elif given.sigma_px is not None:
+        sigma = np.full(readings.shape, given.sigma_px)
+    return Recording(target, readings, sigma)
+
+
+def _array(
+    poses: Sequence[MarkerReadings],
+    markers: int,
+    sensors: Sequence[SensorDescription],
+    which: str,
+) -> NDArray[np.float64]:
+    """Return values by pose, marker and sensor; NaN where there is none."""
     columns = {sensor.name: index for index, sensor in enumerate(sensors)}
-    readings = np.full((len(given.poses), markers, len(sensors)), np.nan)
-    for row, pose in enumerate(given.poses):
-        for name, values in pose.items():
+    values = np.full((len(poses), markers, len(sensors)), np.nan)
+    for row, pose in enumerate(poses):
+        for name, given in pose.items():
             if name not in columns:
                 raise UnknownSensor(
-                    f'pose {row + 1} has readings of sensor "{name}", which the device does not '
+                    f'{which} {row + 1} has readings of sensor "{name}", which the device does not '
                     f"have; its sensors are {', '.join(columns)}",
                     sensor=name,
                 )
-            if len(values) != markers:
+            if len(given) != markers:
                 raise InvalidParameter(
-                    f'pose {row + 1} has {len(values)} readings of sensor "{name}"; the target '
+                    f'{which} {row + 1} has {len(given)} readings of sensor "{name}"; the target '
                     f"has {markers} markers: give null for one that was not seen",
                     sensor=name,
                 )
-            column = columns[name]
-            read = np.array([np.nan if one is None else one for one in values], dtype=np.float64)
-            last = sensors[column].pixels - 0.5
-            outside = read[(read < -0.5) | (read > last)]
-            if len(outside):
-                raise ReadingOutsideSensor(
-                    f"the reading {outside[0]:g} px of pose {row + 1} lies outside sensor "
-                    f'"{name}", whose pixels reach from -0.5 to {last:g} px',
-                    sensor=name,
-                )
-            readings[row, :, column] = read
-    sigma = None if given.sigma_px is None else np.full(readings.shape, given.sigma_px)
-    return Recording(found, readings, sigma)
+            values[row, :, columns[name]] = [np.nan if one is None else one for one in given]
+    return values
+
+
+def recording_of_wave(
+    target: WandTarget | BodyTarget | UnknownTarget,
+    taken: StoredWave,
+    sensors: Sequence[SensorDescription],
+) -> NewRecording:
+    """Return the poses of a wave capture as the recording that a client would have posted."""
+    seen = np.isfinite(taken.readings_px)
+    known = bool((taken.sigma_px[seen] > 0.0).all())
+    return NewRecording(
+        target=target,
+        poses=_documents(taken.readings_px, sensors),
+        sigma_px=_documents(np.where(seen, taken.sigma_px, np.nan), sensors) if known else None,
+    )
+
+
+def _documents(
+    values: NDArray[np.float64], sensors: Sequence[SensorDescription]
+) -> list[MarkerReadings]:
+    """Return values (B, K, S) by pose and sensor; None in place of NaN."""
+    return [
+        {
+            sensor.name: [None if np.isnan(one) else one for one in pose[:, column].tolist()]
+            for column, sensor in enumerate(sensors)
+            if np.isfinite(pose[:, column]).any()
+        }
+        for pose in values
+    ]

@@ -1,4 +1,4 @@
-"""REST resources that submit runs: /api/v1/calibration-runs, /mapping-runs, ..."""
+"""REST resource /api/v1/runs: a run of each kind is posted to the path of its kind."""
 
 from collections.abc import Callable
 from typing import Annotated, Any
@@ -28,7 +28,12 @@ from service.api.runs.kinds.calibration import Request as CalibrationRequest
 from service.api.runs.kinds.mapping import Request as MappingRequest
 from service.api.runs.kinds.self_calibration import Request as SelfCalibrationRequest
 from service.api.runs.kinds.update import Request as UpdateRequest
-from service.api.runs.references import resolve_calibration, resolve_markers, resolve_points
+from service.api.runs.references import (
+    resolve_calibration,
+    resolve_markers,
+    resolve_points,
+    resolve_recordings,
+)
 from service.api.runs.schema import (
     NewCalibrationRun,
     NewMappingRun,
@@ -41,8 +46,7 @@ from service.database.models import DeviceRow
 from service.jobs import store
 from service.jobs.store import Kind
 
-router = ResourceRouter("/api/v1", "runs")
-exports_router = ResourceRouter("/api/v1", "recordings")
+router = ResourceRouter("/api/v1/runs", "runs")
 
 
 class Submission:
@@ -98,7 +102,7 @@ NewSelfCalibrationRunBody = Annotated[
 
 
 @router.operation(
-    "POST /calibration-runs",
+    "POST /calibration",
     "create-calibration-run",
     "Calibrate a device beside the requests",
     status_code=202,
@@ -137,7 +141,7 @@ def _points(session: Session, request: NewCalibrationRun | NewMappingRun) -> lis
 
 
 @router.operation(
-    "POST /mapping-runs",
+    "POST /mapping",
     "create-mapping-run",
     "Map the volume beside the requests",
     status_code=202,
@@ -172,19 +176,23 @@ def create_mapping_run(request: NewMappingRunBody, submission: SubmissionDep) ->
 
 
 @router.operation(
-    "POST /self-calibration-runs",
+    "POST /self-calibration",
     "create-self-calibration-run",
     "Calibrate a device without known coordinates",
     status_code=202,
 )
-@raises("unknown-device", "unknown-calibration", "run-exists", "calibration-exists")
-@raises("calibration-of-another-device", "calibration-retired", "no-active-calibration")
+@raises("unknown-device", "unknown-calibration", "unknown-wave-capture", "run-exists")
+@raises("calibration-exists", "calibration-of-another-device", "capture-of-another-device")
+@raises("capture-incomplete", "calibration-retired", "no-active-calibration")
 @raises("sensors-changed", "too-few-points", "coplanar-points", "unknown-sensor")
 @raises("reading-outside-sensor", "invalid-parameter", "busy")
 def create_self_calibration_run(
     request: NewSelfCalibrationRunBody, submission: SubmissionDep
 ) -> Run:
     """Calibrate from a wand, a rigid body or a frame at unknown places, in a process of its own.
+
+    Its readings are given as `recordings`, or taken by the server from the running device: see
+    `/api/v1/wave-captures`.
 
     It starts from a calibration that is near, or, with `initial` `readings`, from nothing; the
     scale comes from the lengths given. The new calibration is stored when it is done, under the
@@ -193,6 +201,8 @@ def create_self_calibration_run(
 
     def stored(session: Session, device: DeviceRow) -> dict[str, Any]:
         CALIBRATIONS.check_unused(session, request.result_id)
+        sensors = sensors_of_row(device)
+        recordings = resolve_recordings(session, request, sensors)
         start = None
         if request.initial == "start" or request.start_calibration_id is not None:
             start = resolve_calibration(session, request.device_id, request.start_calibration_id)
@@ -201,7 +211,8 @@ def create_self_calibration_run(
                 SelfCalibrationRequest,
                 request,
                 start_calibration_id=None if start is None else start.id,
-                sensors=sensors_of_row(device),
+                recordings=recordings,
+                sensors=sensors,
             ),
             start,
         )
@@ -210,7 +221,7 @@ def create_self_calibration_run(
 
 
 @router.operation(
-    "POST /update-runs",
+    "POST /update",
     "create-update-run",
     "Bring a calibration up to date by still markers",
     status_code=202,
@@ -246,8 +257,8 @@ def create_update_run(request: NewUpdateRunBody, submission: SubmissionDep) -> R
     return submission.run("update", request.device_id, request.id, stored)
 
 
-@exports_router.operation(
-    "POST /export-runs",
+@router.operation(
+    "POST /export",
     "create-export-run",
     "Export a recording beside the requests",
     status_code=202,

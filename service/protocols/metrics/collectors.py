@@ -12,12 +12,15 @@ from prometheus_client.core import (
     CounterMetricFamily,
     GaugeMetricFamily,
     HistogramMetricFamily,
+    SummaryMetricFamily,
 )
 from prometheus_client.registry import Collector
 from sqlalchemy import func, select
 
 from compute.pose.rigid_body import PoseStatus
 from service.api.recordings.recording_manager import RecordingManager
+from service.api.recordings.retention import RecordingRetention
+from service.api.webhooks.dispatcher import WebhookDispatcher
 from service.database.engine import Database
 from service.database.models import RunRow
 from service.jobs.run_manager import BOUNDS_S, DurationHistogram
@@ -25,6 +28,7 @@ from service.jobs.store import STATES, Kind
 from service.pipeline import device_session
 from service.pipeline.device_status import DeviceState
 from service.pipeline.pipeline_manager import PipelineManager
+from service.pipeline.stage_latency import Stage
 from service.problems.errors import NotReady
 from service.protocols.stream.hub import Hub
 
@@ -148,6 +152,21 @@ def histogram(
     return family
 
 
+def stage_summary(
+    timed: Mapping[str, tuple[int, Mapping[Stage, float]]],
+) -> SummaryMetricFamily:
+    """Return the latency by stage, from frames that were timed and their time in each stage."""
+    family = SummaryMetricFamily(
+        "lumiline_frame_stage_seconds",
+        "Time of one frame a second in each stage, from its exposure until streams have it.",
+        labels=("device", "stage"),
+    )
+    for device, (count, stages) in timed.items():
+        for stage, total in stages.items():
+            family.add_metric((device, stage), count, total)
+    return family
+
+
 def _by_device(objects: Mapping[str, Any]) -> dict[tuple[str, ...], Any]:
     return {(name,): one for name, one in objects.items()}
 
@@ -193,6 +212,7 @@ class LiveCollector(Collector):
             device_session.BOUNDS_S,
             _by_device(self._live.latencies()),
         )
+        yield stage_summary(self._live.stage_latencies())
         yield single(
             "compute_busy_seconds",
             "How long the compute thread is at what it has in hand; 0 when it waits.",
@@ -285,8 +305,9 @@ class DatabaseCollector(Collector):
 class RecordingsCollector(Collector):
     """Recordings that are being written, and the disk that they lie on."""
 
-    def __init__(self, recordings: RecordingManager) -> None:
+    def __init__(self, recordings: RecordingManager, retention: RecordingRetention) -> None:
         self._recordings = recordings
+        self._retention = retention
 
     def collect(self) -> Iterator[Metric]:
         """Yield what there is."""
@@ -297,6 +318,35 @@ class RecordingsCollector(Collector):
             (((name,), counts.open) for name, counts in written.items()),
         )
         yield from members_of(_RECORDINGS, _by_device(written))
+        kept = self._retention.state
+        yield counter(
+            "recordings_deleted", "Recordings deleted for their age, or for all recordings' size.",
+            [((), kept.deleted)], (),
+        )  # fmt: skip
+        yield single(
+            "recordings_held",
+            "Recordings over a limit of age or size that are kept, as something refers to them or "
+            "they are unreadable.",
+            len(kept.held),
+        )
         with suppress(OSError):
             free = shutil.disk_usage(self._recordings.library.folder).free
             yield single("recordings_free_bytes", "Free bytes on the disk of recordings.", free)
+
+
+class WebhooksCollector(Collector):
+    """Deliveries of webhooks."""
+
+    def __init__(self, webhooks: WebhookDispatcher) -> None:
+        self._webhooks = webhooks
+
+    def collect(self) -> Iterator[Metric]:
+        """Yield what there is."""
+        states = self._webhooks.states()
+        for name, text, member in (
+            ("delivered", "Events that a webhook's receiver took.", "events_delivered"),
+            ("failed", "Events given up after the last attempt.", "events_failed"),
+            ("dropped", "Events dropped because too many waited.", "events_dropped"),
+        ):
+            values = (((key,), getattr(state, member)) for key, state in states.items())
+            yield counter(f"webhook_events_{name}", text, values, ("webhook",))

@@ -1,6 +1,7 @@
 """Hub: publishes to the streams; Subscription: one client of a stream."""
 
 import asyncio
+import time
 from collections import defaultdict
 from collections.abc import Callable
 from contextlib import suppress
@@ -66,8 +67,13 @@ class Subscription:
     It begins with the next message, or after the one that the client has.
     """
 
-    def __init__(self, request: StreamRequest, log: StreamLog, lag_s: float) -> None:
+    def __init__(
+        self, request: StreamRequest, log: StreamLog, lag_s: float, client: str = ""
+    ) -> None:
         self.request = request
+        self.client = client
+        self.opened_s = time.time()
+        """When it was opened, since 1970 [s]."""
         self.loop = asyncio.get_running_loop()
         self.log = log
         self.resumed = request.after is not None and request.stream == log.id
@@ -95,6 +101,16 @@ class Subscription:
         self._ready = asyncio.Event()
         self._ended: str | None = None
         self._at_once = False
+
+    @property
+    def missed(self) -> int:
+        """Messages that the client was too slow for."""
+        return self._cursor.missed
+
+    @property
+    def waiting(self) -> int:
+        """Messages that wait for the client; read from any thread, and a little old."""
+        return self._cursor.waiting
 
     def wake(self, *, frames: bool) -> None:
         """Wake the client for a new message; frames wake it only when they are due."""
@@ -170,9 +186,9 @@ class Hub:
         with self._lock:
             return dict(self._logs)
 
-    def subscribe(self, request: StreamRequest) -> Subscription:
-        """Add a client; called in the event loop that takes its messages."""
-        subscription = Subscription(request, self.log(request.device_id), self._lag_s)
+    def subscribe(self, request: StreamRequest, client: str = "") -> Subscription:
+        """Add a client, who is called so; called in the event loop that takes its messages."""
+        subscription = Subscription(request, self.log(request.device_id), self._lag_s, client)
         with self._lock:
             here = self._clients.get(request.device_id, ())
             self._clients[request.device_id] = (*here, subscription)
@@ -188,6 +204,10 @@ class Hub:
     def subscribers(self, device_id: str) -> int:
         """Return the number of clients of a device."""
         return len(self._clients.get(device_id, ()))
+
+    def subscriptions(self) -> list[Subscription]:
+        """Return all clients there are."""
+        return [one for here in tuple(self._clients.values()) for one in here]
 
     @property
     def clients(self) -> int:

@@ -7,7 +7,7 @@ from bisect import bisect_right
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from itertools import islice
+from operator import attrgetter
 from threading import Lock
 from typing import Final, NamedTuple
 
@@ -26,7 +26,8 @@ from service.protocols.stream.messages import (
 
 BUNDLE_FRAMES: Final = 512
 """Most frames in one message."""
-_ENTRIES: Final = 64  # that are looked at in one go
+_ENTRIES: Final = 64  # that are looked at, or forgotten, in one go
+_END: Final = attrgetter("end")
 
 Variant = tuple[frozenset[Content], Encoding]
 """What messages hold, and how they are written: clients of the same variant share the work."""
@@ -124,7 +125,9 @@ class StreamLog:
         self.missed = 0
         """Messages that clients were told to have missed, of all clients together."""
         self._capacity = capacity
-        self._entries: deque[LogEntry] = deque()
+        # A list, for a client far behind to find its place at once: a deque walks there.
+        self._entries: list[LogEntry] = []
+        self._begin = 0  # where the kept ones begin
         self._others: deque[LogEntry] = deque()  # those that are no frames
         self._lock = Lock()
 
@@ -132,14 +135,15 @@ class StreamLog:
     def oldest(self) -> int:
         """Number of the oldest message that is kept; ``next`` when there is none."""
         with self._lock:
-            return self._entries[0].first if self._entries else self.next
+            return self._entries[self._begin].first if self._entries else self.next
 
     @property
     def middle(self) -> int:
         """Number of a message in the middle of those that are kept."""
         with self._lock:
             entries = self._entries
-            return entries[len(entries) // 2].first if entries else self.next
+            middle = (self._begin + len(entries)) // 2
+            return entries[middle].first if entries else self.next
 
     @property
     def newest_frame(self) -> int:
@@ -193,11 +197,19 @@ class StreamLog:
             self.next = entry.end
             self.message_count += count
             # The newest stays, however large it is.
-            while self.message_count > self._capacity and len(self._entries) > 1:
-                oldest = self._entries.popleft()
-                self.message_count -= oldest.count
-                if not oldest.frames:
-                    self._others.popleft()
+            last = len(self._entries) - 1
+            while self.message_count > self._capacity and self._begin < last:
+                self._drop_oldest()
+            if self._begin >= _ENTRIES:
+                del self._entries[: self._begin]
+                self._begin = 0
+
+    def _drop_oldest(self) -> None:
+        oldest = self._entries[self._begin]
+        self._begin += 1
+        self.message_count -= oldest.count
+        if not oldest.frames:
+            self._others.popleft()
 
     def since(self, number: int, limit: int) -> list[LogEntry]:
         """Return the oldest ``limit`` entries of those that end behind this message's number."""
@@ -205,11 +217,10 @@ class StreamLog:
             if number >= self.next:
                 return []
             entries = self._entries
-            # A client that keeps up is at the end, which a deque finds quickest.
-            start = len(entries) - 1
+            start = len(entries) - 1  # where a client that keeps up is
             if entries[start].first > number:
-                start = bisect_right(entries, number, key=lambda entry: entry.end)
-            return list(islice(entries, start, start + limit))
+                start = bisect_right(entries, number, self._begin, key=_END)
+            return entries[start : start + limit]
 
     def other_since(self, number: int, variant: Variant) -> LogEntry | None:
         """Return the oldest message for a variant that is no frame, from this number on."""
@@ -261,8 +272,15 @@ class SequentialCursor:
             (BUNDLE_FRAMES, BUNDLE_FRAMES) if bundled else (1, _ENTRIES)
         )
         self._missed = 0
+        self.missed = 0
+        """Messages that its client was told to have missed."""
         # A client that comes back gets all that there is, if it has the time.
         self._skipped = start >= log.oldest
+
+    @property
+    def waiting(self) -> int:
+        """How many messages there are that its client was not sent yet."""
+        return max(0, self._log.next - self._next)
 
     def take(self, *, due: bool) -> CursorItem | None:
         """Return what is sent now, if anything; nothing overtakes frames that are not due."""
@@ -315,6 +333,7 @@ class SequentialCursor:
     def _missed_message(self) -> CursorItem:
         message = missed_message(self._device_id, self._missed, self._next - self._missed)
         self._log.missed += self._missed
+        self.missed += self._missed
         self._missed = 0
         return CursorItem(encode(message, self._variant[1]), frames=False)
 
@@ -324,7 +343,13 @@ class SequentialCursor:
 
 
 class LatestCursor:
-    """The newest frame whenever one is due, and every message that is no frame."""
+    """The newest frame whenever one is due, and every message that is no frame.
+
+    Its client is never behind: what it does not get, it did not want.
+    """
+
+    missed: Final = 0
+    waiting: Final = 0
 
     def __init__(self, log: StreamLog, variant: Variant, start: int) -> None:
         self._log = log

@@ -61,7 +61,7 @@ async def _serve(websocket: WebSocket, request: StreamRequest, principal: Princi
     hub: Hub = websocket.app.state.streams
     client_protocols = subprotocols(websocket.headers)
     await websocket.accept(SUBPROTOCOL if SUBPROTOCOL in client_protocols else None)
-    subscription = hub.subscribe(request)
+    subscription = hub.subscribe(request, principal.label)
     try:
         await _send(websocket, encode(_greeting(live, subscription), request.encoding))
         async with asyncio.TaskGroup() as tasks:

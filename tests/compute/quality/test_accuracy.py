@@ -51,6 +51,9 @@ def test_points_that_are_none_are_refused() -> None:
         single_point(np.full((3, 3), np.nan), np.zeros((3, 3, 3)), np.arange(3.0))
     with pytest.raises(TooFewPoints):
         single_point(np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros(0))
+    with pytest.raises(TooFewPoints, match="measured 2 times; at least 3"):
+        # Two points leave the speed's standard deviation infinite, which JSON has no number for.
+        single_point(np.eye(3)[:2], np.zeros((2, 3, 3)), np.arange(2.0))
 
 
 def track(time_s: np.ndarray, positions: np.ndarray) -> MarkerTrack:

@@ -16,6 +16,7 @@ from hardware.simulated.scenes import (
     MovingTools,
     RotatingBar,
     StillPoints,
+    WavedWand,
 )
 
 SURVEY = Path(__file__).parents[3] / "validation" / "data" / "test_5_4_points.csv"
@@ -44,10 +45,11 @@ def test_the_frame_has_the_shape_of_test_5_4() -> None:
         StillPoints(((0.0, 0.0, 1500.0), (5.0, 6.0, 1400.0))),
         RotatingBar(),
         MovingTools((MovingTool(TETRAHEDRON), MovingTool(TETRAHEDRON[:3], phase=0.4))),
+        WavedWand(),
     ],
 )
 def test_many_times_at_once_are_the_same_as_one_by_one(
-    scene: CalibrationTarget | StillPoints | RotatingBar | MovingTools,
+    scene: CalibrationTarget | StillPoints | RotatingBar | MovingTools | WavedWand,
 ) -> None:
     times = np.array([0.0, 0.3, 17.25])
     together = scene.points(times)
@@ -110,6 +112,30 @@ def test_a_tool_stays_rigid_right_handed_and_within_its_swing(
     np.testing.assert_allclose(points, (rotation @ np.array(TETRAHEDRON).T).T + origin, atol=1e-9)
     away = np.abs(rotation @ held + origin - tool.centre_mm)
     assert (away <= np.array(tool.swing_mm) + 1e-9).all()
+
+
+@given(time_s=st.floats(0.0, 1e5))
+def test_a_wand_keeps_its_length_and_stays_in_its_volume(time_s: float) -> None:
+    scene = WavedWand(
+        length_mm=240.0, centre_mm=(10.0, -20.0, 1600.0), swing_mm=(200.0, 150.0, 90.0)
+    )
+    first, second = scene.points(time_s)
+    assert np.linalg.norm(second - first) == pytest.approx(240.0, abs=1e-9)
+    away = np.abs(0.5 * (first + second) - [10.0, -20.0, 1600.0])
+    assert (away <= [200.0 + 1e-9, 150.0 + 1e-9, 90.0 + 1e-9]).all()
+
+
+def test_a_wand_is_waved_in_all_directions_through_all_eighths_of_its_volume() -> None:
+    scene = WavedWand()
+    first, second = np.moveaxis(scene.points(np.linspace(0.0, scene.period_s, 2000)), 1, 0)
+    along = (second - first) / scene.length_mm
+    assert np.sqrt((along**2).mean(axis=0)).min() > 0.45
+    above = 0.5 * (first + second) > scene.centre_mm
+    counts = np.bincount(above @ np.array([4, 2, 1]), minlength=8)
+    assert counts.min() > 2000 / 8 / 3
+    # As fast as a hand, and smooth: positions between two exposures are nearly on a line.
+    speed = np.linalg.norm(np.diff(first, axis=0), axis=1) * 2000 / scene.period_s
+    assert 100.0 < speed.mean() < 800.0
 
 
 def test_a_tool_turns_as_its_rotation_vector_says() -> None:

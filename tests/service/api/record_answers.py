@@ -14,7 +14,8 @@ import pytest
 
 from service.api.openapi import ANSWER_EXAMPLES
 from service.settings import Settings
-from tests.service.api.test_openapi import answers_to_examples, document, operations
+from tests.openapi_document import openapi_document
+from tests.service.api.test_openapi import answers_to_examples, operations
 
 _KEPT_ITEMS: Final = 2
 _KEPT_NUMBERS: Final = 16
@@ -48,7 +49,7 @@ def shortened(value: Any) -> Any:
 
 def main() -> None:
     """Write the file."""
-    contract = document()
+    contract = openapi_document()
     schemas = {
         operation["operationId"]: success(operation) for _, _, operation in operations(contract)
     }

@@ -3,13 +3,11 @@
 import copy
 import re
 from collections.abc import Callable, Iterator
-from functools import cache
 from typing import Any, Final
 
 import pytest
 
-from service.application.app import create_app
-from service.settings import Settings
+from tests.openapi_document import openapi_document
 
 Document = dict[str, Any]
 
@@ -20,6 +18,7 @@ RESOURCES: Final = {
     "radiometric-calibrations": "radiometric",
     "radiometric-captures": "radiometric_capture",
     "captures": "capture",
+    "wave-captures": "wave_capture",
     "drift-checks": "drift_check",
     "quality-checks": "quality_check",
     "runs": "run",
@@ -32,6 +31,7 @@ RESOURCES: Final = {
     "beam-holds": "hold",
     "device-profiles": "profile",
     "keys": "key",
+    "webhooks": "webhook",
 }
 """What a resource is called in ``<word>_id``, by its path."""
 ROLES: Final = ("reference", "parent", "start", "drift", "quality", "correction_table", "beam_hold")
@@ -43,7 +43,8 @@ NO_REFERENCE: Final = {
 }
 STATES: Final = {
     "CalibrationSummary", "CalibrationDocument", "DeviceStateDocument", "LinkState", "Run",
-    "RecordingDocument", "RecordingDetail", "ApiKey", "CreatedApiKey",
+    "RecordingDocument", "RecordingDetail", "ApiKey", "CreatedApiKey", "WebhookState",
+    "WaveCapture",
 }  # fmt: skip
 """What lives: schemas that have a ``state``."""
 JUDGED: Final = {
@@ -55,11 +56,6 @@ HTTP_STATUS: Final = {"Problem", "ProblemType", "RunProblem"}
 """Problem documents, whose ``status`` is a number of HTTP."""
 OTHER_UNITS: Final = {"seconds", "milliseconds", "minutes", "hours"}
 """Words in place of which a name has the unit at its end, such as ``duration_s``."""
-
-
-@cache
-def served() -> Document:
-    return create_app(Settings()).openapi()
 
 
 def properties(document: Document) -> Iterator[tuple[str, str, dict[str, Any]]]:
@@ -231,11 +227,11 @@ CHECKS: Final[dict[str, Callable[[Document], list[Any]]]] = {
 
 @pytest.mark.parametrize("name", CHECKS)
 def test_the_document_keeps_the_grammar(name: str) -> None:
-    assert CHECKS[name](served()) == []
+    assert CHECKS[name](openapi_document()) == []
 
 
 def test_the_tables_name_what_there_is() -> None:
-    document = served()
+    document = openapi_document()
     schemas = {schema for schema, *_ in properties(document)}
     assert schemas >= STATES | JUDGED | HTTP_STATUS | {schema for schema, _ in NO_REFERENCE}
     segments = {segment for path in document["paths"] for segment in path.split("/")}
@@ -312,7 +308,7 @@ VIOLATIONS: Final[list[tuple[str, Callable[[Document], None]]]] = [
 
 @pytest.mark.parametrize(("name", "change"), VIOLATIONS)
 def test_each_violation_is_found(name: str, change: Callable[[Document], None]) -> None:
-    document = copy.deepcopy(served())
+    document = copy.deepcopy(openapi_document())
     change(document)
     assert CHECKS[name](document) != []
 

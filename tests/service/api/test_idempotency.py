@@ -14,6 +14,7 @@ from service.api.idempotency import forget_unfinished
 from service.application.app import create_app
 from service.database.models import AuditRow, IdempotencyKeyRow
 from service.settings import Settings
+from tests.openapi_document import openapi_document
 from tests.service.api.beam_holds.test_beam_holds_api import CHEST
 from tests.service.fake_pipeline import FakePipeline, TestClient
 
@@ -139,9 +140,35 @@ def test_unfinished_request_of_a_server_that_ended_is_forgotten(sqlite_settings:
         assert code(send(client)) == (409, "beam-hold-exists")
 
 
+def test_unfinished_request_of_a_running_server_is_kept_when_another_starts(
+    client: Any, settings: Settings
+) -> None:
+    """The first would carry the same request out a second time otherwise."""
+    assert send(client).status_code == 201
+    begun = datetime.now(UTC) - timedelta(minutes=1)
+    with client.app.state.database.write() as session:
+        session.execute(update(IdempotencyKeyRow).values(status=None, created_at=begun))
+    with TestClient(create_app(settings, FakePipeline())) as other:
+        assert code(send(other)) == (409, "request-in-progress")
+        assert code(send(client)) == (409, "request-in-progress")
+
+
+def test_unfinished_request_is_abandoned_after_a_while(sqlite_client: Any) -> None:
+    """Its server has ended, and others on the database have never all been down since."""
+    send(sqlite_client)
+    for age, answer in (
+        (idempotency.ABANDONED_AFTER - timedelta(minutes=1), "request-in-progress"),
+        (idempotency.ABANDONED_AFTER, "beam-hold-exists"),
+    ):
+        created = datetime.now(UTC) - age
+        with sqlite_client.app.state.database.write() as session:
+            session.execute(update(IdempotencyKeyRow).values(created_at=created, status=None))
+        assert code(send(sqlite_client)) == (409, answer)
+
+
 def test_finished_requests_stay_known_after_a_start(sqlite_client: Any) -> None:
     first = send(sqlite_client)
-    forget_unfinished(sqlite_client.app.state.database)
+    forget_unfinished(sqlite_client.app.state.database, datetime.now(UTC))
     assert send(sqlite_client).content == first.content
 
 
@@ -185,7 +212,7 @@ def test_a_new_key_is_never_kept(sqlite_client: Any) -> None:
 
 def test_the_contract_names_the_operations_that_take_a_key(sqlite_client: Any) -> None:
     taking, creating = set(), set()
-    for item in sqlite_client.app.openapi()["paths"].values():
+    for item in openapi_document()["paths"].values():
         for method, operation in item.items():
             names = {one["name"] for one in operation.get("parameters", ())}
             if "Idempotency-Key" in names:
@@ -193,5 +220,5 @@ def test_the_contract_names_the_operations_that_take_a_key(sqlite_client: Any) -
                 assert {"409", "422"} <= operation["responses"].keys()
             if method == "post" and {"201", "202"} & operation["responses"].keys():
                 creating.add(operation["operationId"])
-    assert taking == creating - {"create-key"}
+    assert taking == creating - {"create-key", "create-webhook"}
     assert len(taking) > 15

@@ -1,10 +1,10 @@
 """The OpenAPI document: complete, and every example in it works as it stands on a new server."""
 
 import json
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from functools import cache
 from typing import Any
 
 import jsonschema_rs
@@ -24,6 +24,7 @@ from service.api.tools import tip_calibration
 from service.application.app import create_app
 from service.database.models import ApiKeyRow
 from service.settings import Settings
+from tests.openapi_document import openapi_document
 from tests.service.api.correction_tables.tables import content as content_of_table
 from tests.service.api.quality.batches import strobed_batch
 from tests.service.api.tools.batches import pivoting, resting, spinning, tool_batch
@@ -48,11 +49,6 @@ class Example:
     method: str
     path: str
     body: Any = None
-
-
-@cache
-def document() -> dict[str, Any]:
-    return create_app(Settings()).openapi()
 
 
 def operations(found: dict[str, Any]) -> Iterator[tuple[str, str, dict[str, Any]]]:
@@ -110,6 +106,13 @@ def prepare(client: Any) -> None:
         )
 
 
+def wait_for_run(client: Any, run_id: str) -> None:
+    end = time.monotonic() + 60.0
+    while client.get(f"/api/v1/runs/{run_id}").json()["state"] in ("queued", "running"):
+        assert time.monotonic() < end, run_id
+        time.sleep(0.05)
+
+
 def answers_to_examples(
     settings: Settings, patch: pytest.MonkeyPatch
 ) -> Iterator[tuple[Example, Any]]:
@@ -127,8 +130,11 @@ def answers_to_examples(
     with TestClient(create_app(settings, live)) as client:
         served = client.get("/openapi.json").json()
         prepare(client)
-        with RecordingWriter(settings.folders.recordings / "earlier.h5", live.records):
-            pass
+        driver = SimulatedDriver("sim", SimulationSettings(duration_s=0.004, realtime=False))
+        driver.open()
+        with RecordingWriter(settings.folders.recordings / "earlier.h5", live.records) as earlier:
+            for frame in driver.frames():
+                earlier.append(frame)
         settings.folders.exports.mkdir()
         (settings.folders.exports / "walk.csv").write_text("made before")
         requests = examples(served)
@@ -138,6 +144,8 @@ def answers_to_examples(
             if operation["operationId"] != "upload-correction-table"
         }
         for one in requests:
+            if one.operation == "delete-recording":
+                wait_for_run(client, "earlier-export")  # which reads it
             given = {} if one.body is None else {"json": one.body}
             yield one, client.request(one.method, one.path, **given)
 
@@ -157,12 +165,12 @@ def test_every_operation_has_a_summary_of_its_own():
         for context in iter_route_contexts(create_app(Settings()).routes)
         if isinstance(context.route, APIRoute) and context.route.include_in_schema
     }
-    assert set(routes) == {found["operationId"] for *_, found in operations(document())}
+    assert set(routes) == {found["operationId"] for *_, found in operations(openapi_document())}
     assert [name for name, summary in routes.items() if not (summary or "").strip()] == []
 
 
 def test_every_operation_is_described():
-    found = document()
+    found = openapi_document()
     tags = {tag["name"] for tag in found["tags"]}
     ids = [operation["operationId"] for _, _, operation in operations(found)]
     assert len(ids) == len(set(ids))
@@ -183,7 +191,7 @@ def test_every_operation_is_described():
 
 
 def test_every_error_response_is_a_problem_document():
-    for path, method, operation in operations(document()):
+    for path, method, operation in operations(openapi_document()):
         errors = {
             status: response
             for status, response in operation["responses"].items()
@@ -197,7 +205,7 @@ def test_every_error_response_is_a_problem_document():
 
 
 def test_no_reference_dangles():
-    found = document()
+    found = openapi_document()
     schemas = found["components"]["schemas"]
 
     def references(node: Any) -> Iterator[str]:
@@ -223,7 +231,7 @@ def test_there_is_a_page_to_read_it(sqlite_client: Any, path: str, script: str):
 
 
 def test_every_member_is_described():
-    found = document()["components"]["schemas"]
+    found = openapi_document()["components"]["schemas"]
     missing = [
         f"{name}.{member}"
         for name, schema in found.items()
@@ -238,7 +246,7 @@ def test_every_member_is_described():
 def test_every_description_of_a_member_is_used():
     names = {
         key
-        for name, schema in document()["components"]["schemas"].items()
+        for name, schema in openapi_document()["components"]["schemas"].items()
         for member in schema.get("properties", {})
         for key in (member, f"{name.rpartition('__')[2]}.{member}")
     }
@@ -246,7 +254,7 @@ def test_every_description_of_a_member_is_used():
 
 
 def test_every_json_answer_has_an_example_of_its_schema():
-    found = document()
+    found = openapi_document()
     checked = 0
     for _, _, operation in operations(found):
         name = operation["operationId"]

@@ -14,12 +14,17 @@ from service.api.devices.store import get_device
 from service.api.preconditions import Precondition
 from service.api.radiometric_calibrations.store import active_radiometric
 from service.database.engine import Database
+from service.database.models import ActiveCalibrationRow
 from service.problems.errors import PreconditionFailed
 from service.settings import Settings
+from tests.openapi_document import openapi_document
 from tests.service.api.beam_holds.test_beam_holds_api import CHEST
 from tests.service.api.tools.test_tools_api import POINTER
 from tests.service.fake_pipeline import FakePipeline
 
+ALARM = {
+    "id": "alarm", "title": "x", "url": "https://a.example.org/", "event_types": ["hold.held"]
+}  # fmt: skip
 A_WHILE_S = 0.3
 """Long enough for other threads to reach the lock at which they have to wait."""
 
@@ -27,6 +32,7 @@ CHANGES: dict[str, tuple[str, list[dict[str, Any]]]] = {
     "/api/v1/devices/sim": ("PATCH", [{"title": "One"}, {"title": "Other"}]),
     "/api/v1/tools/pointer": ("PATCH", [{"title": "One"}, {"title": "Other"}]),
     "/api/v1/beam-holds/chest": ("PATCH", [{"title": "One"}, {"title": "Other"}]),
+    "/api/v1/webhooks/alarm": ("PATCH", [{"title": "One"}, {"title": "Other"}]),
     "/api/v1/devices/sim/watch": ("PUT", [{"interval_s": 20.0}, {"interval_s": 30.0}]),
 }
 """By path the method that changes a resource, and two changes."""
@@ -34,8 +40,8 @@ CHANGES: dict[str, tuple[str, list[dict[str, Any]]]] = {
 
 @pytest.fixture
 def filled(client: Any) -> Any:
-    """A server with a tool and a beam hold."""
-    for path, body in (("tools", POINTER), ("beam-holds", CHEST)):
+    """A server with a tool, a beam hold and a webhook."""
+    for path, body in (("tools", POINTER), ("beam-holds", CHEST), ("webhooks", ALARM)):
         assert client.post(f"/api/v1/{path}", json=body).status_code == 201
     return client
 
@@ -125,7 +131,7 @@ def test_what_no_cache_may_keep_has_no_etag(filled: Any) -> None:
 
 
 def test_the_contract_says_which_answers_have_an_etag(sqlite_client: Any) -> None:
-    document = sqlite_client.app.openapi()
+    document = openapi_document()
     required = set()
     for path, item in document["paths"].items():
         for method, operation in item.items():
@@ -142,11 +148,13 @@ def test_the_contract_says_which_answers_have_an_etag(sqlite_client: Any) -> Non
         "PATCH /api/v1/devices/{device_id}",
         "PATCH /api/v1/tools/{tool_id}",
         "PATCH /api/v1/beam-holds/{hold_id}",
+        "PATCH /api/v1/webhooks/{webhook_id}",
         "PUT /api/v1/devices/{device_id}/watch",
     }
 
 
-@pytest.mark.parametrize("path", CHANGES)
+# A webhook is of no device, whose lock both wait for here.
+@pytest.mark.parametrize("path", [path for path in CHANGES if "webhooks" not in path])
 def test_of_two_writers_at_once_one_wins(filled: Any, path: str) -> None:
     etag = filled.get(path).headers["etag"]
     with ThreadPoolExecutor(2) as pool:
@@ -188,3 +196,31 @@ def test_of_two_servers_with_one_database_one_wins(client: Any, settings: Settin
     assert isinstance(lost, PreconditionFailed)
     won = errors.index(None)
     assert client.get("/api/v1/devices/sim").json()["title"] == f"{won}"
+
+
+def with_moved_pointer(client: Any) -> str:
+    """Move the pointer to the active calibration; return the device's tag before."""
+    tag: str = client.get("/api/v1/devices/sim").headers["etag"]
+    with client.app.state.database.write() as session:  # as another activation would
+        session.delete(session.get(ActiveCalibrationRow, "sim"))
+    return tag
+
+
+def test_device_read_before_an_activation_can_be_changed_after_it(client: Any) -> None:
+    path = "/api/v1/devices/sim"
+    tag = with_moved_pointer(client)
+    now = client.get(path)
+    # For a cache it is another one, for a PATCH it is not.
+    assert now.headers["etag"] != tag
+    assert client.get(path, headers={"If-None-Match": tag}).status_code == 200
+    changed = client.patch(path, json={"title": "Mine"}, headers={"If-Match": tag})
+    assert changed.status_code == 200, changed.text
+    # What was changed meanwhile by another PATCH is refused as ever.
+    refused = client.patch(path, json={"title": "Other"}, headers={"If-Match": tag})
+    assert code(refused) == (412, "precondition-failed")
+
+
+def test_device_read_before_an_activation_is_not_deleted(client: Any) -> None:
+    tag = with_moved_pointer(client)
+    refused = client.delete("/api/v1/devices/sim?cascade=true", headers={"If-Match": tag})
+    assert code(refused) == (412, "precondition-failed")

@@ -11,6 +11,7 @@ from service.application.app import (
     create_app,
 )
 from service.settings import Settings
+from tests.openapi_document import openapi_document
 from tests.service.fake_pipeline import FakePipeline, TestClient
 
 
@@ -21,7 +22,7 @@ from tests.service.fake_pipeline import FakePipeline, TestClient
         ("keys", SMALL_BODY_BYTES),
         ("tools", SMALL_BODY_BYTES),
         ("reconstructions", OBSERVATION_BODY_BYTES),
-        ("mapping-runs", OBSERVATION_BODY_BYTES),
+        ("runs/mapping", OBSERVATION_BODY_BYTES),
     ],
 )
 def test_body_longer_than_path_takes_is_refused(tmp_path: Path, path: str, limit: int):
@@ -39,5 +40,5 @@ def test_body_longer_than_path_takes_is_refused(tmp_path: Path, path: str, limit
 
 def test_body_limits_of_paths_are_of_operations(tmp_path: Path):
     settings = Settings(data_dir=tmp_path)
-    paths = create_app(settings, FakePipeline()).openapi()["paths"]
+    paths = openapi_document()["paths"]
     assert [path for path in body_limits(settings) if "post" not in paths.get(path, {})] == []

@@ -138,7 +138,7 @@ def database(settings: Settings) -> Iterator[Database]:
 
 
 def named(settings: Settings, device: str | Path) -> Settings:
-    return settings.model_copy(update={"device": str(device)})
+    return settings.model_copy(update={"profile": str(device)})
 
 
 @pytest.fixture

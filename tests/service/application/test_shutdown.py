@@ -83,7 +83,7 @@ def _begin_run(api: str) -> None:
     body = {
         "device_id": "sim", "calibration_id": "sim-nominal", "points": simulated_points(grid),
     }  # fmt: skip
-    run = httpx.post(f"{api}/mapping-runs", json=body, timeout=END_S).json()["id"]
+    run = httpx.post(f"{api}/runs/mapping", json=body, timeout=END_S).json()["id"]
     end = time.monotonic() + END_S
     while httpx.get(f"{api}/runs/{run}", timeout=END_S).json()["state"] == "queued":
         assert time.monotonic() < end
@@ -98,6 +98,9 @@ def test_a_server_that_is_told_to_stop(tmp_path: Path):
             f"http://127.0.0.1:{port}/api/v1/devices/sim/recordings", json={"id": "a.h5"}
         )
         assert recording.status_code == 201, recording.text
+        # First the run, which a slow machine begins late: a client that does not read meanwhile
+        # answers no ping.
+        _begin_run(f"http://127.0.0.1:{port}/api/v1")
         with (
             connect(url, compression=None) as stream,
             socket.create_connection(("127.0.0.1", port)) as stalled,
@@ -111,7 +114,6 @@ def test_a_server_that_is_told_to_stop(tmp_path: Path):
             )
             for _ in range(800):
                 stream.recv()
-            _begin_run(f"http://127.0.0.1:{port}/api/v1")
             process.send_signal(signal.SIGTERM)
             with pytest.raises(ConnectionClosed) as caught:
                 _drain(stream)

@@ -338,7 +338,7 @@ def test_the_commands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert "ada" in lumiline("keys", "list")
     assert '"state": "valid"' in lumiline("keys", "list", "--json")
     assert "1 devices" in lumiline("backup", "b")
-    assert "exists already" in lumiline("backup", "b", code=2)
+    assert "exists; choose" in lumiline("backup", "b", code=2)
     assert "not empty" in lumiline("restore", "b", code=2)
     lumiline("keys", "revoke", key.split("_")[1])
     assert '"state": "revoked"' in lumiline("keys", "list", "--json")

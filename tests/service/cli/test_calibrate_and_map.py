@@ -134,7 +134,7 @@ def test_calibrate_refuses_with_a_reason(frame_csv: Path, tmp_path: Path) -> Non
         ("--distortion", "3,0 0,1", "roll"),
         ("--distortion", "3;0", '"i,j"'),
         ("--labels", "mend", "report"),
-        ("--control-sigma", "-1", "control_sigma_mm"),
+        ("--position-sigma", "-1", "--position-sigma"),
     ):
         given = ["calibrate", str(frame_csv), "--pixels", "640", option, value]
         wrong = CliRunner().invoke(app, given)
@@ -144,7 +144,7 @@ def test_calibrate_refuses_with_a_reason(frame_csv: Path, tmp_path: Path) -> Non
 
 def test_a_wide_field_is_calibrated_with_its_distortion(mapping_csv: Path, tmp_path: Path) -> None:
     output = tmp_path / "calibration.json"
-    given = ("calibrate", mapping_csv, "--pixels", "2048", "--pitch", "10", "--output", output)
+    given = ("calibrate", mapping_csv, "--pixels", "2048", "--pitch-um", "10", "--output", output)
     here(*given, "--labels", "off")
     found = read_calibration(output).calibration
     for model, true, fit in zip(found.models, bent_rig(), found.sensors, strict=True):
@@ -199,9 +199,7 @@ def test_findings_are_told_in_words() -> None:
     )
 
 
-def test_error_rows_points_not_predicted_are_in_no_row(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_error_rows_points_not_predicted_are_in_no_row(monkeypatch: pytest.MonkeyPatch) -> None:
     from types import SimpleNamespace
     from typing import Any, cast
 
@@ -215,10 +213,10 @@ def test_error_rows_points_not_predicted_are_in_no_row(
     blocks = SimpleNamespace(scheme="blocks", groups=2, differences_mm=[None] * 3 + [full[0]])
     table = SimpleNamespace(points_mm=full, readings_px=readings, sigma_px=None)
     result = SimpleNamespace(cross_validation=(points, blocks))
-    rows, unpredicted = calibrate._error_rows(cast("Any", result), cast("Any", table))
-    assert [(label, errors.points, count) for label, errors, count in rows] == [
+    errors = calibrate._error_rows(cast("Any", result), cast("Any", table))
+    assert [(label, one.points, count) for label, one, count in errors.rows] == [
         ("fitted", 3, 15),
         ("leave one out", 3, 15),
     ]
-    assert unpredicted == [0]
-    assert "2 blocks left out: no row, because only 1 of 4" in capsys.readouterr().out
+    assert errors.missing_points == [0]
+    assert "2 blocks left out: no row, because only 1 of 4" in errors.remarks[0]

@@ -84,8 +84,8 @@ def test_record_and_replay(frame_csv: Path, tmp_path: Path) -> None:
     """Frames recorded, calibrated from their own peaks elsewhere, replayed bit by bit."""
     recording, settings = tmp_path / "frame.h5", tmp_path / "settings.json"
     settings.write_text('{"scene": {"kind": "calibration-frame"}}', encoding="utf-8")
-    here("record", recording, "--seconds", "0.1", "--settings", settings)
-    assert "never overwritten" in " ".join(here("record", recording, code=2).stderr.split())
+    here("record", recording, "--seconds", "0.1", "--simulation", settings)
+    assert "--force" in " ".join(here("record", recording, code=2).stderr.split())
 
     other = tmp_path / "other.json"
     here("calibrate", frame_csv, "--pixels", "640", "--output", other, *QUICK)
@@ -110,7 +110,7 @@ def check_replay_and_export(recording: Path) -> None:
     assert {message["calibration_id"] for message in messages} == {f"{recording.stem}-nominal"}
     assert any(message["points"] for message in messages)
     export = recording.with_suffix(".csv")
-    here("export", recording, "--to", export)
+    here("export", recording, "--output", export)
     assert "point" in export.read_text(encoding="utf-8")
 
 
@@ -123,7 +123,7 @@ def test_record_of_the_simulated_bar_holds_its_calibration(tmp_path: Path) -> No
 @pytest.mark.slow
 def test_record_of_a_profile_holds_its_calibration(tmp_path: Path) -> None:
     recording = tmp_path / "optotrak.h5"
-    here("record", recording, "--device", "optotrak", "--seconds", "0.02")
+    here("record", recording, "--profile", "optotrak", "--seconds", "0.02")
     check_replay_and_export(recording)
 
 

@@ -13,7 +13,14 @@ from compute.calibration.calibrate import calibrate
 from compute.camera.model import SensorModel
 from service.cli import app
 from service.cli.json_files import DOCUMENT, read_calibration
-from tests.compute.rig import control_points, geometry, project, rig
+from tests.compute.rig import (
+    THIRD_LENS_MM,
+    control_points,
+    geometry,
+    project,
+    rig,
+    turned_about_lens,
+)
 
 SIGMA_PX = 0.05
 
@@ -24,10 +31,8 @@ def drift(*arguments: object) -> Any:
 
 def knocked() -> tuple[SensorModel, ...]:
     """The rig, its third sensor rolled by 4 mrad."""
-    step = np.zeros(7)
-    step[4] = 4e-3
     models = list(rig())
-    models[2] = models[2].retract(step)
+    models[2] = turned_about_lens(models[2], [0.0, 0.0, 4e-3], THIRD_LENS_MM)
     return tuple(models)
 
 

@@ -15,7 +15,7 @@ ROOT = Path(__file__).parents[3]
 
 
 def test_examples_are_read_by_the_commands(tmp_path: Path) -> None:
-    folder = tmp_path / "new" / "examples"
+    folder = tmp_path / "examples"
     here("examples", folder)
     models = read_calibration(folder / "nominal.json").calibration.models
     wand = read_wand(folder / "waved.csv", 2).in_order_of(models)

@@ -5,7 +5,15 @@ from pathlib import Path
 import pytest
 import typer
 
-from service.cli.output import atomic_file, check_output, fail
+from service.cli.output import (
+    atomic_file,
+    check_output,
+    console,
+    fail,
+    make_table,
+    say,
+    say_written,
+)
 
 
 def test_brackets_are_no_markup(capsys: pytest.CaptureFixture[str]) -> None:
@@ -62,3 +70,25 @@ def test_atomic_file_link_its_target_is_replaced(tmp_path: Path) -> None:
         temporary.write_text("new", encoding="utf-8")
     assert link.is_symlink()
     assert target.read_text(encoding="utf-8") == "new"
+
+
+def test_ids_and_paths_are_never_broken_over_lines(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(console, "_width", 40)
+    identity = "radiometric-calibration-2026-11-24T10-00-00Z-of-the-left-bar"
+    console.print(make_table(("id", "note"), [(identity, "a note of several words")], texts=None))
+    say(f"stored as {identity}; activate it")
+    say_written(Path(f"/tmp/{identity}/{identity}.json"))
+    fail(f"there is no calibration {identity}")
+    captured = capsys.readouterr()
+    assert captured.out.count(identity) == 4
+    assert identity in captured.err
+
+
+def test_table_that_fits_keeps_the_terminals_width(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(console, "_width", 40)
+    console.print(make_table(("id", "note"), [("left", "word " * 20)], texts=None))
+    assert max(map(len, capsys.readouterr().out.splitlines())) <= 40

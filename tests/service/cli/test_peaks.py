@@ -72,13 +72,13 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_numpy_array_s_peaks_are_compute_s(array: Path) -> None:
-    found = machine(array, "--width", WIDTH, *GIVEN)
+    found = machine(array, "--line-sigma-px", WIDTH, *GIVEN)
     batch = fit_scans(scenes(), FitSettings(width_px=WIDTH), line_noise(NOISE))
     for line, ours in enumerate(positions(found)):
         assert ours == batch.position_px[line, : batch.count[line]].tolist()
     assert found["assumed"] == []
     assert [scan["index"] for scan in found["scans"]] == [0, 1]
-    one = machine(array, "--scan", 1, "--width", WIDTH, *GIVEN)
+    one = machine(array, "--scan", 1, "--line-sigma-px", WIDTH, *GIVEN)
     assert one["scans"] == found["scans"][1:]
 
 
@@ -94,7 +94,7 @@ def test_csv_says_the_same(array: Path, tmp_path: Path, delimiter: str, header: 
 
 
 def test_a_recording_knows_its_noise(recording: Path) -> None:
-    found = machine(recording, "--frame", 7)
+    found = machine(recording, "--exposure", 7)
     assert found["noise"] == {
         "electrons_per_count": 12.0,
         "read_noise_electrons": 30.0,
@@ -103,13 +103,13 @@ def test_a_recording_knows_its_noise(recording: Path) -> None:
     }
     assert found["assumed"] == []
     assert [len(scan["peaks"]) for scan in found["scans"]] == [1, 1, 1, 1]
-    one = machine(recording, "--frame", 7, "--sensor", "diagonal-rising")
+    one = machine(recording, "--exposure", 7, "--sensor", "diagonal-rising")
     assert one["scans"] == found["scans"][2:3]
-    assert machine(recording, "--frame", 8)["scans"] != found["scans"]
+    assert machine(recording, "--exposure", 8)["scans"] != found["scans"]
     assert [scan["sensor"] for scan in found["scans"]][2] == "diagonal-rising"
-    part = machine(recording, "--frame", 7, "--offset", 60)["noise"]
+    part = machine(recording, "--exposure", 7, "--offset", 60)["noise"]
     assert part == found["noise"] | {"offset_counts": 60.0}
-    given = machine(recording, "--frame", 7, *GIVEN)
+    given = machine(recording, "--exposure", 7, *GIVEN)
     assert given["noise"]["electrons_per_count"] == 10.0
 
 
@@ -168,12 +168,12 @@ def test_recorded_shadows_are_read_as_they_are_live(shadows: Path) -> None:
         device, frame = reader.info.description, reader.chunk(1)[0]
     live = DetectionStage(device, 1, expected_scans(device)).find(frame.lines)
     assert live.count.tolist() == [1, 1, 1]
-    found = machine(shadows, "--frame", 1)
+    found = machine(shadows, "--exposure", 1)
     assert found["method"] == "mask"
     assert positions(found) == [[place] for place in live.position_px[:, 0]]
     # One sensor's line is read with that sensor's shadow.
     for one in (["--sensor", device.sensors[2].name], ["--scan", 2]):
-        assert machine(shadows, "--frame", 1, *one)["scans"] == found["scans"][2:]
+        assert machine(shadows, "--exposure", 1, *one)["scans"] == found["scans"][2:]
     output = shadows.with_name("shadow.png")
     assert "1 peak" in run(shadows, "--output", output).output
     assert output.read_bytes().startswith(b"\x89PNG")
@@ -193,15 +193,15 @@ def test_lines_without_a_shadow_that_is_known(array: Path, recording: Path, shad
 
 
 def test_tables(array: Path, recording: Path) -> None:
-    text = run(array, "--width", WIDTH).output
+    text = run(array, "--line-sigma-px", WIDTH).output
     for part in ("line 0: 3 peaks", "joint", "saturated", "guessed: gain", "full scale"):
         assert part in text
     method = FitMethod(width_px=WIDTH)
     for scan in find_peaks(scenes(), method).scans:
         assert all(f"{peak.position_px:.4f}" in text for peak in scan.peaks)
     assert "guessed" not in run(array, *GIVEN).output
-    assert "diagonal-falling, frame 0: 1 peak" in run(recording).output
-    text = run(array, "--method", "matched", "--width", WIDTH).output
+    assert "diagonal-falling, exposure 0: 1 peak" in run(recording).output
+    text = run(array, "--method", "matched", "--line-sigma-px", WIDTH).output
     assert "the response must exceed" in " ".join(text.split())
     flat = array.with_name("flat.npy")
     np.save(flat, np.full(100, 200))
@@ -258,17 +258,17 @@ def test_floating_counts_are_taken_when_whole(array: Path) -> None:
 def test_what_is_refused(array: Path, recording: Path, tmp_path: Path) -> None:
     assert "no such file" in refusal(tmp_path / "none.csv").lower()
     assert "0 to 1" in refusal(array, "--scan", 2)
-    assert "--frame is for recordings" in refusal(array, "--frame", 0)
+    assert "--exposure is for recordings" in refusal(array, "--exposure", 0)
     assert "--sensor is for recordings" in refusal(array, "--sensor", "a")
-    assert "0 to 49" in refusal(recording, "--frame", 50)
+    assert "0 to 49" in refusal(recording, "--exposure", 50)
     assert "vertical, horizontal" in refusal(recording, "--sensor", "none")
     assert "centroid, fit, chain, matched" in refusal(array, "--method", "best")
-    assert "--width is for" in refusal(array, "--method", "chain", "--width", 2)
-    assert "less than or equal to 16" in refusal(array, "--width", 20)
+    assert "--line-sigma-px is for" in refusal(array, "--method", "chain", "--line-sigma-px", 2)
+    assert "less than or equal to 16" in refusal(array, "--line-sigma-px", 20)
     assert "--gain and --read-noise" in refusal(array, "--gain", 3)
     assert "above full_scale_counts, 1023" in refusal(array, *GIVEN[:-1], 1023)
     assert "end in .png" in refusal(array, "--output", tmp_path / "x.pdf")
-    assert "--detail is for --json" in refusal(array, "--detail")
+    assert "--detail has no effect without --json" in refusal(array, "--detail")
     assert "--further-peaks is for" in refusal(array, "--method", "chain", "--further-peaks")
     assert "less than or equal to 65535" in refusal(array, "--offset", 1e9)
     assert "no folder" in refusal(array, "--output", tmp_path / "no" / "x.png")

@@ -39,7 +39,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_recordings_become_a_file(folder: Path, tmp_path: Path) -> None:
     files = ["--dark", folder / "dark.h5", "--flat", folder / "low.h5", "--flat",
              folder / "high.h5", "--output", tmp_path / "r.json"]  # fmt: skip
-    done = run("estimate", *files, "--light", 1, "--light", 3, "--temperature", 25, "--json")
+    done = run("estimate", *files, "--light", 1, "--light", 3, "--temperature-c", 25, "--json")
     assert done.exit_code == 0, done.output
     figures = json.loads(done.stdout)
     assert len(figures) == 4

@@ -24,7 +24,7 @@ def frame(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder: Path = tmp_path_factory.mktemp("readings")
     settings = folder / "settings.json"
     settings.write_text('{"scene": {"kind": "calibration-frame"}}', encoding="utf-8")
-    here("record", folder / "frame.h5", "--seconds", "0.19", "--settings", settings)
+    here("record", folder / "frame.h5", "--seconds", "0.19", "--simulation", settings)
     return folder / "frame.h5"
 
 
@@ -40,7 +40,7 @@ def targets(path: Path, **changed: object) -> Path:
 
 def test_readings_of_targets_are_those_of_the_cameras(frame: Path, tmp_path: Path) -> None:
     output = tmp_path / "frame.csv"
-    here("readings", frame, "--targets", targets(tmp_path / "targets.json"), "-o", output)
+    here("readings", frame, "--targets", targets(tmp_path / "targets.json"), "--output", output)
     table = read_observations(output)
     assert np.array_equal(table.points_mm, POINTS)
     assert output.read_text(encoding="utf-8").splitlines()[1].startswith("P0,")
@@ -53,8 +53,8 @@ def test_readings_of_targets_are_those_of_the_cameras(frame: Path, tmp_path: Pat
 
 def test_readings_of_still_markers_are_one_pose_of_a_wand(frame: Path, tmp_path: Path) -> None:
     still, every = tmp_path / "still.csv", tmp_path / "every.csv"
-    here("readings", frame, "--still", "-o", still)
-    here("readings", frame, "-o", every)
+    here("readings", frame, "--still", "--output", still)
+    here("readings", frame, "--output", every)
     assert read_wand(still, 19).readings_px.shape == (1, 19, 4)
     poses = read_wand(every, 19).readings_px
     assert poses.shape == (10, 19, 4)
@@ -68,7 +68,9 @@ def test_readings_refuse_with_the_way_out(frame: Path, tmp_path: Path) -> None:
     output = tmp_path / "out.csv"
 
     def refusal(*arguments: str | Path) -> str:
-        return " ".join(here("readings", frame, *arguments, "-o", output, code=2).stderr.split())
+        return " ".join(
+            here("readings", frame, *arguments, "--output", output, code=2).stderr.split()
+        )
 
     wrong = targets(tmp_path / "wrong.json", marker=19)
     assert "markers 0 to 18" in refusal("--targets", wrong)

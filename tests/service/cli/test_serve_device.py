@@ -1,4 +1,4 @@
-"""`lumiline serve --device`: what is prepared, logged and refused, each in one line."""
+"""`lumiline serve --profile`: what is prepared, logged and refused, each in one line."""
 
 import sqlite3
 from contextlib import closing
@@ -14,7 +14,7 @@ from tests.service.renamed_profiles import LENS, WINDOW, renamed_profile
 
 @pytest.fixture(autouse=True)
 def nothing_set(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    for name in ("CONFIG", "DATABASE_URL", "DEVICE"):
+    for name in ("CONFIG", "DATABASE_URL", "PROFILE"):
         monkeypatch.delenv(f"LUMILINE_{name}", raising=False)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("LUMILINE_PORT", "0")
@@ -34,7 +34,7 @@ def devices(tmp_path: Path) -> list[str]:
 
 
 def test_a_built_in_profile(tmp_path: Path) -> None:
-    result = serve(tmp_path, "--device", WINDOW)
+    result = serve(tmp_path, "--profile", WINDOW)
     assert devices(tmp_path) == [WINDOW, "sim"]
     assert f"device {WINDOW}: tracing its optics" in result.stderr
     assert result.stdout == ""
@@ -55,11 +55,11 @@ def test_the_optics_are_ready_before_devices_run(
 
     monkeypatch.setattr(profile_device, "profile_optics", tells)
     monkeypatch.setattr("compute.optics.profiles.profile_optics.profile_optics", tells)
-    first = serve(tmp_path, "--device", LENS)
+    first = serve(tmp_path, "--profile", LENS)
     assert "fitting its calibration" in first.stderr
     assert traced == [(LENS, "exact"), (LENS, "tabulated")]
     assert devices(tmp_path) == ["sim", "thesis-5-9"]
-    second = serve(tmp_path, "--device", LENS)
+    second = serve(tmp_path, "--profile", LENS)
     assert "fitting its calibration" not in second.stderr
     assert traced[2:] == [(LENS, "tabulated")]
 
@@ -69,11 +69,11 @@ def test_ones_own_file_by_option_variable_and_configuration(
 ) -> None:
     for name in ("one", "two", "three"):
         (tmp_path / f"{name}.toml").write_text(renamed_profile(name), "utf-8")
-    serve(tmp_path, "--device", "one.toml")
-    monkeypatch.setenv("LUMILINE_DEVICE", "two.toml")
+    serve(tmp_path, "--profile", "one.toml")
+    monkeypatch.setenv("LUMILINE_PROFILE", "two.toml")
     serve(tmp_path)
-    monkeypatch.delenv("LUMILINE_DEVICE")
-    (tmp_path / "lumiline.toml").write_text('device = "three.toml"\n', "utf-8")
+    monkeypatch.delenv("LUMILINE_PROFILE")
+    (tmp_path / "lumiline.toml").write_text('profile = "three.toml"\n', "utf-8")
     serve(tmp_path)
     assert devices(tmp_path) == ["one", "sim", "three", "two"]
     kept = (tmp_path / "data" / "profiles").iterdir()
@@ -98,24 +98,24 @@ def test_a_profile_that_cannot_be_used(
     text = renamed_profile(WINDOW)
     assert change[0] in text
     (tmp_path / "own.toml").write_text(text.replace(*change), "utf-8")
-    [line] = serve(tmp_path, "--device", "own.toml", code=2).output.splitlines()
-    for word in ("error: setting device: ", *words):
+    [line] = serve(tmp_path, "--profile", "own.toml", code=2).output.splitlines()
+    for word in ("error: setting profile: ", *words):
         assert word in line
     assert devices(tmp_path) == ["sim"]
     assert not (tmp_path / "data" / "profiles").exists()
 
 
 def test_no_such_profile(tmp_path: Path) -> None:
-    [line] = serve(tmp_path, "--device", "optotrack", code=2).output.splitlines()
-    assert 'setting device: profile "optotrack" cannot be read' in line
+    [line] = serve(tmp_path, "--profile", "optotrack", code=2).output.splitlines()
+    assert 'setting profile: profile "optotrack" cannot be read' in line
     assert "optotrak, " in line
 
 
 def test_another_file_of_the_same_name(tmp_path: Path) -> None:
     (tmp_path / "own.toml").write_text(renamed_profile("own"), "utf-8")
-    serve(tmp_path, "--device", "own.toml")
+    serve(tmp_path, "--profile", "own.toml")
     (tmp_path / "own.toml").write_text(renamed_profile("own") + "# changed\n", "utf-8")
-    [line] = serve(tmp_path, "--device", "own.toml", code=2).output.splitlines()
+    [line] = serve(tmp_path, "--profile", "own.toml", code=2).output.splitlines()
     assert "another profile of this name is in use" in line
 
 
@@ -125,7 +125,7 @@ def test_a_folder_of_profiles_that_cannot_be_written(tmp_path: Path) -> None:
     (tmp_path / "data" / "profiles").write_text("", "utf-8")
     [line] = [
         line
-        for line in serve(tmp_path, "--device", "own.toml", code=1).output.splitlines()
+        for line in serve(tmp_path, "--profile", "own.toml", code=1).output.splitlines()
         if line.startswith("error: ")
     ]
     assert "data directory" in line

@@ -19,7 +19,7 @@ def test_a_pseudo_terminal_that_sends_parts(tmp_path: Path) -> None:
     link = tmp_path / "bar"
     process = subprocess.Popen(
         [sys.executable, "-m", "service.cli", "simulate-serial", "--pty", "--link", str(link),
-         "--rate", "100", "--cycle", "8", "--part", "512"],
+         "--rate-hz", "100", "--cycle", "8", "--part", "512"],
         stdout=subprocess.PIPE, text=True,
     )  # fmt: skip
     with process:
@@ -45,9 +45,9 @@ def test_a_pseudo_terminal_that_sends_parts(tmp_path: Path) -> None:
         (["--pty", "--listen", "127.0.0.1:5000"], "one of --listen HOST:PORT and --pty"),
         (["--listen", "5000"], "must be HOST:PORT"),
         (["--listen", "127.0.0.1:70000"], "must be HOST:PORT"),
-        (["--listen", "127.0.0.1:0", "--rate", "0"], "frame_rate_hz is 0"),
-        (["--listen", "127.0.0.1:0", "--settings", "{folder}/none.json"], "No such file"),
-        (["--listen", "127.0.0.1:0", "--settings", "{folder}/bad.json"], "colour"),
+        (["--listen", "127.0.0.1:0", "--rate-hz", "0"], "--rate-hz"),
+        (["--listen", "127.0.0.1:0", "--simulation", "{folder}/none.json"], "No such file"),
+        (["--listen", "127.0.0.1:0", "--simulation", "{folder}/bad.json"], "colour"),
         (["--pty", "--link", "{folder}/bad.json"], "is no symbolic link"),
     ],
 )

@@ -86,7 +86,7 @@ class Clients:
 
     def _run(self, client: httpx.Client, number: int) -> None:
         body = {"device_id": "sim", "points": POINTS, "result_id": f"run-{self._name}-{number}"}
-        made = self._answer(client.post("/api/v1/calibration-runs", json=body))
+        made = self._answer(client.post("/api/v1/runs/calibration", json=body))
         if made is not None:
             self.runs.append(made["id"])
         self._stopping.wait(0.3)

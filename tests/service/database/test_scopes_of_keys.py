@@ -40,6 +40,9 @@ _FORMER_TEXT: Final = {
 FORMER: Final = {scope: frozenset(names.split()) for scope, names in _FORMER_TEXT.items()}
 """Operations that each former scope allowed, those that only read apart."""
 
+LATER: Final = {"admin:webhooks"}
+"""Scopes that came after the former ones: no former key gets them."""
+
 CHANGED: Final = frozenset[str]().union(*FORMER.values())
 
 
@@ -48,7 +51,9 @@ def test_a_former_scope_and_its_replacement_allow_the_same() -> None:
     for former, scopes in REPLACED.items():
         now = {name for name, scope in OPERATION_SCOPES.items() if scope in scopes}
         assert now & CHANGED == FORMER[former] & OPERATION_SCOPES.keys(), former
-    assert set().union(*REPLACED.values()) | {"read:stream", "read:calibration"} == set(SCOPES)
+    assert (
+        set().union(*REPLACED.values()) | {"read:stream", "read:calibration"} == set(SCOPES) - LATER
+    )
 
 
 def store_scopes(database: Database, *sets: list[str]) -> list[str]:
@@ -87,7 +92,7 @@ def test_keys_of_a_former_database(database: Database) -> None:
         {"read:stream"},
         {"read:calibration", *REPLACED["write:calibration"]},
         {*REPLACED["admin:hardware"], *REPLACED["admin:keys"]},
-        set(SCOPES),
+        set(SCOPES) - LATER,
     ]
     step(database, "downgrade", "0012")
     assert scopes_of(database, ids) == [set(scopes) for scopes in former]

@@ -77,13 +77,21 @@ class Tools:
         measurements: Measurements,
         marker: int | None,
         points: PointBatch | None,
+        exposure_ns: int,
     ) -> tuple[ToolPose, ...]:
         self.steps.append((time_ns, sequence, marker, None if points is None else len(points)))
         if len(self.steps) > 2 and any(tool.name == "late" for tool in self.tools):
             raise ZeroDivisionError("of the tools")
         return tuple(
             ToolPose(
-                tool.name, PoseStatus.OK, None, time_ns, sequence, np.eye(3), np.zeros(3), np.eye(6)
+                tool.name,
+                PoseStatus.OK,
+                None,
+                exposure_ns,
+                sequence,
+                np.eye(3),
+                np.zeros(3),
+                np.eye(6),
             )
             for tool in self.tools
         )

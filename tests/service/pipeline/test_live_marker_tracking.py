@@ -168,9 +168,9 @@ def test_a_recording_is_tracked_again_with_the_settings_given(taken: Taken, tmp_
         json.dumps({"id": "sim", "tracking": how.model_dump(mode="json")})
     )
     texts = []
-    for option in ((), ("--device", device)):
+    for option in ((), ("--device-file", device)):
         to = tmp_path / f"{len(option)}.csv"
-        here("export", source, "--to", to, *option)
+        here("export", source, "--output", to, *option)
         texts.append([line for line in to.read_text().splitlines() if ",track," in line])
     assert len(texts[1]) == len(live.tracks.identity)
     assert texts[0] != texts[1]

@@ -35,7 +35,7 @@ SCENE: dict[str, Any] = {"kind": "still-points", "points_mm": POINTS_MM}
 def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[httpx.Client]:
     """A server that knows the device of thesis-5.9; its simulated bar leaves it the processor."""
     folder = tmp_path_factory.mktemp("profiles")
-    settings = Settings(data_dir=folder, device=LENS)
+    settings = Settings(data_dir=folder, profile=LENS)
     folder.mkdir(exist_ok=True)
     database = Database(settings.effective_database_url)
     prepare(settings, database)
@@ -120,7 +120,7 @@ def test_settings_that_a_recording_cannot_have(
     monkeypatch.chdir(tmp_path)
     if given is not None:
         Path("settings.json").write_text(given, "utf-8")
-    record = ["record", "device.h5", "--device", LENS, "--settings", "settings.json"]
+    record = ["record", "device.h5", "--profile", LENS, "--simulation", "settings.json"]
     refused = CliRunner().invoke(app, record)
     assert refused.exit_code == 2, refused.output
     assert words in " ".join(refused.output.split())
@@ -131,8 +131,8 @@ def test_settings_that_a_recording_cannot_have(
 def test_a_recording_has_the_devices_bits(tmp_path: Path, name: str) -> None:
     recording, given = tmp_path / "device.h5", tmp_path / "settings.json"
     given.write_text(json.dumps({"optics": "exact", "frame_rate_hz": 30}), "utf-8")
-    record = ["record", str(recording), "--device", name, "--seconds", "0.3"]
-    done = CliRunner().invoke(app, [*record, "--settings", str(given)])
+    record = ["record", str(recording), "--profile", name, "--seconds", "0.3"]
+    done = CliRunner().invoke(app, [*record, "--simulation", str(given)])
     assert done.exit_code == 0, done.output
 
     settings = ProfileSettings(optics="exact", frame_rate_hz=30, realtime=False)
@@ -159,8 +159,8 @@ def test_a_recording_is_reconstructed(tmp_path: Path) -> None:
     given = tmp_path / "settings.json"
     given.write_text(json.dumps({"optics": "exact", "scene": SCENE}), "utf-8")
     calibration.write_bytes(DOCUMENT.dump_json(nominal_calibration(load_profile(LENS))))
-    record = ["record", str(recording), "--device", LENS, "--seconds", "0.2"]
-    done = CliRunner().invoke(app, [*record, "--settings", str(given)])
+    record = ["record", str(recording), "--profile", LENS, "--seconds", "0.2"]
+    done = CliRunner().invoke(app, [*record, "--simulation", str(given)])
     assert done.exit_code == 0, done.output
     outputs = [tmp_path / "first.jsonl", tmp_path / "second.jsonl"]
     for output in outputs:

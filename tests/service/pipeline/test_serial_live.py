@@ -29,7 +29,7 @@ def plugged_in(port: int) -> Iterator[None]:
     """A simulated device in a process of its own."""
     process = subprocess.Popen(
         [sys.executable, "-m", "service.cli", "simulate-serial",
-         "--listen", f"127.0.0.1:{port}", "--rate", "200", "--cycle", "8"],
+         "--listen", f"127.0.0.1:{port}", "--rate-hz", "200", "--cycle", "8"],
         stdout=subprocess.PIPE, text=True,
     )  # fmt: skip
     with process:

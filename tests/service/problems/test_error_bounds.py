@@ -43,7 +43,7 @@ BODIES = {
     "unknown members of a point": (
         "calibrations", {"device_id": "sim", "points": [dict.fromkeys(NAMES, 1)] * 100},
     ),
-    "a run's points": ("calibration-runs", {"device_id": "sim", "points": [{}] * 9000}),
+    "a run's points": ("runs/calibration", {"device_id": "sim", "points": [{}] * 9000}),
     "targets": ("captures", {"device_id": "sim", "targets": [{}] * 9000}),
     "scans of texts": ("line-scans", {"method": "fit", "scans": [["x"] * 5000] * 8}),
     "a surface's vertices": (

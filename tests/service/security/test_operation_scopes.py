@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +14,7 @@ from service.security import guard
 from service.security.guard import Guard, check_complete
 from service.security.operation_scopes import OPERATION_SCOPES
 from service.settings import Settings
+from tests.openapi_document import openapi_document
 from tests.service.fake_pipeline import FakePipeline, TestClient
 from tests.service.security.conftest import Secured
 from tests.service.security.documented_scopes import documented, documented_tasks
@@ -24,11 +24,6 @@ def test_the_guide_says_what_the_code_does() -> None:
     rows = documented()
     assert {row.operation: row.scope for row in rows} == OPERATION_SCOPES
     assert len(rows) == len(OPERATION_SCOPES)
-
-
-@cache
-def contract() -> dict[str, Any]:
-    return create_app(Settings()).openapi()
 
 
 def test_the_tables_of_the_guide_are_made_from_the_code() -> None:
@@ -47,14 +42,14 @@ def test_the_guide_proposes_scopes_that_there_are() -> None:
 
 def test_the_guide_names_each_request_as_the_contract_does() -> None:
     asked = {row.operation: f"{row.method} {row.path}" for row in documented()}
-    paths = contract()["paths"]
+    paths = openapi_document()["paths"]
     for path, item in paths.items():
         for method, operation in item.items():
             assert asked[operation["operationId"]] == f"{method.upper()} {path}"
 
 
 def test_the_contract_shows_the_scope_of_every_operation() -> None:
-    document = contract()
+    document = openapi_document()
     assert set(document["components"]["securitySchemes"]) == {"key"}
     for scope, meaning in SCOPE_MEANINGS.items():
         assert (

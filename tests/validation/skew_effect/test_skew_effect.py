@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import typer
+from typer.testing import CliRunner
 
 from compute.calibration.calibrate import calibrate
 from compute.camera.model import SensorGeometry
@@ -12,7 +12,7 @@ from compute.camera.stack import CameraStack
 from compute.optics.pixel_row import PixelRow
 from compute.optics.stripe_optics.stripe_profile import Blur
 from compute.optics.stripe_optics.traced_stripes import TracedStripes
-from service.cli.reproduce import reproduce
+from service.cli import app
 from validation.aberrations.thesis_lens import ROW, WIDTH_MM, StopPlace, stopped_lens
 from validation.all_cases import ALL_CASES
 from validation.result_tables import TablesCase
@@ -127,11 +127,11 @@ def test_the_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert (tmp_path / "skew.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_output_is_for_cases_with_a_picture(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    for name in ("test-5.4", "all", None):
-        with pytest.raises(typer.Exit):
-            reproduce(name, as_json=False, output=tmp_path / "none.png")
-        assert "skew-effect" in capsys.readouterr().err
+def test_output_is_for_cases_with_a_picture(tmp_path: Path) -> None:
+    for words, said in ((["test-5.4"], "skew-effect"), (["all"], "skew-effect"), ([], "a case")):
+        result = CliRunner().invoke(
+            app, ["reproduce", *words, "--output", str(tmp_path / "none.png")]
+        )
+        assert result.exit_code == 2
+        assert said in result.stderr
     assert not (tmp_path / "none.png").exists()

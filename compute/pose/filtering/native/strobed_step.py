@@ -22,8 +22,9 @@ from compute.pose.filtering.native.definitions import (
 from compute.pose.filtering.pose_filter import STATES, PoseState, ReportedPose
 from compute.pose.rigid_body import CentredMarkers
 from compute.reconstruction.native.definitions import MAX_POWER, fill_cameras, row_length
-from compute.reconstruction.solver import MAX_SENSORS, MIN_CAPACITY, address, term_capacity
+from compute.reconstruction.solver import MAX_SENSORS, MIN_CAPACITY, term_capacity
 from compute.reconstruction.triangulation import chi2_limit
+from compute.warp_host import PackedLaunch, address
 
 if TYPE_CHECKING:
     from compute.measurement.measurements import Measurements
@@ -251,12 +252,14 @@ class StrobedStepKernel:
         self._words = step.view(np.uint64)[:FRAME_WORDS]
         self._numbers = step.view(np.float64)[FRAME_WORDS : FRAME_WORDS + FRAME_NUMBERS]
         # Loads the kernel now, not at the first frame.
-        self._launch = wp.launch(
-            step_kernel(sensors, term_capacity(model.cameras)),
-            dim=1,
-            inputs=[address(step)],
-            device="cpu",
-            record_cmd=True,
+        self._launch = PackedLaunch(
+            wp.launch(
+                step_kernel(sensors, term_capacity(model.cameras)),
+                dim=1,
+                inputs=[address(step)],
+                device="cpu",
+                record_cmd=True,
+            )
         )
 
     def take(
@@ -352,7 +355,7 @@ class StrobedStepKernel:
     def _run(self, before: ImmState, time_ns: int, manoeuvre_factor: float) -> None:
         step_s = 1e-9 * (time_ns - before.widest_state.time_ns)
         self._numbers[:] = step_s, self._switch_probability(step_s), manoeuvre_factor
-        self._launch.launch()
+        self._launch.run()
 
     def _keep(self, values: NDArray[Any]) -> int:
         array = np.ascontiguousarray(values)

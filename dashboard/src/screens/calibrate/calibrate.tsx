@@ -1,16 +1,22 @@
-/** Calibrate: light check, targets, capture, run, result, activation, one step after the other. */
+/** Calibrate, map, check for drift: light check, targets or wand, capture, run, result, activation, one after the other. */
 
 import { useSignal } from "@preact/signals";
+import type { ComponentChildren } from "preact";
 import { api, type Schemas, sent } from "../../api/client";
 import { device, type Device, loadDevices } from "../../devices";
 import { usePolled } from "../../live/polling";
 import { text } from "../../text";
 import { time } from "../../ui/format";
 import { Action, Badge, Failure, Panel, Table } from "../../ui/parts";
-import { CaptureSession } from "./capture_session";
+import { type Capture, CaptureRun, CaptureSession } from "./capture_session";
+import { DriftCheckOf } from "./drift_wizard";
+import { FormerTargets } from "./former_targets";
 import { LightCheck } from "./light_check";
+import { CorrectionTables, MappingRun } from "./mapping";
 import { CalibrationResult } from "./result";
+import { Sessions } from "./sessions";
 import { parseTargets, type Target } from "./targets";
+import { WandCalibration } from "./wand";
 
 type Summary = Schemas["CalibrationSummary"];
 
@@ -21,18 +27,54 @@ export function Calibrate() {
 
 function DeviceCalibration({ device: shown }: { device: Device }) {
   const calibration = useSignal<string | null>(null);
+  const way = useSignal<Way>("frame");
+  const table = useSignal<string | null>(null);
+  const calibrated = (id: string) => (calibration.value = id);
+  const purposes: Record<Exclude<Way, "wand">, (capture: Capture) => ComponentChildren> = {
+    frame: (capture) => <CaptureRun capture={capture} calibrated={calibrated} />,
+    mapping: (capture) => <MappingRun capture={capture} mapped={(id) => (table.value = id)} />,
+    drift: (capture) => <DriftCheckOf capture={capture} device={shown} updated={calibrated} />,
+  };
   return (
     <>
       <LightCheck device={shown} />
-      <Captures device={shown} calibrated={(id) => (calibration.value = id)} />
-      {calibration.value ? <CalibrationResult key={calibration.value} id={calibration.value} device={shown} /> : null}
-      <Calibrations device={shown} open={(id) => (calibration.value = id)} />
+      <Ways chosen={way.value} choose={(one) => (way.value = one)} />
+      {way.value === "wand" ? (
+        <WandCalibration device={shown} calibrated={calibrated} />
+      ) : (
+        <Captures device={shown} purpose={purposes[way.value]} />
+      )}
+      {way.value === "mapping" ? <CorrectionTables device={shown} table={table} /> : null}
+      {calibration.value ? (
+        <CalibrationResult key={calibration.value} id={calibration.value} device={shown} open={calibrated} />
+      ) : null}
+      <Calibrations device={shown} open={calibrated} />
     </>
   );
 }
 
+/** What is to be done; one more is one more line. */
+const WAYS = ["frame", "wand", "mapping", "drift"] as const;
+type Way = (typeof WAYS)[number];
+
+function Ways({ chosen, choose }: { chosen: Way; choose: (way: Way) => void }) {
+  return (
+    <Panel title={text.calibrate.way}>
+      <fieldset class="row">
+        <legend class="hidden">{text.calibrate.way}</legend>
+        {WAYS.map((way) => (
+          <label key={way}>
+            <input type="radio" name="way" checked={chosen === way} onChange={() => choose(way)} /> {text.calibrate.ways[way]}
+          </label>
+        ))}
+      </fieldset>
+      <p class="muted">{text.way.help[chosen]}</p>
+    </Panel>
+  );
+}
+
 /** The open capture session, or what begins one. */
-function Captures({ device: shown, calibrated }: { device: Device; calibrated: (id: string) => void }) {
+function Captures({ device: shown, purpose }: { device: Device; purpose: (capture: Capture) => ComponentChildren }) {
   const session = useSignal<string | null>(null);
   const captures = usePolled(`captures ${shown.id}`, () =>
     sent(api.GET("/api/v1/captures", { params: { query: { device_id: shown.id, limit: 20 } } })),
@@ -44,30 +86,18 @@ function Captures({ device: shown, calibrated }: { device: Device; calibrated: (
         id={session.value}
         device={shown}
         close={() => (session.value = null)}
-        calibrated={calibrated}
+        purpose={purpose}
       />
     );
   return (
     <>
       <NewSession device={shown} begun={(id) => (session.value = id)} />
-      <Panel title={text.calibrate.sessions}>
-        <Failure message={captures.error} />
-        <Table
-          caption={text.calibrate.sessions}
-          columns={[text.calibrate.session, text.calibrate.done, text.column.created, text.column.action]}
-          rows={captures.value?.items ?? []}
-          identity={({ id }) => id}
-          empty={captures.value ? text.calibrate.noSessions : text.loading}
-          row={(one) => [
-            one.id,
-            text.calibrate.progress(one.captured.length, one.targets.length),
-            time(one.created_at),
-            <button type="button" onClick={() => (session.value = one.id)}>
-              {text.calibrate.resume}
-            </button>,
-          ]}
-        />
-      </Panel>
+      <Sessions
+        polled={captures}
+        column={text.calibrate.done}
+        done={({ captured, targets }) => text.calibrate.progress(captured.length, targets.length)}
+        open={(id) => (session.value = id)}
+      />
     </>
   );
 }
@@ -100,6 +130,7 @@ function NewSession({ device: shown, begun }: { device: Device; begun: (id: stri
           />
         </label>
       </div>
+      <FormerTargets device={shown} take={(content) => (table.value = content)} />
       <label>
         {text.calibrate.table}
         <textarea rows={5} value={table.value} onInput={(event) => (table.value = event.currentTarget.value)} />

@@ -1,6 +1,7 @@
-/** One capture session: the next target large, coverage as it grows, then the calibration. */
+/** One capture session: the next target large, coverage as it grows, then what is made of it. */
 
 import { useSignal } from "@preact/signals";
+import type { ComponentChildren } from "preact";
 import { useEffect, useRef } from "preact/hooks";
 import { api, RequestFailed, type Schemas, sent } from "../../api/client";
 import { allowed, scopeOf } from "../../api/session";
@@ -9,20 +10,22 @@ import { usePolled } from "../../live/polling";
 import { text } from "../../text";
 import { position, significant } from "../../ui/format";
 import { Action, Failure, Panel, Table } from "../../ui/parts";
+import { RunAction } from "../../ui/run_action";
 import { coverage } from "./coverage";
+import { tone } from "./tone";
 
-type Capture = Schemas["Capture"];
-type Run = Schemas["Run"];
+export type Capture = Schemas["Capture"];
 const OPERATION = "POST /api/v1/captures/{capture_id}/capture";
 
 interface SessionProps {
   id: string;
   device: Device;
   close: () => void;
-  calibrated: (calibration: string) => void;
+  /** What is made of the captured targets. */
+  purpose: (capture: Capture) => ComponentChildren;
 }
 
-export function CaptureSession({ id, device, close, calibrated }: SessionProps) {
+export function CaptureSession({ id, device, close, purpose }: SessionProps) {
   const session = usePolled(`capture ${id}`, () =>
     sent(api.GET("/api/v1/captures/{capture_id}", { params: { path: { capture_id: id } } })),
   );
@@ -45,22 +48,9 @@ export function CaptureSession({ id, device, close, calibrated }: SessionProps) 
         <CapturedTable capture={capture} refresh={session.refresh} />
       </Panel>
       <CoveragePanel capture={capture} device={device} />
-      <RunPanel capture={capture} calibrated={calibrated} />
+      {purpose(capture)}
     </>
   );
-}
-
-/** Short tones tell whoever holds the marker, and does not look, what happened. */
-function tone(hertz: number, seconds: number): void {
-  const context = new AudioContext();
-  const oscillator = context.createOscillator();
-  const gain = context.createGain();
-  gain.gain.value = 0.1;
-  oscillator.frequency.value = hertz;
-  oscillator.connect(gain).connect(context.destination);
-  oscillator.start();
-  oscillator.stop(context.currentTime + seconds);
-  oscillator.onended = () => void context.close();
 }
 
 function NextTarget({ capture, refresh }: { capture: Capture; refresh: () => Promise<void> }) {
@@ -181,61 +171,28 @@ function CoveragePanel({ capture, device }: { capture: Capture; device: Device }
 }
 
 /** Computes the calibration of what is captured. */
-function RunPanel({ capture, calibrated }: { capture: Capture; calibrated: (calibration: string) => void }) {
-  const run = useSignal<string | null>(null);
-  const now = usePolled<Run | null>(
-    `run ${run.value}`,
-    async () =>
-      run.value === null
-        ? null
-        : await sent(api.GET("/api/v1/runs/{run_id}", { params: { path: { run_id: run.value } } })),
-    0.5,
-  );
-  const state = now.value?.state;
-  const result = state === "succeeded" ? (now.value?.result_id ?? null) : null;
-  useEffect(() => {
-    if (result) calibrated(result);
-  }, [result]);
-  const active = run.value !== null && (state === undefined || state === "queued" || state === "running");
+export function CaptureRun({ capture, calibrated }: { capture: Capture; calibrated: (calibration: string) => void }) {
   return (
     <Panel title={text.calibrate.compute}>
-      <div class="row">
-        <Action
-          label={text.calibrate.computeAction}
-          kind="primary"
-          operation="POST /api/v1/calibration-runs"
-          disabled={active || capture.captured.length === 0}
-          run={async () => {
-            const body = {
-              device_id: capture.device_id,
-              capture_id: capture.id,
-              distortion: "auto" as const,
-              loss: "linear" as const,
-              labels: "report" as const,
-              allow_incomplete: capture.left > 0,
-              note: "",
-            };
-            run.value = (await sent(api.POST("/api/v1/calibration-runs", { body }))).id;
-          }}
-        />
-        {active && now.value ? (
-          <>
-            <progress max={1} value={now.value.progress} aria-label={text.column.progress} />
-            <span>{now.value.stage}</span>
-            <Action
-              label={text.health.cancel}
-              operation="POST /api/v1/runs/{run_id}/cancel"
-              run={() =>
-                sent(api.POST("/api/v1/runs/{run_id}/cancel", { params: { path: { run_id: run.value ?? "" } } }))
-              }
-              done={now.refresh}
-            />
-          </>
-        ) : null}
-      </div>
+      <RunAction
+        label={text.calibrate.computeAction}
+        operation="POST /api/v1/runs/calibration"
+        disabled={capture.captured.length === 0}
+        start={() => {
+          const body = {
+            device_id: capture.device_id,
+            capture_id: capture.id,
+            distortion: "auto" as const,
+            loss: "linear" as const,
+            labels: "report" as const,
+            allow_incomplete: capture.left > 0,
+            note: "",
+          };
+          return sent(api.POST("/api/v1/runs/calibration", { body }));
+        }}
+        done={calibrated}
+      />
       {capture.left > 0 ? <p class="muted">{text.calibrate.incomplete(capture.left)}</p> : null}
-      {state === "cancelled" || state === "interrupted" ? <p>{text.calibrate.ended(state)}</p> : null}
-      <Failure message={now.value?.problem?.detail ?? now.error} />
     </Panel>
   );
 }

@@ -1,4 +1,4 @@
-/** A calibration: errors of points that it did not use first, suspect labels, comparison, activation. */
+/** A calibration: errors of points or lengths that it did not use first, suspect labels, comparison, activation. */
 
 import { useSignal } from "@preact/signals";
 import { api, type Schemas, sent } from "../../api/client";
@@ -7,11 +7,19 @@ import { usePolled } from "../../live/polling";
 import { text } from "../../text";
 import { position, significant } from "../../ui/format";
 import { Action, Badge, Failure, Panel, Table } from "../../ui/parts";
+import { Labels } from "./labels";
 
 type Document = Schemas["CalibrationDocument"];
 type Errors = Schemas["PointErrors"] | null | undefined;
 
-export function CalibrationResult({ id, device }: { id: string; device: Device }) {
+interface ResultProps {
+  id: string;
+  device: Device;
+  /** Shows another calibration. */
+  open: (id: string) => void;
+}
+
+export function CalibrationResult({ id, device, open }: ResultProps) {
   const calibration = usePolled(
     `calibration ${id}`,
     () => sent(api.GET("/api/v1/calibrations/{calibration_id}", { params: { path: { calibration_id: id } } })),
@@ -41,33 +49,53 @@ export function CalibrationResult({ id, device }: { id: string; device: Device }
       }
     >
       <Failure message={calibration.error} />
-      {found ? <Details calibration={found} active={active ? null : device.active_calibration_id} /> : null}
+      {found ? <Details calibration={found} active={active ? null : device.active_calibration_id} open={open} /> : null}
     </Panel>
   );
 }
 
-function Details({ calibration, active }: { calibration: Document; active: string | null }) {
+interface DetailsProps {
+  calibration: Document;
+  active: string | null;
+  open: (id: string) => void;
+}
+
+function Details({ calibration, active, open }: DetailsProps) {
   const { errors, result } = calibration;
   const rows: [string, Errors][] = [
     [text.calibrate.leaveOneOut, errors.leave_one_out],
     [text.calibrate.blocksLeftOut, errors.blocks_left_out],
     [text.calibrate.fitted, errors.fitted],
   ];
+  const lengths = errors.lengths_left_out;
+  const waved = calibration.provenance === "self-calibrated";
   return (
     <>
-      <Table
-        caption={text.calibrate.errors}
-        columns={[text.calibrate.errors, text.calibrate.points, text.calibrate.meanError, text.calibrate.maxError]}
-        rows={rows.filter(([, one]) => one?.statistics)}
-        identity={([name]) => name}
-        empty={text.calibrate.noErrors}
-        row={([name, one]) => [
-          name,
-          one?.statistics?.points ?? 0,
-          one?.statistics?.mean_absolute_mm.map((value) => significant(value, 2)).join(", ") ?? "",
-          one?.statistics?.max_absolute_mm.map((value) => significant(value, 2)).join(", ") ?? "",
-        ]}
-      />
+      {calibration.note ? <p class="muted">{calibration.note}</p> : null}
+      {waved ? (
+        <Table
+          caption={text.wand.lengths}
+          columns={[text.wand.lengths, text.wand.heldOut, text.wand.rms, text.wand.mean, text.wand.max]}
+          rows={lengths ? [lengths] : []}
+          identity={() => "lengths"}
+          empty={text.wand.noLengths}
+          row={(one) => [
+            text.wand.lengthsLeftOut,
+            one.poses,
+            significant(one.rms_mm, 3),
+            significant(one.mean_mm, 2),
+            significant(one.max_mm, 3),
+          ]}
+        />
+      ) : null}
+      {waved
+        ? result.diagnosis?.remarks.map((remark) => (
+            <p key={remark} class="banner warn" role="alert">
+              {remark}
+            </p>
+          ))
+        : null}
+      {waved ? null : <ControlPointErrors rows={rows} />}
       <Table
         caption={text.calibrate.fits}
         columns={[text.light.sensor, text.calibrate.points, text.calibrate.rms, text.calibrate.sigma, text.calibrate.chi2]}
@@ -82,14 +110,14 @@ function Details({ calibration, active }: { calibration: Document; active: strin
           significant(fit.chi2_per_dof, 3),
         ]}
       />
-      {result.diagnosis?.remarks.length ? (
+      {!waved && result.diagnosis?.remarks.length ? (
         <ul>
           {result.diagnosis.remarks.map((remark) => (
             <li key={remark}>{remark}</li>
           ))}
         </ul>
       ) : null}
-      <Labels calibration={calibration} />
+      {waved ? null : <Labels calibration={calibration} open={open} />}
       {result.diagnosis?.suggestions.length ? (
         <p>
           {text.calibrate.suggestions}{" "}
@@ -101,23 +129,19 @@ function Details({ calibration, active }: { calibration: Document; active: strin
   );
 }
 
-/** Labels that look wrong; each is judged by a person, and left out of the next run if it is. */
-function Labels({ calibration }: { calibration: Document }) {
-  const findings = calibration.result.labels;
-  if (!findings.length) return <p>{text.calibrate.labelsGood}</p>;
+function ControlPointErrors({ rows }: { rows: readonly [string, Errors][] }) {
   return (
     <Table
-      caption={text.calibrate.labels}
-      columns={[text.column.kind, text.light.sensor, text.calibrate.points, text.calibrate.probability, text.column.residual]}
-      rows={findings}
-      identity={(one) => `${one.kind} ${one.sensor} ${one.points.join()}`}
-      empty=""
-      row={(one) => [
-        one.kind,
-        one.sensor ?? text.calibrate.allSensors,
-        one.points.map((point) => calibration.points[point]?.name ?? `${point + 1}`).join(", "),
-        significant(one.probability, 3),
-        one.normalised_residual.map((value) => significant(value, 2)).join(", "),
+      caption={text.calibrate.errors}
+      columns={[text.calibrate.errors, text.calibrate.points, text.calibrate.meanError, text.calibrate.maxError]}
+      rows={rows.filter(([, one]) => one?.statistics)}
+      identity={([name]) => name}
+      empty={text.calibrate.noErrors}
+      row={([name, one]) => [
+        name,
+        one?.statistics?.points ?? 0,
+        one?.statistics?.mean_absolute_mm.map((value) => significant(value, 2)).join(", ") ?? "",
+        one?.statistics?.max_absolute_mm.map((value) => significant(value, 2)).join(", ") ?? "",
       ]}
     />
   );

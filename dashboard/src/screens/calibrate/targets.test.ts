@@ -1,5 +1,5 @@
 import { describe, expect, test } from "vitest";
-import { parseTargets } from "./targets";
+import { parseTargets, targetsTable } from "./targets";
 
 describe("table of targets", () => {
   test("comma, decimal points", () => {
@@ -32,4 +32,15 @@ describe("table of targets", () => {
   ])("%j is refused with %j", (table, words) => {
     expect(() => parseTargets(table)).toThrow(words);
   });
+});
+
+test.each([
+  [[{ name: "a, b; c", position_mm: [1.5, -2e-7, 3] as [number, number, number], marker: 4 }]],
+  [[{ name: "<b>", position_mm: [1, 2, 3] as [number, number, number], marker: null }]],
+])("targets are read as they were written", (targets) => {
+  expect(parseTargets(targetsTable(targets))).toEqual(targets);
+});
+
+test("a tab in a name would be a column", () => {
+  expect(parseTargets(targetsTable([{ name: "a\tb", position_mm: [1, 2, 3], marker: null }]))[0]?.name).toBe("a b");
 });

@@ -47,6 +47,13 @@ export function parseTargets(table: string): Target[] {
   return targets;
 }
 
+/** Return targets as a table that `parseTargets` reads. */
+export function targetsTable(targets: readonly Pick<Target, "name" | "position_mm" | "marker">[]): string {
+  const markers = targets.some(({ marker }) => marker !== null);
+  const rows = targets.map(({ name, position_mm, marker }) => [name.replaceAll(/[\t\r\n]/g, " "), ...position_mm, ...(markers ? [marker ?? ""] : [])]);
+  return [["name", "X [mm]", "Y [mm]", "Z [mm]", ...(markers ? ["marker"] : [])], ...rows].map((row) => row.join("\t")).join("\n");
+}
+
 function cells(line: string, separator: string): string[] {
   return line.split(separator).map((cell) => cell.trim().replace(/^"(.*)"$/, "$1").trim());
 }

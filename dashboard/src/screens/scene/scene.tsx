@@ -1,6 +1,7 @@
 /** The scene: sensors, markers and tools in 3D, and the same as tables. */
 
-import { useSignal } from "@preact/signals";
+import { type ReadonlySignal, useSignal } from "@preact/signals";
+import type { ComponentChildren } from "preact";
 import { useEffect, useRef } from "preact/hooks";
 import { api, type Schemas, sent } from "../../api/client";
 import { device } from "../../devices";
@@ -26,7 +27,33 @@ export function Scene() {
 
 function DeviceScene({ device: shown }: { device: Schemas["Device"] }) {
   const stream = useDeviceStream(shown.id, ["points", "tracks", "tools"], RATE_HZ);
-  const state = useRef(new SceneState()).current;
+  const active = shown.active_calibration_id;
+  return (
+    <>
+      <ScenePicture frame={stream.frame} calibration={active} state={useRef(new SceneState()).current}>
+        <StreamBanner stream={stream} />
+      </ScenePicture>
+      {active === null ? <p class="muted">{text.scene.noCalibration}</p> : null}
+    </>
+  );
+}
+
+interface ScenePictureProps {
+  /** What is shown, live or recorded. */
+  frame: ReadonlySignal<Frame | null>;
+  /** The calibration of its points; null: none. */
+  calibration: string | null;
+  /** What earlier frames leave to be shown. */
+  state: SceneState;
+  /** The same frames by a second calibration, in another colour. */
+  second?: SceneState | null;
+  /** Over the picture. */
+  children?: ComponentChildren;
+}
+
+/** Frames in 3D, and the same as tables. */
+export function ScenePicture(props: ScenePictureProps) {
+  const { state, calibration: active } = props;
   const selected = useSignal<Picked | null>(null);
   const view = useSignal<View>("free");
   const factor = useSignal<number>(100);
@@ -34,7 +61,6 @@ function DeviceScene({ device: shown }: { device: Schemas["Device"] }) {
   const canvas = useRef<HTMLCanvasElement>(null);
   const picture = useRef<SceneView | null>(null);
   const impossible = useSignal(false);
-  const active = shown.active_calibration_id;
   const calibration = usePolled(
     `calibration ${active}`,
     async () =>
@@ -79,20 +105,21 @@ function DeviceScene({ device: shown }: { device: Schemas["Device"] }) {
       if (frame) state.take(frame);
       const chosen = selected.value;
       const markers = frame ? state.markers : [];
-      picture.current?.setMarkers(markers, factor.value, chosen?.id ?? null);
+      const others = (frame && props.second?.markers) || [];
+      picture.current?.setMarkers([...markers, ...others.map((one) => ({ ...one, id: `${one.id} (2)`, kind: "second" as const }))], factor.value, chosen?.id ?? null);
       picture.current?.setTools(frame ? state.tools : []);
       const marker = planes.value ? markers.find(({ id }) => id === chosen?.id) : undefined;
       picture.current?.setPlanes(marker?.position ?? null);
     };
-    return stream.frame.subscribe(draw);
-  }, [stream]);
+    return props.frame.subscribe(draw);
+  }, [props.frame, state, props.second]);
 
-  const frame = useThrottled(() => stream.frame.value, TABLE_HZ);
+  const frame = useThrottled(() => props.frame.value, TABLE_HZ);
   return (
     <div class="scene">
       <div class="picture">
         <canvas ref={canvas} tabIndex={0} aria-label={text.scene.picture} role="img" />
-        <StreamBanner stream={stream} />
+        {props.children}
         {impossible.value ? <p class="banner">{text.scene.webgl}</p> : null}
         <div class="row controls">
           <div role="group" aria-label={text.scene.view} class="row">
@@ -131,7 +158,6 @@ function DeviceScene({ device: shown }: { device: Schemas["Device"] }) {
         </div>
       </div>
       <Failure message={calibration.error} />
-      {active === null ? <p class="muted">{text.scene.noCalibration}</p> : null}
       <Selected frame={frame} picked={selected.value} />
       <Tables
         frame={frame}
@@ -219,6 +245,8 @@ function Tables({ frame, state, selected, select }: TablesProps) {
   const points = (frame?.points ?? []).map((point, index) => ({ point, id: pointName(point, index) }));
   return (
     <>
+      {/* Recorded frames have points only. */}
+      {frame?.tools === null ? null : (
       <Panel title={text.scene.tools}>
         <Table
           caption={text.scene.tools}
@@ -231,6 +259,8 @@ function Tables({ frame, state, selected, select }: TablesProps) {
           row={(tool) => toolRow(tool, frame, state)}
         />
       </Panel>
+      )}
+      {frame?.tracks === null ? null : (
       <Panel title={text.scene.tracks}>
         <Table
           caption={text.scene.tracks}
@@ -250,6 +280,7 @@ function Tables({ frame, state, selected, select }: TablesProps) {
           ]}
         />
       </Panel>
+      )}
       <Panel title={text.scene.points}>
         <Table
           caption={text.scene.points}

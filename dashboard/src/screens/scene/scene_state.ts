@@ -15,6 +15,13 @@ export class SceneState {
   private readonly tails = new Map<string, (readonly number[])[]>();
   private readonly lastPoses = new Map<string, { pose: ToolPose; at: number }>();
 
+  /** Forget what came before: the next frame does not follow it. */
+  clear(): void {
+    this.markers = [];
+    this.tools = [];
+    for (const known of [this.strobed, this.tails, this.lastPoses]) known.clear();
+  }
+
   /** Take a frame. */
   take(frame: Frame): void {
     const at = toMilliseconds(frame.exposure_ns);

@@ -43,7 +43,7 @@ export interface Marker {
   readonly id: string;
   readonly position: readonly number[];
   readonly covariance: readonly (readonly number[])[] | null;
-  readonly kind: "point" | "confirmed" | "tentative" | "coasting" | "suspect";
+  readonly kind: "point" | "confirmed" | "tentative" | "coasting" | "suspect" | "second";
   /** Earlier positions, oldest first. */
   readonly tail: readonly (readonly number[])[];
 }
@@ -56,7 +56,7 @@ export interface DrawnTool {
   readonly label: string;
 }
 
-const COLOURS = { point: 0x3aa0ff, confirmed: 0x35c46b, tentative: 0xd0d0d0, coasting: 0xf0a030, suspect: 0xff6050 };
+const COLOURS = { point: 0x3aa0ff, confirmed: 0x35c46b, tentative: 0xd0d0d0, coasting: 0xf0a030, suspect: 0xff6050, second: 0xd65fc8 };
 const ROOM = 16;
 const MIN_RADIUS_MM = 1.2;
 

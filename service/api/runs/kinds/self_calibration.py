@@ -1,7 +1,8 @@
 """Self-calibration runs: recordings of targets at unknown positions in, a calibration out."""
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Literal
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 from compute.calibration.result import Calibration
 from compute.camera.model import SensorGeometry, SensorModel
@@ -9,7 +10,7 @@ from compute.errors import InvalidParameter
 from compute.progress import Progress
 from service.api.base_models import ResponseModel
 from service.api.calibrations.calibration_content import Outcome, calibration_content, result_of
-from service.api.calibrations.schema import ControlPointErrors, GivenDistortion
+from service.api.calibrations.schema import ControlPointErrors, GivenDistortion, LengthErrors
 from service.api.devices.schema import Sensor, check_sensors
 from service.api.runs.kinds.calibration import add_outcome
 from service.api.runs.self_calibration_schema import (
@@ -24,6 +25,18 @@ if TYPE_CHECKING:
     from service.database.models import CalibrationRow, RunRow
 
 
+_CALIBRATION_SHARE: Final = 0.8
+"""Share of the run's time until the cameras are there; the rest checks them."""
+
+
+@dataclass(frozen=True)
+class SelfCalibrated:
+    """What a run's process returns."""
+
+    calibration: Calibration
+    lengths_left_out: LengthErrors | None
+
+
 class Request(ResponseModel):
     """What a run keeps of its request."""
 
@@ -32,6 +45,7 @@ class Request(ResponseModel):
     directions_deg: dict[str, float] | None = None
     distortion: GivenDistortion = "none"
     recordings: list[NewRecording]
+    wave_capture_id: str | None = None
     sensors: list[Sensor]
     datum: Literal["start", "first-pose"]
     result_id: str | None
@@ -77,11 +91,14 @@ def task(session: "Session", row: "RunRow") -> tuple[Callable[..., Any], tuple[A
     return compute, (request, None if start is None else result_of(start.content).models)
 
 
-def store(session: "Session", row: "RunRow", result: Calibration) -> str:
+def store(session: "Session", row: "RunRow", made: "SelfCalibrated") -> str:
     """Store the calibration and return its id; raises what ``add_outcome`` does."""
     request = Request.model_validate(row.request)
+    result = made.calibration
     content = calibration_content(row.device_id, "self-calibrated", [], result)
-    errors = ControlPointErrors(fitted=None, leave_one_out=None)
+    errors = ControlPointErrors(
+        fitted=None, leave_one_out=None, lengths_left_out=made.lengths_left_out
+    )
     outcome = Outcome(result, content, errors.model_dump(mode="json"))
     remarks = () if result.diagnosis is None else result.diagnosis.remarks
     note = "\n".join([*filter(None, [request.note]), *(f"WARNING: {one}" for one in remarks)])
@@ -90,8 +107,9 @@ def store(session: "Session", row: "RunRow", result: Calibration) -> str:
 
 def compute(
     report_progress: Progress, request: Request, start: tuple[SensorModel, ...] | None
-) -> Calibration:
-    """Calibrate; raises what ``self_calibrate`` does."""
+) -> "SelfCalibrated":
+    """Calibrate, and measure lengths at poses held out; raises what ``self_calibrate`` does."""
+    from compute.calibration.self_calibration.held_out_lengths import held_out_lengths
     from compute.calibration.self_calibration.self_calibrate import self_calibrate
 
     recordings = [recording_of(given, list(request.sensors)) for given in request.recordings]
@@ -102,9 +120,18 @@ def compute(
         directions_deg=directions_of(request.directions_deg, list(request.sensors)),
         distortion=request.distortion,
         datum=request.datum,
-        progress=report_progress,
+        progress=lambda share, stage: report_progress(_CALIBRATION_SHARE * share, stage),
     )
-    return found.calibration
+    held_out = held_out_lengths(
+        found,
+        recordings,
+        lambda share, stage: report_progress(
+            _CALIBRATION_SHARE + (1.0 - _CALIBRATION_SHARE) * share, stage
+        ),
+    )
+    return SelfCalibrated(
+        found.calibration, None if held_out is None else LengthErrors(**asdict(held_out))
+    )
 
 
 def _initial(

@@ -55,7 +55,8 @@ def _state(shape: TargetShape) -> tuple[AdjustmentState, SensorPrior]:
     other = nudged_models(models, rng)
     size = sum(model.parameter_count for model in models)
     root = rng.standard_normal((size, size))
-    return AdjustmentState(other, (poses,)), SensorPrior(models, root @ root.T)
+    origins = rng.uniform(-300.0, 300.0, (len(models), 3))
+    return AdjustmentState(other, (poses,)), SensorPrior(models, root @ root.T, origins)
 
 
 @pytest.mark.parametrize("name", SHAPES)

@@ -19,6 +19,7 @@ from compute.calibration.self_calibration.recording_checks import (
     check_certainty,
     check_flat_readings,
     check_volume_coverage,
+    check_wave,
 )
 from compute.calibration.self_calibration.self_calibrate import self_calibrate
 from compute.calibration.self_calibration.targets import Recording, Wand
@@ -33,7 +34,12 @@ from compute.calibration.self_calibration.uncalibrated_start import (
 )
 from compute.camera.model import SensorGeometry
 from compute.camera.stack import CameraStack
-from compute.errors import DegeneratePoints, InvalidParameter, TooFewPoints
+from compute.errors import (
+    DegeneratePoints,
+    InvalidParameter,
+    TooFewPoints,
+    UndeterminedParameters,
+)
 from tests.compute.calibration.self_calibration.scenes import (
     MIDDLE,
     SIGMA_PX,
@@ -236,18 +242,30 @@ def test_uncertain_cameras_are_explained_by_directions_on_a_cone() -> None:
     rng = np.random.default_rng(12)
     models = rig()
     middles, along = rng.uniform(-150.0, 150.0, (80, 3)), rng.standard_normal((80, 3))
-    read = noisy(models, bars(MIDDLE + middles, along), rng)
-    start = start_poses(models, Recording(WAND, read), np.full(read.shape, 1.0)).poses
+    recording = Recording(WAND, noisy(models, bars(MIDDLE + middles, along), rng))
+    start = start_poses(models, recording, np.full(recording.readings_px.shape, 1.0)).poses
     adjusted = adjust(models, [start], free_datum=True)
-    check_certainty(adjusted, [start])
-    along[:, 2] = 0.7 * np.linalg.norm(along[:, :2], axis=1) * rng.uniform(0.9, 1.1, 80)
-    cone = bars(MIDDLE + middles, along)
-    read = noisy(models, cone, rng)
-    start = start_poses(models, Recording(WAND, read), np.full(read.shape, 1.0)).poses
-    check_volume_coverage([start])
+    check_certainty(adjusted, [recording], [start])
     count = len(adjusted.global_covariance)
+    unknown = replace(adjusted, global_covariance=1e8 * np.eye(count))
+    with pytest.raises(UndeterminedParameters, match=r"of sensor s\d open: .* 33\d %"):
+        check_certainty(unknown, [recording], [start])
+    along[:, 2] = 0.7 * np.linalg.norm(along[:, :2], axis=1) * rng.uniform(0.9, 1.1, 80)
+    cone = Recording(WAND, noisy(models, bars(MIDDLE + middles, along), rng))
+    start = start_poses(models, cone, np.full(cone.readings_px.shape, 1.0)).poses
+    check_volume_coverage([start])
     certain = replace(adjusted, global_covariance=np.eye(count))
-    check_certainty(certain, [start])
+    check_certainty(certain, [cone], [start])
     uncertain = replace(adjusted, global_covariance=1e4 * np.eye(count))
     with pytest.raises(DegeneratePoints, match="on a cone"):
-        check_certainty(uncertain, [start])
+        check_certainty(uncertain, [cone], [start])
+
+
+def test_flat_wave_and_directions_on_a_cone_are_both_named() -> None:
+    rng = np.random.default_rng(13)
+    models, flat = rig(), [1.0, 1.0, 0.0]
+    middles, along = rng.uniform(-150.0, 150.0, (80, 3)), rng.standard_normal((80, 3))
+    recording = Recording(WAND, noisy(models, bars(MIDDLE + middles * flat, along * flat), rng))
+    start = start_poses(models, recording, np.full(recording.readings_px.shape, 1.0)).poses
+    with pytest.raises(DegeneratePoints, match=r"two dimensions .*; or the 80 known"):
+        check_wave([recording], [start])

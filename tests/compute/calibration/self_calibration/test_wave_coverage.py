@@ -1,12 +1,22 @@
 """Coverage of a wave as it grows; poses of markers that are lit one after the other."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from compute.calibration.self_calibration.strobed_poses import StrobedReadings, strobed_poses
-from compute.calibration.self_calibration.targets import Recording, Wand
-from compute.calibration.self_calibration.wave_coverage import MIN_POSES, wave_coverage
+from compute.calibration.self_calibration.strobed_poses import (
+    StrobedPoseCollector,
+    StrobedReadings,
+    strobed_poses,
+)
+from compute.calibration.self_calibration.targets import Recording, RigidBody, Wand
+from compute.calibration.self_calibration.wave_coverage import (
+    MIN_POSES,
+    direction_bins,
+    wave_coverage,
+)
 from compute.camera.model import SensorGeometry
 from compute.errors import InvalidParameter
 from tests.compute.calibration.self_calibration.scenes import MIDDLE, WAND_MM, bars
@@ -115,3 +125,130 @@ def test_markers_that_were_not_lit_are_refused() -> None:
         strobed_poses(exposures, (0, 2), (1000,) * 3)
     with pytest.raises(InvalidParameter, match="one twice"):
         strobed_poses(exposures, (1, 1), (1000,) * 3)
+
+
+def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
+
+
+def test_bins_of_directions_are_equally_large_and_have_no_front() -> None:
+    """Points of a spiral that are spread evenly over the sphere fall evenly into the bins."""
+    count = 13 * 4000
+    z = 1.0 - (2.0 * np.arange(count) + 1.0) / count
+    azimuth = np.arange(count) * np.pi * (3.0 - np.sqrt(5.0))
+    across = np.sqrt(1.0 - z**2)
+    even = np.stack([across * np.cos(azimuth), across * np.sin(azimuth), z], axis=1)
+    bins = direction_bins(even)
+    assert sum(bins) == count
+    assert np.array(bins) == pytest.approx(4000, rel=0.01)
+    assert direction_bins(-even) == bins
+
+
+def test_bins_of_directions_go_from_the_sensors_outwards_and_from_x_to_y() -> None:
+    def alone(*direction: float) -> int:
+        return direction_bins(_unit(np.array([direction]))).index(1)
+
+    assert alone(0.1, 0.1, 1.0) == alone(-0.1, 0.1, -1.0) == 0
+    assert [alone(x, y, 1.5) for x, y in ((1, 1), (-1, 1), (-1, -1), (1, -1))] == [1, 2, 3, 4]
+    turns = 2.0 * np.pi * (np.arange(8) + 0.5) / 8
+    assert [alone(np.cos(one), np.sin(one), 0.2) for one in turns] == list(range(5, 13))
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_directions_on_a_cone_are_never_enough(seed: int) -> None:
+    """Cones about any axis, also that whose directions have equal components along x, y, z."""
+    rng = np.random.default_rng(seed)
+    inclination = np.arccos(np.sqrt(1.0 / 3.0)) if seed < 4 else rng.uniform(0.1, 1.57)
+    axis = np.eye(3)[2] if seed < 4 else rng.standard_normal(3)
+    axis /= np.linalg.norm(axis)
+    side = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
+    side /= np.linalg.norm(side)
+    turns = rng.uniform(0.0, 2.0 * np.pi, (400, 1))
+    ring = np.cos(turns) * side + np.sin(turns) * np.cross(axis, side)
+    along = np.cos(inclination) * axis + np.sin(inclination) * ring
+    middle = MIDDLE + rng.uniform(-450.0, 450.0, (400, 3))
+    read = project(rig(), bars(middle, along).reshape(-1, 3)).reshape(400, 2, -1)
+    coverage = wave_coverage(SENSORS, Recording(WAND, read), rig())
+    assert not coverage.enough
+    assert len(coverage.missing) >= 1
+    if seed < 4:
+        assert "near a cone" in coverage.missing[0]
+        assert coverage.directions == pytest.approx((0.58, 0.58, 0.58), abs=0.05)
+
+
+def test_cells_count_the_readings_in_equal_parts() -> None:
+    wave = _wave((1.0, 1.0, 1.0))
+    coverage = wave_coverage(SENSORS, wave, rig())
+    for column, (sensor, one) in enumerate(zip(SENSORS, coverage.sensors, strict=True)):
+        expected = [0] * 10
+        for value in wave.readings_px[..., column].ravel().tolist():
+            if not np.isnan(value):
+                expected[int((value + 0.5) * 10 / sensor.pixels)] += 1
+        assert list(one.cells) == expected
+        assert one.readings == sum(expected)
+
+
+def test_a_body_is_judged_by_the_lines_between_its_markers() -> None:
+    """Three markers in a plane that never tilts have no line towards the sensors."""
+    rng = np.random.default_rng(2)
+    shape = np.array([[0.0, 0.0, 0.0], [120.0, 0.0, 0.0], [30.0, 90.0, 0.0]])
+    body = RigidBody(tuple(tuple(one) for one in shape.tolist()))
+    turns = rng.uniform(0.0, 2.0 * np.pi, 150)
+    rotation = np.zeros((150, 3, 3))
+    rotation[:, 0, 0] = rotation[:, 1, 1] = np.cos(turns)
+    rotation[:, 1, 0] = np.sin(turns)
+    rotation[:, 0, 1] = -rotation[:, 1, 0]
+    rotation[:, 2, 2] = 1.0
+    middle = MIDDLE + rng.uniform(-450.0, 450.0, (150, 3))
+    markers = np.einsum("bij,kj->bki", rotation, shape) + middle[:, None]
+    read = project(rig(), markers.reshape(-1, 3)).reshape(150, 3, -1)
+    coverage = wave_coverage(SENSORS, Recording(body, read), rig())
+    assert coverage.poses == 150
+    assert coverage.directions is not None
+    assert coverage.direction_bins is not None
+    assert sum(coverage.direction_bins) == 3 * 150
+    assert coverage.directions[2] < 0.05
+    assert any("towards the sensors" in one for one in coverage.missing)
+    assert any("a body" in one for one in wave_coverage(SENSORS, Recording(body, read)).missing)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_exposures_in_any_parts_give_the_same_poses(seed: int) -> None:
+    """However many exposures come at a time, also fewer than a strobe cycle; none comes twice."""
+    rng = np.random.default_rng(seed)
+    exposures, _ = _strobed(2000.0)
+    # As slow as a device can be: the target moves on by more than a pose in a cycle.
+    exposures = replace(exposures, readings_px=exposures.readings_px * (1.0 + 4.0 * (seed % 2)))
+    whole = strobed_poses(exposures, (0, 1), (1000,) * 3)[0]
+    collector = StrobedPoseCollector((0, 1), (1000,) * 3)
+    cuts = np.sort(rng.choice(np.arange(1, 400), int(rng.integers(5, 200)), replace=False))
+    for part in np.split(np.arange(400), cuts):
+        collector.add(exposures.select(np.isin(np.arange(400), part)))
+    assert np.array_equal(collector.poses()[0], whole)
+    assert collector.counts.all == 200
+    assert collector.counts.taken == len(whole)
+
+
+def test_exposures_that_make_no_pose_are_counted() -> None:
+    exposures, _ = _strobed(0.0)
+    readings = exposures.readings_px.copy()
+    readings[100:200] = readings[100]  # it rests
+    readings[200:300, 0] = np.nan  # two sensors are not enough
+    lost = (exposures.marker == 1) & (exposures.time_s > 0.6)
+    part = replace(exposures, readings_px=readings).select(~lost)
+    collector = StrobedPoseCollector((0, 1), (1000,) * 3)
+    collector.add(part)
+    counts = collector.counts
+    assert counts.still >= 49
+    assert counts.too_few_sensors >= 49
+    assert counts.not_lit >= 48
+    assert counts.all == counts.taken + counts.still + counts.too_few_sensors + counts.not_lit
+
+
+def test_a_device_that_begins_anew_goes_on() -> None:
+    exposures, _ = _strobed(0.0)
+    collector = StrobedPoseCollector((0, 1), (1000,) * 3)
+    collector.add(exposures)
+    once = len(collector)
+    collector.add(replace(exposures, readings_px=exposures.readings_px[::-1]))
+    assert len(collector) == pytest.approx(2 * once, abs=1)

@@ -38,10 +38,14 @@ def test_whole_lines_are_those_of_single_places(per_px, size, first, shift, dark
     template = bumps(per_px * size, per_px, first, dark)
     value, slope, known = ShiftedTemplate(template, 40).at(np.array([shift, 0.0]))
     for row, moved in enumerate((shift, 0.0)):
-        one = template.at(np.arange(40.0) - moved)
-        np.testing.assert_allclose(value[row], one[0], atol=1e-9)
-        np.testing.assert_allclose(slope[row], one[1], atol=1e-8)
-        np.testing.assert_array_equal(known[row], one[2])
+        place = np.arange(40.0) - moved
+        one = template.at(place)
+        # At its first and last cell the template jumps to dark: rounding may take either side.
+        cell = (place - first) * per_px
+        away = np.minimum(abs(cell), abs(cell - (per_px * size - 1))) > 1e-9
+        np.testing.assert_allclose(value[row][away], one[0][away], atol=1e-9)
+        np.testing.assert_allclose(slope[row][away], one[1][away], atol=1e-8)
+        np.testing.assert_array_equal(known[row][away], one[2][away])
 
 
 def test_it_goes_through_its_cells_and_its_slope_is_its_derivative() -> None:

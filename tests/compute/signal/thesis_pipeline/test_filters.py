@@ -131,7 +131,10 @@ def test_without_its_phase_a_filter_has_the_same_magnitude(order: int, cutoff: f
     answer = np.abs(np.fft.rfft(ButterworthFilter(order, cutoff).apply(impulse)))
     omega = 2.0 * np.pi * np.fft.rfftfreq(pixels)
     expected = np.abs(ButterworthFilter(order, cutoff).response(omega))
-    np.testing.assert_allclose(answer, expected, atol=2e-3)
+    # The answer ends with the scan, which rounds corners of the magnitude: the sharpest, at half
+    # the sampling rate of a first order, by 1/pi of a frequency's step.
+    step = np.abs(np.diff(expected)).max()
+    np.testing.assert_allclose(answer, expected, atol=1.01 * step / np.pi)
     at_cutoff = ButterworthFilter(order, cutoff).magnitude(np.array([np.pi * cutoff]))
     assert at_cutoff[0] == pytest.approx(np.sqrt(0.5))
 

@@ -85,7 +85,7 @@ def test_every_change_of_a_device_and_its_calibration(client: Any) -> None:
             {"json": {"id": "c", "device_id": "sim", "targets": targets}}, "capture", "c",
         ),
         ("DELETE", "/captures/c", 204, {}, "capture", "c"),
-        ("POST", "/calibration-runs", 202, {"json": run}, "run", "r"),
+        ("POST", "/runs/calibration", 202, {"json": run}, "run", "r"),
         ("POST", "/runs/r/cancel", 200, {}, "run", "r"),
         ("DELETE", "/runs/r", 204, {}, "run", "r"),
     ]  # fmt: skip

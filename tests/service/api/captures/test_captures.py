@@ -39,7 +39,7 @@ def test_a_session_is_captured_target_by_target_and_calibrates(
             found = client.post(f"{URL}/sim-capture/capture").json()
         assert (found["next"], found["left"]) == ("P10", 10)
         early = {"device_id": "sim", "capture_id": "sim-capture"}
-        refused = client.post("/api/v1/calibration-runs", json=early)
+        refused = client.post("/api/v1/runs/calibration", json=early)
         assert refused.json()["type"] == "/problems/capture-incomplete"
         assert "10 of 19" in refused.json()["detail"]
     second = FakePipeline()
@@ -58,7 +58,7 @@ def test_a_session_is_captured_target_by_target_and_calibrates(
         refused = client.post(f"{URL}/sim-capture/capture")
         assert refused.json()["type"] == "/problems/capture-complete"
         body = early | {"id": "captured", "result_id": "by-capture"} | QUICK
-        assert client.post("/api/v1/calibration-runs", json=body).status_code == 202
+        assert client.post("/api/v1/runs/calibration", json=body).status_code == 202
         assert wait(client, "captured")["state"] == "succeeded"
         made_from = client.get("/api/v1/calibrations/by-capture").json()
         assert [point["name"] for point in made_from["points"]] == [
@@ -94,8 +94,34 @@ def test_a_marker_that_was_not_moved_is_told(sqlite_client: Any, live: FakePipel
     assert capture(2)["left"] == 1
     assert 'still at "B"?' in capture(1, target="A")["detail"]
     assert capture(0, target="A")["left"] == 1
+    last = sqlite_client.get(f"{URL}/steps").json()
+    assert last["instruction"] == (
+        "Hold the marker still at beside A, (0.05, 0, 1500) mm, and capture it."
+    )
     # A target beside it may read the same.
-    assert capture(0)["left"] == 0
+    done = capture(0)
+    assert (done["left"], done["next"]) == (0, None)
+    assert done["instruction"].startswith("All targets are captured")
+
+
+def test_captures_of_all_kinds_have_one_base(client: Any):
+    """What they share has one name and one meaning, also in kinds that come later."""
+    schemas = client.app.openapi()["components"]["schemas"]
+    kinds = {
+        name: schema["properties"]
+        for name, schema in schemas.items()
+        if {"captured", "settings"} <= schema.get("properties", {}).keys()
+    }
+    assert set(kinds) == {"Capture", "RadiometricCapture"}
+    shared = set.intersection(*(set(members) for members in kinds.values()))
+    assert shared >= {
+        *("id", "device_id", "settings", "captured", "next", "instruction", "left", "note"),
+        *("created_at", "updated_at"),
+    }
+    assert {"frames", "captured_at", "sensors"} <= (
+        schemas["CapturedTarget"]["properties"].keys()
+        & schemas["CapturedFrames"]["properties"].keys()
+    )
 
 
 def test_a_session_is_deleted(client: Any):

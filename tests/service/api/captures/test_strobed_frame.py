@@ -37,7 +37,7 @@ def test_the_frame_of_the_examples_calibrates(tmp_path: Path):
         assert refused.json()["type"] == "/problems/marker-not-moved"
         client.post("/devices/bench/stop")
         run = {"id": "captured", "device_id": "bench", "capture_id": "sim-capture"} | QUICK
-        assert client.post("/calibration-runs", json=run).status_code == 202
+        assert client.post("/runs/calibration", json=run).status_code == 202
         with httpx.Client(base_url=url, timeout=60.0) as root:
             done = wait(root, "captured")
             assert done["state"] == "succeeded", done

@@ -14,7 +14,11 @@ from compute.camera.model import SensorModel
 from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter
 from hardware.simulated.calibration_target import calibration_target_points_mm
-from hardware.simulated.simulated_rig import WORKING_CENTRE_MM, simulated_sensor_models
+from hardware.simulated.simulated_rig import (
+    WORKING_CENTRE_MM,
+    simulated_rig,
+    simulated_sensor_models,
+)
 from service.api.captures.schema import CapturedSensor, CapturedTarget
 from service.api.captures.store import keep
 from service.api.devices.schema import Sensor
@@ -23,6 +27,7 @@ from service.api.drift_checks.schema import StationaryMarker
 from service.api.drift_checks.stationary_markers import still_set
 from service.application.app import create_app
 from service.settings import Settings
+from tests.compute.rig import turned_about_lens
 from tests.service.api.runs.in_process_worker import use_in_process_worker
 from tests.service.fake_pipeline import FakePipeline, TestClient
 
@@ -37,10 +42,9 @@ NEVER_USED: Any = None
 
 def moved_models() -> tuple[SensorModel, ...]:
     """The device with its third sensor rolled by 3 mrad."""
-    step = np.zeros(7)
-    step[4] = 3e-3
     models = list(MODELS)
-    models[MOVED] = models[MOVED].retract(step)
+    lens = np.array(simulated_rig()[MOVED].lens_position_mm)
+    models[MOVED] = turned_about_lens(models[MOVED], [0.0, 0.0, 3e-3], lens)
     return tuple(models)
 
 
@@ -189,7 +193,7 @@ def test_an_update_run_makes_a_calibration_that_holds_again(client: Any):
         "id": "mend", "device_id": "sim", "drift_check_id": "drifted", "sensors": [NAMES[MOVED]],
         "result_id": "mended", "note": "it was knocked",
     }  # fmt: skip
-    posted = client.post("/api/v1/update-runs", json=body)
+    posted = client.post("/api/v1/runs/update", json=body)
     assert posted.status_code == 202, posted.text
     assert posted.headers["location"] == "/api/v1/runs/mend"
     run = finished(client, "mend")
@@ -219,7 +223,7 @@ def test_an_update_against_earlier_readings_has_no_control_points(client: Any):
         "against": "capture", "earlier_capture_id": "then", "result_id": "by-capture",
         "sensors": [NAMES[MOVED]],
     }  # fmt: skip
-    assert client.post("/api/v1/update-runs", json=body).status_code == 202
+    assert client.post("/api/v1/runs/update", json=body).status_code == 202
     assert finished(client, "by-capture")["state"] == "succeeded"
     made = client.get("/api/v1/calibrations/by-capture").json()
     assert (made["points"], made["errors"]["fitted"]) == ([], None)
@@ -285,7 +289,7 @@ def test_an_update_that_cannot_be_is_refused_when_it_is_posted(
     client: Any, given: dict[str, Any], status: int, words: str
 ):
     body = {"device_id": "sim", "drift_check_id": "before"} | given
-    refused = client.post("/api/v1/update-runs", json=body)
+    refused = client.post("/api/v1/runs/update", json=body)
     assert refused.status_code == status, refused.text
     assert words in refused.json()["detail"]
 
@@ -303,3 +307,17 @@ def test_a_device_takes_its_drift_checks_with_it(sqlite_client: Any):
     assert made.status_code == 201, made.text
     assert sqlite_client.delete("/api/v1/devices/sim?cascade=true").status_code == 204
     assert sqlite_client.get("/api/v1/drift-checks").json()["items"] == []
+
+
+def test_drift_is_told_to_webhooks_and_good_checks_are_not(
+    client: Any, monkeypatch: pytest.MonkeyPatch
+):
+    told: list[tuple[str, dict[str, Any]]] = []
+    monkeypatch.setattr(client.app.state.webhooks, "emit", lambda *event: told.append(event))
+    client.post(URL, json={"points": read(MODELS, PLACES[:8], 5)})
+    assert told == []
+    made = client.post(URL, json={"points": read(moved_models(), PLACES[:8], 5)}).json()
+    [(kind, data)] = told
+    assert kind == "drift.detected"
+    assert data["drift_check_id"] == made["id"]
+    assert (data["status"], data["moved"]) == ("sensors-moved", [NAMES[MOVED]])

@@ -42,7 +42,7 @@ def walk(sqlite_settings: Settings, sqlite_client: Any, taken: Taken) -> Path:
 
 def post(client: Any, **members: Any) -> Any:
     body = {"id": "r", "device_id": "sim", "recording_id": "ward/walk.h5", "format": "csv"}
-    return client.post(f"{API}/export-runs", json=body | members)
+    return client.post(f"{API}/runs/export", json=body | members)
 
 
 def ended(client: Any, **members: Any) -> Any:
@@ -179,7 +179,7 @@ def test_what_is_refused(
     assert code(other) == (409, "export-exists")
     # A correction table may be called so.
     mapping = NEW_MAPPING_RUNS["grid"]["value"] | {"result_id": "mine"}
-    assert sqlite_client.post(f"{API}/mapping-runs", json=mapping).status_code == 202
+    assert sqlite_client.post(f"{API}/runs/mapping", json=mapping).status_code == 202
 
 
 def test_of_a_run_that_is_cancelled_nothing_is_left(

@@ -145,9 +145,9 @@ def test_tracking_and_limits_that_are_not_the_defaults(taken: Taken, tmp_path: P
     (device := tmp_path / "device.json").write_text(
         json.dumps({"id": "sim", "title": "x", "tracking": tracking.model_dump(mode="json")})
     )
-    for option, statuses in (((), {"OK"}), (("--device", device), {"OUT_OF_VOLUME"})):
+    for option, statuses in (((), {"OK"}), (("--device-file", device), {"OUT_OF_VOLUME"})):
         to = tmp_path / f"{len(option)}.csv"
-        here("export", source, "--to", to, "--tools", tools, *option)
+        here("export", source, "--output", to, "--tools", tools, *option)
         told = {line.split(",")[7] for line in to.read_text().splitlines() if ",tool," in line}
         assert statuses <= told
         assert not ({"OK", "OUT_OF_VOLUME"} - statuses) & told
@@ -261,27 +261,27 @@ def test_command_line(taken: Taken, tmp_path: Path) -> None:
     tools = tmp_path / "tools.json"
     tools.write_text(json.dumps([{"id": "probe", "markers_mm": MARKERS, "tip_mm": [0, -100, 0]}]))
     (nominal_json := tmp_path / "nominal.json").write_bytes(DOCUMENT.dump_json(nominal()))
-    run = here("export", source, "--to", tmp_path / "a.igs.mha", "--tools", tools)
+    run = here("export", source, "--output", tmp_path / "a.igs.mha", "--tools", tools)
     assert f"{FRAMES} frames" in " ".join(run.stdout.split())
     _, frames = read_sequence(tmp_path / "a.igs.mha")
     assert frames[-1]["ProbeToTrackerTransformStatus"] == "OK"
     stream = captured(taken, tmp_path / "s.jsonl")
-    here("export", stream, "--to", tmp_path / "b.trc", "--predicted")
+    here("export", stream, "--output", tmp_path / "b.trc", "--predicted")
     assert "probe_tip" in read_trc(tmp_path / "b.trc")[1]
-    here("export", source, "--to", tmp_path / "c.csv", "--calibration", nominal_json)
+    here("export", source, "--output", tmp_path / "c.csv", "--calibration", nominal_json)
     assert (tmp_path / "c.csv").read_text().count(",track,") > FRAMES
 
 
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("--to", "a.xyz"), ".igs.mha"),
-        (("--to", "r.h5"), ".igs.mha"),
-        (("--to", "there.csv"), "exists"),
-        (("--to", "a.igs.mha"), "--tools"),
-        (("--to", "nowhere/a.csv"), "there is no folder nowhere"),
-        (("--to", "a.csv", "--tools", "none.json"), "cannot be read"),
-        (("--to", "a.csv", "--table", "t.h5"), "--calibration"),
+        (("--output", "a.xyz"), ".igs.mha"),
+        (("--output", "r.h5"), ".igs.mha"),
+        (("--output", "there.csv"), "exists"),
+        (("--output", "a.igs.mha"), "--tools"),
+        (("--output", "nowhere/a.csv"), "there is no folder nowhere"),
+        (("--output", "a.csv", "--tools", "none.json"), "cannot be read"),
+        (("--output", "a.csv", "--table", "t.h5"), "--calibration"),
     ],
 )
 def test_what_the_command_refuses(
@@ -308,8 +308,8 @@ def replace_batches(taken: Taken, count: int) -> Taken:
 def test_options_of_recordings_are_not_for_streams(taken: Taken, tmp_path: Path) -> None:
     (path := tmp_path / "nominal.json").write_bytes(nominal_document())
     stream = captured(taken, tmp_path / "s.jsonl")
-    run = here("export", stream, "--to", tmp_path / "a.csv", "--calibration", path, code=2)
-    assert "--calibration is for recordings" in " ".join(run.stderr.split())
+    run = here("export", stream, "--output", tmp_path / "a.csv", "--calibration", path, code=2)
+    assert "--calibration has no effect on a captured stream" in " ".join(run.stderr.split())
 
 
 def test_a_rate_that_is_not_known_is_measured(taken: Taken) -> None:

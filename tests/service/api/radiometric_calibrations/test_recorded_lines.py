@@ -70,7 +70,7 @@ def test_command_measures_shapes_that_the_pipeline_fits_with(
     figures = json.loads(done.stdout)
     # The simulator's lines are Gaussians.
     assert max(one["line_skewness"] for one in figures) < 0.1
-    table = CliRunner().invoke(app, [*arguments, "--force", "--pixels", str(output)])
+    table = CliRunner().invoke(app, [*arguments, "--force", "--estimate-file", str(output)])
     assert table.exit_code == 0, table.output
     assert "skewness" in table.output
 

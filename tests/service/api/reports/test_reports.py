@@ -21,6 +21,7 @@ from compute.reconstruction.triangulation import reconstruct
 from hardware.simulated.simulated_rig import WORKING_CENTRE_MM, simulated_sensor_models
 from service.api.calibrations.comparison import CalibrationWithControlPoints, compare
 from service.api.calibrations.examples import NEW_CALIBRATIONS
+from service.api.calibrations.schema import LengthErrors
 from service.api.reports import router
 from service.api.reports.assembly import assemble_report
 from service.api.reports.cache import ReportCache
@@ -188,6 +189,16 @@ def test_a_calibration_from_no_measurement_has_a_report_too():
     page = read(report_page(empty))
     assert "principal_distance_px" in page.text
     assert not [tag for tag, _ in page.tags if tag == "img"]
+
+
+def test_lengths_of_a_wave_that_were_left_out_are_stated(content: ReportContent, page: str):
+    assert "Lengths that were left out" not in page
+    lengths = LengthErrors(poses=164, lengths=492, rms_mm=0.018, mean_mm=-0.002, max_mm=0.071)
+    text = read(report_page(replace(content, lengths_left_out=lengths), {})).text
+    assert "492 lengths at poses held out, RMS" in text
+    told = text[text.index("Lengths that were left out") :]
+    for value in ("164", "492", "0.018", "0.002", "0.071"):
+        assert value in told[:300]
 
 
 def test_pictures_are_written_beside_it(written: Path, page: str):

@@ -13,7 +13,7 @@ from service.api.runs.examples import NEW_MAPPING_RUNS
 from tests.service.api.runs.in_process_worker import use_in_process_worker
 from tests.service.api.runs.test_runs import wait
 
-URL = "/api/v1/mapping-runs"
+URL = "/api/v1/runs/mapping"
 BODY = NEW_MAPPING_RUNS["grid"]["value"]
 
 

@@ -19,7 +19,7 @@ from tests.service.api.runs.in_process_worker import use_in_process_worker
 from tests.service.fake_pipeline import FakePipeline, TestClient
 from tests.service.jobs import slow_tasks
 
-URL = "/api/v1/calibration-runs"
+URL = "/api/v1/runs/calibration"
 FRAME = NEW_CALIBRATIONS["frame"]["value"]["points"]
 QUICK = {"distortion": "none", "labels": "off"}
 """For runs of which it does not matter what they look for."""

@@ -18,7 +18,7 @@ from service.api.runs.examples import NEW_SELF_CALIBRATION_RUNS
 from tests.service.api.runs.in_process_worker import use_in_process_worker
 from tests.service.api.runs.test_runs import wait
 
-URL = "/api/v1/self-calibration-runs"
+URL = "/api/v1/runs/self-calibration"
 BODY = NEW_SELF_CALIBRATION_RUNS["wand"]["value"]
 
 

@@ -61,6 +61,8 @@ def busy(live: FakePipeline, sqlite_client: Any, monkeypatch: pytest.MonkeyPatch
     for seconds in (0.0004, 0.0011, 0.0012, 99.0, -1.0):
         latency.count(seconds)
     monkeypatch.setattr(live, "latencies", lambda: {"bar": latency.counts()})
+    stages = {"reception": 0.5, "waiting": 0.25, "computation": 2.0, "publication": 0.0}
+    monkeypatch.setattr(live, "stage_latencies", lambda: {"bar": (4, stages)})
     seen = {PoseStatus.OK: 70, PoseStatus.MISSING: 20}
     tools = {"probe": ToolCounts(seen, time.time_ns()), "lost": ToolCounts({}, None)}
     monkeypatch.setattr(live, "pose_counts", lambda: {"bar": tools})
@@ -136,6 +138,10 @@ def test_figures_are_those_of_the_live_side(busy: Any):
     }.items():
         assert value(found, f"lumiline_{name}", device="bar") == wanted, name
     assert value(found, "lumiline_device_state", device="bar", state="running") == 1
+    for stage, total in (("reception", 0.5), ("computation", 2.0), ("publication", 0.0)):
+        labels = {"device": "bar", "stage": stage}
+        assert value(found, "lumiline_frame_stage_seconds_count", **labels) == 4
+        assert value(found, "lumiline_frame_stage_seconds_sum", **labels) == total
     assert value(found, "lumiline_device_state", device="bar", state="failed") == 0
     tool = {"device": "bar", "tool": "probe"}
     for status, wanted in (("OK", 70), ("MISSING", 20), ("INVALID", 0)):

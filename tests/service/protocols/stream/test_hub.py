@@ -6,6 +6,7 @@ import json
 import threading
 import time
 from collections.abc import Coroutine
+from dataclasses import replace
 from typing import Any
 
 import msgpack
@@ -111,6 +112,23 @@ def test_a_live_client_that_falls_behind_gets_the_newest_and_is_told() -> None:
         assert messages[0] == {"type": "missed", "device_id": "d", "messages": 24, "first": 0}
         assert messages[2] == {"type": "missed", "device_id": "d", "messages": 15, "first": 25}
         assert (messages[3]["sequence"], messages[3]["n"]) == (39, 40)
+
+    run(scenario())
+
+
+def test_a_slow_client_is_known_by_what_waits_and_what_it_missed() -> None:
+    async def scenario() -> None:
+        hub = Hub(lag_s=0.0)
+        wanted = StreamRequest("d", frozenset({"points"}), "json")
+        slow = hub.subscribe(wanted, "key navigation")
+        newest = hub.subscribe(replace(wanted, rate_hz=10.0))
+        for first in range(0, 30, 10):
+            hub.publish_batch(frames_of(range(first, first + 10)))
+        assert hub.subscriptions() == [slow, newest]
+        assert (slow.client, slow.waiting, slow.missed) == ("key navigation", 30, 0)
+        await taken(slow)
+        assert (slow.waiting, newest.waiting, newest.missed) == (0, 0, 0)
+        assert slow.missed > 0
 
     run(scenario())
 

@@ -3,10 +3,14 @@
 import base64
 import socket
 import time
+from contextlib import ExitStack
 from urllib.parse import urlsplit
 
 import httpx
+import msgpack
 import pytest
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import connect
 
 from service.application import websocket_limits
 
@@ -56,3 +60,58 @@ def test_stream_of_client_that_reads_nothing_is_closed_with_code(
                 break
     code = received[received.rindex(b"the client read nothing") - 2 :][:2]
     assert int.from_bytes(code, "big") == websocket_limits.STALLED
+
+
+def greetings(server: str, count: int) -> None:
+    """Open streams one beside another, and read the greeting of each."""
+    url = f"{server.replace('http', 'ws', 1)}/api/v1/stream?device_id=sim"
+    with ExitStack() as stack:
+        for _ in range(count):
+            stream = stack.enter_context(connect(url, close_timeout=0.1))
+            assert msgpack.unpackb(stream.recv(60))["type"] == "hello"
+
+
+def wait_for_turns() -> None:
+    """Wait until the next stream may be opened, after the rest."""
+    end = time.monotonic() + 60.0
+    while any(one._value < websocket_limits.OPENING for one in websocket_limits._turns.values()):
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+def greet_once(server: str) -> None:
+    """Open one stream, and wait until the next may be opened."""
+    greetings(server, 1)
+    wait_for_turns()
+
+
+def test_opened_streams_give_their_turn_to_the_next(server: str) -> None:
+    greetings(server, 3 * websocket_limits.OPENING)
+    with pytest.raises(InvalidStatus):
+        connect(f"{server.replace('http', 'ws', 1)}/api/v1/stream?device_id=none-such")
+    greet_once(server)
+    turns = [turns._value for turns in websocket_limits._turns.values()]
+    assert turns
+    assert set(turns) == {websocket_limits.OPENING}
+
+
+def test_streams_are_opened_one_after_another_with_a_rest(
+    server: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    greet_once(server)
+    monkeypatch.setattr(websocket_limits, "REST_S", 0.5)
+    begin = time.monotonic()
+    greetings(server, 3)
+    assert time.monotonic() - begin >= 1.0
+    monkeypatch.undo()
+    wait_for_turns()
+
+
+def test_streams_that_take_long_to_open_keep_nobody_out(
+    server: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    greet_once(server)
+    monkeypatch.setattr(websocket_limits, "OPENING_WAIT_S", 0.05)
+    for turns in websocket_limits._turns.values():
+        monkeypatch.setattr(turns, "_value", 0)
+    greetings(server, 2)

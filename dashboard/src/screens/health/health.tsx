@@ -1,11 +1,13 @@
-/** Health: devices and links, losses by where, runs, readiness. */
+/** Health: readiness, devices and links, losses by where, load, runs, log. */
 
-import { api, type Schemas, sent } from "../api/client";
-import { devices } from "../devices";
-import { usePolled } from "../live/polling";
-import { text } from "../text";
-import { significant, time } from "../ui/format";
-import { Action, Badge, Failure, Panel, Table } from "../ui/parts";
+import { api, type Schemas, sent } from "../../api/client";
+import { devices } from "../../devices";
+import { usePolled } from "../../live/polling";
+import { text } from "../../text";
+import { significant, time } from "../../ui/format";
+import { Action, Badge, Failure, Panel, Table } from "../../ui/parts";
+import { Load } from "./load";
+import { LogLines } from "./log_lines";
 
 type DeviceStatus = Schemas["DeviceStateDocument"];
 
@@ -21,7 +23,9 @@ export function Health() {
     <>
       <ServerState />
       <Devices />
+      <Load />
       <Runs />
+      <LogLines />
     </>
   );
 }
@@ -68,7 +72,7 @@ function Devices() {
       <Failure message={rows.error} />
       <Table
         caption={text.health.devices}
-        columns={[text.column.device, text.column.state, text.column.reason, text.column.rate, text.column.frames, text.column.lostDevice, text.column.dropped, text.column.subscribers, text.column.link, text.column.clock, text.column.calibration]}
+        columns={[text.column.device, text.column.state, text.column.reason, text.column.rate, text.column.frames, text.column.lostDevice, text.column.dropped, text.column.subscribers, text.column.link, text.column.clock, text.health.temperature, text.column.calibration]}
         rows={rows.value ?? []}
         identity={({ id }) => id}
         empty={rows.value ? text.device.none : text.loading}
@@ -85,9 +89,11 @@ function Devices() {
           status.subscribers,
           status.link?.state ?? text.missing,
           significant(status.link?.clock_uncertainty_us, 2),
+          significant(status.link?.temperature_c, 3),
           status.calibration_id ?? text.missing,
         ]}
       />
+      <p class="muted">{text.health.clockHelp}</p>
     </Panel>
   );
 }

@@ -1,20 +1,26 @@
 /** Recordings: start, stop, list, download, delete, play. */
 
-import { api, fetchBlob, type Schemas, sent } from "../api/client";
-import { choose, device, loadDevices } from "../devices";
-import { usePolled } from "../live/polling";
-import { text } from "../text";
-import { bytes, significant, time } from "../ui/format";
-import { Action, Badge, Failure, Panel, Table } from "../ui/parts";
-
-type Recording = Schemas["RecordingDocument"];
+import { useSignal } from "@preact/signals";
+import { api, fetchBlob, sent } from "../../api/client";
+import { choose, device, loadDevices } from "../../devices";
+import { usePolled } from "../../live/polling";
+import { text } from "../../text";
+import { download } from "../../ui/download";
+import { bytes, significant, time } from "../../ui/format";
+import { Action, Badge, Failure, Panel, Table } from "../../ui/parts";
+import type { Recording } from "./playback";
+import { Player } from "./player";
 
 export function Recordings() {
+  const opened = useSignal<Recording | null>(null);
   const recordings = usePolled("recordings", () =>
     sent(api.GET("/api/v1/recordings", { params: { query: { limit: 100 } } })),
   );
   const shown = device.value;
+  const player = opened.value;
   return (
+    <>
+    {player ? <Player key={player.id} recording={player} close={() => (opened.value = null)} /> : null}
     <Panel
       title={text.screens.recordings}
       actions={
@@ -47,7 +53,7 @@ export function Recordings() {
           recording.id,
           recording.device_id ?? text.missing,
           <span title={recording.reason ?? undefined}>
-            <Badge kind={recording.state === "recording" ? "warn" : recording.reason ? "bad" : "idle"}>
+            <Badge kind={recording.state === "recording" ? "warn" : ["failed", "incomplete", "unreadable"].includes(recording.state) ? "bad" : "idle"}>
               {recording.state}
             </Badge>
           </span>,
@@ -55,14 +61,21 @@ export function Recordings() {
           significant(recording.duration_s, 3),
           bytes(recording.size_bytes),
           time(recording.started_at),
-          <Actions recording={recording} refresh={recordings.refresh} />,
+          <Actions recording={recording} refresh={recordings.refresh} open={() => (opened.value = recording)} />,
         ]}
       />
     </Panel>
+    </>
   );
 }
 
-function Actions({ recording, refresh }: { recording: Recording; refresh: () => Promise<void> }) {
+interface ActionsProps {
+  recording: Recording;
+  refresh: () => Promise<void>;
+  open: () => void;
+}
+
+function Actions({ recording, refresh, open }: ActionsProps) {
   const path = { path: { recording_id: recording.id } };
   if (recording.state === "recording")
     return (
@@ -76,6 +89,13 @@ function Actions({ recording, refresh }: { recording: Recording; refresh: () => 
     );
   return (
     <div class="row">
+      <Action
+        label={text.recordings.open}
+        kind="primary"
+        operation="GET /api/v1/recordings/{recording_id}/frames"
+        disabled={recording.state === "unreadable"}
+        run={async () => open()}
+      />
       <Action
         label={text.recordings.play}
         operation="POST /api/v1/devices"
@@ -116,10 +136,5 @@ async function play(recording: Recording): Promise<void> {
 }
 
 async function save(name: string): Promise<void> {
-  const address = URL.createObjectURL(await fetchBlob(`/api/v1/recordings/${encodeURIComponent(name)}/file`));
-  const link = document.createElement("a");
-  link.href = address;
-  link.download = name;
-  link.click();
-  setTimeout(() => URL.revokeObjectURL(address), 60_000);
+  download(await fetchBlob(`/api/v1/recordings/${encodeURIComponent(name)}/file`), name);
 }

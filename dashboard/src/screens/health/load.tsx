@@ -1,0 +1,213 @@
+/** How long frames and requests take, who receives them, and what room is left. */
+
+import { useRef } from "preact/hooks";
+import { api, fetchBlob, sent } from "../../api/client";
+import { allowed, scopeOf } from "../../api/session";
+import { devices } from "../../devices";
+import { usePolled } from "../../live/polling";
+import { text } from "../../text";
+import { bytes, significant, time } from "../../ui/format";
+import { Badge, Failure, Panel, Table } from "../../ui/parts";
+import { grown, latencies, type LatencyClass, type Metrics, parseMetrics, quantile, requests, type StageTime, stages, valueOf } from "./metrics";
+
+const EVERY_S = 3;
+/** What is shown is of about so many readings back. */
+const READINGS = 5;
+
+interface Reading {
+  readonly at: number;
+  readonly metrics: Metrics;
+}
+
+export function Load() {
+  const readings = useRef<Reading[]>([]);
+  const polled = usePolled(
+    "metrics",
+    async () => {
+      const metrics = parseMetrics(await (await fetchBlob("/metrics")).text());
+      readings.current = [...readings.current.slice(-READINGS), { at: performance.now(), metrics }];
+      return performance.now();
+    },
+    EVERY_S,
+  );
+  if (!allowed("GET /metrics")) return <p class="muted">{text.access.notAllowed(scopeOf("GET /metrics"))}</p>;
+  const [first, last] = [readings.current[0], readings.current.at(-1)];
+  if (!first || !last || first === last)
+    return (
+      <Panel title={text.health.latency}>
+        <Failure message={polled.error} />
+        <p class="muted">{text.loading}</p>
+      </Panel>
+    );
+  const seconds = (last.at - first.at) / 1000;
+  return (
+    <>
+      <Panel title={text.health.latency}>
+        <Failure message={polled.error} />
+        <p class="muted">{text.health.latencyHelp(significant(seconds, 2))}</p>
+        <div class="charts">
+          {devices.value.map(({ id }) => (
+            <div key={id}>
+              <Latency device={id} classes={latencies(first.metrics, last.metrics, id)} />
+              <Waterfall device={id} stages={stages(first.metrics, last.metrics, id)} />
+            </div>
+          ))}
+        </div>
+      </Panel>
+      <Clients before={first.metrics} after={last.metrics} seconds={seconds} />
+      <Resources before={first.metrics} after={last.metrics} seconds={seconds} />
+    </>
+  );
+}
+
+function milliseconds(duration: number | null): string {
+  if (duration === null) return text.missing;
+  return Number.isFinite(duration) ? `${significant(1000 * duration, 2)} ms` : text.health.longer;
+}
+
+function Latency({ device, classes }: { device: string; classes: readonly LatencyClass[] }) {
+  const total = classes.reduce((sum, { count }) => sum + count, 0);
+  if (!total) return null;
+  return (
+    <figure>
+      <figcaption>
+        <strong>{device}</strong>{" "}
+        {text.health.quantiles(...([0.5, 0.95, 0.99] as const).map((share) => milliseconds(quantile(classes, share))) as [string, string, string])}
+      </figcaption>
+      <Table
+        caption={text.health.latencyOf(device)}
+        columns={[text.health.upTo, text.health.share]}
+        rows={classes.filter(({ count }, index) => count > 0 || (index < 8 && index > 0))}
+        identity={({ to }) => String(to)}
+        empty={text.missing}
+        row={({ to, count }) => [
+          milliseconds(to),
+          <span class="row">
+            <meter min={0} max={1} value={count / total} aria-label={milliseconds(to)} />
+            {`${significant((100 * count) / total, 2)} %`}
+          </span>,
+        ]}
+      />
+    </figure>
+  );
+}
+
+/** Where the time from exposure to stream goes: each stage begins where the one before ends. */
+function Waterfall({ device, stages: found }: { device: string; stages: readonly StageTime[] }) {
+  const total = found.reduce((sum, { took }) => sum + took, 0);
+  if (!found.length) return null;
+  const share = (value: number) => `${total > 0 ? (100 * value) / total : 0}%`;
+  return (
+    <Table
+      caption={text.health.stagesOf(device)}
+      columns={[text.health.stage, text.health.stageMean, text.health.stageWhen]}
+      rows={found}
+      identity={({ stage }) => stage}
+      empty={text.missing}
+      row={({ stage, from, took }) => [
+        text.health.stages[stage],
+        milliseconds(took),
+        <span class="waterfall">
+          <span style={{ marginLeft: share(from), width: share(took) }} />
+        </span>,
+      ]}
+    />
+  );
+}
+
+interface BetweenProps {
+  before: Metrics;
+  after: Metrics;
+  seconds: number;
+}
+
+function Clients({ before, after, seconds }: BetweenProps) {
+  return (
+    <Panel title={text.health.clients}>
+      <p class="muted">{text.health.clientsHelp}</p>
+      <Table
+        caption={text.health.clients}
+        columns={[text.column.device, text.column.subscribers, text.health.messages, text.health.missed]}
+        rows={devices.value.filter(({ id }) => valueOf(after, "lumiline_stream_clients", { device: id }) !== null)}
+        identity={({ id }) => id}
+        empty={text.device.none}
+        row={({ id }) => {
+          const missed = grown(before, after, "lumiline_stream_messages_missed_total", { device: id }) / seconds;
+          return [
+            id,
+            valueOf(after, "lumiline_stream_clients", { device: id }),
+            significant(grown(before, after, "lumiline_stream_messages_total", { device: id }) / seconds, 3),
+            <Badge kind={missed > 0 ? "bad" : "good"}>{missed > 0 ? text.health.behind(significant(missed, 2)) : text.health.none}</Badge>,
+          ];
+        }}
+      />
+      <StreamClients />
+      <Table
+        caption={text.health.requests}
+        columns={[text.health.requests, text.column.rate, text.health.mean]}
+        rows={requests(before, after, seconds).slice(0, 8)}
+        identity={({ route }) => route}
+        empty={text.health.noRequests}
+        row={({ route, perSecond, meanMs }) => [route, significant(perSecond, 2), `${significant(meanMs, 2)} ms`]}
+      />
+    </Panel>
+  );
+}
+
+/** Who has the streams; a key without that scope sees the sums above only. */
+function StreamClients() {
+  const can = allowed("GET /api/v1/stream-clients");
+  const clients = usePolled(
+    `stream clients ${can}`,
+    async () => (can ? await sent(api.GET("/api/v1/stream-clients", { params: { query: { limit: 200 } } })) : null),
+    EVERY_S,
+  );
+  if (!can) return <p class="muted">{text.access.notAllowed(scopeOf("GET /api/v1/stream-clients"))}</p>;
+  return (
+    <>
+      <Failure message={clients.error} />
+      <Table
+        caption={text.health.streamClients}
+        columns={[text.health.client, text.column.device, text.health.content, text.column.rate, text.health.waiting, text.health.missed, text.column.started]}
+        rows={clients.value?.items ?? []}
+        identity={({ id }) => id}
+        empty={clients.value ? text.health.noClients : text.loading}
+        row={(one) => [
+          one.client,
+          one.device_id,
+          `${one.content.join(", ")} (${one.mode}, ${one.encoding})`,
+          one.rate_hz === null ? text.health.every : significant(one.rate_hz, 3),
+          one.messages_waiting,
+          <Badge kind={one.messages_missed ? "bad" : "good"}>{one.messages_missed || text.health.none}</Badge>,
+          time(one.opened_at),
+        ]}
+      />
+    </>
+  );
+}
+
+function Resources({ before, after, seconds }: BetweenProps) {
+  const value = (name: string) => valueOf(after, name);
+  const backup = value("lumiline_last_backup_timestamp_seconds");
+  const started = value("process_start_time_seconds");
+  const rows: [string, string][] = [
+    [text.health.room, value("lumiline_recordings_free_bytes") === null ? text.missing : bytes(value("lumiline_recordings_free_bytes") ?? 0)],
+    [text.health.backup, backup ? time(new Date(1000 * backup).toISOString()) : text.health.noBackup],
+    [text.health.memory, bytes(value("process_resident_memory_bytes") ?? 0)],
+    [text.health.cores, significant(grown(before, after, "process_cpu_seconds_total") / seconds, 2)],
+    [text.health.files, `${value("process_open_fds") ?? text.missing}`],
+    [text.health.since, started ? time(new Date(1000 * started).toISOString()) : text.missing],
+  ];
+  return (
+    <Panel title={text.health.resources}>
+      <dl class="numbers">
+        {rows.map(([name, shown]) => (
+          <div key={name}>
+            <dt>{name}</dt>
+            <dd>{shown}</dd>
+          </div>
+        ))}
+      </dl>
+    </Panel>
+  );
+}

@@ -1,0 +1,30 @@
+"""Latency by stage of a running device."""
+
+import re
+
+import pytest
+
+from tests.dashboard.conftest import Visit
+from tests.dashboard.test_pages import serious_findings, show
+
+pytestmark = pytest.mark.slow
+
+
+def test_latency_is_shown_by_stage(visit: Visit):
+    show(visit.url, {"kind": "rotating-bar"})
+    page = visit.page
+    visit.screen("Health")
+    waterfall = page.get_by_role("region", name="Latency of sim by stage")
+    rows = waterfall.locator("tbody tr")
+    rows.first.wait_for()
+    stages = [row.partition(":")[0] for row in rows.all_inner_texts()]
+    assert [stage.split()[0] for stage in stages] == [
+        *("reception", "waiting", "computation", "publication")
+    ]
+    computation = waterfall.get_by_role("row", name=re.compile("computation: peaks to poses"))
+    assert re.search(r"\d ms", computation.inner_text())
+    bars = rows.locator(".waterfall > span")
+    left = [bar.bounding_box()["x"] for bar in bars.all()]  # type: ignore[index]
+    assert left == sorted(left)
+    assert left[0] < left[-1]
+    assert not serious_findings(page)

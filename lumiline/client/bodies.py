@@ -786,6 +786,7 @@ class NewToolCalibration(TypedDict):
 
     duration_s: NotRequired[float]
     poses: NotRequired[int]
+    min_swing_deg: NotRequired[float | None]
     relative: NotRequired[bool]
     apply: NotRequired[bool]
 

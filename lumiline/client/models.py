@@ -1412,6 +1412,7 @@ class NewToolCalibration(ResponseModel):
 
     duration_s: float = 10.0
     poses: int = 500
+    min_swing_deg: float | None = None
     relative: bool = True
     apply: bool = True
 

@@ -16,6 +16,7 @@ BENCHMARKS: Final = {
     "hold": "a patient who moves, to the signal that holds the beam: latency, missed, false",
     "hostile-bodies": "the worst bodies of each scope: stalls of a stream, hold statuses, /healthz",
     "stalled-clients": "ten clients of a stream, without and with 100 others that never read",
+    "dashboard": "the page in Chromium, visible and hidden: share of a core, delay, memory",
     "signal": "raw scans to peaks: rates and latency beside a memory copy, numba, NumPy, SciPy",
     "points": "readings to points, beside SciPy",
     "pose": "poses of ten tools from readings, beside SciPy; a tracker's step",
@@ -29,7 +30,7 @@ BENCHMARKS: Final = {
 }
 _OF_A_SERVICE: Final = (
     *("live", "load", "openigtlink", "navigation", "hold", "hostile-bodies", "stalled-clients"),
-    *("decoder", "clock"),
+    *("dashboard", "decoder", "clock"),
 )
 LOAD_RATE_HZ: Final = 5000.0
 _MODULES: Final = {
@@ -37,7 +38,9 @@ _MODULES: Final = {
 }  # fmt: skip
 """Modules of the package ``benchmarks`` that are not named as their benchmark."""
 _ON_A_DEVICE: Final = ("signal", "reconstruct", "rays")
-_TIMED: Final = ("live", "load", "openigtlink", "navigation", "hold", "stalled-clients")
+_TIMED: Final = (
+    *("live", "load", "openigtlink", "navigation", "hold", "stalled-clients", "dashboard"),
+)
 
 
 def _complete_name(incomplete: str) -> list[str]:

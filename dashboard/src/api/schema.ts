@@ -3725,6 +3725,7 @@ export interface components {
             duration_s: number;
             /** @default 500 */
             poses: number;
+            min_swing_deg?: number | null;
             /** @default true */
             relative: boolean;
             /** @default true */

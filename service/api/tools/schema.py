@@ -204,6 +204,11 @@ class NewToolCalibration(RequestModel):
     poses: Annotated[int, Field(ge=10, le=5000)] = Field(
         default=500, description="Poses that are used at most, evenly from all of that time."
     )
+    min_swing_deg: Annotated[float, Field(gt=0, le=60)] | None = Field(
+        default=None,
+        description="RMS angle by which each direction of the tool must swing at least, of a spin "
+        "those across the axis; null: 5 of a pivot, 20 of a spin.",
+    )
     relative: bool = Field(
         default=True,
         description="Whether poses relative to the tool's reference are taken, where it has one: "

@@ -1,5 +1,6 @@
 """Pivot and spin calibration from the live poses of a tool."""
 
+import math
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
@@ -47,7 +48,7 @@ def calibrate_tip(
             poses=0,
         )
     calibration_id, table_id = tap.active_ids or (None, None)
-    return _found(kind, chosen) | {"calibration_id": calibration_id, "table_id": table_id}
+    return _found(kind, chosen, asked.min_swing_deg) | {"calibration_id": calibration_id, "table_id": table_id}
 
 
 def subsample(poses: list[ToolPose], max_poses: int) -> list[ToolPose]:
@@ -59,7 +60,10 @@ def subsample(poses: list[ToolPose], max_poses: int) -> list[ToolPose]:
     ]
 
 
-def _found(kind: Literal["pivot", "spin"], poses: list[ToolPose]) -> dict[str, Any]:
+def _found(
+    kind: Literal["pivot", "spin"], poses: list[ToolPose], min_swing_deg: float | None
+) -> dict[str, Any]:
+    limits = {} if min_swing_deg is None else {"min_swing_rad": math.radians(min_swing_deg)}
     rotations = np.array([pose.rotation for pose in poses])
     translations = np.array([pose.translation_mm for pose in poses])
     known = all(pose.covariance is not None for pose in poses)
@@ -67,16 +71,17 @@ def _found(kind: Literal["pivot", "spin"], poses: list[ToolPose]) -> dict[str, A
     found: PivotResult | SpinResult
     vectors: dict[str, Any] = dict.fromkeys(("tip_mm", "tip_covariance_mm2", "axis", "point_mm"))
     if kind == "pivot":
-        from compute.pose.tool_calibration.pivot import pivot_calibration
+        from compute.pose.tool_calibration.pivot import PivotSettings, pivot_calibration
 
-        found = pivot_calibration(rotations, translations, covariances)
+        found = pivot_calibration(rotations, translations, covariances, PivotSettings(**limits))
         swing = found.orientations.swing_rad
         vectors["tip_mm"] = found.tip_mm.tolist()
         vectors["tip_covariance_mm2"] = found.tip_covariance_mm2.tolist()
     else:
-        from compute.pose.tool_calibration.spin import spin_calibration
+        from compute.pose.tool_calibration.spin import SpinSettings, spin_calibration
 
-        found = spin_calibration(rotations, translations, covariances)
+        settings = SpinSettings(**limits)
+        found = spin_calibration(rotations, translations, covariances, settings=settings)
         swing = found.orientations.swing_rad[1:]  # the least of them is the axis's own
         vectors["axis"] = found.direction.tolist()
         vectors["point_mm"] = found.point_mm.tolist()

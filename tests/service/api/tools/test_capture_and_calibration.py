@@ -242,6 +242,29 @@ def test_a_pivot_that_says_nothing_is_refused(
     assert sqlite_client.get("/api/v1/tools/pointer/calibrations").json()["items"] == []
 
 
+@pytest.mark.parametrize(
+    ("kind", "poses"),
+    [
+        ("pivot", pivoting("pointer", 100)),
+        ("pivot", pivoting("pointer", 100, swing_rad=0.06)),
+        ("spin", spinning("pointer", 15)[:2] * 50),
+    ],
+)
+def test_a_calibration_swings_as_far_as_was_asked_for(
+    sqlite_client: Any, running: FakePipeline, soon: None, kind: str, poses: list[Any]
+):
+    assert made(sqlite_client, POINTER).status_code == 201
+    running.batches = [tool_batch([poses])]
+    path = f"/api/v1/tools/pointer/{kind}-calibrations"
+    found = sqlite_client.post(path, json={"min_swing_deg": 0.1})
+    assert found.status_code == 201, found.text
+    reached_deg = found.json()["smallest_rotation_deg"]
+    assert sqlite_client.post(path, json={"min_swing_deg": reached_deg - 0.1}).status_code == 201
+    refused = sqlite_client.post(path, json={"min_swing_deg": reached_deg + 0.1})
+    assert code(refused) == (422, "too-little-rotation"), refused.text
+    assert f"at least {reached_deg + 0.1:.1f} deg" in refused.json()["detail"]
+
+
 def test_a_calibration_switched_meanwhile_spoils_it(
     sqlite_client: Any, running: FakePipeline, soon: None
 ):

@@ -39,7 +39,9 @@ demo: $(STAMP) $(PAGE)
 	$(BIN)/lumiline demo --force
 
 # Compiled modules are kept, also where the environment says not to: tests start many processes.
-PYTEST := PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2
+# A test that ends its process would be tried again and again.
+PYTEST := PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 \
+	--max-worker-restart 1
 
 test: $(STAMP) $(PAGE)
 	$(PYTEST) --dist loadfile -m "not slow"

@@ -44,6 +44,7 @@ def test_every_operation_has_a_method_and_every_method_is_one() -> None:
     assert methods == {method_name(operation) for operation in OPERATIONS}
 
 
+@pytest.mark.slow
 def test_generated_code_is_that_of_the_document() -> None:
     done = subprocess.run(
         [sys.executable, str(GENERATOR), "--check"], capture_output=True, text=True

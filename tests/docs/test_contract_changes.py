@@ -171,6 +171,7 @@ def test_snapshot_is_as_written() -> None:
     assert contract.written(json.loads(text)) == text
 
 
+@pytest.mark.slow
 def test_the_contract_is_that_of_the_snapshot() -> None:
     command = [sys.executable, FILE, "--check"]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)

@@ -4,9 +4,12 @@ import ast
 from collections.abc import Iterator
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parents[2]
 
 
+@pytest.mark.slow
 def test_public_function_of_two_arguments_describes_them() -> None:
     functions = [
         (f"{path.relative_to(ROOT)}:{function.lineno} {function.name}", function)

@@ -42,6 +42,7 @@ def test_wand_prints_calibration_and_targets(folder: Path) -> None:
     assert 0.5 < printed["chi2_per_dof"] < 2.0
 
 
+@pytest.mark.slow
 def test_map_prints_validation_by_sensor(folder: Path, tmp_path: Path) -> None:
     printed = result(
         "map", folder / "volume.csv", "--calibration", folder / "nominal.json",

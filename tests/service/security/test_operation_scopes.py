@@ -26,6 +26,7 @@ def test_the_guide_says_what_the_code_does() -> None:
     assert len(rows) == len(OPERATION_SCOPES)
 
 
+@pytest.mark.slow
 def test_the_tables_of_the_guide_are_made_from_the_code() -> None:
     root = Path(__file__).parents[3]
     command = [sys.executable, root / "docs" / "generators" / "access.py", "--check"]

@@ -232,6 +232,7 @@ def _lens_in_frame(model: SensorModel, origin_mm: Array) -> Array:
     return np.array([x + model.offset_x_mm, z + model.offset_z_mm])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sigma_px", [5e-4, 2e-3])
 def test_update_of_a_calibration_with_unknown_distortion_converges(sigma_px: float) -> None:
     """Markers read a hundred times as precisely as those of the calibration, which knows little."""

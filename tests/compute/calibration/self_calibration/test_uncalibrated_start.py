@@ -166,6 +166,7 @@ def test_a_scale_that_differs_from_the_start_is_warned_of() -> None:
     assert self_calibrate(rig(), [read]).warnings == ()
 
 
+@pytest.mark.slow
 def test_cameras_that_leave_more_than_the_noise_are_attempted_again(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -190,6 +191,7 @@ def test_cameras_that_leave_more_than_the_noise_are_attempted_again(
     assert not any("may be wrong" in warning for warning in found.warnings)
 
 
+@pytest.mark.slow
 def test_readings_with_more_noise_than_stated_are_warned_of() -> None:
     recording = _recording()
     assert recording.sigma_px is not None

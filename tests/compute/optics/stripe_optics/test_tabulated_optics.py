@@ -49,6 +49,7 @@ def bar():
     return profile, tables, ExactOptics(sensors, blur)
 
 
+@pytest.mark.slow
 def test_tables_of_the_bar_over_its_volume(bar):
     profile, tables, exact = bar
     rng = np.random.default_rng(20)
@@ -62,6 +63,7 @@ def test_tables_of_the_bar_over_its_volume(bar):
     np.testing.assert_allclose(light, traced_light, rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_points_outside_of_the_field_are_traced(bar):
     _, tables, exact = bar
     points = np.array([[0.0, 0.0, 400.0], [0.0, 900.0, 1500.0], [0.0, 0.0, 9000.0]])
@@ -75,6 +77,7 @@ def test_points_outside_of_the_field_are_traced(bar):
     np.testing.assert_allclose(light[lit], traced_light[lit], rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_dark_is_dark_and_behind_too(bar):
     _, tables, _ = bar
     points = np.array([[2500.0, 0.0, 1500.0], [0.0, 0.0, -1500.0]])

@@ -17,7 +17,7 @@ import { QualityScreen } from "./screens/quality/quality";
 import { Recordings } from "./screens/recordings/recordings";
 import { Scene } from "./screens/scene/scene";
 import { ScansScreen } from "./screens/scans/scans";
-import { Tools } from "./screens/tools";
+import { Tools } from "./screens/tools/tools";
 import { text } from "./text";
 import { Action, Badge, Failure } from "./ui/parts";
 

@@ -6,8 +6,11 @@ import { api, type Schemas, sent } from "../../api/client";
 import { device, type Device, loadDevices } from "../../devices";
 import { usePolled } from "../../live/polling";
 import { text } from "../../text";
+import { attempt } from "../../ui/attempt";
 import { time } from "../../ui/format";
 import { Action, Badge, Failure, Panel, Table } from "../../ui/parts";
+import { parseTargets } from "../../ui/targets";
+import { readText } from "../../ui/text_file";
 import { type Capture, CaptureRun, CaptureSession } from "./capture_session";
 import { DriftCheckOf } from "./drift_wizard";
 import { FormerTargets } from "./former_targets";
@@ -15,7 +18,6 @@ import { LightCheck } from "./light_check";
 import { CorrectionTables, MappingRun } from "./mapping";
 import { CalibrationResult } from "./result";
 import { Sessions } from "./sessions";
-import { parseTargets, type Target } from "./targets";
 import { WandCalibration } from "./wand";
 
 type Summary = Schemas["CalibrationSummary"];
@@ -105,7 +107,7 @@ function Captures({ device: shown, purpose }: { device: Device; purpose: (captur
 function NewSession({ device: shown, begun }: { device: Device; begun: (id: string) => void }) {
   const table = useSignal("");
   const marker = useSignal("");
-  const read = parsed(table.value);
+  const read = attempt(() => parseTargets(table.value));
   const lit = marker.value === "" ? null : Number(marker.value);
   return (
     <Panel title={text.calibrate.targets}>
@@ -116,7 +118,10 @@ function NewSession({ device: shown, begun }: { device: Device; begun: (id: stri
           <input
             type="file"
             accept=".csv,.tsv,.txt,text/csv"
-            onChange={(event) => void readFile(event.currentTarget.files?.[0], (content) => (table.value = content))}
+            onChange={async (event) => {
+              const file = event.currentTarget.files?.[0];
+              if (file) table.value = await readText(file);
+            }}
           />
         </label>
         <label>
@@ -150,23 +155,6 @@ function NewSession({ device: shown, begun }: { device: Device; begun: (id: stri
       />
     </Panel>
   );
-}
-
-/** Return the targets of a table, or why there are none. */
-function parsed(table: string): Target[] | string {
-  try {
-    return parseTargets(table);
-  } catch (error) {
-    return (error as Error).message;
-  }
-}
-
-async function readFile(file: File | undefined, take: (content: string) => void): Promise<void> {
-  if (!file) return;
-  const content = new Uint8Array(await file.arrayBuffer());
-  // What spreadsheet programs call Unicode is UTF-16 with a byte order mark.
-  const encoding = content[0] === 0xff && content[1] === 0xfe ? "utf-16le" : content[0] === 0xfe && content[1] === 0xff ? "utf-16be" : "utf-8";
-  take(new TextDecoder(encoding).decode(content));
 }
 
 /** All calibrations of the device: open, activate, roll back. */

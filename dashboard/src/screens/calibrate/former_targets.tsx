@@ -4,7 +4,7 @@ import { api, sent } from "../../api/client";
 import type { Device } from "../../devices";
 import { usePolled } from "../../live/polling";
 import { text } from "../../text";
-import { targetsTable } from "./targets";
+import { targetsTable } from "../../ui/targets";
 
 export function FormerTargets({ device, take }: { device: Device; take: (table: string) => void }) {
   const query = { device_id: device.id, limit: 20 };

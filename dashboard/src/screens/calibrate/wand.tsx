@@ -6,6 +6,7 @@ import { api, type Schemas, sent } from "../../api/client";
 import { type Device, loadDevices } from "../../devices";
 import { usePolled } from "../../live/polling";
 import { text } from "../../text";
+import { attempt } from "../../ui/attempt";
 import { significant } from "../../ui/format";
 import { Action, Failure, Panel, Table } from "../../ui/parts";
 import { RunAction } from "../../ui/run_action";
@@ -370,13 +371,4 @@ function WandRun({ wave, device, calibrated }: { wave: Wave } & WandProps) {
       />
     </Panel>
   );
-}
-
-/** Return what a function gives, or the message of its error. */
-function attempt<T>(read: () => T): T | string {
-  try {
-    return read();
-  } catch (error) {
-    return (error as Error).message;
-  }
 }

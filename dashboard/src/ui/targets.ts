@@ -1,6 +1,6 @@
 /** Target coordinates from a table: CSV or TSV with a heading, as spreadsheets write it. */
 
-import { text } from "../../text";
+import { text } from "../text";
 
 export interface Target {
   name: string;
@@ -15,8 +15,11 @@ const AXES = ["x", "y", "z"] as const;
  *
  * Columns X, Y, Z (with a unit: `X_mm`, `X [cm]`; none: mm), optionally `name` and `marker`.
  * Separators are semicolons, tabs or commas; with one of the first two, decimals may have commas.
+ *
+ * @param table with its heading.
+ * @param unlit the name of a row that has no marker.
  */
-export function parseTargets(table: string): Target[] {
+export function parseTargets(table: string, unlit?: string): Target[] {
   const lines = table.split(/\r\n|\r|\n/).filter((line) => line.trim() && !line.trimStart().startsWith("#"));
   const heading = lines[0];
   if (heading === undefined) throw new Error(text.targets.empty);
@@ -36,10 +39,12 @@ export function parseTargets(table: string): Target[] {
       if (value === null) throw new Error(text.targets.noNumber(index + 2, cell));
       return value * (axis?.factor ?? 1);
     }) as [number, number, number];
-    const lit = marker < 0 ? null : toNumber(row[marker] ?? "", separator);
-    if (marker >= 0 && (lit === null || !Number.isInteger(lit) || lit < 0))
+    const title = (name < 0 ? "" : row[name]) || `${index + 1}`;
+    const dark = marker < 0 || title === unlit;
+    const lit = dark ? null : toNumber(row[marker] ?? "", separator);
+    if (!dark && (lit === null || !Number.isInteger(lit) || lit < 0))
       throw new Error(text.targets.noMarker(index + 2, row[marker] ?? ""));
-    return { name: (name < 0 ? "" : row[name]) || `${index + 1}`, position_mm: position, marker: lit };
+    return { name: title, position_mm: position, marker: lit };
   });
   if (!targets.length) throw new Error(text.targets.empty);
   const twice = targets.find((one, index) => targets.findIndex((other) => other.name === one.name) !== index);

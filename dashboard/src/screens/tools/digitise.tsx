@@ -1,0 +1,127 @@
+/** Points measured with a tool's tip, to look at and to save. */
+
+import { useSignal } from "@preact/signals";
+import { api, type Schemas, sent } from "../../api/client";
+import { text } from "../../text";
+import { download, toCsv } from "../../ui/download";
+import { meanSigma, position, significant } from "../../ui/format";
+import { Action, Panel, Table } from "../../ui/parts";
+import { tone } from "../calibrate/tone";
+import { following } from "./entries";
+import { useFrames } from "./frames";
+
+type Tool = Schemas["Tool"];
+export type MeasuredPoint = Schemas["MeasuredPoint"];
+
+/** Measure a point with a tool's tip: a high tone when it is, a low one when it could not be. */
+export async function measurePoint(tool: string, frame: string | null, name: string): Promise<MeasuredPoint> {
+  const body = { name: name || null, frame_id: frame, duration_s: 0.5, max_sigma_mm: 0.5, max_drift_mm: 0.3, timeout_s: 30 };
+  try {
+    const point = await sent(api.POST("/api/v1/tools/{tool_id}/points", { params: { path: { tool_id: tool } }, body }));
+    tone(880, 0.2);
+    return point;
+  } catch (error) {
+    tone(220, 0.4);
+    throw error;
+  }
+}
+
+/** Tools that have a tip to touch with. */
+export function pointers(tools: readonly Tool[]): readonly Tool[] {
+  return tools.filter(({ tip }) => tip.position_mm !== null);
+}
+
+export function DigitisePoints({ device, tools }: { device: string; tools: readonly Tool[] }) {
+  const able = pointers(tools);
+  const chosen = useSignal("");
+  const frame = useSignal("");
+  const name = useSignal("1");
+  const points = useSignal<readonly MeasuredPoint[]>([]);
+  const frames = useFrames(device, 5);
+  const tool = able.find(({ id }) => id === chosen.value) ?? able[0];
+  const shown = points.value;
+  const save = () => {
+    const rows = shown.map((point) => {
+      const sigma = [0, 1, 2].map((axis) => Math.sqrt(point.covariance_mm2[axis]?.[axis] ?? Number.NaN));
+      return [point.name ?? "", ...point.position_mm, ...sigma, point.frame_id, point.tool_id];
+    });
+    const heading = ["name", "X [mm]", "Y [mm]", "Z [mm]", "sigma X [mm]", "sigma Y [mm]", "sigma Z [mm]", "frame", "tool"];
+    download(new Blob([toCsv([heading, ...rows])], { type: "text/csv" }), "points.csv");
+  };
+  return (
+    <Panel
+      title={text.points.title}
+      actions={
+        <>
+          <button type="button" disabled={!shown.length} onClick={save}>
+            {text.points.save}
+          </button>
+          <button type="button" disabled={!shown.length} onClick={() => (points.value = [])}>
+            {text.points.clear}
+          </button>
+        </>
+      }
+    >
+      {tool ? (
+        <>
+          <p>{text.points.help}</p>
+          <div class="row">
+            <label>
+              {text.points.tool}{" "}
+              <select value={tool.id} onChange={({ currentTarget }) => (chosen.value = currentTarget.value)}>
+                {able.map(({ id }) => (
+                  <option key={id} value={id}>
+                    {id}
+                  </option>
+                ))}
+              </select>
+            </label>
+            <label>
+              {text.points.frame}{" "}
+              <select value={frame.value} onChange={({ currentTarget }) => (frame.value = currentTarget.value)}>
+                <option value="">{text.points.byTool}</option>
+                {(frames.value?.frames ?? [])
+                  .filter(({ id }) => id !== tool.id)
+                  .map(({ id }) => (
+                    <option key={id} value={id}>
+                      {id}
+                    </option>
+                  ))}
+              </select>
+            </label>
+            <label>
+              {text.points.name} <input value={name.value} onInput={({ currentTarget }) => (name.value = currentTarget.value)} />
+            </label>
+            <Action
+              label={text.points.measure}
+              kind="primary"
+              operation="POST /api/v1/tools/{tool_id}/points"
+              run={async () => {
+                points.value = [...points.value, await measurePoint(tool.id, frame.value || null, name.value)];
+                name.value = following(name.value);
+              }}
+            />
+          </div>
+        </>
+      ) : (
+        <p class="muted">{text.points.noTool}</p>
+      )}
+      <Table
+        caption={text.points.title}
+        columns={[text.column.name, text.column.position, text.column.sigma, text.points.drift, text.points.frames, text.points.frame, text.column.tool]}
+        rows={shown}
+        identity={(point) => shown.indexOf(point)}
+        empty={text.points.none}
+        row={(point) => [
+          point.name ?? "",
+          position(point.position_mm, point.covariance_mm2),
+          significant(meanSigma(point.covariance_mm2), 2),
+          significant(point.drift_mm, 2),
+          point.frames,
+          point.frame_id,
+          point.tool_id,
+        ]}
+      />
+    </Panel>
+  );
+}

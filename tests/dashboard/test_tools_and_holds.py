@@ -8,7 +8,7 @@ import httpx
 import pytest
 
 from tests.dashboard.conftest import Visit
-from tests.dashboard.test_pages import show
+from tests.dashboard.test_pages import serious_findings, show
 
 pytestmark = pytest.mark.slow
 
@@ -144,6 +144,7 @@ def test_tool_is_made_pivoted_and_registers_a_phantom(visit: Visit):
         at = [moved[i] + matrix[i][3] for i in range(3)]
         wanted = [shift * 100.0, shift * 200.0, 1500.0 + shift * 300.0]
         assert at == pytest.approx(wanted, abs=10.0)
+    assert serious_findings(page) == []
 
 
 @pytest.mark.usefixtures("tool")

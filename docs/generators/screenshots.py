@@ -63,6 +63,9 @@ def show_details(page: Page, name: str) -> None:
         page.get_by_role("button", name="Freeze").click()
         page.get_by_role("button", name="1: zoom").click()
         page.evaluate("scrollTo(0, 0)")
+    elif name == "tools":
+        page.get_by_role("button", name="pointer", exact=True).click()
+        page.get_by_role("region", name="Pivot and spin", exact=True).wait_for()
     elif name == "health":
         page.wait_for_timeout(METRICS_MS)
 

@@ -52,7 +52,11 @@ class Settings(BaseSettings):
 
     # Errors without the values: one may be the database's URL, under whatever misspelt name.
     model_config = SettingsConfigDict(
-        env_prefix="LUMILINE_", extra="forbid", frozen=True, hide_input_in_errors=True
+        env_prefix="LUMILINE_",
+        extra="forbid",
+        frozen=True,
+        hide_input_in_errors=True,
+        use_attribute_docstrings=True,
     )
 
     data_dir: Path = Field(default_factory=default_data_dir)
@@ -60,8 +64,11 @@ class Settings(BaseSettings):
     database_url: str | None = None
     """SQLAlchemy URL, for PostgreSQL ``postgresql+psycopg://...``; None: SQLite in data_dir."""
     host: str = "127.0.0.1"
+    """Address that it listens on."""
     port: int = Field(default=8000, ge=0, le=65535)
+    """Port that it listens on; 0: a free one."""
     log_level: Literal["critical", "error", "warning", "info", "debug"] = "info"
+    """Log lines of this level and above are written."""
     log_format: Literal["text", "json"] = "text"
     """Log lines as readable text, or one JSON object each."""
     profile: str | None = None

@@ -3,7 +3,6 @@
 from typing import Any
 
 from pydantic.fields import FieldInfo
-from sphinx.pycode import ModuleAnalyzer
 
 from generators.text import code, markdown, table
 from generators.text import page as whole_page
@@ -12,14 +11,12 @@ from service.settings import Settings
 
 def page() -> str:
     """Return the page."""
-    analyzer = ModuleAnalyzer.for_module(Settings.__module__)
-    documented = analyzer.find_attr_docs()
     rows = [
         (
             code(f"LUMILINE_{name.upper()}"),
             code(_type(field)),
             code(_default(field)),
-            markdown(" ".join(documented.get(("Settings", name), []))),
+            markdown(" ".join((field.description or "").split())),
         )
         for name, field in Settings.model_fields.items()
     ]

@@ -2285,6 +2285,24 @@ class LogRecord(ResponseModel):
     traceback: str | None
 
 
+class Setting(ResponseModel):
+    """A setting of the server, as it is in force."""
+
+    name: str
+    value: Any
+    is_default: bool
+    description: str
+
+
+class Backup(ResponseModel):
+    """A backup of database, recordings and profiles."""
+
+    id: str
+    created_at: datetime
+    path: str
+    database_bytes: int
+
+
 class ErrorStatistics(ResponseModel):
     """Summary of N errors [mm], with the values that ASTM F2554 requires."""
 

@@ -1309,6 +1309,16 @@ class Operations(Exchanges):
         )
 
     @ClientMethod
+    async def settings(self, *, limit: int | None = None) -> list[models.Setting]:
+        """The settings in force."""
+        return await self._get_all(models.Setting, "/api/v1/settings", limit=limit)
+
+    @ClientMethod
+    async def backups(self, *, limit: int | None = None) -> list[models.Backup]:
+        """Backups of this server."""
+        return await self._get_all(models.Backup, "/api/v1/backups", limit=limit)
+
+    @ClientMethod
     async def metrics(self) -> str:
         """Figures for Prometheus."""
         return await self._text("GET", "/metrics")

@@ -17,6 +17,7 @@ from service.api.correction_tables.router import router as correction_tables
 from service.api.devices.router import router as devices
 from service.api.drift_checks.router import router as drift_checks
 from service.api.exports.router import router as exports_router
+from service.api.installation.router import backups_router, settings_router
 from service.api.json_body import BodyReader
 from service.api.line_scans.router import router as line_scans
 from service.api.openapi import install_openapi
@@ -185,6 +186,8 @@ def _routes() -> tuple[BaseRoute, ...]:
         webhooks,
         audit,
         log_records,
+        settings_router,
+        backups_router,
         metrics,
         quality,
         server,

@@ -110,6 +110,31 @@ def last_backup(data_dir: Path) -> datetime | None:
         return None
 
 
+def backups_beside_last(data_dir: Path) -> list[Path]:
+    """Return the whole backups in the folder of the last one, the oldest first.
+
+    Empty where there was none, or the folder cannot be read.
+    """
+    try:
+        document: Any = json.loads((data_dir / LAST_BACKUP).read_text(encoding="utf-8"))
+        return [one for one in backups_in(Path(document["backup"]).parent) if _is_named(one)]
+    except (OSError, ValueError, KeyError, TypeError):
+        return []
+
+
+def backup_time(backup: Path) -> datetime:
+    """Return when a backup was made, as its name says."""
+    return datetime.strptime(backup.name, _NAME).replace(tzinfo=UTC)
+
+
+def _is_named(backup: Path) -> bool:
+    try:
+        backup_time(backup)
+    except ValueError:
+        return False  # somebody renamed it
+    return True
+
+
 def _write_last(data_dir: Path, backup: Path, at: datetime) -> None:
     file = data_dir / LAST_BACKUP
     part = file.with_name(f"{file.name}.part")

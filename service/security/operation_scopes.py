@@ -181,6 +181,9 @@ OPERATION_SCOPES: Final[Mapping[str, Access]] = {
     # Lines of the log name addresses, devices and requests, as the audit log does.
     "list-log-records": "read:audit",
     "list-stream-clients": "read:audit",  # names of keys
+    # Addresses, folders and limits are of use to who administers, and to who attacks.
+    "list-settings": "read:audit",
+    "list-backups": "read:audit",
 }
 """Every route by its operation id; routes outside the contract by their name."""
 

@@ -1508,6 +1508,38 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/settings": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get: operations["list-settings"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/backups": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get: operations["list-backups"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/metrics": {
         parameters: {
             query?: never;
@@ -1841,6 +1873,13 @@ export interface components {
                 number,
                 number
             ] | null;
+        };
+        Backup: {
+            id: string;
+            /** Format: date-time */
+            created_at: string;
+            path: string;
+            database_bytes: number;
         };
         BeamHold: {
             id: string;
@@ -2927,6 +2966,7 @@ export interface components {
              */
             status: "ok";
         };
+        JsonValue: unknown;
         LabelFinding: {
             /** @enum {string} */
             kind: "outlier" | "exchanged" | "wrong-label";
@@ -3799,6 +3839,10 @@ export interface components {
             items: components["schemas"]["AuditEntry"][];
             next_cursor: string | null;
         };
+        Page_Backup_: {
+            items: components["schemas"]["Backup"][];
+            next_cursor: string | null;
+        };
         Page_BeamHold_: {
             items: components["schemas"]["BeamHold"][];
             next_cursor: string | null;
@@ -3869,6 +3913,10 @@ export interface components {
         };
         Page_Run_: {
             items: components["schemas"]["Run"][];
+            next_cursor: string | null;
+        };
+        Page_Setting_: {
+            items: components["schemas"]["Setting"][];
             next_cursor: string | null;
         };
         Page_StreamClient_: {
@@ -4991,6 +5039,12 @@ export interface components {
              */
             kind: "serial";
             settings: components["schemas"]["SerialSettings"];
+        };
+        Setting: {
+            name: string;
+            value: components["schemas"]["JsonValue"];
+            is_default: boolean;
+            description: string;
         };
         Shape: {
             light: number[][];
@@ -10199,6 +10253,66 @@ export interface operations {
                 };
                 content: {
                     "application/json": components["schemas"]["Page_LogRecord_"];
+                };
+            };
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    "list-settings": {
+        parameters: {
+            query?: {
+                limit?: number;
+                cursor?: string | null;
+            };
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Page_Setting_"];
+                };
+            };
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    "list-backups": {
+        parameters: {
+            query?: {
+                limit?: number;
+                cursor?: string | null;
+            };
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Page_Backup_"];
                 };
             };
             default: {

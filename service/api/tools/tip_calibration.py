@@ -48,7 +48,10 @@ def calibrate_tip(
             poses=0,
         )
     calibration_id, table_id = tap.active_ids or (None, None)
-    return _found(kind, chosen, asked.min_swing_deg) | {"calibration_id": calibration_id, "table_id": table_id}
+    return _found(kind, chosen, asked.min_swing_deg) | {
+        "calibration_id": calibration_id,
+        "table_id": table_id,
+    }
 
 
 def subsample(poses: list[ToolPose], max_poses: int) -> list[ToolPose]:

@@ -1,0 +1,1 @@
+"""REST resources of an installation: its settings and its backups."""

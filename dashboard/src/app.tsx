@@ -8,7 +8,7 @@ import { logIn, logOut, openSession, refusal, serverReached, session } from "./a
 import { choose, device, devices, loadDevices } from "./devices";
 import { usePolled } from "./live/polling";
 import { visible } from "./live/visibility";
-import { Administration } from "./screens/administration";
+import { Administration } from "./screens/administration/administration";
 import { Calibrate } from "./screens/calibrate/calibrate";
 import { Health } from "./screens/health/health";
 import { Holds } from "./screens/holds";

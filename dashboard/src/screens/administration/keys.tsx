@@ -1,49 +1,16 @@
-/** Administration: who this page acts as, keys, the audit trail. */
+/** Keys: who may do what; a new one is shown once. */
 
 import { useSignal } from "@preact/signals";
-import { api, type Schemas, sent } from "../api/client";
-import { key } from "../api/key";
-import { allowed, logOut, scopeOf, session } from "../api/session";
-import { usePolled } from "../live/polling";
-import { text } from "../text";
-import { time } from "../ui/format";
-import { Action, Badge, Copy, Failure, Panel, Table } from "../ui/parts";
+import { api, type Schemas, sent } from "../../api/client";
+import { session } from "../../api/session";
+import { usePolled } from "../../live/polling";
+import { text } from "../../text";
+import { time } from "../../ui/format";
+import { Action, Badge, Copy, Failure, Panel, Table } from "../../ui/parts";
 
 type Scope = Schemas["NewApiKey"]["scopes"][number];
 
-export function Administration() {
-  const now = session.value;
-  const may = allowed("GET /api/v1/keys");
-  return (
-    <>
-      <Panel
-        title={text.administration.you}
-        actions={
-          key.value ? (
-            <button type="button" onClick={() => void logOut()}>
-              {text.access.logOut}
-            </button>
-          ) : null
-        }
-      >
-        <p>
-          <strong>{now?.kind === "local" ? text.access.local : text.access.key}</strong>
-        </p>
-        <p class="muted">{now?.scopes.join(", ")}</p>
-      </Panel>
-      {may ? (
-        <>
-          <Keys />
-          <Audit />
-        </>
-      ) : (
-        <p class="muted">{text.access.notAllowed(scopeOf("GET /api/v1/keys"))}</p>
-      )}
-    </>
-  );
-}
-
-function Keys() {
+export function Keys() {
   const keys = usePolled("keys", () => sent(api.GET("/api/v1/keys", { params: { query: { limit: 100 } } })));
   const name = useSignal("");
   const scopes = useSignal<readonly Scope[]>([]);
@@ -115,51 +82,6 @@ function Keys() {
           {text.administration.once} <code>{made.value}</code> <Copy value={made.value} />
         </p>
       ) : null}
-    </Panel>
-  );
-}
-
-function Audit() {
-  const refused = useSignal(false);
-  const entries = usePolled(
-    `audit ${refused.value}`,
-    () =>
-      sent(
-        api.GET("/api/v1/audit", {
-          params: { query: { limit: 50, ...(refused.value ? { outcome: "refused" as const } : {}) } },
-        }),
-      ),
-    5,
-  );
-  return (
-    <Panel
-      title={text.administration.audit}
-      actions={
-        <label>
-          <input
-            type="checkbox"
-            checked={refused.value}
-            onChange={(event) => (refused.value = event.currentTarget.checked)}
-          />{" "}
-          {text.administration.everything}
-        </label>
-      }
-    >
-      <Failure message={entries.error} />
-      <Table
-        caption={text.administration.audit}
-        columns={[text.column.time, text.column.actor, text.column.operation, text.column.object, text.column.outcome]}
-        rows={entries.value?.items ?? []}
-        identity={({ id }) => id}
-        empty={entries.value ? text.missing : text.loading}
-        row={(entry) => [
-          time(entry.created_at),
-          entry.actor.name || entry.actor.id,
-          entry.operation,
-          [entry.object_kind, entry.object_id].filter(Boolean).join(" "),
-          <span title={entry.detail ?? undefined}>{entry.outcome}</span>,
-        ]}
-      />
     </Panel>
   );
 }

@@ -51,6 +51,8 @@ class LinkState:
         counters: its traffic and errors.
         clock_uncertainty_us: of exposures' host times, beyond the shortest delay of the link [us];
             None: not known, or not yet.
+        clock_rate_ppm: relative rate error of the device's clock, by which its seconds are longer
+            than the host's [ppm]; None: not known, or not yet.
         temperature_c: temperature last reported by the device [degrees C]; None: none.
     """
 
@@ -58,6 +60,7 @@ class LinkState:
     reason: str | None = None
     counters: LinkCounters = field(default_factory=LinkCounters)
     clock_uncertainty_us: float | None = None
+    clock_rate_ppm: float | None = None
     temperature_c: float | None = None
 
 

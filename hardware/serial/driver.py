@@ -130,6 +130,7 @@ class SerialSession:
             return LinkState(state, reason)
         open_ones = connection.assembler.incomplete if connection else 0
         uncertainty = builder.clock.uncertainty_ns
+        known = math.isfinite(uncertainty)
         return LinkState(
             state,
             reason,
@@ -142,7 +143,8 @@ class SerialSession:
                 reconnects=self._reconnects,
                 clock_restarts=builder.clock.restarts,
             ),
-            uncertainty * 1e-3 if math.isfinite(uncertainty) else None,
+            uncertainty * 1e-3 if known else None,
+            builder.clock.rate * 1e6 if known else None,
             self._temperature_c,
         )
 

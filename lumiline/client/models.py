@@ -382,6 +382,7 @@ class LinkState(ResponseModel):
     reason: str | None = None
     counters: LinkCounters | None = None
     clock_uncertainty_us: float | None = None
+    clock_rate_ppm: float | None = None
     temperature_c: float | None = None
 
 

@@ -3085,6 +3085,7 @@ export interface components {
             reason?: string | null;
             counters?: components["schemas"]["LinkCounters"];
             clock_uncertainty_us?: number | null;
+            clock_rate_ppm?: number | null;
             temperature_c?: number | null;
         };
         LiveBadPixel: {

@@ -1,5 +1,6 @@
 """SerialDriver with a simulated device and transmission faults."""
 
+import math
 import os
 import threading
 import time
@@ -13,6 +14,7 @@ import pytest
 from numpy.typing import NDArray
 
 from compute.errors import InvalidParameter
+from hardware.clock_sync import DeviceClock
 from hardware.errors import DeviceChanged, DeviceNotConnected
 from hardware.line_frame import FrameFlag, LineFrame
 from hardware.link import LinkedDriver, LinkState
@@ -145,6 +147,19 @@ def test_frames_are_the_devices_own(bar: BenchDevice, watched: Watched, tmp_path
 
 UNPLUGGED = int(os.environ.get("LUMILINE_TEST_UNPLUGS", "10"))
 """How often the device is unplugged; a hundred times take seven seconds."""
+
+
+def test_the_link_has_the_rate_error_of_the_devices_clock_once_it_is_known(
+    watched: Watched, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    watched.more(1)
+    monkeypatch.setattr(DeviceClock, "rate", property(lambda _: 50e-6))
+    monkeypatch.setattr(DeviceClock, "uncertainty_ns", property(lambda _: math.inf))
+    assert watched.driver.link().clock_rate_ppm is None
+    monkeypatch.setattr(DeviceClock, "uncertainty_ns", property(lambda _: 2000.0))
+    found = watched.driver.link()
+    assert found.clock_rate_ppm == pytest.approx(50.0)
+    assert found.clock_uncertainty_us == pytest.approx(2.0)
 
 
 def test_it_comes_back_each_time_it_is_unplugged(bar: BenchDevice, watched: Watched) -> None:

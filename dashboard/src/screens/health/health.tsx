@@ -72,7 +72,7 @@ function Devices() {
       <Failure message={rows.error} />
       <Table
         caption={text.health.devices}
-        columns={[text.column.device, text.column.state, text.column.reason, text.column.rate, text.column.frames, text.column.lostDevice, text.column.dropped, text.column.subscribers, text.column.link, text.column.clock, text.health.temperature, text.column.calibration]}
+        columns={[text.column.device, text.column.state, text.column.reason, text.column.rate, text.column.frames, text.column.lostDevice, text.column.dropped, text.column.subscribers, text.column.link, text.column.clock, text.health.clockRate, text.health.temperature, text.column.calibration]}
         rows={rows.value ?? []}
         identity={({ id }) => id}
         empty={rows.value ? text.device.none : text.loading}
@@ -89,6 +89,7 @@ function Devices() {
           status.subscribers,
           status.link?.state ?? text.missing,
           significant(status.link?.clock_uncertainty_us, 2),
+          significant(status.link?.clock_rate_ppm, 3),
           significant(status.link?.temperature_c, 3),
           status.calibration_id ?? text.missing,
         ]}

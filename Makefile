@@ -79,6 +79,7 @@ $(NODE_STAMP): $(STAMP) dashboard/package-lock.json
 dashboard: $(NODE_STAMP)
 	$(NODE) node_modules/typescript/bin/tsc --noEmit
 	$(NODE) node_modules/vitest/vitest.mjs run
+	$(BIN)/python dashboard/types/make_types.py --check
 	$(BIN)/python dashboard/packaging/page_backend.py
 
 # Needs Chromium.

@@ -5,6 +5,7 @@ an sdist, which contains the page, needs none. `python dashboard/packaging/page_
 the page alone.
 """
 
+import gzip
 import hashlib
 import shutil
 import sys
@@ -33,6 +34,8 @@ ROOT = Path(__file__).resolve().parents[2]
 SOURCES = ROOT / "dashboard"
 PAGE = ROOT / "service" / "application" / "dashboard_page"
 HASH = PAGE / "sources.sha256"
+SCRIPT_BYTES = 250_000
+"""Most that the page's scripts may have, gzipped."""
 
 
 def page_sources():
@@ -101,6 +104,12 @@ def _run(step, code):
 def _check(folder):
     if not (folder / "index.html").is_file() or not any(folder.glob("dashboard/*.js")):
         raise RuntimeError(f"the dashboard's page was not built: no page in {folder}")
+    size = sum(len(gzip.compress(path.read_bytes())) for path in folder.rglob("*.js"))
+    if size > SCRIPT_BYTES:
+        raise RuntimeError(
+            f"the dashboard's page was not built: its scripts have {size:,} bytes gzipped; they "
+            f"may have {SCRIPT_BYTES:,}: load less, or raise SCRIPT_BYTES and say why"
+        )
 
 
 def _with_page():

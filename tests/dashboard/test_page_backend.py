@@ -1,6 +1,7 @@
 """The build backend: every distribution has the page; Node is asked for only where it is stale."""
 
 import importlib.util
+import random
 import shutil
 import subprocess
 import sys
@@ -115,6 +116,16 @@ def test_failed_step_ends_the_build_and_keeps_the_old_page(
         backend.build_wheel(str(tree / "wheels"))
     assert (backend.PAGE / "index.html").read_text() == "of these sources"
     assert backend.is_stale()
+
+
+def test_page_with_too_large_scripts_is_not_packed(tree: Path):
+    backend = backend_of(tree)
+    script = backend.PAGE / "dashboard" / "index.js"
+    script.write_bytes(random.Random(1).randbytes(backend.SCRIPT_BYTES - 1000))
+    backend._check(backend.PAGE)
+    script.write_bytes(random.Random(1).randbytes(backend.SCRIPT_BYTES + 1))
+    with pytest.raises(RuntimeError, match="bytes gzipped; they may have 250,000"):
+        backend._check(backend.PAGE)
 
 
 def test_build_without_a_page_fails(tree: Path, monkeypatch: pytest.MonkeyPatch):

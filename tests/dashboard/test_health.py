@@ -27,4 +27,8 @@ def test_latency_is_shown_by_stage(visit: Visit):
     left = [bar.bounding_box()["x"] for bar in bars.all()]  # type: ignore[index]
     assert left == sorted(left)
     assert left[0] < left[-1]
+    losses = page.get_by_role("region", name="Losses by place").last.get_by_role("row", name="sim")
+    counts = [cell.split() for cell in losses.locator("td").all_inner_texts()]
+    # A simulated device has no cable; of all else there is a number.
+    assert all(one[0].isdigit() for one in counts[3:6])
     assert not serious_findings(page)

@@ -54,6 +54,7 @@ export function Load() {
           ))}
         </div>
       </Panel>
+      <Losses before={first.metrics} after={last.metrics} seconds={seconds} />
       <Clients before={first.metrics} after={last.metrics} seconds={seconds} />
       <Resources before={first.metrics} after={last.metrics} seconds={seconds} />
     </>
@@ -119,6 +120,47 @@ interface BetweenProps {
   before: Metrics;
   after: Metrics;
   seconds: number;
+}
+
+/** What is lost on a frame's way, in its order; link_... only of devices that are linked. */
+const LOSSES = [
+  "link_frames_garbled",
+  "link_frames_incomplete",
+  "frames_lost",
+  "frames_dropped_compute",
+  "frames_not_tracked",
+  "recording_frames_dropped_writer",
+  "stream_messages_missed",
+] as const;
+
+/** Where frames are lost: since the device started, and now. */
+function Losses({ before, after, seconds }: BetweenProps) {
+  const shown = devices.value.filter(({ id }) => valueOf(after, "lumiline_frames_received_total", { device: id }) !== null);
+  return (
+    <Panel title={text.health.losses}>
+      <p class="muted">{text.health.lossesHelp}</p>
+      <Table
+        caption={text.health.losses}
+        columns={[text.column.device, ...LOSSES.map((name) => text.health.loss[name])]}
+        rows={shown}
+        identity={({ id }) => id}
+        empty={text.device.none}
+        row={({ id }) => [
+          id,
+          ...LOSSES.map((name) => {
+            const metric = `lumiline_${name}_total`;
+            const count = valueOf(after, metric, { device: id });
+            const rate = grown(before, after, metric, { device: id }) / seconds;
+            return (
+              <>
+                {count ?? text.missing} {rate > 0 ? <Badge kind="bad">{text.health.behind(significant(rate, 2))}</Badge> : null}
+              </>
+            );
+          }),
+        ]}
+      />
+    </Panel>
+  );
 }
 
 function Clients({ before, after, seconds }: BetweenProps) {

@@ -58,6 +58,11 @@ export const text = {
     never: "not seen yet",
     webgl: "This browser draws no 3D pictures (WebGL is off). The tables show the same.",
   },
+  fault: {
+    title: (screen: string) => `The screen "${screen}" has a fault`,
+    help: "What the server does goes on. The other screens work; so does this one, perhaps, when it is opened again.",
+    again: "Open it again",
+  },
   column: {
     marker: "Marker",
     position: "Position [mm]",
@@ -364,6 +369,7 @@ export const text = {
     watch: "Watch",
     watchHelp: "While the device runs, residuals (and a marker that never moves, where there is one) are summed up in intervals.",
     interval: "Interval [s]",
+    noInterval: (least: number, most: number) => `The interval is ${least} to ${most} seconds.`,
     referenceMarker: "Strobed reference marker (none: empty)",
     save: "Save",
     quickChecks: "Quick checks",

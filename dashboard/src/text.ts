@@ -308,6 +308,7 @@ export const text = {
   plan: {
     profile: "Profile",
     file: "or a file of yours",
+    own: "a file of yours",
     geometry: "Geometry",
     reset: "As it was",
     sliders: { baseline: "Baseline", distance: "Distance", volume: "Volume's sides", exposure: "Exposure" },
@@ -316,6 +317,8 @@ export const text = {
     name: "Name",
     keep: "Keep the profile",
     simulate: "Simulate it as a device",
+    simulates: (profile: string) => `Simulated is the profile "${profile}", which is kept as it is shown.`,
+    keepFirst: "To simulate what is shown, keep it first: devices are simulated from profiles that are kept.",
     computing: "Computing …",
     reached: "What it would reach",
     figure: "Figure",

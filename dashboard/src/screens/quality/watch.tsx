@@ -21,7 +21,7 @@ export function Watch({ device, changed }: { device: Device; changed: () => Prom
     return { settings, tag: (await request).response.headers.get("ETag") ?? "*" };
   });
   const now = polled.value;
-  // Here: what another person saved meanwhile is shown at once, in fields that begin anew.
+  // Not with the fields: they begin anew when another person saved meanwhile, which is why a save fails.
   const problem = useSignal<string | null>(null);
   return (
     <Panel title={text.quality.watch}>

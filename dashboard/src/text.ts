@@ -232,6 +232,8 @@ export const text = {
     measure: "Measure",
     none: "No point measured yet.",
     save: "Save as CSV",
+    csvName: "points.csv",
+    csvColumns: ["name", "X [mm]", "Y [mm]", "Z [mm]", "sigma X [mm]", "sigma Y [mm]", "sigma Z [mm]", "frame", "tool"],
     clear: "Clear",
     drift: "Drift [mm]",
     frames: "Frames",

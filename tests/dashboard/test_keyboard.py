@@ -47,7 +47,7 @@ def test_device_is_calibrated_by_keyboard_alone(visit: Visit):
     page.keyboard.press("ArrowDown")
     page.keyboard.press("ArrowUp")
     assert points.is_checked()
-    # A regular grid fills the table, in an order in which each target is a step from the one before.
+    # A regular grid fills the table.
     reach(page, page.locator("summary", has_text="or a regular grid"))
     page.keyboard.press("Enter")
     reach(page, page.get_by_label("Targets along X, Y, Z"))

@@ -566,6 +566,7 @@ export const text = {
     volume: "Coverage of the volume",
     volumeParts: (full: number, all: number) => `${full} of ${all} parts of the volume have a captured target.`,
     box: (axis: string) => `${axis} [mm]`,
+    range: (low: string, high: string) => `${low} to ${high}`,
     inBox: "Captured of its targets",
     boxes: { captured: "covered", empty: "capture one here", none: "no target here" },
     readings: "Readings",

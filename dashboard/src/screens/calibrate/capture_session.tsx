@@ -223,7 +223,7 @@ function CoveragePanel({ capture, device }: { capture: Capture; device: Device }
 
 function VolumePanel({ capture }: { capture: Capture }) {
   const boxes = volumeCoverage(capture);
-  const range = (low: number, high: number) => (low === high ? significant(low, 4) : `${significant(low, 4)} – ${significant(high, 4)}`);
+  const range = (low: number, high: number) => (low === high ? significant(low, 4) : text.calibrate.range(significant(low, 4), significant(high, 4)));
   return (
     <Panel title={text.calibrate.volume}>
       <p>{text.calibrate.volumeParts(boxes.filter(({ captured }) => captured > 0).length, boxes.length)}</p>

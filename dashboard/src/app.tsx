@@ -19,6 +19,7 @@ import { Scene } from "./screens/scene/scene";
 import { ScansScreen } from "./screens/scans/scans";
 import { Tools } from "./screens/tools/tools";
 import { text } from "./text";
+import { FaultBoundary } from "./ui/fault_boundary";
 import { Action, Badge, Failure } from "./ui/parts";
 
 type Name = keyof typeof text.screens;
@@ -94,7 +95,9 @@ function Screen() {
   return (
     <>
       <h1 class="hidden">{title}</h1>
-      <Shown />
+      <FaultBoundary key={title} screen={title}>
+        <Shown />
+      </FaultBoundary>
     </>
   );
 }

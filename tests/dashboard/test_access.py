@@ -64,6 +64,11 @@ def test_viewer_is_asked_for_a_key_and_may_not_activate(
         assert roll_back.is_disabled()
         lacking = "Your key does not allow this: it lacks the scope activate:calibrations."
         assert lacking in visit.page.content()
+        # A plan of what is stored may be seen; others may not be made.
+        visit.screen("Plan")
+        visit.page.get_by_role("heading", name="What it would reach").wait_for()
+        assert visit.page.get_by_label("Baseline").is_disabled()
+        assert "it lacks the scope admin:devices." in visit.page.content()
         visit.page.reload()
         visit.page.get_by_role("combobox").first.wait_for()  # kept for the session
     with visiting(browser, service.url) as visit:

@@ -150,13 +150,36 @@ def test_planned_profile_is_changed_kept_and_simulated(visit: Visit):
     page.get_by_label("Baseline").fill("0.5")
     better = page.get_by_role("row", name=re.compile("^Precision .noise., median"))
     better.get_by_text(re.compile(r"^−\d+ %$")).wait_for()
+    simulate = page.get_by_role("button", name="Simulate it as a device")
+    assert simulate.is_disabled()
     page.get_by_label("Name").fill("planned")
     page.get_by_role("button", name="Keep the profile").click()
+    page.get_by_text('Simulated is the profile "planned"').wait_for()
     page.get_by_role("option", name="planned").wait_for(state="attached")
-    page.get_by_role("button", name="Simulate it as a device").click()
+    simulate.click()
     page.get_by_role("button", name="1: zoom").wait_for()
     assert httpx.get(f"{visit.url}/api/v1/devices/planned/state").json()["state"] == "running"
     httpx.delete(f"{visit.url}/api/v1/devices/planned?cascade=true", headers=ANY, timeout=60)
+
+
+def test_sliders_keep_what_was_edited_and_the_profile_as_it_was(visit: Visit):
+    page = visit.page
+    visit.screen("Plan")
+    # Before the first answer: what is compared with is the profile as it is, all the same.
+    page.get_by_label("Exposure").fill("0.3")
+    bound = page.get_by_role("row", name=re.compile("^Precision .noise., median"))
+    bound.get_by_text(re.compile(r"^−\d+(\.\d+)? %$")).wait_for()
+    page.get_by_text("The profile's file", exact=True).click()
+    file = page.get_by_role("textbox", name="The profile's file")
+    edited = f"# edited\n{file.input_value()}"
+    file.fill(edited)
+    page.get_by_label("Baseline").fill("0.5")
+    assert file.input_value().startswith("# edited\n")
+    assert file.input_value() != edited
+    page.get_by_role("combobox", name="Profile").select_option(index=1)
+    page.get_by_role("heading", name="What it would reach").wait_for()
+    page.get_by_text("The profile's file", exact=True).click()
+    assert not file.input_value().startswith("# edited\n")
 
 
 def test_quick_check_says_what_it_found_and_what_to_do(visit: Visit):

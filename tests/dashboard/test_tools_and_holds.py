@@ -121,6 +121,11 @@ def test_tool_is_made_pivoted_and_registers_a_phantom(visit: Visit):
         listed.get_by_text("OK", exact=True).wait_for()
         make.get_by_role("button", name=f"Measure {name}").click()
         make.get_by_role("button", name=f"Measure {name} again").wait_for()
+    # A look at another screen loses nothing of what was measured.
+    visit.screen("Health")
+    page.get_by_role("heading", name="Devices and links").wait_for()
+    visit.screen("Tools")
+    row.first.wait_for()
     register.click()
     page.get_by_role("region", name="Registrations").get_by_role(
         "button", name="phantom"
@@ -167,11 +172,18 @@ def test_hold_is_raised_and_acknowledged(visit: Visit):
         visit.screen("Beam holds")
         hold = visit.page.get_by_role("article")
         hold.get_by_text("HELD", exact=True).wait_for()
+        reason = hold.get_by_text("It has no reference yet: measure it")
+        reason.wait_for()
+        assert "/api/" not in hold.inner_text()
+        # Read from three metres: letters of a centimetre.
+        size_px: float = reason.evaluate("words => parseFloat(getComputedStyle(words).fontSize)")
+        assert size_px > 30
         hold.get_by_role("button", name="Measure the reference").click()
         hold.get_by_role("button", name="Yes").click()
         hold.get_by_text("NOT HELD", exact=True).wait_for()
         place(visit.url, 20.0)
         hold.get_by_text("HELD", exact=True).wait_for()
+        hold.get_by_text("Out of tolerance, or it may be.").wait_for()
         place(visit.url, 0.0)
         hold.get_by_role("button", name="Acknowledge").click()
         hold.get_by_text("NOT HELD", exact=True).wait_for()

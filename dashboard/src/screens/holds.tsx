@@ -2,10 +2,10 @@
 
 import { api, type Schemas, sent } from "../api/client";
 import { useDeviceStream } from "../live/device_stream";
-import { toMilliseconds } from "../live/messages";
+import { type HoldSample, toMilliseconds } from "../live/messages";
 import { usePolled } from "../live/polling";
 import { text } from "../text";
-import { timeOfDay } from "../ui/format";
+import { sinceTime } from "../ui/format";
 import { Action, Failure } from "../ui/parts";
 
 type Hold = Schemas["BeamHold"];
@@ -23,14 +23,25 @@ export function Holds() {
       {holds.value && !items.length ? <p class="muted">{text.holds.none}</p> : null}
       <div class="board">
         {devices.map((device) => (
-          <DeviceHolds key={device} device={device} holds={items.filter((hold) => hold.device_id === device)} />
+          <DeviceHolds
+            key={device}
+            device={device}
+            holds={items.filter((hold) => hold.device_id === device)}
+            changed={holds.refresh}
+          />
         ))}
       </div>
     </>
   );
 }
 
-function DeviceHolds({ device, holds }: { device: string; holds: readonly Hold[] }) {
+interface DeviceHoldsProps {
+  device: string;
+  holds: readonly Hold[];
+  changed: () => Promise<void>;
+}
+
+function DeviceHolds({ device, holds, changed }: DeviceHoldsProps) {
   const stream = useDeviceStream(device, ["holds"], RATE_HZ);
   // A board that does not know must not say that the beam may be on.
   const known = stream.connection.value === "open" && !stream.stale.value;
@@ -43,8 +54,8 @@ function DeviceHolds({ device, holds }: { device: string; holds: readonly Hold[]
           <article key={hold.id} class={`hold ${kind}`} aria-live="assertive">
             <h2>{hold.title || hold.id}</h2>
             <p class="large">{text.holds[kind]}</p>
-            <p>{state ? (state.reason ?? "") : text.holds.unknownReason}</p>
-            {state ? <p>{text.holds.since(timeOfDay(toMilliseconds(state.since_ns)))}</p> : null}
+            <Reason hold={hold} state={state} />
+            {state ? <p>{text.holds.since(sinceTime(toMilliseconds(state.since_ns)))}</p> : null}
             {state?.cause === "latched" ? (
               <Action
                 label={text.holds.acknowledge}
@@ -69,10 +80,26 @@ function DeviceHolds({ device, holds }: { device: string; holds: readonly Hold[]
                   }),
                 )
               }
+              done={changed}
             />
           </article>
         );
       })}
+    </>
+  );
+}
+
+/** Why a beam is held: the cause in words that are read from afar, then the server's own with numbers. */
+function Reason({ hold, state }: { hold: Hold; state: HoldSample | undefined }) {
+  if (!state) return <p class="cause">{text.holds.unknownReason}</p>;
+  if (!state.held) return null;
+  // The server's sentence on a hold without a reference is for programs: it names a request.
+  if (!hold.reference && state.cause === "no-data") return <p class="cause">{text.holds.noReference}</p>;
+  const cause = state.cause as Exclude<Schemas["BeamHoldCause"], "none">;
+  return (
+    <>
+      <p class="cause">{text.holds.causes[cause] ?? state.cause}</p>
+      <p>{state.reason}</p>
     </>
   );
 }

@@ -60,3 +60,9 @@ export function time(iso: string | null | undefined): string {
 export function timeOfDay(milliseconds: number): string {
   return new Date(milliseconds).toLocaleTimeString();
 }
+
+/** Return a time [ms since 1970] as time of day, with its date where that is not today's. */
+export function sinceTime(milliseconds: number, now = new Date()): string {
+  const moment = new Date(milliseconds);
+  return moment.toDateString() === now.toDateString() ? moment.toLocaleTimeString() : moment.toLocaleString();
+}

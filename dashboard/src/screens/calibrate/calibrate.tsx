@@ -14,6 +14,7 @@ import { readText } from "../../ui/text_file";
 import { type Capture, CaptureRun, CaptureSession } from "./capture_session";
 import { DriftCheckOf } from "./drift_wizard";
 import { FormerTargets } from "./former_targets";
+import { GridForm } from "./grid_form";
 import { LightCheck } from "./light_check";
 import { CorrectionTables, MappingRun } from "./mapping";
 import { CalibrationResult } from "./result";
@@ -136,6 +137,7 @@ function NewSession({ device: shown, begun }: { device: Device; begun: (id: stri
         </label>
       </div>
       <FormerTargets device={shown} take={(content) => (table.value = content)} />
+      <GridForm take={(content) => (table.value = content)} />
       <label>
         {text.calibrate.table}
         <textarea rows={5} value={table.value} onInput={(event) => (table.value = event.currentTarget.value)} />

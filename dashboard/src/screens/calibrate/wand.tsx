@@ -107,8 +107,8 @@ function SimulatedWand({ device, position_mm }: { device: Device; position_mm: r
       label={text.wand.simulate}
       operation="PATCH /api/v1/devices/{device_id}"
       run={async () => {
-        const answer = await api.GET("/api/v1/devices/{device_id}", { params: path });
-        const now = await sent(Promise.resolve(answer));
+        const request = api.GET("/api/v1/devices/{device_id}", { params: path });
+        const now = await sent(request);
         if (now.source.kind !== "simulated") return;
         const scene = {
           kind: "waved-wand",
@@ -117,7 +117,7 @@ function SimulatedWand({ device, position_mm }: { device: Device; position_mm: r
         const settings = { ...now.source.settings, scene, illumination: "strobed" as const, strobe: null, blink: null };
         await sent(
           api.PATCH("/api/v1/devices/{device_id}", {
-            params: { ...path, header: { "If-Match": answer.response.headers.get("ETag") ?? "*" } },
+            params: { ...path, header: { "If-Match": (await request).response.headers.get("ETag") ?? "*" } },
             body: { source: { kind: "simulated", settings: settings as Schemas["SimulationSettings"] } },
           }),
         );

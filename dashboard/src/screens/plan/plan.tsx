@@ -1,39 +1,58 @@
 /** Plan: choose a profile, change its geometry, see what it would reach; keep it and simulate it. */
 
-import { useSignal } from "@preact/signals";
+import { batch, type ReadonlySignal, useComputed, useSignal } from "@preact/signals";
 import { useEffect, useRef } from "preact/hooks";
 import { api, RequestFailed, sent } from "../../api/client";
 import { allowed, scopeOf } from "../../api/session";
 import { choose, loadDevices } from "../../devices";
 import { usePolled } from "../../live/polling";
 import { text } from "../../text";
+import { newDeviceId } from "../../ui/device_id";
 import { Action, Failure, Panel } from "../../ui/parts";
 import type { Plan } from "./plan_figures";
 import { PlanResult } from "./plan_result";
-import { changedProfile, type Geometry, nameOf, renamed, UNCHANGED } from "./profile_text";
+import { changedProfile, type Geometry, keptAs, nameOf, renamed, type StoredProfile, UNCHANGED } from "./profile_text";
 
 const PLAN = "POST /api/v1/profile-plans";
 /** A plan takes the server most of a second: not one for each step of a slider. */
 const SETTLED_MS = 300;
+/** Points of the volume along each axis. */
+const GRID = 3;
 const SLIDERS: readonly (keyof Geometry)[] = ["baseline", "distance", "volume", "exposure"];
+
+/** What is planned: a stored profile, or a file of the person at the page. */
+interface Profile {
+  /** Distinguishes what was loaded one after the other. */
+  readonly loaded: number;
+  /** Null: it is not stored. */
+  readonly name: string | null;
+  readonly toml: string;
+}
+
+const FILE = "";
 
 export function PlanScreen() {
   const profiles = usePolled("profiles", () => sent(api.GET("/api/v1/device-profiles", { params: { query: { limit: 200 } } })), 30);
   const chosen = useSignal("bar");
-  const original = useSignal("");
-  const edited = useSignal("");
+  const shown = useSignal<Profile | null>(null);
   const problem = useSignal<string | null>(null);
-  const load = async (id: string) => {
-    chosen.value = id;
+  const turn = useRef(0);
+  const show = async (name: string, read: () => Promise<string>) => {
+    const mine = ++turn.current;
+    chosen.value = name;
+    // Until it is there nothing is shown: the one before is not what is chosen.
+    shown.value = null;
+    problem.value = null;
     try {
-      const found = await sent(api.GET("/api/v1/device-profiles/{profile_id}", { params: { path: { profile_id: id } } }));
-      original.value = edited.value = found.toml;
-      problem.value = null;
+      const toml = await read();
+      if (mine === turn.current) shown.value = { loaded: mine, name: name === FILE ? null : name, toml };
     } catch (failure) {
       if (!(failure instanceof RequestFailed)) throw failure;
-      problem.value = failure.message;
+      if (mine === turn.current) problem.value = failure.message;
     }
   };
+  const load = (id: string) =>
+    show(id, async () => (await sent(api.GET("/api/v1/device-profiles/{profile_id}", { params: { path: { profile_id: id } } }))).toml);
   useEffect(() => void load(chosen.value), []);
   return (
     <>
@@ -42,6 +61,7 @@ export function PlanScreen() {
           <label>
             {text.plan.profile}{" "}
             <select value={chosen.value} onChange={({ currentTarget }) => void load(currentTarget.value)}>
+              {chosen.value === FILE ? <option value={FILE}>{text.plan.own}</option> : null}
               {(profiles.value?.items ?? []).map(({ id, title }) => (
                 <option key={id} value={id} title={title}>
                   {id}
@@ -54,9 +74,9 @@ export function PlanScreen() {
             <input
               type="file"
               accept=".toml"
-              onChange={async ({ currentTarget }) => {
+              onChange={({ currentTarget }) => {
                 const file = currentTarget.files?.[0];
-                if (file) original.value = edited.value = await file.text();
+                if (file) void show(FILE, () => file.text());
               }}
             />
           </label>
@@ -64,71 +84,36 @@ export function PlanScreen() {
         <p class="muted">{profiles.value?.items.find(({ id }) => id === chosen.value)?.title}</p>
         <Failure message={profiles.error ?? problem.value} />
       </Panel>
-      {original.value ? (
-        <Laboratory key={original.value} original={original.value} kept={profiles.refresh} />
-      ) : null}
+      {shown.value ? <Laboratory key={shown.value.loaded} profile={shown.value} kept={profiles.refresh} /> : null}
     </>
   );
 }
 
-function Laboratory({ original, kept }: { original: string; kept: () => Promise<void> }) {
+function Laboratory({ profile, kept }: { profile: Profile; kept: () => Promise<void> }) {
+  /** The text as it was loaded or edited; sliders change the numbers in it. */
+  const written = useSignal(profile.toml);
   const geometry = useSignal<Geometry>(UNCHANGED);
-  const toml = useSignal(original);
-  const base = useSignal<Plan | null>(null);
-  const plan = useSignal<Plan | null>(null);
-  const error = useSignal<string | null>(null);
-  const busy = useSignal(false);
-  /** The profile that the shown plan is of. */
-  const planned = useSignal<string | null>(null);
-  const turn = useRef(0);
-  const adjustable = changedProfile(original, UNCHANGED) !== null;
+  const toml = useComputed(() => changedProfile(written.value, geometry.value) ?? written.value);
+  const { plan, base, planned, busy, error } = usePlans(profile, toml);
   const can = allowed(PLAN);
-
-  const ask = async () => {
-    if (!can) return;
-    const mine = ++turn.current;
-    const asked = toml.value;
-    busy.value = true;
-    try {
-      const found = await sent(api.POST("/api/v1/profile-plans", { body: { toml: asked, grid: 3 } }));
-      if (mine !== turn.current) return;
-      plan.value = found;
-      planned.value = asked;
-      base.value ??= found;
-      error.value = null;
-    } catch (failure) {
-      if (!(failure instanceof RequestFailed)) throw failure;
-      if (mine === turn.current) error.value = failure.message;
-    } finally {
-      if (mine === turn.current) busy.value = false;
-    }
-  };
-  useEffect(() => {
-    const timer = setTimeout(() => void ask(), base.value ? SETTLED_MS : 0);
-    return () => clearTimeout(timer);
-  }, [toml.value]);
-
+  const adjustable = changedProfile(written.value, UNCHANGED) !== null;
+  const write = (entered: string) =>
+    batch(() => {
+      written.value = entered;
+      geometry.value = UNCHANGED;
+    });
   const stale = planned.value !== toml.value;
-  const set = (change: Partial<Geometry>) => {
-    geometry.value = { ...geometry.value, ...change };
-    toml.value = changedProfile(original, geometry.value) ?? toml.value;
-  };
   return (
     <>
       <Panel
         title={text.plan.geometry}
         actions={
-          <button
-            type="button"
-            onClick={() => {
-              geometry.value = UNCHANGED;
-              toml.value = original;
-            }}
-          >
+          <button type="button" disabled={!can} onClick={() => write(profile.toml)}>
             {text.plan.reset}
           </button>
         }
       >
+        {can ? null : <p class="muted">{text.access.notAllowed(scopeOf(PLAN))}</p>}
         {adjustable ? (
           <div class="sliders">
             {SLIDERS.map((name) => (
@@ -139,9 +124,10 @@ function Laboratory({ original, kept }: { original: string; kept: () => Promise<
                   min={-1}
                   max={1}
                   step={0.02}
+                  disabled={!can}
                   // By doubling and halving: the middle is the profile as it is.
                   value={Math.log2(geometry.value[name])}
-                  onInput={({ currentTarget }) => set({ [name]: 2 ** Number(currentTarget.value) })}
+                  onInput={({ currentTarget }) => (geometry.value = { ...geometry.value, [name]: 2 ** Number(currentTarget.value) })}
                 />
               </label>
             ))}
@@ -151,14 +137,13 @@ function Laboratory({ original, kept }: { original: string; kept: () => Promise<
         )}
         <details>
           <summary>{text.plan.edit}</summary>
-          <textarea rows={16} spellcheck={false} aria-label={text.plan.edit} value={toml.value} onInput={({ currentTarget }) => (toml.value = currentTarget.value)} />
+          <textarea rows={16} spellcheck={false} readOnly={!can} aria-label={text.plan.edit} value={toml.value} onInput={({ currentTarget }) => write(currentTarget.value)} />
         </details>
-        <Keep toml={toml.value} kept={kept} />
+        <Keep profile={profile} toml={toml.value} kept={kept} />
       </Panel>
-      {can ? null : <p class="muted">{text.access.notAllowed(scopeOf(PLAN))}</p>}
       <Failure message={error.value} />
       <p class="muted" role="status">{busy.value ? text.plan.computing : ""}</p>
-      {plan.value && base.value ? (
+      {plan.value ? (
         // Figures of another profile than the one above must not look like its own.
         <div class={stale ? "stale" : ""} aria-busy={stale}>
           <PlanResult plan={plan.value} base={base.value} />
@@ -168,31 +153,103 @@ function Laboratory({ original, kept }: { original: string; kept: () => Promise<
   );
 }
 
-function Keep({ toml, kept }: { toml: string; kept: () => Promise<void> }) {
-  const name = useSignal(`${nameOf(toml) ?? "device"}-own`);
-  const simulate = async () => {
-    const id = name.value.replaceAll(".", "-");
-    await sent(
-      api.POST("/api/v1/devices", { body: { id, title: id, source: { kind: "profile", profile_id: name.value } } } as never),
-    );
-    await sent(api.POST("/api/v1/devices/{device_id}/start", { params: { path: { device_id: id } } }));
-    await loadDevices();
-    choose(id);
-    // It has no calibration yet, and so no points: what it has are scans.
-    location.hash = "#/scans";
+/** Plans of the profile as it was and of the text that is shown, one after the other: the server computes few at once. */
+function usePlans(profile: Profile, toml: ReadonlySignal<string>) {
+  const base = useSignal<Plan | null>(null);
+  const plan = useSignal<Plan | null>(null);
+  /** The text that the plan is of. */
+  const planned = useSignal<string | null>(null);
+  const error = useSignal<string | null>(null);
+  const busy = useSignal(false);
+  const alive = useRef(true);
+  useEffect(() => () => void (alive.current = false), []);
+  const planOf = async (asked: string): Promise<Plan | null> => {
+    error.value = null;
+    try {
+      if (allowed(PLAN)) return await sent(api.POST("/api/v1/profile-plans", { body: { toml: asked, grid: GRID } }));
+      // Who may only look may see the plan of what is stored, and so of nothing else.
+      if (profile.name === null || asked !== profile.toml) return null;
+      const params = { path: { profile_id: profile.name }, query: { grid: GRID } };
+      return await sent(api.GET("/api/v1/device-profiles/{profile_id}/plan", { params }));
+    } catch (failure) {
+      if (!(failure instanceof RequestFailed)) throw failure;
+      error.value = failure.message;
+      return null;
+    }
   };
+  const work = async () => {
+    if (busy.value) return;
+    busy.value = true;
+    try {
+      let asked: string;
+      do {
+        asked = toml.value;
+        base.value ??= await planOf(profile.toml);
+        const found = asked === profile.toml ? base.value : await planOf(asked);
+        if (!found) continue;
+        plan.value = found;
+        planned.value = asked;
+      } while (alive.current && asked !== toml.value);
+    } finally {
+      busy.value = false;
+    }
+  };
+  useEffect(() => {
+    const timer = setTimeout(() => void work(), base.value ? SETTLED_MS : 0);
+    return () => clearTimeout(timer);
+  }, [toml.value]);
+  return { plan, base, planned, busy, error };
+}
+
+interface KeepProps {
+  profile: Profile;
+  toml: string;
+  kept: () => Promise<void>;
+}
+
+function Keep({ profile, toml, kept }: KeepProps) {
+  const name = useSignal(`${nameOf(toml) ?? "device"}-own`);
+  /** What the server has, the newest first: devices are simulated from that. */
+  const stored = useSignal<readonly StoredProfile[]>(profile.name === null ? [] : [{ name: profile.name, toml: profile.toml }]);
+  const simulated = keptAs(toml, stored.value);
   return (
-    <div class="row controls">
-      <label>
-        {text.plan.name} <input value={name.value} onInput={({ currentTarget }) => (name.value = currentTarget.value)} />
-      </label>
-      <Action
-        label={text.plan.keep}
-        operation="POST /api/v1/device-profiles"
-        run={() => sent(api.POST("/api/v1/device-profiles", { body: { toml: renamed(toml, name.value) } }))}
-        done={kept}
-      />
-      <Action label={text.plan.simulate} operation="POST /api/v1/devices" run={simulate} />
-    </div>
+    <>
+      <div class="row controls">
+        <label>
+          {text.plan.name} <input value={name.value} onInput={({ currentTarget }) => (name.value = currentTarget.value)} />
+        </label>
+        <Action
+          label={text.plan.keep}
+          operation="POST /api/v1/device-profiles"
+          run={async () => {
+            const own = { name: name.value, toml: renamed(toml, name.value) };
+            await sent(api.POST("/api/v1/device-profiles", { body: { toml: own.toml } }));
+            stored.value = [own, ...stored.value];
+          }}
+          done={kept}
+        />
+        <Action
+          label={text.plan.simulate}
+          operation="POST /api/v1/devices"
+          disabled={simulated === null}
+          run={async () => (simulated === null ? undefined : await simulate(simulated))}
+        />
+      </div>
+      <p class="muted">{simulated === null ? text.plan.keepFirst : text.plan.simulates(simulated)}</p>
+    </>
   );
+}
+
+/** Start a simulated device of a stored profile, and show its scans. */
+async function simulate(profile: string): Promise<void> {
+  const known = await loadDevices();
+  const before = known.find(({ source }) => source.kind === "profile" && source.profile_id === profile);
+  const id = before?.id ?? newDeviceId(profile, new Set(known.map((one) => one.id)));
+  if (!before)
+    await sent(api.POST("/api/v1/devices", { body: { id, title: profile, source: { kind: "profile", profile_id: profile } } } as never));
+  await sent(api.POST("/api/v1/devices/{device_id}/start", { params: { path: { device_id: id } } }));
+  await loadDevices();
+  choose(id);
+  // It has no calibration yet, and so no points: what it has are scans.
+  location.hash = "#/scans";
 }

@@ -5,9 +5,15 @@ import { significant } from "../../ui/format";
 import { Badge, Panel, Table } from "../../ui/parts";
 import { contributions, difference, type Figure, figures, type Plan } from "./plan_figures";
 
-export function PlanResult({ plan, base }: { plan: Plan; base: Plan }) {
-  const before = figures(base);
-  const rows = figures(plan).map((after) => ({ after, before: before.find(({ name }) => name === after.name) ?? after }));
+interface PlanResultProps {
+  plan: Plan;
+  /** Of the profile as it was; null: it cannot be planned. */
+  base: Plan | null;
+}
+
+export function PlanResult({ plan, base }: PlanResultProps) {
+  const before = base ? figures(base) : [];
+  const rows = figures(plan).map((after) => ({ after, before: before.find(({ name }) => name === after.name) }));
   return (
     <>
       <Panel title={text.plan.reached}>
@@ -18,6 +24,7 @@ export function PlanResult({ plan, base }: { plan: Plan; base: Plan }) {
           identity={({ after }) => after.name}
           empty={text.missing}
           row={({ after, before: was }) => {
+            if (!was) return [after.name, written(after), text.missing, text.missing];
             const { kind, words } = difference(was, after);
             return [after.name, written(after), written(was), <Badge kind={kind}>{words}</Badge>];
           }}

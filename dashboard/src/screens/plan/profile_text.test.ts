@@ -1,5 +1,5 @@
 import { describe, expect, test } from "vitest";
-import { changedProfile, nameOf, renamed, UNCHANGED } from "./profile_text";
+import { changedProfile, keptAs, nameOf, renamed, UNCHANGED } from "./profile_text";
 
 const PROFILE = `name = "bar"
 title = "name = \\"x\\""
@@ -26,6 +26,10 @@ size = ["600 mm", "600 mm", "600 mm"]
 
 describe("changed profile", () => {
   test("is the same where nothing is changed", () => expect(changedProfile(PROFILE, UNCHANGED)).toBe(PROFILE));
+  test("is the same to the letter, however its numbers are written", () => {
+    const toml = PROFILE.replace('"1500 mm"]', '"1500.0 mm"]').replace('"100 us"', '"100  us"');
+    expect(changedProfile(toml, UNCHANGED)).toBe(toml);
+  });
   test("has sensors farther apart, about their middle, and no other position moved", () => {
     const changed = changedProfile(PROFILE, { ...UNCHANGED, baseline: 1.5 });
     expect(changed).toContain('position = ["-300 mm", "0 mm", "10 mm"]');
@@ -56,4 +60,16 @@ test("a profile is renamed, and nothing else of it", () => {
   const changed = renamed(PROFILE, "wide");
   expect(nameOf(changed)).toBe("wide");
   expect(changed).toContain('name = "left"');
+  expect(nameOf(renamed(PROFILE, "a$&b"))).toBe("a$&b");
+});
+
+test("a text is kept where it is stored, under whatever name, and nothing of it was changed since", () => {
+  const stored = [
+    { name: "wide", toml: renamed(PROFILE, "wide") },
+    { name: "bar", toml: PROFILE },
+  ];
+  expect(keptAs(PROFILE, stored.slice(1))).toBe("bar");
+  expect(keptAs(PROFILE, stored)).toBe("wide");
+  expect(keptAs(PROFILE.replace("100 us", "90 us"), stored)).toBeNull();
+  expect(keptAs(PROFILE, [])).toBeNull();
 });

@@ -52,6 +52,8 @@ export function changedProfile(toml: string, change: Geometry): string | null {
   if (!positions.length || volumes !== 2 || exposures !== 1) return null;
   const units = new Set(positions.flatMap(({ values }) => values.map(({ unit }) => unit)));
   if (units.size > 1) return null;
+  // As it is written: numbers that are only written anew would change under the hand that types.
+  if (Object.values(change).every((factor) => factor === 1)) return toml;
   const centre = [0, 1, 2].map((axis) => positions.reduce((sum, { values }) => sum + (values[axis]?.value ?? 0), 0) / positions.length);
   for (const { line, values } of positions) {
     const moved = values.map(({ value, unit }, axis) => `"${rounded((centre[axis] ?? 0) + change.baseline * (value - (centre[axis] ?? 0)))} ${unit}"`);
@@ -62,7 +64,17 @@ export function changedProfile(toml: string, change: Geometry): string | null {
 
 /** Return a profile's text under another name, and title. */
 export function renamed(toml: string, name: string): string {
-  return toml.replace(/^name\s*=\s*"[^"]*"/m, `name = "${name}"`);
+  return toml.replace(/^name\s*=\s*"[^"]*"/m, () => `name = "${name}"`);
+}
+
+export interface StoredProfile {
+  readonly name: string;
+  readonly toml: string;
+}
+
+/** Return the name under which a text is kept, but for its name; null: it is not. */
+export function keptAs(toml: string, stored: readonly StoredProfile[]): string | null {
+  return stored.find((one) => renamed(one.toml, one.name) === renamed(toml, one.name))?.name ?? null;
 }
 
 export function nameOf(toml: string): string | null {

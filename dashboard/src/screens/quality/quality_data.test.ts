@@ -1,5 +1,5 @@
 import { describe, expect, test } from "vitest";
-import { chartRange, found, lastSignal, markerNumbers } from "./quality_data";
+import { chartRange, found, lastSignal, markerNumbers, oneMarker } from "./quality_data";
 
 const point = (value: number, signal = "none") => ({ measured_at: "2026-01-01T00:00:00Z", value, average: value, signal }) as never;
 
@@ -41,5 +41,11 @@ describe("marker numbers", () => {
     ["3", [3]],
     ["3, 4;5", [3, 4, 5]],
   ])("%s", (entered, numbers) => expect(markerNumbers(entered)).toEqual(numbers));
-  test("words are refused", () => expect(() => markerNumbers("a")).toThrow('"a"'));
+  test.each(["a", "3, 123456"])("%j is refused", (entered) => expect(() => markerNumbers(entered)).toThrow(/is no marker's number/));
+  test("one is a number, none or empty is none, two are refused", () => {
+    expect(oneMarker(" 7 ")).toBe(7);
+    expect(oneMarker("0")).toBe(0);
+    expect(oneMarker(" ")).toBeNull();
+    expect(() => oneMarker("1, 2")).toThrow('"1, 2"');
+  });
 });

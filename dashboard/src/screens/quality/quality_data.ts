@@ -56,3 +56,10 @@ export function markerNumbers(entered: string): number[] | null {
     return Number(word);
   });
 }
+
+/** Return the number of one marker; null: none is entered. Throws where it is anything else. */
+export function oneMarker(entered: string): number | null {
+  const numbers = markerNumbers(entered);
+  if (numbers && numbers.length > 1) throw new Error(text.quality.noMarker(entered.trim()));
+  return numbers?.[0] ?? null;
+}

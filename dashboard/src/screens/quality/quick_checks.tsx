@@ -5,6 +5,7 @@ import { api, type Schemas, sent } from "../../api/client";
 import type { Device } from "../../devices";
 import { usePolled } from "../../live/polling";
 import { text } from "../../text";
+import { attempt } from "../../ui/attempt";
 import { time } from "../../ui/format";
 import { Action, Badge, Failure, Panel, Table } from "../../ui/parts";
 import { found, markerNumbers } from "./quality_data";
@@ -62,7 +63,8 @@ function Form({ device, done }: { device: Device; done: () => Promise<void> }) {
       {label} <input inputMode="decimal" size={size} value={value.value} onInput={({ currentTarget }) => (value.value = currentTarget.value)} />
     </label>
   );
-  const numbers = /^[\d\s,;]*$/.test(markers.value) ? markerNumbers(markers.value) : undefined;
+  const read = attempt(() => markerNumbers(markers.value));
+  const numbers = typeof read === "string" ? undefined : read;
   const right =
     numbers !== undefined &&
     (numbers === null || numbers.length === (two ? 2 : 1)) &&
@@ -103,6 +105,7 @@ function Form({ device, done }: { device: Device; done: () => Promise<void> }) {
           done={done}
         />
       </div>
+      <Failure message={typeof read === "string" ? read : null} />
     </>
   );
 }

@@ -1,22 +1,28 @@
 /** How the drift of a device is watched. */
 
 import { useSignal } from "@preact/signals";
-import { api, type Schemas, sent } from "../../api/client";
+import { api, RequestFailed, type Schemas, sent } from "../../api/client";
 import type { Device } from "../../devices";
 import { usePolled } from "../../live/polling";
 import { text } from "../../text";
+import { attempt } from "../../ui/attempt";
 import { Action, Failure, Panel } from "../../ui/parts";
-import { markerNumbers } from "./quality_data";
+import { oneMarker } from "./quality_data";
+
+const MIN_S = 10;
+const MAX_S = 86_400;
 
 export function Watch({ device, changed }: { device: Device; changed: () => Promise<void> }) {
   const path = { path: { device_id: device.id } };
   // With its tag: what another person changed meanwhile is not overwritten.
   const polled = usePolled(`watch ${device.id}`, async () => {
-    const answer = await api.GET("/api/v1/devices/{device_id}/watch", { params: path });
-    const settings = await sent(Promise.resolve(answer));
-    return { settings, tag: answer.response.headers.get("ETag") ?? "*" };
+    const request = api.GET("/api/v1/devices/{device_id}/watch", { params: path });
+    const settings = await sent(request);
+    return { settings, tag: (await request).response.headers.get("ETag") ?? "*" };
   });
   const now = polled.value;
+  // Not with the fields: they begin anew when another person saved meanwhile, which is why a save fails.
+  const problem = useSignal<string | null>(null);
   return (
     <Panel title={text.quality.watch}>
       <Failure message={polled.error} />
@@ -25,20 +31,25 @@ export function Watch({ device, changed }: { device: Device; changed: () => Prom
         <Settings
           key={now.tag}
           settings={now.settings}
-          save={(settings) =>
-            sent(
-              api.PUT("/api/v1/devices/{device_id}/watch", {
-                params: { ...path, header: { "If-Match": now.tag } },
-                body: settings,
-              }),
-            )
-          }
-          done={async () => {
+          save={async (settings) => {
+            problem.value = null;
+            try {
+              await sent(
+                api.PUT("/api/v1/devices/{device_id}/watch", {
+                  params: { ...path, header: { "If-Match": now.tag } },
+                  body: settings,
+                }),
+              );
+            } catch (failure) {
+              if (!(failure instanceof RequestFailed)) throw failure;
+              problem.value = failure.message;
+            }
             await polled.refresh();
             await changed();
           }}
         />
       ) : null}
+      <Failure message={problem.value} />
     </Panel>
   );
 }
@@ -47,34 +58,35 @@ type WatchSettings = Schemas["WatchSettings"];
 
 interface SettingsProps {
   settings: WatchSettings;
-  save: (settings: WatchSettings) => Promise<unknown>;
-  done: () => Promise<void>;
+  save: (settings: WatchSettings) => Promise<void>;
 }
 
-function Settings({ settings, save, done }: SettingsProps) {
+function Settings({ settings, save }: SettingsProps) {
   const interval = useSignal(String(settings.interval_s));
-  const marker = useSignal(settings.reference ? String(settings.reference.marker) : "");
-  const number = Number(marker.value);
-  const wrong = !/^\d*$/.test(marker.value.trim()) || !(Number(interval.value) >= 10);
+  const entered = useSignal(settings.reference ? String(settings.reference.marker) : "");
+  const marker = attempt(() => oneMarker(entered.value));
+  const seconds = Number(interval.value);
+  const long = interval.value.trim() !== "" && seconds >= MIN_S && seconds <= MAX_S;
+  const wrong = typeof marker === "string" ? marker : long ? null : text.quality.noInterval(MIN_S, MAX_S);
   return (
-    <div class="row">
-      <label>
-        {text.quality.interval}{" "}
-        <input type="number" min={10} max={86400} value={interval.value} onInput={({ currentTarget }) => (interval.value = currentTarget.value)} />
-      </label>
-      <label>
-        {text.quality.referenceMarker}{" "}
-        <input inputMode="numeric" size={5} value={marker.value} onInput={({ currentTarget }) => (marker.value = currentTarget.value)} />
-      </label>
-      <Action
-        label={text.quality.save}
-        operation="PUT /api/v1/devices/{device_id}/watch"
-        disabled={wrong}
-        run={() =>
-          save({ interval_s: Number(interval.value), reference: markerNumbers(marker.value) ? { marker: number } : null })
-        }
-        done={done}
-      />
-    </div>
+    <>
+      <div class="row">
+        <label>
+          {text.quality.interval}{" "}
+          <input type="number" min={MIN_S} max={MAX_S} value={interval.value} onInput={({ currentTarget }) => (interval.value = currentTarget.value)} />
+        </label>
+        <label>
+          {text.quality.referenceMarker}{" "}
+          <input inputMode="numeric" size={5} value={entered.value} onInput={({ currentTarget }) => (entered.value = currentTarget.value)} />
+        </label>
+        <Action
+          label={text.quality.save}
+          operation="PUT /api/v1/devices/{device_id}/watch"
+          disabled={wrong !== null}
+          run={() => save({ interval_s: seconds, reference: typeof marker === "number" ? { marker } : null })}
+        />
+      </div>
+      <Failure message={wrong} />
+    </>
   );
 }

@@ -173,7 +173,8 @@ export function Player({ recording, close }: { recording: Recording; close: () =
         <ScansPicture scans={scans.value} sensor={sensor.value} pick={(name) => (sensor.value = name)} />
       ) : null}
       {second.value ? (
-        <Differences recording={recording} frames={frames} first={calibration} second={second.value} shown={apart} />
+        // Anew for another calibration: what was found with the one before is not its.
+        <Differences key={second.value} recording={recording} frames={frames} first={calibration} second={second.value} shown={apart} />
       ) : null}
       <ScenePicture frame={frame} calibration={calibration} state={state} second={second.value ? secondState : null} />
     </Panel>

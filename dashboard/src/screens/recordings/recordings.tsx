@@ -5,6 +5,7 @@ import { api, fetchBlob, sent } from "../../api/client";
 import { choose, device, loadDevices } from "../../devices";
 import { usePolled } from "../../live/polling";
 import { text } from "../../text";
+import { newDeviceId } from "../../ui/device_id";
 import { download } from "../../ui/download";
 import { bytes, significant, time } from "../../ui/format";
 import { Action, Badge, Failure, Panel, Table } from "../../ui/parts";
@@ -121,9 +122,10 @@ function Actions({ recording, refresh, open }: ActionsProps) {
 
 /** Play a recording as a device of its own, which the scene then shows. */
 async function play(recording: Recording): Promise<void> {
-  const id = `replay-${recording.id.replace(/\.[^.]*$/, "").replace(/[^a-z0-9-]+/gi, "-").toLowerCase()}`.slice(0, 60);
   const known = await loadDevices();
-  if (!known.some((one) => one.id === id))
+  const before = known.find(({ source }) => source.kind === "replay" && source.recording_id === recording.id);
+  const id = before?.id ?? newDeviceId(`replay-${recording.id.replace(/\.[^.]*$/, "")}`, new Set(known.map((one) => one.id)));
+  if (!before)
     await sent(
       api.POST("/api/v1/devices", {
         body: { id, title: recording.id, source: { kind: "replay", recording_id: recording.id } },

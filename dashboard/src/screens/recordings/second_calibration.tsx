@@ -1,7 +1,7 @@
 /** A recording by a second calibration beside what was found live: the choice, and the differences. */
 
 import { type ReadonlySignal, type Signal, useSignal } from "@preact/signals";
-import { useEffect } from "preact/hooks";
+import { useEffect, useRef } from "preact/hooks";
 import { api, RequestFailed, sent } from "../../api/client";
 import { usePolled } from "../../live/polling";
 import { text } from "../../text";
@@ -47,20 +47,20 @@ interface DifferencesProps {
   shown: ReadonlySignal<readonly Difference[]>;
 }
 
+/** Begins anew for each second calibration: give that as its key. */
 export function Differences({ recording, frames, first, second, shown }: DifferencesProps) {
   const whole = useSignal<readonly Difference[] | null>(null);
   const share = useSignal(0);
   const error = useSignal<string | null>(null);
-  useEffect(() => {
-    whole.value = null;
-    error.value = null;
-  }, [second]);
+  const alive = useRef(true);
+  useEffect(() => () => void (alive.current = false), []);
   const compare = async () => {
     const pages = samplePages(frames, PAGES, PAGE_FRAMES);
     const found: Difference[] = [];
     error.value = null;
     try {
       for (const [index, page] of pages.entries()) {
+        if (!alive.current) return;
         share.value = index / pages.length;
         const path = { recording_id: recording.id };
         const of = (query: object) =>

@@ -9,6 +9,7 @@ import { Action, Panel, Table } from "../../ui/parts";
 import { tone } from "../calibrate/tone";
 import { following } from "./entries";
 import { useFrames } from "./frames";
+import { keptByDevice } from "./kept";
 
 type Tool = Schemas["Tool"];
 export type MeasuredPoint = Schemas["MeasuredPoint"];
@@ -31,12 +32,16 @@ export function pointers(tools: readonly Tool[]): readonly Tool[] {
   return tools.filter(({ tip }) => tip.position_mm !== null);
 }
 
+const pointsOf = keptByDevice<readonly MeasuredPoint[]>(() => []);
+/** Of the next point. */
+const nameOf = keptByDevice(() => "1");
+
 export function DigitisePoints({ device, tools }: { device: string; tools: readonly Tool[] }) {
   const able = pointers(tools);
   const chosen = useSignal("");
   const frame = useSignal("");
-  const name = useSignal("1");
-  const points = useSignal<readonly MeasuredPoint[]>([]);
+  const name = nameOf(device);
+  const points = pointsOf(device);
   const frames = useFrames(device, 5);
   const tool = able.find(({ id }) => id === chosen.value) ?? able[0];
   const shown = points.value;
@@ -45,8 +50,7 @@ export function DigitisePoints({ device, tools }: { device: string; tools: reado
       const sigma = [0, 1, 2].map((axis) => Math.sqrt(point.covariance_mm2[axis]?.[axis] ?? Number.NaN));
       return [point.name ?? "", ...point.position_mm, ...sigma, point.frame_id, point.tool_id];
     });
-    const heading = ["name", "X [mm]", "Y [mm]", "Z [mm]", "sigma X [mm]", "sigma Y [mm]", "sigma Z [mm]", "frame", "tool"];
-    download(new Blob([toCsv([heading, ...rows])], { type: "text/csv" }), "points.csv");
+    download(new Blob([toCsv([text.points.csvColumns, ...rows])], { type: "text/csv" }), text.points.csvName);
   };
   return (
     <Panel

@@ -10,6 +10,7 @@ import { Action, Failure, Panel, Table } from "../../ui/parts";
 import { parseTargets } from "../../ui/targets";
 import { readText } from "../../ui/text_file";
 import { type MeasuredPoint, measurePoint, pointers } from "./digitise";
+import { keptByDevice } from "./kept";
 
 type Tool = Schemas["Tool"];
 type Registration = Schemas["Registration"];
@@ -75,18 +76,24 @@ interface NewRegistrationProps {
   registered: Polled<{ items: Registration[] }>;
 }
 
+const idOf = keptByDevice(() => "");
+const tableOf = keptByDevice(() => "");
+const referenceOf = keptByDevice(() => "");
+/** By name of the point. */
+const measuredOf = keptByDevice<ReadonlyMap<string, MeasuredPoint>>(() => new Map());
+
 function NewRegistration({ device, tools, registered }: NewRegistrationProps) {
-  const id = useSignal("");
-  const table = useSignal("");
-  const reference = useSignal("");
+  const id = idOf(device);
+  const table = tableOf(device);
+  const reference = referenceOf(device);
+  const measured = measuredOf(device);
   const chosen = useSignal("");
-  const measured = useSignal<Readonly<Record<string, MeasuredPoint>>>({});
   const able = pointers(tools);
   const tool = able.find((one) => one.id === chosen.value) ?? able[0];
   const read = attempt(() => parseTargets(table.value));
   const points = typeof read === "string" ? [] : read;
   const fiducials = points.flatMap(({ name, position_mm }) => {
-    const point = measured.value[name];
+    const point = measured.value.get(name);
     return point ? [{ name, frame_mm: position_mm, measured_mm: point.position_mm, measured_covariance_mm2: point.covariance_mm2 }] : [];
   });
   if (!tool)
@@ -109,7 +116,7 @@ function NewRegistration({ device, tools, registered }: NewRegistrationProps) {
             onChange={({ currentTarget }) => {
               reference.value = currentTarget.value;
               // What was measured is in another frame.
-              measured.value = {};
+              measured.value = new Map();
             }}
           >
             <option value="">{text.tools.tracker}</option>
@@ -157,7 +164,7 @@ function NewRegistration({ device, tools, registered }: NewRegistrationProps) {
           identity={({ name }) => name}
           empty={text.missing}
           row={({ name, position_mm }) => {
-            const point = measured.value[name];
+            const point = measured.value.get(name);
             return [
               name,
               position(position_mm),
@@ -166,8 +173,9 @@ function NewRegistration({ device, tools, registered }: NewRegistrationProps) {
                 label={point ? text.registrations.again(name) : text.registrations.measure(name)}
                 operation="POST /api/v1/tools/{tool_id}/points"
                 run={async () => {
-                  const point = await measurePoint(tool.id, reference.value || "tracker", name);
-                  measured.value = { ...measured.value, [name]: point };
+                  const asked = reference.value;
+                  const point = await measurePoint(tool.id, asked || "tracker", name);
+                  if (asked === reference.value) measured.value = new Map(measured.value).set(name, point);
                 }}
               />,
             ];

@@ -34,7 +34,7 @@ def serving(folder: Path, stream_lag_s: float = 60.0) -> Iterator[str]:
         thread.start()
         url = f"http://127.0.0.1:{listener.getsockname()[1]}"
         try:
-            end = time.monotonic() + 120.0
+            end = time.monotonic() + 240.0
             while not running.started:
                 assert thread.is_alive(), "the server ended"
                 assert time.monotonic() < end, "the server did not start"
@@ -43,5 +43,5 @@ def serving(folder: Path, stream_lag_s: float = 60.0) -> Iterator[str]:
             yield url
         finally:
             running.should_exit = True
-            thread.join(30.0)
+            thread.join(240.0)
             assert not thread.is_alive()

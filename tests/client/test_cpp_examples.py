@@ -50,7 +50,7 @@ def tracked(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Client, 
         client.create_tool(id="probe", device_id="sim", title="Probe", markers_mm=MARKERS,
                            strobe_markers=[0, 1, 2, 3])  # fmt: skip
         client.start_device("sim")
-        end = time.monotonic() + 60.0
+        end = time.monotonic() + 240.0
         while client.tool_pose("probe").status != "OK":
             assert time.monotonic() < end
             time.sleep(0.1)

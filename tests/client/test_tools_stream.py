@@ -50,10 +50,10 @@ def tool(server: str) -> Iterator[str]:
 
 
 def test_a_pose_in_the_stream_is_that_of_the_request(server: str, tool: str) -> None:
-    end = time.monotonic() + 120.0
+    end = time.monotonic() + 240.0
     with Client(server) as client, client.stream("sim", ("tools", "tracks")) as stream:
         for frame in stream.frames():
-            assert time.monotonic() < end, "there was no pose, and four tracks, in two minutes"
+            assert time.monotonic() < end, "there was no pose, and four tracks"
             assert frame.tools is not None
             assert frame.tracks is not None
             if not frame.tools:
@@ -102,7 +102,7 @@ def test_a_registration_gives_a_frame_for_poses(server: str, tool: str) -> None:
             id="plan", device_id="sim", fiducials=paired_points(pairs), measured_sigma_mm=0.1
         )
         try:
-            end = time.monotonic() + 60.0
+            end = time.monotonic() + 240.0
             while True:
                 inside, outside = (
                     client.tool_pose(tool, frame_id=one) for one in ("plan", "tracker")

@@ -23,7 +23,7 @@ def hanging(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[str]]:
 
     def getaddrinfo(host: str, *_: Any, **__: Any) -> Any:
         asked.append(host)
-        released.wait(60.0)
+        released.wait(240.0)
         raise OSError("released")
 
     monkeypatch.setattr(name_lookup, "LOOKUP_S", 0.05)

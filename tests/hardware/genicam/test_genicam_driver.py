@@ -248,7 +248,7 @@ def test_a_lost_camera_holds_the_frames_back_until_it_is_back(bench: Bench) -> N
 
     def away_and_back() -> None:
         bench.is_present["b"] = False
-        end = time.monotonic() + 10.0
+        end = time.monotonic() + 240.0
         while driver.link().state != "disconnected":
             assert time.monotonic() < end
             time.sleep(0.005)
@@ -264,7 +264,7 @@ def test_a_lost_camera_holds_the_frames_back_until_it_is_back(bench: Bench) -> N
     thread = threading.Thread(target=away_and_back, daemon=True)
     thread.start()
     after = next(frames)
-    thread.join(10.0)
+    thread.join(240.0)
     driver.close()
     phases = [phase for phase, _ in itertools.groupby(state.state for state in states)]
     # While one is away the other, whose lines wait, does not hide that.
@@ -369,7 +369,7 @@ def test_cameras_of_different_widths_are_refused(bench: Bench) -> None:
     bench.widths["b"] = 32
     with pytest.raises(InvalidParameter, match=r"differ in length \(.*16, .*32\); set one width"):
         opened(bench, "a", "b")
-    deadline = time.monotonic() + 5.0
+    deadline = time.monotonic() + 240.0
     while bench.open and time.monotonic() < deadline:  # they are let go in threads
         time.sleep(0.01)
 
@@ -382,7 +382,7 @@ def test_close_ends_a_waiting_thread_and_lets_the_cameras_go(bench: Bench) -> No
     time.sleep(0.05)
     driver.close()
     driver.close()
-    reader.join(5.0)
+    reader.join(240.0)
     assert not reader.is_alive()
     assert got == []
     assert bench.open == 0

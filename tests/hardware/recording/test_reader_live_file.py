@@ -20,7 +20,7 @@ def followed(capsys: pytest.CaptureFixture[str]) -> str:
     names: dict[str, Any] = {}
     thread = Thread(target=exec, args=(example, names), daemon=True)
     thread.start()
-    thread.join(20.0)
+    thread.join(240.0)
     assert not thread.is_alive(), "it never ends"
     assert names["ended"]
     return capsys.readouterr().out

@@ -83,7 +83,7 @@ class Watched:
 
     def end(self) -> None:
         self.driver.close()
-        self._thread.join(5.0)
+        self._thread.join(240.0)
         assert not self._thread.is_alive()
 
 
@@ -582,7 +582,7 @@ def test_a_pseudo_terminal_is_a_port(tmp_path: Path) -> None:
     )
     server.start()
     try:
-        assert named.wait(10.0)
+        assert named.wait(240.0)
         for _ in range(3):  # the port stays, and can be opened again
             watched = Watched(SerialSettings(str(link.resolve())))
             watched.more(10)

@@ -101,7 +101,7 @@ class SimulatedBoard:
                 with suppress(OSError):
                     one.shutdown(socket.SHUT_RDWR)
                 one.close()
-        self._thread.join(5.0)
+        self._thread.join(240.0)
 
     def _serve(self) -> None:
         while not self._closed.is_set():

@@ -101,13 +101,13 @@ def test_of_two_at_once_one_is_carried_out(client: Any, monkeypatch: pytest.Monk
 
     def slow(*args: Any) -> Any:
         began.set()
-        assert go_on.wait(10)
+        assert go_on.wait(240.0)
         return add(*args)
 
     monkeypatch.setattr(store, "add_beam_hold", slow)
     with ThreadPoolExecutor(1) as pool:
         first = pool.submit(send, client)
-        assert began.wait(10)
+        assert began.wait(240.0)
         if client.app.state.database.engine.dialect.name == "postgresql":
             second = send(client)
             assert code(second) == (409, "request-in-progress")

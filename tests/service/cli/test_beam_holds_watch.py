@@ -25,10 +25,10 @@ class Stalled:
     def __iter__(self) -> Iterator[Any]:
         yield frame(1, held=False)
         yield frame(2, held=False)
-        self.go_on.wait(60.0)
+        self.go_on.wait(240.0)
         yield frame(3, held=False)
         yield frame(4, held=True)
-        self.ended.wait(60.0)
+        self.ended.wait(240.0)
 
 
 def test_a_beam_is_held_while_no_word_comes_and_each_change_is_told_once() -> None:

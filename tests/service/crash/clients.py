@@ -52,7 +52,7 @@ class Clients:
         """End, behind the requests in hand."""
         self._stopping.set()
         for thread in self._threads:
-            thread.join(60.0)
+            thread.join(240.0)
             assert not thread.is_alive()
 
     def _until_gone(self, step: Callable[[httpx.Client, int], None]) -> None:

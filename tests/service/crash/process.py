@@ -63,7 +63,7 @@ class ServiceProcess:
         if self._process is not None and self._process.poll() is None:
             self._process.terminate()
             try:
-                self._process.wait(30.0)
+                self._process.wait(240.0)
             except subprocess.TimeoutExpired:
                 self.kill()
                 raise

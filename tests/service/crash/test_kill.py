@@ -35,7 +35,7 @@ def test_what_was_acknowledged_is_there_after_a_kill(tmp_path: Path) -> None:
             clients = Clients(service.url, f"k{kill}")
             clients.start()
             if kill == 0:  # at least once when there is something of everything
-                end = time.monotonic() + 60.0
+                end = time.monotonic() + 240.0
                 while not clients.has_everything and time.monotonic() < end:
                     time.sleep(0.02)
             time.sleep(chance.uniform(0.0, 2.5))

@@ -73,7 +73,7 @@ def device(server: str) -> str:
 
 def wait_for_more(frames: list[dict[str, Any]]) -> None:
     wanted = len(frames) + 150
-    end = time.monotonic() + 60.0
+    end = time.monotonic() + 240.0
     while len(frames) < wanted:
         assert time.monotonic() < end, "the stream stands still"
         time.sleep(0.01)
@@ -105,7 +105,7 @@ def test_the_stream_switches_between_two_frames_and_loses_none(server: str, devi
     ready = threading.Event()
     listener = threading.Thread(target=listen)
     listener.start()
-    assert ready.wait(30.0)
+    assert ready.wait(240.0)
     steps = [
         ("calibrations/shifted/activate", ("shifted", None)),
         ("correction-tables/map/activate", ("shifted", "map")),
@@ -123,7 +123,7 @@ def test_the_stream_switches_between_two_frames_and_loses_none(server: str, devi
         wait_for_more(frames)
         after = client.get(f"/api/v1/devices/{device}/state").json()
     done.set()
-    listener.join(30.0)
+    listener.join(240.0)
     assert missed == []
     assert after["frames_dropped_compute"] == before["frames_dropped_compute"]
     sequences = [frame["sequence"] for frame in frames]

@@ -60,7 +60,7 @@ def frames(count: int) -> list[LineFrame]:
 
 
 def wait_for(condition: Callable[[], bool]) -> None:
-    end = time.monotonic() + 60.0
+    end = time.monotonic() + 240.0
     while not condition():
         assert time.monotonic() < end, "it did not come true"
         time.sleep(0.005)

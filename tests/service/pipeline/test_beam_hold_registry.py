@@ -581,7 +581,7 @@ def test_the_watchdog_holds_when_nobody_asks(watchdog: Any):
     exposed = replace(made.frames[0], exposure_host_ns=time.time_ns())
     board.take(replace(made, frames=(exposed,)))
     assert (False, "none") in told
-    assert silent.wait(60.0)
+    assert silent.wait(240.0)
 
 
 def test_a_check_that_fails_does_not_end_the_watchdog(
@@ -599,4 +599,4 @@ def test_a_check_that_fails_does_not_end_the_watchdog(
 
     monkeypatch.setattr(board, "check", check)
     watchdog(board)
-    assert again.wait(60.0)
+    assert again.wait(240.0)

@@ -56,7 +56,7 @@ def hold(client: Client) -> Iterator[str]:
 
 def until(stream: Stream, held: bool) -> BeamHoldEvent:
     """Return the change by which a beam is held, or goes on."""
-    end = time.monotonic() + 120.0
+    end = time.monotonic() + 240.0
     for message in stream:
         assert time.monotonic() < end, "it did not come"
         if isinstance(message, BeamHoldEvent) and message.held is held:
@@ -65,7 +65,7 @@ def until(stream: Stream, held: bool) -> BeamHoldEvent:
 
 
 def wait_for(client: Client, held: bool) -> None:
-    end = time.monotonic() + 120.0
+    end = time.monotonic() + 240.0
     while (now := client.beam_hold_state("chest")).held is not held:
         assert time.monotonic() < end, now
         time.sleep(0.05)

@@ -81,7 +81,7 @@ def test_nothing_is_lost_or_doubled_between_threads() -> None:
     producer.start()
     taken: list[int] = []
     while len(taken) < count:
-        assert wake.wait(10.0)
+        assert wake.wait(240.0)
         wake.clear()
         while batch := ring.take(64):
             taken.extend(item.sequence for item in batch)

@@ -31,7 +31,7 @@ class Tap:
 
 
 def wait_for(condition: Callable[[], bool]) -> None:
-    end = time.monotonic() + 60.0
+    end = time.monotonic() + 240.0
     while not condition():
         assert time.monotonic() < end
         time.sleep(0.01)

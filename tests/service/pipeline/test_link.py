@@ -251,7 +251,7 @@ def test_one_device_that_is_waited_for_keeps_no_other_waiting(live: PipelineMana
     class Slow(Cable):
         def open(self) -> None:
             entered.set()
-            leave.wait(20.0)
+            leave.wait(240.0)
             super().open()
 
         def close(self) -> None:
@@ -261,7 +261,7 @@ def test_one_device_that_is_waited_for_keeps_no_other_waiting(live: PipelineMana
     slow = Slow()
     starter = threading.Thread(target=live.start_device, args=("slow", slow))
     starter.start()
-    assert entered.wait(20.0)
+    assert entered.wait(240.0)
     assert live.status("slow").state == "starting"
     assert live.start_device("cable", Cable()) == DESCRIPTION
     assert not leave.is_set()

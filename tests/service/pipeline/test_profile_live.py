@@ -52,7 +52,7 @@ def messages(api: httpx.Client, device: str, frames: int) -> list[dict[str, Any]
     url = str(api.base_url).replace("http", "ws", 1).rstrip("/")
     query = f"device_id={device}&content=points,peaks&encoding=json"
     with connect(f"{url}/api/v1/stream?{query}", compression=None) as stream:
-        found = [json.loads(stream.recv(timeout=30.0)) for _ in range(frames + 1)]
+        found = [json.loads(stream.recv(timeout=240.0)) for _ in range(frames + 1)]
     status = api.get(f"{path}/state").json()
     assert (status["state"], status["reason"]) == ("running", None)
     assert status["frames_received"] >= frames

@@ -39,11 +39,11 @@ def test_replay_device(recording: Path) -> None:
         assert len(names) == 4
         websocket = url.replace("http", "ws", 1) + "/api/v1/stream?device_id=tape&encoding=json"
         with connect(f"{websocket}&content=peaks", compression=None) as stream:
-            messages: list[dict[str, Any]] = [json.loads(stream.recv(timeout=20.0))]
+            messages: list[dict[str, Any]] = [json.loads(stream.recv(timeout=240.0))]
             assert messages[0]["state"] == "stopped"
             api.post("/devices/tape/start").raise_for_status()
             while messages[-1].get("state") != "ended":
-                messages.append(json.loads(stream.recv(timeout=20.0)))
+                messages.append(json.loads(stream.recv(timeout=240.0)))
         frames = [message for message in messages if message["type"] == "frame"]
         assert [frame["sequence"] for frame in frames] == list(range(100))
         assert all({peak["sensor"] for peak in f["peaks"]} == set(names) for f in frames)

@@ -257,7 +257,7 @@ def test_a_provider_that_hangs_holds_nobody_up(issuer: Issuer) -> None:
     def get(url: str) -> bytes:
         if hangs.is_set():
             issuer.fetched.append(url)
-            goes_on.wait(60.0)
+            goes_on.wait(240.0)
         return issuer.get(url)
 
     keys = Jwks(ISSUER, None, get=get, clock=lambda: issuer.now, wait_s=0.05)
@@ -272,7 +272,7 @@ def test_a_provider_that_hangs_holds_nobody_up(issuer: Issuer) -> None:
     assert len(issuer.fetched) == fetched + 1
     issuer.keys.append(public(OTHER_RSA, RSAAlgorithm, "r2"))
     goes_on.set()
-    end = time.monotonic() + 30.0
+    end = time.monotonic() + 240.0
     while keys.key("r2") is None:
         assert time.monotonic() < end
         time.sleep(0.005)
@@ -283,7 +283,7 @@ def test_nothing_is_known_while_the_first_fetch_hangs() -> None:
 
     def get(_: str) -> bytes:
         asked.set()
-        goes_on.wait(60.0)
+        goes_on.wait(240.0)
         return b"{}"
 
     keys = Jwks(ISSUER, None, get=get, wait_s=60.0)
@@ -297,13 +297,13 @@ def test_nothing_is_known_while_the_first_fetch_hangs() -> None:
 
     first = Thread(target=ask)
     first.start()
-    assert asked.wait(30.0)
+    assert asked.wait(240.0)
     for _ in range(3):
         with pytest.raises(NotReady):
             keys.key("r1")
     assert answers == []  # the others were answered before it
     goes_on.set()
-    first.join(30.0)
+    first.join(240.0)
     assert len(answers) == 1
 
 
@@ -327,7 +327,7 @@ def dripping() -> Iterator[str]:
         thread.start()
         yield f"http://127.0.0.1:{server.getsockname()[1]}/keys"
         stop.set()
-        thread.join(30.0)
+        thread.join(240.0)
 
 
 def test_a_document_that_comes_byte_by_byte_is_given_up(

@@ -61,7 +61,7 @@ def provider() -> Iterator[Provider]:
         thread.start()
         yield server
         server.shutdown()
-        thread.join(30.0)
+        thread.join(240.0)
 
 
 def test_a_token_opens_what_its_scopes_say(provider: Provider, sqlite_settings: Settings) -> None:

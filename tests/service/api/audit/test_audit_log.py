@@ -231,7 +231,7 @@ def test_a_hanging_database_is_not_waited_for(
 ) -> None:
     goes_on = Event()
     monkeypatch.setattr("service.security.audit_entry._WAITED_S", 0.05)
-    monkeypatch.setattr("service.security.audit_entry._write", lambda *_: goes_on.wait(60.0))
+    monkeypatch.setattr("service.security.audit_entry._write", lambda *_: goes_on.wait(240.0))
     try:
         send(module_client, "POST", "/devices/sim/stop", 200)
         assert not goes_on.is_set()

@@ -85,12 +85,12 @@ def test_no_more_at_once_than_may_be() -> None:
 
     def slow() -> str:
         begun.set()
-        assert go_on.wait(30.0)
+        assert go_on.wait(240.0)
         return "slow"
 
     with ThreadPoolExecutor(1) as pool:
         working = pool.submit(results.get, "slow", slow)
-        assert begun.wait(30.0)
+        assert begun.wait(240.0)
         with pytest.raises(Busy, match="busy"):
             results.get("other", lambda: "other")
         assert results.get("known", lambda: "new") == "known"

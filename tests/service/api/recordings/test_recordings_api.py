@@ -22,7 +22,7 @@ API = "/api/v1/recordings"
 
 
 def wait_for(condition: Callable[[], bool]) -> None:
-    end = time.monotonic() + 30.0
+    end = time.monotonic() + 240.0
     while not condition():
         assert time.monotonic() < end, "it did not come true"
         time.sleep(0.02)

@@ -31,7 +31,7 @@ def body(**changes: Any) -> dict[str, Any]:
 
 def wait(client: Any, run: str, until: Callable[[Any], bool] | None = None) -> Any:
     """Follow a run to its end, or until it is as is asked."""
-    end = time.monotonic() + 120.0
+    end = time.monotonic() + 240.0
     while True:
         found = client.get(f"/api/v1/runs/{run}").json()
         if found["state"] not in store.OPEN or (until is not None and until(found)):
@@ -279,7 +279,7 @@ def running(pid: int) -> bool:
 
 
 def wait_until(condition: Callable[[], bool]) -> None:
-    end = time.monotonic() + 60.0
+    end = time.monotonic() + 240.0
     while not condition():
         assert time.monotonic() < end
         time.sleep(0.02)

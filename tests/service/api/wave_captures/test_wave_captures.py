@@ -46,7 +46,7 @@ def showing(live: FakePipeline, wave: list[FrameBatch], **settings: Any) -> None
 
 def ended(client: Any) -> dict[str, Any]:
     """The session once no poses are taken any more."""
-    end = time.monotonic() + 60.0
+    end = time.monotonic() + 240.0
     while (found := client.get(SESSION).json())["state"] == "capturing":
         assert time.monotonic() < end, found
         time.sleep(0.05)

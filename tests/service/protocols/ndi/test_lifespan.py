@@ -86,7 +86,7 @@ def test_tools_of_a_device_that_never_ran(tmp_path: Path):
 def until_given(connection: socket.socket, live: Any, given: bool) -> None:
     """Wait until a changed limit is known."""
     at = np.zeros(3)
-    end = time.monotonic() + 60.0
+    end = time.monotonic() + 240.0
     for command in ("INIT", "PHSR 02", "PINIT 01", "PENA 01D", "TSTART"):
         ask(connection, command)
     while time.monotonic() < end:

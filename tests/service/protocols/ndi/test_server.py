@@ -27,7 +27,7 @@ def play(scene: Play, **options: object) -> None:
 
 async def until(condition: Callable[[], bool]) -> None:
     """Wait until something holds; it does, sooner or later, or the test has failed."""
-    async with asyncio.timeout(60.0):
+    async with asyncio.timeout(240.0):
         while not condition():
             await asyncio.sleep(0.002)
 
@@ -35,7 +35,7 @@ async def until(condition: Callable[[], bool]) -> None:
 async def gone(talker: Talker) -> bool:
     """Whether the server has ended the connection, once it has."""
     try:
-        async with asyncio.timeout(60.0):
+        async with asyncio.timeout(240.0):
             return await talker.reader.read() == b""
     except ConnectionError:
         return True

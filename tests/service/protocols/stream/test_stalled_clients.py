@@ -36,7 +36,7 @@ def subscribers(server: str) -> int:
 
 
 def wait_for_subscribers(server: str, count: int) -> None:
-    end = time.monotonic() + 60.0
+    end = time.monotonic() + 240.0
     while subscribers(server) != count:
         assert time.monotonic() < end, f"there are {subscribers(server)} subscribers"
         time.sleep(0.05)
@@ -52,7 +52,7 @@ def test_stream_of_client_that_reads_nothing_is_closed_with_code(
     with open_unread(server, "device_id=sim&mode=lossless&content=points,peaks") as connection:
         wait_for_subscribers(server, 1)
         wait_for_subscribers(server, 0)
-        connection.settimeout(20.0)
+        connection.settimeout(240.0)
         received = b""
         while part := connection.recv(1 << 16):
             received += part
@@ -73,7 +73,7 @@ def greetings(server: str, count: int) -> None:
 
 def wait_for_turns() -> None:
     """Wait until the next stream may be opened, after the rest."""
-    end = time.monotonic() + 60.0
+    end = time.monotonic() + 240.0
     while any(one._value < websocket_limits.OPENING for one in websocket_limits._turns.values()):
         assert time.monotonic() < end
         time.sleep(0.01)

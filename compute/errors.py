@@ -80,7 +80,7 @@ class TooLittleRotation(LumilineError):
 
 
 class HighError(LumilineError):
-    """What was measured fits what it should fit worse than it may."""
+    """Residual exceeds its limit."""
 
 
 class CollinearPoints(LumilineError):

@@ -35,7 +35,7 @@ SUSPICIOUS: Final = PointFlag.INCONSISTENT | PointFlag.NO_CONVERGENCE
 
 
 def min_sensors(excluded: int) -> int:
-    """Return the fewest readings of which so many wrong ones can be identified.
+    """Return the minimum number of sensors that identifies ``excluded`` outliers.
 
     With three unknowns, ``3 + k`` wrong and right readings may agree by chance of the errors; the
     others must be more than the k wrong ones: five for one, seven for two. (With four readings

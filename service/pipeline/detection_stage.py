@@ -20,7 +20,7 @@ from compute.signal.centroid_finder import CentroidFinder
 from compute.signal.centroid_settings import CentroidSettings
 from compute.signal.coded_aperture.shadow_fit import MaskReader, ShadowSettings
 from compute.signal.coded_aperture.shadow_template import ShadowTemplate
-from compute.signal.fit.device_line_shape import device_line_shape
+from compute.signal.fit.device_line_spread import device_line_spread
 from compute.signal.fit.fit_finder import FitFinder
 from compute.signal.fit.fit_settings import WIDTH_LIMITS_PX, FitSettings
 from compute.signal.fit.line_spread_function import LineSpreadFunction
@@ -344,7 +344,7 @@ def _search_model(
     settings = replace(settings, widen_misfit=model.volume is None)
     shape = None
     if any(one is not None and one.line_shape is not None for one in calibrations):
-        shape, unit_px = device_line_shape(
+        shape, unit_px = device_line_spread(
             [None if one is None else one.line_shape for one in calibrations], sigma
         )
         settings = replace(settings, width_px=unit_px)

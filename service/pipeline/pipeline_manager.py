@@ -28,7 +28,7 @@ from service.pipeline.device_status import DeviceStatus
 from service.pipeline.frame_batch import LatestPoses
 from service.pipeline.frame_processor import FrameProcessor
 from service.pipeline.stage_latency import Stage
-from service.pipeline.taps import PeakTap, Tap, looks
+from service.pipeline.taps import PeakTap, Tap, poll
 from service.pipeline.threads import ComputeThread, FrameRing, ReaderThread
 from service.pipeline.tracking_config import NO_TRACKING, TrackingConfig
 from service.problems.errors import DeviceNotRunning
@@ -340,7 +340,7 @@ class PipelineManager:
         tap = PeakTap(session.ring.last_sequence, frames, marker)
         self.attach(session, tap)
         try:
-            for _ in looks(tap.ended, timeout_s):
+            for _ in poll(tap.ended, timeout_s):
                 if not session.connected:
                     raise self._not_running(device_id)
         finally:

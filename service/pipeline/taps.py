@@ -160,13 +160,15 @@ class SingleCalibrationTap:
         return calibration_id, table_id
 
 
-_LOOK_S: Final = 0.1
+_POLL_INTERVAL_S: Final = 0.1
 
 
-def looks(ended: Event, seconds: float) -> Iterator[None]:
+def poll(ended: Event, seconds: float) -> Iterator[None]:
     """Yield several times a second, for some seconds, or until an event is set."""
     end = time.monotonic() + seconds
-    while (remaining_s := end - time.monotonic()) > 0 and not ended.wait(min(_LOOK_S, remaining_s)):
+    while (remaining_s := end - time.monotonic()) > 0 and not ended.wait(
+        min(_POLL_INTERVAL_S, remaining_s)
+    ):
         yield
 
 
@@ -176,11 +178,11 @@ def collect(
     tap: Tap,
     seconds: float,
     ended: Event,
-    look: Callable[[], bool] = lambda: False,
+    is_enough: Callable[[], bool] = lambda: False,
 ) -> None:
-    """Attach a tap for some seconds, or until ``ended`` is set or ``look`` is true; waits.
+    """Attach a tap for some seconds, or until ``ended`` is set or ``is_enough`` is true; waits.
 
-    ``look`` is called in the waiting thread, several times a second.
+    ``is_enough`` is called in the waiting thread, several times a second.
 
     Raises:
         DeviceNotRunning: the device stops or is lost meanwhile.
@@ -188,14 +190,14 @@ def collect(
     """
     live.attach(session, tap)
     try:
-        for _ in looks(ended, seconds):
+        for _ in poll(ended, seconds):
             if live.streams.closed is not None:
                 raise NotReady(
                     f"{live.streams.closed}; what was measured so far is not kept, do it again "
                     "when it is up again",
                     part="server",
                 )
-            if look():
+            if is_enough():
                 return
             if not session.connected:
                 raise DeviceNotRunning(

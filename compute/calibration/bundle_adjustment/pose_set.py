@@ -111,7 +111,7 @@ class PoseSet:
         return 3 + len(self.shape.rotation_axes)
 
     @property
-    def seen(self) -> NDArray[np.bool_]:
+    def observed_mask(self) -> NDArray[np.bool_]:
         """Which readings there are, shape (B, K, S)."""
         return np.isfinite(self.readings_px)
 

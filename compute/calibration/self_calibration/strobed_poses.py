@@ -184,7 +184,7 @@ class StrobedPoseCollector:
                 self.counts.not_lit += 1
             elif not seen[index]:
                 self.counts.too_few_sensors += 1
-            elif self._poses and not _moved(readings[index], self._poses[-1][0], pixels):
+            elif self._poses and not _has_moved(readings[index], self._poses[-1][0], pixels):
                 self.counts.still += 1
             else:
                 self.counts.taken += 1
@@ -242,7 +242,7 @@ def _interpolate(
     return readings, sigma, all_lit
 
 
-def _moved(readings_px: Array, before_px: Array, pixels: Array) -> bool:
+def _has_moved(readings_px: Array, before_px: Array, pixels: Array) -> bool:
     """Return whether a pose differs from the one before; also where no sensor tells."""
     change = np.abs(readings_px - before_px) / pixels
     both = np.isfinite(change)

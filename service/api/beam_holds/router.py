@@ -130,7 +130,7 @@ def set_beam_hold_reference(
 ) -> BeamHold:
     """Measure the set-up, with the patient at rest, or take what is given.
 
-    It belongs to the active calibration and table: with others in force the beam is held. A
+    It belongs to the active calibration and table: while others are active, the beam is held. A
     latch of the reference before ends with it.
     """
     from service.api.beam_holds.reference_capture import capture_reference

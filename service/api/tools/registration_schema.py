@@ -229,12 +229,12 @@ class Registration(ResponseModel):
     calibration_id: str | None = Field(
         default=None,
         description="Active when it was made. Without a `reference_id` the frame is one of its "
-        "world: while another is in force, poses in it are `INVALID`.",
+        "world: while another is active, poses in it are `INVALID`.",
     )
     table_id: str | None = Field(
         default=None,
         description="The correction table that was active with it. While another one, or none, "
-        "is in force, poses in the frame are `INVALID`, with a `reference_id`, too.",
+        "is active, poses in the frame are `INVALID`, with a `reference_id`, too.",
     )
     matrix: Matrix4 = Field(
         description="From the frame to where points were measured, 4 x 4, row by row."

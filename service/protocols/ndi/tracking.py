@@ -259,7 +259,7 @@ def tracking(state: ClientState, text: str, *, binary: bool) -> bytes:
     """Return the whole reply to TX, or to BX if ``binary``; raises CommandError."""
     options = reply_option(text)
     view = state.view()
-    state.ports.look(view.tools)
+    state.ports.poll_tools(view.tools)
     state.reported = view.sequence
     frame = max(view.sequence - state.first_frame, 0) & 0xFFFFFFFF
     reports = [_report(port, view, frame, options) for port in state.ports if port.initialised]

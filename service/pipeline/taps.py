@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.signal.peaks import PeakFlag
+from compute.measurement.flag_policy import STANDARD_POLICY
 from service.pipeline.active_calibration import ActiveCalibration
 from service.pipeline.frame_batch import FrameBatch
 from service.problems.errors import (
@@ -23,11 +23,6 @@ if TYPE_CHECKING:
     from service.pipeline.pipeline_manager import PipelineManager
 
 Array = NDArray[np.float64]
-
-UNCLEAR = (
-    PeakFlag.SATURATED | PeakFlag.CLIPPED | PeakFlag.MERGED | PeakFlag.UNFITTED | PeakFlag.AMBIGUOUS
-)
-"""Peaks whose position is not what it would be of one marker alone in the middle of a line."""
 
 
 class Tap(Protocol):
@@ -98,7 +93,7 @@ def clear_readings(
     visible = np.isfinite(position)
     brightest = np.where(visible, peaks.amplitude[lines], -1.0).argmax(axis=1)
     row = np.arange(len(position))
-    clear = (peaks.flags[lines][row, brightest] & int(UNCLEAR)) == 0
+    clear = (peaks.flags[lines][row, brightest] & int(STANDARD_POLICY.unclear_flags)) == 0
     clear &= visible.any(axis=1) if strobed else visible.sum(axis=1) == 1
     value = np.where(clear, position[row, brightest], np.nan)
     sigma = np.where(clear, peaks.sigma_px[lines][row, brightest], np.nan)

@@ -171,10 +171,6 @@ class RadiometricCalibration:
         """Return it with further BadPixel flags, uint8, shape (N,)."""
         return replace(self, bad_pixels=self.bad_pixels | bad_pixels)
 
-    def bad_pixel_numbers(self, kind: BadPixel) -> list[int]:
-        """Return the pixels with a flag."""
-        return [int(pixel) for pixel in np.flatnonzero(self.bad_pixels & int(kind))]
-
     def to_document(self) -> dict[str, Any]:
         """Return it as a JSON object."""
         document: dict[str, Any] = {}

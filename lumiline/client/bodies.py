@@ -83,18 +83,13 @@ class EvenLight(TypedDict):
 
 
 class StrobeSchedule(TypedDict):
-    """A cyclic sequence of slots, one exposure each; each slot lights one marker, or
-    all.Raises: InvalidParameter: no slots, too many, or a marker that cannot be.
-    """
+    """A cyclic sequence of slots, one exposure each; each slot lights one marker, or all."""
 
     slots: Sequence[int | None]
 
 
 class BlinkSchedule(TypedDict):
-    """Cyclic code words of the markers, one bit per exposure, each with its own phase.Raises:
-    InvalidParameter: words of several lengths or of other characters, other numbers of
-    phases.
-    """
+    """Cyclic code words of the markers, one bit per exposure, each with its own phase."""
 
     words: Sequence[str]
     low: NotRequired[float]
@@ -102,9 +97,7 @@ class BlinkSchedule(TypedDict):
 
 
 class PixelDefects(TypedDict):
-    """Differences of the pixels and bad pixels, drawn for each sensor from a seed.Raises:
-    InvalidParameter: a value is outside of its bounds.
-    """
+    """Differences of the pixels and bad pixels, drawn for each sensor from a seed."""
 
     response_nonuniformity: NotRequired[float]
     offset_nonuniformity_counts: NotRequired[float]
@@ -116,9 +109,7 @@ class PixelDefects(TypedDict):
 
 
 class SimulationSettings(TypedDict):
-    """What the simulated device shows, and how its sensors see it.Raises: InvalidParameter: a
-    value is outside of its bounds.
-    """
+    """What the simulated device shows, and how its sensors see it."""
 
     scene: NotRequired[
         CalibrationTarget
@@ -196,9 +187,7 @@ class ReplaySource(TypedDict):
 
 
 class SerialSettings(TypedDict):
-    """Port of a device, and settings sent to it.Raises: InvalidParameter: a value is outside
-    of its bounds, or the URL is none.
-    """
+    """Port of a device, and settings sent to it."""
 
     url: str
     baudrate: NotRequired[int]
@@ -226,9 +215,7 @@ class Tcd1304Board(TypedDict):
 
 
 class Tcd1304Settings(TypedDict):
-    """The boards, and how their lines are taken.Raises: InvalidParameter: a value is out of
-    its bounds, or two boards have one name or one port.
-    """
+    """The boards, and how their lines are taken."""
 
     boards: Sequence[Tcd1304Board]
     exposure_us: NotRequired[float]
@@ -264,9 +251,7 @@ class Feature(TypedDict):
 
 
 class GenicamSettings(TypedDict):
-    """The cameras, and how they are set.Raises: InvalidParameter: a value is out of its
-    bounds, or two cameras have one name or are one.
-    """
+    """The cameras, and how they are set."""
 
     cameras: Sequence[GenicamCamera]
     pitch_um: float

@@ -90,18 +90,13 @@ class EvenLight(ResponseModel):
 
 
 class StrobeSchedule(ResponseModel):
-    """A cyclic sequence of slots, one exposure each; each slot lights one marker, or
-    all.Raises: InvalidParameter: no slots, too many, or a marker that cannot be.
-    """
+    """A cyclic sequence of slots, one exposure each; each slot lights one marker, or all."""
 
     slots: tuple[int | None, ...]
 
 
 class BlinkSchedule(ResponseModel):
-    """Cyclic code words of the markers, one bit per exposure, each with its own phase.Raises:
-    InvalidParameter: words of several lengths or of other characters, other numbers of
-    phases.
-    """
+    """Cyclic code words of the markers, one bit per exposure, each with its own phase."""
 
     words: tuple[str, ...]
     low: float = 0.4
@@ -109,9 +104,7 @@ class BlinkSchedule(ResponseModel):
 
 
 class PixelDefects(ResponseModel):
-    """Differences of the pixels and bad pixels, drawn for each sensor from a seed.Raises:
-    InvalidParameter: a value is outside of its bounds.
-    """
+    """Differences of the pixels and bad pixels, drawn for each sensor from a seed."""
 
     response_nonuniformity: float = 0.01
     offset_nonuniformity_counts: float = 2.0
@@ -123,9 +116,7 @@ class PixelDefects(ResponseModel):
 
 
 class SimulationSettings(ResponseModel):
-    """What the simulated device shows, and how its sensors see it.Raises: InvalidParameter: a
-    value is outside of its bounds.
-    """
+    """What the simulated device shows, and how its sensors see it."""
 
     scene: (
         CalibrationTarget
@@ -204,9 +195,7 @@ class ReplaySource(ResponseModel):
 
 
 class SerialSettings(ResponseModel):
-    """Port of a device, and settings sent to it.Raises: InvalidParameter: a value is outside
-    of its bounds, or the URL is none.
-    """
+    """Port of a device, and settings sent to it."""
 
     url: str
     baudrate: int = 921600
@@ -234,9 +223,7 @@ class Tcd1304Board(ResponseModel):
 
 
 class Tcd1304Settings(ResponseModel):
-    """The boards, and how their lines are taken.Raises: InvalidParameter: a value is out of
-    its bounds, or two boards have one name or one port.
-    """
+    """The boards, and how their lines are taken."""
 
     boards: tuple[Tcd1304Board, ...]
     exposure_us: float = 7388.0
@@ -272,9 +259,7 @@ class Feature(ResponseModel):
 
 
 class GenicamSettings(ResponseModel):
-    """The cameras, and how they are set.Raises: InvalidParameter: a value is out of its
-    bounds, or two cameras have one name or are one.
-    """
+    """The cameras, and how they are set."""
 
     cameras: tuple[GenicamCamera, ...]
     pitch_um: float
@@ -465,10 +450,7 @@ class ControlPoint(ResponseModel):
 
 
 class FieldDistortion(ResponseModel):
-    """A lens's contribution to the field angle u that is read, ``sum a_ij u^i v^j``.Raises:
-    InvalidParameter: terms that are refused by ``check_terms``, or not one coefficient
-    each.
-    """
+    """A lens's contribution to the field angle u that is read, ``sum a_ij u^i v^j``."""
 
     terms: tuple[tuple[int, int], ...]
     coefficients: tuple[float, ...]
@@ -503,7 +485,7 @@ class SensorFit(ResponseModel):
 
 
 class CalibrationSettings(ResponseModel):
-    """How a device is calibrated.Raises: InvalidParameter: a value is out of range or unknown."""
+    """How a device is calibrated."""
 
     distortion: str | tuple[tuple[int, int], ...] = "none"
     control_sigma_mm: float | None = None
@@ -1883,9 +1865,7 @@ class SensorProfile(ResponseModel):
 
 
 class PixelRow(ResponseModel):
-    """A row of pixels, centred on the origin of the sensor's frame.Raises: InvalidParameter: a
-    value that is not positive and finite, or a count above a million.
-    """
+    """A row of pixels, centred on the origin of the sensor's frame."""
 
     count: int
     pitch_um: float
@@ -1893,9 +1873,7 @@ class PixelRow(ResponseModel):
 
 
 class DetectorProfile(ResponseModel):
-    """Detector parameters of a profile.Raises: InvalidParameter: a value is outside of its
-    range.
-    """
+    """Detector parameters of a profile."""
 
     bits: int
     full_well_electrons: float
@@ -1912,7 +1890,7 @@ class DetectorProfile(ResponseModel):
 
 
 class LedMarkers(ResponseModel):
-    """Active markers.Raises: InvalidParameter: a value is outside of its range."""
+    """Active markers."""
 
     radiant_intensity_w_per_sr: float
     wavelength_nm: float
@@ -1924,9 +1902,7 @@ class LedMarkers(ResponseModel):
 
 
 class RetroMarkers(ResponseModel):
-    """Retro-reflective markers with one illuminator; all are lit at once.Raises:
-    InvalidParameter: a value is outside of its range.
-    """
+    """Retro-reflective markers with one illuminator; all are lit at once."""
 
     illuminator_intensity_w_per_sr: float
     illuminator_position_mm: tuple[float, float, float]
@@ -1940,27 +1916,21 @@ class RetroMarkers(ResponseModel):
 
 
 class ProfileSectionsRates(ResponseModel):
-    """Line rate and exposure time.Raises: InvalidParameter: a value is not positive, or the
-    exposure too long.
-    """
+    """Line rate and exposure time."""
 
     line_rate_hz: float
     exposure_s: float
 
 
 class Volume(ResponseModel):
-    """Working volume, a box along the axes of the world.Raises: InvalidParameter: a side that
-    is not positive.
-    """
+    """Working volume, a box along the axes of the world."""
 
     centre_mm: tuple[float, float, float]
     size_mm: tuple[float, float, float]
 
 
 class PublishedFigure(ResponseModel):
-    """One published figure of a device.Raises: InvalidParameter: a figure or a distance that
-    is not positive.
-    """
+    """One published figure of a device."""
 
     quantity: str
     axis: str
@@ -2017,9 +1987,7 @@ class DeviceProfileDocument(ResponseModel):
 
 
 class Box(ResponseModel):
-    """A working volume: a box along the world's axes.Raises: InvalidParameter: a length that
-    is not positive.
-    """
+    """A working volume: a box along the world's axes."""
 
     centre_mm: tuple[float, float, float]
     size_mm: tuple[float, float, float]

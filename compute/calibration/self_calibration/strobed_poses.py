@@ -191,28 +191,6 @@ class StrobedPoseCollector:
                 self._poses.append((readings[index], sigma[index]))
 
 
-def strobed_poses(
-    exposures: StrobedReadings, markers: Sequence[int], pixels: Sequence[int]
-) -> tuple[Array, Array]:
-    """Return the poses in strobed exposures: see StrobedPoseCollector.
-
-    Args:
-        exposures: readings in the order of time.
-        markers: numbers of the target's markers, in the target's order, shape (K,).
-        pixels: of the S sensors.
-
-    Returns:
-        Readings and standard deviations, shape (B, K, S) [px]; NaN where not seen.
-
-    Raises:
-        InvalidParameter: a marker is given twice or was never lit.
-    """
-    collector = StrobedPoseCollector(markers, pixels)
-    collector.add(exposures)
-    collector.check_lit()
-    return collector.poses()
-
-
 def _interpolate(
     exposures: StrobedReadings, lit: Sequence[NDArray[np.intp]], time_s: Array, cycle_s: float
 ) -> tuple[Array, Array, NDArray[np.bool_]]:

@@ -15,7 +15,6 @@ from service.protocols.openigtlink.message import TYPE_BYTES, BadMessage, decode
 Array = NDArray[np.float64]
 Tracking = Literal["TDATA", "QTDATA"]
 
-TRANSFORM_BYTES: Final = 48
 SIX_DOF: Final = 2
 """The kind of instrument that position and orientation are known of."""
 POSITION: Final = struct.Struct(">7f")

@@ -241,6 +241,8 @@ def describe_members(schemas: dict[str, Any]) -> None:
     for name, schema in schemas.items():
         if name.startswith("Page_"):  # generic models have no docstring of their own
             schema.setdefault("description", "Part of a list.")
+        if name == "JsonValue":  # pydantic describes it by nothing
+            schema.setdefault("description", "Any JSON value.")
         text = _RAISES.sub("", schema.get("description", ""))
         if text:
             schema["description"] = text.rstrip()

@@ -1,9 +1,9 @@
 """Taps: consumers of a running device's batches beside the streams."""
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from threading import Event
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,16 +11,7 @@ from numpy.typing import NDArray
 from compute.measurement.flag_policy import STANDARD_POLICY
 from service.pipeline.active_calibration import ActiveCalibration
 from service.pipeline.frame_batch import FrameBatch
-from service.problems.errors import (
-    CalibrationSwitched,
-    DeviceNotRunning,
-    NoActiveCalibration,
-    NotReady,
-)
-
-if TYPE_CHECKING:
-    from service.pipeline.device_session import DeviceSession
-    from service.pipeline.pipeline_manager import PipelineManager
+from service.problems.errors import CalibrationSwitched, NoActiveCalibration
 
 Array = NDArray[np.float64]
 
@@ -165,40 +156,3 @@ def poll(ended: Event, seconds: float) -> Iterator[None]:
         min(_POLL_INTERVAL_S, remaining_s)
     ):
         yield
-
-
-def collect(
-    live: "PipelineManager",
-    session: "DeviceSession",
-    tap: Tap,
-    seconds: float,
-    ended: Event,
-    is_enough: Callable[[], bool] = lambda: False,
-) -> None:
-    """Attach a tap for some seconds, or until ``ended`` is set or ``is_enough`` is true; waits.
-
-    ``is_enough`` is called in the waiting thread, several times a second.
-
-    Raises:
-        DeviceNotRunning: the device stops or is lost meanwhile.
-        NotReady: the server stops meanwhile.
-    """
-    live.attach(session, tap)
-    try:
-        for _ in poll(ended, seconds):
-            if live.streams.closed is not None:
-                raise NotReady(
-                    f"{live.streams.closed}; what was measured so far is not kept, do it again "
-                    "when it is up again",
-                    part="server",
-                )
-            if is_enough():
-                return
-            if not session.connected:
-                raise DeviceNotRunning(
-                    f'device "{session.device_id}" stopped or was lost while it was measured; '
-                    "start it and try again",
-                    device_id=session.device_id,
-                )
-    finally:
-        live.detach(session, tap)

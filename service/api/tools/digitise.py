@@ -18,7 +18,7 @@ from service.api.tools.pose_query import Frame
 from service.api.tools.pose_taps import TipTap
 from service.api.tools.tip_limit import TipLimit
 from service.pipeline.pipeline_manager import PipelineManager
-from service.pipeline.taps import collect
+from service.pipeline.tap_collection import collect
 from service.problems.errors import CalibrationSwitched, NoActiveCalibration, NoObservation
 
 Array = NDArray[np.float64]

@@ -10,7 +10,7 @@ from compute.pose.rigid_body import ToolPose
 from service.api.tools.pose_taps import PoseTap
 from service.api.tools.schema import NewToolCalibration
 from service.pipeline.pipeline_manager import PipelineManager
-from service.pipeline.taps import collect
+from service.pipeline.tap_collection import collect
 
 if TYPE_CHECKING:
     from compute.pose.tool_calibration.pivot import PivotResult

@@ -44,7 +44,7 @@ from service.database.engine import Database
 from service.jobs.call_process import CallProcess
 from service.pipeline.device_session import DeviceSession
 from service.pipeline.pipeline_manager import PipelineManager
-from service.pipeline.taps import collect
+from service.pipeline.tap_collection import collect
 from service.problems.errors import Busy, NotReady
 
 _log = logging.getLogger(__name__)

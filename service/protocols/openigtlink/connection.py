@@ -4,11 +4,13 @@ import asyncio
 import logging
 import socket
 import time
-from collections.abc import Callable, Iterable
-from typing import TYPE_CHECKING, Final, cast
+from collections.abc import Callable, Coroutine, Iterable
+from typing import Final, Protocol, cast
 
 from service.protocols.openigtlink.bodies import StatusCode
-from service.protocols.openigtlink.handlers import KNOWN
+from service.protocols.openigtlink.counters import Counters
+from service.protocols.openigtlink.handlers import KNOWN, MessageHandlers
+from service.protocols.openigtlink.host import ServerSettings
 from service.protocols.openigtlink.message import (
     BadMessage,
     Damaged,
@@ -21,9 +23,6 @@ from service.protocols.openigtlink.message import (
 )
 from service.protocols.openigtlink.session import Session
 from service.protocols.openigtlink.snapshot import Snapshot
-
-if TYPE_CHECKING:
-    from service.protocols.openigtlink.server import OpenIGTLinkServer
 
 _log = logging.getLogger(__name__)
 
@@ -40,6 +39,30 @@ _OTHER: Final = "other"
 _TOLD_BY_SERVER: Final = ("shutdown", "refused")
 
 
+class ConnectionOwner(Protocol):
+    """What a connection needs of the server that it belongs to."""
+
+    counters: Counters
+    settings: ServerSettings
+    handlers: MessageHandlers
+
+    def admit(self, client: "ClientConnection") -> tuple[str, StatusCode | None] | None:
+        """Let a client in, or say why not."""
+        ...
+
+    def forget(self, client: "ClientConnection") -> None:
+        """Note that a connection has ended."""
+        ...
+
+    def greet(self, client: "ClientConnection") -> None:
+        """Tell a client how all beam holds are."""
+        ...
+
+    def spawn(self, work: Coroutine[None, None, None]) -> None:
+        """Begin a task and keep it."""
+        ...
+
+
 class ClientConnection(asyncio.Protocol):
     """One client; lives in the event loop.
 
@@ -49,7 +72,7 @@ class ClientConnection(asyncio.Protocol):
         server: lets it in, answers it, and is told when it reads again and when it has ended.
     """
 
-    def __init__(self, server: "OpenIGTLinkServer") -> None:
+    def __init__(self, server: ConnectionOwner) -> None:
         self._server = server
         self._settings = server.settings
         self._counters = server.counters
@@ -108,7 +131,7 @@ class ClientConnection(asyncio.Protocol):
         self._cancel("stall")
         if self._misses_holds:
             self._misses_holds = False
-            self._server.holds.greet(self)
+            self._server.greet(self)
         self._send_frame()
         self._work()
 

@@ -151,8 +151,12 @@ class OpenIGTLinkServer:
         newest = self._fresh()
         if newest is not None:
             client.offer(newest)
-        self.holds.greet(client)
+        self.greet(client)
         return None
+
+    def greet(self, client: ClientConnection) -> None:
+        """Tell a client how all beam holds are: it is new, or has missed some changes."""
+        self.holds.greet(client)
 
     def _tell_refused(self, text: str) -> None:
         """Write into the log that somebody was refused, now and then: the metrics count all."""

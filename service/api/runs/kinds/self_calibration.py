@@ -17,7 +17,7 @@ from service.api.calibrations.calibration_content import (
 from service.api.calibrations.schema import ControlPointErrors, GivenDistortion, LengthErrors
 from service.api.devices.schema import Sensor, check_sensors
 from service.api.runs.kinds.calibration import add_record
-from service.api.runs.self_calibration_schema import (
+from service.api.runs.kinds.self_calibration_schema import (
     NewRecording,
     directions_of,
     recording_of,

@@ -50,7 +50,7 @@ def exclude_outliers(
     readings_px: Array,
     sigma_px: Array,
 ) -> PointBatch:
-    """Leave out the readings that are wrong, where the others tell which these are.
+    """Exclude outliers where the other readings identify them.
 
     Points without the flag INCONSISTENT (or NO_CONVERGENCE) are not touched. Of the others, those
     from which a reading or two were left out carry READING_EXCLUDED; where it cannot be said which

@@ -59,7 +59,7 @@ def possibly_swapped(
     confirmed: NDArray[np.bool_],
     resolution_px: float,
 ) -> NDArray[np.bool_]:
-    """Return which tracks, of T, may have taken another's peaks: unsupported ones and neighbours.
+    """Return which of T tracks may be swapped: unsupported ones, and confirmed ones near them.
 
     Two that have passed each other may each have a peak of the other, while only one of them lacks
     a sensor for it.

@@ -308,7 +308,7 @@ class Blinking(ResponseModel):
 
 
 class Tracking(ResponseModel):
-    """How the markers and tools of a running device are tracked; all has defaults."""
+    """Settings of tracking markers and tools of a running device; all have defaults."""
 
     tracks: str = "never"
     motion: str = "interacting"
@@ -380,7 +380,7 @@ class LiveBadPixel(ResponseModel):
 
 
 class DeviceStateDocument(ResponseModel):
-    """What a device is doing."""
+    """State and counters of a device."""
 
     state: str
     reason: str | None = None
@@ -485,7 +485,7 @@ class SensorFit(ResponseModel):
 
 
 class CalibrationSettings(ResponseModel):
-    """How a device is calibrated."""
+    """Settings of a calibration."""
 
     distortion: str | tuple[tuple[int, int], ...] = "none"
     control_sigma_mm: float | None = None
@@ -536,7 +536,7 @@ class CrossValidation(ResponseModel):
 
 
 class SensorDiagnosis(ResponseModel):
-    """How well the control points determine one sensor."""
+    """Precision of one sensor's parameters by the geometry of the control points."""
 
     sensor: str
     condition: float
@@ -558,7 +558,7 @@ class Suggestion(ResponseModel):
 
 
 class Diagnosis(ResponseModel):
-    """How well control points determine the calibration, and which others would help."""
+    """Precision of a calibration by its control points, and the points that would improve it."""
 
     sensors: tuple[SensorDiagnosis, ...]
     mean_sigma_mm: float | None
@@ -604,7 +604,7 @@ class LengthErrors(ResponseModel):
 
 
 class ControlPointErrors(ResponseModel):
-    """How well a calibration reproduces its control points, or the lengths of a waved target."""
+    """Errors of a calibration at its control points, or of the lengths of a waved target."""
 
     fitted: PointErrors | None
     leave_one_out: PointErrors | None
@@ -643,7 +643,7 @@ class ParameterDifference(ResponseModel):
 
 
 class PositionDifferences(ResponseModel):
-    """What the second calibration makes of readings that the first explains exactly."""
+    """Differences of positions by two calibrations from the same readings."""
 
     points: int
     low_mm: tuple[float, float, float]
@@ -797,9 +797,7 @@ class WaveSettings(ResponseModel):
 
 
 class WaveExposures(ResponseModel):
-    """What became of the exposures of the target's first marker, each of which may make a
-    pose.
-    """
+    """Exposures of the target's first marker, counted by whether they gave a pose."""
 
     all: int
     taken: int
@@ -809,7 +807,7 @@ class WaveExposures(ResponseModel):
 
 
 class WaveSensor(ResponseModel):
-    """What one sensor read of the target."""
+    """Coverage of one sensor by readings of the target."""
 
     sensor: str
     clear: int
@@ -833,14 +831,14 @@ class WaveDirections(ResponseModel):
 
 
 class WaveVolume(ResponseModel):
-    """Where the target was, in the device's frame."""
+    """Volume that the target was in, in the device's frame."""
 
     extent_mm: tuple[float, float, float]
     octants: tuple[int, ...]
 
 
 class WaveProgress(ResponseModel):
-    """What a wave has covered so far, and what is missing."""
+    """Coverage of a wave so far, and what is missing."""
 
     poses: int
     wanted_poses: int
@@ -871,7 +869,7 @@ class WaveCapture(ResponseModel):
 
 
 class RadiometricCaptureSettings(ResponseModel):
-    """How dark and flat frames are captured."""
+    """Settings of capturing dark and flat frames."""
 
     frames: int = 128
     levels: int = 6
@@ -880,7 +878,7 @@ class RadiometricCaptureSettings(ResponseModel):
 
 
 class CapturedLevel(ResponseModel):
-    """What one sensor read in a capture."""
+    """Counts of one sensor in a capture."""
 
     sensor: str
     mean_counts: float
@@ -1032,7 +1030,7 @@ class DriftCheckDocument(ResponseModel):
 
 
 class DriftCheckSummary(ResponseModel):
-    """A drift check and what it found."""
+    """A drift check and its findings."""
 
     id: str
     device_id: str
@@ -1140,7 +1138,7 @@ class UsedCalibration(ResponseModel):
 
 
 class RecordingDetail(ResponseModel):
-    """A recording with what its results were made with."""
+    """A recording with the calibrations of its results."""
 
     id: str
     device_id: str | None
@@ -1179,7 +1177,7 @@ class RecordingDocument(ResponseModel):
 
 
 class RetentionDocument(ResponseModel):
-    """How long recordings are kept, and what was deleted. What is null is without limit."""
+    """Retention of recordings: limits, where null is none, and deletions."""
 
     max_age_s: float | None
     max_total_bytes: int | None
@@ -1205,7 +1203,7 @@ class RecordedPoint(ResponseModel):
 
 
 class RecordedFrame(ResponseModel):
-    """One frame of a recording, with what was found in it."""
+    """One frame of a recording, with its points."""
 
     number: int
     sequence: int
@@ -1301,7 +1299,7 @@ class Export(ResponseModel):
 
 
 class Tip(ResponseModel):
-    """Where a tool's working point is, and how that is known."""
+    """Working point of a tool, and where it is known from."""
 
     position_mm: tuple[float, float, float] | None
     covariance_mm2: (
@@ -1319,7 +1317,7 @@ class ToolLimits(ResponseModel):
 
 
 class Origin(ResponseModel):
-    """How a tool's geometry is known."""
+    """Origin of a tool's geometry: given, or captured."""
 
     kind: str
     frames: int | None = None
@@ -1390,7 +1388,7 @@ class Pose(ResponseModel):
 
 
 class NewToolCalibration(ResponseModel):
-    """What a calibration from live poses takes."""
+    """Request of a pivot or spin calibration from live poses."""
 
     duration_s: float = 10.0
     poses: int = 500
@@ -1400,7 +1398,7 @@ class NewToolCalibration(ResponseModel):
 
 
 class ToolCalibration(ResponseModel):
-    """A pivot or spin calibration and what it found."""
+    """A pivot or spin calibration and its results."""
 
     id: str
     tool_id: str
@@ -1447,7 +1445,7 @@ class MeasuredPoint(ResponseModel):
 
 
 class FiducialError(ResponseModel):
-    """How a fiducial fits."""
+    """Residual of one fiducial."""
 
     name: str
     residual_mm: tuple[float, float, float]
@@ -1473,7 +1471,7 @@ class AlternativeSolution(ResponseModel):
 
 
 class SurfaceFit(ResponseModel):
-    """How points lie on a surface, and how well it holds them."""
+    """Residuals of points on a surface, and how well it constrains the registration."""
 
     rms_mm: float
     iterations: int
@@ -1488,7 +1486,7 @@ class SurfaceFit(ResponseModel):
 
 
 class TargetError(ResponseModel):
-    """What to expect at a target."""
+    """Expected error at a target."""
 
     name: str
     error_mm: float
@@ -1563,7 +1561,7 @@ class NewThreeMarkers(ResponseModel):
 
 
 class SurfaceSummary(ResponseModel):
-    """A surface that was given: it is not kept, but what tells whether another is the same."""
+    """Summary of a given surface, by which another can be compared; the surface is not kept."""
 
     kind: str
     vertices: int
@@ -1572,7 +1570,7 @@ class SurfaceSummary(ResponseModel):
 
 
 class StoredSurfaceRequest(ResponseModel):
-    """What is kept of a request with a surface: of the surface itself what tells it."""
+    """Stored request of a registration by a surface, with a summary of the surface."""
 
     id: str
     device_id: str
@@ -1712,7 +1710,7 @@ class SimultaneousMarkersWatch(ResponseModel):
 
 
 class Limits(ResponseModel):
-    """How far all may move from the reference; at least one of the first three is needed."""
+    """Largest motion from the reference; at least one of the first three is needed."""
 
     shift_mm: float | None = None
     axis_mm: tuple[float, float, float] | None = None
@@ -1722,7 +1720,7 @@ class Limits(ResponseModel):
 
 
 class Rules(ResponseModel):
-    """When a hold begins and ends, whatever is measured."""
+    """Timing rules of the begin and end of a beam hold."""
 
     max_gap_s: float = 0.1
     settle_s: float = 0.5
@@ -1730,7 +1728,7 @@ class Rules(ResponseModel):
 
 
 class Reference(ResponseModel):
-    """How all was at set-up."""
+    """Reference of a beam hold: the pose or the positions at set-up."""
 
     id: str
     kind: str
@@ -1783,7 +1781,7 @@ class BeamHold(ResponseModel):
 
 
 class BeamHoldStatus(ResponseModel):
-    """Whether the beam is held now, and why."""
+    """State of a beam hold, with its cause."""
 
     hold_id: str
     device_id: str
@@ -1817,7 +1815,7 @@ class Stage(ResponseModel):
 
 
 class LineScan(ResponseModel):
-    """What was found in one line."""
+    """Peaks of one line scan."""
 
     index: int
     sensor: str | None = None
@@ -1835,7 +1833,7 @@ class LineScan(ResponseModel):
 
 
 class LineScans(ResponseModel):
-    """What was found in scans."""
+    """Peaks of line scans."""
 
     method: str
     noise: PixelNoise
@@ -1941,7 +1939,7 @@ class PublishedFigure(ResponseModel):
 
 
 class ErrorSources(ResponseModel):
-    """What makes a device inaccurate besides noise; None: the typical value, called assumed."""
+    """Systematic error sources of a device; None: the typical value, called assumed."""
 
     pixels: str | None = None
     flat_field_residual: float | None = None
@@ -2168,7 +2166,7 @@ class CreatedApiKey(ResponseModel):
 
 
 class RequestPrincipal(ResponseModel):
-    """Who makes the request, and what that one may do."""
+    """Principal of the request, with its scopes."""
 
     kind: str
     id: str
@@ -2178,7 +2176,7 @@ class RequestPrincipal(ResponseModel):
 
 
 class Webhook(ResponseModel):
-    """Where events are sent, without the secret."""
+    """A webhook, without its secret."""
 
     id: str
     title: str
@@ -2203,7 +2201,7 @@ class CreatedWebhook(ResponseModel):
 
 
 class WebhookState(ResponseModel):
-    """How this server's deliveries to a webhook go, since its start."""
+    """Deliveries of this server to a webhook, since its start."""
 
     webhook_id: str
     state: str
@@ -2216,7 +2214,7 @@ class WebhookState(ResponseModel):
 
 
 class Actor(ResponseModel):
-    """Who acted."""
+    """Key, token or local program that acted."""
 
     kind: str
     id: str
@@ -2305,7 +2303,7 @@ class PointToPoint(ResponseModel):
 
 
 class QualityCheck(ResponseModel):
-    """What a quality check measured."""
+    """Result of a quality check."""
 
     id: str
     device_id: str
@@ -2329,7 +2327,7 @@ class ReferenceMarker(ResponseModel):
 
 
 class WatchSettings(ResponseModel):
-    """How a device's drift is watched."""
+    """Settings of watching a device's drift."""
 
     interval_s: float = 600.0
     reference: ReferenceMarker | None = None
@@ -2359,7 +2357,7 @@ class Chart(ResponseModel):
 
 
 class Quality(ResponseModel):
-    """How a device does with what is active now, and what to do about it."""
+    """Quality of a device with its active calibration, and the recommended action."""
 
     device_id: str
     calibration_id: str | None
@@ -2371,7 +2369,7 @@ class Quality(ResponseModel):
 
 
 class WatchSample(ResponseModel):
-    """What was seen of a running device in one interval."""
+    """Statistics of a running device over one interval."""
 
     device_id: str
     calibration_id: str
@@ -2387,7 +2385,7 @@ class WatchSample(ResponseModel):
 
 
 class Landing(ResponseModel):
-    """Where to go from here."""
+    """Entry point: links to the documentation and the resources."""
 
     name: str
     version: str
@@ -2410,7 +2408,7 @@ class Readiness(ResponseModel):
 
 
 class ProblemType(ResponseModel):
-    """What a problem type means."""
+    """A problem type: its code, status and meaning."""
 
     code: str
     type: str

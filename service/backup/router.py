@@ -35,7 +35,7 @@ def list_backups(settings: SettingsDep, paging: PagingDep) -> Page[Backup]:
         found,
         paging,
         lambda one: _backup(one, moments[one]),
-        lambda one: (-moments[one].timestamp(),),
+        lambda one: (-int(moments[one].timestamp()),),
     )
 
 

@@ -279,7 +279,7 @@ class RunManager:
 
 @contextmanager
 def _acting_as_submitter(row: RunRow) -> Iterator[None]:
-    """Attribute what is stored to the principal who posted the run."""
+    """Attribute database changes to the principal who posted the run."""
     act = None if row.poster is None else Act.of_stored(row.poster)
     token = current_act.set(act)
     try:

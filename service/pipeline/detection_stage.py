@@ -39,7 +39,7 @@ FindProfile = Callable[[str], DeviceProfile]
 
 @dataclass(frozen=True, eq=False)
 class ExpectedScans:
-    """What the profile adds to a device's description for the measurement of peaks.
+    """Expected scans by the device's profile: shapes and shadow templates for measuring peaks.
 
     Args:
         volume: noiseless light lines of its volume with their true readings; None: not known.
@@ -118,7 +118,7 @@ _Find = Callable[[NDArray[np.uint16]], PeakBatch]
 
 @dataclass(frozen=True, eq=False)
 class SearchModel:
-    """What the peaks of a device are searched and fitted with, for whoever shows how.
+    """Noise, search, fit and line shape that a device's peaks are measured with.
 
     Args:
         noise: of the sensors.

@@ -24,7 +24,7 @@ class Tap(Protocol):
         ...
 
     def offer(self, batch: FrameBatch) -> None:
-        """Take what is wanted of a batch; called in the compute thread, never waits long."""
+        """Copy the wanted data of a batch; called in the compute thread, never waits long."""
         ...
 
 
@@ -48,7 +48,7 @@ class PeakTap:
         """Do nothing: readings do not depend on it."""
 
     def offer(self, batch: FrameBatch) -> None:
-        """Take what is wanted of a batch; called in the compute thread, never waits long."""
+        """Copy the wanted data of a batch; called in the compute thread, never waits long."""
         sensors = len(batch.sensor_names)
         readings = []
         for index, frame in enumerate(batch.frames):

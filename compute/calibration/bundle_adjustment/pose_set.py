@@ -112,7 +112,7 @@ class PoseSet:
 
     @property
     def observed_mask(self) -> NDArray[np.bool_]:
-        """Which readings there are, shape (B, K, S)."""
+        """Mask of the readings that were measured, shape (B, K, S)."""
         return np.isfinite(self.readings_px)
 
     def marker_positions(self) -> Array:

@@ -210,7 +210,7 @@ def _calibrate_recordings(
 
 @dataclass(frozen=True)
 class _Begin:
-    """How a run begins.
+    """Initial cameras of a self-calibration.
 
     Args:
         reference: cameras that define the frame; those given, or those from the readings.
@@ -475,7 +475,7 @@ class _SelfCalibrationState:
             )
 
     def solve(self, progress: Progress) -> tuple[list[InitialPoses], AdjustmentResult]:
-        """Adjust cameras and poses, without outliers, with the noise that the readings tell.
+        """Adjust cameras and poses, without outliers, with the noise estimated from the readings.
 
         Args:
             progress: called with the fraction done and the stage.

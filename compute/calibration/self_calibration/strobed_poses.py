@@ -56,7 +56,7 @@ class StrobedReadings:
 
 @dataclass
 class PoseCounts:
-    """What became of the exposures of a target's first marker, each of which may make a pose.
+    """Exposures of a target's first marker, counted by whether and why not they gave a pose.
 
     Args:
         taken: poses taken.
@@ -221,7 +221,7 @@ def _interpolate(
 
 
 def _has_moved(readings_px: Array, before_px: Array, pixels: Array) -> bool:
-    """Return whether a pose differs from the one before; also where no sensor tells."""
+    """Return whether a pose differs from the one before; true where no sensor saw both."""
     change = np.abs(readings_px - before_px) / pixels
     both = np.isfinite(change)
     return not both.any() or bool(change[both].mean() >= MIN_MOTION)

@@ -216,7 +216,7 @@ def _fit_grid_and_noise(
     point_sigma_px: Array | None,
     progress: Progress,
 ) -> _Grid:
-    """Fit cameras with each strength, each with the noise that its own residuals tell.
+    """Fit cameras with each strength, and estimate the noise of each fit from its residuals.
 
     Noise to begin with, shape (G, S) [px]; None: known.
     """

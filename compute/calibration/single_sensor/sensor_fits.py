@@ -115,7 +115,7 @@ class ControlObservations:
 
     @property
     def observed_mask(self) -> NDArray[np.bool_]:
-        """Which readings there are, shape (N, S)."""
+        """Mask of the readings that were measured, shape (N, S)."""
         return np.isfinite(self.readings_px)
 
     @property

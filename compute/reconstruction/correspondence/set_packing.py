@@ -276,7 +276,7 @@ class _Search:
         selected: tuple[int, ...],
         budget: float,
     ) -> _WeightedSets | None:
-        """Weigh what is left when a resource has been decided."""
+        """Weigh the sets of the remaining columns after a resource has been decided."""
         # Decided: full, whatever it has room for.
         full = resource
         for index in selected:

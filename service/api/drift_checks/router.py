@@ -47,7 +47,7 @@ def create_drift_check(
     webhooks: WebhooksDep,
     response: Response,
 ) -> DriftCheckDocument:
-    """Compare what is read of still markers with what the calibration expects, within both errors.
+    """Test readings of stationary markers against the calibration, within both errors.
 
     The verdict says which sensors moved, and how, and is kept in the device's history. Correction
     tables take no part. A calibration that does not hold is brought up to date by an update run.

@@ -18,7 +18,7 @@ _GAPS: Final = 2.5
 
 @dataclass(frozen=True)
 class CheckMeasurement:
-    """What a check measured, and with what."""
+    """Result of a quality check, with the calibration and table that it was measured with."""
 
     calibration_id: str
     table_id: str | None

@@ -10,7 +10,7 @@ from service.database.models import RegistrationRow
 
 @dataclass(frozen=True)
 class Provenance:
-    """What was active when a frame was registered.
+    """Calibration and table that were active when a frame was registered.
 
     Args:
         name: of the frame.

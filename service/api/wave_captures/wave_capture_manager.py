@@ -59,7 +59,7 @@ _JOIN_S: Final = 30.0
 
 @dataclass(frozen=True)
 class WaveTask:
-    """What poses are taken of.
+    """Task of a wave capture: the device, the target, and when it ends.
 
     Args:
         capture_id: the session.
@@ -343,7 +343,7 @@ def progress_of(coverage: WaveCoverage, counts: PoseCounts, seen: np.ndarray) ->
 def approximate_models(
     models: Sequence[SensorModel] | None, sensors: Sequence[SensorGeometry]
 ) -> tuple[SensorModel, ...] | None:
-    """Return cameras to judge by, where they are of these sensors; else None."""
+    """Return approximate cameras for the coverage, where they are of these sensors; else None."""
     if models is None:
         return None
     ours = [(sensor.name, sensor.pixels) for sensor in sensors]

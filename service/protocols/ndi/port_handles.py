@@ -92,7 +92,7 @@ class PortHandle:
 
     @property
     def status(self) -> int:
-        """The bits that tell how far it is."""
+        """Status bits of the handle: occupied, initialised, enabled."""
         return OCCUPIED * self.occupied + INITIALISED * self.initialised + ENABLED * self.enabled
 
     def upload(self, address: int, block: bytes) -> None:
@@ -198,7 +198,7 @@ def select_handles(ports: Iterable[PortHandle], option: int) -> list[PortHandle]
 
 
 def describe_handle(port: PortHandle, options: int) -> str:
-    """Return what PHINF tells of a handle.
+    """Return the reply of PHINF about a handle.
 
     Args:
         port: the handle.

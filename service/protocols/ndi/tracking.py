@@ -66,7 +66,7 @@ _INFORMATION: Final = {
 
 
 class HandleState(IntEnum):
-    """Whether a tool has a transformation."""
+    """State of a port handle in a reply: valid, missing or disabled."""
 
     VALID = 1
     MISSING = 2
@@ -110,7 +110,7 @@ def report(
     out_of_volume: bool,
     markers_mm: Array | None = None,
 ) -> ToolReport:
-    """Return what is told of the tool behind a handle.
+    """Return the report of the tool behind a handle.
 
     Only poses that are OK are given; with ``out_of_volume`` those, too, that are good but outside
     of the volume. What is uncertain or does not fit is missing, and the information says so.

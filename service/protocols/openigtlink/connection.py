@@ -40,7 +40,7 @@ _TOLD_BY_SERVER: Final = ("shutdown", "refused")
 
 
 class ConnectionOwner(Protocol):
-    """What a connection needs of the server that it belongs to."""
+    """Server of a connection: admits it, handles its messages, and learns of its end."""
 
     counters: Counters
     settings: ServerSettings
@@ -55,7 +55,7 @@ class ConnectionOwner(Protocol):
         ...
 
     def greet(self, client: "ClientConnection") -> None:
-        """Tell a client how all beam holds are."""
+        """Send the states of all beam holds to a client."""
         ...
 
     def spawn(self, work: Coroutine[None, None, None]) -> None:
@@ -163,7 +163,7 @@ class ClientConnection(asyncio.Protocol):
             self._write(self.session.stale(device_id, age_s))
 
     def send_beam_hold(self, status: Message) -> None:
-        """Tell the client of a beam hold, or, if it does not read, how all are when it does."""
+        """Send a beam hold's state; a client that does not read gets all states when it does."""
         if self._writable:
             self._send((status,))
         else:
@@ -274,7 +274,7 @@ class ClientConnection(asyncio.Protocol):
             self._send(answers)
 
     def _skip(self, kind: str) -> None:
-        """Tell of each type once: some clients send much of what is not for us."""
+        """Log each unknown type once: some clients send many of them."""
         if kind not in self._skipped and len(self._skipped) < _MESSAGES_PER_STEP:
             self._skipped.add(kind)
             text = f"{kind} is not understood here, and is skipped"

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 class Request(ResponseModel):
-    """What a run keeps of its request."""
+    """Stored request of a calibration run."""
 
     points: list[ControlPoint]
     sensors: list[Sensor]

@@ -35,14 +35,14 @@ _CALIBRATION_SHARE: Final = 0.8
 
 @dataclass(frozen=True)
 class SelfCalibrated:
-    """What a run's process returns."""
+    """Result of a self-calibration run's process."""
 
     calibration: Calibration
     lengths_left_out: LengthErrors | None
 
 
 class Request(ResponseModel):
-    """What a run keeps of its request."""
+    """Stored request of a self-calibration run."""
 
     start_calibration_id: str | None
     initial: Literal["start", "readings"] = "start"

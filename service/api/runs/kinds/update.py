@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 class Request(ResponseModel):
-    """What a run keeps of its request."""
+    """Stored request of an update run."""
 
     calibration_id: str
     markers: list[StationaryMarker]

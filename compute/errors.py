@@ -5,7 +5,7 @@ from typing import ClassVar
 
 
 class LumilineError(Exception):
-    """Base of every error that tells a user what was wrong with what they gave.
+    """Base of the errors that users see: what was wrong with an input or a state.
 
     ``detail`` says what was wrong, with the value, and what would be right. ``code`` is a stable
     name (the last part of a problem type's URI), by default the class's name with hyphens;
@@ -80,7 +80,7 @@ class TooLittleRotation(LumilineError):
 
 
 class HighError(LumilineError):
-    """What was measured fits what it should fit worse than it may."""
+    """Residual exceeds its limit."""
 
 
 class CollinearPoints(LumilineError):

@@ -38,7 +38,7 @@ def noncentrality(dof: int, significance: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class ReadingChecks:
-    """How well n readings check one another in N adjustments of p unknowns.
+    """Internal reliability of n readings in N adjustments of p unknowns.
 
     Args:
         normalised: Baarda's w, residuals over their own standard deviations with the readings'

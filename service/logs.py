@@ -232,7 +232,7 @@ class RecentRecords(logging.Handler):
             self.handleError(record)
 
     def newest(self) -> list[RecentRecord]:
-        """Return what is kept, oldest first."""
+        """Return the kept records, oldest first."""
         with self.lock or nullcontext():
             return list(self._records)
 

@@ -87,7 +87,7 @@ Kind = Literal["key", "token", "local", "command", "service"]
 
 @dataclass(frozen=True)
 class Principal:
-    """Who asks.
+    """Caller of a request, or a program that acts without one, with its scopes.
 
     Args:
         kind: ``key``: an API key; ``token``: of the identity provider; ``local``: a program on

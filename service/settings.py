@@ -48,7 +48,7 @@ class DataFolders:
 
 
 class Settings(BaseSettings):
-    """What an administrator may set; every value has a default that works as it stands."""
+    """Settings of the server; every value has a default that works as it stands."""
 
     # Errors without the values: one may be the database's URL, under whatever misspelt name.
     model_config = SettingsConfigDict(

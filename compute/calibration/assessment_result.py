@@ -31,7 +31,7 @@ class DistortionEstimate:
 
 @dataclass(frozen=True)
 class SensorDiagnosis:
-    """How well the control points determine one sensor.
+    """Precision of one sensor's parameters by the geometry of the control points.
 
     Args:
         sensor: its name.
@@ -75,7 +75,7 @@ class Suggestion:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """How well control points determine the calibration, and which others would help.
+    """Precision of a calibration by its control points, and the points that would improve it.
 
     Args:
         sensors: one for each sensor.

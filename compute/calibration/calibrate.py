@@ -302,7 +302,7 @@ def assemble_with_exact_points(
         source = "assumed"
     for column, (model, rows) in enumerate(zip(fits.models, fits.used(observed).T, strict=True)):
         sigma = observed.sigma_px[rows, column] if observed.sigma_known else None
-        points = int(observed.seen[:, column].sum())
+        points = int(observed.observed_mask[:, column].sum())
         fit, factor = _fit_statistics(
             model, points, residuals[rows, column], parameters[column], sigma
         )
@@ -360,7 +360,7 @@ def _assemble_with_uncertain_points(
     for column, (model, rows) in enumerate(zip(joint.models, fits.used(observed).T, strict=True)):
         fit, factor = _fit_statistics(
             model,
-            int(observed.seen[:, column].sum()),
+            int(observed.observed_mask[:, column].sum()),
             joint.residuals_px[rows, column],
             parameters[column],
             sigma[rows, column],
@@ -453,7 +453,7 @@ def _calibration(
     covariance: Array,
     residuals_px: Array,
 ) -> Calibration:
-    measured = observed.seen
+    measured = observed.observed_mask
     robust = settings.loss == "robust"
     return Calibration(
         "metric",

@@ -122,7 +122,7 @@ def free_parameters(terms: tuple[Term, ...]) -> int:
 
 @dataclass(frozen=True)
 class CalibrationSettings:
-    """How a device is calibrated.
+    """Settings of a calibration.
 
     Args:
         distortion: "none"; "auto": all terms up to the fifth order, their scale estimated

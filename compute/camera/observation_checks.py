@@ -43,7 +43,7 @@ Sensor = SensorGeometry | SensorModel
 def check_observations(
     points_mm: Array, readings_px: Array, sensors: Sequence[Sensor], sigma_px: Array | None
 ) -> None:
-    """Check known points and their readings, whatever they are used for.
+    """Check the shapes and values of known points and their readings.
 
     Args:
         points_mm: shape (N, 3) [mm].

@@ -150,7 +150,7 @@ class CameraStack:
 
     @cached_property
     def parameter_mask(self) -> NDArray[np.bool_]:
-        """Which of the ``width`` parameters each sensor has, shape (S, width)."""
+        """Mask of the ``width`` parameters that each sensor has, shape (S, width)."""
         return self.parameter_index >= 0
 
     def covariance_blocks(self, covariance: Array) -> Array:

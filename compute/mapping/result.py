@@ -14,7 +14,7 @@ MappingMethod = Literal["b-spline", "trilinear", "tricubic"]
 
 @dataclass(frozen=True)
 class MappingSettings:
-    """How a correction table is built from mapping measurements.
+    """Settings of building a correction table from mapping measurements.
 
     Args:
         method: "b-spline", a penalised tensor B-spline of degree 3, for points anywhere; or

@@ -34,6 +34,7 @@ class FlagRule:
         initiates: whether a track or the acquisition of a tool may rest on it.
         shared: whether it may be the peak of two markers. Stages that give a peak to one marker
             at most, as tools do, do not use it.
+        clear: whether the peak of the only lit marker is a reading of it for a calibration.
     """
 
     flag: PeakFlag
@@ -43,6 +44,7 @@ class FlagRule:
     added_sigma_px: float = 0.0
     initiates: bool = True
     shared: bool = False
+    clear: bool = True
 
 
 STANDARD_RULES: Final = (
@@ -51,12 +53,14 @@ STANDARD_RULES: Final = (
         "suspect",
         "A centre of gravity takes the flat top for the shape of the peak.",
         sigma_factor=3.0,
+        clear=False,
     ),
     FlagRule(
         PeakFlag.CLIPPED,
         "refused",
         "The end of the sensor cuts it off: the position is drawn inwards by an unknown amount.",
         initiates=False,
+        clear=False,
     ),
     FlagRule(
         PeakFlag.MERGED,
@@ -64,6 +68,7 @@ STANDARD_RULES: Final = (
         "It lies between two stripes of light and may be the reading of either.",
         added_sigma_px=MERGED_SIGMA_PX,
         shared=True,
+        clear=False,
     ),
     FlagRule(
         PeakFlag.TRUNCATED,
@@ -87,12 +92,14 @@ STANDARD_RULES: Final = (
         "It is a centre of gravity or a pixel, not a fit.",
         sigma_factor=3.0,
         initiates=False,
+        clear=False,
     ),
     FlagRule(
         PeakFlag.AMBIGUOUS,
         "suspect",
         "The coded pattern fits nearly as well elsewhere: good only where a marker is expected.",
         initiates=False,
+        clear=False,
     ),
     FlagRule(
         PeakFlag.MASKED_PIXELS,
@@ -107,6 +114,7 @@ FIT_RULES: Final = (
         PeakFlag.SATURATED,
         "suspect",
         "The fit takes a full pixel for a lower bound, and its standard deviation says so.",
+        clear=False,
     ),
 )
 """Exceptions where peaks are fitted."""
@@ -125,6 +133,7 @@ SHADOW_RULES: Final = (
         PeakFlag.CLIPPED,
         "used",
         "A shadow is fitted as a whole; what lies beyond the sensor does not draw it inwards.",
+        clear=False,
     ),
     FlagRule(
         PeakFlag.POOR_FIT,
@@ -193,10 +202,10 @@ class FlagPolicy:
         other = {rule.flag: rule for rule in rules}
         return replace(self, rules=tuple(other.get(rule.flag, rule) for rule in self.rules))
 
-    def flags_where(self, use: Use) -> PeakFlag:
-        """Return the flags with a use."""
-        flags = (rule.flag for rule in self.rules if rule.use == use)
-        return reduce(or_, flags, PeakFlag.NONE)
+    @cached_property
+    def unclear_flags(self) -> PeakFlag:
+        """The flags of peaks that are not clear."""
+        return reduce(or_, (rule.flag for rule in self.rules if not rule.clear), PeakFlag.NONE)
 
     @cached_property
     def lookup(self) -> FlagLookup:

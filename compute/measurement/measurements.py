@@ -136,7 +136,7 @@ class Measurements:
 
     @cached_property
     def usable(self) -> NDArray[np.bool_]:
-        """Where there is a peak that may be used, shape (S, K)."""
+        """Mask of the peaks that may be used, shape (S, K)."""
         return np.isfinite(self.position_px)
 
     @cached_property

@@ -109,7 +109,7 @@ def count_distribution(
         cumulated = np.zeros(len(upper))
         for start in range(0, len(electrons), _BLOCK):  # in blocks, to bound the memory
             block = slice(start, start + _BLOCK)
-            deviation = (upper[:, None] - electrons[block]) / read_noise_electrons
-            cumulated += ndtr(deviation) @ weight[block]
+            z = (upper[:, None] - electrons[block]) / read_noise_electrons
+            cumulated += ndtr(z) @ weight[block]
         probabilities = np.diff(cumulated, prepend=0.0, append=1.0).clip(0.0)
     return CountDistribution(counts.astype(np.uint16), probabilities / probabilities.sum())

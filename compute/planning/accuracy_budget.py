@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 
 
 def combined_sigma(contributions: Sequence[ErrorContribution]) -> Array:
-    """Return the root of the sum of squares of what is counted, shape (N, 3) [mm].
+    """Return the root sum of squares of the contributions that count, shape (N, 3) [mm].
 
     The sources are independent of each other: GUM (JCGM 100), 5.1.2.
 

@@ -58,7 +58,7 @@ class ErrorContribution:
 
 @dataclass(frozen=True, eq=False)
 class PlannedScene:
-    """What the contributions are computed from.
+    """Inputs of the error budget: device, points, their readings and the error sources.
 
     Args:
         device: the sensors.
@@ -182,7 +182,7 @@ def _calibration(scene: PlannedScene, gain: Array) -> ErrorContribution:
 
 
 def _distortion(scene: PlannedScene, gain: Array) -> Iterator[ErrorContribution]:
-    """Yield what is left of the distortion: uncorrected, after terms, after a table."""
+    """Yield the errors by distortion: uncorrected, after terms, after a table."""
     inputs = scene.inputs
     state = inputs.choice("distortion")
     stated = inputs.by_field.get("uncorrected_distortion_px")

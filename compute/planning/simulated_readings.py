@@ -80,11 +80,11 @@ def simulate_readings(
     for done, (block, image) in enumerate(zip(blocks, images, strict=True)):
         lines = device.lines(image, cameras)
         per_sr = device.electrons_per_sr(points_mm[block])[..., None]
-        mean, slope = lines.mean_sr * per_sr, lines.slope_sr_per_px * per_sr
+        mean, derivative = lines.mean_sr * per_sr, lines.slope_sr_per_px * per_sr
         electrons[block], peak[block] = mean.sum(axis=2), mean.max(axis=2)
         if device.quantisation_px is None:
-            bound[block] = position_bound(mean, slope, device.noise.variance_electrons2)
-            pattern[block] = fixed_pattern_sigma(mean, slope, device.noise, device.pattern)
+            bound[block] = position_bound(mean, derivative, device.noise.variance_electrons2)
+            pattern[block] = fixed_pattern_sigma(mean, derivative, device.noise, device.pattern)
             if device.mask is None:
                 centroid[block] = _by_centre_of_gravity(device, mean, visible[block])
         else:
@@ -96,12 +96,12 @@ def simulate_readings(
         values[~np.isfinite(values)] = np.nan
     # The well also holds what is not signal.
     full = visible & (peak + device.noise.background_electrons >= device.full_electrons)
-    slopes = np.where(visible[..., None], cameras.linearise(points_mm)[1], np.nan)
+    jacobian = np.where(visible[..., None], cameras.linearise(points_mm)[1], np.nan)
     return SimulatedReadings(
         cameras,
         misfit,
         np.where(visible, readings, np.nan),
-        slopes,
+        jacobian,
         visible,
         electrons,
         peak,

@@ -47,7 +47,7 @@ class BeamHoldCause(StrEnum):
 
 @dataclass(frozen=True)
 class BeamHoldTiming:
-    """When a hold begins and ends, whatever is measured.
+    """Timing rules of the begin and end of a beam hold.
 
     Args:
         max_gap_ns: longest time without a measurement before the beam is held [ns].
@@ -235,7 +235,7 @@ def scalar_exceedance_probability(mean: float, variance: float, limit: float) ->
 
 @dataclass(frozen=True, eq=False)
 class BeamHoldDecision:
-    """Whether the beam is held at a time, and why.
+    """State of a beam hold at one time, with its cause.
 
     Args:
         time_ns: time on the measurements' clock [ns].

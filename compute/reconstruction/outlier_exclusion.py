@@ -35,7 +35,7 @@ SUSPICIOUS: Final = PointFlag.INCONSISTENT | PointFlag.NO_CONVERGENCE
 
 
 def min_sensors(excluded: int) -> int:
-    """Return the fewest readings of which so many wrong ones can be identified.
+    """Return the minimum number of sensors that identifies ``excluded`` outliers.
 
     With three unknowns, ``3 + k`` wrong and right readings may agree by chance of the errors; the
     others must be more than the k wrong ones: five for one, seven for two. (With four readings
@@ -50,7 +50,7 @@ def exclude_outliers(
     readings_px: Array,
     sigma_px: Array,
 ) -> PointBatch:
-    """Leave out the readings that are wrong, where the others tell which these are.
+    """Exclude outliers where the other readings identify them.
 
     Points without the flag INCONSISTENT (or NO_CONVERGENCE) are not touched. Of the others, those
     from which a reading or two were left out carry READING_EXCLUDED; where it cannot be said which

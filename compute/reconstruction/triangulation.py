@@ -141,11 +141,11 @@ def reading_variance(
         used: which readings count; the variance of others is 1, shape (N, S).
         position_mm: the points, shape (N, 3) [mm].
     """
-    slope = model.cameras.correction_derivative(readings_px)
-    variance = np.where(used, (sigma_px * np.abs(slope)) ** 2, 1.0)
+    derivative = model.cameras.correction_derivative(readings_px)
+    variance = np.where(used, (sigma_px * np.abs(derivative)) ** 2, 1.0)
     if model.corrections is not None:
         table_variance = np.nan_to_num(model.corrections.at(position_mm).variance_px2)
-        variance += np.where(used, table_variance * slope**2, 0.0)
+        variance += np.where(used, table_variance * derivative**2, 0.0)
     return variance
 
 

@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class CaptureStatistics:
-    """What F captures of one unchanging scene say of the N pixels of one sensor.
+    """Statistics of the N pixels of one sensor over F captures of one unchanging scene.
 
     Args:
         frames: F.

@@ -18,7 +18,7 @@ from compute.parameter_checks import require
 from compute.robust_statistics import MAD_TO_SIGMA, biweight
 from compute.signal.capture_statistics import CaptureStatistics
 from compute.signal.centroid_settings import MIN_PIXELS
-from compute.signal.line_shape import LineShape
+from compute.signal.measured_line_spread import MeasuredLineSpread
 
 Array = NDArray[np.float64]
 
@@ -117,7 +117,7 @@ class RadiometricCalibration:
     dark_current_counts_per_s: Array | None = None
     exposure_s: float | None = None
     temperature_c: float | None = None
-    line_shape: LineShape | None = None
+    line_shape: MeasuredLineSpread | None = None
 
     def __post_init__(self) -> None:
         shape = self.dark_offset.shape
@@ -171,10 +171,6 @@ class RadiometricCalibration:
         """Return it with further BadPixel flags, uint8, shape (N,)."""
         return replace(self, bad_pixels=self.bad_pixels | bad_pixels)
 
-    def bad_pixel_numbers(self, kind: BadPixel) -> list[int]:
-        """Return the pixels with a flag."""
-        return [int(pixel) for pixel in np.flatnonzero(self.bad_pixels & int(kind))]
-
     def to_document(self) -> dict[str, Any]:
         """Return it as a JSON object."""
         document: dict[str, Any] = {}
@@ -186,7 +182,7 @@ class RadiometricCalibration:
                 else list(value)
                 if isinstance(value, tuple)
                 else value.to_document()
-                if isinstance(value, LineShape)
+                if isinstance(value, MeasuredLineSpread)
                 else value
             )
         return document
@@ -210,7 +206,7 @@ class RadiometricCalibration:
                 if content[name] is not None:
                     content[name] = np.array(content[name], dtype=np.float64)
             if content["line_shape"] is not None:
-                content["line_shape"] = LineShape.from_document(content["line_shape"])
+                content["line_shape"] = MeasuredLineSpread.from_document(content["line_shape"])
             content["bad_pixels"] = np.array(content["bad_pixels"], dtype=np.uint8)
             first, second = content["linearity"]
             content["linearity"] = (float(first), float(second))

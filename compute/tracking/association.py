@@ -107,7 +107,7 @@ class _Work:
         self._gain = float(np.log(settings.detection_probability / settings.clutter_density_per_px))
 
     def associate_unambiguous(self, *, first: bool) -> None:
-        """Find readings without rivals among what is open, and update by all of them at once."""
+        """Assign unambiguous peaks among the open tracks, and update by all of them at once."""
         moved = np.einsum(
             "tsi,ti->ts",
             self.predicted.jacobian_px_per_mm,
@@ -158,7 +158,7 @@ class _Work:
         self.combined = combine_modes(self.motion, states)
 
     def associate_contested(self) -> None:
-        """Take what is still open by joint hypotheses, the least contested sensors first."""
+        """Update the remaining tracks by joint events (JPDA), the least contested sensors first."""
         count = self.contested.sum(axis=0)
         for sensor in np.argsort(count, kind="stable"):
             if count[sensor]:

@@ -248,7 +248,7 @@ def _resolve_duplicates(
 def _errors(
     on: NDArray[np.bool_], amplitude: Array, known: NDArray[np.bool_], model: BlinkModel
 ) -> NDArray[np.int32]:
-    """Count the scans in which a light is not what its word says, shape (T,)."""
+    """Count the scans in which a light contradicts its code word, shape (T,)."""
     present = np.isfinite(amplitude)
     if model.off_level > 0.0:
         with np.errstate(invalid="ignore"):

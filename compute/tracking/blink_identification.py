@@ -158,7 +158,7 @@ class BlinkIdentifier:
         self._rename(self._identity[rows].tolist(), identified.marker)
 
     def _rename(self, candidates: Sequence[int], marker: NDArray[np.int32]) -> None:
-        """Give the names that are sure now; who had one of them before loses it."""
+        """Assign the names that are certain now; tracks that had one of them before lose it."""
         sure = {
             name: one for one, name in zip(candidates, marker.tolist(), strict=True) if name >= 0
         }

@@ -59,7 +59,7 @@ def possibly_swapped(
     confirmed: NDArray[np.bool_],
     resolution_px: float,
 ) -> NDArray[np.bool_]:
-    """Return which tracks, of T, may have taken another's peaks: unsupported ones and neighbours.
+    """Return which of T tracks may be swapped: unsupported ones, and confirmed ones near them.
 
     Two that have passed each other may each have a peak of the other, while only one of them lacks
     a sensor for it.
@@ -215,12 +215,12 @@ def expired(tracks: Tracks, settings: TrackerSettings, time_ns: int) -> NDArray[
     unseen_ns, coast_ns = time_ns - tracks.last_detection_ns, round(settings.coast_s * 1e9)
     if tracks.confirmed.all() and not unsupported.any():
         return unseen_ns > coast_ns
-    # Where one goes on that was in doubt when it was lost nobody knows.
+    # A lost track that may be a ghost is not extrapolated for long.
     unseen = unseen_ns > np.where(
         unsupported & tracks.confirmed, UNSUPPORTED_COAST_FACTOR * coast_ns, coast_ns
     )
-    vain = tracks.misses > np.where(tracks.hits > 0, settings.confirm_misses, 0)
-    vain |= tracks.hits >= MAX_HIT_FACTOR * settings.confirm_hits
+    failed_confirmation = tracks.misses > np.where(tracks.hits > 0, settings.confirm_misses, 0)
+    failed_confirmation |= tracks.hits >= MAX_HIT_FACTOR * settings.confirm_hits
     # One of many that came up together may be a ghost even so.
     ghost = tracks.confirmed & (tracks.remaining_probation > 0) & unsupported
-    return unseen | ghost | (~tracks.confirmed & vain)
+    return unseen | ghost | (~tracks.confirmed & failed_confirmation)

@@ -23,7 +23,7 @@ MIN_SUPPORT_SENSORS = 4
 
 @dataclass(frozen=True, eq=False)
 class Exposure:
-    """What the sensors saw at one time.
+    """Measurements of all sensors in one exposure.
 
     Args:
         time_ns: middle of the exposure [ns].
@@ -118,7 +118,7 @@ class Tracks(Batch):
 
     @property
     def may_be_ghosts(self) -> NDArray[np.bool_]:
-        """Which tracks too few sensors have supported lately, shape (T,)."""
+        """Mask of tracks that too few sensors have supported lately, shape (T,)."""
         return self.unsupported >= UNSUPPORTED_EXPOSURES
 
     def update_support(

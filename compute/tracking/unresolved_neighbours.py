@@ -13,11 +13,11 @@ Array = NDArray[np.float64]
 
 NEIGHBOUR_FIELDS: Final = 3
 """Distance from the track's own peak [px], its rate [px/s], and the number of its detections."""
-_REACH: Final = 4.0
+_SEARCH_RESOLUTION_FACTOR: Final = 4.0
 """Distance within which neighbours are searched, in ``resolution_px``."""
-_HIDDEN: Final = 1.25
+_MERGE_RESOLUTION_FACTOR: Final = 1.25
 """Distance within which a neighbour counts as merged, in ``resolution_px``."""
-_STEADY: Final = 1.0
+_GATE_RESOLUTION_FACTOR: Final = 1.0
 """Gate about a neighbour's predicted distance, in ``resolution_px``."""
 _MIN_DETECTIONS: Final = 2
 _MAX_DETECTIONS: Final = 100.0
@@ -34,7 +34,7 @@ def predict_merged(
         settings: its ``resolution_px``.
     """
     ahead = neighbours[..., 0] + neighbours[..., 1] * step_s[:, None]
-    near = np.abs(ahead) <= _HIDDEN * settings.resolution_px
+    near = np.abs(ahead) <= _MERGE_RESOLUTION_FACTOR * settings.resolution_px
     hidden: NDArray[np.bool_] = near & (neighbours[..., 2] >= _MIN_DETECTIONS)
     return hidden
 
@@ -52,7 +52,7 @@ def inflate_unresolved(
     """
     with np.errstate(invalid="ignore"):
         apart = np.abs(peaks.position_px[None] - reading_px[..., None])
-    near = (apart <= (_HIDDEN + 1.0) * settings.resolution_px) & peaks.usable
+    near = (apart <= (_MERGE_RESOLUTION_FACTOR + 1.0) * settings.resolution_px) & peaks.usable
     # Two peaks there: they are not merged.
     alone = near & ((near.sum(axis=2) == 1) & hidden)[..., None]
     merge_variance = settings.resolution_px**2 / 12.0
@@ -79,7 +79,11 @@ def any_neighbour(
         return False
     there = track_peaks[:, sensor]
     apart = peaks.position_px[sensor, there] - peaks.position_px[sensor, peak]
-    near = (np.abs(apart) <= _REACH * settings.resolution_px) & (there >= 0) & (there != peak)
+    near = (
+        (np.abs(apart) <= _SEARCH_RESOLUTION_FACTOR * settings.resolution_px)
+        & (there >= 0)
+        & (there != peak)
+    )
     return bool(near.any())
 
 
@@ -117,14 +121,21 @@ def update_neighbours(
     off = np.take_along_axis(off, best, axis=2)[..., 0]
     merge = settings.resolution_px
     reach = (
-        np.where(confirmed, _STEADY, np.where(neighbours[..., 2] > 0, 0.5 * _REACH, _REACH)) * merge
+        np.where(
+            confirmed,
+            _GATE_RESOLUTION_FACTOR,
+            np.where(
+                neighbours[..., 2] > 0, 0.5 * _SEARCH_RESOLUTION_FACTOR, _SEARCH_RESOLUTION_FACTOR
+            ),
+        )
+        * merge
     )
-    found = (off <= reach) & (np.abs(nearest) <= _REACH * merge)
+    found = (off <= reach) & (np.abs(nearest) <= _SEARCH_RESOLUTION_FACTOR * merge)
     with np.errstate(invalid="ignore"):
         rate = (nearest - neighbours[..., 0]) / step
     rate = np.where(confirmed, 0.5 * (rate + neighbours[..., 1]), rate)
     # A hidden neighbour keeps its rate; one that should be detected and is not is deleted.
-    hidden = confirmed & (np.abs(ahead) <= _HIDDEN * merge)
+    hidden = confirmed & (np.abs(ahead) <= _MERGE_RESOLUTION_FACTOR * merge)
     unknown = neighbours[..., 2] == 0
     rate = np.where(found, rate, neighbours[..., 1])
     count = np.minimum(neighbours[..., 2] + found, _MAX_DETECTIONS)

@@ -12,8 +12,8 @@ from compute.measurement.flag_policy import (
 def policy_table() -> str:
     """Return the rules as a Markdown table."""
     rows = [
-        "| flag | where | use | standard deviation | starts a track or tool | why |",
-        "|---|---|---|---|---|---|",
+        "| flag | where | use | standard deviation | starts a track or tool | clear | why |",
+        "|---|---|---|---|---|---|---|",
     ]
     for where, rules in (
         ("in general", STANDARD_RULES),
@@ -30,7 +30,10 @@ def policy_table() -> str:
             use = f"{rule.use}, not for tools" if rule.shared else rule.use
             (name,) = flag_names(rule.flag)
             start = "yes" if rule.initiates else "no"
-            rows.append(f"| `{name}` | {where} | {use} | {sigma} | {start} | {rule.why} |")
+            clear = "yes" if rule.clear else "no"
+            rows.append(
+                f"| `{name}` | {where} | {use} | {sigma} | {start} | {clear} | {rule.why} |"
+            )
     return "\n".join(rows) + "\n"
 
 

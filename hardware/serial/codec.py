@@ -12,7 +12,6 @@ from cobs import cobs
 from compute.errors import InvalidParameter
 from hardware.serial.messages import (
     MAX_BYTES,
-    MAX_MARKERS,
     MAX_NAME_BYTES,
     MAX_PIXELS,
     MAX_SENSORS,
@@ -33,6 +32,7 @@ from hardware.serial.messages import (
     Stop,
     Strobe,
 )
+from hardware.strobe_schedule import MAX_MARKERS
 
 HEAD: Final = struct.Struct("<BB")
 CRC: Final = struct.Struct("<I")

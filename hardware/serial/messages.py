@@ -14,8 +14,6 @@ VERSION: Final = 1
 NO_MARKER: Final = 255
 MAX_SENSORS: Final = 64
 MAX_PIXELS: Final = 65_535
-MAX_MARKERS: Final = 254
-MAX_SLOTS: Final = 254
 MAX_NAME_BYTES: Final = 64
 MAX_VALUE: Final = 1e9
 """Bound of a description's values that have no other."""

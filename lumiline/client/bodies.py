@@ -83,18 +83,13 @@ class EvenLight(TypedDict):
 
 
 class StrobeSchedule(TypedDict):
-    """A cyclic sequence of slots, one exposure each; each slot lights one marker, or
-    all.Raises: InvalidParameter: no slots, too many, or a marker that cannot be.
-    """
+    """A cyclic sequence of slots, one exposure each; each slot lights one marker, or all."""
 
     slots: Sequence[int | None]
 
 
 class BlinkSchedule(TypedDict):
-    """Cyclic code words of the markers, one bit per exposure, each with its own phase.Raises:
-    InvalidParameter: words of several lengths or of other characters, other numbers of
-    phases.
-    """
+    """Cyclic code words of the markers, one bit per exposure, each with its own phase."""
 
     words: Sequence[str]
     low: NotRequired[float]
@@ -102,9 +97,7 @@ class BlinkSchedule(TypedDict):
 
 
 class PixelDefects(TypedDict):
-    """Differences of the pixels and bad pixels, drawn for each sensor from a seed.Raises:
-    InvalidParameter: a value is outside of its bounds.
-    """
+    """Differences of the pixels and bad pixels, drawn for each sensor from a seed."""
 
     response_nonuniformity: NotRequired[float]
     offset_nonuniformity_counts: NotRequired[float]
@@ -116,9 +109,7 @@ class PixelDefects(TypedDict):
 
 
 class SimulationSettings(TypedDict):
-    """What the simulated device shows, and how its sensors see it.Raises: InvalidParameter: a
-    value is outside of its bounds.
-    """
+    """What the simulated device shows, and how its sensors see it."""
 
     scene: NotRequired[
         CalibrationTarget
@@ -196,9 +187,7 @@ class ReplaySource(TypedDict):
 
 
 class SerialSettings(TypedDict):
-    """Port of a device, and settings sent to it.Raises: InvalidParameter: a value is outside
-    of its bounds, or the URL is none.
-    """
+    """Port of a device, and settings sent to it."""
 
     url: str
     baudrate: NotRequired[int]
@@ -226,9 +215,7 @@ class Tcd1304Board(TypedDict):
 
 
 class Tcd1304Settings(TypedDict):
-    """The boards, and how their lines are taken.Raises: InvalidParameter: a value is out of
-    its bounds, or two boards have one name or one port.
-    """
+    """The boards, and how their lines are taken."""
 
     boards: Sequence[Tcd1304Board]
     exposure_us: NotRequired[float]
@@ -264,9 +251,7 @@ class Feature(TypedDict):
 
 
 class GenicamSettings(TypedDict):
-    """The cameras, and how they are set.Raises: InvalidParameter: a value is out of its
-    bounds, or two cameras have one name or are one.
-    """
+    """The cameras, and how they are set."""
 
     cameras: Sequence[GenicamCamera]
     pitch_um: float
@@ -327,7 +312,7 @@ class Blinking(TypedDict):
 
 
 class Tracking(TypedDict):
-    """How the markers and tools of a running device are tracked; all has defaults."""
+    """Settings of tracking markers and tools of a running device; all have defaults."""
 
     tracks: NotRequired[Literal["never", "with-tools", "always"]]
     motion: NotRequired[Literal["velocity", "acceleration", "interacting"]]
@@ -362,7 +347,7 @@ class NewDevice(TypedDict):
 
 
 class DeviceChange(TypedDict):
-    """What may be changed of a device; a field left out stays as it is, of ``tracking`` too."""
+    """Changes of a device; a field left out stays as it is, of ``tracking`` too."""
 
     title: NotRequired[str]
     source: NotRequired[
@@ -623,7 +608,7 @@ class NewWaveCapture(TypedDict):
 
 
 class RadiometricCaptureSettings(TypedDict):
-    """How dark and flat frames are captured."""
+    """Settings of capturing dark and flat frames."""
 
     frames: NotRequired[int]
     levels: NotRequired[int]
@@ -668,7 +653,7 @@ class FromScans(TypedDict):
 
 
 class FromDocument(TypedDict):
-    """Store what was estimated elsewhere, by ``lumiline radiometric-calibration estimate``."""
+    """A calibration estimated elsewhere, by ``lumiline radiometric-calibration estimate``."""
 
     kind: Literal["document"]
     sensors: Mapping[str, Any]
@@ -728,7 +713,7 @@ class NewReconstruction(TypedDict):
 
 
 class RecordingsNewRecording(TypedDict):
-    """What is to be recorded, and until when."""
+    """Request of a recording: its content, and when it ends."""
 
     id: NotRequired[str | None]
     contents: NotRequired[Sequence[Literal["lines", "results"]]]
@@ -772,7 +757,7 @@ class NewCapturedTool(TypedDict):
 
 
 class ToolChange(TypedDict):
-    """What may be changed of a tool; a field left out stays as it is. Its geometry never does."""
+    """Changes of a tool; a field left out stays as it is. Its geometry never changes."""
 
     title: NotRequired[str]
     tip_mm: NotRequired[Sequence[float] | None]
@@ -782,7 +767,7 @@ class ToolChange(TypedDict):
 
 
 class NewToolCalibration(TypedDict):
-    """What a calibration from live poses takes."""
+    """Request of a pivot or spin calibration from live poses."""
 
     duration_s: NotRequired[float]
     poses: NotRequired[int]
@@ -887,7 +872,7 @@ class SimultaneousMarkersWatch(TypedDict):
 
 
 class Limits(TypedDict):
-    """How far all may move from the reference; at least one of the first three is needed."""
+    """Largest motion from the reference; at least one of the first three is needed."""
 
     shift_mm: NotRequired[float | None]
     axis_mm: NotRequired[Sequence[float] | None]
@@ -897,7 +882,7 @@ class Limits(TypedDict):
 
 
 class Rules(TypedDict):
-    """When a hold begins and ends, whatever is measured."""
+    """Timing rules of the begin and end of a beam hold."""
 
     max_gap_s: NotRequired[float]
     settle_s: NotRequired[float]
@@ -905,7 +890,7 @@ class Rules(TypedDict):
 
 
 class ReferenceInput(TypedDict):
-    """How all is to be, known otherwise: a tool's pose, or the places of markers."""
+    """Reference from elsewhere: a tool's pose, or the positions of markers."""
 
     rotation: NotRequired[Sequence[Sequence[float]] | None]
     translation_mm: NotRequired[Sequence[float] | None]
@@ -945,7 +930,7 @@ class RulesChange(TypedDict):
 
 
 class BeamHoldChange(TypedDict):
-    """What may be changed; what is left out stays as it is. What is watched never changes."""
+    """Changes of a beam hold; members left out stay. Its target never changes."""
 
     title: NotRequired[str]
     limits: NotRequired[LimitsChange]
@@ -954,7 +939,7 @@ class BeamHoldChange(TypedDict):
 
 
 class NewReference(TypedDict):
-    """What the set-up is: measured now, or given."""
+    """Request of a reference: measured now, or given."""
 
     frames: NotRequired[int]
     timeout_s: NotRequired[float]
@@ -974,7 +959,7 @@ class CentroidMethod(TypedDict):
 
 
 class FitSearch(TypedDict):
-    """How candidates for fits are found."""
+    """Search for the candidates of fits."""
 
     threshold_fraction: NotRequired[float]
     detection_sigma: NotRequired[float]
@@ -1047,7 +1032,7 @@ class Polynomial(TypedDict):
 
 
 class Mask(TypedDict):
-    """Which pixels are peaks."""
+    """Mask of the pixels of peaks, for the background."""
 
     degree: NotRequired[int]
     above_sigma: NotRequired[float]
@@ -1201,7 +1186,7 @@ class NewApiKey(TypedDict):
 
 
 class NewWebhook(TypedDict):
-    """Where events are to be sent, and which."""
+    """Request of a webhook: its address and its events."""
 
     id: NotRequired[str | None]
     title: str
@@ -1213,7 +1198,7 @@ class NewWebhook(TypedDict):
 
 
 class WebhookChange(TypedDict):
-    """What is to change; what is left out stays. Another secret needs another webhook."""
+    """Changes of a webhook; members left out stay. Another secret needs another webhook."""
 
     title: NotRequired[str]
     url: NotRequired[str]
@@ -1249,7 +1234,7 @@ class ReferenceMarker(TypedDict):
 
 
 class WatchSettings(TypedDict):
-    """How a device's drift is watched."""
+    """Settings of watching a device's drift."""
 
     interval_s: NotRequired[float]
     reference: NotRequired[ReferenceMarker | None]

@@ -90,18 +90,13 @@ class EvenLight(ResponseModel):
 
 
 class StrobeSchedule(ResponseModel):
-    """A cyclic sequence of slots, one exposure each; each slot lights one marker, or
-    all.Raises: InvalidParameter: no slots, too many, or a marker that cannot be.
-    """
+    """A cyclic sequence of slots, one exposure each; each slot lights one marker, or all."""
 
     slots: tuple[int | None, ...]
 
 
 class BlinkSchedule(ResponseModel):
-    """Cyclic code words of the markers, one bit per exposure, each with its own phase.Raises:
-    InvalidParameter: words of several lengths or of other characters, other numbers of
-    phases.
-    """
+    """Cyclic code words of the markers, one bit per exposure, each with its own phase."""
 
     words: tuple[str, ...]
     low: float = 0.4
@@ -109,9 +104,7 @@ class BlinkSchedule(ResponseModel):
 
 
 class PixelDefects(ResponseModel):
-    """Differences of the pixels and bad pixels, drawn for each sensor from a seed.Raises:
-    InvalidParameter: a value is outside of its bounds.
-    """
+    """Differences of the pixels and bad pixels, drawn for each sensor from a seed."""
 
     response_nonuniformity: float = 0.01
     offset_nonuniformity_counts: float = 2.0
@@ -123,9 +116,7 @@ class PixelDefects(ResponseModel):
 
 
 class SimulationSettings(ResponseModel):
-    """What the simulated device shows, and how its sensors see it.Raises: InvalidParameter: a
-    value is outside of its bounds.
-    """
+    """What the simulated device shows, and how its sensors see it."""
 
     scene: (
         CalibrationTarget
@@ -204,9 +195,7 @@ class ReplaySource(ResponseModel):
 
 
 class SerialSettings(ResponseModel):
-    """Port of a device, and settings sent to it.Raises: InvalidParameter: a value is outside
-    of its bounds, or the URL is none.
-    """
+    """Port of a device, and settings sent to it."""
 
     url: str
     baudrate: int = 921600
@@ -234,9 +223,7 @@ class Tcd1304Board(ResponseModel):
 
 
 class Tcd1304Settings(ResponseModel):
-    """The boards, and how their lines are taken.Raises: InvalidParameter: a value is out of
-    its bounds, or two boards have one name or one port.
-    """
+    """The boards, and how their lines are taken."""
 
     boards: tuple[Tcd1304Board, ...]
     exposure_us: float = 7388.0
@@ -272,9 +259,7 @@ class Feature(ResponseModel):
 
 
 class GenicamSettings(ResponseModel):
-    """The cameras, and how they are set.Raises: InvalidParameter: a value is out of its
-    bounds, or two cameras have one name or are one.
-    """
+    """The cameras, and how they are set."""
 
     cameras: tuple[GenicamCamera, ...]
     pitch_um: float
@@ -323,7 +308,7 @@ class Blinking(ResponseModel):
 
 
 class Tracking(ResponseModel):
-    """How the markers and tools of a running device are tracked; all has defaults."""
+    """Settings of tracking markers and tools of a running device; all have defaults."""
 
     tracks: str = "never"
     motion: str = "interacting"
@@ -396,7 +381,7 @@ class LiveBadPixel(ResponseModel):
 
 
 class DeviceStateDocument(ResponseModel):
-    """What a device is doing."""
+    """State and counters of a device."""
 
     state: str
     reason: str | None = None
@@ -466,10 +451,7 @@ class ControlPoint(ResponseModel):
 
 
 class FieldDistortion(ResponseModel):
-    """A lens's contribution to the field angle u that is read, ``sum a_ij u^i v^j``.Raises:
-    InvalidParameter: terms that are refused by ``check_terms``, or not one coefficient
-    each.
-    """
+    """A lens's contribution to the field angle u that is read, ``sum a_ij u^i v^j``."""
 
     terms: tuple[tuple[int, int], ...]
     coefficients: tuple[float, ...]
@@ -504,7 +486,7 @@ class SensorFit(ResponseModel):
 
 
 class CalibrationSettings(ResponseModel):
-    """How a device is calibrated.Raises: InvalidParameter: a value is out of range or unknown."""
+    """Settings of a calibration."""
 
     distortion: str | tuple[tuple[int, int], ...] = "none"
     control_sigma_mm: float | None = None
@@ -555,7 +537,7 @@ class CrossValidation(ResponseModel):
 
 
 class SensorDiagnosis(ResponseModel):
-    """How well the control points determine one sensor."""
+    """Precision of one sensor's parameters by the geometry of the control points."""
 
     sensor: str
     condition: float
@@ -577,7 +559,7 @@ class Suggestion(ResponseModel):
 
 
 class Diagnosis(ResponseModel):
-    """How well control points determine the calibration, and which others would help."""
+    """Precision of a calibration by its control points, and the points that would improve it."""
 
     sensors: tuple[SensorDiagnosis, ...]
     mean_sigma_mm: float | None
@@ -623,7 +605,7 @@ class LengthErrors(ResponseModel):
 
 
 class ControlPointErrors(ResponseModel):
-    """How well a calibration reproduces its control points, or the lengths of a waved target."""
+    """Errors of a calibration at its control points, or of the lengths of a waved target."""
 
     fitted: PointErrors | None
     leave_one_out: PointErrors | None
@@ -662,7 +644,7 @@ class ParameterDifference(ResponseModel):
 
 
 class PositionDifferences(ResponseModel):
-    """What the second calibration makes of readings that the first explains exactly."""
+    """Differences of positions by two calibrations from the same readings."""
 
     points: int
     low_mm: tuple[float, float, float]
@@ -816,9 +798,7 @@ class WaveSettings(ResponseModel):
 
 
 class WaveExposures(ResponseModel):
-    """What became of the exposures of the target's first marker, each of which may make a
-    pose.
-    """
+    """Exposures of the target's first marker, counted by whether they gave a pose."""
 
     all: int
     taken: int
@@ -828,7 +808,7 @@ class WaveExposures(ResponseModel):
 
 
 class WaveSensor(ResponseModel):
-    """What one sensor read of the target."""
+    """Coverage of one sensor by readings of the target."""
 
     sensor: str
     clear: int
@@ -852,14 +832,14 @@ class WaveDirections(ResponseModel):
 
 
 class WaveVolume(ResponseModel):
-    """Where the target was, in the device's frame."""
+    """Volume that the target was in, in the device's frame."""
 
     extent_mm: tuple[float, float, float]
     octants: tuple[int, ...]
 
 
 class WaveProgress(ResponseModel):
-    """What a wave has covered so far, and what is missing."""
+    """Coverage of a wave so far, and what is missing."""
 
     poses: int
     wanted_poses: int
@@ -890,7 +870,7 @@ class WaveCapture(ResponseModel):
 
 
 class RadiometricCaptureSettings(ResponseModel):
-    """How dark and flat frames are captured."""
+    """Settings of capturing dark and flat frames."""
 
     frames: int = 128
     levels: int = 6
@@ -899,7 +879,7 @@ class RadiometricCaptureSettings(ResponseModel):
 
 
 class CapturedLevel(ResponseModel):
-    """What one sensor read in a capture."""
+    """Counts of one sensor in a capture."""
 
     sensor: str
     mean_counts: float
@@ -1051,7 +1031,7 @@ class DriftCheckDocument(ResponseModel):
 
 
 class DriftCheckSummary(ResponseModel):
-    """A drift check and what it found."""
+    """A drift check and its findings."""
 
     id: str
     device_id: str
@@ -1159,7 +1139,7 @@ class UsedCalibration(ResponseModel):
 
 
 class RecordingDetail(ResponseModel):
-    """A recording with what its results were made with."""
+    """A recording with the calibrations of its results."""
 
     id: str
     device_id: str | None
@@ -1198,7 +1178,7 @@ class RecordingDocument(ResponseModel):
 
 
 class RetentionDocument(ResponseModel):
-    """How long recordings are kept, and what was deleted. What is null is without limit."""
+    """Retention of recordings: limits, where null is none, and deletions."""
 
     max_age_s: float | None
     max_total_bytes: int | None
@@ -1224,7 +1204,7 @@ class RecordedPoint(ResponseModel):
 
 
 class RecordedFrame(ResponseModel):
-    """One frame of a recording, with what was found in it."""
+    """One frame of a recording, with its points."""
 
     number: int
     sequence: int
@@ -1320,7 +1300,7 @@ class Export(ResponseModel):
 
 
 class Tip(ResponseModel):
-    """Where a tool's working point is, and how that is known."""
+    """Working point of a tool, and where it is known from."""
 
     position_mm: tuple[float, float, float] | None
     covariance_mm2: (
@@ -1338,7 +1318,7 @@ class ToolLimits(ResponseModel):
 
 
 class Origin(ResponseModel):
-    """How a tool's geometry is known."""
+    """Origin of a tool's geometry: given, or captured."""
 
     kind: str
     frames: int | None = None
@@ -1409,7 +1389,7 @@ class Pose(ResponseModel):
 
 
 class NewToolCalibration(ResponseModel):
-    """What a calibration from live poses takes."""
+    """Request of a pivot or spin calibration from live poses."""
 
     duration_s: float = 10.0
     poses: int = 500
@@ -1419,7 +1399,7 @@ class NewToolCalibration(ResponseModel):
 
 
 class ToolCalibration(ResponseModel):
-    """A pivot or spin calibration and what it found."""
+    """A pivot or spin calibration and its results."""
 
     id: str
     tool_id: str
@@ -1466,7 +1446,7 @@ class MeasuredPoint(ResponseModel):
 
 
 class FiducialError(ResponseModel):
-    """How a fiducial fits."""
+    """Residual of one fiducial."""
 
     name: str
     residual_mm: tuple[float, float, float]
@@ -1492,7 +1472,7 @@ class AlternativeSolution(ResponseModel):
 
 
 class SurfaceFit(ResponseModel):
-    """How points lie on a surface, and how well it holds them."""
+    """Residuals of points on a surface, and how well it constrains the registration."""
 
     rms_mm: float
     iterations: int
@@ -1507,7 +1487,7 @@ class SurfaceFit(ResponseModel):
 
 
 class TargetError(ResponseModel):
-    """What to expect at a target."""
+    """Expected error at a target."""
 
     name: str
     error_mm: float
@@ -1582,7 +1562,7 @@ class NewThreeMarkers(ResponseModel):
 
 
 class SurfaceSummary(ResponseModel):
-    """A surface that was given: it is not kept, but what tells whether another is the same."""
+    """Summary of a given surface, by which another can be compared; the surface is not kept."""
 
     kind: str
     vertices: int
@@ -1591,7 +1571,7 @@ class SurfaceSummary(ResponseModel):
 
 
 class StoredSurfaceRequest(ResponseModel):
-    """What is kept of a request with a surface: of the surface itself what tells it."""
+    """Stored request of a registration by a surface, with a summary of the surface."""
 
     id: str
     device_id: str
@@ -1731,7 +1711,7 @@ class SimultaneousMarkersWatch(ResponseModel):
 
 
 class Limits(ResponseModel):
-    """How far all may move from the reference; at least one of the first three is needed."""
+    """Largest motion from the reference; at least one of the first three is needed."""
 
     shift_mm: float | None = None
     axis_mm: tuple[float, float, float] | None = None
@@ -1741,7 +1721,7 @@ class Limits(ResponseModel):
 
 
 class Rules(ResponseModel):
-    """When a hold begins and ends, whatever is measured."""
+    """Timing rules of the begin and end of a beam hold."""
 
     max_gap_s: float = 0.1
     settle_s: float = 0.5
@@ -1749,7 +1729,7 @@ class Rules(ResponseModel):
 
 
 class Reference(ResponseModel):
-    """How all was at set-up."""
+    """Reference of a beam hold: the pose or the positions at set-up."""
 
     id: str
     kind: str
@@ -1802,7 +1782,7 @@ class BeamHold(ResponseModel):
 
 
 class BeamHoldStatus(ResponseModel):
-    """Whether the beam is held now, and why."""
+    """State of a beam hold, with its cause."""
 
     hold_id: str
     device_id: str
@@ -1836,7 +1816,7 @@ class Stage(ResponseModel):
 
 
 class LineScan(ResponseModel):
-    """What was found in one line."""
+    """Peaks of one line scan."""
 
     index: int
     sensor: str | None = None
@@ -1854,7 +1834,7 @@ class LineScan(ResponseModel):
 
 
 class LineScans(ResponseModel):
-    """What was found in scans."""
+    """Peaks of line scans."""
 
     method: str
     noise: PixelNoise
@@ -1884,9 +1864,7 @@ class SensorProfile(ResponseModel):
 
 
 class PixelRow(ResponseModel):
-    """A row of pixels, centred on the origin of the sensor's frame.Raises: InvalidParameter: a
-    value that is not positive and finite, or a count above a million.
-    """
+    """A row of pixels, centred on the origin of the sensor's frame."""
 
     count: int
     pitch_um: float
@@ -1894,9 +1872,7 @@ class PixelRow(ResponseModel):
 
 
 class DetectorProfile(ResponseModel):
-    """Detector parameters of a profile.Raises: InvalidParameter: a value is outside of its
-    range.
-    """
+    """Detector parameters of a profile."""
 
     bits: int
     full_well_electrons: float
@@ -1913,7 +1889,7 @@ class DetectorProfile(ResponseModel):
 
 
 class LedMarkers(ResponseModel):
-    """Active markers.Raises: InvalidParameter: a value is outside of its range."""
+    """Active markers."""
 
     radiant_intensity_w_per_sr: float
     wavelength_nm: float
@@ -1925,9 +1901,7 @@ class LedMarkers(ResponseModel):
 
 
 class RetroMarkers(ResponseModel):
-    """Retro-reflective markers with one illuminator; all are lit at once.Raises:
-    InvalidParameter: a value is outside of its range.
-    """
+    """Retro-reflective markers with one illuminator; all are lit at once."""
 
     illuminator_intensity_w_per_sr: float
     illuminator_position_mm: tuple[float, float, float]
@@ -1941,27 +1915,21 @@ class RetroMarkers(ResponseModel):
 
 
 class ProfileSectionsRates(ResponseModel):
-    """Line rate and exposure time.Raises: InvalidParameter: a value is not positive, or the
-    exposure too long.
-    """
+    """Line rate and exposure time."""
 
     line_rate_hz: float
     exposure_s: float
 
 
 class Volume(ResponseModel):
-    """Working volume, a box along the axes of the world.Raises: InvalidParameter: a side that
-    is not positive.
-    """
+    """Working volume, a box along the axes of the world."""
 
     centre_mm: tuple[float, float, float]
     size_mm: tuple[float, float, float]
 
 
 class PublishedFigure(ResponseModel):
-    """One published figure of a device.Raises: InvalidParameter: a figure or a distance that
-    is not positive.
-    """
+    """One published figure of a device."""
 
     quantity: str
     axis: str
@@ -1972,7 +1940,7 @@ class PublishedFigure(ResponseModel):
 
 
 class ErrorSources(ResponseModel):
-    """What makes a device inaccurate besides noise; None: the typical value, called assumed."""
+    """Systematic error sources of a device; None: the typical value, called assumed."""
 
     pixels: str | None = None
     flat_field_residual: float | None = None
@@ -2018,9 +1986,7 @@ class DeviceProfileDocument(ResponseModel):
 
 
 class Box(ResponseModel):
-    """A working volume: a box along the world's axes.Raises: InvalidParameter: a length that
-    is not positive.
-    """
+    """A working volume: a box along the world's axes."""
 
     centre_mm: tuple[float, float, float]
     size_mm: tuple[float, float, float]
@@ -2201,7 +2167,7 @@ class CreatedApiKey(ResponseModel):
 
 
 class RequestPrincipal(ResponseModel):
-    """Who makes the request, and what that one may do."""
+    """Principal of the request, with its scopes."""
 
     kind: str
     id: str
@@ -2211,7 +2177,7 @@ class RequestPrincipal(ResponseModel):
 
 
 class Webhook(ResponseModel):
-    """Where events are sent, without the secret."""
+    """A webhook, without its secret."""
 
     id: str
     title: str
@@ -2236,7 +2202,7 @@ class CreatedWebhook(ResponseModel):
 
 
 class WebhookState(ResponseModel):
-    """How this server's deliveries to a webhook go, since its start."""
+    """Deliveries of this server to a webhook, since its start."""
 
     webhook_id: str
     state: str
@@ -2249,7 +2215,7 @@ class WebhookState(ResponseModel):
 
 
 class Actor(ResponseModel):
-    """Who acted."""
+    """Key, token or local program that acted."""
 
     kind: str
     id: str
@@ -2338,7 +2304,7 @@ class PointToPoint(ResponseModel):
 
 
 class QualityCheck(ResponseModel):
-    """What a quality check measured."""
+    """Result of a quality check."""
 
     id: str
     device_id: str
@@ -2362,7 +2328,7 @@ class ReferenceMarker(ResponseModel):
 
 
 class WatchSettings(ResponseModel):
-    """How a device's drift is watched."""
+    """Settings of watching a device's drift."""
 
     interval_s: float = 600.0
     reference: ReferenceMarker | None = None
@@ -2392,7 +2358,7 @@ class Chart(ResponseModel):
 
 
 class Quality(ResponseModel):
-    """How a device does with what is active now, and what to do about it."""
+    """Quality of a device with its active calibration, and the recommended action."""
 
     device_id: str
     calibration_id: str | None
@@ -2404,7 +2370,7 @@ class Quality(ResponseModel):
 
 
 class WatchSample(ResponseModel):
-    """What was seen of a running device in one interval."""
+    """Statistics of a running device over one interval."""
 
     device_id: str
     calibration_id: str
@@ -2420,7 +2386,7 @@ class WatchSample(ResponseModel):
 
 
 class Landing(ResponseModel):
-    """Where to go from here."""
+    """Entry point: links to the documentation and the resources."""
 
     name: str
     version: str
@@ -2443,7 +2409,7 @@ class Readiness(ResponseModel):
 
 
 class ProblemType(ResponseModel):
-    """What a problem type means."""
+    """A problem type: its code, status and meaning."""
 
     code: str
     type: str

@@ -1,4 +1,4 @@
-"""What endpoints take: parts of the application, JSON bodies, ids and filters."""
+"""Inputs of endpoints: parts of the application, JSON bodies, ids and filters."""
 
 from collections.abc import Callable, Coroutine
 from dataclasses import dataclass

@@ -228,18 +228,24 @@ MEMBERS: Final[dict[str, str]] = {
 }
 
 _ARGS: Final = re.compile(r"\n\nArgs:\n(?P<members>(?: {4}.*\n?|\n)*)")
+_RAISES: Final = re.compile(r"\n\nRaises:\n(?: {4}.*\n?|\n)*")
 _MEMBER: Final = re.compile(r"^ {4}(\w+): (.*(?:\n {8}.*)*)", re.MULTILINE)
 
 
 def describe_members(schemas: dict[str, Any]) -> None:
     """Give every schema and every member a description.
 
-    The ``Args`` of a class's docstring move to the members that they describe.
+    The ``Args`` of a class's docstring move to the members that they describe; its ``Raises``,
+    which names Python's errors, is left out.
     """
     for name, schema in schemas.items():
         if name.startswith("Page_"):  # generic models have no docstring of their own
             schema.setdefault("description", "Part of a list.")
-        text = schema.get("description", "")
+        if name == "JsonValue":  # pydantic describes it by nothing
+            schema.setdefault("description", "Any JSON value.")
+        text = _RAISES.sub("", schema.get("description", ""))
+        if text:
+            schema["description"] = text.rstrip()
         found = _ARGS.search(text)
         arguments = {}
         if found is not None:

@@ -55,7 +55,7 @@ class Page(ResponseModel, Generic[Item]):
 
 @dataclass(frozen=True)
 class Paging:
-    """Which part of a list is asked for.
+    """Requested page of a list.
 
     Args:
         limit: most items of it.
@@ -181,7 +181,7 @@ def page_of_sequence(
     document: Callable[[Listed], Item | None],
     key: Callable[[Listed], tuple[Value, ...]],
 ) -> Page[Item]:
-    """Return a page of what is no row of the database.
+    """Return a page of items that are not rows of the database.
 
     Args:
         listed: all of it.

@@ -85,7 +85,7 @@ def _tags(text: str) -> frozenset[str]:
 
 @dataclass(frozen=True)
 class Precondition:
-    """What a change depends on.
+    """Precondition of a change (optimistic concurrency).
 
     Args:
         tags: one of them is the resource's; None: it need only exist.

@@ -17,7 +17,7 @@ from service.api.correction_tables.router import router as correction_tables
 from service.api.devices.router import router as devices
 from service.api.drift_checks.router import router as drift_checks
 from service.api.exports.router import router as exports_router
-from service.api.installation.router import backups_router, settings_router
+from service.api.installation.router import router as server_settings
 from service.api.json_body import BodyReader
 from service.api.line_scans.router import router as line_scans
 from service.api.openapi import install_openapi
@@ -50,6 +50,7 @@ from service.application.middleware import (
     SecurityHeadersMiddleware,
 )
 from service.application.server import router as server
+from service.backup.router import router as backups
 from service.pipeline.pipeline_manager import PipelineManager
 from service.problems.handlers import install_problem_handlers, unknown_websocket
 from service.protocols.metrics.registry import Metrics
@@ -186,8 +187,8 @@ def _routes() -> tuple[BaseRoute, ...]:
         webhooks,
         audit,
         log_records,
-        settings_router,
-        backups_router,
+        server_settings,
+        backups,
         metrics,
         quality,
         server,

@@ -135,7 +135,7 @@ class Readiness(ResponseModel):
 
 
 class Landing(ResponseModel):
-    """Where to go from here."""
+    """Entry point: links to the documentation and the resources."""
 
     name: str
     version: str

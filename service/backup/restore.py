@@ -34,7 +34,7 @@ from service.problems.errors import BackupUnusable, DatabaseDamaged, DatabaseNot
 
 @dataclass(frozen=True)
 class KeyChanges:
-    """What a restore did to keys, by their ids.
+    """Keys that a restore changed, by their ids.
 
     Args:
         revoked: valid in the backup, and revoked now as they were in what was replaced.
@@ -60,7 +60,7 @@ NO_KEYS = ApiKeySnapshot({}, frozenset())
 
 @dataclass(frozen=True)
 class Restored:
-    """What a restore did.
+    """Result of a restore.
 
     Args:
         counts: how many rows each table has.

@@ -166,7 +166,7 @@ def _average(readings: list[_Reading]) -> tuple[float, float]:
 
 @dataclass
 class BarStream:
-    """What was received of the rotating bar: by frame, and by point."""
+    """Received frames and points of the rotating bar."""
 
     sequence: list[int]
     latency_ns: list[int]

@@ -14,6 +14,8 @@ from compute.calibration.self_calibration.strobed_poses import (
 )
 from compute.camera.model import SensorGeometry
 from compute.errors import InvalidParameter
+from compute.flags import flag_names
+from compute.measurement.flag_policy import STANDARD_POLICY
 from lumiline.client import Client
 from lumiline.client.messages import Frame, Hello
 from service.cli.observations_csv import ReadingTable
@@ -23,8 +25,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-UNCLEAR_FLAGS: Final = frozenset({"saturated", "clipped", "merged", "unfitted", "ambiguous"})
-"""Flags of peaks whose position is not that of one marker alone; as ``taps.UNCLEAR``."""
+UNCLEAR_FLAGS: Final = frozenset(flag_names(STANDARD_POLICY.unclear_flags))
 BUNDLE_MS: Final = 50.0
 
 

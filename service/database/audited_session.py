@@ -72,7 +72,7 @@ def _record(session: Session, _flush: UOWTransaction, _objects: object) -> None:
 
 @event.listens_for(AuditedSession, "do_orm_execute")
 def _record_many(execution: ORMExecuteState) -> Any:
-    """Tell of rows that are deleted at once, without their values."""
+    """Audit rows that are deleted in bulk, without their values."""
     if not execution.is_delete or execution.bind_mapper is None:
         return None
     table = execution.bind_mapper.class_.__tablename__

@@ -267,7 +267,7 @@ class RunRow(_OfDevice, Base):
 
 
 class DriftCheckRow(_NotedOfDevice, Base):
-    """What still markers said of a calibration at some time; never changed."""
+    """Drift check of a calibration by stationary markers; never changed."""
 
     __tablename__ = "drift_checks"
     __table_args__ = (
@@ -314,7 +314,7 @@ class QualityCheckRow(_NotedOfDevice, Base):
 
 
 class WatchRow(Base):
-    """How a device's drift is watched."""
+    """Settings of watching a device's drift."""
 
     __tablename__ = "watches"
 
@@ -324,7 +324,7 @@ class WatchRow(Base):
 
 
 class WatchSampleRow(Base):
-    """What was seen of a running device in one interval; never changed."""
+    """Statistics of a running device over one interval; never changed."""
 
     __tablename__ = "watch_samples"
     __table_args__ = (
@@ -432,7 +432,7 @@ class ApiKeyRow(Base):
 
 
 class WebhookRow(Base):
-    """Where events are sent; the secret is here as it is, since signatures are made with it."""
+    """A webhook; its secret is stored in clear, since signatures are made with it."""
 
     __tablename__ = "webhooks"
 
@@ -463,7 +463,7 @@ class IdempotencyKeyRow(Base):
 
 
 class AuditRow(Base):
-    """Who changed what, or tried to; the database refuses to change or delete rows."""
+    """Audit entry: an act, done or refused; the database refuses to change or delete rows."""
 
     __tablename__ = "audit_log"
     __table_args__ = (

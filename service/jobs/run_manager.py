@@ -169,7 +169,7 @@ class RunManager:
 
     def _supervise(self, run_id: str) -> None:
         try:
-            self._follow(run_id)
+            self._execute(run_id)
         except LumilineError as error:
             self._end(run_id, "failed", "failed", _problem(error.code, error.detail, error.context))
         except Exception as error:  # noqa: BLE001 - becomes the run's problem
@@ -183,7 +183,7 @@ class RunManager:
                 self._cancelled.discard(run_id)
             self._wake.set()
 
-    def _follow(self, run_id: str) -> None:
+    def _execute(self, run_id: str) -> None:
         """Start the process, store its progress and its result."""
         with self._database.read() as session:
             row = store.RUNS.get(session, run_id)
@@ -279,7 +279,7 @@ class RunManager:
 
 @contextmanager
 def _acting_as_submitter(row: RunRow) -> Iterator[None]:
-    """Attribute what is stored to the principal who posted the run."""
+    """Attribute database changes to the principal who posted the run."""
     act = None if row.poster is None else Act.of_stored(row.poster)
     token = current_act.set(act)
     try:

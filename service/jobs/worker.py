@@ -129,7 +129,7 @@ def _outcome(task: bytes, *before: Any) -> Message:
 
 
 def _peak_memory_bytes() -> int:
-    """Return the most memory that this process had; 0 where the system does not tell.
+    """Return the peak memory of this process [bytes]; 0 where the system does not report it.
 
     Not ``ru_maxrss``, which begins with that of the process that started this one.
     """
@@ -141,7 +141,7 @@ def _peak_memory_bytes() -> int:
 
 
 def _limit_memory(limit_bytes: int) -> None:
-    """Bound what is allocated from here on, beyond what the libraries took; POSIX only."""
+    """Limit further memory allocation, beyond that of the libraries; POSIX only."""
     try:
         import resource
     except ImportError:

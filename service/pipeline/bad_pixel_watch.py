@@ -72,7 +72,7 @@ class BadPixelWatch:
         return new
 
     def _judge_next(self, exposure_ns: int) -> bool:
-        """Judge the next sensor that has enough new scans; return whether a bad pixel is new."""
+        """Test the next sensor that has enough new scans; return whether a bad pixel is new."""
         for number, monitor in enumerate(self._monitors):
             if monitor.scans - self._judged[number] < MIN_SCANS:
                 continue

@@ -44,7 +44,7 @@ NO_REFERENCE: Final = (
 
 @dataclass(frozen=True, eq=False)
 class HoldObservation:
-    """What one frame shows of the target of a hold.
+    """Observation of a hold's target in one frame.
 
     Args:
         pose: T_world_tool; None: not known, or predicted only.

@@ -84,7 +84,7 @@ class BeamHoldRegistry:
                 self._tell(watch, watch.now, reason_changed=True)
 
     def set_up(self, reference_id: str) -> None:
-        """Note that a reference is taken now, in this process."""
+        """Note that a reference is being set in this process."""
         with self.changed:
             self._set_up_here.add(reference_id)
 

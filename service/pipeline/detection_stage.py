@@ -20,7 +20,7 @@ from compute.signal.centroid_finder import CentroidFinder
 from compute.signal.centroid_settings import CentroidSettings
 from compute.signal.coded_aperture.shadow_fit import MaskReader, ShadowSettings
 from compute.signal.coded_aperture.shadow_template import ShadowTemplate
-from compute.signal.fit.device_line_shape import device_line_shape
+from compute.signal.fit.device_line_spread import device_line_spread
 from compute.signal.fit.fit_finder import FitFinder
 from compute.signal.fit.fit_settings import WIDTH_LIMITS_PX, FitSettings
 from compute.signal.fit.line_spread_function import LineSpreadFunction
@@ -39,7 +39,7 @@ FindProfile = Callable[[str], DeviceProfile]
 
 @dataclass(frozen=True, eq=False)
 class ExpectedScans:
-    """What the profile adds to a device's description for the measurement of peaks.
+    """Expected scans by the device's profile: shapes and shadow templates for measuring peaks.
 
     Args:
         volume: noiseless light lines of its volume with their true readings; None: not known.
@@ -118,7 +118,7 @@ _Find = Callable[[NDArray[np.uint16]], PeakBatch]
 
 @dataclass(frozen=True, eq=False)
 class SearchModel:
-    """What the peaks of a device are searched and fitted with, for whoever shows how.
+    """Noise, search, fit and line shape that a device's peaks are measured with.
 
     Args:
         noise: of the sensors.
@@ -344,7 +344,7 @@ def _search_model(
     settings = replace(settings, widen_misfit=model.volume is None)
     shape = None
     if any(one is not None and one.line_shape is not None for one in calibrations):
-        shape, unit_px = device_line_shape(
+        shape, unit_px = device_line_spread(
             [None if one is None else one.line_shape for one in calibrations], sigma
         )
         settings = replace(settings, width_px=unit_px)

@@ -60,7 +60,7 @@ _COSTS: Final = 9
 
 
 class LoadShedding:
-    """Decides in which frames of one device tracking runs, from how many wait and what they cost.
+    """Selects the frames that are tracked, by the length of the queue and the cost of a frame.
 
     It has no clock: times are given. All frames are tracked until frames of BEGIN_S wait. Then a
     batch has SLICE_S, however many frames it holds, or the time of one: batches grow until that is

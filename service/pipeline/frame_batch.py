@@ -214,7 +214,7 @@ def _value(number: float | None) -> float | None:
 
 
 def _values(array: Array | None) -> list[Any] | None:
-    """Return an array as lists; None for what is not known, for which JSON has no number."""
+    """Return an array as lists; None for NaN, for which JSON has no number."""
     if array is None or not np.isfinite(array).all():
         return None
     values: list[Any] = array.tolist()

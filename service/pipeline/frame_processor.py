@@ -149,7 +149,7 @@ class FrameProcessor:
         self._tracking.set_calibration(self._prepared)
 
     def set_tracking_config(self, tracked: TrackingConfig) -> None:
-        """Switch what is tracked, between two batches; a tool that cannot be tracked says why."""
+        """Replace the tracking configuration; tools that cannot be tracked say why."""
         self.is_tracking = not tracked.nothing
         self._tracking.set_tracking_config(tracked)
 

@@ -28,7 +28,7 @@ from service.pipeline.device_status import DeviceStatus
 from service.pipeline.frame_batch import LatestPoses
 from service.pipeline.frame_processor import FrameProcessor
 from service.pipeline.stage_latency import Stage
-from service.pipeline.taps import PeakTap, Tap, looks
+from service.pipeline.taps import PeakTap, Tap, poll
 from service.pipeline.threads import ComputeThread, FrameRing, ReaderThread
 from service.pipeline.tracking_config import NO_TRACKING, TrackingConfig
 from service.problems.errors import DeviceNotRunning
@@ -241,7 +241,7 @@ class PipelineManager:
                 _log.warning("device %s goes on as it was: %s", device_id, error.detail)
 
     def set_tracking_config(self, device_id: str, tracked: TrackingConfig) -> None:
-        """Set what is tracked of a device: from the next batch on, or once it is started."""
+        """Set a device's tracking configuration: from the next batch on, or once it is started."""
         with self._lock:
             self._tracked[device_id] = tracked
             try:
@@ -254,7 +254,7 @@ class PipelineManager:
                 raise
 
     def tracked(self, device_id: str) -> TrackingConfig:
-        """Return what is tracked of a device, or will be once it is started."""
+        """Return a device's tracking configuration, now or once it is started."""
         return self._tracked.get(device_id, NO_TRACKING)
 
     def _set(self, session: DeviceSession, active: ActiveCalibration) -> None:
@@ -340,7 +340,7 @@ class PipelineManager:
         tap = PeakTap(session.ring.last_sequence, frames, marker)
         self.attach(session, tap)
         try:
-            for _ in looks(tap.ended, timeout_s):
+            for _ in poll(tap.ended, timeout_s):
                 if not session.connected:
                     raise self._not_running(device_id)
         finally:

@@ -1,33 +1,19 @@
 """Taps: consumers of a running device's batches beside the streams."""
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from threading import Event
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.signal.peaks import PeakFlag
+from compute.measurement.flag_policy import STANDARD_POLICY
 from service.pipeline.active_calibration import ActiveCalibration
 from service.pipeline.frame_batch import FrameBatch
-from service.problems.errors import (
-    CalibrationSwitched,
-    DeviceNotRunning,
-    NoActiveCalibration,
-    NotReady,
-)
-
-if TYPE_CHECKING:
-    from service.pipeline.device_session import DeviceSession
-    from service.pipeline.pipeline_manager import PipelineManager
+from service.problems.errors import CalibrationSwitched, NoActiveCalibration
 
 Array = NDArray[np.float64]
-
-UNCLEAR = (
-    PeakFlag.SATURATED | PeakFlag.CLIPPED | PeakFlag.MERGED | PeakFlag.UNFITTED | PeakFlag.AMBIGUOUS
-)
-"""Peaks whose position is not what it would be of one marker alone in the middle of a line."""
 
 
 class Tap(Protocol):
@@ -38,7 +24,7 @@ class Tap(Protocol):
         ...
 
     def offer(self, batch: FrameBatch) -> None:
-        """Take what is wanted of a batch; called in the compute thread, never waits long."""
+        """Copy the wanted data of a batch; called in the compute thread, never waits long."""
         ...
 
 
@@ -62,7 +48,7 @@ class PeakTap:
         """Do nothing: readings do not depend on it."""
 
     def offer(self, batch: FrameBatch) -> None:
-        """Take what is wanted of a batch; called in the compute thread, never waits long."""
+        """Copy the wanted data of a batch; called in the compute thread, never waits long."""
         sensors = len(batch.sensor_names)
         readings = []
         for index, frame in enumerate(batch.frames):
@@ -98,7 +84,7 @@ def clear_readings(
     visible = np.isfinite(position)
     brightest = np.where(visible, peaks.amplitude[lines], -1.0).argmax(axis=1)
     row = np.arange(len(position))
-    clear = (peaks.flags[lines][row, brightest] & int(UNCLEAR)) == 0
+    clear = (peaks.flags[lines][row, brightest] & int(STANDARD_POLICY.unclear_flags)) == 0
     clear &= visible.any(axis=1) if strobed else visible.sum(axis=1) == 1
     value = np.where(clear, position[row, brightest], np.nan)
     sigma = np.where(clear, peaks.sigma_px[lines][row, brightest], np.nan)
@@ -160,48 +146,13 @@ class SingleCalibrationTap:
         return calibration_id, table_id
 
 
-_LOOK_S: Final = 0.1
+_POLL_INTERVAL_S: Final = 0.1
 
 
-def looks(ended: Event, seconds: float) -> Iterator[None]:
+def poll(ended: Event, seconds: float) -> Iterator[None]:
     """Yield several times a second, for some seconds, or until an event is set."""
     end = time.monotonic() + seconds
-    while (remaining_s := end - time.monotonic()) > 0 and not ended.wait(min(_LOOK_S, remaining_s)):
+    while (remaining_s := end - time.monotonic()) > 0 and not ended.wait(
+        min(_POLL_INTERVAL_S, remaining_s)
+    ):
         yield
-
-
-def collect(
-    live: "PipelineManager",
-    session: "DeviceSession",
-    tap: Tap,
-    seconds: float,
-    ended: Event,
-    look: Callable[[], bool] = lambda: False,
-) -> None:
-    """Attach a tap for some seconds, or until ``ended`` is set or ``look`` is true; waits.
-
-    ``look`` is called in the waiting thread, several times a second.
-
-    Raises:
-        DeviceNotRunning: the device stops or is lost meanwhile.
-        NotReady: the server stops meanwhile.
-    """
-    live.attach(session, tap)
-    try:
-        for _ in looks(ended, seconds):
-            if live.streams.closed is not None:
-                raise NotReady(
-                    f"{live.streams.closed}; what was measured so far is not kept, do it again "
-                    "when it is up again",
-                    part="server",
-                )
-            if look():
-                return
-            if not session.connected:
-                raise DeviceNotRunning(
-                    f'device "{session.device_id}" stopped or was lost while it was measured; '
-                    "start it and try again",
-                    device_id=session.device_id,
-                )
-    finally:
-        live.detach(session, tap)

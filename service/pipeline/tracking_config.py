@@ -126,7 +126,7 @@ class BeamHoldConfig:
 
 @dataclass(frozen=True, eq=False)
 class TrackingConfig:
-    """What is tracked of a device.
+    """Markers and tools of a device to track, with the settings.
 
     Args:
         tracks: whether markers are tracked.

@@ -146,7 +146,7 @@ class TrackingStage:
         self._highest_number = 0
 
     def set_tracking_config(self, tracked: TrackingConfig) -> None:
-        """Track other things from the next frame on; what is tracked already goes on."""
+        """Replace the configuration from the next frame on; existing tracks go on."""
         before, self._tracked = self._tracked, tracked
         active = self._active
         if active is None:

@@ -30,7 +30,7 @@ _PROTOCOL: Final[tuple[tuple[str, int, str], ...]] = (
 
 
 class ProblemType(BaseModel):
-    """What a problem type means."""
+    """A problem type: its code, status and meaning."""
 
     model_config = ConfigDict(frozen=True)
 

@@ -1,1 +1,1 @@
-"""What programs connect to beside REST: websocket stream, OpenIGTLink, NDI and metrics."""
+"""Protocols beside REST: websocket stream, OpenIGTLink, NDI and metrics."""

@@ -171,7 +171,7 @@ class Guard:
         return self._refusals
 
     def _until_closing(self, receive: Receive) -> Receive:
-        """Tell of what was refused before the database is closed."""
+        """Record the counted refusals before the database is closed."""
 
         async def received() -> Message:
             message = await receive()

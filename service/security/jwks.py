@@ -100,7 +100,7 @@ class Jwks:
             return self._keys.get(kid)
 
     def _begin(self, kid: str) -> Event | None:
-        """Begin to fetch where that is due; return what is set at its end, None if it is not."""
+        """Start a fetch where one is due; return the event of its end, None if none is due."""
         with self._lock:
             now = self._clock()
             stale = self._fetched_at is None or now - self._fetched_at > CACHE_LIFETIME_S

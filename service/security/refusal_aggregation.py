@@ -45,7 +45,7 @@ class RefusalAggregator:
         self._telling: set[asyncio.Task[None]] = set()
 
     def __len__(self) -> int:
-        """What is counted now."""
+        """Number of open entries."""
         return len(self._open)
 
     def is_first(self, act: Act) -> bool:
@@ -62,7 +62,7 @@ class RefusalAggregator:
         return True
 
     async def close(self) -> None:
-        """Tell of all that was counted."""
+        """Record all counted refusals."""
         for key in list(self._open):
             self._end(key)
         while self._telling:

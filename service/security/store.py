@@ -42,7 +42,7 @@ class NewKey:
 
     @property
     def digest(self) -> str:
-        """What is stored of it."""
+        """Digest of the key, which is stored in place of it."""
         return digest(self.text)
 
 

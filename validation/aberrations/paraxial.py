@@ -37,12 +37,6 @@ class ParaxialSystem:
         _, angle = self.trace(1.0, 0.0)
         return float(-1.0 / angle[-1]) if angle[-1] != 0.0 else np.inf
 
-    @property
-    def back_focal_distance_mm(self) -> float:
-        """Distance from the last vertex to the focus behind [mm]."""
-        height, angle = self.trace(1.0, 0.0)
-        return float(-height[-1] / angle[-1]) if angle[-1] != 0.0 else np.inf
-
     def trace(self, height_mm: float, angle: float) -> tuple[Array, Array]:
         """Trace one ray by y-nu from the plane of the first vertex.
 

@@ -1,6 +1,6 @@
 """Measured volumes with holes, fields to be mapped, and cameras: none of the mapping's own code."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final, Literal
 
 import numpy as np
@@ -162,10 +162,6 @@ class Field:
     centre: Array
     width_mm: Array
     feature_px: float
-
-    def without_feature(self) -> "Field":
-        """Return the smooth part alone."""
-        return replace(self, feature_px=0.0)
 
     def at(self, unit: Array) -> Array:
         """Return the correction at points (N, 3), in units of the half edges, shape (N,) [px]."""

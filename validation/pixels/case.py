@@ -10,11 +10,11 @@ from scipy.special import ndtr
 
 from compute.signal.capture_statistics import CaptureStatistics
 from compute.signal.centroid_settings import CentroidSettings
-from compute.signal.fit.device_line_shape import device_line_shape
+from compute.signal.fit.device_line_spread import device_line_spread
 from compute.signal.fit.fit_finder import FitFinder
 from compute.signal.fit.fit_settings import FitSettings
-from compute.signal.fit.line_shape_estimate import estimate_line_shape
-from compute.signal.line_shape import LineShape
+from compute.signal.fit.line_spread_estimate import estimate_line_spread
+from compute.signal.measured_line_spread import MeasuredLineSpread
 from compute.signal.peaks import PeakBatch, PeakFlag
 from compute.signal.pixel_corrections import PixelCorrections, calibrated_noise
 from compute.signal.radiometric_calibration import RadiometricCalibration, estimate
@@ -124,7 +124,7 @@ def calibrate(sensor: Sensor) -> RadiometricCalibration:
 
 def measure_shape(
     sensor: Sensor, calibration: RadiometricCalibration, skew: float, rng: np.random.Generator
-) -> LineShape:
+) -> MeasuredLineSpread:
     """Return the product's line shape from scans of a marker that moves along a sensor.
 
     Args:
@@ -138,14 +138,14 @@ def measure_shape(
     corrections = PixelCorrections.of([calibration], PIXELS)
     noise = calibrated_noise([calibration], SensorNoise.of(1.0, 0.0))
     free = replace(SETTINGS, width_log_sigma=np.inf)
-    return estimate_line_shape(scans, free, noise, corrections)
+    return estimate_line_spread(scans, free, noise, corrections)
 
 
 def _finder(
     kind: Kind,
     calibration: RadiometricCalibration | None,
     noise: SensorNoise,
-    shape: LineShape | None = None,
+    shape: MeasuredLineSpread | None = None,
 ) -> FitFinder:
     corrections = None
     if calibration is not None:
@@ -154,7 +154,7 @@ def _finder(
     settings = SETTINGS_BEFORE if kind == "before" else SETTINGS
     function = None
     if shape is not None:
-        function, width_px = device_line_shape([shape], WIDTH_PX)
+        function, width_px = device_line_spread([shape], WIDTH_PX)
         settings = replace(settings, width_px=width_px)
     return FitFinder(LINES, PIXELS, settings, noise, function, "cpu", 1, corrections)
 

@@ -120,12 +120,6 @@ def readings(motion: Motion, models: tuple[SensorModel, ...]) -> Readings:
     return Readings(now, (after - before) / (2.0 * step), (after - 2.0 * now + before) / step**2)
 
 
-def crossings(position_px: Array) -> NDArray[np.int64]:
-    """Return the frames after which the difference of two readings (N, 2) changes its sign."""
-    side = np.sign(position_px[:, 1] - position_px[:, 0])
-    return np.flatnonzero(side[1:] * side[:-1] < 0.0)
-
-
 def _ramped(time_s: Array, turning_s: float) -> Array:
     """Return angle, speed and angular acceleration, shape (3, N): even, with ramps at the ends."""
     # A ramp covers half of what full speed would: as long as the turns are whole, the speed

@@ -1,6 +1,5 @@
 """Simulated scans of the bar's markers, and their peaks by the thesis's chain and by fit."""
 
-from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -97,12 +96,3 @@ def fitted_peaks(lines: NDArray[np.uint16], sigma_px: float) -> PeakBatch:
         search=CentroidSettings(max_peaks=4), width_px=sigma_px, width_log_sigma=0.02
     )
     return fit_scans(lines, settings, line_noise())
-
-
-def pad_batches(batches: Sequence[PeakBatch], frame: int) -> tuple[Array, Array, NDArray[np.int32]]:
-    """Return one frame's positions, deviations and flags of S sensors, each (S, K)."""
-    return (
-        np.stack([one.position_px[frame] for one in batches]),
-        np.stack([one.sigma_px[frame] for one in batches]).astype(np.float64),
-        np.stack([one.flags[frame] for one in batches]),
-    )

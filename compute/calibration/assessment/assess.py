@@ -204,7 +204,7 @@ def _stored_fits(calibration: Calibration, observed: ControlObservations) -> Sen
         calibration.models,
         observed.pitch_um,
         observed.points_mm,
-        observed.seen,
+        observed.observed_mask,
         prior_strength(calibration),
     )
     unit = None
@@ -225,9 +225,9 @@ def _refits(
 ) -> Iterator[Calibration | None]:
     """Yield a calibration of each part (G, N) of the points; None where one is not possible."""
     sensors = len(fits.models)
-    ended = fits.fit_without(observed, training)
-    models = ended.cameras.models(fits.models * len(training))
-    converged: NDArray[np.bool_] = np.all(ended.converged.reshape(-1, sensors), axis=1)
+    solution = fits.fit_without(observed, training)
+    models = solution.cameras.models(fits.models * len(training))
+    converged: NDArray[np.bool_] = np.all(solution.converged.reshape(-1, sensors), axis=1)
     for number, rest in enumerate(training):
         part = replace(
             observed,

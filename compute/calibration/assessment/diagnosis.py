@@ -429,19 +429,19 @@ def nonlinearity(calibration: Calibration, points_mm: Array, used: NDArray[np.bo
         moved.append(fitted[:, column, None] + np.outer(right[0] * sigma[column], steps))
         linear.append(left[:, 0] * singular[0])
     index = np.repeat(np.arange(len(models)), len(steps))
-    ended = minimise(
+    solution = minimise(
         stack.rows(index),
         points,
         np.concatenate(moved, axis=1),
         weights[:, index],
         None if prior is None else prior.rows(index),
     )
-    readings = ended.cameras.project(volume).T.reshape(len(models), len(steps), -1)
+    readings = solution.cameras.project(volume).T.reshape(len(models), len(steps), -1)
     change = readings[:, 1:] - readings[:, :1]
     effect = np.array(linear)[:, None]
     difference = change - steps[1:, None] * effect
     along = np.nansum(difference * effect, axis=2) / (effect**2).sum(axis=2) / NONLINEARITY_SIGMA
-    converged = np.asarray(ended.converged.reshape(len(models), len(steps)).all(axis=1))
+    converged = np.asarray(solution.converged.reshape(len(models), len(steps)).all(axis=1))
     return np.where(converged, np.abs(along).max(axis=1), np.inf)
 
 

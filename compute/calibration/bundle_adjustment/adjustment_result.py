@@ -125,7 +125,10 @@ def assemble_result(
     covariance = _global_covariance(
         state, reduced, adjusted_parameters, free_datum, noise_equations
     )
-    full = [(one >= 1.0) & poses.seen for one, poses in zip(weights, state.pose_sets, strict=True)]
+    full = [
+        (one >= 1.0) & poses.observed_mask
+        for one, poses in zip(weights, state.pose_sets, strict=True)
+    ]
     chi2 = total_loss(
         state,
         [np.where(use, one, 0.0) for use, one in zip(full, residuals, strict=True)],
@@ -146,7 +149,7 @@ def assemble_result(
         state.pose_sets,
         covariance,
         tuple(
-            np.where(poses.seen, one, np.nan)
+            np.where(poses.observed_mask, one, np.nan)
             for poses, one in zip(state.pose_sets, residuals, strict=True)
         ),
         tuple(weights),
@@ -160,7 +163,7 @@ def assemble_result(
 def _check_poses(state: AdjustmentState, equations: NormalEquations) -> None:
     for number, block in enumerate(equations.blocks):
         for pose in np.flatnonzero(_is_singular(block.normal)).tolist():
-            readings = int(state.pose_sets[number].seen[pose].sum())
+            readings = int(state.pose_sets[number].observed_mask[pose].sum())
             raise UndeterminedParameters(
                 f"pose {pose + 1} (set {number + 1}) is not determined by its {readings} readings; "
                 "leave it out",
@@ -273,7 +276,7 @@ def _datum(state: AdjustmentState, size: int) -> Array:
     points, weights = [], []
     for poses in state.pose_sets:
         points.append(poses.marker_positions().reshape(-1, 3))
-        weight = np.where(poses.seen, 1.0 / poses.sigma_px, 0.0)
+        weight = np.where(poses.observed_mask, 1.0 / poses.sigma_px, 0.0)
         weights.append(weight.reshape(-1, weight.shape[-1]))
     datum = inner_constraints(cameras, np.concatenate(points), np.concatenate(weights))
     return np.pad(datum, ((0, size - len(datum)), (0, 0)))

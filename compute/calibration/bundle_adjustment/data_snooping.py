@@ -32,7 +32,9 @@ def redundancy(adjusted: AdjustmentResult, index: int = 0) -> Array:
     """
     poses = adjusted.pose_sets[index]
     cameras = CameraStack.of(adjusted.models)
-    at = WhitenedJacobians.of(cameras, poses, np.where(poses.seen, 1.0 / poses.sigma_px, 0.0))
+    at = WhitenedJacobians.of(
+        cameras, poses, np.where(poses.observed_mask, 1.0 / poses.sigma_px, 0.0)
+    )
     sensors, width = cameras.parameter_index.shape
     rows = np.zeros((*poses.readings_px.shape, sensors * width))
     sensor = np.arange(sensors)[:, None]
@@ -47,7 +49,7 @@ def redundancy(adjusted: AdjustmentResult, index: int = 0) -> Array:
     by_globals -= at.by_pose @ carried[:, None]
     fitted = ((by_globals @ adjusted.global_covariance) * by_globals).sum(axis=-1)
     fitted += ((at.by_pose @ inverse[:, None]) * at.by_pose).sum(axis=-1)
-    return np.where(poses.seen, np.clip(1.0 - fitted, 0.0, 1.0), 0.0)
+    return np.where(poses.observed_mask, np.clip(1.0 - fitted, 0.0, 1.0), 0.0)
 
 
 def normalised_residuals(adjusted: AdjustmentResult, index: int = 0) -> Array:

@@ -45,7 +45,7 @@ class AdjustmentState:
         for poses in self.pose_sets:
             projected = cameras.project(poses.marker_positions().reshape(-1, 3))
             difference = projected.reshape(poses.readings_px.shape) - poses.readings_px
-            residuals.append(np.where(poses.seen, difference / poses.sigma_px, 0.0))
+            residuals.append(np.where(poses.observed_mask, difference / poses.sigma_px, 0.0))
         return residuals
 
     def retract(self, step: Array, local: Sequence[Array]) -> "AdjustmentState":
@@ -226,9 +226,9 @@ def build_normal_equations(
     for poses, weight in zip(state.pose_sets, weights, strict=True):
         shape = slice(first, first + poses.shape.unknowns)
         first = shape.stop
-        scale = np.where(poses.seen, np.sqrt(weight) / poses.sigma_px, 0.0)
+        scale = np.where(poses.observed_mask, np.sqrt(weight) / poses.sigma_px, 0.0)
         at = WhitenedJacobians.of(cameras, poses, scale)
-        residual = np.where(poses.seen, (at.projected_px - poses.readings_px) * scale, 0.0)
+        residual = np.where(poses.observed_mask, (at.projected_px - poses.readings_px) * scale, 0.0)
         sensor_normal += np.einsum(
             "bksp,bksq->spq", at.by_parameter, at.by_parameter, optimize=True
         )
@@ -327,6 +327,6 @@ def robust_scale(state: AdjustmentState, residuals: Sequence[Array]) -> float:
         state: sensors and poses.
         residuals: over sigma, shape (B, K, S) for each pose set.
     """
-    measured = [r[poses.seen] for r, poses in zip(residuals, state.pose_sets, strict=True)]
+    measured = [r[poses.observed_mask] for r, poses in zip(residuals, state.pose_sets, strict=True)]
     together = np.abs(np.concatenate(measured))
     return max(1.0, MAD_TO_SIGMA * float(np.median(together))) if len(together) else 1.0

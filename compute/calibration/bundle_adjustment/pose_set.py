@@ -111,8 +111,8 @@ class PoseSet:
         return 3 + len(self.shape.rotation_axes)
 
     @property
-    def seen(self) -> NDArray[np.bool_]:
-        """Which readings there are, shape (B, K, S)."""
+    def observed_mask(self) -> NDArray[np.bool_]:
+        """Mask of the readings that were measured, shape (B, K, S)."""
         return np.isfinite(self.readings_px)
 
     def marker_positions(self) -> Array:

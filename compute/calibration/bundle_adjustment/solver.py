@@ -187,16 +187,16 @@ class _Search:
     def run_stages(self, loss: Loss, tolerance: float) -> None:
         """Minimise the loss; a robust one from a wide limit to its own."""
         if loss == "linear":
-            self.run(np.inf, tolerance)
+            self.minimise(np.inf, tolerance)
             return
         # Far from the minimum all residuals are large, and outliers are not yet distinguishable.
         scale = robust_scale(self.state, self.residuals)
         while scale > 1.0:
-            self.run(HUBER_LIMIT * scale, max(tolerance, SCALE_TOLERANCE))
+            self.minimise(HUBER_LIMIT * scale, max(tolerance, SCALE_TOLERANCE))
             scale = min(robust_scale(self.state, self.residuals), scale / 1.5)
-        self.run(HUBER_LIMIT, max(tolerance, ROBUST_TOLERANCE))
+        self.minimise(HUBER_LIMIT, max(tolerance, ROBUST_TOLERANCE))
 
-    def run(self, limit: float, tolerance: float) -> None:
+    def minimise(self, limit: float, tolerance: float) -> None:
         """Iterate until a step predicts a relative decrease of less than ``tolerance``.
 
         Raises:

@@ -254,7 +254,7 @@ def _search_device(
 def _expected_gain(data: SensorReadings, labels: SensorExplanation, pair: tuple[int, int]) -> float:
     """Return the approximate gain of a sensor's best hypothesis when two points are exchanged."""
     best = labels.best
-    exchange_prior = log_exchange_prior(len(data.seen))
+    exchange_prior = log_exchange_prior(len(data.observed_mask))
     if pair in best.hypothesis.cycles:
         return -exchange_prior
     if best.hypothesis.affected_points & set(pair):
@@ -308,7 +308,7 @@ def _report(
             counted = tuple(point + 1 for point in points)
             findings.append(LabelFinding(kind, one.sensor.name, counted, probability, *residual))
     sigma = tuple(
-        float(np.sqrt((one.sigma_px[one.seen] ** 2).mean())) * labels.factor
+        float(np.sqrt((one.sigma_px[one.observed_mask] ** 2).mean())) * labels.factor
         for one, labels in sensors
     )
     return LabelReport(tuple(findings), sigma)
@@ -334,7 +334,7 @@ def _label_residuals(
     """
     fitted, jacobian = data.camera.linearise(labels.best.theta[None])
     covariance = _covariance(data, labels)
-    usual = float(np.median(data.sigma_px[data.seen]))
+    usual = float(np.median(data.sigma_px[data.observed_mask]))
     px: list[float | None] = []
     normalised: list[float | None] = []
     for point in points:

@@ -52,7 +52,7 @@ class SensorReadings:
     offset_px: Array | None = None
 
     @cached_property
-    def seen(self) -> NDArray[np.intp]:
+    def observed_mask(self) -> NDArray[np.intp]:
         """Points with a reading."""
         return np.flatnonzero(np.isfinite(self.readings_px))
 
@@ -70,7 +70,10 @@ class SensorReadings:
     @cached_property
     def evidence(self) -> Evidence:
         """Marginal likelihood of hypotheses."""
-        sigma = np.sqrt((self.sigma_px[self.seen] ** 2).mean(keepdims=True)) * self.scale.factor
+        sigma = (
+            np.sqrt((self.sigma_px[self.observed_mask] ** 2).mean(keepdims=True))
+            * self.scale.factor
+        )
         typical = np.array([TYPICAL_OUTLIER_SIGMA])
         density, _ = self.tail.log_density(typical, np.zeros(1), sigma, self.sensor.pixels)
         return Evidence(float(density[0]), self.scale, self.camera.width)
@@ -137,14 +140,14 @@ def evaluate(
             error / factor, np.sqrt(variance), factor * data.sigma_px[outliers], data.sensor.pixels
         )
         log_outliers[row] = density.sum()
-    unseen = len(data.readings_px) - len(data.seen)
+    unseen = len(data.readings_px) - len(data.observed_mask)
     log_posterior = data.evidence.log_likelihood(
         chi2,
         count,
         log_determinant,
         np.log(sigma).sum(axis=1),
         log_outliers,
-    ) + np.array([h.log_prior(len(data.seen), unseen) for h in hypotheses])
+    ) + np.array([h.log_prior(len(data.observed_mask), unseen) for h in hypotheses])
     return [
         EvaluatedHypothesis(
             hypothesis,
@@ -194,7 +197,7 @@ def reading_errors(data: SensorReadings, best: EvaluatedHypothesis) -> ReadingEr
     """
     hypothesis = best.hypothesis
     moved = set[int]().union(*hypothesis.cycles, *hypothesis.reassigned)
-    rows = [point for point in data.seen.tolist() if point not in moved]
+    rows = [point for point in data.observed_mask.tolist() if point not in moved]
     fitted, jacobian = data.camera.linearise(best.theta[None])
     repaired, sigma_px = hypothesis.repair(data.readings_px, data.sigma_px)
     used = np.isfinite(repaired)

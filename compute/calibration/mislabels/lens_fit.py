@@ -89,7 +89,7 @@ def with_lens(
     columns = CameraStack.of([model]).parameter_jacobian(data.points_mm)[
         :, 0, PARAMETER_COUNT + 1 : width
     ]
-    columns = columns / np.maximum(np.abs(columns[data.seen]).max(axis=0), 1e-12)
+    columns = columns / np.maximum(np.abs(columns[data.observed_mask]).max(axis=0), 1e-12)
     plain = CameraStack.of([replace(model, distortion=None)]).project(data.points_mm)[:, 0]
     offset = CameraStack.of([model]).project(data.points_mm)[:, 0] - plain
     if not (np.isfinite(offset).all() and np.isfinite(columns).all()):
@@ -99,7 +99,7 @@ def with_lens(
 
 def _fits(observed: ControlObservations) -> Iterator[_RobustFit]:
     """Yield the camera without distortion, and those with each set of terms that can be fitted."""
-    rows = observed.seen[:, 0]
+    rows = observed.observed_mask[:, 0]
     try:
         undistorted = fit_undistorted(observed, "robust")
     except NOT_FITTED:
@@ -119,5 +119,5 @@ def _fits(observed: ControlObservations) -> Iterator[_RobustFit]:
 
 def _fit(observed: ControlObservations, model: SensorModel, parameters: int) -> _RobustFit:
     off = (CameraStack.of([model]).project(observed.points_mm) - observed.readings_px)[:, 0]
-    off = (off / observed.sigma_px[:, 0])[observed.seen[:, 0]]
+    off = (off / observed.sigma_px[:, 0])[observed.observed_mask[:, 0]]
     return _RobustFit(model, np.nan_to_num(off, nan=np.inf), parameters)

@@ -62,7 +62,7 @@ class _HypothesisPool:
     ) -> None:
         """Search in the camera linearised at ``theta`` and evaluate the best found."""
         data = self.data
-        measured = data.seen
+        measured = data.observed_mask
         fitted, jacobian = data.camera.linearise(theta[None])
         sigma = data.sigma_px[measured]
         basis = np.linalg.qr(jacobian[0, measured] / sigma[:, None])[0]
@@ -173,7 +173,7 @@ def _is_clean(pool: _HypothesisPool) -> bool:
 
 def _outliers(data: SensorReadings, theta: Array) -> Hypothesis:
     """Return the outliers of a robust start as a hypothesis."""
-    measured = data.seen
+    measured = data.observed_mask
     residuals, sigma_ratio = _residuals(data, theta)
     sigma_ratio = max(sigma_ratio, data.scale.factor)
     order = np.argsort(-residuals, kind="stable")[: max(len(measured) - data.camera.width - 1, 0)]
@@ -186,7 +186,7 @@ def _outliers(data: SensorReadings, theta: Array) -> Hypothesis:
 
 def _residuals(data: SensorReadings, theta: Array) -> tuple[Array, float]:
     """Return the normalised residuals of the readings, and the better half's RMS."""
-    measured = data.seen
+    measured = data.observed_mask
     residuals = np.abs(data.camera.project(theta[None])[0, measured] - data.readings_px[measured])
     residuals = residuals / data.sigma_px[measured]
     most = (len(measured) + data.camera.width + 1) // 2

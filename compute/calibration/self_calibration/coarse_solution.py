@@ -105,7 +105,7 @@ def coarse_solution(
         current = align_to_start(state.models, models)
         sizes = np.concatenate([np.abs(one).ravel() for one in state.residuals()])
         beyond = int((sizes > HUBER_LIMIT).sum())
-        if beyond < OUTLIER_POSE_SHARE * sum(int(poses.seen.sum()) for poses in pose_sets):
+        if beyond < OUTLIER_POSE_SHARE * sum(int(poses.observed_mask.sum()) for poses in pose_sets):
             break
     return current
 

@@ -97,8 +97,8 @@ def start_poses(
         poses = PoseSet(shape, translation, rotation, recording.readings_px[fit], sigma_px[fit])
         # Fitted to the shape, a marker may have come to lie behind a lens.
         projected = cameras.project(poses.marker_positions().reshape(-1, 3))
-        ahead = np.isfinite(projected).reshape(poses.readings_px.shape) | ~poses.seen
-        good = ahead.all(axis=(1, 2)) & (poses.seen.sum(axis=(1, 2)) >= poses.unknowns)
+        ahead = np.isfinite(projected).reshape(poses.readings_px.shape) | ~poses.observed_mask
+        good = ahead.all(axis=(1, 2)) & (poses.observed_mask.sum(axis=(1, 2)) >= poses.unknowns)
         if good.any():
             return InitialPoses(poses, np.flatnonzero(fit)).select(good)
     raise TooFewPoints(

@@ -14,16 +14,16 @@ from compute.camera.model import SensorGeometry, SensorModel
 
 Array = NDArray[np.float64]
 
-SAMPLES: Final = 3000
-"""Planes at infinity that are tried."""
-REFINED: Final = 12
-"""The best of them that are refined."""
-REFINED_OF_SIZE: Final = 3
-"""At most so many of them have a principal distance in the same bin of its logarithm."""
+PLANE_SAMPLES: Final = 3000
+"""Number of planes at infinity that are sampled."""
+MAX_REFINED_PLANES: Final = 12
+"""Number of sampled planes, the best first, that are refined."""
+MAX_REFINED_PER_SIZE: Final = 3
+"""Number of refined planes with a principal distance in the same bin of its logarithm."""
 SIZE_BIN: Final = 0.4
 MAX_PAIRS: Final = 150
 """Known lengths that judge a plane; more cost time and tell little more."""
-DISTINCT: Final = 0.03
+DISTINCT_CAMERA_THRESHOLD: Final = 0.03
 """Relative difference of the camera matrices from which two upgrades are different."""
 MAX_BEHIND: Final = 0.02
 """Share of points that may lie beyond the plane at infinity: those of unnoticed wrong readings."""
@@ -110,7 +110,7 @@ def metric_upgrades(
     for cost, cameras, middle in found:
         inner = _inner_parameters(cameras)
         signature = np.concatenate([np.log(inner[0]), inner[1] / inner[0]])
-        if all(np.abs(signature - other).max() > DISTINCT for other in distinct):
+        if all(np.abs(signature - other).max() > DISTINCT_CAMERA_THRESHOLD for other in distinct):
             distinct.append(signature)
             seen = np.broadcast_to(middle, (len(sensors), 3))
             models = metric_models(metric_cameras(cameras, sensors, seen), sensors)
@@ -148,12 +148,12 @@ def _quasi_affine(reconstruction: ProjectiveReconstruction) -> _QuasiAffine | No
 
 
 def _sample_planes(position: Array, rng: np.random.Generator) -> Array:
-    """Return v over the polytope ``1 + v . Y > 0``, shape (SAMPLES, 3)."""
-    direction = rng.standard_normal((SAMPLES, 3))
+    """Return v over the polytope ``1 + v . Y > 0``, shape (PLANE_SAMPLES, 3)."""
+    direction = rng.standard_normal((PLANE_SAMPLES, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     farthest = np.quantile(-(direction @ position.T), 1.0 - MAX_BEHIND, axis=1)
     reach = 1.0 / np.maximum(farthest, 1e-9)
-    radius = np.cbrt(rng.random(SAMPLES)) * 0.98
+    radius = np.cbrt(rng.random(PLANE_SAMPLES)) * 0.98
     return np.asarray(direction * (radius * reach)[:, None])
 
 
@@ -201,10 +201,10 @@ def _best_of_each_size(costs: Array, size: Array) -> list[int]:
     chosen = []
     for index in np.argsort(costs, kind="stable").tolist():
         bin_number = int(np.floor(size[index] / SIZE_BIN))
-        if taken.get(bin_number, 0) < REFINED_OF_SIZE:
+        if taken.get(bin_number, 0) < MAX_REFINED_PER_SIZE:
             taken[bin_number] = taken.get(bin_number, 0) + 1
             chosen.append(index)
-        if len(chosen) == REFINED:
+        if len(chosen) == MAX_REFINED_PLANES:
             break
     return chosen
 

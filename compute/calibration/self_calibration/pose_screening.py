@@ -57,7 +57,7 @@ def screen_poses(models: Sequence[SensorModel], start: InitialPoses) -> Screened
         start: the poses.
     """
     poses, chi2 = resect(models, start.poses)
-    dof = poses.seen.sum(axis=(1, 2)) - poses.unknowns
+    dof = poses.observed_mask.sum(axis=(1, 2)) - poses.unknowns
     misfit = np.where(dof > 0, chi2 / np.maximum(dof, 1), 0.0)
     checked = misfit[dof > 0]
     typical = float(np.median(checked)) if len(checked) else 0.0
@@ -82,7 +82,7 @@ def find_outlier_readings(
         Indices of the poses that have one, shape (N,); its marker and sensor, shape (N, 2); and its
         residual over sigma from the fit without it, shape (N,).
     """
-    seen = poses.seen
+    seen = poses.observed_mask
     pose, marker, sensor = np.nonzero(seen)
     trials = poses.select(pose)
     readings = trials.readings_px.copy()
@@ -129,7 +129,7 @@ def find_exchanges(
     Returns:
         Pose, two markers and sensor of each exchange, as indices.
     """
-    seen = poses.seen
+    seen = poses.observed_mask
     trials = [
         (pose, first, second, sensor)
         for pose in range(len(poses))
@@ -222,7 +222,7 @@ def resect(models: Sequence[SensorModel], poses: PoseSet) -> tuple[PoseSet, Arra
 
 def _pose_equations(cameras: CameraStack, poses: PoseSet) -> tuple[Array, Array]:
     """Return the normal matrices (B, d, d) and gradients (B, d) of poses, cameras held fixed."""
-    seen = poses.seen
+    seen = poses.observed_mask
     projected, by_marker = cameras.linearise(poses.marker_positions().reshape(-1, 3))
     weight = np.where(seen, 1.0 / poses.sigma_px, 0.0)
     difference = projected.reshape(seen.shape) - poses.readings_px
@@ -236,5 +236,5 @@ def _pose_equations(cameras: CameraStack, poses: PoseSet) -> tuple[Array, Array]
 def _chi2(cameras: CameraStack, poses: PoseSet) -> Array:
     projected = cameras.project(poses.marker_positions().reshape(-1, 3))
     difference = projected.reshape(poses.readings_px.shape) - poses.readings_px
-    squares = np.where(poses.seen, difference / poses.sigma_px, 0.0) ** 2
+    squares = np.where(poses.observed_mask, difference / poses.sigma_px, 0.0) ** 2
     return np.asarray(squares.sum(axis=(1, 2)))

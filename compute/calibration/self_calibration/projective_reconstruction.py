@@ -85,7 +85,7 @@ class ProjectiveReconstruction:
 
 
 def reconstruct_projective(readings: Array, seed: int = SEED) -> ProjectiveReconstruction:
-    """Reconstruct projective cameras and points, whatever wrong readings there are.
+    """Reconstruct projective cameras and points, robust against wrong readings.
 
     With four sensors a point has one redundant reading, which a wrong one may bend the cameras to
     agree with: random subsets of the points are tried, of which some are free of wrong readings.

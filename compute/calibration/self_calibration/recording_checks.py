@@ -303,7 +303,7 @@ def check_wave(recordings: Sequence[Recording], pose_sets: Sequence[PoseSet]) ->
 def _directions(poses: PoseSet) -> Array:
     marker = poses.marker_positions()
     first, second = np.triu_indices(len(poses.shape), 1)
-    seen = poses.seen.sum(axis=2) >= 2
+    seen = poses.observed_mask.sum(axis=2) >= 2
     both = seen[:, first] & seen[:, second]
     between = (marker[:, first] - marker[:, second])[both]
     return np.asarray(between / np.linalg.norm(between, axis=1, keepdims=True))
@@ -324,7 +324,7 @@ def check_count(models: Sequence[SensorModel], pose_sets: Sequence[PoseSet]) -> 
     for poses in pose_sets:
         known = 0 if not np.isfinite(poses.shape.sigma_mm) else poses.shape.unknowns
         unknown += poses.shape.unknowns - known - len(poses.shape.distances)
-        left += int((poses.seen.sum(axis=(1, 2)) - poses.unknowns).sum())
+        left += int((poses.observed_mask.sum(axis=(1, 2)) - poses.unknowns).sum())
     if left <= unknown:
         count = sum(len(poses) for poses in pose_sets)
         each = left / count

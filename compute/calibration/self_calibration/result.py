@@ -154,8 +154,8 @@ def summarise(
     elif not sigma_given and dof > 2:
         factor = dof / (dof - 2)
     residuals = _in_pixels(adjusted, starts, recordings)
-    of_sensor = np.concatenate([np.nonzero(start.poses.seen)[2] for start in starts])
-    sigma = np.concatenate([start.poses.sigma_px[start.poses.seen] for start in starts])
+    of_sensor = np.concatenate([np.nonzero(start.poses.observed_mask)[2] for start in starts])
+    sigma = np.concatenate([start.poses.sigma_px[start.poses.observed_mask] for start in starts])
     fits = tuple(
         SensorFit(
             model,

@@ -210,7 +210,7 @@ def _calibrate_recordings(
 
 @dataclass(frozen=True)
 class _Begin:
-    """How a run begins.
+    """Initial cameras of a self-calibration.
 
     Args:
         reference: cameras that define the frame; those given, or those from the readings.
@@ -302,9 +302,9 @@ def _cameras_from_readings(
             f"Other cameras fit nearly as well (chi2 larger by {found.alternative_chi2:.1f}); "
             "wave the wand at more poses, in all directions, near and far."
         )
-    cameras, doubt = settle_handedness(found.models, directions)
-    if doubt:
-        warnings.append(doubt)
+    cameras, handedness_warning = settle_handedness(found.models, directions)
+    if handedness_warning:
+        warnings.append(handedness_warning)
     if given:
         cameras = tuple(
             replace(camera, distortion=model.distortion)
@@ -475,7 +475,7 @@ class _SelfCalibrationState:
             )
 
     def solve(self, progress: Progress) -> tuple[list[InitialPoses], AdjustmentResult]:
-        """Adjust cameras and poses, without outliers, with the noise that the readings tell.
+        """Adjust cameras and poses, without outliers, with the noise estimated from the readings.
 
         Args:
             progress: called with the fraction done and the stage.
@@ -513,7 +513,7 @@ class _SelfCalibrationState:
             seen = np.isfinite(one.readings_px).sum(axis=2)
             markers = 2 if isinstance(one.target, Wand) else 3
             total += int(seen[(seen >= 3).sum(axis=1) >= markers].sum())
-        used = sum(int(start.poses.seen.sum()) for start in starts)
+        used = sum(int(start.poses.observed_mask.sum()) for start in starts)
         if used < MIN_SHARE * total:
             raise NoConvergence(
                 f"only {used} of {total} readings of poses that show enough markers agree with "

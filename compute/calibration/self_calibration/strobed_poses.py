@@ -56,7 +56,7 @@ class StrobedReadings:
 
 @dataclass
 class PoseCounts:
-    """What became of the exposures of a target's first marker, each of which may make a pose.
+    """Exposures of a target's first marker, counted by whether and why not they gave a pose.
 
     Args:
         taken: poses taken.
@@ -184,33 +184,11 @@ class StrobedPoseCollector:
                 self.counts.not_lit += 1
             elif not seen[index]:
                 self.counts.too_few_sensors += 1
-            elif self._poses and not _moved(readings[index], self._poses[-1][0], pixels):
+            elif self._poses and not _has_moved(readings[index], self._poses[-1][0], pixels):
                 self.counts.still += 1
             else:
                 self.counts.taken += 1
                 self._poses.append((readings[index], sigma[index]))
-
-
-def strobed_poses(
-    exposures: StrobedReadings, markers: Sequence[int], pixels: Sequence[int]
-) -> tuple[Array, Array]:
-    """Return the poses in strobed exposures: see StrobedPoseCollector.
-
-    Args:
-        exposures: readings in the order of time.
-        markers: numbers of the target's markers, in the target's order, shape (K,).
-        pixels: of the S sensors.
-
-    Returns:
-        Readings and standard deviations, shape (B, K, S) [px]; NaN where not seen.
-
-    Raises:
-        InvalidParameter: a marker is given twice or was never lit.
-    """
-    collector = StrobedPoseCollector(markers, pixels)
-    collector.add(exposures)
-    collector.check_lit()
-    return collector.poses()
 
 
 def _interpolate(
@@ -242,8 +220,8 @@ def _interpolate(
     return readings, sigma, all_lit
 
 
-def _moved(readings_px: Array, before_px: Array, pixels: Array) -> bool:
-    """Return whether a pose differs from the one before; also where no sensor tells."""
+def _has_moved(readings_px: Array, before_px: Array, pixels: Array) -> bool:
+    """Return whether a pose differs from the one before; true where no sensor saw both."""
     change = np.abs(readings_px - before_px) / pixels
     both = np.isfinite(change)
     return not both.any() or bool(change[both].mean() >= MIN_MOTION)

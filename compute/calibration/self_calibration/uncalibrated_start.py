@@ -371,7 +371,7 @@ def pixel_directions(models: Sequence[SensorModel]) -> Array:
 def settle_handedness(
     models: Sequence[SensorModel], directions: Array | None
 ) -> tuple[tuple[SensorModel, ...], str]:
-    """Return cameras or their mirror image, whichever agrees with a description, and a doubt.
+    """Return cameras or their mirror image, whichever agrees with a description, and a warning.
 
     Args:
         models: S cameras in their own frame.
@@ -386,14 +386,16 @@ def settle_handedness(
             "of them is right: give the directions of the sensors' pixels, or initial cameras."
         )
     agreement = handedness(models, directions)
-    doubt = ""
+    handedness_warning = ""
     if abs(agreement) < HANDEDNESS_LIMIT:
-        doubt = (
+        handedness_warning = (
             "The described directions of the pixels do not settle which of two mirror images is "
             f"right (correlation {agreement:.2f}, {HANDEDNESS_LIMIT} is wanted): check their "
             "order, their signs, and that not all slits are parallel."
         )
-    return (tuple(models) if agreement >= 0.0 else _device_frame(mirrored(models))), doubt
+    return (
+        tuple(models) if agreement >= 0.0 else _device_frame(mirrored(models))
+    ), handedness_warning
 
 
 def with_terms(

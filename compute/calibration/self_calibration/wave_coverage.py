@@ -50,7 +50,7 @@ SIDES: Final = (("-x", "+x"), ("-y", "+y"), ("near", "far"))
 
 @dataclass(frozen=True)
 class SensorCoverage:
-    """What one sensor saw of a wave.
+    """Coverage of one sensor by the readings of a wave.
 
     Args:
         sensor: its name.
@@ -107,7 +107,7 @@ def wave_coverage(
     recording: Recording,
     models: Sequence[SensorModel] | None = None,
 ) -> WaveCoverage:
-    """Judge what a wave has covered so far.
+    """Return the coverage of a wave so far, and whether it is sufficient.
 
     Args:
         sensors: names and pixels of the S sensors.

@@ -453,12 +453,15 @@ def minimise_with_distortion(
     step[:, PARAMETER_COUNT] = (
         deviation * prior.offset_sigma_mm[index] * stack.parameter_mask[:, PARAMETER_COUNT]
     )
-    ended = minimise(
+    solution = minimise(
         stack.retract(step), points_mm, readings_px[:, index], weights[:, index], prior.rows(index)
     )
-    best = np.argmin(ended.squares.reshape(starts, count), axis=0) * count + np.arange(count)
+    best = np.argmin(solution.squares.reshape(starts, count), axis=0) * count + np.arange(count)
     return MinimisationResult(
-        ended.cameras.rows(best), ended.squares[best], ended.converged[best], ended.normal[best]
+        solution.cameras.rows(best),
+        solution.squares[best],
+        solution.converged[best],
+        solution.normal[best],
     )
 
 

@@ -60,14 +60,14 @@ class _Grid:
     """Fits of S sensors with each of G strengths, and the strengths' posterior.
 
     Args:
-        ended: G S cameras, the first strength's first.
+        solution: G S cameras, the first strength's first.
         log_evidence: of all sensors together, shape (G,), up to a constant.
         information: the priors', shape (G S, W).
         noise_px: of the readings, with each strength another, shape (G, S) [px]; None: known.
         sigma_px: the readings' standard deviations, shape (N, G S) [px].
     """
 
-    ended: MinimisationResult
+    solution: MinimisationResult
     log_evidence: Array
     information: Array
     noise_px: Array | None
@@ -119,8 +119,8 @@ def fit_distortion_scale(
         unknown = replace(observed, sigma_known=False)
         first = _fit_scale(unknown, undistorted, loss, point_sigma_px, progress)[0]
         undistorted = replace(undistorted, weights=first.weights)
-    fits, ended, estimate = _fit_scale(observed, undistorted, loss, point_sigma_px, progress)
-    check_converged(observed, fits.models, ended.converged)
+    fits, solution, estimate = _fit_scale(observed, undistorted, loss, point_sigma_px, progress)
+    check_converged(observed, fits.models, solution.converged)
     progress(1.0, "scale of the distortion")
     return fits, estimate
 
@@ -144,7 +144,7 @@ def _fit_scale(
         grid = _fit_grid_and_noise(
             observed, cameras, undistorted.prior, weights, noise, point_sigma_px, progress
         )
-        strength, fits, ended = _fit_mean_strength(
+        strength, fits, solution = _fit_mean_strength(
             observed, starts, undistorted.prior, grid, weights, point_sigma_px
         )
         if loss == "linear":
@@ -152,11 +152,11 @@ def _fit_scale(
         sigma = _total_sigma(observed, fits.unit_px, point_sigma_px)
         # The known noise is the lower bound of its estimate; without it, rounding is.
         min_scale = 1.0 if fits.unit_px is None else SIGMA_FLOOR_PX / fits.unit_px
-        new = studentised_weights(observed, ended, weights, sigma, min_scale)
+        new = studentised_weights(observed, solution, weights, sigma, min_scale)
         if np.abs(new - weights).max() < SETTLED_WEIGHTS:
             break
-        weights, cameras, noise = new, grid.ended.cameras, grid.noise_px
-    return fits, ended, _describe(grid, strength, undistorted.models)
+        weights, cameras, noise = new, grid.solution.cameras, grid.noise_px
+    return fits, solution, _describe(grid, strength, undistorted.models)
 
 
 def _fit_mean_strength(
@@ -175,24 +175,26 @@ def _fit_mean_strength(
     sensors = len(with_terms)
     nearest = int(np.abs(np.log(STRENGTHS / strength)).argmin())
     rows = np.arange(nearest * sensors, (nearest + 1) * sensors)
-    models = grid.ended.cameras.rows(rows).models(with_terms)
+    models = grid.solution.cameras.rows(rows).models(with_terms)
     prior = prior.with_strength(strength).at(models, observed.pitch_um)
     starts = start_with_terms(models, (AUTO_TERMS,) * sensors, prior)
-    ended = minimise(
+    solution = minimise(
         CameraStack.of(starts),
         observed.points_mm,
         observed.readings_px,
-        np.where(observed.seen, np.sqrt(weights) / sigma, 0.0),
+        np.where(observed.observed_mask, np.sqrt(weights) / sigma, 0.0),
         prior,
         FINAL_ITERATIONS,
         variance=1.0,
     )
-    return strength, SensorFits(ended.cameras.models(starts), weights, prior, noise), ended
+    return strength, SensorFits(solution.cameras.models(starts), weights, prior, noise), solution
 
 
 def _first_noise(observed: ControlObservations, undistorted: SensorFits) -> Array:
     """Return the noise to begin with, shape (S,) [px]: residuals of cameras without distortion."""
-    residuals = np.abs(np.where(observed.seen, observed.residuals_px(undistorted.models), np.nan))
+    residuals = np.abs(
+        np.where(observed.observed_mask, observed.residuals_px(undistorted.models), np.nan)
+    )
     return np.asarray(np.maximum(np.nanmedian(residuals, axis=0), 0.05))
 
 
@@ -214,7 +216,7 @@ def _fit_grid_and_noise(
     point_sigma_px: Array | None,
     progress: Progress,
 ) -> _Grid:
-    """Fit cameras with each strength, each with the noise that its own residuals tell.
+    """Fit cameras with each strength, and estimate the noise of each fit from its residuals.
 
     Noise to begin with, shape (G, S) [px]; None: known.
     """
@@ -224,7 +226,7 @@ def _fit_grid_and_noise(
     for iteration in range(NOISE_ITERATIONS):
         progress(iteration / (NOISE_ITERATIONS + 1), "scale of the distortion")
         grid = _fit_grid(observed, cameras, prior, weights, noise, point_sigma_px)
-        cameras = grid.ended.cameras
+        cameras = grid.solution.cameras
         last = noise
         grid, noise = _integrate_noise(observed, grid, weights, point_sigma_px)
         if np.abs(noise / last - 1.0).max() < NOISE_TOLERANCE:
@@ -249,9 +251,9 @@ def _fit_grid(
         sigma = np.broadcast_to(noise_px.ravel(), (len(observed.points_mm), len(index)))
         if point_sigma_px is not None:
             sigma = np.hypot(sigma, point_sigma_px[:, index])
-    used = (observed.seen & (weights > 0.0))[:, index]
+    used = (observed.observed_mask & (weights > 0.0))[:, index]
     priors = prior.rows(index).with_strength(np.repeat(STRENGTHS, sensors))
-    ended = minimise(
+    solution = minimise(
         cameras,
         observed.points_mm,
         observed.readings_px[:, index],
@@ -261,15 +263,15 @@ def _fit_grid(
     )
     information = priors.gaussian(cameras)[1]
     diagonal = np.arange(cameras.width)
-    scale = np.sqrt(ended.normal[:, diagonal, diagonal])
-    unit = ended.normal / (scale[:, :, None] * scale[:, None, :])
+    scale = np.sqrt(solution.normal[:, diagonal, diagonal])
+    unit = solution.normal / (scale[:, :, None] * scale[:, None, :])
     log_determinant = np.linalg.slogdet(unit)[1] + 2.0 * np.log(scale).sum(axis=1)
     log_prior = np.log(information[:, PARAMETER_COUNT + 1 :]).sum(axis=1)
-    log_evidence = 0.5 * (log_prior - ended.squares - log_determinant)
+    log_evidence = 0.5 * (log_prior - solution.squares - log_determinant)
     log_evidence -= np.where(used, np.log(sigma), 0.0).sum(axis=0)
     log_evidence = np.where(np.isfinite(log_evidence), log_evidence, -np.inf)
     log_evidence = log_evidence.reshape(count, sensors).sum(axis=1)
-    return _Grid(ended, log_evidence, information, noise_px, sigma)
+    return _Grid(solution, log_evidence, information, noise_px, sigma)
 
 
 def _integrate_noise(
@@ -282,10 +284,10 @@ def _integrate_noise(
     count = len(STRENGTHS)
     sensors = observed.readings_px.shape[1]
     index = np.tile(np.arange(sensors), count)
-    used = (observed.seen & (weights > 0.0))[:, index]
-    residuals = grid.ended.cameras.project(observed.points_mm) - observed.readings_px[:, index]
+    used = (observed.observed_mask & (weights > 0.0))[:, index]
+    residuals = grid.solution.cameras.project(observed.points_mm) - observed.readings_px[:, index]
     residuals = np.where(used, residuals * np.sqrt(weights)[:, index], 0.0)
-    dof = used.sum(axis=0) - effective_parameters(grid.ended.cofactors, grid.information)
+    dof = used.sum(axis=0) - effective_parameters(grid.solution.cofactors, grid.information)
     dof = np.maximum(dof, MIN_DOF)
     share = dof / np.maximum(used.sum(axis=0), 1)
     logarithms = np.where(used, np.log(grid.sigma_px), 0.0).sum(axis=0)

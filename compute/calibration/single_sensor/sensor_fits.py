@@ -114,14 +114,14 @@ class ControlObservations:
         return stack.project(self.points_mm) - self.readings_px
 
     @property
-    def seen(self) -> NDArray[np.bool_]:
-        """Which readings there are, shape (N, S)."""
+    def observed_mask(self) -> NDArray[np.bool_]:
+        """Mask of the readings that were measured, shape (N, S)."""
         return np.isfinite(self.readings_px)
 
     @property
     def weights(self) -> Array:
         """1 / standard deviation, 0 where not seen, shape (N, S)."""
-        return np.where(self.seen, 1.0 / self.sigma_px, 0.0)
+        return np.where(self.observed_mask, 1.0 / self.sigma_px, 0.0)
 
     @property
     def pitch_um(self) -> list[float | None]:
@@ -157,7 +157,7 @@ class SensorFits:
 
     def used(self, observed: ControlObservations) -> NDArray[np.bool_]:
         """Return which readings count, shape (N, S)."""
-        return observed.seen & (self.weights > 0.0)
+        return observed.observed_mask & (self.weights > 0.0)
 
     def known_weights(self, observed: ControlObservations) -> Array:
         """Return 1 / standard deviation of the readings that count, 0 of others, (N, S) [1/px]."""
@@ -221,15 +221,19 @@ def fit_undistorted(
     else:
         models, weights = _reweight(observed, _robust_start(observed))
         # What a robust loss leaves out does not count: the median of the residuals.
-        squares = mad_sigma(observed.residuals_px(models), observed.seen, PARAMETER_COUNT) ** 2
-        squares *= np.maximum(observed.seen.sum(axis=0) - PARAMETER_COUNT, 0)
-        unit = observed.seen.astype(np.float64)
+        squares = (
+            mad_sigma(observed.residuals_px(models), observed.observed_mask, PARAMETER_COUNT) ** 2
+        )
+        squares *= np.maximum(observed.observed_mask.sum(axis=0) - PARAMETER_COUNT, 0)
+        unit = observed.observed_mask.astype(np.float64)
         shares, _ = _residual_shares(squares, observed.points_mm, observed.readings_px, unit)
         check_explained(shares, observed.readings_px, observed.sensors)
         used = np.where(weights > 0.0, observed.weights, 0.0)
         stack = CameraStack.of(models)
         groups = check_determined(models, observed.points_mm, used, stack=stack)
-    prior = LensPrior.of(models, observed.pitch_um, observed.points_mm, observed.seen, stack=stack)
+    prior = LensPrior.of(
+        models, observed.pitch_um, observed.points_mm, observed.observed_mask, stack=stack
+    )
     return SensorFits(models, weights, prior, groups=groups, stack=stack)
 
 
@@ -282,23 +286,23 @@ def fit_metric_cameras(
         )
         centre_mm[columns] = points.mean(axis=0)
     starts = metric_cameras(matrices, sensors, centre_mm)
-    ended = minimise(starts, points_mm, readings_px, weights)
-    fitted = metric_models(ended.cameras, sensors)
-    shares, unbiased = _residual_shares(ended.squares, points_mm, readings_px, weights)
+    solution = minimise(starts, points_mm, readings_px, weights)
+    fitted = metric_models(solution.cameras, sensors)
+    shares, unbiased = _residual_shares(solution.squares, points_mm, readings_px, weights)
     if sigma_known:
         # Noise as large as that would have been stated.
         dof = np.maximum(measured.sum(axis=0) - PARAMETER_COUNT, 1)
-        contradicted = ended.squares > CONTRADICTED_SIGMA_FACTOR**2 * dof
+        contradicted = solution.squares > CONTRADICTED_SIGMA_FACTOR**2 * dof
         shares = np.where(contradicted, unbiased, 0.0)
     _check_related(shares, points_mm, readings_px, sensors)
     # First whether there is one camera: a search for none does not come to rest.
     try:
-        groups = check_determined(fitted, points_mm, weights, stack=ended.cameras)
+        groups = check_determined(fitted, points_mm, weights, stack=solution.cameras)
     except DegeneratePoints:
         _check_related(unbiased, points_mm, readings_px, sensors)
         raise
     for column, model in enumerate(fitted):
-        if not ended.converged[column]:
+        if not solution.converged[column]:
             _check_related(unbiased, points_mm, readings_px, sensors)
             raise NoConvergence(
                 f"sensor {model.name}: no camera with all its {int(measured[:, column].sum())} "
@@ -306,7 +310,7 @@ def fit_metric_cameras(
                 "labels",
                 sensor=model.name,
             )
-    return fitted, groups, ended.cameras
+    return fitted, groups, solution.cameras
 
 
 def _check_related(
@@ -400,7 +404,9 @@ def fit_distorted(
     """
     if not any(terms):
         return undistorted
-    for sensor, sensor_terms, rows in zip(observed.sensors, terms, observed.seen.T, strict=True):
+    for sensor, sensor_terms, rows in zip(
+        observed.sensors, terms, observed.observed_mask.T, strict=True
+    ):
         needed = free_parameters(sensor_terms)
         if rows.sum() < needed:
             raise TooFewPoints(
@@ -512,15 +518,15 @@ def _minimise(
     stack = CameraStack.of(starts)
     problem = stack, observed.points_mm, observed.readings_px, weights
     if prior is None or not stack.has_distortion:
-        ended = minimise(*problem)
+        solution = minimise(*problem)
     else:
-        ended = minimise_with_distortion(*problem, prior, multi_start=multi_start)
-    models = ended.cameras.models(starts)
-    if not ended.converged.all():
+        solution = minimise_with_distortion(*problem, prior, multi_start=multi_start)
+    models = solution.cameras.models(starts)
+    if not solution.converged.all():
         # Undetermined parameters explain the failure better than "did not converge".
         used = np.where(weights > 0.0, observed.weights, 0.0)
         check_determined(models, observed.points_mm, used, prior)
-    check_converged(observed, starts, ended.converged)
+    check_converged(observed, starts, solution.converged)
     return models
 
 
@@ -542,8 +548,8 @@ def check_converged(
         raise NoConvergence(
             f"sensor {name}: the search for its {PARAMETER_COUNT} parameters and "
             f"{len(starts[column].terms)} distortion terms did not converge with its "
-            f"{int(observed.seen[:, column].sum())} readings; spread the points over the field and "
-            "in depth, take fewer terms, or look for wrong labels",
+            f"{int(observed.observed_mask[:, column].sum())} readings; spread the points over the "
+            "field and in depth, take fewer terms, or look for wrong labels",
             sensor=name,
         )
 
@@ -556,7 +562,7 @@ def _reweight(
     weights = np.zeros(observed.readings_px.shape)
     for _ in range(MAX_REWEIGHTINGS):
         residuals = stack.project(observed.points_mm) - observed.readings_px
-        used = observed.seen & np.isfinite(residuals)
+        used = observed.observed_mask & np.isfinite(residuals)
         size = np.where(used, np.abs(residuals) * observed.weights, 0.0)
         scale = mad_sigma(size, used, PARAMETER_COUNT)
         # The known noise is the lower bound of its estimate; without it, rounding is.
@@ -570,7 +576,7 @@ def _reweight(
             break
     weighted = observed.weights * np.sqrt(weights)
     models = _minimise(observed, stack.models(starts), None, weighted)
-    return models, np.where(observed.seen, weights, 1.0)
+    return models, np.where(observed.observed_mask, weights, 1.0)
 
 
 def _reweight_distorted(
@@ -593,7 +599,7 @@ def _reweight_distorted(
     stack = CameraStack.of(starts)
     min_scale = 1.0 if observed.sigma_known and not multi_start else SIGMA_FLOOR_PX
     for iteration in range(MAX_REWEIGHTINGS):
-        ended = minimise_with_distortion(
+        solution = minimise_with_distortion(
             stack,
             observed.points_mm,
             observed.readings_px,
@@ -601,8 +607,8 @@ def _reweight_distorted(
             prior,
             multi_start=multi_start and iteration == 0,
         )
-        stack = ended.cameras
-        new = studentised_weights(observed, ended, weights, observed.sigma_px, min_scale)
+        stack = solution.cameras
+        new = studentised_weights(observed, solution, weights, observed.sigma_px, min_scale)
         if np.abs(new - weights).max() < SETTLED_WEIGHTS:
             break
         weights = new
@@ -613,7 +619,7 @@ def _reweight_distorted(
 
 def studentised_weights(
     observed: ControlObservations,
-    ended: MinimisationResult,
+    solution: MinimisationResult,
     weights: Array,
     sigma_px: Array,
     min_scale: float | Array,
@@ -626,26 +632,26 @@ def studentised_weights(
 
     Args:
         observed: control points and readings.
-        ended: the search that fitted S cameras.
+        solution: the search that fitted S cameras.
         weights: with which it did, shape (N, S).
         sigma_px: the readings' standard deviations, shape (N, S) [px].
         min_scale: smallest ratio of the residuals to these, one or shape (S,).
     """
-    fitted, jacobian = ended.cameras.project_with_parameter_jacobian(observed.points_mm)
-    seen = observed.seen & np.isfinite(fitted)
+    fitted, jacobian = solution.cameras.project_with_parameter_jacobian(observed.points_mm)
+    seen = observed.observed_mask & np.isfinite(fitted)
     jacobian = np.nan_to_num(jacobian)
-    leverage = np.einsum("nsp,spq,nsq->ns", jacobian, ended.cofactors, jacobian, optimize=True)
+    leverage = np.einsum("nsp,spq,nsq->ns", jacobian, solution.cofactors, jacobian, optimize=True)
     variance = 1.0 + (1.0 - 2.0 * weights) * leverage / sigma_px**2
     distance = np.where(seen, np.abs(fitted - observed.readings_px), 0.0)
     distance /= sigma_px * np.sqrt(np.maximum(variance, MIN_REDUNDANCY))
     scale = np.maximum(mad_sigma(distance, seen, 0), min_scale)
-    return np.where(observed.seen, np.where(seen, biweight(distance / scale), 0.0), 1.0)
+    return np.where(observed.observed_mask, np.where(seen, biweight(distance / scale), 0.0), 1.0)
 
 
 def _robust_start(observed: ControlObservations) -> tuple[SensorModel, ...]:
     """Return each sensor's camera of least trimmed squares."""
     matrices, centres = [], []
-    for column, rows in enumerate(observed.seen.T):
+    for column, rows in enumerate(observed.observed_mask.T):
         points, readings = observed.points_mm[rows], observed.readings_px[rows, column]
         camera = ProjectiveCamera.of(points, readings)
         theta = robust_starts(camera, readings, observed.sigma_px[rows, column], 1)

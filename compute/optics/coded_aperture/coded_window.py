@@ -1,7 +1,6 @@
 """Coded window: a flat plate with a bar code before a line sensor, as in CODA."""
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,15 +69,6 @@ class CodedWindow:
     def length_mm(self) -> float:
         """Length of the code, across its bars [mm]."""
         return len(self.code) * self.bar_mm
-
-    @cached_property
-    def edges_mm(self) -> Array:
-        """Positions at which the code becomes transparent, opaque, transparent, ..., (2 K,) [mm].
-
-        Along the readings (-x), from the middle of the code.
-        """
-        changes = np.flatnonzero(np.diff(np.array((0, *self.code, 0))))
-        return np.asarray(changes * self.bar_mm - self.length_mm / 2.0, dtype=np.float64)
 
 
 def maximal_length_code(order: int) -> tuple[int, ...]:

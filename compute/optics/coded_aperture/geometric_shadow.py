@@ -63,7 +63,7 @@ class GeometricShadow:
         centre = self._bar(centre_mm)
 
         def integral(position_mm: Array) -> Array:
-            """Integrate twice, less what is linear: it cancels, and would cost digits."""
+            """Return the second integral without its linear part, which cancels."""
             bar = self._bar(position_mm)
             rest = (position_mm - self._start_mm) / self._bar_mm + 1.0 - bar
             bars = bar - centre

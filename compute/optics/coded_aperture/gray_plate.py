@@ -68,7 +68,7 @@ class GrayPlate:
 
     @cached_property
     def transparent(self) -> NDArray[np.bool_]:
-        """Which cells of which track are transparent, shape (cells, tracks)."""
+        """Mask of the transparent cells by track, shape (cells, tracks)."""
         cell = np.arange(2**self.gray_bits)
         code = cell ^ (cell >> 1)
         gray = (code[:, None] >> np.arange(self.gray_bits - 1, -1, -1)) & 1 == 1

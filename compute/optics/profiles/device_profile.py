@@ -150,7 +150,7 @@ class DeviceProfile:
 
     @property
     def limitations(self) -> tuple[str, ...]:
-        """What a device of this profile cannot do here, one sentence each."""
+        """Functions that a device of this profile does not have here, one sentence each."""
         if not any(isinstance(one, PlateOptics) for one in self.optics.values()):
             return ()
         sentence = (

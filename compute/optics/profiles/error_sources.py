@@ -17,7 +17,7 @@ MAX_CONTROL_POINTS: Final = 1000
 
 @dataclass(frozen=True)
 class ErrorSources:
-    """What makes a device inaccurate besides noise; None: the typical value, called assumed.
+    """Systematic error sources of a device; None: the typical value, called assumed.
 
     All uncertainties are standard uncertainties (GUM, JCGM 100).
 
@@ -97,7 +97,7 @@ class ErrorSources:
 
 @dataclass(frozen=True)
 class TypicalValue:
-    """What is assumed where nothing is given.
+    """Typical value of an error source, assumed where none is given.
 
     Args:
         value: in the unit of the field's name.

@@ -123,7 +123,7 @@ def with_error_sources(profile: DeviceProfile, assignments: Iterable[str]) -> De
 
 
 def _exists(document: object, path: str) -> bool:
-    """Tell whether a dotted path leads to something in a document."""
+    """Return whether a document has a value at a dotted path."""
     steps = _STEP.findall(path)
     if "".join(f".{key}" if key else f"[{number}]" for key, number in steps).lstrip(".") != path:
         return False

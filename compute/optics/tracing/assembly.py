@@ -150,18 +150,6 @@ class Stop:
 Element = Lens | Stop
 
 
-def plate(thickness_mm: float, index: float, aperture: Aperture, z_mm: float = 0.0) -> Lens:
-    """Return a plane-parallel plate: a filter, a window, the glass over a sensor.
-
-    Args:
-        thickness_mm: on the axis [mm].
-        index: refractive index.
-        aperture: outline.
-        z_mm: position of its front face on the axis [mm].
-    """
-    return Lens((Plane(), Plane()), (thickness_mm,), (index,), aperture, z_mm)
-
-
 def _outline(aperture: Aperture) -> tuple[np.ndarray, np.ndarray]:
     """Return points along the edge of an opening, x and y, and its centre."""
     angle = np.linspace(0.0, 2.0 * np.pi, 181)

@@ -20,11 +20,11 @@ Height = Callable[[NDArray[np.int64], Array], tuple[Array, Array, Array]]
 
 MAX_INTERVALS: Final = 400
 """Intervals looked at for the crossing with a toroid; some ten suffice but for grazing rays."""
-FINEST: Final = 2.0**-40
+MIN_INTERVAL_FRACTION: Final = 2.0**-40
 """Interval, of the smaller radius, that is not divided further: a ray that grazes the surface."""
 MAX_STEPS: Final = 100
 """Steps of Newton's method; some five suffice, and bisection alone needs sixty."""
-CLOSE: Final = 2.0**-32
+CONVERGENCE_FRACTION: Final = 2.0**-32
 """Last step of Newton's method, of the smaller radius; the next would be of its square."""
 ROUNDING: Final = 2.0**-50
 """Relative resolution of distances."""
@@ -141,7 +141,8 @@ def _toroid(record: np.void, origin: Vectors, direction: Vectors, t_min: Array) 
     rays = np.flatnonzero(low < high)
     low, high = low[rays], high[rays]
     width = high - low
-    finest, close = record["radius_mm"] * FINEST, record["radius_mm"] * CLOSE
+    min_interval = record["radius_mm"] * MIN_INTERVAL_FRACTION
+    max_last_step = record["radius_mm"] * CONVERGENCE_FRACTION
 
     def at(which: NDArray[np.int64], t: Array) -> tuple[Array, Array, Array]:
         o = tuple(c[which] for c in origin)
@@ -158,11 +159,11 @@ def _toroid(record: np.void, origin: Vectors, direction: Vectors, t_min: Array) 
         flattest = _smaller(gs, gs2) - _larger(fs, fs2)
         monotonic = (flattest >= 0.0) | (steepest <= 0.0)
         crosses = (h <= 0.0) != (h2 <= 0.0)
-        fine = width <= finest + ROUNDING * abs(low)
+        fine = width <= min_interval + ROUNDING * abs(low)
         bracketed = crosses & (monotonic | fine)
         if bracketed.any():
             result[rays[bracketed]] = _newton(
-                at, rays[bracketed], low[bracketed], right[bracketed], h[bracketed], close
+                at, rays[bracketed], low[bracketed], right[bracketed], h[bracketed], max_last_step
             )
         # Lines from both ends bound h: if they meet on the side of the ends, there is no root.
         span = right - low
@@ -181,7 +182,7 @@ def _toroid(record: np.void, origin: Vectors, direction: Vectors, t_min: Array) 
 
 
 def _newton(
-    at: Height, rays: NDArray[np.int64], low: Array, high: Array, h_low: Array, close: float
+    at: Height, rays: NDArray[np.int64], low: Array, high: Array, h_low: Array, max_last_step: float
 ) -> Array:
     """Find the root between low and high, where the height has opposite signs.
 
@@ -199,7 +200,7 @@ def _newton(
         inside = (newton >= low) & (newton <= high)
         new = np.where(inside, newton, 0.5 * (low + high))
         moved = np.where(inside, abs(new - t), high - low)
-        converged = (moved <= close + ROUNDING * abs(new)) | (step == MAX_STEPS - 1)
+        converged = (moved <= max_last_step + ROUNDING * abs(new)) | (step == MAX_STEPS - 1)
         result[index[converged]] = new[converged]
         go = ~converged
         if not go.any():

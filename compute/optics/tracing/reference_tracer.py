@@ -263,7 +263,7 @@ def _refract(
     fields: tuple[Vectors, Vectors],
     power: Array,
 ) -> tuple[Vectors, tuple[Vectors, Vectors], Array, Bools]:
-    """Refract rays by Snell's law; return directions, fields, power, and who is reflected.
+    """Refract rays by Snell's law; return directions, fields, power, and which are reflected.
 
     The field across the plane of incidence (s) is transmitted with t_s, that in it (p) with
     t_p = t_s / cos(i - t), Born & Wolf 1.5.2 (20a). Both at once: the transmitted field is t_s

@@ -39,7 +39,7 @@ class MarkerLabelling:
 
     @property
     def markers(self) -> int:
-        """How many markers have a point."""
+        """Number of markers that have a point."""
         return int((self.points >= 0).sum())
 
 

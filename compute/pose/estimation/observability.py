@@ -17,7 +17,7 @@ RANK_RATIO = 1e-12
 def missing_readings(
     centred: CentredMarkers, used: NDArray[np.bool_], settings: PoseFitSettings
 ) -> str | None:
-    """Return why readings cannot determine a pose, whatever their values; None if they may.
+    """Return why the pattern of readings cannot determine a pose; None if it may.
 
     Args:
         centred: the tool's markers.

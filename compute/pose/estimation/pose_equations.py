@@ -69,7 +69,7 @@ class PoseEquations:
 
     @cached_property
     def used(self) -> NDArray[np.bool_]:
-        """Which readings are used, shape (M, S)."""
+        """Mask of the readings that are used, shape (M, S)."""
         return np.isfinite(self.readings_px)
 
     @cached_property

@@ -109,9 +109,9 @@ def _planes(
     cameras = model.cameras
     sensor = np.nonzero(used)[1]
     corrected = cameras.add_cubic_term(readings_px)
-    slope = cameras.correction_derivative(readings_px)
-    deviation = (sigma_px * slope)[used]
-    weight = 1.0 / deviation
+    derivative = cameras.correction_derivative(readings_px)
+    sigma = (sigma_px * derivative)[used]
+    weight = 1.0 / sigma
     shift = np.zeros(len(model))
     position_mm: Array | None = None
     for _ in range(3):
@@ -121,7 +121,7 @@ def _planes(
         )
         if position_mm is not None:
             depth = cameras.matrices[sensor, 1] @ np.append(position_mm, 1.0)
-            weight = 1.0 / (deviation * np.maximum(np.abs(depth), 1e-3))
+            weight = 1.0 / (sigma * np.maximum(np.abs(depth), 1e-3))
         rows = rows * weight[:, None]
         solution, _, rank, _ = np.linalg.lstsq(rows[:, :3], -rows[:, 3])
         if rank < 3:

@@ -45,7 +45,7 @@ MAX_EXCLUDED_NIS: Final = 25.0
 def without_tools(
     measurements: Measurements, observations: Iterable["ToolObservation"]
 ) -> Measurements:
-    """Return the measurements without the peaks that tools have taken; the indices stay.
+    """Return the measurements without the peaks assigned to tools; the indices stay.
 
     Args:
         measurements: the frame's peaks, shape (S, K).

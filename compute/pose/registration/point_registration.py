@@ -43,7 +43,7 @@ _MISFIT_PROBABILITY: Final = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Registration:
-    """Where a source frame, such as an image's, lies in a target frame, such as the patient's.
+    """Transform from a source frame, such as an image's, to a target frame, such as the patient's.
 
     Args:
         transform: T_target_source with its covariance; without the scale.

@@ -113,7 +113,7 @@ def _jointly_whitened(sum_of_squares: float, whitened: Sequence[Array]) -> float
 
 @dataclass(frozen=True, eq=False)
 class TrackReliability:
-    """Reliability of a tracked tool's pose, and what it was computed for.
+    """Reliability of a tracked tool's pose, cached with the readings and pose it is for.
 
     Args:
         value: the reliability.

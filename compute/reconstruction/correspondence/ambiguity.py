@@ -55,12 +55,14 @@ class ErrorEstimate:
             misfit_density: of misfits between sensors.
             predicted: of misfits to predicted points.
         """
-        doubt: Array = self._expected_false_matches(
+        error_probability: Array = self._expected_false_matches(
             candidates, misfit_density, predicted
         ) + self._foreign_peak_probability(candidates)
         # What may be anywhere fits everywhere, and proves nothing.
-        doubt[np.trace(candidates.covariance_mm2, axis1=1, axis2=2) > MAX_EXTENT_MM**2] = 1.0
-        return doubt
+        error_probability[
+            np.trace(candidates.covariance_mm2, axis1=1, axis2=2) > MAX_EXTENT_MM**2
+        ] = 1.0
+        return error_probability
 
     def _expected_false_matches(
         self, candidates: Candidates, misfit_density: MisfitDensity, predicted: MisfitDensity
@@ -90,7 +92,7 @@ class ErrorEstimate:
         return odds
 
     def _foreign_peak_probability(self, candidates: Candidates) -> Array:
-        """Return the chances that one of a candidate's peaks is not its own, which it missed.
+        """Return the probabilities that one of a candidate's peaks is another marker's.
 
         Its reading is then one of the unexplained peaks near by: as likely as those are dense,
         against the density of its innovation, by what the other sensors say.

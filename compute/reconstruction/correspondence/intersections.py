@@ -173,10 +173,10 @@ def _merged(
     merged = merged.rows(index)
     used = merged.choice >= 0
     missed = (~used & model.predict(merged.position_mm).in_view).sum(axis=1)
-    crowd = np.log(settings.detection_probability) - peaks.log_density(
+    log_clutter = np.log(settings.detection_probability) - peaks.log_density(
         settings.clutter_density_per_px
     )
-    peaks_only = merged.log_marginal + used @ crowd
+    peaks_only = merged.log_marginal + used @ log_clutter
     peaks_only += missed * settings.log_missed
     alone = np.where(used.sum(axis=1) > 3, peaks_only + log(settings.markers_per_mm3), -inf)
     if len(merged) > MAX_INTERSECTION_POINTS:

@@ -22,8 +22,8 @@ class SetPacking:
 
     Args:
         chosen: indices of the columns of the most probable set, ascending.
-        error_probability: chance that each chosen column is in no true set, in the same order.
-        cut: clusters whose sets were not all weighed; their columns have a chance of 1.
+        error_probability: probability that each chosen column is in no true set, in the same order.
+        cut: clusters whose sets were not all weighed; their columns have the probability 1.
     """
 
     chosen: tuple[int, ...]
@@ -40,16 +40,17 @@ def solve_set_packing(
 ) -> SetPacking:
     """Choose the columns with the largest sum of scores, and weigh all sets near the maximum.
 
-    A set's weight is the exponential of its sum, a column's chance the weight of the sets without
-    it over that of all. Columns that share nothing do not matter to each other, so clusters are
-    taken apart. In each, prices y of the resources that no column's score exceeds bound every set
-    (the dual of the linear programme): what a set loses against the bound is the sum of its
-    columns' margins and of the prices of what it leaves unused. Columns whose margin alone is
-    larger than the window and the best set's loss are in no set of interest; without them, most
-    clusters fall apart again. The rest is enumerated, depth first: exact, but for sets outside the
-    window, as long as there are at most ``most`` branches. If it takes more to weigh what is near
-    the best set, the linear programme without each of its columns bounds what those sets weigh. If
-    it takes more to find the best set, columns are taken by their scores and none is sure.
+    A set's weight is the exponential of its sum, a column's error probability the weight of the
+    sets without it over that of all. Columns that share nothing do not matter to each other, so
+    clusters are taken apart. In each, prices y of the resources that no column's score exceeds
+    bound every set (the dual of the linear programme): what a set loses against the bound is the
+    sum of its columns' margins and of the prices of what it leaves unused. Columns whose margin
+    alone is larger than the window and the best set's loss are in no set of interest; without them,
+    most clusters fall apart again. The rest is enumerated, depth first: exact, but for sets outside
+    the window, as long as there are at most ``max_branches`` branches. If it takes more to weigh
+    what is near the best set, the linear programme without each of its columns bounds what those
+    sets weigh. If it takes more to find the best set, columns are taken by their scores and none is
+    sure.
 
     Args:
         columns: the resources (peaks) that each uses; none twice.
@@ -162,7 +163,7 @@ def _prices(problem: PackingProblem, cluster: Sequence[int]) -> dict[int, float]
 
 @dataclass(frozen=True)
 class _WeightedSets:
-    """The sets of a part: sum of their weights, the smallest loss, its columns, their chances."""
+    """Sets of a part: sum of weights, smallest loss, its columns, each column's probability."""
 
     weight: float
     loss: float
@@ -275,7 +276,7 @@ class _Search:
         selected: tuple[int, ...],
         budget: float,
     ) -> _WeightedSets | None:
-        """Weigh what is left when a resource has been decided."""
+        """Weigh the sets of the remaining columns after a resource has been decided."""
         # Decided: full, whatever it has room for.
         full = resource
         for index in selected:

@@ -75,7 +75,7 @@ class ShadowModel:
 
 @dataclass(eq=False)
 class _State:
-    """Where the parameters of L scans have come to; all of shape (L,)."""
+    """Current parameters of the fits of L scans; all of shape (L,)."""
 
     shift: Array
     brightness: Array
@@ -84,7 +84,7 @@ class _State:
     last_step_px: Array
 
     def advance(self, model: ShadowModel, scans: NDArray[np.int64], step: Array) -> Array:
-        """Take a step of some scans' parameters, (L', K), the scale last; say what is left.
+        """Apply a step of some scans' parameters, (L', K), the scale last; bound the next.
 
         A long step is of a start far off: shortened, lest it leave the lobe. One that goes back
         is halved: in faint light steps would go to and fro for ever.

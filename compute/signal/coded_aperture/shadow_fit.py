@@ -28,7 +28,7 @@ _PIXELS_AT_ONCE: Final = 1 << 15
 
 @dataclass(frozen=True)
 class ShadowSettings:
-    """How shadows are found and fitted.
+    """Settings of the search and the fit of shadows.
 
     Args:
         fit_scale: fit the shadow's magnification too. A shadow is 1 + gap / Z as wide as the

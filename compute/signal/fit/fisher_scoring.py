@@ -105,7 +105,7 @@ def _iterate(
 
 @dataclass(frozen=True, eq=False)
 class _Step:
-    """A step of N fits, and what was known before it."""
+    """Scoring step of N fits, with the covariance and misfit at its start."""
 
     step: Array
     length2: Array
@@ -138,7 +138,7 @@ def _at_limit(log_width: Array, score: Array, *, width_known: bool) -> NDArray[n
 
 
 def _step_fraction(model: WindowModel, step: _Step, parameters: Array, last: Array) -> Array:
-    """Return the part of each step that is taken, shape (N, 1).
+    """Return the fraction of each step that is applied, shape (N, 1).
 
     Args:
         model: the model.

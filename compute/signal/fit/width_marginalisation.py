@@ -49,7 +49,7 @@ def marginalise_width(model: WindowModel, windows: Windows, solution: Solution) 
 
 @dataclass(frozen=True, eq=False)
 class _Nodes:
-    """What is known at one width of each of N fits.
+    """Fits of the other parameters at one width each, of N peaks.
 
     Args:
         parameters: the best at this width, shape (N, Q).

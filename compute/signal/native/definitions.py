@@ -1,4 +1,4 @@
-"""What the search in C++ shares with Python: constants, sizes of launches, records of peaks."""
+"""Definitions that the search in C++ shares with Python: constants, launches, peak records."""
 
 from typing import Final
 

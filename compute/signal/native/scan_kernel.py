@@ -22,7 +22,7 @@ _SEARCH: Final = (
 
 @wp.struct
 class ScanBatch:
-    """What is the same in all launches; ``search_of`` in search.h reads it.
+    """Arguments that all launches share; ``search_of`` in search.h reads them.
 
     Noise arrays have the shape (S,); scan l is of sensor l % S. ``corrections_address`` is that of
     what ``PixelCorrections.pack`` packs, or 0. ``plan_address`` is that of what ``pack_plan``

@@ -132,7 +132,7 @@ class InterpolatedBackground(Background):
     smoothing: ScanFilter | None = None
 
     def estimate_scan(self, scan: Array) -> tuple[Array, Mask]:
-        """Return the background of one scan (P,), and the pixels that it was taken from."""
+        """Return the background of one scan (P,), and the pixels that it was estimated from."""
         free = self.mask.background_mask(scan)
         pixels = np.arange(len(scan))
         bridged = np.interp(pixels, pixels[free], scan[free])

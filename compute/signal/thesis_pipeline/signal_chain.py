@@ -132,12 +132,12 @@ class SignalChain:
 
     @property
     def correction_px(self) -> float:
-        """What is subtracted from positions for the filters' delays [px]."""
+        """Sum of the filters' delays, which is subtracted from positions [px]."""
         return sum(one.correction_px for one in self._filter_sequence())
 
     @property
     def reach_px(self) -> float:
-        """How near to an end what lies beyond it weighs in, through the filters [px]."""
+        """Distance from an end within which pixels beyond it matter, by all filters [px]."""
         return sum(one.reach_px for one in self._filter_sequence())
 
     def _filter_sequence(self) -> list[ScanFilter]:

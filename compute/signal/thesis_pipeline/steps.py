@@ -37,7 +37,7 @@ class ScanFilter(ABC):
 
     @property
     def correction_px(self) -> float:
-        """What the chain subtracts from positions [px]: the shift, or zero if it is to stay."""
+        """Delay that the chain subtracts from positions [px]; zero where it is not compensated."""
         return self.delay_px if self.compensation == "delay" else 0.0
 
     @property
@@ -58,7 +58,7 @@ class Background(ABC):
     """An estimate of the light that does not come from markers."""
 
     def estimate(self, scans: ArrayLike) -> tuple[Array, NDArray[np.bool_]]:
-        """Return the background of scans (..., P), and which pixels it was taken from."""
+        """Return the background of scans (..., P), and the mask of pixels it was estimated from."""
         values = as_scans(scans)
         background, free = np.empty_like(values), np.empty(values.shape, dtype=np.bool_)
         for row in np.ndindex(values.shape[:-1]):
@@ -67,7 +67,7 @@ class Background(ABC):
 
     @abstractmethod
     def estimate_scan(self, scan: Array) -> tuple[Array, NDArray[np.bool_]]:
-        """Return the background of one scan (P,), and which pixels it was taken from."""
+        """Return the background of one scan (P,), and the mask of pixels it was estimated from."""
 
     @abstractmethod
     def adjoint(self, weights: Array, background_mask: NDArray[np.bool_]) -> Array:

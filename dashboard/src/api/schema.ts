@@ -3600,7 +3600,7 @@ export interface components {
                 number
             ][];
             result_id?: string | null;
-            recordings?: components["schemas"]["service__api__runs__self_calibration_schema__NewRecording"][] | null;
+            recordings?: components["schemas"]["service__api__runs__kinds__self_calibration_schema__NewRecording"][] | null;
             wave_capture_id?: string | null;
             /**
              * @default start
@@ -5808,7 +5808,7 @@ export interface components {
             max_duration_s?: number | null;
             max_size_bytes?: number | null;
         };
-        service__api__runs__self_calibration_schema__NewRecording: {
+        service__api__runs__kinds__self_calibration_schema__NewRecording: {
             target: components["schemas"]["WandTarget"] | components["schemas"]["BodyTarget"] | components["schemas"]["UnknownTarget"];
             poses: {
                 [key: string]: (number | null)[];

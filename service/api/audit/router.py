@@ -33,7 +33,7 @@ Outcome = Literal["done", "refused"]
 
 
 class Actor(ResponseModel):
-    """Who acted."""
+    """Key, token or local program that acted."""
 
     kind: Literal["key", "token", "local", "command", "service"] = Field(
         description="An API key, a token of the identity provider, a program on the server's own "
@@ -66,7 +66,7 @@ def _text(max_length: int, description: str) -> Any:
 
 @dataclass(frozen=True)
 class AuditFilter:
-    """Which entries are asked for: those that agree with all that is given."""
+    """Filters of audit entries; an entry must agree with all of them."""
 
     actor_id: Annotated[str | None, _text(200, "Only of this key id, subject or user.")] = None
     operation: Annotated[str | None, _text(64, "Only this operation's.")] = None

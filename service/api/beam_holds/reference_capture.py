@@ -25,7 +25,8 @@ from service.pipeline.beam_hold_monitor import (
 )
 from service.pipeline.frame_batch import FrameBatch
 from service.pipeline.pipeline_manager import PipelineManager
-from service.pipeline.taps import SingleCalibrationTap, collect
+from service.pipeline.tap_collection import collect
+from service.pipeline.taps import SingleCalibrationTap
 from service.pipeline.tracking_config import (
     Spec,
     WatchedLitMarkers,

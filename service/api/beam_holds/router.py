@@ -57,7 +57,7 @@ def list_beam_holds(
 def create_beam_hold(
     request: NewBeamHoldBody, live: LiveDep, device_service: DeviceServiceDep, response: Response
 ) -> BeamHold:
-    """Say what is watched, and how far it may move.
+    """Create a beam hold: its target, and how far that may move.
 
     The beam is held from the first: until there is a reference, and all was near it for as long
     as `settle_s`.
@@ -88,7 +88,7 @@ def change_beam_hold(
     device_service: DeviceServiceDep,
     expected: RequiredIfMatch,
 ) -> BeamHold:
-    """Change what is given; other limits or rules hold the beam, and it settles anew.
+    """Change some members; other limits or rules hold the beam, and it settles anew.
 
     What is watched never changes: delete the hold and create another.
     """
@@ -128,9 +128,9 @@ def set_beam_hold_reference(
     live: LiveDep,
     device_service: DeviceServiceDep,
 ) -> BeamHold:
-    """Measure the set-up, with the patient at rest, or take what is given.
+    """Measure the set-up, with the patient at rest, or store a given reference.
 
-    It belongs to the active calibration and table: with others in force the beam is held. A
+    It belongs to the active calibration and table: while others are active, the beam is held. A
     latch of the reference before ends with it.
     """
     from service.api.beam_holds.reference_capture import capture_reference

@@ -125,7 +125,7 @@ Watch = Annotated[
 
 
 class Limits(RequestModel):
-    """How far all may move from the reference; at least one of the first three is needed."""
+    """Largest motion from the reference; at least one of the first three is needed."""
 
     shift_mm: ShiftLimit = None
     axis_mm: AxisLimits = None
@@ -135,7 +135,7 @@ class Limits(RequestModel):
 
 
 class Rules(RequestModel):
-    """When a hold begins and ends, whatever is measured."""
+    """Timing rules of the begin and end of a beam hold."""
 
     max_gap_s: MaxGap = _RULES.max_gap_ns * 1e-9
     settle_s: SettlingTime = _RULES.settle_ns * 1e-9
@@ -161,7 +161,7 @@ class RulesChange(RequestModel):
 
 
 class ReferenceInput(RequestModel):
-    """How all is to be, known otherwise: a tool's pose, or the places of markers."""
+    """Reference from elsewhere: a tool's pose, or the positions of markers."""
 
     rotation: Matrix3 | None = Field(default=None, description="R_world_tool, row by row.")
     translation_mm: Position | None = Field(
@@ -193,7 +193,7 @@ class NewBeamHold(RequestModel):
 
 
 class BeamHoldChange(RequestModel):
-    """What may be changed; what is left out stays as it is. What is watched never changes."""
+    """Changes of a beam hold; members left out stay. Its target never changes."""
 
     title: Text200 = absent()
     limits: LimitsChange = absent()
@@ -202,7 +202,7 @@ class BeamHoldChange(RequestModel):
 
 
 class NewReference(RequestModel):
-    """What the set-up is: measured now, or given."""
+    """Request of a reference: measured now, or given."""
 
     frames: Annotated[int, Field(ge=10, le=5000)] = Field(
         default=100,
@@ -222,7 +222,7 @@ class NewReference(RequestModel):
 
 
 class Reference(ResponseModel):
-    """How all was at set-up."""
+    """Reference of a beam hold: the pose or the positions at set-up."""
 
     id: str = Field(description="Another for each reference that was taken.")
     kind: Literal["given", "captured"]
@@ -259,7 +259,7 @@ class BeamHold(ResponseModel):
 
 
 class BeamHoldStatus(ResponseModel):
-    """Whether the beam is held now, and why."""
+    """State of a beam hold, with its cause."""
 
     hold_id: str
     device_id: str

@@ -36,8 +36,8 @@ _POINTS = TypeAdapter(list[ControlPoint])
 
 
 @dataclass(frozen=True)
-class Outcome:
-    """What a run yields.
+class CalibrationRecord:
+    """A finished calibration, with the JSON that is stored of it.
 
     Args:
         result: the calibration.
@@ -55,7 +55,9 @@ class Outcome:
         return content_hash(self.content)
 
 
-def run_calibration(request: NewCalibration, sensors: Sequence[SensorDescription]) -> Outcome:
+def run_calibration(
+    request: NewCalibration, sensors: Sequence[SensorDescription]
+) -> CalibrationRecord:
     """Calibrate within a request.
 
     Raises:
@@ -70,16 +72,16 @@ def run_calibration(request: NewCalibration, sensors: Sequence[SensorDescription
             f"distortion none and labels off, with exact points and the linear loss",
             points=len(request.points),
         )
-    return calibration_outcome(no_progress, request.device_id, request.points, sensors, settings)
+    return calibration_record(no_progress, request.device_id, request.points, sensors, settings)
 
 
-def calibration_outcome(
+def calibration_record(
     progress: Progress,
     device_id: str,
     given: list[ControlPoint],
     sensors: Sequence[SensorDescription],
     settings: CalibrationSettings,
-) -> Outcome:
+) -> CalibrationRecord:
     """Calibrate, and reconstruct the control points with the result and without each point.
 
     Args:
@@ -107,7 +109,7 @@ def calibration_outcome(
         blocks_left_out=left_out.get("blocks"),
     )
     content = calibration_content(device_id, "fitted", given, result)
-    return Outcome(result, content, errors.model_dump(mode="json"))
+    return CalibrationRecord(result, content, errors.model_dump(mode="json"))
 
 
 def control_arrays(

@@ -65,7 +65,7 @@ class ParameterDifference:
 
 @dataclass(frozen=True)
 class PositionDifferences:
-    """What the second calibration makes of readings that the first explains exactly.
+    """Differences of positions by two calibrations from the same readings.
 
     Args:
         points: positions on a grid over the control points' box.

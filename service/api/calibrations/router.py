@@ -78,12 +78,12 @@ def create_calibration(request: NewCalibrationBody, database: DatabaseDep) -> JS
     with database.read() as session:
         sensors = sensors_of_row(get_device(session, request.device_id))
         store.CALIBRATIONS.check_unused(session, request.id)
-    outcome = run_calibration(request, sensors)
+    record = run_calibration(request, sensors)
     with database.write() as session:
         # The run held no lock: the device may have been given other sensors meanwhile.
         device = get_device(session, request.device_id, lock=True)
         check_sensors(device.id, sensors_of_row(device), sensors)
-        row = store.add_calibration(session, request.device_id, outcome, request.note, request.id)
+        row = store.add_calibration(session, request.device_id, record, request.note, request.id)
         made = store.document(session, row)
     location = {"Location": f"/api/v1/calibrations/{made['id']}"}
     return JSONResponse(made, 201, location)

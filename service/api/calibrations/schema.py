@@ -91,7 +91,7 @@ class ControlPoint(RequestModel):
 
 
 class CalibrationOptions(RequestModel):
-    """How a device is calibrated; the members of CalibrationSettings as clients give them."""
+    """Settings of a calibration, as clients give them."""
 
     distortion: GivenDistortion = Field(
         default="auto",
@@ -154,7 +154,7 @@ class LengthErrors(ResponseModel):
 
 
 class ControlPointErrors(ResponseModel):
-    """How well a calibration reproduces its control points, or the lengths of a waved target."""
+    """Errors of a calibration at its control points, or of the lengths of a waved target."""
 
     fitted: PointErrors | None = Field(description="The points that made it; null without any.")
     leave_one_out: PointErrors | None = Field(

@@ -10,7 +10,7 @@ from sqlalchemy.orm import Session
 
 from service.api.base_models import from_attributes
 from service.api.calibrations.calibration_content import (
-    Outcome,
+    CalibrationRecord,
     observations,
     optional_rows,
     result_of,
@@ -73,19 +73,23 @@ def calibrations(device_id: str | None, state: State | None) -> Select[Calibrati
 
 
 def add_calibration(
-    session: Session, device_id: str, outcome: Outcome, note: str, calibration_id: str | None = None
+    session: Session,
+    device_id: str,
+    record: CalibrationRecord,
+    note: str,
+    calibration_id: str | None = None,
 ) -> CalibrationRow:
     """Store a calibration; it is available, not active. Raises CalibrationExists."""
     row = CalibrationRow(
         id=calibration_id or f"cal-{secrets.token_hex(8)}",
         device_id=device_id,
-        method=outcome.result.method,
-        provenance=outcome.content["provenance"],
+        method=record.result.method,
+        provenance=record.content["provenance"],
         note=note,
-        point_count=len(outcome.content["points"]),
-        content=outcome.content,
-        errors=outcome.errors,
-        content_hash=outcome.content_hash,
+        point_count=len(record.content["points"]),
+        content=record.content,
+        errors=record.errors,
+        content_hash=record.content_hash,
         created_at=datetime.now(UTC),
         retired_at=None,
     )

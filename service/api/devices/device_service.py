@@ -120,7 +120,7 @@ class DeviceService:
                 changed = store.document(session, row)
                 tracked = self._stored.tracking_config(session, row)
             if "tracking" in change.model_fields_set:
-                self._follow(device_id, tracked)
+                self._apply_tracking_config(device_id, tracked)
             return changed
 
     def delete(self, device_id: str, expected: Precondition, *, cascade: bool) -> None:
@@ -256,9 +256,9 @@ class DeviceService:
                 device = store.get_device(session, device_id, lock=True)
                 yield session
                 tracked = self._stored.tracking_config(session, device)
-            self._follow(device_id, tracked)
+            self._apply_tracking_config(device_id, tracked)
 
-    def _follow(self, device_id: str, tracked: TrackingConfig) -> None:
+    def _apply_tracking_config(self, device_id: str, tracked: TrackingConfig) -> None:
         try:
             self._live.set_tracking_config(device_id, tracked)
         except Exception:  # noqa: BLE001 - committed: an error would say that it was not
@@ -271,7 +271,7 @@ class DeviceService:
             rows = session.scalars(having.order_by(DeviceRow.id)).all()
             known = [(row.id, self._stored.tracking_config(session, row)) for row in rows]
         for device_id, tracked in known:
-            self._follow(device_id, tracked)
+            self._apply_tracking_config(device_id, tracked)
 
     def autostart(self, *also: str) -> None:
         """Start all devices that say so, and these; one that fails keeps no other waiting."""

@@ -1,4 +1,4 @@
-"""REST resource /api/v1/devices: routes only; device_service does what they ask for."""
+"""REST resource /api/v1/devices: routes only; device_service does the work."""
 
 from typing import Annotated, Any, Final
 
@@ -203,7 +203,7 @@ def roll_back_device(
 def list_activations(
     device_id: DevicePath, database: DatabaseDep, paging: PagingDep
 ) -> Page[Activation]:
-    """Which calibration and table were in use since when, newest first; nothing is removed."""
+    """History of the active calibration and table, newest first; nothing is removed."""
     with database.read() as session:
         store.get_device(session, device_id)
         return page_of(

@@ -116,7 +116,7 @@ class NewDevice(RequestModel):
 
 
 class DeviceChange(RequestModel):
-    """What may be changed of a device; a field left out stays as it is, of `tracking` too."""
+    """Changes of a device; a field left out stays as it is, of `tracking` too."""
 
     title: Text200 = absent()
     source: Source = absent()
@@ -150,7 +150,7 @@ class Device(ResponseModel):
 
 @dataclass(frozen=True, kw_only=True)
 class DeviceStateDocument(DeviceStatus):
-    """What a device is doing."""
+    """State and counters of a device."""
 
     device_id: str
 

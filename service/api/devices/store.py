@@ -272,7 +272,7 @@ def radiometric_activations(device_id: str) -> Select[RadiometricActivationRow]:
 
 @dataclass(frozen=True)
 class Target:
-    """What a pointer points to.
+    """Calibration and correction table that become active.
 
     Args:
         calibration_id: the calibration.

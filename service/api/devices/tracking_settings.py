@@ -62,7 +62,7 @@ class Blinking(RequestModel):
 
 
 class Tracking(RequestModel):
-    """How the markers and tools of a running device are tracked; all has defaults."""
+    """Settings of tracking markers and tools of a running device; all have defaults."""
 
     tracks: Literal["never", "with-tools", "always"] = Field(
         default="never",

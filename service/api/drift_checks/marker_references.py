@@ -28,7 +28,7 @@ def resolve_stationary_markers(
     sensors: list[Sensor],
     given: StationaryMarkersRequest,
 ) -> list[StationaryMarker]:
-    """Return the markers with what they are compared with.
+    """Return the markers with their reference positions or earlier readings.
 
     Args:
         session: the session.

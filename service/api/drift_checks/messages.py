@@ -23,7 +23,7 @@ def moved_sensors(check: DriftCheck) -> list[str]:
 
 
 def in_words(check: DriftCheck) -> list[str]:
-    """Return what was found, a sentence each."""
+    """Return the findings of a drift check, a sentence each."""
     chance = f"{check.dof} readings, chi2 {check.chi2:.4g}, p {check.p_value:.2g}"
     verdict = verdict_of(check)
     if verdict == "good":

@@ -13,7 +13,7 @@ from service.api.drift_checks import store
 from service.api.drift_checks.examples import NEW_DRIFT_CHECKS
 from service.api.drift_checks.marker_references import resolve_stationary_markers
 from service.api.drift_checks.schema import DriftCheckDocument, DriftCheckSummary, NewDriftCheck
-from service.api.drift_checks.stationary_markers import still_set
+from service.api.drift_checks.stationary_markers import marker_arrays
 from service.api.inputs import (
     CalibrationPath,
     DatabaseDep,
@@ -47,7 +47,7 @@ def create_drift_check(
     webhooks: WebhooksDep,
     response: Response,
 ) -> DriftCheckDocument:
-    """Compare what is read of still markers with what the calibration expects, within both errors.
+    """Test readings of stationary markers against the calibration, within both errors.
 
     The verdict says which sensors moved, and how, and is kept in the device's history. Correction
     tables take no part. A calibration that does not hold is brought up to date by an update run.
@@ -61,7 +61,7 @@ def create_drift_check(
         result = result_of(calibration.content)
         check_sensors(calibration.device_id, sensors, result.models)
         markers = resolve_stationary_markers(session, calibration, sensors, request)
-    found = check_drift(result, still_set(markers, sensors, result, request.position_sigma_mm))
+    found = check_drift(result, marker_arrays(markers, sensors, result, request.position_sigma_mm))
     with database.write() as session:
         calibration = get_calibration(session, calibration_id)
         get_device(session, calibration.device_id, lock=True)

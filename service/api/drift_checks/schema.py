@@ -32,7 +32,7 @@ class StationaryMarker(StationaryPoint):
 
 
 class StationaryMarkersRequest(RequestModel):
-    """Still markers read again, and what they are compared with."""
+    """Stationary markers measured again, and their references."""
 
     points: Annotated[list[StationaryPoint], Field(min_length=1, max_length=MAX_MARKERS)] | None = (
         Field(default=None, description="Give these, or `capture_id`.")
@@ -66,7 +66,7 @@ class NewDriftCheck(StationaryMarkersRequest):
 
 
 class DriftCheckSummary(ResponseModel):
-    """A drift check and what it found."""
+    """A drift check and its findings."""
 
     id: str
     device_id: str

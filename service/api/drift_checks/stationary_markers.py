@@ -26,15 +26,15 @@ class _Earlier:
     readings: dict[str, float | Reading]
 
 
-def still_set(
+def marker_arrays(
     markers: Sequence[StationaryMarker],
     sensors: Sequence[SensorDescription],
     calibration: Calibration,
     position_sigma_mm: float,
 ) -> StationaryMarkers:
-    """Return the markers for the computation, compared with earlier readings where they have any.
+    """Return markers as arrays, with their earlier readings or their positions as reference.
 
-    Readings without a deviation take the calibration's.
+    Readings without a standard deviation take the calibration's.
 
     Args:
         markers: all of them with earlier readings, or all of them with positions.

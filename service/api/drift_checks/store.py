@@ -43,7 +43,7 @@ def add_drift_check(
     markers: list[StationaryMarker],
     found: DriftCheck,
 ) -> DriftCheckRow:
-    """Store what was found; raises DriftCheckExists."""
+    """Store a drift check; raises DriftCheckExists."""
     row = DriftCheckRow(
         id=request.id or f"drift-{secrets.token_hex(8)}",
         device_id=calibration.device_id,

@@ -22,7 +22,7 @@ def table_from_recording(
     done: Callable[[int], None] = lambda _: None,
     tracking: Tracking | None = None,
 ) -> MotionTable:
-    """Return what was found, or is found now, in a recording's frames.
+    """Return the results of a recording's frames, stored or computed now.
 
     From the peaks that were found live, where they were recorded, else from the lines: both give
     the same bits.

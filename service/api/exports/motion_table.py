@@ -103,7 +103,7 @@ NO_TRACKS: Final = TrackRows(
 
 @dataclass(frozen=True, eq=False)
 class MotionTable:
-    """F frames of one device, and what was found in them.
+    """Points, tracks and poses of F frames of one device.
 
     Args:
         device: its name.

@@ -49,7 +49,7 @@ def list_exports(exports: ExportsDep, database: DatabaseDep, paging: PagingDep) 
 @router.operation("GET /exports/{export_id}", "get-export", "Read about an export")
 @raises("unknown-export")
 def get_export(export_id: ExportPath, exports: ExportsDep, database: DatabaseDep) -> Export:
-    """What an export is of, its format and its size."""
+    """Source, format and size of an export."""
     _, found = exports.find(export_id)
     with database.read() as session:
         return _with_run(session, found)

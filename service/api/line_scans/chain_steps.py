@@ -75,7 +75,7 @@ Filter = Annotated[Median | Butterworth | Fir, Field(discriminator="kind")]
 
 @checked_dataclass(frozen=True, config=STRICT)
 class Mask(PeakMask):
-    """Which pixels are peaks."""
+    """Mask of the pixels of peaks, for the background."""
 
     degree: Degree = PeakMask.degree
     above_sigma: Above = PeakMask.above_sigma

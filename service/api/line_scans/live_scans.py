@@ -20,7 +20,7 @@ from service.pipeline.active_calibration import ActiveCalibration
 from service.pipeline.detection_stage import SearchModel
 from service.pipeline.frame_batch import FrameBatch
 from service.pipeline.pipeline_manager import PipelineManager
-from service.pipeline.taps import collect
+from service.pipeline.tap_collection import collect
 from service.problems.errors import DeviceNotRunning
 
 TIMEOUT_S: Final = 5.0

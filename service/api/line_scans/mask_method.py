@@ -22,7 +22,7 @@ from service.problems.errors import UnknownDeviceProfile
 MAX_CELLS: Final = 65536
 MAX_SENSORS: Final = 64
 
-Chance = Annotated[float, Field(ge=1e-15, le=0.5)]
+Probability = Annotated[float, Field(ge=1e-15, le=0.5)]
 Place = Annotated[int, Field(ge=-MAX_PIXELS, le=MAX_PIXELS)]
 
 
@@ -95,9 +95,9 @@ class MaskMethod(ShadowSettings):
         bool,
         Field(description="Fit: for markers at other distances, whose shadows are larger."),
     ] = ShadowSettings.fit_scale
-    false_alarms_per_line: Chance = ShadowSettings.false_alarms_per_line
-    ambiguity_probability: Chance = ShadowSettings.ambiguity_probability
-    misfit_probability: Chance = ShadowSettings.misfit_probability
+    false_alarms_per_line: Probability = ShadowSettings.false_alarms_per_line
+    ambiguity_probability: Probability = ShadowSettings.ambiguity_probability
+    misfit_probability: Probability = ShadowSettings.misfit_probability
 
     @model_validator(mode="after")
     def _one_source(self) -> Self:

@@ -46,7 +46,7 @@ class CentroidMethod(CentroidSettings):
 
 @checked_dataclass(frozen=True, config=STRICT)
 class FitSearch(CentroidSettings):
-    """How candidates for fits are found."""
+    """Search for the candidates of fits."""
 
     threshold_fraction: Fraction = _SEARCH.threshold_fraction
     detection_sigma: Sigmas = _SEARCH.detection_sigma

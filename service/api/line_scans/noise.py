@@ -17,7 +17,7 @@ Scans = NDArray[np.uint16]
 
 @dataclass(frozen=True)
 class NoiseConstants:
-    """What is known where the gain and the read noise are not; None: nothing.
+    """Offset and full scale of a sensor whose gain and read noise are not known; None: not known.
 
     Args:
         offset_counts: the count without light.

@@ -219,7 +219,7 @@ _ABSENT: Final[dict[str, Any]] = dict.fromkeys(
 def _scan(
     lines: Scans, noise: PixelNoise, index: int, peaks: list[LinePeak], **known: Any
 ) -> LineScan:
-    """Return the answer for one line, or for averaged ones; what is not known of it is null.
+    """Return the answer for one line, or for averaged ones; unknown values are null.
 
     Levels are those of the first line; a pixel counts as saturated where it is in any.
     """

@@ -28,7 +28,7 @@ _HALF_PX: Final = 7.0
 
 @dataclass(frozen=True, eq=False)
 class Panel:
-    """What one panel shows.
+    """One panel of a plot: its pixels, peaks and fit.
 
     Args:
         first_px, last_px: its pixels.

@@ -102,7 +102,7 @@ def find_peaks_of_scans(request: NewLineScansBody, profile: ProfileFinder) -> Re
 def draw_peaks_of_scan(
     request: NewLineScansBody, profile: ProfileFinder, scan: ScanQuery = 0
 ) -> Response:
-    """One of the scans as a picture (PNG): its peaks, and what was fitted to them."""
+    """One of the scans as a picture (PNG): its peaks and their fits."""
     # Matplotlib is loaded by who wants a picture.
     from service.api.line_scans.plot import draw_scan
 

@@ -146,7 +146,7 @@ class Stage(ResponseModel):
 
 
 class LineScan(ResponseModel):
-    """What was found in one line."""
+    """Peaks of one line scan."""
 
     index: int = Field(description="Its number; of averaged scans the first.")
     sensor: str | None = Field(default=None, description="Of a recording; null for posted scans.")
@@ -181,7 +181,7 @@ class LineScan(ResponseModel):
 
 
 class LineScans(ResponseModel):
-    """What was found in scans."""
+    """Peaks of line scans."""
 
     method: MethodName
     noise: PixelNoise = Field(description="As given, or as guessed.")

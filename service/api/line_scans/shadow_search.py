@@ -19,7 +19,7 @@ Scans = NDArray[np.uint16]
 
 @dataclass(frozen=True, eq=False)
 class Shadow:
-    """What was read in one line.
+    """Search for the shadow in one line.
 
     Args:
         peaks: of one line, the shadow or none.

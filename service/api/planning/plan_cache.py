@@ -34,7 +34,7 @@ class ResultCache(Generic[Result]):
         self._lock = Lock()
 
     def get(self, key: Hashable, work: Callable[[], Result]) -> Result:
-        """Return what was worked out under a key, or work it out.
+        """Return the cached result of a key, or compute it.
 
         Raises:
             Busy: as many are being computed as may be.

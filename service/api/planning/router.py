@@ -85,7 +85,7 @@ def create_device_profile(
 @router.operation("POST /profile-plans", "plan-profile", "Plan a device that is not kept")
 @raises("invalid-parameter", "busy")
 def plan_profile(request: PlanBody) -> Plan:
-    """What a device of the profile that you send would reach; nothing is stored.
+    """Plan a device of the profile that you send; nothing is stored.
 
     Takes seconds, longer for a finer grid; the same again comes at once.
     """
@@ -106,7 +106,7 @@ def get_device_profile(profile_id: ProfilePath, profiles_dir: ProfilesDir) -> De
 @router.operation("GET /device-profiles/{profile_id}/plan", "get-plan", "Plan a device")
 @raises("unknown-device-profile", "invalid-parameter", "busy")
 def get_plan(profile_id: ProfilePath, profiles_dir: ProfilesDir, grid: GridQuery = 3) -> Plan:
-    """What the device reaches over its working volume: accuracy, coverage, rates, ghosts.
+    """Expected accuracy, coverage, rates and ghosts over the device's working volume.
 
     The first answer takes seconds, longer for a finer grid; the same again comes at once.
     """

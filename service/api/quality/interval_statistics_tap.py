@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 @dataclass
 class IntervalSums:
-    """What was seen with one calibration and table.
+    """Sums over an interval with one calibration and table.
 
     Args:
         calibration_id: of the calibration.
@@ -90,14 +90,14 @@ class IntervalStatisticsTap:
         """Do nothing: the batches say what they were made with."""
 
     def take(self) -> list[IntervalSums]:
-        """Return what was seen since the last call, a part for each calibration and table."""
+        """Return the sums since the last call, one for each calibration and table."""
         with self._lock:
             done, now = self._done, self._now
             self._done, self._now = [], None
         return done if now is None else [*done, now]
 
     def put_back(self, sums: list[IntervalSums]) -> None:
-        """Have what could not be stored taken again."""
+        """Return sums that could not be stored to the next call of ``take``."""
         with self._lock:
             self._done = [*sums, *self._done]
 

@@ -131,7 +131,7 @@ def delete_quality_check(quality_check_id: CheckPath, database: DatabaseDep) -> 
 )
 @raises("unknown-device")
 def get_quality(device_id: DevicePath, database: DatabaseDep) -> Quality:
-    """Control charts of all that was watched and checked with what is active, and what to do."""
+    """Control charts of watching and checks with the active calibration, and recommendations."""
     with database.read() as session:
         get_device(session, device_id)
         return quality(session, device_id)

@@ -10,7 +10,7 @@ from compute.quality.accuracy import PointToPoint, SinglePoint, point_to_point, 
 from service.api.quality.point_tap import PointTap, check_strobed
 from service.api.quality.schema import NewPointToPoint, NewSinglePoint
 from service.pipeline.pipeline_manager import PipelineManager
-from service.pipeline.taps import collect
+from service.pipeline.tap_collection import collect
 
 _GAPS: Final = 2.5
 """Positions of a marker are interpolated over one of its exposures that is missing, not more."""
@@ -18,7 +18,7 @@ _GAPS: Final = 2.5
 
 @dataclass(frozen=True)
 class CheckMeasurement:
-    """What a check measured, and with what."""
+    """Result of a quality check, with the calibration and table that it was measured with."""
 
     calibration_id: str
     table_id: str | None

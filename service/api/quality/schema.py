@@ -65,7 +65,7 @@ class NewQualityCheck(
 
 
 class QualityCheck(ResponseModel):
-    """What a quality check measured."""
+    """Result of a quality check."""
 
     id: str
     device_id: str
@@ -89,7 +89,7 @@ class ReferenceMarker(RequestModel):
 
 
 class WatchSettings(RequestModel):
-    """How a device's drift is watched."""
+    """Settings of watching a device's drift."""
 
     interval_s: Annotated[float, Field(ge=10, le=86400)] = Field(
         default=600.0, description="How much time one value of the charts sums up."
@@ -100,7 +100,7 @@ class WatchSettings(RequestModel):
 
 
 class WatchSample(ResponseModel):
-    """What was seen of a running device in one interval."""
+    """Statistics of a running device over one interval."""
 
     device_id: str
     calibration_id: str
@@ -144,7 +144,7 @@ class Chart(ResponseModel):
 
 
 class Quality(ResponseModel):
-    """How a device does with what is active now, and what to do about it."""
+    """Quality of a device with its active calibration, and the recommended action."""
 
     device_id: str
     calibration_id: str | None

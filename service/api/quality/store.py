@@ -37,7 +37,7 @@ def add_check(
     asked: NewSinglePoint | NewPointToPoint,
     measured: CheckMeasurement,
 ) -> QualityCheckRow:
-    """Store what was measured; raises QualityCheckExists."""
+    """Store a quality check; raises QualityCheckExists."""
     result = asdict(measured)
     row = QualityCheckRow(
         id=asked.id or f"quality-{secrets.token_hex(8)}",

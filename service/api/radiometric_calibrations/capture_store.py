@@ -136,7 +136,7 @@ def captured_frames(
     temperature_c: float | None,
     relative_light: float | None,
 ) -> CapturedFrames:
-    """Return what clients are told of a capture."""
+    """Return the document of a capture."""
     return CapturedFrames(
         name=name,
         kind=kind,

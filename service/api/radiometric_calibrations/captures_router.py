@@ -29,7 +29,7 @@ from service.api.radiometric_calibrations.schema import (
     RadiometricCapture,
     RadiometricCaptureSettings,
 )
-from service.pipeline.taps import collect
+from service.pipeline.tap_collection import collect
 
 router = ResourceRouter("/api/v1/radiometric-captures", "radiometric-calibrations")
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from compute.errors import InvalidParameter
 from compute.signal.bad_pixel_monitor import masking_calibration
-from compute.signal.fit.line_shape_estimate import estimate_line_shape
+from compute.signal.fit.line_spread_estimate import estimate_line_spread
 from compute.signal.pixel_corrections import PixelCorrections, calibrated_noise
 from compute.signal.radiometric_calibration import RadiometricCalibration
 from compute.signal.sensor_noise import SensorNoise
@@ -67,7 +67,7 @@ def with_line_shapes(
             corrections = PixelCorrections.of([own], sensor.pixels)
             noise = calibrated_noise([own], SensorNoise.of(1.0, 0.0))
             scans = np.ascontiguousarray(lines[:, number])
-            shape = estimate_line_shape(scans, FREE_WIDTH_FIT, noise, corrections)
+            shape = estimate_line_spread(scans, FREE_WIDTH_FIT, noise, corrections)
         except InvalidParameter as error:
             raise InvalidParameter(
                 f"sensor {sensor.name}: {error.detail}", sensor=sensor.name

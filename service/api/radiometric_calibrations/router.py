@@ -190,7 +190,7 @@ def deactivate_radiometric_calibration(
 def list_radiometric_activations(
     device_id: DevicePath, database: DatabaseDep, paging: PagingDep
 ) -> Page[RadiometricActivation]:
-    """Which radiometric calibration was in use since when, newest first; nothing is removed."""
+    """History of the active radiometric calibration, newest first; nothing is removed."""
     with database.read() as session:
         get_device(session, device_id)
         return page_of(

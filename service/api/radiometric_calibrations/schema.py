@@ -28,7 +28,7 @@ Temperature = Annotated[float, Field(ge=-100.0, le=200.0, description="Of the se
 
 
 class RadiometricCaptureSettings(RequestModel):
-    """How dark and flat frames are captured."""
+    """Settings of capturing dark and flat frames."""
 
     frames: int = Field(default=128, ge=MIN_CAPTURES, le=MAX_FRAMES, description="Of each capture.")
     levels: int = Field(
@@ -52,7 +52,7 @@ class NewRadiometricCapture(NewCaptureSession):
 
 
 class CapturedLevel(ResponseModel):
-    """What one sensor read in a capture."""
+    """Counts of one sensor in a capture."""
 
     sensor: str
     mean_counts: float = Field(description="Median over the pixels of their mean counts.")
@@ -142,7 +142,7 @@ class FromScans(RequestModel):
 
 
 class FromDocument(RequestModel):
-    """Store what was estimated elsewhere, by `lumiline radiometric-calibration estimate`."""
+    """A calibration estimated elsewhere, by `lumiline radiometric-calibration estimate`."""
 
     kind: Literal["document"]
     sensors: Annotated[dict[Name, dict[str, Any]], Field(min_length=1, max_length=64)] = Field(

@@ -1,4 +1,4 @@
-"""What radiometric calibrations are estimated from: captures, recordings, scans, documents."""
+"""Sources of radiometric calibrations: captures, recordings, scans, documents."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path

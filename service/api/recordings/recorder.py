@@ -45,7 +45,7 @@ class Recorder:
 
     @property
     def status(self) -> WriterStatus:
-        """What is safe in the file, its size, and why it ended; None: it goes on."""
+        """Frames safe in the file, its size, and why it ended; None: it goes on."""
         return self._feed.status
 
     @property
@@ -105,7 +105,7 @@ class Recorder:
 
 @dataclass(frozen=True)
 class WriteCounters:
-    """What was recorded of a device.
+    """Recording counters of a device.
 
     Args:
         open: recordings that are being written.

@@ -197,7 +197,7 @@ class RecordingManager:
             self._failed.pop(name, None)
 
     def written(self) -> dict[str, WriteCounters]:
-        """Return by device what was recorded since the server's start."""
+        """Return the recording counters of each device since the server's start."""
         with self._lock:
             found = dict(self._past)
             for recorder in self._active.values():

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class _CachedDocument:
-    """What was read of a file, and of which state of the file it is."""
+    """Description read from a file, with the state of the file that it is of."""
 
     inode: int
     size: int

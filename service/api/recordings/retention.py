@@ -27,7 +27,7 @@ RECENT: Final = timedelta(hours=1)
 
 @dataclass(frozen=True)
 class RetentionLimits:
-    """How long recordings are kept; None: without limit.
+    """Limits of age and size of kept recordings; None: without limit.
 
     Args:
         max_age: since a file was last changed.
@@ -44,7 +44,7 @@ class RetentionLimits:
 
 @dataclass(frozen=True)
 class RetentionState:
-    """What the checks have done since the server's start, and what the last one found.
+    """Deletions since the server's start, and the result of the last check.
 
     Args:
         checked_at: when the last one was; None: none yet.
@@ -103,7 +103,7 @@ class RecordingRetention:
 
     @property
     def state(self) -> RetentionState:
-        """What was done."""
+        """Deletions so far, and the last check."""
         with self._lock:
             return self._state
 
@@ -140,7 +140,7 @@ class RecordingRetention:
             self._ended.wait(INTERVAL_S)
 
     def check(self) -> None:
-        """Delete what is over a limit and nothing holds; checks follow one another."""
+        """Delete recordings over a limit that nothing uses; one check at a time."""
         with self._checking:
             self._check()
 

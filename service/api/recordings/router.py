@@ -200,7 +200,7 @@ def get_recorded_scans(
 @router.operation("GET /recordings/{recording_id:path}", "get-recording", "Read about a recording")
 @raises("unknown-recording")
 def get_recording(recording_id: BegunPath, recordings: RecordingsDep) -> RecordingDetail:
-    """What is in a recording, what was lost on the way, and why it ended."""
+    """Content of a recording, its losses, and why it ended."""
     return recordings.get(recording_id)
 
 

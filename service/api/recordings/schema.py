@@ -14,7 +14,7 @@ State = Literal["recording", "complete", "incomplete", "failed", "unreadable"]
 
 
 class NewRecording(RequestModel):
-    """What is to be recorded, and until when."""
+    """Request of a recording: its content, and when it ends."""
 
     id: Annotated[str, StringConstraints(max_length=100, pattern=NAME_PATTERN)] | None = Field(
         default=None, description="File name, ending in .h5; null: device and time."
@@ -99,7 +99,7 @@ class RecordedPoint(ResponseModel):
 
 
 class RecordedFrame(ResponseModel):
-    """One frame of a recording, with what was found in it."""
+    """One frame of a recording, with its points."""
 
     number: int = Field(description="Its place in the recording, from 0.")
     sequence: int = Field(description="The device's number of the exposure.")
@@ -121,13 +121,13 @@ class RecordedFrames(ResponseModel):
 
 
 class RecordingDetail(RecordingDocument):
-    """A recording with what its results were made with."""
+    """A recording with the calibrations of its results."""
 
     calibrations: list[UsedCalibration]
 
 
 class RetentionDocument(ResponseModel):
-    """How long recordings are kept, and what was deleted. What is null is without limit."""
+    """Retention of recordings: limits, where null is none, and deletions."""
 
     max_age_s: float | None = Field(
         description="Since a file was last changed; setting `recording_max_age_days`."

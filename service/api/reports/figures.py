@@ -135,7 +135,7 @@ def residuals_histogram(content: ReportContent) -> Figure | None:
 
 
 def coverage(content: ReportContent) -> Figure | None:
-    """Where the control points lie on the pixels, in the field, in depth, for each sensor."""
+    """Draw the control points on the pixels, in the field and in depth, for each sensor."""
     if not len(content.points_mm):
         return None
     count = len(content.sensors)

@@ -11,12 +11,12 @@ from service.api.devices.schema import Sensor, check_sensors
 from service.api.drift_checks.marker_references import resolve_stationary_markers
 from service.api.drift_checks.schema import StationaryMarker
 from service.api.drift_checks.store import DRIFT_CHECKS, markers_of
-from service.api.runs.schema import NewUpdateRun
-from service.api.runs.self_calibration_schema import (
+from service.api.runs.kinds.self_calibration_schema import (
     NewRecording,
     NewSelfCalibrationRun,
     recording_of_wave,
 )
+from service.api.runs.schema import NewUpdateRun
 from service.api.wave_captures.store import captured_recording
 from service.database.models import CalibrationRow
 from service.problems.errors import CalibrationOfAnotherDevice, NoActiveCalibration

@@ -27,6 +27,7 @@ from service.api.runs.kinds import calibration, export, mapping, self_calibratio
 from service.api.runs.kinds.calibration import Request as CalibrationRequest
 from service.api.runs.kinds.mapping import Request as MappingRequest
 from service.api.runs.kinds.self_calibration import Request as SelfCalibrationRequest
+from service.api.runs.kinds.self_calibration_schema import NewSelfCalibrationRun
 from service.api.runs.kinds.update import Request as UpdateRequest
 from service.api.runs.references import (
     resolve_calibration,
@@ -41,7 +42,6 @@ from service.api.runs.schema import (
     Run,
     run_document,
 )
-from service.api.runs.self_calibration_schema import NewSelfCalibrationRun
 from service.database.models import DeviceRow
 from service.jobs import store
 from service.jobs.store import Kind

@@ -50,7 +50,7 @@ class CreatedApiKey(ApiKey):
 
 
 class RequestPrincipal(ResponseModel):
-    """Who makes the request, and what that one may do."""
+    """Principal of the request, with its scopes."""
 
     kind: Kind = Field(
         description="An API key, a token of the identity provider, or a program on the server's "

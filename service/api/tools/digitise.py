@@ -18,7 +18,7 @@ from service.api.tools.pose_query import Frame
 from service.api.tools.pose_taps import TipTap
 from service.api.tools.tip_limit import TipLimit
 from service.pipeline.pipeline_manager import PipelineManager
-from service.pipeline.taps import collect
+from service.pipeline.tap_collection import collect
 from service.problems.errors import CalibrationSwitched, NoActiveCalibration, NoObservation
 
 Array = NDArray[np.float64]
@@ -60,7 +60,7 @@ def digitise_point(
     rate = session.description.frame_rate_hz or 0.0
     gap_s = max(_MIN_GAP_S, _GAP_FRAMES / rate) if rate > 0.0 else _MIN_GAP_S
     waiting = _Digitiser(pointer, frame, asked, gap_s)
-    collect(live, session, waiting.tap, asked.timeout_s, waiting.tap.ended, waiting.look)
+    collect(live, session, waiting.tap, asked.timeout_s, waiting.tap.ended, waiting.poll)
     calibration, table = waiting.tap.active_ids or ("", None)
     if calibration is None:
         raise NoActiveCalibration(
@@ -103,7 +103,7 @@ class _Digitiser:
         self._statuses: dict[PoseStatus, int] = {}
         self._reason: str | None = None
 
-    def look(self) -> bool:
+    def poll(self) -> bool:
         """Take what came; return whether there is a point.
 
         Raises:
@@ -121,7 +121,7 @@ class _Digitiser:
 
     def end(self) -> StationaryPoint:
         """Return the point; raises as ``measured`` says where there is none."""
-        self.look()
+        self.poll()
         if self._found is None and self._good:
             self._found = self._capture.take()
         if self._found is not None:

@@ -101,7 +101,7 @@ class DeviceFrames:
             )
         )
         members |= {"device_id": self.device_id, "frame_id": name, "to_frame_id": to} | self.instant
-        found = self._found(to, name)
+        found = self._find_path(to, name)
         if found is None:
             status, reason = self._why_not(to, name)
             return members | {"status": status, "reason": reason}
@@ -112,7 +112,7 @@ class DeviceFrames:
         covariance = transform.covariance
         return members | {
             "status": PoseStatus.OK if worst is None else worst.status,
-            "reason": None if worst is None or worst.reason is None else _told(worst),
+            "reason": None if worst is None or worst.reason is None else _describe_node(worst),
             "path_frame_ids": list(path),
             "matrix": transform.matrix.tolist(),
             "translation_mm": transform.translation_mm.tolist(),
@@ -121,7 +121,7 @@ class DeviceFrames:
             "covariance": (np.zeros((6, 6)) if covariance is None else covariance).tolist(),
         }
 
-    def _found(self, to: str, name: str) -> tuple[Transform, tuple[str, ...]] | None:
+    def _find_path(self, to: str, name: str) -> tuple[Transform, tuple[str, ...]] | None:
         if to == name:
             return Transform.identity(), (name,)
         try:
@@ -136,12 +136,12 @@ class DeviceFrames:
             node = self.nodes[start]
             while node.to is not None:
                 if node.to_from is None:
-                    return node.status, _told(node)
+                    return node.status, _describe_node(node)
                 node = self.nodes[node.to]
         raise AssertionError(f"{name} and {to} are connected with the tracker")
 
 
-def _told(node: Node) -> str:
+def _describe_node(node: Node) -> str:
     return f'{node.kind} "{node.name}": {node.reason}'
 
 

@@ -16,7 +16,7 @@ from compute.quality.accuracy import MarkerTrack
 from service.api.quality.point_tap import PointTap, check_strobed
 from service.api.tools.schema import NewCapturedTool, Origin
 from service.pipeline.pipeline_manager import PipelineManager
-from service.pipeline.taps import collect
+from service.pipeline.tap_collection import collect
 from service.problems.errors import NoObservation
 
 Array = NDArray[np.float64]

@@ -10,7 +10,7 @@ from service.database.models import RegistrationRow
 
 @dataclass(frozen=True)
 class Provenance:
-    """What was active when a frame was registered.
+    """Calibration and table that were active when a frame was registered.
 
     Args:
         name: of the frame.
@@ -44,7 +44,7 @@ class Provenance:
                     measured = f'with {name} "{measured_with}"'
                 now = "none" if active_now is None else f'"{active_now}"'
                 return (
-                    f'registration "{self.name}" was measured {measured}, and {now} is in force: '
+                    f'registration "{self.name}" was measured {measured}, and {now} is active: '
                     f"{consequence}; register again"
                 )
         return None

@@ -16,7 +16,7 @@ from service.api.tools.marker_tap import MarkerObservation, MarkerTap
 from service.api.tools.registration_schema import NewThreeMarkers
 from service.api.tools.registrations import NewRegistrationRecord, target_errors
 from service.pipeline.pipeline_manager import PipelineManager
-from service.pipeline.taps import collect
+from service.pipeline.tap_collection import collect
 from service.problems.errors import NoObservation
 
 Array = NDArray[np.float64]

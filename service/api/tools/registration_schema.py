@@ -47,7 +47,7 @@ class Target(RequestModel):
 
 
 class _Named(RequestModel):
-    """What a registration of any kind has."""
+    """Members of registration requests of all kinds."""
 
     id: Slug = Field(
         description="Name of the frame; unique among all registrations and tools. Not `tracker`."
@@ -148,7 +148,7 @@ class NewSurface(_SurfaceOptions):
 
 
 class StoredSurfaceRequest(_SurfaceOptions):
-    """What is kept of a request with a surface: of the surface itself what tells it."""
+    """Stored request of a registration by a surface, with a summary of the surface."""
 
     surface: SurfaceSummary
 
@@ -191,7 +191,7 @@ StoredRequest = Annotated[
 
 
 class FiducialError(ResponseModel):
-    """How a fiducial fits."""
+    """Residual of one fiducial."""
 
     name: str
     residual_mm: Position = Field(description="Measured place less that of the transform.")
@@ -199,7 +199,7 @@ class FiducialError(ResponseModel):
 
 
 class TargetError(ResponseModel):
-    """What to expect at a target."""
+    """Expected error at a target."""
 
     name: str
     error_mm: float = Field(description="RMS target registration error to expect.")
@@ -229,12 +229,12 @@ class Registration(ResponseModel):
     calibration_id: str | None = Field(
         default=None,
         description="Active when it was made. Without a `reference_id` the frame is one of its "
-        "world: while another is in force, poses in it are `INVALID`.",
+        "world: while another is active, poses in it are `INVALID`.",
     )
     table_id: str | None = Field(
         default=None,
         description="The correction table that was active with it. While another one, or none, "
-        "is in force, poses in the frame are `INVALID`, with a `reference_id`, too.",
+        "is active, poses in the frame are `INVALID`, with a `reference_id`, too.",
     )
     matrix: Matrix4 = Field(
         description="From the frame to where points were measured, 4 x 4, row by row."

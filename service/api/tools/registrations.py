@@ -103,7 +103,7 @@ def check_parent(session: Session, request: NewSurface, parent: RegistrationRow)
 def add_registration(
     session: Session, request: NewAny, made: NewRegistrationRecord
 ) -> RegistrationRow:
-    """Store a registration with what is active; the device's row is locked.
+    """Store a registration with the active calibration and table; locks the device's row.
 
     Raises:
         CalibrationSwitched: what its points were measured with is active no more.

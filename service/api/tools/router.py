@@ -148,7 +148,7 @@ def change_tool(
     device_service: DeviceServiceDep,
     expected: RequiredIfMatch,
 ) -> Tool:
-    """Change what is given. Markers never change: delete the tool and create another."""
+    """Change some members. Markers never change: delete the tool and create another."""
     with device_service.tools_change(_device_of(database, tool_id)) as session:
         row = store.TOOLS.get(session, tool_id)
         expected.check(store.document(row))
@@ -266,7 +266,7 @@ def _calibrated(
 def list_tool_calibrations(
     tool_id: ToolPath, database: DatabaseDep, paging: PagingDep
 ) -> Page[ToolCalibration]:
-    """What they found, newest first."""
+    """Results of pivot and spin calibrations of a tool, newest first."""
     with database.read() as session:
         store.TOOLS.get(session, tool_id)
         return page_of(session, store.calibrations(tool_id), paging, store.calibration_document)

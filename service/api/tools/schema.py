@@ -89,7 +89,7 @@ class NewCapturedTool(_Described):
 
 
 class ToolChange(RequestModel):
-    """What may be changed of a tool; a field left out stays as it is. Its geometry never does."""
+    """Changes of a tool; a field left out stays as it is. Its geometry never changes."""
 
     title: Text200 = absent()
     tip_mm: Position | None = Field(default=None, description="null: its origin.")
@@ -99,7 +99,7 @@ class ToolChange(RequestModel):
 
 
 class Tip(ResponseModel):
-    """Where a tool's working point is, and how that is known."""
+    """Working point of a tool, and where it is known from."""
 
     position_mm: Position | None = Field(description="null: not known; poses take the origin.")
     covariance_mm2: Matrix3 | None = Field(
@@ -114,7 +114,7 @@ class Tip(ResponseModel):
 
 
 class Origin(ResponseModel):
-    """How a tool's geometry is known."""
+    """Origin of a tool's geometry: given, or captured."""
 
     kind: Literal["given", "captured"]
     frames: int | None = Field(default=None, description="Exposures that a capture averaged.")
@@ -196,7 +196,7 @@ class Pose(ResponseModel):
 
 
 class NewToolCalibration(RequestModel):
-    """What a calibration from live poses takes."""
+    """Request of a pivot or spin calibration from live poses."""
 
     duration_s: float = Field(
         default=10.0, gt=0, le=120, description="How long poses are collected."
@@ -220,7 +220,7 @@ class NewToolCalibration(RequestModel):
 
 
 class ToolCalibration(ResponseModel):
-    """A pivot or spin calibration and what it found."""
+    """A pivot or spin calibration and its results."""
 
     id: str
     tool_id: str

@@ -44,7 +44,7 @@ SurfaceInput = Annotated[MeshInput | PointCloudInput, Field(discriminator="kind"
 
 
 class SurfaceSummary(ResponseModel):
-    """A surface that was given: it is not kept, but what tells whether another is the same."""
+    """Summary of a given surface, by which another can be compared; the surface is not kept."""
 
     kind: Literal["mesh", "points"]
     vertices: int = Field(description="Vertices, or points.")
@@ -65,7 +65,7 @@ class AlternativeSolution(ResponseModel):
 
 
 class SurfaceFit(ResponseModel):
-    """How points lie on a surface, and how well it holds them."""
+    """Residuals of points on a surface, and how well it constrains the registration."""
 
     rms_mm: float = Field(description="RMS distance of the points that were used.")
     iterations: int = Field(description="That it took until nothing was gained any more.")

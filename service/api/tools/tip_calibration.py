@@ -10,7 +10,7 @@ from compute.pose.rigid_body import ToolPose
 from service.api.tools.pose_taps import PoseTap
 from service.api.tools.schema import NewToolCalibration
 from service.pipeline.pipeline_manager import PipelineManager
-from service.pipeline.taps import collect
+from service.pipeline.tap_collection import collect
 
 if TYPE_CHECKING:
     from compute.pose.tool_calibration.pivot import PivotResult
@@ -66,7 +66,9 @@ def subsample(poses: list[ToolPose], max_poses: int) -> list[ToolPose]:
 def _found(
     kind: Literal["pivot", "spin"], poses: list[ToolPose], min_swing_deg: float | None
 ) -> dict[str, Any]:
-    limits = {} if min_swing_deg is None else {"min_swing_rad": math.radians(min_swing_deg)}
+    limits: dict[str, Any] = {}
+    if min_swing_deg is not None:
+        limits["min_swing_rad"] = math.radians(min_swing_deg)
     rotations = np.array([pose.rotation for pose in poses])
     translations = np.array([pose.translation_mm for pose in poses])
     known = all(pose.covariance is not None for pose in poses)

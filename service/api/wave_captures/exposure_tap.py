@@ -46,7 +46,7 @@ class ExposureTap:
         """Do nothing: readings do not depend on it."""
 
     def offer(self, batch: FrameBatch) -> None:
-        """Take what is wanted of a batch; called in the compute thread, never waits."""
+        """Copy the readings of a batch; called in the compute thread, never waits."""
         wanted = [
             index
             for index, frame in enumerate(batch.frames)

@@ -86,7 +86,7 @@ class NewWaveCapture(NewCaptureSession):
 
 
 class WaveExposures(ResponseModel):
-    """What became of the exposures of the target's first marker, each of which may make a pose."""
+    """Exposures of the target's first marker, counted by whether they gave a pose."""
 
     all: int = Field(description="All of them.")
     taken: int = Field(description="Poses taken.")
@@ -96,7 +96,7 @@ class WaveExposures(ResponseModel):
 
 
 class WaveSensor(ResponseModel):
-    """What one sensor read of the target."""
+    """Coverage of one sensor by readings of the target."""
 
     sensor: str
     clear: int = Field(description="Exposures of the target's markers with a clear peak.")
@@ -129,14 +129,14 @@ class WaveDirections(ResponseModel):
 
 
 class WaveVolume(ResponseModel):
-    """Where the target was, in the device's frame."""
+    """Volume that the target was in, in the device's frame."""
 
     extent_mm: tuple[float, float, float] = Field(description="Along x, y, z [mm].")
     octants: list[int] = Field(description="Poses in the eighths of the volume, x first, z last.")
 
 
 class WaveProgress(ResponseModel):
-    """What a wave has covered so far, and what is missing."""
+    """Coverage of a wave so far, and what is missing."""
 
     poses: int = Field(description="Poses that show enough of the target to enough sensors.")
     wanted_poses: int = Field(description="Poses that are enough where they cover everything.")

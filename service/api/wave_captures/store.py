@@ -80,7 +80,7 @@ def markers_of(request: NewWaveCapture) -> tuple[int, ...]:
 
 
 def target_of(row: WaveCaptureRow) -> CalibrationTarget:
-    """Return what is waved."""
+    """Return the target that is waved."""
     return calibration_target(_TARGET.validate_python(row.target))
 
 

@@ -11,7 +11,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class StoredWave:
-    """What was taken of a waved target.
+    """Stored poses of a waved target, and the counts of its exposures.
 
     Args:
         readings_px: shape (B, K, S) [px]; NaN where not seen.

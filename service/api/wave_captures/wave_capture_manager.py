@@ -44,12 +44,12 @@ from service.database.engine import Database
 from service.jobs.call_process import CallProcess
 from service.pipeline.device_session import DeviceSession
 from service.pipeline.pipeline_manager import PipelineManager
-from service.pipeline.taps import collect
+from service.pipeline.tap_collection import collect
 from service.problems.errors import Busy, NotReady
 
 _log = logging.getLogger(__name__)
 
-JUDGE_S: Final = 0.5
+CHECK_INTERVAL_S: Final = 0.5
 """Time between two judgements of the coverage [s]."""
 CAMERAS_TIMEOUT_S: Final = 60.0
 _MEMORY_BYTES: Final = 4 * 1024**3
@@ -59,7 +59,7 @@ _JOIN_S: Final = 30.0
 
 @dataclass(frozen=True)
 class WaveTask:
-    """What poses are taken of.
+    """Task of a wave capture: the device, the target, and when it ends.
 
     Args:
         capture_id: the session.
@@ -163,7 +163,7 @@ class WaveCaptureManager:
         """Attach a wave's tap until it ends."""
         collect(
             self._live, wave.running, wave.tap, wave.task.settings.duration_s, wave.tap.ended,
-            wave.look,
+            wave.poll,
         )  # fmt: skip
 
     def forget(self, wave: "_Wave") -> None:
@@ -196,10 +196,10 @@ class _Wave:
         self._models = task.models
         self._cameras: Future[UncalibratedStart] | None = None
         self._cameras_due = FIRST_CAMERAS_POSES
-        self._judge_due_s = 0.0
+        self._check_due_s = 0.0
         self._kept = True
         self._done = Event()
-        self.progress = self._judge()
+        self.progress = self._check_sufficiency()
         """What is covered; replaced by the thread."""
         name = f"wave-{task.capture_id}"
         self._thread = Thread(target=self._run, name=name, daemon=True)
@@ -227,17 +227,17 @@ class _Wave:
         return StoredWave(
             *self._collector.poses(),
             (counts.taken, counts.still, counts.too_few_sensors, counts.not_lit),
-            self._seen(),
+            self._visibility_counts(),
         )
 
-    def look(self) -> bool:
-        """Take the exposures that wait; return whether there is enough of them."""
+    def poll(self) -> bool:
+        """Take the exposures that wait; return whether there are enough of them."""
         self._collector.add(self.tap.take())
         now = time.monotonic()
-        if now < self._judge_due_s:
+        if now < self._check_due_s:
             return False
-        self._judge_due_s = now + JUDGE_S
-        self.progress = self._judge()
+        self._check_due_s = now + CHECK_INTERVAL_S
+        self.progress = self._check_sufficiency()
         if self._collector.counts.taken >= MAX_POSES:
             self.reason = f"{MAX_POSES} poses are the most that a session takes"
             return True
@@ -257,7 +257,7 @@ class _Wave:
             self.reason = f"it failed: {type(error).__name__}"
             _log.exception("wave capture %s failed", self.task.capture_id)
         try:
-            self.progress = self._judge()
+            self.progress = self._check_sufficiency()
             if self._kept:
                 self._manager.store(self)
         except Exception:  # noqa: BLE001 - nobody waits for the thread's errors
@@ -266,12 +266,12 @@ class _Wave:
             self._done.set()
             self._manager.forget(self)
 
-    def _judge(self) -> WaveProgress:
+    def _check_sufficiency(self) -> WaveProgress:
         recording = Recording(self.task.target, self._collector.poses()[0])
         coverage = wave_coverage(
             self.task.sensors, recording, self._approximate_cameras(recording, len(self._collector))
         )
-        return progress_of(coverage, self._collector.counts, self._seen())
+        return progress_of(coverage, self._collector.counts, self._visibility_counts())
 
     def _approximate_cameras(
         self, recording: Recording, poses: int
@@ -288,7 +288,7 @@ class _Wave:
             self._cameras = self._manager.compute_cameras(self.task, recording)
         return self._models
 
-    def _seen(self) -> np.ndarray:
+    def _visibility_counts(self) -> np.ndarray:
         return self.task.stored.seen + self.tap.seen
 
 
@@ -343,7 +343,7 @@ def progress_of(coverage: WaveCoverage, counts: PoseCounts, seen: np.ndarray) ->
 def approximate_models(
     models: Sequence[SensorModel] | None, sensors: Sequence[SensorGeometry]
 ) -> tuple[SensorModel, ...] | None:
-    """Return cameras to judge by, where they are of these sensors; else None."""
+    """Return approximate cameras for the coverage, where they are of these sensors; else None."""
     if models is None:
         return None
     ours = [(sensor.name, sensor.pixels) for sensor in sensors]

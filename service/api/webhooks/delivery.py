@@ -25,7 +25,7 @@ MAX_DELAY_S: Final = 300.0
 
 @dataclass(frozen=True)
 class Target:
-    """Where a webhook's events go; the secret is not shown."""
+    """Address and secret of a webhook; the secret is not shown."""
 
     id: str
     url: str

@@ -24,7 +24,7 @@ EventTypes = Annotated[tuple[EventType, ...], Field(min_length=1, max_length=16)
 
 
 class NewWebhook(RequestModel):
-    """Where events are to be sent, and which."""
+    """Request of a webhook: its address and its events."""
 
     id: Slug | None = Field(default=None, description="Left out: the server's choice.")
     title: Text200 = Field(description="Who or what it is for.")
@@ -37,7 +37,7 @@ class NewWebhook(RequestModel):
 
 
 class WebhookChange(RequestModel):
-    """What is to change; what is left out stays. Another secret needs another webhook."""
+    """Changes of a webhook; members left out stay. Another secret needs another webhook."""
 
     title: Text200 = absent()
     url: Annotated[Url, Field(description="As of a new webhook.")] = absent()
@@ -46,7 +46,7 @@ class WebhookChange(RequestModel):
 
 
 class Webhook(ResponseModel):
-    """Where events are sent, without the secret."""
+    """A webhook, without its secret."""
 
     id: str
     title: str
@@ -66,7 +66,7 @@ class CreatedWebhook(Webhook):
 
 
 class WebhookState(ResponseModel):
-    """How this server's deliveries to a webhook go, since its start."""
+    """Deliveries of this server to a webhook, since its start."""
 
     webhook_id: str = Field(description="The webhook.")
     state: DeliveryState = Field(

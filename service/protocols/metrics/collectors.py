@@ -269,7 +269,7 @@ class LiveCollector(Collector):
 
 
 class DatabaseCollector(Collector):
-    """Whether the database answers, and the runs in it."""
+    """Metrics of the database: whether it answers, and its runs."""
 
     def __init__(self, database: Database, durations: DurationHistogram) -> None:
         self._database = database

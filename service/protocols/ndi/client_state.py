@@ -15,7 +15,7 @@ API_REVISION: Final = "G.002.001"
 
 @dataclass(frozen=True)
 class Identity:
-    """What clients are told that they speak to."""
+    """Model, version and serial number that clients are told."""
 
     model: str
     version: str
@@ -110,7 +110,7 @@ MAX_PROBLEMS: Final = 50
 
 
 class Mode(Enum):
-    """What the client has brought the system to."""
+    """Operating mode of the system for one client."""
 
     STARTED = auto()
     SETUP = auto()

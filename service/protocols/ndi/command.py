@@ -12,7 +12,7 @@ from fastcrc import crc16
 
 
 class ErrorCode(IntEnum):
-    """What is behind ``ERROR`` in a reply, in hexadecimal digits."""
+    """Error codes, in hexadecimal digits behind ``ERROR`` in a reply."""
 
     INVALID_COMMAND = 0x01
     TOO_LONG = 0x02

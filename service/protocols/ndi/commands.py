@@ -34,7 +34,7 @@ def handles(state: ClientState, text: str) -> str:
 
 
 def handle_information(state: ClientState, text: str) -> str:
-    """PHINF: what is known of the tool behind a handle."""
+    """PHINF: information about the tool behind a handle."""
     port = state.port(text[:2])
     return describe_handle(port, hexadecimal(text[2:], 4) if text[2:] else 1)
 
@@ -128,7 +128,7 @@ def echo(_: ClientState, text: str) -> str:
 
 
 def version(state: ClientState, text: str) -> str:
-    """VER: who we are."""
+    """VER: version of the system."""
     require(text in ("", "0", "1", "2", "3", "4"), ErrorCode.OUT_OF_RANGE)
     return state.identity.firmware()
 

@@ -31,7 +31,7 @@ _COUNTS: Final[Members] = (
 
 
 class NdiCollector(Collector):
-    """Clients, and what was answered."""
+    """Metrics of NDI: clients and replies."""
 
     def __init__(self, server: NdiServer) -> None:
         self._server = server

@@ -92,7 +92,7 @@ class PortHandle:
 
     @property
     def status(self) -> int:
-        """The bits that tell how far it is."""
+        """Status bits of the handle: occupied, initialised, enabled."""
         return OCCUPIED * self.occupied + INITIALISED * self.initialised + ENABLED * self.enabled
 
     def upload(self, address: int, block: bytes) -> None:
@@ -128,7 +128,7 @@ class PortHandles:
         require(handle in self._ports, ErrorCode.NOT_ALLOCATED)
         return self._ports[handle]
 
-    def look(self, tools: Sequence[str]) -> None:
+    def poll_tools(self, tools: Sequence[str]) -> None:
         """Note which tools came and went, for the system status."""
         plugged = {port.tool for port in self._ports.values() if port.location}
         if len(self._ports) < MAX_HANDLES and any(tool not in plugged for tool in tools):
@@ -141,7 +141,7 @@ class PortHandles:
 
     def settle(self, tools: Sequence[str]) -> None:
         """Give every tool that is there, and has none yet, a handle, as far as they go."""
-        self.look(tools)
+        self.poll_tools(tools)
         self.changes = 0
         plugged = {port.tool for port in self._ports.values() if port.location}
         for tool in tools:
@@ -198,7 +198,7 @@ def select_handles(ports: Iterable[PortHandle], option: int) -> list[PortHandle]
 
 
 def describe_handle(port: PortHandle, options: int) -> str:
-    """Return what PHINF tells of a handle.
+    """Return the reply of PHINF about a handle.
 
     Args:
         port: the handle.

@@ -89,7 +89,7 @@ class ClientConnection:
 
 @dataclass(frozen=True)
 class NdiOptions:
-    """What an administrator sets; see the settings of the service that begin with ndi."""
+    """Options of the NDI server; see the settings of the service that begin with ndi."""
 
     port: int
     host: str = "127.0.0.1"
@@ -102,7 +102,7 @@ class NdiOptions:
 
 @dataclass
 class NdiCounts:
-    """What happened since the start."""
+    """Counters since the start."""
 
     connections: int = 0
     rejected_connections: int = 0
@@ -128,11 +128,11 @@ class NdiServer:
 
     @property
     def clients(self) -> int:
-        """How many are connected."""
+        """Number of connected clients."""
         return len(self._clients)
 
     def totals(self) -> NdiCounts:
-        """Return what happened since the start, of those who are still connected, too."""
+        """Return the counters since the start, those of connected clients included."""
         sessions = [client.session for client in self._clients.values()]
         return replace(
             self.counts,

@@ -66,7 +66,7 @@ _INFORMATION: Final = {
 
 
 class HandleState(IntEnum):
-    """Whether a tool has a transformation."""
+    """State of a port handle in a reply: valid, missing or disabled."""
 
     VALID = 1
     MISSING = 2
@@ -110,7 +110,7 @@ def report(
     out_of_volume: bool,
     markers_mm: Array | None = None,
 ) -> ToolReport:
-    """Return what is told of the tool behind a handle.
+    """Return the report of the tool behind a handle.
 
     Only poses that are OK are given; with ``out_of_volume`` those, too, that are good but outside
     of the volume. What is uncertain or does not fit is missing, and the information says so.
@@ -259,7 +259,7 @@ def tracking(state: ClientState, text: str, *, binary: bool) -> bytes:
     """Return the whole reply to TX, or to BX if ``binary``; raises CommandError."""
     options = reply_option(text)
     view = state.view()
-    state.ports.look(view.tools)
+    state.ports.poll_tools(view.tools)
     state.reported = view.sequence
     frame = max(view.sequence - state.first_frame, 0) & 0xFFFFFFFF
     reports = [_report(port, view, frame, options) for port in state.ports if port.initialised]

@@ -48,21 +48,21 @@ class BeamHoldStatusSender:
         self._end: Callable[[], None] | None = None
 
     def start(self) -> None:
-        """Tell of changes from now on."""
+        """Send changes from now on."""
         self._loop = asyncio.get_running_loop()
         self._end = self._board.listen(self._changed)
 
     def close(self) -> None:
-        """Tell of no more."""
+        """Send no more changes."""
         if self._end is not None:
             self._end()
 
     def greet(self, client: ClientConnection) -> None:
-        """Tell a client how all holds are: it is new, or has missed some changes."""
+        """Send the states of all holds to a client that is new or has missed some changes."""
         self._tell_all((client,))
 
     def repeat(self) -> None:
-        """Tell everybody how all holds are, so that silence says something."""
+        """Send the states of all holds to all clients, so that silence is informative."""
         self._tell_all(tuple(self._clients()))
 
     def answer(self, session: Session, name: str) -> Message | None:
@@ -77,7 +77,7 @@ class BeamHoldStatusSender:
         return None
 
     def _changed(self, device_id: str, now: BeamHoldState, last: bool) -> None:
-        """Take a change, in whatever thread it was noticed."""
+        """Queue a change of a hold; called in any thread."""
         if self._device not in (None, device_id):
             return
         self._changes.append((now, last))
@@ -99,7 +99,7 @@ class BeamHoldStatusSender:
                 del self._now[now.hold_id]
 
     def _queue_changes(self) -> bool:
-        """Hold what is past its deadline, and tell what changed; False: nobody knows."""
+        """Hold beams past their deadline, and send the changes; False: the check failed."""
         try:
             self._board.check()
         except Exception:  # noqa: BLE001 - clients are told nothing, and hold

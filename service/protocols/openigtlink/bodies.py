@@ -15,7 +15,6 @@ from service.protocols.openigtlink.message import TYPE_BYTES, BadMessage, decode
 Array = NDArray[np.float64]
 Tracking = Literal["TDATA", "QTDATA"]
 
-TRANSFORM_BYTES: Final = 48
 SIX_DOF: Final = 2
 """The kind of instrument that position and orientation are known of."""
 POSITION: Final = struct.Struct(">7f")
@@ -26,7 +25,7 @@ POINT: Final = struct.Struct(">64s32s4B3ff20s")
 
 @dataclass(frozen=True)
 class StartStream:
-    """What STT_TDATA and STT_QTDATA ask for.
+    """Request to start a stream: body of STT_TDATA and STT_QTDATA.
 
     Args:
         resolution_ms: least time between two messages [ms]; 0: every frame.
@@ -87,7 +86,7 @@ def write_tracking(kind: Tracking, tools: Iterable[tuple[str, Array, Array]]) ->
 
 
 def read_start(kind: str, content: bytes) -> StartStream:
-    """Return what is asked for; without content, or without a frame's name, the defaults.
+    """Read the request of a stream; without content, or without a frame's name, the defaults.
 
     Raises:
         BadMessage: it has another size.

@@ -144,7 +144,7 @@ class Commands:
         }
 
     async def run(self, request: CommandRequest, address: str) -> CommandReply:
-        """Do what is asked, and write changes and refusals into the audit log; never raises."""
+        """Execute a command, and write changes and refusals into the audit log; never raises."""
         name = request.name.lower()
         reading = self._reading.get(name)
         if reading is not None:

@@ -4,11 +4,13 @@ import asyncio
 import logging
 import socket
 import time
-from collections.abc import Callable, Iterable
-from typing import TYPE_CHECKING, Final, cast
+from collections.abc import Callable, Coroutine, Iterable
+from typing import Final, Protocol, cast
 
 from service.protocols.openigtlink.bodies import StatusCode
-from service.protocols.openigtlink.handlers import KNOWN
+from service.protocols.openigtlink.counters import Counters
+from service.protocols.openigtlink.handlers import KNOWN, MessageHandlers
+from service.protocols.openigtlink.host import ServerSettings
 from service.protocols.openigtlink.message import (
     BadMessage,
     Damaged,
@@ -21,9 +23,6 @@ from service.protocols.openigtlink.message import (
 )
 from service.protocols.openigtlink.session import Session
 from service.protocols.openigtlink.snapshot import Snapshot
-
-if TYPE_CHECKING:
-    from service.protocols.openigtlink.server import OpenIGTLinkServer
 
 _log = logging.getLogger(__name__)
 
@@ -40,6 +39,30 @@ _OTHER: Final = "other"
 _TOLD_BY_SERVER: Final = ("shutdown", "refused")
 
 
+class ConnectionOwner(Protocol):
+    """Server of a connection: admits it, handles its messages, and learns of its end."""
+
+    counters: Counters
+    settings: ServerSettings
+    handlers: MessageHandlers
+
+    def admit(self, client: "ClientConnection") -> tuple[str, StatusCode | None] | None:
+        """Let a client in, or say why not."""
+        ...
+
+    def forget(self, client: "ClientConnection") -> None:
+        """Note that a connection has ended."""
+        ...
+
+    def greet(self, client: "ClientConnection") -> None:
+        """Send the states of all beam holds to a client."""
+        ...
+
+    def spawn(self, work: Coroutine[None, None, None]) -> None:
+        """Begin a task and keep it."""
+        ...
+
+
 class ClientConnection(asyncio.Protocol):
     """One client; lives in the event loop.
 
@@ -49,7 +72,7 @@ class ClientConnection(asyncio.Protocol):
         server: lets it in, answers it, and is told when it reads again and when it has ended.
     """
 
-    def __init__(self, server: "OpenIGTLinkServer") -> None:
+    def __init__(self, server: ConnectionOwner) -> None:
         self._server = server
         self._settings = server.settings
         self._counters = server.counters
@@ -108,7 +131,7 @@ class ClientConnection(asyncio.Protocol):
         self._cancel("stall")
         if self._misses_holds:
             self._misses_holds = False
-            self._server.holds.greet(self)
+            self._server.greet(self)
         self._send_frame()
         self._work()
 
@@ -140,7 +163,7 @@ class ClientConnection(asyncio.Protocol):
             self._write(self.session.stale(device_id, age_s))
 
     def send_beam_hold(self, status: Message) -> None:
-        """Tell the client of a beam hold, or, if it does not read, how all are when it does."""
+        """Send a beam hold's state; a client that does not read gets all states when it does."""
         if self._writable:
             self._send((status,))
         else:
@@ -251,7 +274,7 @@ class ClientConnection(asyncio.Protocol):
             self._send(answers)
 
     def _skip(self, kind: str) -> None:
-        """Tell of each type once: some clients send much of what is not for us."""
+        """Log each unknown type once: some clients send many of them."""
         if kind not in self._skipped and len(self._skipped) < _MESSAGES_PER_STEP:
             self._skipped.add(kind)
             text = f"{kind} is not understood here, and is skipped"

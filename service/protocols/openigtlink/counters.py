@@ -45,7 +45,7 @@ _COUNTS: Final[Members] = (
 
 
 class OpenIGTLinkCollector(Collector):
-    """Clients, what they were sent, and what was refused."""
+    """Metrics of OpenIGTLink: clients, messages sent, and refusals."""
 
     def __init__(self, counters: Counters, clients: Callable[[], int]) -> None:
         self._counters = counters

@@ -19,7 +19,7 @@ class BadMessage(LumilineError):
 
 
 class WrongChecksum(BadMessage):
-    """A message's body is not what its checksum was computed of."""
+    """A message's body does not match its checksum."""
 
     code = "openigtlink-wrong-checksum"
 
@@ -43,7 +43,7 @@ _LAST_SECOND: Final = 2**32 - 1
 
 @dataclass(frozen=True)
 class Header:
-    """What stands before a message's body.
+    """Header of a message.
 
     Args:
         version: 1 or 2.

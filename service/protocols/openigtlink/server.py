@@ -75,12 +75,12 @@ class OpenIGTLinkServer:
 
     @property
     def clients(self) -> int:
-        """How many are connected."""
+        """Number of connected clients."""
         return len(self._clients)
 
     @property
     def address(self) -> tuple[str, int]:
-        """Where it listens."""
+        """Host and port that it listens on."""
         address: tuple[str, int] = self._server.sockets[0].getsockname()[:2]
         return address
 
@@ -135,7 +135,7 @@ class OpenIGTLinkServer:
         return newest if newest is not None and newest.fresh else None
 
     def admit(self, client: ClientConnection) -> tuple[str, StatusCode | None] | None:
-        """Let a client in, or say why not; who is not allowed is told nothing."""
+        """Admit a client, or return why not; addresses that are not allowed get no reply."""
         address = client.session.address
         if not self._allowed.permits(address):
             self.counters.refused["address"] += 1
@@ -151,8 +151,12 @@ class OpenIGTLinkServer:
         newest = self._fresh()
         if newest is not None:
             client.offer(newest)
-        self.holds.greet(client)
+        self.greet(client)
         return None
+
+    def greet(self, client: ClientConnection) -> None:
+        """Send the states of all beam holds to a client."""
+        self.holds.greet(client)
 
     def _tell_refused(self, text: str) -> None:
         """Write into the log that somebody was refused, now and then: the metrics count all."""
@@ -213,7 +217,7 @@ class OpenIGTLinkServer:
         return names
 
     async def _watch(self) -> None:
-        """Ask for the tools now and then, tell of beam holds again, and when no frames come."""
+        """Refresh the tools, repeat the beam holds, and report when no frames come."""
         requested_s = time.monotonic()
         while True:
             with contextlib.suppress(TimeoutError):
@@ -229,7 +233,7 @@ class OpenIGTLinkServer:
                     client.send_stale(self._newest.entry.device_id, age_s)
 
     async def refresh(self) -> None:
-        """Take the application's tools; while it cannot tell, those that are known stay."""
+        """Read the application's tools; where that fails, the known ones stay."""
         try:
             tools = tuple(await self._host.tools())
         except Exception as error:  # noqa: BLE001 - the poses of known tools go on

@@ -92,13 +92,13 @@ class Snapshot:
 
     @property
     def stale_s(self) -> float:
-        """How old it may become before its poses are not the newest of anything [s]."""
+        """Largest age at which its poses are still sent [s]."""
         rate = self.entry.frame_rate_hz
         return max(STALE_S, _MISSED / rate) if rate > 0.0 else STALE_S
 
     @property
     def age_s(self) -> float:
-        """How old it is: since its exposure, or since it came, whichever is more [s].
+        """Age since its exposure, or since it came, whichever is more [s].
 
         A server that does not keep up puts up poses that are old already; one whose clock has been
         set does not know how old.
@@ -275,5 +275,5 @@ class Snapshot:
 
 
 def _not_ok(status: PoseStatus) -> PoseStatus:
-    """Return the status of what has no pose, whatever its own says."""
+    """Return the status of a tool without a pose; never OK."""
     return PoseStatus.MISSING if status is PoseStatus.OK else status

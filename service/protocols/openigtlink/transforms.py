@@ -121,7 +121,7 @@ def read_name(text: str) -> str:
 
 
 def opposite_name(name: str) -> str:
-    """Return the name of the inverse; of what is no name, itself."""
+    """Return the name of the inverse transform; a text that is no name stays."""
     first, _, second = name.partition("To")
     return f"{second}To{first}" if second else name
 

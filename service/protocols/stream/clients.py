@@ -38,9 +38,6 @@ def _hub(request: Request) -> Hub:
     return hub
 
 
-HubDep = Annotated[Hub, Depends(_hub)]
-
-
 @router.operation("GET", "list-stream-clients", "Who receives the streams, and who is slow")
 def list_stream_clients(
     hub: Annotated[Hub, Depends(_hub)], paging: PagingDep

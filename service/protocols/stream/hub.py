@@ -36,7 +36,7 @@ class StreamEnded(Exception):
 
 @dataclass(frozen=True)
 class StreamRequest:
-    """What a client asked for.
+    """Request of a client for a device's stream.
 
     Args:
         device_id: the device.
@@ -187,7 +187,7 @@ class Hub:
             return dict(self._logs)
 
     def subscribe(self, request: StreamRequest, client: str = "") -> Subscription:
-        """Add a client, who is called so; called in the event loop that takes its messages."""
+        """Add a client by its name; called in the event loop that sends its messages."""
         subscription = Subscription(request, self.log(request.device_id), self._lag_s, client)
         with self._lock:
             here = self._clients.get(request.device_id, ())
@@ -211,7 +211,7 @@ class Hub:
 
     @property
     def clients(self) -> int:
-        """How many clients there are."""
+        """Number of clients."""
         return sum(len(here) for here in tuple(self._clients.values()))
 
     def publish_batch(self, batch: FrameBatch) -> None:

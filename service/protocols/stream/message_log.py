@@ -93,7 +93,7 @@ class LogEntry:
 
     @property
     def _over(self) -> int:
-        """How many of its releases are over."""
+        """Number of its releases that are over."""
         return sum(one.over for one in self.releases)
 
     def _encoded(self, variant: Variant, first: int, last: int) -> list[Payload]:
@@ -279,11 +279,11 @@ class SequentialCursor:
 
     @property
     def waiting(self) -> int:
-        """How many messages there are that its client was not sent yet."""
+        """Number of messages that its client was not sent yet."""
         return max(0, self._log.next - self._next)
 
     def take(self, *, due: bool) -> CursorItem | None:
-        """Return what is sent now, if anything; nothing overtakes frames that are not due."""
+        """Return the messages to send now, if any; nothing overtakes frames that are not due."""
         if not due:
             return None
         frames: list[Payload] = []
@@ -316,7 +316,7 @@ class SequentialCursor:
         return self._join(frames) if frames else None
 
     def _skip_to(self, oldest: int) -> bool:
-        """Go on behind messages that are not kept any more; whether what is there has changed.
+        """Skip messages that are not kept any more; return whether the entries have changed.
 
         From the log's very end a client that is a little too slow would fall off at every message
         and get nothing else: a lossless one goes on from the middle.
@@ -358,7 +358,7 @@ class LatestCursor:
         self._frame = log.next
 
     def take(self, *, due: bool) -> CursorItem | None:
-        """Return what is sent now, if anything; ``due``: whether it is time for frames."""
+        """Return the message to send now, if any; ``due``: whether it is time for frames."""
         other = self._log.other_since(self._other, self._variant)
         if other is not None:
             self._other = other.end

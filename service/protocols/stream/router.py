@@ -114,7 +114,7 @@ def _greeting(live: PipelineManager, subscription: Subscription) -> dict[str, An
 
 
 async def _forward(websocket: WebSocket, subscription: Subscription) -> None:
-    """Send what is there, a bounded part of it in each turn: others are to have theirs."""
+    """Send waiting messages, a bounded number in each turn: the loop serves others, too."""
     while True:
         payloads = [await subscription.next()]
         size = len(payloads[0])

@@ -9,6 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from compute.flags import flag_names
 from compute.measurement.flag_policy import (
     FIT_RULES,
     KNOWN_SHAPE_RULES,
@@ -61,11 +62,22 @@ def test_every_flag_has_one_rule_and_one_reason() -> None:
 def test_policy_by_method(method: str, known: bool, suspect: str, refused: str) -> None:
     policy = FlagPolicy.of_method(method, known_shape=known)  # type: ignore[arg-type]
 
-    def names(flags: PeakFlag) -> str:
-        return " ".join(str(flag.name).lower().replace("_", "-") for flag in flags)
+    def names(use: str) -> str:
+        flags = (str(rule.flag.name) for rule in policy.rules if rule.use == use)
+        return " ".join(name.lower().replace("_", "-") for name in flags)
 
-    assert names(policy.flags_where("suspect")) == suspect
-    assert names(policy.flags_where("refused")) == refused
+    assert names("suspect") == suspect
+    assert names("refused") == refused
+
+
+@pytest.mark.parametrize("method", ["centroid", "fit", "shadow"])
+@pytest.mark.parametrize("known", [False, True])
+def test_unclear_flags_are_the_same_for_every_method(method: str, known: bool) -> None:
+    """A capture reads peaks without knowing how they were found."""
+    policy = FlagPolicy.of_method(method, known_shape=known)  # type: ignore[arg-type]
+    assert policy.unclear_flags == STANDARD_POLICY.unclear_flags
+    names = " ".join(flag_names(policy.unclear_flags))
+    assert names == "saturated clipped merged unfitted ambiguous"
 
 
 def test_lookup_combines_flags() -> None:

@@ -69,9 +69,9 @@ def test_estimate_finds_what_the_sensor_is(calibration, sensor):
 
 
 def test_estimate_names_bad_pixels_and_no_others(calibration):
-    assert calibration.bad_pixel_numbers(BadPixel.HOT) == [100]
-    assert calibration.bad_pixel_numbers(BadPixel.DEAD) == [200]
-    assert calibration.bad_pixel_numbers(BadPixel.STUCK) == [300]
+    assert calibration.bad_pixels[100] == BadPixel.HOT
+    assert calibration.bad_pixels[200] == BadPixel.DEAD
+    assert calibration.bad_pixels[300] == BadPixel.STUCK
     assert np.flatnonzero(calibration.bad_pixels).tolist() == [100, 200, 300]
 
 

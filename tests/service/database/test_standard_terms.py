@@ -17,7 +17,7 @@ from compute.camera.stack import CameraStack
 from compute.tracking.settings import TrackerSettings
 from migrations.versions import v0010_standard_terms
 from service.api.calibrations.calibration_content import (
-    Outcome,
+    CalibrationRecord,
     calibration_content,
     content_hash,
     result_of,
@@ -43,7 +43,7 @@ NEW = (
 )  # fmt: skip
 
 
-def outcome() -> Outcome:
+def record() -> CalibrationRecord:
     """A calibration with a distortion as of a choice among sets, a diagnosis and all findings."""
     rng = np.random.default_rng(4)
     points = rng.uniform((-300, -300, 1300), (300, 300, 1900), (60, 3))
@@ -63,7 +63,7 @@ def outcome() -> Outcome:
     result = replace(result, labels=result.labels + other)
     document = calibration_content("sim", "fitted", [], result)
     document["result"]["distortion"]["reduced_terms"] = []
-    return Outcome(result, document, {})
+    return CalibrationRecord(result, document, {})
 
 
 def tree(database: Database) -> str:
@@ -78,7 +78,7 @@ def test_documents_of_before_are_read_after_it_with_their_hashes(database: Datab
     tracking = Tracking.model_validate(
         {"jerk_psd": 1e7, "blinking": {"words": ["000000010111"], "off_level": 0.3}}
     ).model_dump(mode="json")
-    made = outcome()
+    made = record()
     with Session(database.engine) as session:
         parent = add_calibration(session, "sim", made, "", "renamed")
         add_table(session, content(made.content_hash), parent, "computed", "", "table")
@@ -127,7 +127,7 @@ def test_a_device_of_a_tracker_of_the_thesis_is_tracked_on_readings(database: Da
 
 @pytest.mark.slow
 def test_members_that_calibrations_had_before_are_removed(database: Database) -> None:
-    made = outcome()
+    made = record()
     with Session(database.engine) as session:
         add_calibration(session, "sim", made, "", "older")
         session.commit()

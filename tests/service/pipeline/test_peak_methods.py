@@ -272,7 +272,7 @@ def test_what_no_profile_explains(caplog: pytest.LogCaptureFixture) -> None:
             assert (model.volume, model.templates) == (None, ())
     assert [record.levelname for record in caplog.records] == ["WARNING"] * 3
     finding = DetectionStage(description(profile="not-here"), 1, ExpectedScans(), "cpu")
-    assert finding.flag_policy.flags_where("suspect") & PeakFlag.POOR_FIT
+    assert finding.flag_policy.lookup.suspect[PeakFlag.POOR_FIT]
     assert finding.error_px is None
     shadows = DetectionStage(description(readout="coded-window"), 1, ExpectedScans())
     assert not shadows.reads
@@ -311,9 +311,9 @@ def test_what_a_method_errs_by_is_in_its_deviations(method: PeakMethod) -> None:
     assert model.volume is not None
     known = DetectionStage(driver.description, 64, model, "cpu")
     assert known.error_px is not None
-    assert not known.flag_policy.flags_where("suspect") & PeakFlag.POOR_FIT
+    assert not known.flag_policy.lookup.suspect[PeakFlag.POOR_FIT]
     plain = DetectionStage(driver.description, 64, ExpectedScans(), "cpu")
-    assert plain.flag_policy.flags_where("suspect") & PeakFlag.POOR_FIT
+    assert plain.flag_policy.lookup.suspect[PeakFlag.POOR_FIT]
     lines = model.volume.lines[: 4 * 64]
     one, other = known.find(lines), plain.find(lines)
     np.testing.assert_array_equal(one.position_px, other.position_px)

@@ -9,7 +9,13 @@ from compute.errors import InvalidParameter
 from compute.optics.tracing.reference_tracer import trace_rays
 from compute.optics.tracing.surfaces import Conic, Cylinder, Plane, Surface, SurfaceStack
 from tests.validation.aberrations.lenses import INDEX, SPHERES, lens_stack
-from validation.aberrations.paraxial import paraxial_system
+from validation.aberrations.paraxial import ParaxialSystem, paraxial_system
+
+
+def back_focal_distance_mm(system: ParaxialSystem) -> float:
+    """Distance from the last vertex to the focus behind [mm]."""
+    height, angle = system.trace(1.0, 0.0)
+    return float(-height[-1] / angle[-1])
 
 
 @pytest.mark.parametrize("name", SPHERES)
@@ -22,7 +28,8 @@ def test_thick_lens(name: str) -> None:
     system = paraxial_system(lens_stack((front, back), t))
     f = 1.0 / power
     assert system.focal_length_mm == pytest.approx(f, rel=1e-12)
-    assert system.back_focal_distance_mm == pytest.approx(f * (1.0 - p1 * t / INDEX), rel=1e-12)
+    expected = f * (1.0 - p1 * t / INDEX)
+    assert back_focal_distance_mm(system) == pytest.approx(expected, rel=1e-12)
 
 
 def test_the_lens_of_section_3_4() -> None:
@@ -59,8 +66,8 @@ def test_newton_and_pupils() -> None:
     system = paraxial_system(lens_stack(shapes, t, 12.0))
     f = system.focal_length_mm
     image, magnification = system.image_of(-700.0)
-    behind = image - (t + paraxial_system(lens_stack(shapes, t)).back_focal_distance_mm)
-    before = -700.0 - -system.reversed().back_focal_distance_mm
+    behind = image - (t + back_focal_distance_mm(paraxial_system(lens_stack(shapes, t))))
+    before = -700.0 - -back_focal_distance_mm(system.reversed())
     assert before * behind == pytest.approx(-(f**2), rel=1e-12)
     assert magnification == pytest.approx(f / before, rel=1e-12)
     pupil = system.entrance_pupil_mm(2)

@@ -20,7 +20,6 @@ from validation.section_6.rotating_bar import (
     TURN_S,
     TURNING,
     cameras,
-    crossings,
     readings,
     two_active,
 )
@@ -47,6 +46,12 @@ Array = NDArray[np.float64]
 
 SOME = 160
 """Frames, of 350."""
+
+
+def crossings(position_px: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Return the frames after which the difference of two readings (N, 2) changes its sign."""
+    side = np.sign(position_px[:, 1] - position_px[:, 0])
+    return np.flatnonzero(side[1:] * side[:-1] < 0.0)
 
 
 def test_the_bar_of_section_6_1() -> None:

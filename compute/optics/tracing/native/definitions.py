@@ -4,10 +4,10 @@ from typing import Final
 
 from compute.native.records import constants, header
 from compute.optics.tracing.intersection import (
-    CLOSE,
-    FINEST,
+    CONVERGENCE_FRACTION,
     MAX_INTERVALS,
     MAX_STEPS,
+    MIN_INTERVAL_FRACTION,
     ROUNDING,
 )
 from compute.optics.tracing.reference_tracer import MIN_SQUARE, RayStatus
@@ -27,8 +27,8 @@ HEADER: Final = header(
             "max_steps": MAX_STEPS,
             "min_squared_length": MIN_SQUARE,
             "backward_slack_mm": BACKWARD_SLACK_MM,
-            "min_interval_fraction": FINEST,
-            "convergence_fraction": CLOSE,
+            "min_interval_fraction": MIN_INTERVAL_FRACTION,
+            "convergence_fraction": CONVERGENCE_FRACTION,
             "rounding": ROUNDING,
         }
     ),

@@ -102,7 +102,7 @@ class PackedPose(PoseState):
         return np.ndarray(shape, np.float64, self.__dict__["_block"], 8 * first)
 
     def reported_pose(self, centred: CentredMarkers) -> ReportedPose:
-        """As of PoseState."""
+        """Return the reported pose, by the kernel where its values are of these markers."""
         reported = self.__dict__["_reported"]
         if reported is None or reported[0] is not centred:
             return super().reported_pose(centred)

@@ -8,8 +8,8 @@ from compute.camera.observation_checks import check_control_points
 from compute.progress import Progress
 from service.api.base_models import ResponseModel
 from service.api.calibrations.calibration_content import (
-    Outcome,
-    calibration_outcome,
+    CalibrationRecord,
+    calibration_record,
     control_arrays,
     geometry,
 )
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 class Request(ResponseModel):
-    """What a run keeps of its request."""
+    """Stored request of a calibration run."""
 
     points: list[ControlPoint]
     sensors: list[Sensor]
@@ -49,14 +49,14 @@ def task(_session: "Session", row: "RunRow") -> tuple[Callable[..., Any], tuple[
     return compute, (row.device_id, Request.model_validate(row.request))
 
 
-def store(session: "Session", row: "RunRow", outcome: Outcome) -> str:
-    """Store the calibration and return its id; raises what ``add_outcome`` does."""
+def store(session: "Session", row: "RunRow", record: CalibrationRecord) -> str:
+    """Store the calibration and return its id; raises what ``add_record`` does."""
     request = Request.model_validate(row.request)
-    return add_outcome(session, row, outcome, request.note, request.result_id)
+    return add_record(session, row, record, request.note, request.result_id)
 
 
-def add_outcome(
-    session: "Session", row: "RunRow", outcome: Outcome, note: str, result_id: str | None
+def add_record(
+    session: "Session", row: "RunRow", record: CalibrationRecord, note: str, result_id: str | None
 ) -> str:
     """Store the calibration that a run made and return its id.
 
@@ -68,12 +68,12 @@ def add_outcome(
     from service.api.devices.store import get_device, sensors_of_row
 
     device = get_device(session, row.device_id, lock=True)
-    check_sensors(device.id, sensors_of_row(device), outcome.result.models)
-    return add_calibration(session, device.id, outcome, note, result_id).id
+    check_sensors(device.id, sensors_of_row(device), record.result.models)
+    return add_calibration(session, device.id, record, note, result_id).id
 
 
-def compute(report_progress: Progress, device_id: str, request: Request) -> Outcome:
-    """Calibrate; raises what ``calibration_outcome`` does."""
-    return calibration_outcome(
+def compute(report_progress: Progress, device_id: str, request: Request) -> CalibrationRecord:
+    """Calibrate; raises what ``calibration_record`` does."""
+    return calibration_record(
         report_progress, device_id, request.points, request.sensors, request.settings
     )

@@ -49,7 +49,7 @@ class StoredTool(ResponseModel):
 
 
 class Request(ResponseModel):
-    """What a run keeps of its request, with tools and tracking as they were then."""
+    """Stored request of an export run, with tools and tracking as they were then."""
 
     recording_id: str
     format: Format

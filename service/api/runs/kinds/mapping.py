@@ -27,7 +27,7 @@ _SAME_MM: Final = 1e-6
 
 
 class Request(ResponseModel):
-    """What a run keeps of its request."""
+    """Stored request of a mapping run."""
 
     calibration_id: str
     points: list[ControlPoint]

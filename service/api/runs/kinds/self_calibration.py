@@ -9,11 +9,15 @@ from compute.camera.model import SensorGeometry, SensorModel
 from compute.errors import InvalidParameter
 from compute.progress import Progress
 from service.api.base_models import ResponseModel
-from service.api.calibrations.calibration_content import Outcome, calibration_content, result_of
+from service.api.calibrations.calibration_content import (
+    CalibrationRecord,
+    calibration_content,
+    result_of,
+)
 from service.api.calibrations.schema import ControlPointErrors, GivenDistortion, LengthErrors
 from service.api.devices.schema import Sensor, check_sensors
-from service.api.runs.kinds.calibration import add_outcome
-from service.api.runs.self_calibration_schema import (
+from service.api.runs.kinds.calibration import add_record
+from service.api.runs.kinds.self_calibration_schema import (
     NewRecording,
     directions_of,
     recording_of,
@@ -31,14 +35,14 @@ _CALIBRATION_SHARE: Final = 0.8
 
 @dataclass(frozen=True)
 class SelfCalibrated:
-    """What a run's process returns."""
+    """Result of a self-calibration run's process."""
 
     calibration: Calibration
     lengths_left_out: LengthErrors | None
 
 
 class Request(ResponseModel):
-    """What a run keeps of its request."""
+    """Stored request of a self-calibration run."""
 
     start_calibration_id: str | None
     initial: Literal["start", "readings"] = "start"
@@ -92,17 +96,17 @@ def task(session: "Session", row: "RunRow") -> tuple[Callable[..., Any], tuple[A
 
 
 def store(session: "Session", row: "RunRow", made: "SelfCalibrated") -> str:
-    """Store the calibration and return its id; raises what ``add_outcome`` does."""
+    """Store the calibration and return its id; raises what ``add_record`` does."""
     request = Request.model_validate(row.request)
     result = made.calibration
     content = calibration_content(row.device_id, "self-calibrated", [], result)
     errors = ControlPointErrors(
         fitted=None, leave_one_out=None, lengths_left_out=made.lengths_left_out
     )
-    outcome = Outcome(result, content, errors.model_dump(mode="json"))
+    record = CalibrationRecord(result, content, errors.model_dump(mode="json"))
     remarks = () if result.diagnosis is None else result.diagnosis.remarks
     note = "\n".join([*filter(None, [request.note]), *(f"WARNING: {one}" for one in remarks)])
-    return add_outcome(session, row, outcome, note, request.result_id)
+    return add_record(session, row, record, note, request.result_id)
 
 
 def compute(

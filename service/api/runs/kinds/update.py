@@ -12,7 +12,7 @@ from compute.calibration.result import Calibration, count_readings
 from compute.progress import Progress
 from service.api.base_models import ResponseModel
 from service.api.calibrations.calibration_content import (
-    Outcome,
+    CalibrationRecord,
     calibration_content,
     point_errors,
     result_of,
@@ -20,8 +20,8 @@ from service.api.calibrations.calibration_content import (
 from service.api.calibrations.schema import ControlPoint, ControlPointErrors
 from service.api.devices.schema import Sensor, check_sensors
 from service.api.drift_checks.schema import StationaryMarker
-from service.api.drift_checks.stationary_markers import still_set
-from service.api.runs.kinds.calibration import add_outcome
+from service.api.drift_checks.stationary_markers import marker_arrays
+from service.api.runs.kinds.calibration import add_record
 
 if TYPE_CHECKING:
     from sqlalchemy.orm import Session
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 class Request(ResponseModel):
-    """What a run keeps of its request."""
+    """Stored request of an update run."""
 
     calibration_id: str
     markers: list[StationaryMarker]
@@ -52,7 +52,9 @@ def request_of(request: Request, parent: "CalibrationRow") -> dict[str, Any]:
     """
     result = result_of(parent.content)
     check_sensors(parent.device_id, request.device_sensors, result.models)
-    still = still_set(request.markers, request.device_sensors, result, request.position_sigma_mm)
+    still = marker_arrays(
+        request.markers, request.device_sensors, result, request.position_sigma_mm
+    )
     check_update(result, sensors=request.sensors, allowance=request.allowance)
     prediction_residuals(result, still)
     return request.model_dump(mode="json")
@@ -67,7 +69,7 @@ def task(session: "Session", row: "RunRow") -> tuple[Callable[..., Any], tuple[A
 
 
 def store(session: "Session", row: "RunRow", result: Calibration) -> str:
-    """Store the calibration and return its id; raises what ``add_outcome`` does."""
+    """Store the calibration and return its id; raises what ``add_record`` does."""
     from service.api.calibrations.store import get_calibration
 
     request = Request.model_validate(row.request)
@@ -76,8 +78,8 @@ def store(session: "Session", row: "RunRow", result: Calibration) -> str:
     content = calibration_content(row.device_id, "updated", points, result) | {
         "parent": {"id": parent.id, "content_hash": parent.content_hash}
     }
-    outcome = Outcome(result, content, errors.model_dump(mode="json"))
-    return add_outcome(session, row, outcome, request.note, request.result_id)
+    record = CalibrationRecord(result, content, errors.model_dump(mode="json"))
+    return add_record(session, row, record, request.note, request.result_id)
 
 
 def _drift_verdict(
@@ -91,7 +93,9 @@ def _drift_verdict(
         ControlPoint.model_validate(marker.model_dump(include={"name", "position_mm", "readings"}))
         for marker in request.markers
     ]
-    still = still_set(request.markers, request.device_sensors, result, request.position_sigma_mm)
+    still = marker_arrays(
+        request.markers, request.device_sensors, result, request.position_sigma_mm
+    )
     assert still.positions_mm is not None
     differences = fitted_errors(result, still.positions_mm, still.readings_px, still.sigma_px)
     seen = count_readings(still.readings_px, differences)
@@ -105,5 +109,7 @@ def compute(report_progress: Progress, request: Request, parent: Calibration) ->
     from compute.calibration.drift.calibration_update import update_calibration
 
     report_progress(0.1, "adjusting")
-    still = still_set(request.markers, request.device_sensors, parent, request.position_sigma_mm)
+    still = marker_arrays(
+        request.markers, request.device_sensors, parent, request.position_sigma_mm
+    )
     return update_calibration(parent, still, sensors=request.sensors, allowance=request.allowance)

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from compute.calibration.self_calibration.strobed_poses import (
     StrobedPoseCollector,
     StrobedReadings,
-    strobed_poses,
 )
 from compute.calibration.self_calibration.targets import Recording, RigidBody, Wand
 from compute.calibration.self_calibration.wave_coverage import (
@@ -24,6 +23,15 @@ from tests.compute.rig import project, rig
 
 WAND = Wand((0.0, WAND_MM))
 SENSORS = [SensorGeometry(model.name, model.pixels) for model in rig()]
+
+
+def _collected(
+    exposures: StrobedReadings, markers: tuple[int, ...]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    collector = StrobedPoseCollector(markers, (1000,) * 3)
+    collector.add(exposures)
+    collector.check_lit()
+    return collector.poses()
 
 
 def _wave(axes: tuple[float, ...], side_mm: float = 900.0, poses: int = 160) -> Recording:
@@ -98,7 +106,7 @@ def _strobed(acceleration_mm_s2: float) -> tuple[StrobedReadings, NDArray[np.flo
 def test_strobed_markers_are_brought_to_one_instant() -> None:
     for acceleration in (0.0, 2000.0):
         exposures, exact = _strobed(acceleration)
-        readings, sigma = strobed_poses(exposures, (0, 1), (1000, 1000, 1000))
+        readings, sigma = _collected(exposures, (0, 1))
         assert 20 < len(readings) < 200
         error = np.abs(readings[:, None] - exact[None]).max(axis=(2, 3)).min(axis=1)
         assert error.max() <= 1e-9 + acceleration * 0.002**2  # twice a/8 of the square of 4 ms
@@ -112,7 +120,7 @@ def test_gaps_are_not_interpolated() -> None:
         exposures.time_s[kept], exposures.marker[kept],
         exposures.readings_px[kept], exposures.sigma_px[kept],
     )  # fmt: skip
-    first = strobed_poses(part, (0, 1), (1000,) * 3)[0][:, 0, 0]
+    first = _collected(part, (0, 1))[0][:, 0, 0]
     place = 1500.0 * exposures.time_s
     inside = (first > place[105]) & (first < place[195])
     assert len(first) > 0
@@ -122,9 +130,9 @@ def test_gaps_are_not_interpolated() -> None:
 def test_markers_that_were_not_lit_are_refused() -> None:
     exposures, _ = _strobed(0.0)
     with pytest.raises(InvalidParameter, match=r"marker 2 was never lit alone; markers \[0, 1\]"):
-        strobed_poses(exposures, (0, 2), (1000,) * 3)
+        _collected(exposures, (0, 2))
     with pytest.raises(InvalidParameter, match="one twice"):
-        strobed_poses(exposures, (1, 1), (1000,) * 3)
+        _collected(exposures, (1, 1))
 
 
 def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -219,7 +227,7 @@ def test_exposures_in_any_parts_give_the_same_poses(seed: int) -> None:
     exposures, _ = _strobed(2000.0)
     # As slow as a device can be: the target moves on by more than a pose in a cycle.
     exposures = replace(exposures, readings_px=exposures.readings_px * (1.0 + 4.0 * (seed % 2)))
-    whole = strobed_poses(exposures, (0, 1), (1000,) * 3)[0]
+    whole = _collected(exposures, (0, 1))[0]
     collector = StrobedPoseCollector((0, 1), (1000,) * 3)
     cuts = np.sort(rng.choice(np.arange(1, 400), int(rng.integers(5, 200)), replace=False))
     for part in np.split(np.arange(400), cuts):

@@ -4,7 +4,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import fresnel
 
+from compute.optics.coded_aperture.coded_window import CodedWindow
+
 Array = NDArray[np.float64]
+
+
+def code_edges_mm(window: CodedWindow) -> Array:
+    """Positions where the code becomes transparent, opaque, ..., from its middle, (2 K,) [mm]."""
+    changes = np.flatnonzero(np.diff(np.array((0, *window.code, 0))))
+    return np.asarray(changes * window.bar_mm - window.length_mm / 2.0, dtype=np.float64)
 
 
 def slit_field(position_mm: Array, edges_mm: Array, fresnel_mm: float) -> NDArray[np.complex128]:

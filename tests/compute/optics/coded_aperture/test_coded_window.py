@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from compute.errors import InvalidParameter
 from compute.optics.coded_aperture.coded_window import CodedWindow, maximal_length_code
+from tests.compute.optics.coded_aperture.slit_diffraction import code_edges_mm
 
 
 @pytest.mark.parametrize("order", range(2, 12))
@@ -20,7 +21,7 @@ def test_all_shifts_of_a_maximal_length_code_correlate_alike(order: int) -> None
 @given(code=st.lists(st.sampled_from([0, 1]), min_size=1, max_size=60).filter(any))
 def test_the_edges_bound_the_transparent_bars(code: list[int]) -> None:
     window = CodedWindow(tuple(code), 0.1, 5.0)
-    edges = window.edges_mm.reshape(-1, 2)
+    edges = code_edges_mm(window).reshape(-1, 2)
     middles = (np.arange(len(code)) + 0.5 - len(code) / 2) * 0.1
     inside = [bool(((edges[:, 0] < x) & (x < edges[:, 1])).any()) for x in middles]
     assert inside == [bit == 1 for bit in code]

@@ -11,7 +11,11 @@ from compute.errors import InvalidParameter
 from compute.optics.coded_aperture.coded_window import CodedWindow, maximal_length_code
 from compute.optics.coded_aperture.fresnel_shadow import DiffractedShadow
 from compute.optics.coded_aperture.geometric_shadow import GeometricShadow
-from tests.compute.optics.coded_aperture.slit_diffraction import slit_field, slit_intensity
+from tests.compute.optics.coded_aperture.slit_diffraction import (
+    code_edges_mm,
+    slit_field,
+    slit_intensity,
+)
 
 Array = NDArray[np.float64]
 
@@ -124,7 +128,7 @@ def direct_mean(
             * (
                 share
                 @ slit_intensity(
-                    place.ravel(), window.edges_mm, np.sqrt(square * np.exp(wave * deviation))
+                    place.ravel(), code_edges_mm(window), np.sqrt(square * np.exp(wave * deviation))
                 )
             )
             for part, wave in zip(bell, waves, strict=True)
@@ -213,10 +217,10 @@ def test_a_geometric_shadow_is_the_overlap_with_the_bars(
     node, weight = (np.arange(400) + 0.5) / 400 - 0.5, 1 / 400
     low, high = at - width / 2 + node * blur, at + width / 2 + node * blur
     lit = np.zeros_like(low)
-    for start, end in window.edges_mm.reshape(-1, 2):
+    for start, end in code_edges_mm(window).reshape(-1, 2):
         lit += np.maximum(np.minimum(high, end) - np.maximum(low, start), 0.0)
     # The sum over the penumbra may miss an edge by one of its 400 steps, per edge within reach.
-    allowed = 1e-6 + 0.5 / 400 * min(1.0, blur / width / 400) * len(window.edges_mm)
+    allowed = 1e-6 + 0.5 / 400 * min(1.0, blur / width / 400) * len(code_edges_mm(window))
     assert found == pytest.approx((lit * weight).sum() / width, abs=allowed)
 
 

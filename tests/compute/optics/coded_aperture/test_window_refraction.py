@@ -8,9 +8,9 @@ from scipy.optimize import brentq, minimize_scalar
 
 from compute.optics.coded_aperture.coded_window import CodedWindow
 from compute.optics.coded_aperture.window_refraction import WindowPaths, trace_window
-from compute.optics.tracing.assembly import Assembly, plate
+from compute.optics.tracing.assembly import Assembly, Lens
 from compute.optics.tracing.reference_tracer import trace_rays
-from compute.optics.tracing.surfaces import Aperture
+from compute.optics.tracing.surfaces import Aperture, Plane
 
 GAPS = st.floats(1.0, 30.0)
 THICKNESSES = st.floats(0.1, 10.0)
@@ -45,7 +45,8 @@ def test_a_traced_ray_meets_the_pixel(
     made = window(gap, thickness, index)
     found = path(made, x, y, z)
     tangent = np.array([x, y]) * float(found.mask_fraction) / gap
-    stack = Assembly((plate(thickness, index, Aperture(1e5, 1e5)),), thickness + gap).stack()
+    glass = Lens((Plane(), Plane()), (thickness,), (index,), Aperture(1e5, 1e5))
+    stack = Assembly((glass,), thickness + gap).stack()
     rays = trace_rays(
         stack, np.array([[x, y, thickness - z]]), np.array([[-tangent[0], -tangent[1], 1.0]])
     )

@@ -1,7 +1,7 @@
 """Assemblies that line optics are tried on, each with its row of pixels."""
 
 from compute.optics.pixel_row import PixelRow
-from compute.optics.tracing.assembly import Alignment, Assembly, Lens, Stop, plate
+from compute.optics.tracing.assembly import Alignment, Assembly, Lens, Stop
 from compute.optics.tracing.surfaces import Aperture, Cylinder, Plane, Toroid
 
 ROW = PixelRow(2048, 12.0, 200.0)
@@ -47,7 +47,7 @@ DOUBLET = Assembly(
             (1.517, 1.649),
             Aperture(20.0, 40.0),
         ),
-        plate(1.0, 1.5, Aperture(30.0, 40.0), 40.0),
+        Lens((Plane(), Plane()), (1.0,), (1.5,), Aperture(30.0, 40.0), 40.0),
     ),
     44.0,
 )

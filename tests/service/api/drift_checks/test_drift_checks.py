@@ -24,7 +24,7 @@ from service.api.captures.store import keep
 from service.api.devices.schema import Sensor
 from service.api.drift_checks.examples import NEW_DRIFT_CHECKS
 from service.api.drift_checks.schema import StationaryMarker
-from service.api.drift_checks.stationary_markers import still_set
+from service.api.drift_checks.stationary_markers import marker_arrays
 from service.application.app import create_app
 from service.settings import Settings
 from tests.compute.rig import turned_about_lens
@@ -298,7 +298,7 @@ def test_more_readings_than_are_solved_within_a_request_are_refused():
     sensors = [Sensor(f"s{number}", 2048, 14.0) for number in range(6)]
     markers = [StationaryMarker(name=f"P{number}", readings={}) for number in range(200)]
     with pytest.raises(InvalidParameter, match="200 markers of 6 sensors are 1200 readings"):
-        still_set(markers, sensors, NEVER_USED, 0.0)
+        marker_arrays(markers, sensors, NEVER_USED, 0.0)
 
 
 def test_a_device_takes_its_drift_checks_with_it(sqlite_client: Any):

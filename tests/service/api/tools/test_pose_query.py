@@ -253,7 +253,7 @@ def test_a_frame_knows_the_table_that_it_was_measured_with(
     put(live, pose("pointer", 7, TURN, close))
     found = asked(tools, frame_id="ct")
     assert found["status"] == "INVALID"
-    assert 'with correction table "map", and none is in force' in found["reason"]
+    assert 'with correction table "map", and none is active' in found["reason"]
     # One that was stored before tables were kept: the history of activations tells.
     with tools.app.state.database.write() as session:
         row = session.get(RegistrationRow, "ct")

@@ -1,6 +1,7 @@
 """Readers of what the server only writes, and the writer of what it only reads."""
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,6 @@ from service.protocols.openigtlink.bodies import (
     SIX_DOF,
     START,
     STATUS,
-    TRANSFORM_BYTES,
     Point,
     StartStream,
     check_size,
@@ -22,6 +22,8 @@ from service.protocols.openigtlink.bodies import (
 from service.protocols.openigtlink.message import TYPE_BYTES, BadMessage
 
 Array = NDArray[np.float64]
+
+TRANSFORM_BYTES: Final = 48
 
 
 @dataclass(frozen=True, eq=False)

@@ -298,7 +298,7 @@ def test_landmarks_do_not_outlive_what_they_were_measured_with():
             assert await asked() == ["mr ear"]
             text = await told()
             assert text.count('registration "ct" was measured with calibration "first"') == 1
-            assert '"second" is in force' in text
+            assert '"second" is active' in text
             served.board.put(entry(3, in_force=("first", "map")))
             assert "do not hold any more" in await told()
             assert await asked() == []

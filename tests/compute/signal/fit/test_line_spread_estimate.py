@@ -8,12 +8,12 @@ from numpy.typing import NDArray
 
 from compute.errors import InvalidParameter
 from compute.signal.centroid_settings import CentroidSettings
-from compute.signal.fit.device_line_shape import device_line_shape
+from compute.signal.fit.device_line_spread import device_line_spread
 from compute.signal.fit.fit_finder import FitFinder
 from compute.signal.fit.fit_reference import fit_scans
 from compute.signal.fit.fit_settings import FitSettings
-from compute.signal.fit.line_shape_estimate import estimate_line_shape
-from compute.signal.line_shape import LineShape
+from compute.signal.fit.line_spread_estimate import estimate_line_spread
+from compute.signal.measured_line_spread import MeasuredLineSpread
 from compute.signal.peaks import PeakFlag
 from compute.signal.sensor_noise import SensorNoise
 from tests.oracles.comatic_stripes import ComaticSensor
@@ -41,7 +41,7 @@ def known_width(width_px: float) -> FitSettings:
 @pytest.mark.parametrize(("blur_px", "flare"), [(1.0, 1.0), (0.7, 1.0)])
 def test_fit_by_the_measured_shape_is_at_the_bound(blur_px: float, flare: float) -> None:
     sensor, rng = ComaticSensor(blur_px=blur_px, flare=flare), np.random.default_rng(11)
-    shape = estimate_line_shape(moved(sensor, 1600, rng), FREE, NOISE)
+    shape = estimate_line_spread(moved(sensor, 1600, rng), FREE, NOISE)
     assert shape.reduced_chi2 == pytest.approx(1.0, abs=0.04)
     # The flare points outwards: skewness changes its sign along the sensor.
     assert shape.skewness[0] < -0.2
@@ -49,7 +49,7 @@ def test_fit_by_the_measured_shape_is_at_the_bound(blur_px: float, flare: float)
     position = rng.uniform(40.0, 470.0, 1000)
     scans = sensor.expose(position, LIGHT, AMBIENT, rng)
     bound2 = np.mean([sensor.bound_px(float(one), LIGHT, AMBIENT) ** 2 for one in position])
-    function, width_px = device_line_shape([shape], 1.0)
+    function, width_px = device_line_spread([shape], 1.0)
     ratios, flagged = [], []
     for given in (None, function):
         finder = FitFinder(1000, 512, known_width(width_px), NOISE, given, "cpu", 1)
@@ -70,8 +70,8 @@ def test_fit_by_the_measured_shape_is_at_the_bound(blur_px: float, flare: float)
 @pytest.mark.slow
 def test_kernel_and_definition_agree_with_shapes_of_two_sensors() -> None:
     sensor, rng = ComaticSensor(pixels=256), np.random.default_rng(12)
-    shape = estimate_line_shape(moved(sensor, 500, rng), FREE, NOISE)
-    function, width_px = device_line_shape([shape, None], 1.0)
+    shape = estimate_line_spread(moved(sensor, 500, rng), FREE, NOISE)
+    function, width_px = device_line_spread([shape, None], 1.0)
     assert function.cumulative.shape[0] == 2
     position = rng.uniform(30.0, 220.0, 12)
     scans = sensor.expose(position, LIGHT, AMBIENT, rng)
@@ -89,16 +89,16 @@ def test_kernel_and_definition_agree_with_shapes_of_two_sensors() -> None:
 def test_document_gives_the_shape_again_and_others_are_refused() -> None:
     sensor, rng = ComaticSensor(pixels=256), np.random.default_rng(13)
     scans = moved(sensor, 600, rng)
-    shape = estimate_line_shape(scans, FREE, NOISE)
-    again = LineShape.from_document(shape.to_document())
+    shape = estimate_line_spread(scans, FREE, NOISE)
+    again = MeasuredLineSpread.from_document(shape.to_document())
     assert again.light.tobytes() == shape.light.tobytes()
     assert again.to_document() == shape.to_document()
     with pytest.raises(InvalidParameter, match="must have"):
-        LineShape.from_document({"light": []})
+        MeasuredLineSpread.from_document({"light": []})
     with pytest.raises(InvalidParameter, match="400 or more"):
-        estimate_line_shape(scans[:100], FREE, NOISE)
+        estimate_line_spread(scans[:100], FREE, NOISE)
     with pytest.raises(InvalidParameter, match="no line lies between pixels"):
-        estimate_line_shape(np.concatenate([scans[:200], scans[-250:]]), FREE, NOISE)
+        estimate_line_spread(np.concatenate([scans[:200], scans[-250:]]), FREE, NOISE)
     sharp = moved(replace(sensor, blur_px=0.35), 600, rng)
     with pytest.raises(InvalidParameter, match=r"cannot be told apart|400 or more"):
-        estimate_line_shape(sharp, FREE, NOISE)
+        estimate_line_spread(sharp, FREE, NOISE)

@@ -1,4 +1,4 @@
-"""Line shapes of a sensor by position, estimated from scans of a marker moved through the field."""
+"""Line-spread function of a sensor by position, estimated from scans of a moved marker."""
 
 from typing import Final
 
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from compute.errors import InvalidParameter
 from compute.signal.fit.fit_settings import FitSettings
 from compute.signal.fit.line_samples import LineSamples, take_samples
-from compute.signal.line_shape import LineShape
+from compute.signal.measured_line_spread import MeasuredLineSpread
 from compute.signal.pixel_corrections import PixelCorrections
 from compute.signal.sensor_noise import SensorNoise
 
@@ -42,13 +42,13 @@ MIN_WIDTH_PX: Final = 0.5
 """Sharper lines' shape and sub-pixel positions cannot be told apart."""
 
 
-def estimate_line_shape(
+def estimate_line_spread(
     scans: NDArray[np.uint16],
     settings: FitSettings,
     noise: SensorNoise,
     corrections: PixelCorrections | None = None,
-) -> LineShape:
-    """Estimate a sensor's line shape by position from scans of one marker moved through the field.
+) -> MeasuredLineSpread:
+    """Estimate a sensor's line-spread function by position from scans of a moved marker.
 
     As effective point-spread functions are built in astronomy (J. Anderson and I. R. King,
     10.1086/316632), but in one least-squares problem: a shape that changes along the sensor by
@@ -197,7 +197,7 @@ class _ShapeProblem:
         median = float(np.median(ratio[self.keep]))
         self.keep = ratio < median * (1.0 + OUTLIER_SIGMA * np.sqrt(2.0 / self.dof))
 
-    def result(self) -> LineShape:
+    def result(self) -> MeasuredLineSpread:
         """Return the shapes as light in cells at nodes."""
         reach = np.ceil(self.samples.reach_px)
         edges = np.arange(-reach * CELLS_PER_PIXEL, reach * CELLS_PER_PIXEL + 1) / CELLS_PER_PIXEL
@@ -206,7 +206,7 @@ class _ShapeProblem:
         light = np.maximum(np.diff(self._field(nodes) @ self.shapes @ below.T, axis=1), 0.0)
         light /= light.sum(axis=1, keepdims=True)
         keep = self.keep
-        return LineShape(
+        return MeasuredLineSpread(
             light,
             float(edges[0]),
             1.0 / CELLS_PER_PIXEL,

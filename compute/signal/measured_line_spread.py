@@ -1,4 +1,4 @@
-"""LineShape: shape of the lines of one sensor by position along it."""
+"""MeasuredLineSpread: line-spread function of one sensor, measured, by position along it."""
 
 from dataclasses import dataclass, fields
 from typing import Any
@@ -13,8 +13,8 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class LineShape:
-    """Shape of the lines of one sensor at N nodes along it, as light in cells finer than pixels.
+class MeasuredLineSpread:
+    """Line-spread function of one sensor at N nodes along it, as light in cells finer than pixels.
 
     The position of a line is its centre of gravity.
 
@@ -79,7 +79,7 @@ class LineShape:
         }
 
     @classmethod
-    def from_document(cls, document: dict[str, Any]) -> "LineShape":
+    def from_document(cls, document: dict[str, Any]) -> "MeasuredLineSpread":
         """Return the line shape of a JSON object.
 
         Raises:

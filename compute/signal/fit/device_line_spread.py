@@ -1,15 +1,15 @@
-"""Line-spread function of all sensors of a device, from the measured shapes of their lines."""
+"""Line-spread function of all sensors of a device, from the measured ones of each."""
 
 from collections.abc import Sequence
 
 import numpy as np
 
 from compute.signal.fit.line_spread_function import LineSpreadFunction
-from compute.signal.line_shape import LineShape
+from compute.signal.measured_line_spread import MeasuredLineSpread
 
 
-def device_line_shape(
-    shapes: Sequence[LineShape | None], default_width_px: float | None
+def device_line_spread(
+    shapes: Sequence[MeasuredLineSpread | None], default_width_px: float | None
 ) -> tuple[LineSpreadFunction, float]:
     """Return one line-spread function for all sensors of a device, and its unit [px].
 

@@ -1,7 +1,7 @@
 /** How the drift of a device is watched. */
 
 import { useSignal } from "@preact/signals";
-import { api, type Schemas, sent } from "../../api/client";
+import { api, type Schemas, sent, tagged } from "../../api/client";
 import type { Device } from "../../devices";
 import { usePolled } from "../../live/polling";
 import { text } from "../../text";
@@ -11,11 +11,7 @@ import { markerNumbers } from "./quality_data";
 export function Watch({ device, changed }: { device: Device; changed: () => Promise<void> }) {
   const path = { path: { device_id: device.id } };
   // With its tag: what another person changed meanwhile is not overwritten.
-  const polled = usePolled(`watch ${device.id}`, async () => {
-    const answer = await api.GET("/api/v1/devices/{device_id}/watch", { params: path });
-    const settings = await sent(Promise.resolve(answer));
-    return { settings, tag: answer.response.headers.get("ETag") ?? "*" };
-  });
+  const polled = usePolled(`watch ${device.id}`, () => tagged(api.GET("/api/v1/devices/{device_id}/watch", { params: path })));
   const now = polled.value;
   return (
     <Panel title={text.quality.watch}>
@@ -24,7 +20,7 @@ export function Watch({ device, changed }: { device: Device; changed: () => Prom
       {now ? (
         <Settings
           key={now.tag}
-          settings={now.settings}
+          settings={now.document}
           save={(settings) =>
             sent(
               api.PUT("/api/v1/devices/{device_id}/watch", {

@@ -115,6 +115,7 @@ export const text = {
     run: "Run",
     next: "Next exposure",
     old: "What is shown is old.",
+    silent: "No newer exposure has come for a second.",
     exposure: (sequence: number) => `exposure ${sequence}`,
     exposureName: "Exposure",
     peakCount: (count: number) => (count === 1 ? "1 peak" : `${count} peaks`),
@@ -182,6 +183,7 @@ export const text = {
     tipLimit: "Largest std. dev. of the tip [mm]",
     asDevice: "the device's",
     save: "Save",
+    changedMeanwhile: "Another person changed this tool meanwhile. The form shows what it is now; what you entered is not saved.",
     calibrate: "Pivot and spin",
     kinds: { pivot: "Pivot: find the tip", spin: "Spin: find the axis" },
     kindHelp: {

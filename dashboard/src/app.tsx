@@ -19,7 +19,7 @@ import { Scene } from "./screens/scene/scene";
 import { ScansScreen } from "./screens/scans/scans";
 import { Tools } from "./screens/tools/tools";
 import { text } from "./text";
-import { Action, Badge, Failure } from "./ui/parts";
+import { Action, Badge, Failure, Why } from "./ui/parts";
 
 type Name = keyof typeof text.screens;
 
@@ -153,7 +153,7 @@ function DeviceState({ id }: { id: string }) {
   return (
     <>
       <Badge kind={state === "running" ? "good" : state === "failed" || state === "disconnected" ? "bad" : "idle"}>
-        <span title={now?.reason ?? undefined}>{state}</span>
+        {state}
       </Badge>
       {state === "stopped" || state === "failed" || state === "ended" ? (
         <Action
@@ -163,6 +163,7 @@ function DeviceState({ id }: { id: string }) {
           done={polled.refresh}
         />
       ) : null}
+      <Why reason={now.reason} />
     </>
   );
 }

@@ -740,6 +740,7 @@ export const text = {
   confirm: { yes: "Yes", no: "No", remove: (name: string) => `Delete ${name}?`, revoke: (name: string) => `Revoke ${name}?` },
   copy: "Copy",
   copied: "Copied",
+  notCopied: "Not copied: select and copy it by hand",
   moreRows: (count: number) => `… and ${count} more`,
   loading: "Loading …",
   missing: "–",

@@ -7,7 +7,7 @@ import { allowed, logOut, scopeOf, session } from "../api/session";
 import { usePolled } from "../live/polling";
 import { text } from "../text";
 import { time } from "../ui/format";
-import { Action, Badge, Copy, Failure, Panel, Table } from "../ui/parts";
+import { Action, Badge, Copy, Failure, Panel, Table, Why } from "../ui/parts";
 
 type Scope = Schemas["NewApiKey"]["scopes"][number];
 
@@ -157,7 +157,10 @@ function Audit() {
           entry.actor.name || entry.actor.id,
           entry.operation,
           [entry.object_kind, entry.object_id].filter(Boolean).join(" "),
-          <span title={entry.detail ?? undefined}>{entry.outcome}</span>,
+          <>
+            {entry.outcome}
+            <Why reason={entry.detail} />
+          </>,
         ]}
       />
     </Panel>

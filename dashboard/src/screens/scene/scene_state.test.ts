@@ -90,6 +90,7 @@ describe("SceneState", () => {
     state.take(frameOf({ points: [point(0, 1)] }, 0));
     state.take(frameOf({ points: [point(1, 2)] }, 0.1));
     expect(state.markers.map(({ id }) => id)).toEqual(["marker 0", "marker 1"]);
+    expect(state.markers[0]?.tail).toHaveLength(1);
     state.take(frameOf({ points: [point(1, 3)] }, 0.35));
     expect(state.markers.map(({ id, position }) => [id, position[0]])).toEqual([["marker 1", 3]]);
     expect(state.markers[0]?.tail).toHaveLength(2);

@@ -2,7 +2,7 @@
 
 import { useSignal } from "@preact/signals";
 import type { ComponentChildren } from "preact";
-import { useEffect, useRef } from "preact/hooks";
+import { useEffect, useLayoutEffect, useRef } from "preact/hooks";
 import { RequestFailed } from "../api/client";
 import { allowed, type Operation, scopeOf } from "../api/session";
 import { text } from "../text";
@@ -61,8 +61,8 @@ export function Action(props: ActionProps) {
   const group = useRef<HTMLSpanElement>(null);
   const button = useRef<HTMLButtonElement>(null);
   const asked = useRef(false);
-  // The question takes the focus, and gives it back to the button once it is answered.
-  useEffect(() => {
+  // The question takes the focus before the next key, and gives it back to the button once it is answered.
+  useLayoutEffect(() => {
     if (asking.value) group.current?.focus();
     else if (asked.current) button.current?.focus();
     asked.current = asking.value;

@@ -4,7 +4,7 @@ import { signal, useSignal, useSignalEffect } from "@preact/signals";
 import type { ComponentType } from "preact";
 import { useEffect } from "preact/hooks";
 import { api, sent } from "./api/client";
-import { logIn, logOut, openSession, refusal, serverReached, session } from "./api/session";
+import { logIn, logOut, openSession, refusal, serverReached, session, trouble } from "./api/session";
 import { choose, device, devices, loadDevices } from "./devices";
 import { usePolled } from "./live/polling";
 import { visible } from "./live/visibility";
@@ -20,7 +20,7 @@ import { ScansScreen } from "./screens/scans/scans";
 import { Tools } from "./screens/tools/tools";
 import { text } from "./text";
 import { FaultBoundary } from "./ui/fault_boundary";
-import { Action, Badge, Failure } from "./ui/parts";
+import { Action, Badge, Failure, Why } from "./ui/parts";
 
 type Name = keyof typeof text.screens;
 
@@ -46,6 +46,8 @@ const screen = signal<Name>(named(location.hash));
 addEventListener("hashchange", () => (screen.value = named(location.hash)));
 
 const RETRY_MS = 1000;
+/** A server that has too much to do is asked less often than one that is gone. */
+const TROUBLE_RETRY_MS = 5000;
 
 export function App() {
   useSignalEffect(() => {
@@ -53,10 +55,16 @@ export function App() {
     if (serverReached.value && session.value) return undefined;
     void openSession();
     // Without access the person at the page acts; without a server nobody can.
-    const timer = setInterval(() => {
+    const gone = setInterval(() => {
       if (!serverReached.value) void openSession();
     }, RETRY_MS);
-    return () => clearInterval(timer);
+    const troubled = setInterval(() => {
+      if (trouble.value !== null) void openSession();
+    }, TROUBLE_RETRY_MS);
+    return () => {
+      clearInterval(gone);
+      clearInterval(troubled);
+    };
   });
   return (
     <>
@@ -148,7 +156,7 @@ function DeviceState({ id }: { id: string }) {
   return (
     <>
       <Badge kind={state === "running" ? "good" : state === "failed" || state === "disconnected" ? "bad" : "idle"}>
-        <span title={now?.reason ?? undefined}>{state}</span>
+        {state}
       </Badge>
       {state === "stopped" || state === "failed" || state === "ended" ? (
         <Action
@@ -158,12 +166,15 @@ function DeviceState({ id }: { id: string }) {
           done={polled.refresh}
         />
       ) : null}
+      <Why reason={now.reason} />
     </>
   );
 }
 
 function Access() {
   const entered = useSignal("");
+  const why = trouble.value === null ? null : text.connection.again(trouble.value);
+  if (serverReached.value && refusal.value === null && why !== null) return <Failure message={why} />;
   if (!serverReached.value || refusal.value === null) return <p class="muted">{text.loading}</p>;
   return (
     <form
@@ -187,7 +198,7 @@ function Access() {
       <button type="submit" class="primary">
         {text.access.open}
       </button>
-      <Failure message={refusal.value} />
+      <Failure message={why ?? refusal.value} />
       <p class="muted">{text.access.kept}</p>
       <button type="button" class="quiet" onClick={() => void logOut()}>
         {text.access.logOut}

@@ -2,6 +2,7 @@
 
 import createClient, { type Middleware } from "openapi-fetch";
 import type { components, paths } from "./schema";
+import { text } from "../text";
 import { key } from "./key";
 
 export type Schemas = components["schemas"];
@@ -35,27 +36,41 @@ interface Answer<T> {
   response: Response;
 }
 
+/** A document as it was read, with its entity tag: what another changed meanwhile is not overwritten. */
+export interface Tagged<T> {
+  readonly document: T;
+  readonly tag: string;
+}
+
 /** Return the answer's document, or throw RequestFailed with the server's own words. */
 export async function sent<T>(request: Promise<Answer<T>>): Promise<T> {
-  let answer: Answer<T>;
+  return (await tagged(request)).document;
+}
+
+/** Return the answer's document with its entity tag, or throw RequestFailed with the server's own words. */
+export async function tagged<T>(request: Promise<Answer<T>>): Promise<Tagged<T>> {
+  const { data, error, response } = await reached(request);
+  if (!response.ok) throw failure(response.status, (error ?? null) as Problem | null);
+  return { document: data as T, tag: response.headers.get("ETag") ?? "*" };
+}
+
+/** A network's failure is a TypeError of fetch, and that of an answer cut short a SyntaxError. */
+async function reached<T>(answer: Promise<T>): Promise<T> {
   try {
-    answer = await request;
+    return await answer;
   } catch {
-    throw new RequestFailed(0, null, "The server does not answer.");
+    throw new RequestFailed(0, null, text.connection.noAnswer);
   }
-  if (answer.response.ok) return answer.data as T;
-  const problem = (answer.error ?? null) as Problem | null;
-  const status = answer.response.status;
-  throw new RequestFailed(status, problem, problem?.detail ?? `The server answered ${status}.`);
+}
+
+function failure(status: number, problem: Problem | null): RequestFailed {
+  return new RequestFailed(status, problem, problem?.detail ?? text.connection.answered(status));
 }
 
 /** Return a picture or a file of the server as a blob: images carry no key of their own. */
 export async function fetchBlob(path: string): Promise<Blob> {
   const headers: HeadersInit = key.value ? { Authorization: `Bearer ${key.value}` } : {};
-  const response = await fetch(path, { headers });
-  if (!response.ok) {
-    const problem = (await response.json().catch(() => null)) as Problem | null;
-    throw new RequestFailed(response.status, problem, problem?.detail ?? response.statusText);
-  }
-  return response.blob();
+  const response = await reached(fetch(path, { headers }));
+  if (!response.ok) throw failure(response.status, (await response.json().catch(() => null)) as Problem | null);
+  return reached(response.blob());
 }

@@ -3,6 +3,7 @@
 import { computed, signal } from "@preact/signals";
 import { api, RequestFailed, type Schemas, sent } from "./client";
 import { setKey } from "./key";
+import { RequestOrder } from "./request_order";
 import { OPERATION_SCOPES } from "./scopes";
 
 export type Operation = keyof typeof OPERATION_SCOPES;
@@ -12,7 +13,12 @@ export type Session = Schemas["RequestPrincipal"];
 export const session = signal<Session | null>(null);
 /** Why there is no access: the server's words. */
 export const refusal = signal<string | null>(null);
+/** Why the server could not say who this is, though it answers: too many requests, or not ready. It is asked again. */
+export const trouble = signal<string | null>(null);
 export const serverReached = signal(true);
+
+const LIMIT_MS = 5000;
+const order = new RequestOrder();
 
 const scopes = computed(() => new Set<string>(session.value?.scopes ?? []));
 
@@ -28,14 +34,21 @@ export function scopeOf(operation: Operation): string {
 
 /** Ask the server who this is. */
 export async function openSession(): Promise<void> {
+  const number = order.begin();
   try {
-    session.value = await sent(api.GET("/api/v1/principal"));
+    const found = await sent(api.GET("/api/v1/principal", { signal: AbortSignal.timeout(LIMIT_MS) }));
+    if (!order.isNewest(number)) return;
+    session.value = found;
     refusal.value = null;
+    trouble.value = null;
     serverReached.value = true;
   } catch (error) {
     if (!(error instanceof RequestFailed)) throw error;
+    if (!order.isNewest(number)) return;
     serverReached.value = error.status !== 0;
-    if (error.status === 401 || error.status === 403) {
+    const refused = error.status === 401 || error.status === 403;
+    trouble.value = refused || error.status === 0 ? null : error.message;
+    if (refused) {
       session.value = null;
       refusal.value = error.message;
     }
@@ -45,7 +58,8 @@ export async function openSession(): Promise<void> {
 export async function logIn(text: string): Promise<void> {
   setKey(text.trim());
   await openSession();
-  if (session.value === null) setKey(null);
+  // A key that the server could not look at may be good.
+  if (session.value === null && trouble.value === null && serverReached.value) setKey(null);
 }
 
 export async function logOut(): Promise<void> {

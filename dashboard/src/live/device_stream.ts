@@ -7,14 +7,21 @@ import { decodeMessage, type Frame, type Hello, type HoldSample, type Message } 
 import { visible } from "./visibility";
 
 export type Content = "points" | "peaks" | "tracks" | "tools" | "holds";
-/** `paused`: the page is hidden; `lost`: the connection broke and is being opened again. */
+/** `connecting`: not greeted by the server yet; `paused`: the page is hidden; `lost`: the connection broke and is being
+ * opened again. */
 export type Connection = "connecting" | "open" | "lost" | "paused" | "refused";
 
 const FIRST_RETRY_MS = 250;
 const MAX_RETRY_MS = 4000;
-const CHECK_MS = 200;
-/** Without a message for so long, what is shown is old. */
-export const STALE_AFTER_MS = 800;
+/** The code with which the server ends a stream whose key was revoked or has expired. */
+const REFUSED = 1008;
+const CHECK_MS = 100;
+/** Without a message for so long, what is shown is old: with the next check it is said within a second. */
+const STALE_AFTER_MS = 800;
+/** A connection that is silent, or not open, for so long is given up: one whose other end is gone never closes by itself. */
+const SILENT_MS = 5000;
+/** A device that exposes more slowly is waited for as many of its exposures. */
+const PATIENCE = 2.5;
 
 export class DeviceStream {
   readonly connection: Signal<Connection> = signal<Connection>("connecting");
@@ -32,8 +39,11 @@ export class DeviceStream {
   private retryMs = FIRST_RETRY_MS;
   private retry: ReturnType<typeof setTimeout> | undefined;
   private check: ReturnType<typeof setInterval> | undefined;
-  private lastMessageMs = 0;
-  private closed = false;
+  private lastFrameMs = 0;
+  /** Checks since the last sign of life. They are counted, not timed: while the page is too busy to check, messages that
+   * have arrived wait to be read. */
+  private silentChecks = 0;
+  private exposureMs = 0;
   private readonly dispose: () => void;
 
   constructor(
@@ -46,13 +56,16 @@ export class DeviceStream {
       const open = visible.value;
       const used = key.value;
       this.disconnect();
+      batch(() => {
+        this.connection.value = open ? "connecting" : "paused";
+        // What was shown before is old until the server greets again; at first nothing is shown.
+        this.stale.value = this.hello.peek() !== null;
+      });
       if (open) this.connect(used);
-      else this.connection.value = "paused";
     });
   }
 
   close(): void {
-    this.closed = true;
     this.dispose();
     this.disconnect();
   }
@@ -67,11 +80,9 @@ export class DeviceStream {
     const socket = new WebSocket(address, protocols);
     socket.binaryType = "arraybuffer";
     this.socket = socket;
-    let opened = false;
+    this.silentChecks = 0;
     socket.onopen = () => {
-      opened = true;
-      this.retryMs = FIRST_RETRY_MS;
-      this.lastMessageMs = performance.now();
+      if (this.socket === socket) this.silentChecks = 0;
     };
     socket.onmessage = (event: MessageEvent<ArrayBuffer>) => {
       if (this.socket !== socket) return;
@@ -79,16 +90,29 @@ export class DeviceStream {
       if (message) this.take(message);
     };
     socket.onclose = (event) => {
-      if (this.socket !== socket || this.closed) return;
-      this.socket = null;
-      batch(() => {
-        this.connection.value = event.code === 1008 ? "refused" : "lost";
-        if (event.reason) this.reason.value = event.reason;
-        this.stale.value = true;
-      });
-      if (!opened || event.code !== 1008) this.retry = setTimeout(() => this.connect(used), this.next());
+      if (this.socket !== socket) return;
+      if (event.reason) this.reason.value = event.reason;
+      if (event.code === REFUSED) this.end("refused");
+      else this.reconnect(used);
     };
-    this.check ??= setInterval(() => this.watch(), CHECK_MS);
+    this.check ??= setInterval(() => this.watch(used), CHECK_MS);
+  }
+
+  /** Say that the connection is lost, and open another after a while. */
+  private reconnect(used: string | null): void {
+    this.end("lost");
+    this.retry = setTimeout(() => this.connect(used), this.next());
+  }
+
+  private end(connection: Connection): void {
+    const socket = this.socket;
+    // First: what it says from now on, its end above all, counts no more.
+    this.socket = null;
+    socket?.close();
+    batch(() => {
+      this.connection.value = connection;
+      this.stale.value = true;
+    });
   }
 
   private next(): number {
@@ -106,18 +130,33 @@ export class DeviceStream {
     socket?.close();
   }
 
-  private watch(): void {
-    const waited = performance.now() - this.lastMessageMs;
-    const streams = this.content.length > 0 && this.state.value === "running";
-    const late = streams && waited > STALE_AFTER_MS;
-    this.stale.value = this.connection.value !== "open" || late;
+  private watch(used: string | null): void {
+    const open = this.connection.value === "open";
+    this.stale.value = !open || this.late();
+    // A device that does not run has nothing to say.
+    if (this.socket === null || (open && !this.running())) return;
+    this.silentChecks += 1;
+    if (this.silentChecks * CHECK_MS > Math.max(SILENT_MS, open ? this.exposureMs : 0)) this.reconnect(used);
+  }
+
+  private running(): boolean {
+    return this.content.length > 0 && this.state.value === "running";
+  }
+
+  private late(): boolean {
+    return this.running() && performance.now() - this.lastFrameMs > Math.max(STALE_AFTER_MS, this.exposureMs);
   }
 
   private take(message: Message): void {
-    this.lastMessageMs = performance.now();
+    // A greeting that comes again is no frame: what is silent stays so until there is one.
+    if (message.type !== "hello" || this.hello.value === null) this.lastFrameMs = performance.now();
+    this.silentChecks = 0;
+    // Only now: one who accepts connections and says nothing is not asked more often for that.
+    this.retryMs = FIRST_RETRY_MS;
+    if ((message.type === "hello" || message.type === "state") && message.frame_rate_hz)
+      this.exposureMs = (PATIENCE * 1000) / message.frame_rate_hz;
     batch(() => {
       this.connection.value = "open";
-      this.stale.value = false;
       switch (message.type) {
         case "hello":
           this.hello.value = message;
@@ -142,6 +181,7 @@ export class DeviceStream {
         case "missed":
           break;
       }
+      this.stale.value = this.late();
     });
   }
 

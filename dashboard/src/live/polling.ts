@@ -3,8 +3,13 @@
 import { useSignal, useSignalEffect } from "@preact/signals";
 import { useCallback, useEffect, useRef } from "preact/hooks";
 import { RequestFailed } from "../api/client";
+import { RequestOrder } from "../api/request_order";
 import { openSession, serverReached } from "../api/session";
+import { text } from "../text";
 import { visible } from "./visibility";
+
+/** An answer that takes longer is not waited for: without one nothing would be asked any more. */
+const LIMIT_MS = 15_000;
 
 export interface Polled<T> {
   readonly value: T | null;
@@ -26,29 +31,38 @@ export function usePolled<T>(identity: string, load: () => Promise<T>, seconds =
     error.value = null;
   }
   current.current = { identity, load };
+  const order = useRef(new RequestOrder()).current;
+  const waiting = useRef(0);
 
   const refresh = useCallback(async () => {
     const asked = current.current.identity;
+    const number = order.begin();
+    waiting.current += 1;
     try {
-      const found = await current.current.load();
-      if (asked !== current.current.identity) return;
+      const found = await withinLimit(current.current.load());
+      if (asked !== current.current.identity || !order.isNewest(number)) return;
       // Equal documents are not set: whatever shows them need not be drawn again.
       if (JSON.stringify(found) !== JSON.stringify(value.value)) value.value = found;
       error.value = null;
       serverReached.value = true;
     } catch (failure) {
       if (!(failure instanceof RequestFailed)) throw failure;
-      if (asked !== current.current.identity) return;
+      if (asked !== current.current.identity || !order.isNewest(number)) return;
       error.value = failure.message;
       if (failure.status === 0) serverReached.value = false;
       if (failure.status === 401) await openSession();
+    } finally {
+      waiting.current -= 1;
     }
   }, []);
 
   useSignalEffect(() => {
     if (!visible.value) return undefined;
     void refresh();
-    const timer = setInterval(() => void refresh(), seconds * 1000);
+    // A server that is slower than that is not asked again meanwhile.
+    const timer = setInterval(() => {
+      if (waiting.current === 0) void refresh();
+    }, seconds * 1000);
     return () => clearInterval(timer);
   });
   const first = useRef(true);
@@ -57,4 +71,11 @@ export function usePolled<T>(identity: string, load: () => Promise<T>, seconds =
     else void refresh();
   }, [identity]);
   return { value: value.value, error: error.value, refresh };
+}
+
+function withinLimit<T>(answer: Promise<T>): Promise<T> {
+  return new Promise((resolve, reject) => {
+    const timer = setTimeout(() => reject(new RequestFailed(0, null, text.connection.noAnswer)), LIMIT_MS);
+    void answer.then(resolve, reject).finally(() => clearTimeout(timer));
+  });
 }

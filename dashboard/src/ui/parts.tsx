@@ -2,10 +2,11 @@
 
 import { useSignal } from "@preact/signals";
 import type { ComponentChildren } from "preact";
-import { useEffect, useRef } from "preact/hooks";
+import { useEffect, useLayoutEffect, useRef } from "preact/hooks";
 import { RequestFailed } from "../api/client";
 import { allowed, type Operation, scopeOf } from "../api/session";
 import { text } from "../text";
+import { copyText } from "./clipboard";
 
 export function Panel(props: { title: string; actions?: ComponentChildren; children: ComponentChildren }) {
   return (
@@ -32,6 +33,11 @@ export function Badge({ kind, children }: { kind: "good" | "warn" | "bad" | "idl
   return <span class={`badge ${kind}`}>{children}</span>;
 }
 
+/** A reason, as visible text beside what it explains; nothing where there is none. */
+export function Why({ reason }: { reason: string | null | undefined }) {
+  return reason ? <small class="why">{reason}</small> : null;
+}
+
 interface ActionProps {
   label: string;
   operation: Operation;
@@ -39,20 +45,33 @@ interface ActionProps {
   /** A question that is asked before. */
   confirm?: string;
   disabled?: boolean;
+  /** What it began is still under way: it may not begin again, but keeps the focus. */
+  busy?: boolean;
   kind?: "primary" | "danger";
   done?: () => void | Promise<void>;
 }
 
 /** A button for an operation of the server: shows what is not allowed, and what went wrong. */
 export function Action(props: ActionProps) {
-  const busy = useSignal(false);
+  const working = useSignal(false);
   const asking = useSignal(false);
   const error = useSignal<string | null>(null);
   const can = allowed(props.operation);
   const refusal = can ? undefined : text.access.notAllowed(scopeOf(props.operation));
+  const group = useRef<HTMLSpanElement>(null);
+  const button = useRef<HTMLButtonElement>(null);
+  const asked = useRef(false);
+  // The question takes the focus before the next key, and gives it back to the button once it is answered.
+  useLayoutEffect(() => {
+    if (asking.value) group.current?.focus();
+    else if (asked.current) button.current?.focus();
+    asked.current = asking.value;
+  }, [asking.value]);
+  // A button that is disabled would lose the focus.
+  const busy = working.value || props.busy === true;
   const act = async () => {
     asking.value = false;
-    busy.value = true;
+    working.value = true;
     error.value = null;
     try {
       await props.run();
@@ -61,12 +80,21 @@ export function Action(props: ActionProps) {
       if (!(failure instanceof RequestFailed)) throw failure;
       error.value = failure.message;
     } finally {
-      busy.value = false;
+      working.value = false;
     }
   };
   if (asking.value) {
     return (
-      <span class="row" role="group" aria-label={props.confirm}>
+      <span
+        ref={group}
+        class="row"
+        role="group"
+        tabIndex={-1}
+        aria-label={props.confirm}
+        onKeyDown={(event) => {
+          if (event.key === "Escape") asking.value = false;
+        }}
+      >
         <span>{props.confirm}</span>
         <button type="button" class="danger" onClick={() => void act()}>
           {text.confirm.yes}
@@ -80,13 +108,19 @@ export function Action(props: ActionProps) {
   return (
     <span class="action">
       <button
+        ref={button}
         type="button"
         class={props.kind}
-        disabled={!can || busy.value || props.disabled}
+        disabled={!can || (props.disabled && !busy)}
+        aria-disabled={busy}
         title={refusal}
-        onClick={() => (props.confirm ? (asking.value = true) : void act())}
+        onClick={() => {
+          if (busy) return;
+          if (props.confirm) asking.value = true;
+          else void act();
+        }}
       >
-        {busy.value ? "…" : props.label}
+        {working.value ? "…" : props.label}
       </button>
       {refusal ? <small class="muted">{refusal}</small> : null}
       <Failure message={error.value} />
@@ -95,15 +129,14 @@ export function Action(props: ActionProps) {
 }
 
 export function Copy({ value }: { value: string }) {
-  const done = useSignal(false);
+  const done = useSignal<string | null>(null);
   const copy = async () => {
-    await navigator.clipboard.writeText(value);
-    done.value = true;
-    setTimeout(() => (done.value = false), 1500);
+    done.value = (await copyText(value)) ? text.copied : text.notCopied;
+    setTimeout(() => (done.value = null), 1500);
   };
   return (
     <button type="button" class="quiet" onClick={() => void copy()}>
-      {done.value ? text.copied : text.copy}
+      {done.value ?? text.copy}
     </button>
   );
 }

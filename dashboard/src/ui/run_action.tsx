@@ -43,7 +43,8 @@ export function RunAction(props: RunActionProps) {
           label={props.label}
           kind="primary"
           operation={props.operation}
-          disabled={active || props.disabled === true}
+          disabled={props.disabled === true}
+          busy={active}
           run={async () => {
             run.value = (await props.start()).id;
           }}

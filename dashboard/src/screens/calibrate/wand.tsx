@@ -2,7 +2,7 @@
 
 import { useSignal } from "@preact/signals";
 import { useEffect, useRef } from "preact/hooks";
-import { api, type Schemas, sent } from "../../api/client";
+import { api, type Schemas, sent, tagged } from "../../api/client";
 import { type Device, loadDevices } from "../../devices";
 import { usePolled } from "../../live/polling";
 import { text } from "../../text";
@@ -107,8 +107,7 @@ function SimulatedWand({ device, position_mm }: { device: Device; position_mm: r
       label={text.wand.simulate}
       operation="PATCH /api/v1/devices/{device_id}"
       run={async () => {
-        const request = api.GET("/api/v1/devices/{device_id}", { params: path });
-        const now = await sent(request);
+        const { document: now, tag } = await tagged(api.GET("/api/v1/devices/{device_id}", { params: path }));
         if (now.source.kind !== "simulated") return;
         const scene = {
           kind: "waved-wand",
@@ -117,7 +116,7 @@ function SimulatedWand({ device, position_mm }: { device: Device; position_mm: r
         const settings = { ...now.source.settings, scene, illumination: "strobed" as const, strobe: null, blink: null };
         await sent(
           api.PATCH("/api/v1/devices/{device_id}", {
-            params: { ...path, header: { "If-Match": (await request).response.headers.get("ETag") ?? "*" } },
+            params: { ...path, header: { "If-Match": tag } },
             body: { source: { kind: "simulated", settings: settings as Schemas["SimulationSettings"] } },
           }),
         );

@@ -5,7 +5,7 @@ import { devices } from "../../devices";
 import { usePolled } from "../../live/polling";
 import { text } from "../../text";
 import { significant, time } from "../../ui/format";
-import { Action, Badge, Failure, Panel, Table } from "../../ui/parts";
+import { Action, Badge, Failure, Panel, Table, Why } from "../../ui/parts";
 import { Load } from "./load";
 import { LogLines } from "./log_lines";
 
@@ -114,9 +114,10 @@ function Runs() {
           run.id,
           run.kind,
           run.device_id,
-          <span title={run.problem?.detail}>
+          <>
             <Badge kind={run.state === "succeeded" ? "good" : run.state === "failed" ? "bad" : "idle"}>{run.state}</Badge>
-          </span>,
+            <Why reason={run.problem?.detail} />
+          </>,
           <progress max={1} value={run.progress} aria-label={text.column.progress} />,
           time(run.created_at),
           run.state === "queued" || run.state === "running" ? (

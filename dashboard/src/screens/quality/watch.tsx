@@ -1,7 +1,7 @@
 /** How the drift of a device is watched. */
 
 import { useSignal } from "@preact/signals";
-import { api, RequestFailed, type Schemas, sent } from "../../api/client";
+import { api, RequestFailed, type Schemas, sent, tagged } from "../../api/client";
 import type { Device } from "../../devices";
 import { usePolled } from "../../live/polling";
 import { text } from "../../text";
@@ -15,11 +15,7 @@ const MAX_S = 86_400;
 export function Watch({ device, changed }: { device: Device; changed: () => Promise<void> }) {
   const path = { path: { device_id: device.id } };
   // With its tag: what another person changed meanwhile is not overwritten.
-  const polled = usePolled(`watch ${device.id}`, async () => {
-    const request = api.GET("/api/v1/devices/{device_id}/watch", { params: path });
-    const settings = await sent(request);
-    return { settings, tag: (await request).response.headers.get("ETag") ?? "*" };
-  });
+  const polled = usePolled(`watch ${device.id}`, () => tagged(api.GET("/api/v1/devices/{device_id}/watch", { params: path })));
   const now = polled.value;
   // Not with the fields: they begin anew when another person saved meanwhile, which is why a save fails.
   const problem = useSignal<string | null>(null);
@@ -30,7 +26,7 @@ export function Watch({ device, changed }: { device: Device; changed: () => Prom
       {now ? (
         <Settings
           key={now.tag}
-          settings={now.settings}
+          settings={now.document}
           save={async (settings) => {
             problem.value = null;
             try {

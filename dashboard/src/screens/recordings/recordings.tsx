@@ -8,7 +8,7 @@ import { text } from "../../text";
 import { newDeviceId } from "../../ui/device_id";
 import { download } from "../../ui/download";
 import { bytes, significant, time } from "../../ui/format";
-import { Action, Badge, Failure, Panel, Table } from "../../ui/parts";
+import { Action, Badge, Failure, Panel, Table, Why } from "../../ui/parts";
 import type { Recording } from "./playback";
 import { Player } from "./player";
 
@@ -53,11 +53,12 @@ export function Recordings() {
         row={(recording) => [
           recording.id,
           recording.device_id ?? text.missing,
-          <span title={recording.reason ?? undefined}>
+          <>
             <Badge kind={recording.state === "recording" ? "warn" : ["failed", "incomplete", "unreadable"].includes(recording.state) ? "bad" : "idle"}>
               {recording.state}
             </Badge>
-          </span>,
+            <Why reason={recording.reason} />
+          </>,
           recording.frames_written ?? text.missing,
           significant(recording.duration_s, 3),
           bytes(recording.size_bytes),

@@ -1,22 +1,26 @@
 /** The scene: sensors, markers and tools in 3D, and the same as tables. */
 
-import { type ReadonlySignal, useSignal } from "@preact/signals";
+import { effect, type ReadonlySignal, useSignal } from "@preact/signals";
 import type { ComponentChildren } from "preact";
 import { useEffect, useRef } from "preact/hooks";
 import { api, type Schemas, sent } from "../../api/client";
+import { allowed } from "../../api/session";
 import { device } from "../../devices";
 import { type DeviceStream, useDeviceStream } from "../../live/device_stream";
-import type { Frame, Point, ToolPose, Track } from "../../live/messages";
+import type { Frame, ToolPose, Track } from "../../live/messages";
 import { usePolled } from "../../live/polling";
 import { text } from "../../text";
 import { meanSigma, position, significant, withSigma } from "../../ui/format";
 import { Badge, Copy, Failure, Panel, Table, useThrottled } from "../../ui/parts";
-import type { Vector } from "./geometry";
+import { centreOf, type SensorModel, sensorPose, type Vector } from "./geometry";
 import { SceneState } from "./scene_state";
-import { type Picked, SceneView, type View } from "./scene_view";
+import { type Picked, SceneView, type ToolShape, type View } from "./scene_view";
+
+type Tool = Schemas["Tool"];
 
 const RATE_HZ = 30;
 const TABLE_HZ = 4;
+const TOOLS_S = 5;
 const FACTORS = [0, 3, 10, 100, 1000] as const;
 const VIEWS = Object.keys(text.scene.views) as View[];
 
@@ -28,15 +32,29 @@ export function Scene() {
 function DeviceScene({ device: shown }: { device: Schemas["Device"] }) {
   const stream = useDeviceStream(shown.id, ["points", "tracks", "tools"], RATE_HZ);
   const active = shown.active_calibration_id;
+  const may = allowed("GET /api/v1/tools");
+  const tools = usePolled(
+    `tools ${shown.id} ${may}`,
+    async () => (may ? await sent(api.GET("/api/v1/tools", { params: { query: { device_id: shown.id, limit: 100 } } })) : null),
+    TOOLS_S,
+  );
   return (
     <>
-      <ScenePicture frame={stream.frame} calibration={active} state={useRef(new SceneState()).current}>
+      <ScenePicture
+        frame={stream.frame}
+        calibration={active}
+        state={useRef(new SceneState()).current}
+        tools={tools.value?.items ?? NO_TOOLS}
+        old={stream.stale.value}
+      >
         <StreamBanner stream={stream} />
       </ScenePicture>
       {active === null ? <p class="muted">{text.scene.noCalibration}</p> : null}
     </>
   );
 }
+
+const NO_TOOLS: readonly Tool[] = [];
 
 interface ScenePictureProps {
   /** What is shown, live or recorded. */
@@ -47,17 +65,24 @@ interface ScenePictureProps {
   state: SceneState;
   /** The same frames by a second calibration, in another colour. */
   second?: SceneState | null;
+  /** The tools whose poses the frames have. */
+  tools?: readonly Tool[];
+  /** What is shown is of before. */
+  old?: boolean;
   /** Over the picture. */
   children?: ComponentChildren;
 }
 
 /** Frames in 3D, and the same as tables. */
 export function ScenePicture(props: ScenePictureProps) {
-  const { state, calibration: active } = props;
+  const { state, calibration: active, tools = NO_TOOLS } = props;
   const selected = useSignal<Picked | null>(null);
   const view = useSignal<View>("free");
   const factor = useSignal<number>(100);
   const planes = useSignal(true);
+  /** The frame that the state has taken last, and the number of changes besides frames. */
+  const taken = useRef<Frame | null>(null);
+  const changes = useSignal(0);
   const canvas = useRef<HTMLCanvasElement>(null);
   const picture = useRef<SceneView | null>(null);
   const impossible = useSignal(false);
@@ -97,28 +122,34 @@ export function ScenePicture(props: ScenePictureProps) {
       const control = found.points.map((point) => point.position_mm as Vector);
       const models = found.result.sensors.map(({ model }) => model);
       picture.current?.setCalibration(models, control);
+      changes.value += 1;
     }
   }, [calibration.value]);
 
-  useEffect(() => {
-    const draw = (frame: Frame | null) => {
-      if (frame) state.take(frame);
-      const chosen = selected.value;
-      const markers = frame ? state.markers : [];
-      const others = (frame && props.second?.markers) || [];
-      picture.current?.setMarkers([...markers, ...others.map((one) => ({ ...one, id: `${one.id} (2)`, kind: "second" as const }))], factor.value, chosen?.id ?? null);
-      picture.current?.setTools(frame ? state.tools : []);
-      const marker = planes.value ? markers.find(({ id }) => id === chosen?.id) : undefined;
-      picture.current?.setPlanes(marker?.position ?? null);
-    };
-    return props.frame.subscribe(draw);
-  }, [props.frame, state, props.second]);
+  // Drawn with each frame, and also when another thing is chosen: a paused or stopped one sends no frame.
+  useEffect(
+    () =>
+      effect(() => {
+        const frame = props.frame.value;
+        const chosen = selected.value;
+        void changes.value;
+        if (frame && frame !== taken.current) state.take(frame);
+        taken.current = frame;
+        const markers = frame ? state.markers : [];
+        const others = (frame && props.second?.markers) || [];
+        picture.current?.setMarkers([...markers, ...others.map((one) => ({ ...one, id: `${one.id} (2)`, kind: "second" as const }))], factor.value, chosen?.id ?? null);
+        picture.current?.setTools(frame ? state.tools : [], shapesOf(tools, chosen));
+        const marker = planes.value ? markers.find(({ id }) => id === chosen?.id) : undefined;
+        picture.current?.setPlanes(marker?.position ?? null);
+      }),
+    [props.frame, state, props.second, tools],
+  );
 
   const frame = useThrottled(() => props.frame.value, TABLE_HZ);
   return (
     <div class="scene">
       <div class="picture">
-        <canvas ref={canvas} tabIndex={0} aria-label={text.scene.picture} role="img" />
+        <canvas ref={canvas} class={props.old ? "stale" : undefined} tabIndex={0} aria-label={text.scene.picture} role="img" />
         {props.children}
         {impossible.value ? <p class="banner">{text.scene.webgl}</p> : null}
         <div class="row controls">
@@ -158,21 +189,59 @@ export function ScenePicture(props: ScenePictureProps) {
         </div>
       </div>
       <Failure message={calibration.error} />
-      <Selected frame={frame} picked={selected.value} />
-      <Tables
-        frame={frame}
-        state={state}
-        selected={selected.value?.id ?? null}
-        select={(kind, id) => (selected.value = { kind, id })}
-      />
+      <div class={props.old ? "stale" : undefined}>
+        <Selected frame={frame} state={state} picked={selected.value} />
+        <Tables
+          frame={frame}
+          state={state}
+          selected={selected.value?.id ?? null}
+          select={(kind, id) => (selected.value = { kind, id })}
+        />
+      </div>
+      {calibration.value ? (
+        <Sensors
+          models={calibration.value.result.sensors.map(({ model }) => model)}
+          control={calibration.value.points.map((point) => point.position_mm as Vector)}
+        />
+      ) : null}
     </div>
   );
+}
+
+/** The tools' markers; the axes of the reference of the chosen tool carry their names. */
+function shapesOf(tools: readonly Tool[], chosen: Picked | null): ReadonlyMap<string, ToolShape> {
+  const reference = chosen?.kind === "tool" ? tools.find(({ id }) => id === chosen.id)?.reference_id : null;
+  return new Map(tools.map(({ id, markers_mm }) => [id, { markers_mm, named: id === reference }]));
+}
+
+function Sensors({ models, control }: { models: readonly SensorModel[]; control: readonly Vector[] }) {
+  const near = centreOf(control);
+  const rows = models.map((model) => ({ name: model.name, pose: sensorPose(model, near) }));
+  return (
+    <Panel title={text.scene.sensors}>
+      <Table
+        caption={text.scene.sensors}
+        columns={[text.light.sensor, text.column.position, text.scene.looksAlong, text.scene.pixelsAlong]}
+        rows={rows}
+        identity={({ name }) => name}
+        empty={text.missing}
+        row={({ name, pose }) => [name, lengths(pose.position, 1), lengths(pose.axes[2], 4), lengths(pose.axes[0], 4)]}
+      />
+      <p class="muted">{text.scene.sensorsHelp}</p>
+    </Panel>
+  );
+}
+
+function lengths(vector: Vector, decimals: number): string {
+  return vector.map((value) => value.toFixed(decimals)).join(", ");
 }
 
 /** Says over what is shown that it is old, and why. */
 export function StreamBanner({ stream }: { stream: DeviceStream }) {
   const connection = stream.connection.value;
   const state = stream.state.value;
+  if (connection === "connecting" && stream.stale.value)
+    return stream.hello.value ? <Banner>{text.connection.connectingAgain}</Banner> : <Banner role="status">{text.connection.connecting}</Banner>;
   if (connection === "lost") return <Banner>{text.connection.lost}</Banner>;
   if (connection === "refused") return <Banner>{stream.reason.value ?? text.connection.refused}</Banner>;
   if (stream.stale.value && connection === "open") return <Banner>{text.connection.silent}</Banner>;
@@ -181,9 +250,9 @@ export function StreamBanner({ stream }: { stream: DeviceStream }) {
   return null;
 }
 
-function Banner({ children }: { children: string }) {
+function Banner({ children, role = "alert" }: { children: string; role?: "alert" | "status" }) {
   return (
-    <p class="banner bad over" role="alert">
+    <p class={`banner over ${role === "alert" ? "bad" : ""}`} role={role}>
       {children}
     </p>
   );
@@ -191,10 +260,6 @@ function Banner({ children }: { children: string }) {
 
 function markerName(track: Track): string {
   return `track ${track.id}`;
-}
-
-function pointName(point: Point, index: number): string {
-  return point.marker === null ? `point ${index}` : `marker ${point.marker}`;
 }
 
 /** A value for people; "Copy" has all digits. */
@@ -205,8 +270,8 @@ function shortened(value: unknown): string {
   return String(value);
 }
 
-function Selected({ frame, picked }: { frame: Frame | null; picked: Picked | null }) {
-  const numbers = frame && picked ? numbersOf(frame, picked) : null;
+function Selected({ frame, state, picked }: { frame: Frame | null; state: SceneState; picked: Picked | null }) {
+  const numbers = frame && picked ? numbersOf(frame, state, picked) : null;
   return (
     <Panel title={text.scene.selected} actions={numbers ? <Copy value={JSON.stringify(numbers)} /> : null}>
       {numbers ? (
@@ -225,11 +290,11 @@ function Selected({ frame, picked }: { frame: Frame | null; picked: Picked | nul
   );
 }
 
-function numbersOf(frame: Frame, picked: Picked): object | null {
+function numbersOf(frame: Frame, state: SceneState, picked: Picked): object | null {
   if (picked.kind === "tool") return frame.tools?.find(({ tool_id }) => tool_id === picked.id) ?? null;
   return (
     frame.tracks?.find((track) => markerName(track) === picked.id) ??
-    frame.points?.find((point, index) => pointName(point, index) === picked.id) ??
+    state.points.find(({ id }) => id === picked.id)?.point ??
     null
   );
 }
@@ -242,7 +307,6 @@ interface TablesProps {
 }
 
 function Tables({ frame, state, selected, select }: TablesProps) {
-  const points = (frame?.points ?? []).map((point, index) => ({ point, id: pointName(point, index) }));
   return (
     <>
       {/* Recorded frames have points only. */}
@@ -285,7 +349,7 @@ function Tables({ frame, state, selected, select }: TablesProps) {
         <Table
           caption={text.scene.points}
           columns={[text.column.marker, text.column.position, text.column.sigma, text.column.residual, text.column.sensors, text.column.flags]}
-          rows={points}
+          rows={frame ? state.points : []}
           identity={({ id }) => id}
           selected={selected}
           select={(id) => select("marker", String(id))}

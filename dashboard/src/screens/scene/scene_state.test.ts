@@ -60,12 +60,37 @@ describe("SceneState", () => {
     expect(state.markers[0]?.tail).toHaveLength(1);
   });
 
+  test("the points listed are those of all strobed markers that are shown, and those without a position", () => {
+    const state = new SceneState();
+    const point = (marker: number | null, x: number | null) => ({ marker, position_mm: x === null ? null : [x, 0, 0], covariance_mm2: null, flags: [] });
+    const listed = () => state.points.map(({ id, point: { position_mm } }) => [id, position_mm?.[0] ?? null]);
+    state.take(frameOf({ points: [point(10, 1)] }, 0));
+    state.take(frameOf({ points: [point(2, 2), point(null, 5)] }, 0.1));
+    expect(listed()).toEqual([["point 1", 5], ["marker 2", 2], ["marker 10", 1]]);
+    expect(state.markers.map(({ id }) => id)).toEqual(["point 1", "marker 2", "marker 10"]);
+    // Its newest exposure has no position: the one before is not shown as if it were of now.
+    state.take(frameOf({ points: [point(10, null)] }, 0.2));
+    expect(listed()).toEqual([["marker 2", 2], ["marker 10", null]]);
+    expect(state.markers.map(({ id }) => id)).toEqual(["marker 2"]);
+    // Tracks are drawn in their place; the list of points stays.
+    const track = { id: 7, position_mm: [0, 0, 0], covariance_mm2: null, state: "confirmed", flags: [] };
+    state.take(frameOf({ points: [point(3, 1)], tracks: [track] }, 0.25));
+    expect(listed()).toEqual([["marker 2", 2], ["marker 3", 1], ["marker 10", null]]);
+    expect(state.markers.map(({ id }) => id)).toEqual(["track 7"]);
+    // A reflection in the same exposure is listed, too.
+    state.take(frameOf({ points: [point(3, 1), point(3, 8)] }, 0.3));
+    expect(listed().slice(1, 3)).toEqual([["marker 3", 1], ["marker 3/2", 8]]);
+    state.clear();
+    expect(state.points).toEqual([]);
+  });
+
   test("strobed markers stay for a while between their exposures, others do not", () => {
     const state = new SceneState();
     const point = (marker: number | null, x: number) => ({ marker, position_mm: [x, 0, 0], covariance_mm2: null, flags: [] });
     state.take(frameOf({ points: [point(0, 1)] }, 0));
     state.take(frameOf({ points: [point(1, 2)] }, 0.1));
     expect(state.markers.map(({ id }) => id)).toEqual(["marker 0", "marker 1"]);
+    expect(state.markers[0]?.tail).toHaveLength(1);
     state.take(frameOf({ points: [point(1, 3)] }, 0.35));
     expect(state.markers.map(({ id, position }) => [id, position[0]])).toEqual([["marker 1", 3]]);
     expect(state.markers[0]?.tail).toHaveLength(2);

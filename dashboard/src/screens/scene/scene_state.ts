@@ -1,17 +1,25 @@
 /** What the scene shows of a frame: markers with tails, and tools with the last pose of lost ones. */
 
-import { type Frame, toMilliseconds, type ToolPose } from "../../live/messages";
+import { type Frame, type Point, toMilliseconds, type ToolPose } from "../../live/messages";
 import type { DrawnTool, Marker } from "./scene_view";
 
 const TAIL_POSITIONS = 60;
 /** A strobed marker is lit in few frames; it is shown until it is this old. */
 const STROBED_MS = 300;
 
+/** A point and how it is called. */
+export interface NamedPoint {
+  readonly id: string;
+  readonly point: Point;
+}
+
 /** Remembers what a single frame does not say. */
 export class SceneState {
   markers: readonly Marker[] = [];
   tools: readonly DrawnTool[] = [];
-  private readonly strobed = new Map<string, { marker: Marker; since: number }>();
+  /** The newest frame's points, and those of strobed markers in the exposures before. */
+  points: readonly NamedPoint[] = [];
+  private readonly strobed = new Map<number, { points: readonly Point[]; since: number }>();
   private readonly tails = new Map<string, (readonly number[])[]>();
   private readonly lastPoses = new Map<string, { pose: ToolPose; at: number }>();
 
@@ -19,25 +27,33 @@ export class SceneState {
   clear(): void {
     this.markers = [];
     this.tools = [];
+    this.points = [];
     for (const known of [this.strobed, this.tails, this.lastPoses]) known.clear();
   }
 
   /** Take a frame. */
   take(frame: Frame): void {
     const at = toMilliseconds(frame.exposure_ns);
-    if (frame.tracks?.length) {
-      this.strobed.clear();
-      this.markers = trackMarkers(frame).map((marker) => this.withTail(marker));
-    } else {
-      const points = pointMarkers(frame).map((marker) => this.withTail(marker));
-      for (const [id, { since }] of this.strobed) if (Math.abs(at - since) > STROBED_MS) this.strobed.delete(id);
-      for (const marker of points) if (marker.id.startsWith("marker ")) this.strobed.set(marker.id, { marker, since: at });
-      const unnamed = points.filter(({ id }) => !this.strobed.has(id));
-      this.markers = [...unnamed, ...[...this.strobed.values()].map(({ marker }) => marker)];
-    }
+    const points = frame.points ?? [];
+    for (const [marker, { since }] of this.strobed) if (Math.abs(at - since) > STROBED_MS) this.strobed.delete(marker);
+    for (const { marker } of points)
+      if (marker !== null) this.strobed.set(marker, { points: points.filter((one) => one.marker === marker), since: at });
+    const unnamed = points.flatMap((point, index) => (point.marker === null ? [{ id: `point ${index}`, point }] : []));
+    // In the order of their numbers: rows that change places cannot be read.
+    const kept = [...this.strobed]
+      .sort(([a], [b]) => a - b)
+      .flatMap(([marker, held]) => held.points.map((point, index) => ({ id: `marker ${marker}${index ? `/${index + 1}` : ""}`, point })));
+    this.points = [...unnamed, ...kept];
+    this.markers = frame.tracks?.length
+      ? trackMarkers(frame).map((marker) => this.withTail(marker, true))
+      : pointMarkers(this.points).map(({ marker, point }) => this.withTail(marker, points.includes(point)));
+    this.forgetTails();
+    this.tools = (frame.tools ?? []).flatMap((pose) => this.drawn(pose, at));
+  }
+
+  private forgetTails(): void {
     const kept = new Set(this.markers.map(({ id }) => id));
     for (const id of this.tails.keys()) if (!kept.has(id)) this.tails.delete(id);
-    this.tools = (frame.tools ?? []).flatMap((pose) => this.drawn(pose, at));
   }
 
   /** Return for how many seconds a tool has had no pose; null: it never had one. */
@@ -46,11 +62,11 @@ export class SceneState {
     return last ? Math.max(0, (toMilliseconds(frame.exposure_ns) - last.at) / 1000) : null;
   }
 
-  private withTail(marker: Omit<Marker, "tail">): Marker {
+  private withTail(marker: Omit<Marker, "tail">, moved: boolean): Marker {
     // Points have no identity from frame to frame, but strobed ones have.
     if (marker.id.startsWith("point ")) return { ...marker, tail: [] };
     const tail = this.tails.get(marker.id) ?? [];
-    tail.push(marker.position);
+    if (moved) tail.push(marker.position);
     if (tail.length > TAIL_POSITIONS) tail.shift();
     this.tails.set(marker.id, tail);
     return { ...marker, tail };
@@ -81,15 +97,18 @@ function trackMarkers(frame: Frame): Omit<Marker, "tail">[] {
   }));
 }
 
-function pointMarkers(frame: Frame): Omit<Marker, "tail">[] {
-  return (frame.points ?? []).flatMap((point, index) =>
+function pointMarkers(points: readonly NamedPoint[]): { marker: Omit<Marker, "tail">; point: Point }[] {
+  return points.flatMap(({ id, point }) =>
     point.position_mm
       ? [
           {
-            id: point.marker === null ? `point ${index}` : `marker ${point.marker}`,
-            position: point.position_mm,
-            covariance: point.covariance_mm2,
-            kind: point.flags.length ? ("suspect" as const) : ("point" as const),
+            point,
+            marker: {
+              id,
+              position: point.position_mm,
+              covariance: point.covariance_mm2,
+              kind: point.flags.length ? ("suspect" as const) : ("point" as const),
+            },
           },
         ]
       : [],

@@ -56,7 +56,17 @@ export interface DrawnTool {
   readonly label: string;
 }
 
+/** What is known of a tool besides its pose. */
+export interface ToolShape {
+  readonly markers_mm: readonly (readonly number[])[];
+  /** Whether its axes carry their names. */
+  readonly named: boolean;
+}
+
 const COLOURS = { point: 0x3aa0ff, confirmed: 0x35c46b, tentative: 0xd0d0d0, coasting: 0xf0a030, suspect: 0xff6050, second: 0xd65fc8 };
+const TOOL_COLOUR = 0xffd24a;
+const GHOST_COLOUR = 0x888888;
+const AXES = ["X", "Y", "Z"] as const;
 const ROOM = 16;
 const MIN_RADIUS_MM = 1.2;
 
@@ -69,7 +79,7 @@ export class SceneView {
   private readonly controls: OrbitControls;
   private readonly fixed = new Group();
   private readonly planes = new Group();
-  private readonly tools = new Map<string, { group: Group; label: string }>();
+  private readonly tools = new Map<string, { group: Group; made: string }>();
   private readonly tails = new LineSegments(
     new BufferGeometry(),
     new LineBasicMaterial({ vertexColors: true, transparent: true, opacity: 0.7 }),
@@ -81,6 +91,7 @@ export class SceneView {
   private extent = 500;
   private scheduled = false;
   private framed = false;
+  private view: View = "free";
   private readonly observer: ResizeObserver;
 
   constructor(
@@ -131,13 +142,13 @@ export class SceneView {
     const places = this.sensors.map(({ pose }) => pose.position);
     this.frameAll([...control, ...places]);
     this.framed = control.length > 0;
-    this.fixed.add(new AxesHelper(this.extent / 8));
+    this.fixed.add(new AxesHelper(this.extent / 8), ...axisNames(this.extent / 8));
     for (const { model, pose } of this.sensors) this.fixed.add(this.sensorBody(model, pose));
     if (control.length >= 4) {
       const hull = hullOf(control);
       if (hull) this.fixed.add(hull);
     }
-    this.look("free");
+    this.look(this.view);
   }
 
   setMarkers(markers: readonly Marker[], factor: number, selected: string | null): void {
@@ -147,7 +158,7 @@ export class SceneView {
       this.framed = true;
       const found = markers.map(({ position }) => position as Vector);
       this.frameAll([...found, ...this.sensors.map(({ pose }) => pose.position)]);
-      this.look("free");
+      this.look(this.view);
     }
     if (markers.length > this.spheres.instanceMatrix.count) {
       let room = this.spheres.instanceMatrix.count;
@@ -158,7 +169,7 @@ export class SceneView {
     }
     const matrix = new Matrix4();
     const colour = new Color();
-    const small = Math.max(MIN_RADIUS_MM, this.extent / 80);
+    const small = this.smallRadius();
     markers.forEach((marker, index) => {
       const [x = 0, y = 0, z = 0] = marker.position;
       const factorised = marker.covariance ? cholesky(marker.covariance) : null;
@@ -180,7 +191,7 @@ export class SceneView {
     this.request();
   }
 
-  setTools(tools: readonly DrawnTool[]): void {
+  setTools(tools: readonly DrawnTool[], shapes: ReadonlyMap<string, ToolShape>): void {
     const kept = new Set(tools.map((tool) => tool.id));
     for (const [id, { group }] of this.tools)
       if (!kept.has(id)) {
@@ -199,7 +210,7 @@ export class SceneView {
         m(2, 0), m(2, 1), m(2, 2), t[2] ?? 0,
         0, 0, 0, 1,
       );
-      const group = this.toolBody(tool, matrix);
+      const group = this.toolBody(tool, shapes.get(tool.id), matrix);
       group.matrix.copy(matrix);
       group.matrixWorldNeedsUpdate = true;
     }
@@ -232,7 +243,9 @@ export class SceneView {
     this.request();
   }
 
+  /** Look from a side, and from the same when the calibration changes. */
   look(view: View): void {
+    this.view = view;
     // A sphere of four fifths of the extent fits into the smaller of both angles: what is shown is
     // long rather than round.
     const half = (this.camera.fov * Math.PI) / 360;
@@ -254,6 +267,10 @@ export class SceneView {
   private frameAll(points: readonly Vector[]): void {
     new Box3().setFromPoints(points.map((place) => new Vector3(...place))).getCenter(this.target);
     this.extent = 1.1 * Math.max(100, ...points.map((place) => this.target.distanceTo(new Vector3(...place))));
+  }
+
+  private smallRadius(): number {
+    return Math.max(MIN_RADIUS_MM, this.extent / 80);
   }
 
   private request(): void {
@@ -319,10 +336,10 @@ export class SceneView {
     return group;
   }
 
-  private toolBody(tool: DrawnTool, matrix: Matrix4): Group {
+  private toolBody(tool: DrawnTool, shape: ToolShape | undefined, matrix: Matrix4): Group {
     const existing = this.tools.get(tool.id);
-    const label = `${tool.ghost} ${tool.label}`;
-    if (existing?.label === label) return existing.group;
+    const made = JSON.stringify([tool.ghost, tool.label, shape, this.extent]);
+    if (existing?.made === made) return existing.group;
     if (existing) {
       this.scene.remove(existing.group);
       existing.group.traverse(release);
@@ -333,19 +350,22 @@ export class SceneView {
     group.matrixAutoUpdate = false;
     const axes = new AxesHelper(size);
     if (tool.ghost) {
-      axes.setColors(0x888888, 0x888888, 0x888888);
+      axes.setColors(GHOST_COLOUR, GHOST_COLOUR, GHOST_COLOUR);
       (axes.material as LineBasicMaterial).transparent = true;
       (axes.material as LineBasicMaterial).opacity = 0.5;
     }
+    const colour = tool.ghost ? GHOST_COLOUR : TOOL_COLOUR;
     group.add(axes, sprite(tool.label, size));
+    if (shape) group.add(toolMarkers(shape.markers_mm, 0.7 * this.smallRadius(), colour));
+    if (shape?.named) group.add(...axisNames(size));
     if (tool.pose.tip_mm) {
       const inverse = matrix.clone().invert();
       const [x = 0, y = 0, z = 0] = tool.pose.tip_mm;
       const geometry = new BufferGeometry().setFromPoints([new Vector3(), new Vector3(x, y, z).applyMatrix4(inverse)]);
-      group.add(new LineSegments(geometry, new LineBasicMaterial({ color: tool.ghost ? 0x888888 : 0xffd24a })));
+      group.add(new LineSegments(geometry, new LineBasicMaterial({ color: colour })));
     }
     this.scene.add(group);
-    this.tools.set(tool.id, { group, label });
+    this.tools.set(tool.id, { group, made });
     return group;
   }
 
@@ -369,6 +389,23 @@ export class SceneView {
     while (owner && !this.tools.has(owner.name)) owner = owner.parent;
     this.pick(owner ? { kind: "tool", id: owner.name } : null);
   };
+}
+
+/** Return the markers [mm] of a tool's body, as spheres. */
+function toolMarkers(places: readonly (readonly number[])[], radius: number, color: number): InstancedMesh {
+  const spheres = new InstancedMesh(new SphereGeometry(radius, 10, 6), new MeshLambertMaterial({ color }), places.length);
+  const matrix = new Matrix4();
+  places.forEach(([x = 0, y = 0, z = 0], index) => spheres.setMatrixAt(index, matrix.makeTranslation(x, y, z)));
+  return spheres;
+}
+
+/** Return the names of axes of this length. */
+function axisNames(length: number): Sprite[] {
+  return AXES.map((name, axis) => {
+    const made = sprite(name, 0);
+    made.position.setComponent(axis, 1.15 * length);
+    return made;
+  });
 }
 
 /** Return text that faces the camera. */
@@ -408,6 +445,7 @@ function hullOf(points: readonly Vector[]): LineSegments | null {
 function release(object: Object3D): void {
   const { geometry, material } = object as Partial<Mesh>;
   geometry?.dispose();
+  if (object instanceof InstancedMesh) object.dispose();
   for (const one of Array.isArray(material) ? material : material ? [material] : []) {
     (one as SpriteMaterial).map?.dispose();
     one.dispose();

@@ -30,14 +30,16 @@ function DeviceTools({ id }: { id: string }) {
   const polled = usePolled(`tools ${id}`, () =>
     sent(api.GET("/api/v1/tools", { params: { query: { device_id: id, limit: 100 } } })),
   );
-  const poses = useThrottled(() => stream.frame.value?.tools ?? [], TABLE_HZ);
+  const newest = useThrottled(() => stream.frame.value?.tools ?? [], TABLE_HZ);
+  // A status of before must not look like one of now.
+  const poses = stream.connection.value === "open" && !stream.stale.value ? newest : [];
   const chosen = useSignal<string | null>(null);
   const tools = polled.value?.items ?? [];
   const tool = tools.find((one) => one.id === chosen.value);
   return (
     <>
-      <StreamBanner stream={stream} />
       <Panel title={text.screens.tools}>
+        <StreamBanner stream={stream} />
         <Failure message={polled.error} />
         <Table
           caption={text.screens.tools}

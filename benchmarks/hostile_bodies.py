@@ -20,9 +20,10 @@ from typing import Any, Final
 from urllib.parse import urlsplit
 
 from benchmarks.stream_clients import percentiles
-from service.api.json_body import INLINE_BYTES
 
 MIB: Final = 1024 * 1024
+INLINE_BYTES: Final = 16 * 1024
+"""Bodies up to this size are read in the event loop itself."""
 PROBE_S: Final = 0.02
 QUIET_S: Final = 3.0
 ANSWER_S: Final = 90.0
@@ -158,7 +159,7 @@ def bodies() -> dict[str, tuple[str, str, bytes]]:
         "table that is none": (write, "correction-tables", b"\x89HDF\r\n\x1a\n" + bytes(60 * MIB)),
         "device of sensors": (admin, "devices", filled('{"source": [', "{}", "]}", small)),
         "recording of contents": (
-            record, "recordings", filled('{"contents": [', "0", "]}", small),
+            record, "devices/sim/recordings", filled('{"contents": [', "0", "]}", small),
         ),
         "key of scopes": (keys, "keys", filled('{"scopes": [', "{}", "]}", small)),
         **small_bodies(),

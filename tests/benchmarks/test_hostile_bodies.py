@@ -4,7 +4,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from benchmarks.hostile_bodies import bodies, small_bodies
+from benchmarks.hostile_bodies import INLINE_BYTES, bodies, small_bodies
+from service.api import json_body
 from service.application.app import create_app
 from service.security.operation_scopes import OPERATION_SCOPES
 from service.settings import Settings
@@ -20,6 +21,17 @@ def test_bodies_are_of_every_scope_by_which_one_is_sent():
         if method == "post" and "requestBody" in operation
     }
     assert {scope for scope, _, _ in bodies().values()} == scopes - {None}
+
+
+def test_small_bodies_are_as_large_as_those_that_the_event_loop_reads():
+    assert INLINE_BYTES == json_body.INLINE_BYTES
+
+
+def test_paths_of_bodies_take_bodies(client: TestClient):
+    """A misspelt path would answer at once, and the benchmark would measure nothing."""
+    for name, (_, path, _) in bodies().items():
+        answer = client.post(f"/api/v1/{path}", content=b"x")
+        assert answer.status_code == 415, name
 
 
 @pytest.fixture(scope="module")

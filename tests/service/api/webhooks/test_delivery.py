@@ -126,9 +126,7 @@ def test_stalled_receiver_holds_up_nobody(
         assert client.delete(f"{API}/stalled").status_code == 204
 
 
-def test_server_ends_while_receiver_stalls(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_server_ends_while_receiver_stalls(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     # The end of the request that stalls would come an hour after the end of the server.
     monkeypatch.setattr(delivery, "REQUEST_S", 3600.0)
     with receiving(stall=threading.Event()) as receiver:

@@ -22,6 +22,8 @@ from urllib.parse import urlsplit
 from benchmarks.stream_clients import percentiles
 
 MIB: Final = 1024 * 1024
+INLINE_BYTES: Final = 16 * 1024
+"""Bodies up to this size are read in the event loop itself."""
 PROBE_S: Final = 0.02
 QUIET_S: Final = 3.0
 ANSWER_S: Final = 90.0
@@ -49,6 +51,69 @@ _OBSERVED: Final = (
     '"diagonal-falling":1050}}'
 )
 _MAX_POINTS: Final = 10_000
+
+_SCENE: Final = (
+    '{"id": "hostile", "title": "Hostile", "source": {"kind": "simulated", "settings": {"scene": '
+    '{"kind": "still-points", "points_mm": ['
+)
+_HOLD: Final = (
+    '{"id": "hostile", "device_id": "sim", "title": "Hostile", "limits": {"shift_mm": 1}, "watch": '
+    '{"kind": "simultaneous-markers", "markers": 1}, "reference": {"kind": "simultaneous-markers", '
+    '"positions_mm": ['
+)
+_PROFILE: Final = '{"toml": "%s"}'
+
+
+def _toml(text: str) -> bytes:
+    return (_PROFILE % text.replace("\n", "\\n")).encode()
+
+
+def small_bodies() -> dict[str, tuple[str, str, bytes]]:
+    """Return those that are read in the event loop itself, or have small documents in them."""
+    admin = "admin:devices"
+    inline, medium = INLINE_BYTES - 64, 64 * 1024
+    members = ",".join(f'"m{number}":{{"a":1}}' for number in range(990))
+    keys = "\n".join(f"k{number}=1" for number in range(7_000))
+    dotted = "a" + ".a" * 30_000 + "=1"
+    sizes = {"small": inline, "larger": medium}
+    return {
+        **{
+            f"{name}, {title}": (scope, path, filled(head, "[]", tail, size))
+            for title, size in sizes.items()
+            for name, scope, path, head, tail in (
+                ("points of a scene", admin, "devices", _SCENE, "]}}}}"),
+                ("positions of a hold", "write:holds", "beam-holds", _HOLD, "]}}"),
+                (
+                    "markers of a hold", "write:holds", "beam-holds",
+                    '{"watch": {"kind": "strobed-markers", "markers": [', "]}}",
+                ),
+                (
+                    "positions of a reference", "operate:holds", "beam-holds/none/reference",
+                    '{"given": {"positions_mm": [', "]}}",
+                ),
+                (
+                    "light of levels", "write:calibrations", "radiometric-calibrations",
+                    '{"source": {"kind": "scans", "relative_light": [', "]}}",
+                ),
+                ("markers", "write:tools", "tools", '{"markers_mm": [', "]}"),
+                ("types of events", "admin:webhooks", "webhooks", '{"event_types": [', "]}"),
+                ("tools of an export", "write:results", "runs/export", '{"tool_ids": [', "]}"),
+                (
+                    "points of a check", "operate:checks",
+                    "calibrations/sim-nominal/drift-checks", '{"points": [', "]}",
+                ),
+                (
+                    "markers of a check", "operate:checks", "devices/sim/quality-checks",
+                    '{"kind": "point-to-point", "markers": [', "]}",
+                ),
+            )
+        },
+        "unknown members": (admin, "devices", f"{{{members}}}".encode()),
+        "profile of unknown keys": (admin, "profile-plans", _toml(keys)),
+        "profile of a dotted key": (admin, "profile-plans", _toml(dotted)),
+        "profile of nested lists": (admin, "device-profiles", _toml("a=" + "[" * 5_000)),
+        "profile of digits": (admin, "device-profiles", _toml("a=" + "9" * 5_000)),
+    }  # fmt: skip
 
 
 def bodies() -> dict[str, tuple[str, str, bytes]]:
@@ -94,9 +159,10 @@ def bodies() -> dict[str, tuple[str, str, bytes]]:
         "table that is none": (write, "correction-tables", b"\x89HDF\r\n\x1a\n" + bytes(60 * MIB)),
         "device of sensors": (admin, "devices", filled('{"source": [', "{}", "]}", small)),
         "recording of contents": (
-            record, "recordings", filled('{"contents": [', "0", "]}", small),
+            record, "devices/sim/recordings", filled('{"contents": [', "0", "]}", small),
         ),
         "key of scopes": (keys, "keys", filled('{"scopes": [', "{}", "]}", small)),
+        **small_bodies(),
     }  # fmt: skip
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from compute.errors import InvalidParameter
-from hardware.field_bounds import CheckedSettings
+from hardware.field_bounds import FIRST_ERROR_ONLY, CheckedSettings
 
 MAX_CODE_BITS: Final = 20
 """Maximum length of a code word [bits], as in ``compute.tracking.blink_codes``."""
@@ -34,9 +34,13 @@ class BlinkSchedule(CheckedSettings):
     words: Annotated[
         tuple[Annotated[str, Field(min_length=2, max_length=MAX_CODE_BITS)], ...],
         Field(min_length=1, max_length=MAX_CODE_WORDS),
+        FIRST_ERROR_ONLY,
     ]
     low: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.4
-    phases: tuple[Annotated[int, Field(ge=0, lt=MAX_CODE_BITS)], ...] | None = None
+    phases: (
+        Annotated[tuple[Annotated[int, Field(ge=0, lt=MAX_CODE_BITS)], ...], FIRST_ERROR_ONLY]
+        | None
+    ) = None
 
     def __post_init__(self) -> None:
         super().__post_init__()

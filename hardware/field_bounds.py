@@ -5,11 +5,24 @@ from collections.abc import Callable, Iterable, Iterator
 from types import NoneType
 from typing import Annotated, Any, ClassVar, Final, Literal, get_args, get_origin, get_type_hints
 
-from pydantic import ConfigDict, StringConstraints
+from pydantic import ConfigDict, FailFast, StringConstraints
 
 from compute.errors import InvalidParameter
 
 SensorName = Annotated[str, StringConstraints(pattern=r"^[^\s\u0085](.{0,62}[^\s\u0085])?$")]
+
+
+class _FailFast(FailFast):
+    def __hash__(self) -> int:  # unions of annotated types need one
+        return hash(self.fail_fast)
+
+
+FIRST_ERROR_ONLY: Final = _FailFast()
+"""Annotation of a list: validation stops at the first wrong item.
+
+Lists come from clients of the service, too, and a message for each of thousands of wrong items
+would take seconds.
+"""
 
 _CONSTRAINTS: Final[tuple[tuple[str, str, Callable[[Any, Any], bool]], ...]] = (
     ("gt", "more than {}", lambda value, bound: value > bound),

@@ -10,7 +10,7 @@ from typing import Annotated, Final
 
 from pydantic import Field
 
-from hardware.field_bounds import CheckedSettings
+from hardware.field_bounds import FIRST_ERROR_ONLY, CheckedSettings
 
 MAX_SLOTS: Final = 254
 MAX_MARKERS: Final = 254
@@ -34,6 +34,7 @@ class StrobeSchedule(CheckedSettings):
             max_length=MAX_SLOTS,
             description="The marker that is lit in each exposure, from 0; null: all are.",
         ),
+        FIRST_ERROR_ONLY,
     ]
 
     @property

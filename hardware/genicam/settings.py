@@ -6,7 +6,7 @@ from typing import Annotated
 from pydantic import Field, StringConstraints
 
 from hardware.driver import PeakMethod
-from hardware.field_bounds import CheckedSettings, SensorName, check_distinct
+from hardware.field_bounds import FIRST_ERROR_ONLY, CheckedSettings, SensorName, check_distinct
 from hardware.genicam.pixel_formats import PixelFormat
 
 _FEATURE = r"^[A-Za-z_][A-Za-z0-9_]{0,99}$"
@@ -61,7 +61,9 @@ class GenicamSettings(CheckedSettings):
         InvalidParameter: a value is out of its bounds, or two cameras have one name or are one.
     """
 
-    cameras: Annotated[tuple[GenicamCamera, ...], Field(min_length=1, max_length=16)]
+    cameras: Annotated[
+        tuple[GenicamCamera, ...], Field(min_length=1, max_length=16), FIRST_ERROR_ONLY
+    ]
     pitch_um: Annotated[float, Field(gt=0.0, le=1000.0)]
     pixel_format: PixelFormat = "Mono8"
     width: Annotated[int, Field(ge=8, le=65536)] | None = None
@@ -69,7 +71,7 @@ class GenicamSettings(CheckedSettings):
     lines_per_buffer: Annotated[int, Field(ge=1, le=4096)] = 1
     exposure_us: Annotated[float, Field(gt=0.0, le=1e7)] | None = None
     line_rate_hz: Annotated[float, Field(gt=0.0, le=1e6)] | None = None
-    features: Annotated[tuple[Feature, ...], Field(max_length=100)] = ()
+    features: Annotated[tuple[Feature, ...], Field(max_length=100), FIRST_ERROR_ONLY] = ()
     match_us: Annotated[float, Field(ge=0.0, le=1e6)] = 500.0
     electrons_per_count: Annotated[float, Field(gt=0.0, le=1e4)] = 10.0
     read_noise_electrons: Annotated[float, Field(ge=0.0, le=500.0)] = 20.0

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import TypeAdapter, ValidationError
 
+from compute.damaged_file import refusing_damage
 from compute.errors import InvalidParameter, InvalidRecording
-from hardware.damaged_file import refusing_damage
 from hardware.driver import DeviceDescription, PeakMethod
 from hardware.recording.layout import NO_CALIBRATION_ROW, NO_MARKER, RecordingInfo
 

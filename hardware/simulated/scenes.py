@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from compute.errors import InvalidParameter
-from hardware.field_bounds import CheckedSettings
+from hardware.field_bounds import FIRST_ERROR_ONLY, CheckedSettings
 from hardware.simulated.calibration_target import calibration_target_points_mm
 
 Array = NDArray[np.float64]
@@ -61,7 +61,7 @@ class StillPoints(CheckedSettings):
         points_mm: the points in the world frame [mm].
     """
 
-    points_mm: Annotated[tuple[Point, ...], Field(min_length=1, max_length=256)]
+    points_mm: Annotated[tuple[Point, ...], Field(min_length=1, max_length=256), FIRST_ERROR_ONLY]
     kind: Literal["still-points"] = "still-points"
 
     @property
@@ -86,7 +86,7 @@ class ShiftedPoints(CheckedSettings):
         moving_s: how long each way takes, at constant speed [s].
     """
 
-    points_mm: Annotated[tuple[Point, ...], Field(min_length=1, max_length=64)]
+    points_mm: Annotated[tuple[Point, ...], Field(min_length=1, max_length=64), FIRST_ERROR_ONLY]
     shift_mm: Point = (5.0, 0.0, 0.0)
     period_s: Annotated[float, Field(ge=1e-3, le=1e6)] = 10.0
     away: Annotated[float, Field(ge=1e-3, le=1.0)] = 0.4
@@ -187,7 +187,7 @@ class MovingTool(CheckedSettings):
         phase: where in it the motion begins, as a part of the period.
     """
 
-    markers_mm: Annotated[tuple[Point, ...], Field(min_length=1, max_length=64)]
+    markers_mm: Annotated[tuple[Point, ...], Field(min_length=1, max_length=64), FIRST_ERROR_ONLY]
     centre_mm: Point = (0.0, 0.0, 1500.0)
     swing_mm: Point = (120.0, 90.0, 60.0)
     turn_rad: RotationVector = (0.4, 0.5, 0.6)
@@ -215,7 +215,7 @@ class MovingTools(CheckedSettings):
         moving: False: they rest where they are at time zero.
     """
 
-    tools: Annotated[tuple[MovingTool, ...], Field(min_length=1, max_length=16)]
+    tools: Annotated[tuple[MovingTool, ...], Field(min_length=1, max_length=16), FIRST_ERROR_ONLY]
     moving: bool = True
     kind: Literal["moving-tools"] = "moving-tools"
 

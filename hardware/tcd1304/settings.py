@@ -6,7 +6,7 @@ from typing import Annotated, Final
 from pydantic import Field
 
 from hardware.driver import PeakMethod
-from hardware.field_bounds import CheckedSettings, SensorName, check_distinct
+from hardware.field_bounds import FIRST_ERROR_ONLY, CheckedSettings, SensorName, check_distinct
 from hardware.serial.settings import PortUrl, check_port_url
 from hardware.tcd1304.protocol import (
     CLOCK_HZ,
@@ -51,7 +51,9 @@ class Tcd1304Settings(CheckedSettings):
         InvalidParameter: a value is out of its bounds, or two boards have one name or one port.
     """
 
-    boards: Annotated[tuple[Tcd1304Board, ...], Field(min_length=1, max_length=16)]
+    boards: Annotated[
+        tuple[Tcd1304Board, ...], Field(min_length=1, max_length=16), FIRST_ERROR_ONLY
+    ]
     exposure_us: Annotated[float, Field(ge=10.0, le=6e7)] = 7388.0
     averages: Annotated[int, Field(ge=1, le=255)] = 1
     clock_hz: Annotated[int, Field(ge=800_000, le=4_000_000)] = CLOCK_HZ

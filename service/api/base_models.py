@@ -3,14 +3,13 @@
 import json
 import re
 from datetime import datetime
-from typing import Annotated, Any, Final, TypeVar
+from typing import Annotated, Any, TypeVar
 
 from pydantic import (
     AfterValidator,
     AwareDatetime,
     BaseModel,
     ConfigDict,
-    FailFast,
     Field,
     StringConstraints,
     WithJsonSchema,
@@ -50,17 +49,11 @@ Coordinate = Annotated[float, Field(ge=-1e6, le=1e6, description="[mm]")]
 Position = tuple[Coordinate, Coordinate, Coordinate]
 
 
-class _FailFast(FailFast):
-    def __hash__(self) -> int:  # unions of annotated types need one
-        return hash(self.fail_fast)
-
-
-FIRST_ERROR_ONLY: Final = _FailFast()
-"""Of long lists: the first wrong item is enough; a million errors would stop all else."""
-
-
 class RequestModel(BaseModel):
-    """Base of what clients send: no unknown field, no NaN, immutable; see also FromJson."""
+    """Base of what clients send: no unknown field, no NaN, immutable; see also FromJson.
+
+    Its lists are annotated with ``FIRST_ERROR_ONLY``, and so are those of the models in it.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 

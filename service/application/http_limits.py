@@ -3,12 +3,12 @@
 import asyncio
 from typing import Any, Final
 
+from starlette.types import Receive, Scope, Send
 from uvicorn.protocols.http.httptools_impl import STATUS_LINE, HttpToolsProtocol
 
 from compute.errors import LumilineError
-from service.problems.catalogue import MEDIA_TYPE
-from service.problems.errors import HeadTooLarge, HeadTooSlow, MalformedRequest
-from service.problems.handlers import error_response
+from service.problems.errors import Busy, HeadTooLarge, HeadTooSlow, MalformedRequest
+from service.problems.handlers import SECURITY_HEADERS, error_response
 
 HEAD_S: Final = 10.0
 """Within which a request's head has to arrive."""
@@ -16,16 +16,22 @@ HEAD_BYTES: Final = 64 * 1024
 """Largest head: the request line and all headers."""
 MAX_HEADERS: Final = 100
 """Headers of one request, trailers with them: each costs more than its bytes."""
+_HEADERS: Final = {**SECURITY_HEADERS, "Connection": "close"}
 
 
 class LimitedHttpProtocol(HttpToolsProtocol):
     """Uvicorn's protocol, which would wait for ever for a head of any size.
 
     Bodies have limits of their own (service/application/middleware.py).
+
+    What it answers itself no middleware sees; it has the security headers all the same.
     """
 
     def __init__(self, *positional: Any, **named: Any) -> None:
         super().__init__(*positional, **named)
+        self._application = self.app
+        self._max_at_once = self.limit_concurrency
+        self.limit_concurrency = None  # Uvicorn would answer in plain text
         self._waiting: asyncio.TimerHandle | None = None
         self._head_bytes = 0
         self._in_head = True
@@ -36,7 +42,7 @@ class LimitedHttpProtocol(HttpToolsProtocol):
         """Wait for the first head; with too many connections, evict the longest waiting."""
         super().connection_made(transport)
         self._wait()
-        if self.limit_concurrency is not None and len(self.connections) >= self.limit_concurrency:
+        if self._max_at_once is not None and len(self.connections) >= self._max_at_once:
             self._make_room()
 
     def connection_lost(self, exc: Exception | None) -> None:
@@ -72,6 +78,11 @@ class LimitedHttpProtocol(HttpToolsProtocol):
         if len(self.url) + headers > HEAD_BYTES:
             self._too_large = True
             raise ValueError("too large a head")  # the parser's error: see send_400_response
+        if self._has_room():
+            self.app = self._application
+        else:
+            self.logger.warning("%d connections or requests at once: refused", self._max_at_once)
+            self.app = _too_many  # type: ignore[assignment]
         super().on_headers_complete()
 
     def on_message_complete(self) -> None:
@@ -106,6 +117,10 @@ class LimitedHttpProtocol(HttpToolsProtocol):
         else:
             self.transport.close()
 
+    def _has_room(self) -> bool:
+        at_once = max(len(self.connections), len(self.tasks))
+        return self._max_at_once is None or at_once < self._max_at_once
+
     def _make_room(self) -> None:
         waiting = [
             (one._waiting.when(), one)
@@ -121,13 +136,17 @@ class LimitedHttpProtocol(HttpToolsProtocol):
         if self.cycle is not None and not self.cycle.response_complete:
             self.transport.close()  # an answer in between would be taken for the other's
             return
-        response = error_response(error, "/")  # the path may be what did not come
-        body = response.body
-        self.transport.write(
-            b"%scontent-type: %s\r\ncontent-length: %d\r\nconnection: close\r\n\r\n%s"
-            % (STATUS_LINE[response.status_code], MEDIA_TYPE.encode(), len(body), body)
-        )
+        response = error_response(error, "/", _HEADERS)  # the path may be what did not come
+        headers = b"".join(b"%s: %s\r\n" % header for header in response.raw_headers)
+        head = STATUS_LINE[response.status_code] + headers
+        self.transport.write(head + b"\r\n" + response.body)
         self.transport.close()
+
+
+async def _too_many(scope: Scope, receive: Receive, send: Send) -> None:
+    """Answer a request that is one too many."""
+    error = Busy("the server has as many connections or requests as it may; try again later")
+    await error_response(error, scope["path"], _HEADERS)(scope, receive, send)
 
 
 def _too_large() -> HeadTooLarge:

@@ -19,9 +19,9 @@ from service.jobs import store
 from service.jobs.worker import Done, Progress
 from service.jobs.worker_process import WorkerProcess
 from service.principal import Act, current_act
+from service.problems.bounds import DETAIL_CHARACTERS, bound_context, cut_text
 from service.problems.catalogue import PROBLEM_TYPES
 from service.problems.errors import NotReady
-from service.problems.field_errors import json_safe
 
 BOUNDS_S: Final = (0.5, 1.0, 2.0, 5.0, 10.0, 30.0, 60.0, 300.0, 1800.0, 7200.0)
 """Upper bounds of the classes [s]; one more, without a bound, follows."""
@@ -291,7 +291,8 @@ def _acting_as_submitter(row: RunRow) -> Iterator[None]:
 def _problem(code: str, detail: str, context: Mapping[str, object]) -> dict[str, Any]:
     """Return an error as the members of a problem document; the run's path is its instance."""
     kind = PROBLEM_TYPES[code]
-    problem = kind.model_dump(include={"type", "title", "status"}) | {"detail": detail}
+    problem = kind.model_dump(include={"type", "title", "status"})
+    problem["detail"] = cut_text(detail, DETAIL_CHARACTERS)
     if context:
-        problem["context"] = json_safe(context)
+        problem["context"] = bound_context(context)
     return problem

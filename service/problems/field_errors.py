@@ -1,18 +1,15 @@
 """Errors of a request that does not fit its schema: where, what, and the value, bounded."""
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
+from service.problems.bounds import MAX_ERRORS, cut_text, display_value
 from service.problems.catalogue import FieldError
 
-_INPUT_CHARACTERS: Final = 200
 _MESSAGE_CHARACTERS: Final = 500
 _PART_CHARACTERS: Final = 100
-MAX_ERRORS: Final = 50
-"""Errors of one answer; more than a person would correct before trying again."""
 _MAX_ERRORS_IN_DETAIL: Final = 3
 
 
@@ -59,7 +56,7 @@ def field_errors(errors: Sequence[Mapping[str, Any]], body: Any) -> FieldErrors:
         tuple(
             FieldError(
                 location=[_cut(part) for part in _location(item, body)],
-                message=item["msg"][:_MESSAGE_CHARACTERS],
+                message=cut_text(item["msg"], _MESSAGE_CHARACTERS),
                 input=display_value(item.get("input")),
             )
             for item in errors[:MAX_ERRORS]
@@ -70,9 +67,7 @@ def field_errors(errors: Sequence[Mapping[str, Any]], body: Any) -> FieldErrors:
 
 
 def _cut(part: str | int) -> str | int:
-    if isinstance(part, int) or len(part) <= _PART_CHARACTERS:
-        return part
-    return f"{part[: _PART_CHARACTERS - 3]}..."
+    return part if isinstance(part, int) else cut_text(part, _PART_CHARACTERS)
 
 
 def _location(item: Mapping[str, Any], body: Any) -> list[str | int]:
@@ -84,31 +79,6 @@ def _location(item: Mapping[str, Any], body: Any) -> list[str | int]:
 
 def _is_not_finite(value: Any) -> bool:
     return isinstance(value, float) and not math.isfinite(value)
-
-
-def json_safe(value: Any) -> Any:
-    """Return the value as JSON can hold it: NaN and infinities as text, unknown types by repr."""
-    if value is None or isinstance(value, bool | int | str):
-        return value
-    if isinstance(value, float):
-        if math.isfinite(value):
-            return value
-        return "NaN" if math.isnan(value) else ("Infinity" if value > 0 else "-Infinity")
-    if isinstance(value, Mapping):
-        return {str(key): json_safe(item) for key, item in value.items()}
-    if isinstance(value, list | tuple | set | frozenset):
-        return [json_safe(item) for item in value]
-    if isinstance(value, bytes):
-        return value.decode("utf-8", "replace")
-    return repr(value)
-
-
-def display_value(value: Any) -> str:
-    """Return the value as JSON text, cut to a length that fits a message."""
-    if isinstance(value, float) and not math.isfinite(value):
-        return str(json_safe(value))
-    text = json.dumps(json_safe(value), ensure_ascii=True)
-    return text if len(text) <= _INPUT_CHARACTERS else text[: _INPUT_CHARACTERS - 3] + "..."
 
 
 Location = list[str | int]

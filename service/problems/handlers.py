@@ -18,6 +18,13 @@ from starlette.websockets import WebSocket
 
 from compute.errors import LumilineError, NonFiniteValue
 from service.logs import request_record
+from service.problems.bounds import (
+    DETAIL_CHARACTERS,
+    INSTANCE_CHARACTERS,
+    bound_context,
+    bound_errors,
+    cut_text,
+)
 from service.problems.catalogue import (
     MEDIA_TYPE,
     PROBLEM_TYPES,
@@ -27,7 +34,7 @@ from service.problems.catalogue import (
     problem_type_of,
 )
 from service.problems.errors import BodyTooLarge, BodyTooSlow, InsufficientStorage, MalformedJson
-from service.problems.field_errors import FieldErrors, InvalidRequest, field_errors, json_safe
+from service.problems.field_errors import FieldErrors, InvalidRequest, field_errors
 
 _log = logging.getLogger(__name__)
 
@@ -59,15 +66,18 @@ def problem_response(
     context: Mapping[str, object] | None = None,
     headers: Mapping[str, str] | None = None,
 ) -> Response:
-    """Return the response that carries a problem document; 503 says when to try again."""
+    """Return the response that carries a problem document; 503 says when to try again.
+
+    It has at most 64 KiB, whatever the request held.
+    """
     problem = Problem(
         type=kind.type,
         title=kind.title,
         status=kind.status,
-        detail=detail,
-        instance=instance,
-        errors=errors,
-        context=json_safe(context) if context else None,
+        detail=cut_text(detail, DETAIL_CHARACTERS),
+        instance=cut_text(instance, INSTANCE_CHARACTERS),
+        errors=None if errors is None else bound_errors(errors),
+        context=bound_context(context) if context else None,
     )
     content = json.dumps(problem.model_dump(exclude_none=True), ensure_ascii=True)
     if kind.status == 503:

@@ -12,7 +12,13 @@ from compute.optics.coded_aperture.coded_window import CodedWindow, maximal_leng
 from compute.optics.profiles.device_profile import DeviceProfile, PlateOptics
 from compute.optics.profiles.error_sources import ErrorSources
 from compute.optics.profiles.profile_sections import LedMarkers, RetroMarkers
-from compute.optics.profiles.units import InvalidQuantity, Unit, magnitude, split_unit
+from compute.optics.profiles.units import (
+    InvalidQuantity,
+    Unit,
+    format_any,
+    magnitude,
+    split_unit,
+)
 from compute.optics.tracing.assembly import Assembly, Lens, Stop
 from compute.optics.tracing.surfaces import Conic, Cylinder, Plane, Toroid
 
@@ -261,4 +267,4 @@ def _format_value(value: object) -> str:
         return f'"{value}"'
     if isinstance(value, Mapping):
         return "a table"
-    return "a list" if isinstance(value, list) else str(value)
+    return "a list" if isinstance(value, list) else format_any(value)

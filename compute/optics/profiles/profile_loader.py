@@ -7,12 +7,19 @@ from dataclasses import replace
 from functools import cache
 from importlib import resources
 from pathlib import Path
+from typing import Any, Final
 
+from compute.damaged_file import refusing_damage
 from compute.errors import InvalidParameter
 from compute.optics.profiles.device_profile import DeviceProfile
 from compute.parameter_checks import require
 
-_STEP = re.compile(r"([^.\[\]]+)|\[(\d+)\]")
+_STEP = re.compile(r"([^.\[\]]+)|\[(\d{1,9})\]")
+
+_MAX_DOTS: Final = 32
+"""Of a line, but for those of numbers: for a dotted key tomllib needs a time that grows with the
+square of its parts, 10 s for 64 KiB."""
+_DECIMAL = re.compile(r"\d\.\d")
 
 
 @cache
@@ -64,10 +71,10 @@ def parse_profile(text: str, origin: str) -> DeviceProfile:
     # Here, so that nobody pays for pint who loads no profile.
     from compute.optics.profiles.deserialisation import Problem, build_profile
 
-    try:
-        document = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise InvalidParameter(f"profile {origin} is not TOML: {error}", origin=origin) from None
+    with refusing_damage(
+        lambda reason: InvalidParameter(f"profile {origin} is not TOML: {reason}", origin=origin)
+    ):
+        document = _parse_toml(text)
     profile, problems = build_profile(document)
     assumed = document.get("assumed")
     if isinstance(assumed, Mapping):
@@ -105,8 +112,8 @@ def with_error_sources(profile: DeviceProfile, assignments: Iterable[str]) -> De
         name, equals, text = (part.strip() for part in assignment.partition("="))
         require(bool(equals), 'be written as "speed=200 mm/s"', error_source=assignment)
         try:
-            table[name] = tomllib.loads(f"value = {text}")["value"]
-        except tomllib.TOMLDecodeError:  # a quantity or a word without quotation marks
+            table[name] = _parse_toml(f"value = {text}")["value"]
+        except ValueError:  # a quantity or a word without quotation marks
             table[name] = text
     sources, problems = build_error_sources(table)
     if sources is None:
@@ -120,6 +127,29 @@ def with_error_sources(profile: DeviceProfile, assignments: Iterable[str]) -> De
         error_sources=replace(profile.error_sources, **set_sources),
         assumed={path: reason for path, reason in profile.assumed.items() if path not in paths},
     )
+
+
+def _parse_toml(text: str) -> dict[str, Any]:
+    """Return what tomllib makes of a text, unless that would take long.
+
+    Raises:
+        TOMLDecodeError: it is not TOML.
+        ValueError: it is nested too deeply, has an integer of too many digits, or a line of too
+            many dots.
+    """
+    for number, line in enumerate(text.split("\n"), 1):
+        if line.count(".") > _MAX_DOTS and _DECIMAL.sub("", line).count(".") > _MAX_DOTS:
+            raise ValueError(
+                f"there are more than {_MAX_DOTS} dots, but for those of numbers (at line {number})"
+            )
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError:
+        raise
+    except RecursionError:
+        raise ValueError("lists or tables are nested too deeply") from None
+    except ValueError:
+        raise ValueError("an integer has too many digits") from None
 
 
 def _exists(document: object, path: str) -> bool:

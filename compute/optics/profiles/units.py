@@ -77,6 +77,8 @@ UNITS: Final = {
 }
 """By the end of a field's name; the longer ends come first."""
 
+_MAX_CHARACTERS: Final = 100
+"""Of a quantity with its unit; the pattern tries a long text again and again."""
 _NAME = r"[A-Za-zµμ]+(?:\^-?[0-9])?"
 _QUANTITY = re.compile(
     rf"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{{1,3}})?)\s*((?:1|{_NAME})(?:\s*[/*]\s*{_NAME})*)?\s*",
@@ -110,9 +112,13 @@ def magnitude(value: object, unit: Unit) -> float:
     """
     right = f"give {unit.expected}"
     if isinstance(value, int | float) and not isinstance(value, bool):
-        raise InvalidQuantity(f"{value} has no unit; {right}")
+        raise InvalidQuantity(f"{format_any(value)} has no unit; {right}")
     if not isinstance(value, str):
-        raise InvalidQuantity(f"{value!r} is no quantity; {right}")
+        raise InvalidQuantity(f"{format_any(value)} is no quantity; {right}")
+    if len(value) > _MAX_CHARACTERS:
+        raise InvalidQuantity(
+            f'"{value[:_MAX_CHARACTERS]}..." is longer than {_MAX_CHARACTERS} characters; {right}'
+        )
     match = _QUANTITY.fullmatch(value)
     if match is None:
         raise InvalidQuantity(f'"{value}" is not a number and a unit; {right}')
@@ -129,6 +135,14 @@ def magnitude(value: object, unit: Unit) -> float:
         return float(Fraction(number) * factor)
     except OverflowError:
         raise InvalidQuantity(f'"{value}" is too large; {right}') from None
+
+
+def format_any(value: object) -> str:
+    """Return a value as text, also with integers of more digits than Python writes."""
+    try:
+        return str(value)
+    except ValueError:
+        return "a number of thousands of digits"
 
 
 @cache

@@ -5,6 +5,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from compute.pose.beam_hold import BeamHoldCause, BeamHoldLimits, BeamHoldTiming
+from hardware.field_bounds import FIRST_ERROR_ONLY
 from service.api.base_models import (
     Moment,
     Note,
@@ -98,7 +99,7 @@ class StrobedMarkersWatch(RequestModel):
     """Strobed markers on the patient, each by its number."""
 
     kind: Literal["strobed-markers"]
-    markers: Annotated[list[Marker], Field(min_length=1, max_length=MAX_MARKERS)]
+    markers: Annotated[list[Marker], Field(min_length=1, max_length=MAX_MARKERS), FIRST_ERROR_ONLY]
     min_markers: MinMarkers = None
 
 
@@ -172,9 +173,10 @@ class ReferenceInput(RequestModel):
         description="Of a small turn [rad] about the world's axes, on the left, and of the "
         "translation [mm]; null: exact.",
     )
-    positions_mm: Annotated[list[Position], Field(min_length=1, max_length=MAX_MARKERS)] | None = (
-        Field(default=None, description="Of markers in the device's world, in their order.")
-    )
+    positions_mm: (
+        Annotated[list[Position], Field(min_length=1, max_length=MAX_MARKERS), FIRST_ERROR_ONLY]
+        | None
+    ) = Field(default=None, description="Of markers in the device's world, in their order.")
 
 
 class NewBeamHold(RequestModel):

@@ -14,8 +14,8 @@ from compute.calibration.settings import (
 )
 from compute.camera.field_distortion import Term
 from compute.camera.model import Vector3
+from hardware.field_bounds import FIRST_ERROR_ONLY
 from service.api.base_models import (
-    FIRST_ERROR_ONLY,
     Moment,
     Name,
     Note,
@@ -72,7 +72,7 @@ def _distortion_kind(value: Any) -> str | None:
 # One message for what is neither, where a plain union has one of each member's.
 GivenDistortion = Annotated[
     Annotated[Literal["none", "auto", Preset], Tag("set")]
-    | Annotated[tuple[Term, ...], Tag("terms")],
+    | Annotated[tuple[Term, ...], FIRST_ERROR_ONLY, Tag("terms")],
     Discriminator(
         _distortion_kind,
         custom_error_type="unknown_distortion",

@@ -4,8 +4,8 @@ from typing import Annotated
 
 from pydantic import Field
 
+from hardware.field_bounds import FIRST_ERROR_ONLY
 from service.api.base_models import (
-    FIRST_ERROR_ONLY,
     Moment,
     Name,
     Note,

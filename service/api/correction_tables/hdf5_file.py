@@ -11,9 +11,9 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.damaged_file import refusing_damage
 from compute.mapping.grid import VoxelGrid
 from compute.mapping.table import CorrectionTable, Degree
-from hardware.damaged_file import refusing_damage
 from service.api.correction_tables.table_content import TableContent, check_signature
 from service.problems.errors import InvalidTableFile
 

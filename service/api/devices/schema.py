@@ -9,6 +9,7 @@ from pydantic.dataclasses import dataclass as checked_dataclass
 
 from compute.camera.model import SensorModel
 from hardware.driver import SensorDescription
+from hardware.field_bounds import FIRST_ERROR_ONLY
 from hardware.genicam.settings import GenicamSettings
 from hardware.serial.settings import SerialSettings
 from hardware.simulated.profile_settings import ProfileSettings
@@ -90,7 +91,7 @@ class ExternalSource(RequestModel):
     """No driver: a program of yours reads the sensors and posts peak positions."""
 
     kind: Literal["external"]
-    sensors: Annotated[list[Sensor], Field(min_length=1, max_length=64)]
+    sensors: Annotated[list[Sensor], Field(min_length=1, max_length=64), FIRST_ERROR_ONLY]
 
 
 Source = Annotated[

@@ -8,6 +8,7 @@ from compute.pose.settings import MotionSettings, PoseFitSettings, ToolTrackerSe
 from compute.tracking.blink_codes import MAX_CODE_LENGTH, BlinkCodes
 from compute.tracking.blink_decoding import BlinkModel
 from compute.tracking.settings import MotionModel, TrackerSettings
+from hardware.field_bounds import FIRST_ERROR_ONLY
 from service.api.base_models import Position, RequestModel
 
 _TRACKER = TrackerSettings()
@@ -30,6 +31,7 @@ class Blinking(RequestModel):
             ]
         ],
         Field(min_length=1, max_length=MAX_CODE_WORDS),
+        FIRST_ERROR_ONLY,
     ] = Field(
         description="Of marker 0, 1, ..., all equally long: 1 for full light, 0 for little. Any "
         f"two must differ in {MIN_DISTANCE} bits at least, in whatever phase; "

@@ -5,6 +5,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from compute.calibration.drift.drift_detection import DriftCheck
+from hardware.field_bounds import FIRST_ERROR_ONLY
 from service.api.base_models import Moment, Name, Note, Position, RequestModel, ResponseModel, Slug
 from service.api.calibrations.schema import Readings
 
@@ -34,9 +35,12 @@ class StationaryMarker(StationaryPoint):
 class StationaryMarkersRequest(RequestModel):
     """Stationary markers measured again, and their references."""
 
-    points: Annotated[list[StationaryPoint], Field(min_length=1, max_length=MAX_MARKERS)] | None = (
-        Field(default=None, description="Give these, or `capture_id`.")
-    )
+    points: (
+        Annotated[
+            list[StationaryPoint], Field(min_length=1, max_length=MAX_MARKERS), FIRST_ERROR_ONLY
+        ]
+        | None
+    ) = Field(default=None, description="Give these, or `capture_id`.")
     capture_id: Slug | None = Field(
         default=None, description="A capture session, in place of points."
     )

@@ -4,6 +4,7 @@ from typing import Annotated, Final, Literal, get_args
 
 from pydantic import Field, StringConstraints
 
+from hardware.field_bounds import FIRST_ERROR_ONLY
 from service.api.base_models import Moment, RequestModel, ResponseModel, Slug
 from service.api.devices.schema import RECORDING_PATTERN
 
@@ -26,7 +27,7 @@ class NewExportRun(RequestModel):
     result_id: Slug | None = Field(
         default=None, description="Of the file to be made; left out: the run's id."
     )
-    tool_ids: Annotated[list[Slug], Field(max_length=64)] | None = Field(
+    tool_ids: Annotated[list[Slug], Field(max_length=64), FIRST_ERROR_ONLY] | None = Field(
         default=None, description="Those of the device that are wanted; null: all."
     )
     calibration_id: Slug | None = Field(

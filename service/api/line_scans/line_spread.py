@@ -11,7 +11,7 @@ from compute.errors import InvalidParameter
 from compute.signal.centroid_settings import MAX_PIXELS
 from compute.signal.fit.fit_settings import WIDTH_LIMITS_PX
 from compute.signal.fit.line_spread_function import LineSpreadFunction
-from service.api.base_models import FIRST_ERROR_ONLY
+from hardware.field_bounds import FIRST_ERROR_ONLY
 from service.api.line_scans.chain_steps import STRICT
 
 MAX_NODES: Final = 256
@@ -35,6 +35,7 @@ class Shape:
             description="One row of cells for each place along the sensor, all of one length; in "
             "any unit. The first and last cells should hold next to nothing.",
         ),
+        FIRST_ERROR_ONLY,
     ]
     first_px: Annotated[
         Place,

@@ -13,7 +13,7 @@ from compute.optics.profiles.profile_optics import window_shadows
 from compute.signal.centroid_settings import MAX_PIXELS
 from compute.signal.coded_aperture.shadow_fit import ShadowSettings
 from compute.signal.coded_aperture.shadow_template import ShadowTemplate
-from service.api.base_models import FIRST_ERROR_ONLY
+from hardware.field_bounds import FIRST_ERROR_ONLY
 from service.api.devices.schema import PROFILE_PATTERN
 from service.api.line_scans.chain_steps import STRICT
 from service.pipeline.detection_stage import FindProfile
@@ -90,6 +90,7 @@ class MaskMethod(ShadowSettings):
             description="Of the profile: line l is of the (l modulo their number)-th; null: of all "
             "in turn, as in a frame.",
         ),
+        FIRST_ERROR_ONLY,
     ] = None
     fit_scale: Annotated[
         bool,

@@ -5,7 +5,8 @@ from typing import Annotated, Final, Literal
 from pydantic import Field
 
 from compute.signal.centroid_settings import MAX_PIXELS, MIN_PIXELS
-from service.api.base_models import FIRST_ERROR_ONLY, RequestModel, ResponseModel
+from hardware.field_bounds import FIRST_ERROR_ONLY
+from service.api.base_models import RequestModel, ResponseModel
 from service.api.line_scans.methods import Method, MethodName
 
 MAX_SCANS: Final = 256

@@ -6,8 +6,8 @@ from pydantic import Field, StringConstraints
 
 from compute.signal.centroid_settings import MAX_PIXELS, MIN_PIXELS
 from compute.signal.radiometric_calibration import MIN_CAPTURES, MIN_FLATS
+from hardware.field_bounds import FIRST_ERROR_ONLY
 from service.api.base_models import (
-    FIRST_ERROR_ONLY,
     Moment,
     Name,
     Note,
@@ -91,6 +91,7 @@ Lights = Annotated[
         description="Light of each flat level in any unit, by the lamp or the exposure time; only "
         "with it something is known of the linearity.",
     ),
+    FIRST_ERROR_ONLY,
 ]
 Scan = Annotated[
     list[Annotated[int, Field(ge=0, le=FULL_SCALE)]],
@@ -116,7 +117,7 @@ class FromRecordings(RequestModel):
     kind: Literal["recordings"]
     dark_recording_id: RecordingName = Field(description="Recorded with covered sensors.")
     flat_recording_ids: Annotated[
-        list[RecordingName], Field(min_length=MIN_FLATS, max_length=MAX_FLATS)
+        list[RecordingName], Field(min_length=MIN_FLATS, max_length=MAX_FLATS), FIRST_ERROR_ONLY
     ] = Field(description="Recorded under even light, each with another amount of it.")
     relative_light: Lights | None = None
     temperature_c: Temperature | None = None
@@ -126,9 +127,9 @@ class SensorScans(RequestModel):
     """Scans of one sensor, all of one length."""
 
     dark: Scans = Field(description="Of the covered sensor.")
-    flats: Annotated[list[Scans], Field(min_length=MIN_FLATS, max_length=MAX_FLATS)] = Field(
-        description="Under even light, each list with another amount of it."
-    )
+    flats: Annotated[
+        list[Scans], Field(min_length=MIN_FLATS, max_length=MAX_FLATS), FIRST_ERROR_ONLY
+    ] = Field(description="Under even light, each list with another amount of it.")
 
 
 class FromScans(RequestModel):

@@ -6,8 +6,8 @@ from typing import Annotated
 from pydantic import Field
 
 from compute.reconstruction.point_batch import PointEstimate
+from hardware.field_bounds import FIRST_ERROR_ONLY
 from service.api.base_models import (
-    FIRST_ERROR_ONLY,
     Moment,
     Name,
     RequestModel,

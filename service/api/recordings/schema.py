@@ -4,6 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, StringConstraints
 
+from hardware.field_bounds import FIRST_ERROR_ONLY
 from service.api.base_models import Moment, RequestModel, ResponseModel
 
 NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_-]*(\.[A-Za-z0-9_-]+)*\.h5$"
@@ -19,7 +20,7 @@ class NewRecording(RequestModel):
     id: Annotated[str, StringConstraints(max_length=100, pattern=NAME_PATTERN)] | None = Field(
         default=None, description="File name, ending in .h5; null: device and time."
     )
-    contents: Annotated[frozenset[Content], Field(min_length=1)] = Field(
+    contents: Annotated[frozenset[Content], Field(min_length=1), FIRST_ERROR_ONLY] = Field(
         default=frozenset({"lines", "results"}),
         description="`lines`: the line scans as they came; only with them it can be replayed. "
         "`results`: peaks and points as they are made live.",

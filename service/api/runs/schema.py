@@ -5,8 +5,8 @@ from typing import Annotated
 from pydantic import Field
 
 from compute.mapping.result import MappingMethod, MappingSettings
+from hardware.field_bounds import FIRST_ERROR_ONLY
 from service.api.base_models import (
-    FIRST_ERROR_ONLY,
     Moment,
     Note,
     RequestModel,
@@ -139,7 +139,9 @@ class NewUpdateRun(StationaryMarkersRequest):
         default=None,
         description="A drift check of the parent: its markers, in place of points or capture.",
     )
-    sensors: Annotated[list[SensorName], Field(min_length=1, max_length=64)] | None = Field(
+    sensors: (
+        Annotated[list[SensorName], Field(min_length=1, max_length=64), FIRST_ERROR_ONLY] | None
+    ) = Field(
         default=None,
         description="Those that may have changed, as a drift check tells; left out: all.",
     )

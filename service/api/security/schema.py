@@ -4,6 +4,7 @@ from typing import Annotated
 
 from pydantic import Field
 
+from hardware.field_bounds import FIRST_ERROR_ONLY
 from service.api.base_models import (
     Moment,
     RequestModel,
@@ -21,9 +22,9 @@ class NewApiKey(RequestModel):
     """A key to make."""
 
     name: Text200 = Field(description="Who or what it is for.")
-    scopes: Annotated[tuple[Scope, ...], Field(min_length=1, max_length=len(SCOPES))] = Field(
-        description="What it may do; none includes another."
-    )
+    scopes: Annotated[
+        tuple[Scope, ...], Field(min_length=1, max_length=len(SCOPES)), FIRST_ERROR_ONLY
+    ] = Field(description="What it may do; none includes another.")
     expires_at: RequestMoment | None = Field(
         default=None, description="Until when it is valid; left out: until it is revoked."
     )

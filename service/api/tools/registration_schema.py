@@ -4,8 +4,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import ConfigDict, Discriminator, Field, RootModel, Tag
 
+from hardware.field_bounds import FIRST_ERROR_ONLY
 from service.api.base_models import (
-    FIRST_ERROR_ONLY,
     Moment,
     Name,
     Note,
@@ -53,7 +53,7 @@ class _Named(RequestModel):
         description="Name of the frame; unique among all registrations and tools. Not `tracker`."
     )
     device_id: Slug
-    targets: Annotated[list[Target], Field(max_length=MAX_PAIRS)] = Field(
+    targets: Annotated[list[Target], Field(max_length=MAX_PAIRS), FIRST_ERROR_ONLY] = Field(
         default_factory=list, description="Places in the frame at which the error is asked for."
     )
     note: Note = ""
@@ -71,7 +71,9 @@ class NewPairedPoints(_Measured):
     """Points whose places are known in the frame, and were measured."""
 
     kind: Literal["paired-points"] = "paired-points"
-    fiducials: Annotated[list[Fiducial], Field(min_length=MIN_PAIRS, max_length=MAX_PAIRS)]
+    fiducials: Annotated[
+        list[Fiducial], Field(min_length=MIN_PAIRS, max_length=MAX_PAIRS), FIRST_ERROR_ONLY
+    ]
     frame_sigma_mm: Sigma | None = Field(
         default=None,
         description="Standard deviation of each coordinate in the frame; null: not known.",

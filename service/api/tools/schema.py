@@ -5,6 +5,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from compute.pose.rigid_body import PoseStatus
+from hardware.field_bounds import FIRST_ERROR_ONLY
 from service.api.base_models import (
     Moment,
     Note,
@@ -60,11 +61,14 @@ class _Described(RequestModel):
 class NewTool(_Described):
     """A tool to create, of known geometry."""
 
-    markers_mm: Annotated[list[Position], Field(min_length=MIN_MARKERS, max_length=MAX_MARKERS)] = (
-        Field(description="Its markers in its own coordinates.")
-    )
+    markers_mm: Annotated[
+        list[Position], Field(min_length=MIN_MARKERS, max_length=MAX_MARKERS), FIRST_ERROR_ONLY
+    ] = Field(description="Its markers in its own coordinates.")
     strobe_markers: (
-        Annotated[list[Marker], Field(min_length=MIN_MARKERS, max_length=MAX_MARKERS)] | None
+        Annotated[
+            list[Marker], Field(min_length=MIN_MARKERS, max_length=MAX_MARKERS), FIRST_ERROR_ONLY
+        ]
+        | None
     ) = Field(
         default=None,
         description="The number of each marker's strobe slot, in the same "
@@ -76,7 +80,10 @@ class NewCapturedTool(_Described):
     """A tool to define from what a running device sees of it, held still."""
 
     strobe_markers: (
-        Annotated[list[Marker], Field(min_length=MIN_MARKERS, max_length=MAX_MARKERS)] | None
+        Annotated[
+            list[Marker], Field(min_length=MIN_MARKERS, max_length=MAX_MARKERS), FIRST_ERROR_ONLY
+        ]
+        | None
     ) = Field(default=None, description="Its strobed markers; null: all are lit together.")
     markers: Annotated[int, Field(ge=MIN_MARKERS, le=MAX_MARKERS)] | None = Field(
         default=None,

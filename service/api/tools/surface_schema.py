@@ -4,7 +4,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from service.api.base_models import FIRST_ERROR_ONLY, Position, RequestModel, ResponseModel
+from hardware.field_bounds import FIRST_ERROR_ONLY
+from service.api.base_models import Position, RequestModel, ResponseModel
 
 Direction = tuple[
     Annotated[float, Field(ge=-1e6, le=1e6)],

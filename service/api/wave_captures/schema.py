@@ -11,6 +11,7 @@ from compute.calibration.self_calibration.targets import (
     UnknownRigidBody,
     Wand,
 )
+from hardware.field_bounds import FIRST_ERROR_ONLY
 from service.api.base_models import Position, RequestModel, ResponseModel
 from service.api.captures.schema import CaptureSession, Marker, NewCaptureSession
 
@@ -28,6 +29,7 @@ class WandTarget(RequestModel):
     position_mm: Annotated[
         list[Annotated[float, Field(ge=-1e6, le=1e6)]],
         Field(max_length=MAX_MARKERS, description="Of the markers along the wand [mm]."),
+        FIRST_ERROR_ONLY,
     ]
     sigma_mm: Deviation = 0.0
 
@@ -36,7 +38,7 @@ class BodyTarget(RequestModel):
     """A rigid body, or calibration frame, of known shape."""
 
     kind: Literal["rigid-body"]
-    marker_mm: Annotated[list[Position], Field(max_length=MAX_MARKERS)]
+    marker_mm: Annotated[list[Position], Field(max_length=MAX_MARKERS), FIRST_ERROR_ONLY]
     sigma_mm: Deviation = 0.0
 
 
@@ -77,7 +79,10 @@ class NewWaveCapture(NewCaptureSession):
     """A session to begin, in which a wand or rigid body is waved in front of a running device."""
 
     target: MovedTarget
-    markers: Annotated[list[Marker], Field(min_length=1, max_length=MAX_MARKERS)] | None = Field(
+    markers: (
+        Annotated[list[Marker], Field(min_length=1, max_length=MAX_MARKERS), FIRST_ERROR_ONLY]
+        | None
+    ) = Field(
         default=None,
         description="Strobed marker of each of the target's markers, in its order; null: 0, 1, ... "
         "Markers that are lit together cannot be told apart.",

@@ -4,6 +4,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints
 
+from hardware.field_bounds import FIRST_ERROR_ONLY
 from service.api.base_models import (
     Moment,
     RequestModel,
@@ -20,7 +21,7 @@ DeliveryState = Literal["idle", "delivering", "retrying", "disabled"]
 
 Url = Annotated[str, StringConstraints(min_length=1, max_length=2000)]
 """Which ones are taken: ``target.check_url``."""
-EventTypes = Annotated[tuple[EventType, ...], Field(min_length=1, max_length=16)]
+EventTypes = Annotated[tuple[EventType, ...], Field(min_length=1, max_length=16), FIRST_ERROR_ONLY]
 
 
 class NewWebhook(RequestModel):

@@ -300,15 +300,17 @@ def test_a_board_that_is_not_there_is_said_when_opened() -> None:
         Tcd1304Driver("bar", nowhere).open()
 
 
-def test_close_ends_a_driver_that_waits_for_an_answer_at_once() -> None:
+def test_close_ends_a_driver_that_waits_for_an_answer_at_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    # A close that waited for the answer, too, would not come to the end of the test.
+    monkeypatch.setattr("hardware.tcd1304.board.RESPONSE_TIMEOUT_S", 3600.0)
     with bar(always(b"")) as boards:
         driver = driver_of(boards, exposure_us=6e7)
         with Taken(driver) as taken:
             taken.until(lambda _: bool(boards[0].requests))
-            begin = time.monotonic()
             driver.close()
             driver.close()
-        assert time.monotonic() - begin < 5.0
         assert taken.frames == []
         assert taken.states == []
 

@@ -11,9 +11,11 @@ import uvicorn
 
 from service.application import http_limits
 from service.application.http_limits import HEAD_BYTES, MAX_HEADERS
+from service.problems.handlers import SECURITY_HEADERS
 
 CONNECTIONS = 8
 GET = b"GET / HTTP/1.1\r\nHost: x\r\n\r\n"
+CLOSED_GET = b"GET / HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n"
 
 
 async def answer(scope: Any, receive: Any, send: Any) -> None:
@@ -67,10 +69,17 @@ def everything(connection: socket.socket) -> bytes:
 
 
 def problem(found: bytes) -> tuple[int, str]:
+    """Return status and type of an answer, which has the headers of all others."""
     head, body = found.split(b"\r\n\r\n", 1)
-    assert b"content-type: application/problem+json" in head
+    first, *lines = head.decode().split("\r\n")
+    headers = dict(line.lower().split(": ", 1) for line in lines)
+    assert headers["content-type"] == "application/problem+json"
+    assert headers["content-length"] == str(len(body))
+    assert headers["connection"] == "close"
+    for name, value in SECURITY_HEADERS.items():
+        assert headers[name.lower()] == value.lower()
     document = json.loads(body)
-    assert int(head.split()[1]) == document["status"]
+    assert int(first.split()[1]) == document["status"]
     return document["status"], document["type"]
 
 
@@ -136,6 +145,25 @@ def test_a_body_may_be_larger(port: int) -> None:
 def test_what_is_no_http(port: int) -> None:
     found = everything(opened(port, b"nonsense\r\n\r\n"))
     assert problem(found) == (400, "/problems/malformed-request")
+
+
+def test_request_beyond_those_at_once_is_refused_like_any_other(port: int) -> None:
+    # Half a body each: they are being answered, and are not evicted.
+    busy = [
+        opened(port, b"POST / HTTP/1.1\r\nHost: x\r\nContent-Length: 2\r\n\r\na")
+        for _ in range(CONNECTIONS - 1)
+    ]
+    for one in busy:
+        one.settimeout(20.0)
+    found = b""
+    while b" 503 " not in found:  # the server may not have read all of those yet
+        found = everything(opened(port, CLOSED_GET))
+    assert problem(found) == (503, "/problems/busy")
+    assert b"retry-after: 5" in found
+    for one in busy:
+        one.sendall(b"b")
+        assert one.recv(1000).startswith(b"HTTP/1.1 200")
+        one.close()
 
 
 def test_silent_connections_lock_nobody_out(port: int, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -59,7 +59,9 @@ def test_what_is_refused(tmp_path: Path) -> None:
     assert "cannot be written" in " ".join(refused.output.split())
 
 
-@pytest.mark.parametrize("line", ['grid = "5 mm"', "]["])
+@pytest.mark.parametrize(
+    "line", ['grid = "5 mm"', "][", "a = " + 5_000 * "[", "a = " + 5_000 * "9"], ids=range(4)
+)
 def test_a_file_that_is_no_profile_is_named(tmp_path: Path, line: str) -> None:
     own = tmp_path / "own.toml"
     own.write_text(line, "utf-8")

@@ -6,7 +6,7 @@ import pytest
 
 from service.problems.field_errors import location_in_body
 
-SENSORS = [{"name": "a", "pixels": 1, "pitch_um": 7.0}, {"pixels": 8}]
+SENSORS = [{"name": "a", "pixels": 8, "pitch_um": 7.0}, {"pixels": 1}]
 
 
 def external(**more: Any) -> dict[str, Any]:
@@ -21,8 +21,8 @@ def locations(answer: Any) -> list[list[str | int]]:
 def test_the_kind_of_a_source_is_not_part_of_the_path(sqlite_client: Any):
     found = locations(sqlite_client.post("/api/v1/devices", json=external()))
     assert found == [
-        ["body", "source", "sensors", 0, "pixels"],
         ["body", "source", "sensors", 1, "name"],
+        ["body", "source", "sensors", 1, "pixels"],
         ["body", "source", "sensors", 1, "pitch_um"],
     ]
 

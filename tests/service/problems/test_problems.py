@@ -9,8 +9,8 @@ import pytest
 from sqlalchemy.exc import OperationalError
 
 from service.application.app import create_app
+from service.problems.bounds import display_value, json_safe
 from service.problems.catalogue import PROBLEM_TYPES
-from service.problems.field_errors import display_value, json_safe
 from service.settings import Settings
 from tests.openapi_document import openapi_document
 from tests.service.fake_pipeline import FakePipeline, TestClient

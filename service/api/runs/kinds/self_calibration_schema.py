@@ -10,7 +10,8 @@ from pydantic import Field
 from compute.calibration.self_calibration.targets import Recording
 from compute.errors import InvalidParameter, ReadingOutsideSensor, UnknownSensor
 from hardware.driver import SensorDescription
-from service.api.base_models import FIRST_ERROR_ONLY, Note, RequestModel, Slug
+from hardware.field_bounds import FIRST_ERROR_ONLY
+from service.api.base_models import Note, RequestModel, Slug
 from service.api.calibrations.schema import GivenDistortion, SensorName
 from service.api.wave_captures.schema import (
     MAX_MARKERS,
@@ -24,7 +25,9 @@ from service.api.wave_captures.schema import (
 from service.api.wave_captures.stored_wave import StoredWave
 
 MarkerReadings = Annotated[
-    dict[SensorName, Annotated[list[float | None], Field(max_length=MAX_MARKERS)]],
+    dict[
+        SensorName, Annotated[list[float | None], Field(max_length=MAX_MARKERS), FIRST_ERROR_ONLY]
+    ],
     Field(
         max_length=64,
         description="By sensor: the peak of each marker [px], null where it was not seen. Leave "
@@ -81,9 +84,9 @@ class NewSelfCalibrationRun(RequestModel):
     result_id: Slug | None = Field(
         default=None, description="Of the calibration to be made; left out: the server's choice."
     )
-    recordings: Annotated[list[NewRecording], Field(min_length=1, max_length=16)] | None = Field(
-        default=None, description="Give these, or `wave_capture_id`."
-    )
+    recordings: (
+        Annotated[list[NewRecording], Field(min_length=1, max_length=16), FIRST_ERROR_ONLY] | None
+    ) = Field(default=None, description="Give these, or `wave_capture_id`.")
     wave_capture_id: Slug | None = Field(
         default=None, description="A capture of a waved wand or body, in place of recordings."
     )

@@ -184,8 +184,47 @@ def test_everything_that_is_wrong_is_named_at_once() -> None:
     assert fields == {"pixels.pitch", "detector.bits", "rates.rate", "rates.line_rate"}
 
 
-def test_what_is_no_toml_is_refused() -> None:
-    assert "is not TOML" in refused("name = ").detail
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("name = ", "is not TOML: Invalid value"),
+        ("a = " + 5_000 * "[", "nested too deeply"),
+        ("a = " + 5_000 * "{a = ", "nested too deeply"),
+        ("a = " + 5_000 * "9", "an integer has too many digits"),
+        ("\n\na" + 30_000 * ".a" + " = 1", "dots, but for those of numbers (at line 3)"),
+        ("1" + 30_000 * ".1" + " = 1", "more than 32 dots"),
+        ('"a"' + 10_000 * ' . "a"' + " = 1", "more than 32 dots"),
+        ("[a" + 30_000 * ".a" + "]", "more than 32 dots"),
+    ],
+)
+def test_what_is_no_toml_is_refused(text: str, why: str) -> None:
+    assert why in refused(text).detail
+
+
+def test_dots_of_numbers_and_texts_are_taken() -> None:
+    numbers = ", ".join(["0.125"] * 1_000)
+    assert "dots" not in refused(f"a = [{numbers}]\nb = 'e.g. on p. 5 f.'").detail
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ('pitch = "12 um"', "pitch = 0x" + 5_000 * "f"),
+        ("bits = 12", "bits = 0x" + 5_000 * "f"),
+        ('pitch = "12 um"', f'pitch = "{5_000 * "1"} um"'),
+        ('pitch = "12 um"', f'pitch = "1{60_000 * " "}?"'),
+    ],
+)
+def test_number_of_thousands_of_digits_is_refused(old: str, new: str) -> None:
+    assert old in BAR
+    field = new.partition(" ")[0]
+    assert refused(BAR.replace(old, new)).context["field"].endswith(f".{field}")
+
+
+def test_index_of_thousands_of_digits_is_refused_in_what_is_assumed() -> None:
+    path = f"sensors[{5_000 * '9'}].name"
+    text = BAR.replace("[assumed]\n", f'[assumed]\n"{path}" = "x"\n')
+    assert f'assumed."{path}": the profile has no such field' in refused(text).detail
 
 
 def test_a_plate_needs_a_detector_behind_each_track() -> None:

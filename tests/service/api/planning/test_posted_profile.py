@@ -5,6 +5,7 @@ import hashlib
 import pytest
 
 from service.api.planning.router import EXAMPLE
+from service.settings import Settings
 from tests.service.fake_pipeline import TestClient
 
 PROFILES = "/api/v1/device-profiles"
@@ -53,8 +54,46 @@ def test_kept_profile_is_not_overwritten(sqlite_client: TestClient) -> None:
 
 
 @pytest.mark.parametrize("path", [PROFILES, PLANS])
-@pytest.mark.parametrize("toml", ["nonsense", 'name = "a"', EXAMPLE.replace('"1500 mm"', "1500")])
+@pytest.mark.parametrize(
+    "toml",
+    [
+        "nonsense",
+        'name = "a"',
+        EXAMPLE.replace('"1500 mm"', "1500"),
+        "a = " + 5_000 * "[",
+        "a = " + 5_000 * "9",
+        "a" + 30_000 * ".a" + " = 1",
+        "name = 0x" + 5_000 * "f",
+    ],
+    ids=range(7),
+)
 def test_text_that_is_no_profile_is_refused(
     sqlite_client: TestClient, path: str, toml: str
 ) -> None:
     assert sqlite_client.post(path, json={"toml": toml}).status_code == 422
+
+
+@pytest.mark.parametrize("path", [PROFILES, PLANS])
+def test_answer_to_thousands_of_unknown_keys_is_short(sqlite_client: TestClient, path: str) -> None:
+    toml = "\n".join(f"k{number}=1" for number in range(7_000))
+    answer = sqlite_client.post(path, json={"toml": toml})
+    assert answer.status_code == 422
+    assert answer.json()["context"]["field"] == "k0"
+    assert len(answer.json()["context"]["problems"]) <= 50
+    assert len(answer.content) <= 64 * 1024
+
+
+def test_files_that_are_no_profiles_are_left_out_of_the_list(
+    sqlite_client: TestClient, sqlite_settings: Settings
+) -> None:
+    before = sqlite_client.get(PROFILES).json()
+    folder = sqlite_settings.folders.profiles
+    folder.mkdir(exist_ok=True)
+    (folder / "deep.toml").write_text("a = " + 5_000 * "[")
+    (folder / "long.toml").write_text("a = " + 5_000 * "9")
+    (folder / "binary.toml").write_bytes(bytes(range(256)))
+    assert sqlite_client.get(PROFILES).json() == before
+    for name in ("deep", "long", "binary"):
+        answer = sqlite_client.get(f"{PROFILES}/{name}")
+        assert answer.status_code == 422
+        assert name in answer.json()["detail"]

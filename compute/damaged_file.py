@@ -15,6 +15,10 @@ def refusing_damage(invalid: Callable[[str], LumilineError]) -> Iterator[None]:
 
     Args:
         invalid: makes the error from the library's reason, one line of text.
+
+    Raises:
+        LumilineError: what ``invalid`` made, or the domain's own error.
+        MemoryError: there is not enough memory for the file.
     """
     try:
         yield

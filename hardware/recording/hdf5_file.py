@@ -3,7 +3,6 @@
 import math
 from collections import Counter
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -14,7 +13,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from compute.errors import InvalidParameter, InvalidRecording
 from hardware.damaged_file import refusing_damage
-from hardware.driver import DeviceDescription, PeakMethod
+from hardware.driver import DeviceDescription
 from hardware.recording.layout import NO_CALIBRATION_ROW, NO_MARKER, RecordingInfo
 
 _SWMR: Final = 4
@@ -128,29 +127,20 @@ def check_columns(file: RecordingFile, info: RecordingInfo) -> None:
         "marker",
         f"be below the number of strobed markers, {markers}",
     )
-    if info.version == 1:
-        return
     state = info.state
     for name, rows in (("peaks_end", state.peaks), ("points_end", state.points)):
         ends = read_column(file, info, name)
         wrong = (np.diff(ends, prepend=0) < 0) | (ends > rows)
         refuse_where(wrong, name, f"not decrease, nor be more than the {rows} rows")
-    in_force = read_column(file, info, "in_force")
+    calibration = read_column(file, info, "active_calibration")
     refuse_where(
-        (in_force < NO_CALIBRATION_ROW) | (in_force >= state.in_force),
-        "in_force",
-        f"be below the number of calibrations, {state.in_force}",
+        (calibration < NO_CALIBRATION_ROW) | (calibration >= state.active_calibrations),
+        "active_calibration",
+        f"be below the number of calibrations, {state.active_calibrations}",
     )
 
 
-@dataclass(frozen=True)
-class _StoredDescription(DeviceDescription):
-    """A stored description; old recordings name no method of peak detection."""
-
-    peaks: PeakMethod = "centroid"
-
-
-_DESCRIPTION = TypeAdapter(_StoredDescription)
+_DESCRIPTION = TypeAdapter(DeviceDescription)
 
 _MAX_HZ: Final = 1e6
 _MAX_UM: Final = 1000.0
@@ -165,7 +155,7 @@ def read_description(text: str) -> DeviceDescription:
             sentence that begins with the file's name.
     """
     try:
-        description = DeviceDescription(**vars(_DESCRIPTION.validate_json(text)))
+        description = _DESCRIPTION.validate_json(text)
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"]) or "the whole"

@@ -1,22 +1,28 @@
-"""Damaged tables, backups, profiles, tools and calibrations: refused, or read as written.
+"""Damaged recordings, tables, backups, profiles, tools, calibrations: refused, or read as written.
 
-Recordings have a test of their own (tests/hardware/recording/test_damage.py).
+Recordings are read here by the service; tests/hardware/recording/test_damage.py reads them by the
+library.
 """
 
 import json
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from compute.errors import LumilineError
+from hardware.recording.writer import RecordingWriter
 from service.api.correction_tables.hdf5_file import read_table, write_table
 from service.api.devices.profiles import profile_text
+from service.api.recordings.active_calibration_file import dump_active_calibration
 from service.application.app import create_app
 from service.application.initial_content import nominal_calibration, seed
 from service.backup.backup import back_up
@@ -27,13 +33,132 @@ from service.cli.output import fail
 from service.cli.tracking_files import read_tools
 from service.database.engine import Database
 from service.database.migration import migrate
+from service.pipeline.active_calibration import ActiveCalibration, LiveBadPixel
 from service.problems.errors import BackupUnusable
 from service.settings import Settings
 from tests.damage import FEW_OR_MANY, MANY, damages
+from tests.hardware.recording.blocks import block, described
 from tests.service.api.correction_tables.tables import content as content_of_table
 from tests.service.fake_pipeline import FakePipeline, TestClient
 
 PLANNED = 50
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> tuple[bytes, range]:
+    """A recording with results and two calibrations, one with a table; where these lie in it."""
+    path = tmp_path_factory.mktemp("recording") / "whole.h5"
+    bad = (LiveBadPixel("vertical", 7, "hot", datetime(2026, 3, 1, tzinfo=UTC)),)
+    nominal = nominal_calibration()
+    table = write_table(content_of_table("0" * 64))
+    with RecordingWriter(path, described(), results=True) as writer:
+        for row, extra in enumerate((
+            {"bad_pixels": bad}, {"table_id": "map", "table_file": table, "bad_pixels": 2 * bad}
+        )):  # fmt: skip
+            active = ActiveCalibration(f"sim-{row}", nominal, **extra)
+            assert writer.put_active_calibration(*dump_active_calibration(active)) == row
+            writer.append_block(block(3 + 16 * row, 16, row))
+    with h5py.File(path) as file:
+        stored = file["active_calibrations/bytes"]
+        start = stored.id.get_chunk_info(0).byte_offset
+        part = range(start, start + len(stored))
+    return path.read_bytes(), part
+
+
+UNCHANGED = (
+    "/api/v1/recordings/damaged.h5/frames?count=64",
+    "/api/v1/recordings/damaged.h5/scans?number=1",
+    "/api/v1/recordings/damaged.h5/scans?number=20",
+)
+
+
+@FEW_OR_MANY
+def test_recording_that_is_damaged_is_listed_as_unreadable_or_answers_what_was_written(
+    recording: tuple[bytes, range], tmp_path: Path, count: int
+):
+    whole, part = recording
+    settings = Settings(data_dir=tmp_path)
+    folder = settings.folders.recordings
+    with TestClient(create_app(settings, FakePipeline())) as client:
+        folder.mkdir(exist_ok=True)
+        for name in ("damaged.h5", "sound.h5"):
+            (folder / name).write_bytes(whole)
+        expected = {path: client.get(path).json() for path in UNCHANGED}
+        detail = _contents(client.get("/api/v1/recordings/sound.h5").json())
+        assert [one["calibration_id"] for one in detail["calibrations"]] == ["sim-0", "sim-1"]
+        assert [one["bad_pixels"] for one in detail["calibrations"]] == [1, 2]
+        assert [one["from_frame"] for one in detail["calibrations"]] == [0, 16]
+        refused = 0
+        for number, data in enumerate(damages(whole, count, overwritten=64, part=part)):
+            path = folder / "damaged.h5"
+            path.write_bytes(data)
+            os.utime(path, ns=(number, number))  # what was read of a file is kept by its time
+            listed = client.get("/api/v1/recordings")
+            assert listed.status_code == 200, data
+            documents = {one["id"]: one for one in listed.json()["items"]}
+            assert documents["sound.h5"]["state"] == "complete"
+            found = client.get("/api/v1/recordings/damaged.h5")
+            assert found.status_code == 200, data
+            assert documents["damaged.h5"].items() <= found.json().items(), data
+            if found.json()["state"] == "unreadable":
+                assert found.json()["reason"].startswith("damaged.h5 "), data
+                refused += 1
+            else:
+                assert _contents(found.json()) == detail, data
+            for address, answer in expected.items():
+                response = client.get(address)
+                assert response.status_code in (200, 409, 422), (response.text, data)
+                assert response.status_code != 200 or response.json() == answer, data
+        assert count / 4 < refused < count
+
+
+@pytest.mark.parametrize(
+    ("written", "flipped"), [(b'"sim-1"', b'"rim-1"'), (b'"pixel": 7', b'"pixel": 5')]
+)
+def test_recording_with_a_flipped_bit_in_its_calibration_is_listed_as_unreadable(
+    recording: tuple[bytes, range], tmp_path: Path, written: bytes, flipped: bytes
+):
+    settings = Settings(data_dir=tmp_path)
+    folder = settings.folders.recordings
+    folder.mkdir(exist_ok=True)
+    assert written in recording[0]
+    (folder / "damaged.h5").write_bytes(recording[0].replace(written, flipped))
+    with TestClient(create_app(settings, FakePipeline())) as client:
+        (listed,) = client.get("/api/v1/recordings").json()["items"]
+        found = client.get("/api/v1/recordings/damaged.h5").json()
+    assert (listed["state"], found["state"]) == ("unreadable", "unreadable")
+    assert "has damaged data in active_calibrations (the checksum of row" in found["reason"]
+
+
+def _contents(document: dict[str, Any]) -> dict[str, Any]:
+    """What a recording's document says of what is in it.
+
+    One whose last mark is damaged is incomplete: not closed by its writer, for all that is known.
+    """
+    assert document["state"] in ("complete", "incomplete")
+    file = ("id", "state", "size_bytes", "updated_at")
+    return {name: value for name, value in document.items() if name not in file}
+
+
+@pytest.mark.parametrize("content", [
+    b"[]", b"7", b"{", b"[" * 100_000, b'{"bad_pixels": 3}', b'{"bad_pixels": [[]]}',
+    b'{"bad_pixels": {}}', b'{"radiometric": 3}', b'{"radiometric": []}', b'{"id": ["a"]}',
+    b'{"radiometric": {"content": 1, "content_hash": 2}}', b'{"table": {}}', b"\xff\xfe\x00",
+])  # fmt: skip
+def test_recording_with_a_calibration_of_another_make_is_listed_as_unreadable(
+    content: bytes, tmp_path: Path
+):
+    settings = Settings(data_dir=tmp_path)
+    settings.folders.recordings.mkdir(exist_ok=True)
+    with RecordingWriter(settings.folders.recordings / "made.h5", described()) as writer:
+        writer.put_active_calibration(content)
+    with TestClient(create_app(settings, FakePipeline())) as client:
+        for path in ("/api/v1/recordings/made.h5", "/api/v1/recordings"):
+            response = client.get(path)
+            assert response.status_code == 200
+            found = response.json().get("items", [response.json()])[0]
+            assert (found["state"], found["frames_written"]) == ("unreadable", None)
+            assert found["reason"].startswith("made.h5 holds ")
 
 
 @FEW_OR_MANY

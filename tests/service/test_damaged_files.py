@@ -8,6 +8,7 @@ import json
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -19,6 +20,7 @@ import pytest
 from typer.testing import CliRunner
 
 from compute.errors import LumilineError
+from compute.signal.centroid_settings import MIN_PIXELS
 from hardware.recording.writer import RecordingWriter
 from service.api.correction_tables.hdf5_file import read_table, write_table
 from service.api.devices.profiles import profile_text
@@ -51,13 +53,16 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> tuple[bytes, range]:
     bad = (LiveBadPixel("vertical", 7, "hot", datetime(2026, 3, 1, tzinfo=UTC)),)
     nominal = nominal_calibration()
     table = write_table(content_of_table("0" * 64))
-    with RecordingWriter(path, described(), results=True) as writer:
+    sensors = tuple(replace(one, pixels=MIN_PIXELS) for one in described().sensors)
+    with RecordingWriter(path, replace(described(), sensors=sensors), results=True) as writer:
         for row, extra in enumerate((
             {"bad_pixels": bad}, {"table_id": "map", "table_file": table, "bad_pixels": 2 * bad}
         )):  # fmt: skip
             active = ActiveCalibration(f"sim-{row}", nominal, **extra)
             assert writer.put_active_calibration(*dump_active_calibration(active)) == row
-            writer.append_block(block(3 + 16 * row, 16, row))
+            frames = block(3 + 16 * row, 16, row)
+            lines = np.resize(frames.lines, (16, len(sensors), MIN_PIXELS))
+            writer.append_block(replace(frames, lines=lines))
     with h5py.File(path) as file:
         stored = file["active_calibrations/bytes"]
         start = stored.id.get_chunk_info(0).byte_offset

@@ -9,7 +9,7 @@ from hardware.recording.frame_block import FrameBlock
 from hardware.recording.layout import FRAME, NO_CALIBRATION_ROW, PEAK, RecordingInfo, point_dtype
 from hardware.recording.reader import RecordingReader
 
-SENSORS, PIXELS = 2, 64
+SENSORS, PIXELS = 2, 24
 
 
 def described() -> DeviceDescription:

@@ -48,11 +48,18 @@ class RecordingFile:
         self._file.close()
 
     def attributes(self) -> dict[str, object]:
-        """Return the root's attributes as plain Python values."""
+        """Return the root's attributes of fixed size as plain Python values, texts decoded."""
         with self._refusing_damage("attributes"):
+            attributes = self._file.attrs
+            found = {
+                name: attributes[name].tolist()
+                for name in attributes
+                # Reading a damaged text of variable length would not end.
+                if not attributes.get_id(name).dtype.hasobject
+            }
             return {
-                name: value.tolist() if isinstance(value, np.ndarray | np.generic) else value
-                for name, value in self._file.attrs.items()
+                name: value.decode() if isinstance(value, bytes) else value
+                for name, value in found.items()
             }
 
     def rows(self, name: str, dtype: np.dtype[Any], row: tuple[int, ...] = ()) -> int:

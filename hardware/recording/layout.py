@@ -1,8 +1,9 @@
 """The HDF5 layout of recordings: groups, datasets and their types.
 
 Version 3. Attributes of the root: ``format``, ``version``, ``description`` (the device's
-description as JSON), ``provenance`` (a JSON object: who wrote it, when, with which settings) and
-``attributes_checksum``, the CRC-32 of the two texts.
+description as JSON) and ``provenance`` (a JSON object: who wrote it, when, with which settings).
+Texts are UTF-8 of fixed length: HDF5 has a checksum over them. It has none over texts of variable
+length, and a damaged length of one makes it loop for ever.
 
 - ``frames``: a group with one row for each frame in the datasets of ``COLUMNS`` and, unless only
   results were recorded, in ``lines``, uint16, shape (frames, sensors, pixels). A marker of -1
@@ -206,18 +207,6 @@ def unpack_state(rows: NDArray[np.void]) -> tuple[RecordingState, int] | None:
 
 def _state_checksum(row: Any) -> int:
     return zlib.crc32(row.tobytes()[: -STATE["checksum"].itemsize])
-
-
-def attributes_checksum(description: str, provenance: str) -> int:
-    """Return the checksum of a recording's texts: HDF5 itself does not check attributes.
-
-    Args:
-        description: of the device, JSON.
-        provenance: of the recording, JSON.
-    """
-    # surrogateescape: how h5py decodes bytes that are no UTF-8.
-    first, second = (text.encode(errors="surrogateescape") for text in (description, provenance))
-    return zlib.crc32(second, zlib.crc32(first))
 
 
 def frame_checksums(rows: NDArray[np.void], lines: NDArray[np.uint16] | None) -> NDArray[np.uint32]:

@@ -33,7 +33,6 @@ from hardware.recording.layout import (
     VERSION,
     Losses,
     RecordingState,
-    attributes_checksum,
     calibration_checksum,
     frame_checksums,
     pack_state,
@@ -122,14 +121,13 @@ class RecordingWriter:
         lines: bool,
     ) -> None:
         attributes = self._file.attrs
-        attributes["format"] = FORMAT
         attributes["version"] = VERSION
-        texts = (
-            json.dumps(asdict(self._description)),
-            json.dumps(provenance, allow_nan=False),
-        )
-        attributes["description"], attributes["provenance"] = texts
-        attributes["attributes_checksum"] = attributes_checksum(*texts)
+        for name, text in (
+            ("format", FORMAT),
+            ("description", json.dumps(asdict(self._description))),
+            ("provenance", json.dumps(provenance, allow_nan=False)),
+        ):
+            attributes[name] = np.bytes_(text.encode())
         group = self._file.create_group("frames")
         for name, kind in COLUMNS.items():
             self._growing(group, name, kind)

@@ -2,9 +2,11 @@
 
 from pathlib import Path
 
+import h5py
 import pytest
 
 from compute.errors import InvalidRecording
+from hardware.recording.layout import FORMAT
 from hardware.recording.reader import RecordingReader
 from hardware.recording.writer import RecordingWriter
 from tests.damage import FEW_OR_MANY, damages
@@ -22,6 +24,23 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> bytes:
             writer.put_active_calibration(*CALIBRATIONS[row])
             writer.append_block(block(start, 32, row))
     return path.read_bytes()
+
+
+def test_recording_has_nothing_of_variable_length(whole: bytes):
+    """Where a bit of a length is flipped, HDF5 does not return from reading such a text."""
+    assert b"GCOL" not in whole
+
+
+def test_text_of_variable_length_is_not_read(whole: bytes, tmp_path: Path):
+    path = tmp_path / "r.h5"
+    path.write_bytes(whole)
+    with h5py.File(path, "r+") as file:
+        file.attrs["format"] = FORMAT
+    data = path.read_bytes()
+    at = data.index(b"GCOL") + 16 + 8
+    path.write_bytes(data[:at] + (-16).to_bytes(8, "little", signed=True) + data[at + 8 :])
+    with pytest.raises(InvalidRecording, match="is an HDF5 file of format None"):
+        RecordingReader(path)
 
 
 @FEW_OR_MANY

@@ -32,6 +32,7 @@ from service.backup.restore import restore
 from service.cli import app, tool_files
 from service.cli.json_files import DOCUMENT, read_calibration
 from service.cli.output import fail
+from service.cli.scan_files import read_scans
 from service.cli.tracking_files import read_tools
 from service.database.engine import Database
 from service.database.migration import migrate
@@ -312,6 +313,53 @@ def test_calibration_file_that_is_damaged_is_refused_or_a_calibration(tmp_path: 
         assert all(model.pixels > 0 for model in found.calibration.models), data
     assert len(details) > count / 3
     assert all(str(file) in one for one in details)
+
+
+@FEW_OR_MANY
+@pytest.mark.parametrize("kind", ["npy", "csv", "h5"])
+def test_scan_file_that_is_damaged_is_refused_or_holds_counts(
+    recording: tuple[bytes, range], tmp_path: Path, kind: str, count: int
+):
+    """An array and a CSV have no checksum: a digit that is another one is another count."""
+    file, counts = tmp_path / f"scans.{kind}", np.arange(200, 330, dtype=np.uint16).reshape(2, -1)
+    if kind == "npy":
+        np.save(file, counts)
+    elif kind == "csv":
+        np.savetxt(file, counts, fmt="%d", delimiter=",")
+    else:
+        file.write_bytes(recording[0])
+    expected, details = read_scans(file).scans, []
+    for data in damages(file.read_bytes(), count, part=range(128)):
+        file.write_bytes(data)
+        try:
+            found = read_scans(file).scans
+        except LumilineError as error:
+            details.append(error.detail)
+            continue
+        assert found.dtype == np.uint16, data
+        assert kind != "h5" or np.array_equal(found, expected), data
+    assert len(details) > count / 4
+    assert all(file.name in one for one in details)
+
+
+@pytest.mark.parametrize("header", [
+    "{'descr': '<u2', 'fortran_order': False, 'shape': (2, 65",
+    "{'descr': '<u2', 'fortran_order': False, 'shape': (99999999, 65000)}",
+    "{'descr': '<u2', 'fortran_order': False, 'shape': (2, 99999999999999999999)}",
+    "{'descr': '|O', 'fortran_order': False, 'shape': (2, 65)}",
+    "-" * 8000 + "1",
+    "(" * 8000,
+])  # fmt: skip
+def test_peaks_of_an_array_with_a_damaged_header_says_that_it_cannot_be_read(
+    tmp_path: Path, header: str
+):
+    file, text = tmp_path / "scans.npy", header.encode() + b"\n"
+    size = len(text).to_bytes(2, "little")
+    file.write_bytes(b"\x93NUMPY\x01\x00" + size + text + bytes(2 * 2 * 65))
+    result = CliRunner().invoke(app, ["peaks", str(file)], env={"COLUMNS": "500"})
+    assert isinstance(result.exception, SystemExit), result.exception
+    assert result.exit_code == 2
+    assert f"error: {file} cannot be read as a NumPy array: " in result.output
 
 
 @contextmanager

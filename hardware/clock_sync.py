@@ -33,6 +33,12 @@ RECENT_NS: Final = 1_000_000_000
 """Window of the lower bound of the error: the smallest recent distance above the line."""
 MIN_UNCERTAINTY_NS: Final = 1_000.0
 """Lower bound of the stated uncertainty."""
+BRACKET_NS: Final = 20_000
+"""Two clocks are read again where both reads together took longer."""
+MAX_READS: Final = 20
+"""Then the narrowest of so many brackets counts."""
+SET_BACK_NS: Final = 1_000_000_000
+"""The host's clock was set back where an exposure's time is earlier than the last by as much."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -235,9 +241,42 @@ def wait_until(due_ns: int, closed: Event) -> None:
         closed.wait(remaining_ns * 1e-9)
 
 
-def host_time_ns(monotonic_ns: int) -> int:
-    """Convert a time of the monotonic clock to the clock of time.time_ns() [ns].
+def host_clock_offset_ns() -> int:
+    """Return what time.time_ns() is ahead of time.monotonic_ns() [ns].
 
-    Read again for each frame, because the host's clock may have been set meanwhile.
+    Between the reads of both clocks this thread may have to wait for the processor: the reads are
+    bracketed, and repeated where the bracket is wide.
     """
-    return time.time_ns() + monotonic_ns - time.monotonic_ns()
+    narrowest_ns, offset_ns = -1, 0
+    for _ in range(MAX_READS):
+        before_ns, wall_ns, after_ns = time.monotonic_ns(), time.time_ns(), time.monotonic_ns()
+        bracket_ns = after_ns - before_ns
+        if narrowest_ns < 0 or bracket_ns < narrowest_ns:
+            narrowest_ns, offset_ns = bracket_ns, wall_ns - (before_ns + after_ns) // 2
+        if bracket_ns <= BRACKET_NS:
+            break
+    return offset_ns
+
+
+class HostClock:
+    """Converts the monotonic times of one device's exposures to the clock of time.time_ns().
+
+    The offset is read again for each, because the host's clock may have been set meanwhile. Times
+    rise strictly; only a clock that was set back by SET_BACK_NS or more takes them back with it.
+    """
+
+    def __init__(self) -> None:
+        self._monotonic_ns = self._host_ns = -(2**63)
+
+    def convert(self, monotonic_ns: int) -> tuple[int, int]:
+        """Return an exposure's time on the monotonic clock and on the host's [ns].
+
+        Args:
+            monotonic_ns: as measured; where it does not rise, the last one and 1 ns count.
+        """
+        self._monotonic_ns = max(monotonic_ns, self._monotonic_ns + 1)
+        host_ns = self._monotonic_ns + host_clock_offset_ns()
+        if host_ns > self._host_ns - SET_BACK_NS:
+            host_ns = max(host_ns, self._host_ns + 1)
+        self._host_ns = host_ns
+        return self._monotonic_ns, host_ns

@@ -8,7 +8,7 @@ from pathlib import Path
 from threading import Event, Lock
 
 from compute.parameter_checks import require
-from hardware.clock_sync import host_time_ns, wait_until
+from hardware.clock_sync import HostClock, wait_until
 from hardware.driver import DeviceDescription, SessionDriver
 from hardware.line_frame import LineFrame
 from hardware.recording.reader import RecordingReader
@@ -76,6 +76,7 @@ class ReplayDriver(SessionDriver["_Playback"]):
     def _play(self, run: "_Playback") -> Iterator[LineFrame]:
         start_ns = 0
         first_device_ns: int | None = None
+        host_clock = HostClock()
         for recorded in run.frames():
             frame = replace(recorded, device=self._name)
             if self._speed is not None:
@@ -84,7 +85,7 @@ class ReplayDriver(SessionDriver["_Playback"]):
                 passed_ns = frame.exposure_device_ns - first_device_ns
                 due_ns = start_ns + round(passed_ns / self._speed)
                 wait_until(due_ns, run.closed)
-                frame = replace(frame, exposure_host_ns=host_time_ns(due_ns))
+                frame = replace(frame, exposure_host_ns=host_clock.convert(due_ns)[1])
             if run.closed.is_set():
                 return
             yield frame

@@ -13,7 +13,7 @@ FEW_OR_MANY = pytest.mark.parametrize("count", [A_FEW, pytest.param(MANY, marks=
 
 
 def damages(
-    whole: bytes, count: int, *, overwritten: int = 16, head: int | None = None
+    whole: bytes, count: int, *, overwritten: int = 16, part: range | None = None
 ) -> Iterator[bytes]:
     """Yield damaged copies; the first few are the same in each run, many are new ones.
 
@@ -21,25 +21,25 @@ def damages(
         whole: the file.
         count: how many; one that comes out as the whole is left out.
         overwritten: most bytes that are overwritten at a place.
-        head: half of the places are within so many first bytes, where formats have their headers.
+        part: half of the places are in this part of the file; None: there is no such part.
     """
     first = 0 if count < MANY else int.from_bytes(os.urandom(3))
     for seed in range(first, first + count):
-        found = _damaged(whole, np.random.default_rng([23, seed]), overwritten, head)
+        found = _damaged(whole, np.random.default_rng([23, seed]), overwritten, part)
         if found != whole:
             yield found
 
 
 def _damaged(
-    whole: bytes, random: np.random.Generator, overwritten: int, head: int | None
+    whole: bytes, random: np.random.Generator, overwritten: int, part: range | None
 ) -> bytes:
     """Flip one bit or eight, overwrite bytes, or cut the end off."""
     kind = random.integers(4)
     if kind == 3:
         return whole[: random.integers(len(whole))]
     data = bytearray(whole)
-    in_head = head is not None and random.random() < 0.5
-    place = int(random.integers(min(head or 0, len(data)) if in_head else len(data)))
+    places = part if part is not None and random.random() < 0.5 else range(len(data))
+    place = int(random.integers(places.start, places.stop))
     if kind == 2:
         data[place : place + overwritten] = random.bytes(len(data[place : place + overwritten]))
     else:

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from compute.errors import InvalidParameter
-from hardware.clock_sync import host_time_ns
+from hardware.clock_sync import HostClock
 from hardware.driver import DeviceDescription, SensorDescription
 from hardware.errors import DeviceNotConnected
 from hardware.genicam.camera_stream import CameraStream
@@ -111,6 +111,7 @@ class _Run:
         self._last_contact_s = [0.0] * len(self.streams)
         self._garbled = [False] * len(self.streams)
         self._sequence = -1
+        self._host_clock = HostClock()
         self._restarts: int | None = None
         self._faults: dict[int, tuple[LinkPhase, str]] = {}
 
@@ -247,13 +248,14 @@ class _Run:
         if bool((lines >= 2**self._bits - 1).any()):
             flags |= FrameFlag.SATURATED
         self._sequence, self._restarts = first.number, restarts
+        _, host_ns = self._host_clock.convert(
+            sum(line.monotonic_ns for line in matched) // len(matched)
+        )
         return LineFrame(
             device=self._name,
             sequence=first.number,
             exposure_device_ns=first.device_ns,
-            exposure_host_ns=host_time_ns(
-                sum(line.monotonic_ns for line in matched) // len(matched)
-            ),
+            exposure_host_ns=host_ns,
             marker=None,
             lines=lines,
             flags=flags,

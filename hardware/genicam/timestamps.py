@@ -3,7 +3,7 @@
 import time
 from typing import Final
 
-from hardware.clock_sync import DeviceClock
+from hardware.clock_sync import DeviceClock, host_clock_offset_ns
 
 _PER_S: Final = 1_000_000_000
 
@@ -12,7 +12,7 @@ class ScanTimestamps:
     """Converts buffer timestamps to device and host times of scans.
 
     Host times are those of the monotonic clock, which adjustments of the host's clock do not
-    change. Neither device nor host times go back. Host times are late by the shortest delay of
+    change. Device and host times rise strictly. Host times are late by the shortest delay of
     the link beyond the exposure, the time to send a buffer; see ``DeviceClock``.
 
     Args:
@@ -39,7 +39,7 @@ class ScanTimestamps:
         """Return device and monotonic time [ns] of a scan ``after_ns`` after the buffer's time."""
         device_ns, monotonic_ns = self._buffer_ns
         self._device_ns = max(device_ns + after_ns, self._device_ns + 1)
-        self._monotonic_ns = max(monotonic_ns + after_ns, self._monotonic_ns)
+        self._monotonic_ns = max(monotonic_ns + after_ns, self._monotonic_ns + 1)
         return self._device_ns, self._monotonic_ns
 
 
@@ -59,9 +59,8 @@ class BufferTimestamps:
 
     def of(self, wall_ns: int) -> int:
         """Return the monotonic time of an arrival from its wall-clock time [ns]."""
-        now_ns = time.monotonic_ns()
-        age_ns = time.time_ns() - wall_ns
-        return min(max(now_ns - age_ns, self._empty_ns), now_ns)
+        arrival_ns = wall_ns - host_clock_offset_ns()
+        return min(max(arrival_ns, self._empty_ns), time.monotonic_ns())
 
 
 _LAST_16_BIT: Final = 65535

@@ -3,7 +3,6 @@
 import math
 from collections import Counter
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -14,7 +13,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from compute.damaged_file import refusing_damage
 from compute.errors import InvalidParameter, InvalidRecording
-from hardware.driver import DeviceDescription, PeakMethod
+from hardware.driver import DeviceDescription
 from hardware.recording.layout import NO_CALIBRATION_ROW, NO_MARKER, RecordingInfo
 
 _SWMR: Final = 4
@@ -49,11 +48,18 @@ class RecordingFile:
         self._file.close()
 
     def attributes(self) -> dict[str, object]:
-        """Return the root's attributes as plain Python values."""
+        """Return the root's attributes of fixed size as plain Python values, texts decoded."""
         with self._refusing_damage("attributes"):
+            attributes = self._file.attrs
+            found = {
+                name: attributes[name].tolist()
+                for name in attributes
+                # Reading a damaged text of variable length would not end.
+                if not attributes.get_id(name).dtype.hasobject
+            }
             return {
-                name: value.tolist() if isinstance(value, np.ndarray | np.generic) else value
-                for name, value in self._file.attrs.items()
+                name: value.decode() if isinstance(value, bytes) else value
+                for name, value in found.items()
             }
 
     def rows(self, name: str, dtype: np.dtype[Any], row: tuple[int, ...] = ()) -> int:
@@ -128,29 +134,20 @@ def check_columns(file: RecordingFile, info: RecordingInfo) -> None:
         "marker",
         f"be below the number of strobed markers, {markers}",
     )
-    if info.version == 1:
-        return
     state = info.state
     for name, rows in (("peaks_end", state.peaks), ("points_end", state.points)):
         ends = read_column(file, info, name)
         wrong = (np.diff(ends, prepend=0) < 0) | (ends > rows)
         refuse_where(wrong, name, f"not decrease, nor be more than the {rows} rows")
-    in_force = read_column(file, info, "in_force")
+    calibration = read_column(file, info, "active_calibration")
     refuse_where(
-        (in_force < NO_CALIBRATION_ROW) | (in_force >= state.in_force),
-        "in_force",
-        f"be below the number of calibrations, {state.in_force}",
+        (calibration < NO_CALIBRATION_ROW) | (calibration >= state.active_calibrations),
+        "active_calibration",
+        f"be below the number of calibrations, {state.active_calibrations}",
     )
 
 
-@dataclass(frozen=True)
-class _StoredDescription(DeviceDescription):
-    """A stored description; old recordings name no method of peak detection."""
-
-    peaks: PeakMethod = "centroid"
-
-
-_DESCRIPTION = TypeAdapter(_StoredDescription)
+_DESCRIPTION = TypeAdapter(DeviceDescription)
 
 _MAX_HZ: Final = 1e6
 _MAX_UM: Final = 1000.0
@@ -165,7 +162,7 @@ def read_description(text: str) -> DeviceDescription:
             sentence that begins with the file's name.
     """
     try:
-        description = DeviceDescription(**vars(_DESCRIPTION.validate_json(text)))
+        description = _DESCRIPTION.validate_json(text)
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"]) or "the whole"

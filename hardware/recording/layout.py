@@ -1,22 +1,22 @@
 """The HDF5 layout of recordings: groups, datasets and their types.
 
-Version 2. Attributes of the root: ``format``, ``version``, ``description`` (the device's
+Version 3. Attributes of the root: ``format``, ``version``, ``description`` (the device's
 description as JSON) and ``provenance`` (a JSON object: who wrote it, when, with which settings).
+Texts are UTF-8 of fixed length: HDF5 has a checksum over them. It has none over texts of variable
+length, and a damaged length of one makes it loop for ever.
 
 - ``frames``: a group with one row for each frame in the datasets of ``COLUMNS`` and, unless only
   results were recorded, in ``lines``, uint16, shape (frames, sensors, pixels). A marker of -1
-  stands for none. ``in_force`` is the row of ``in_force/rows`` that the results were made with,
-  -1: none. ``peaks_end`` and ``points_end`` count the rows of ``peaks`` and ``points`` up to and
-  with this frame. ``checksum`` is the CRC-32 of the frame's FRAME row and its lines,
-  ``results_checksum`` that of its rows of peaks and points.
+  stands for none. ``active_calibration`` is the row of ``active_calibrations/rows`` that the
+  results were made with, -1: none. ``peaks_end`` and ``points_end`` count the rows of ``peaks``
+  and ``points`` up to and with this frame. ``checksum`` is the CRC-32 of the frame's FRAME row and
+  its lines, ``results_checksum`` that of its rows of peaks and points.
 - ``peaks``, ``points``: live results, one row each; ``frame`` is the row of their frame.
-- ``in_force``: calibrations and correction tables, whole: ``bytes``, and ``rows`` that say where
-  in them a JSON document and a table's HDF5 file begin and how long they are.
+- ``active_calibrations``: calibrations and correction tables, whole: ``bytes``, and ``rows`` that
+  say where in them a JSON document and a table's HDF5 file begin and how long they are.
+  ``checksum`` is the CRC-32 of the row's number, these extents, the document and the table.
 - ``state``: two rows, written in turn at each flush; that of the larger ``number`` whose
   checksum is right holds. Rows of the other datasets beyond what it counts are not there yet.
-
-Version 1 has no results, no ``state`` (all datasets are of one length), and its attribute
-``complete`` says whether the writer closed it.
 """
 
 import zlib
@@ -31,17 +31,14 @@ from numpy.typing import NDArray
 from hardware.driver import DeviceDescription
 
 FORMAT: Final = "lumiline-recording"
-VERSION: Final = 2
-COLUMNS_1: Final[dict[str, np.dtype[Any]]] = {
+VERSION: Final = 3
+COLUMNS: Final[dict[str, np.dtype[Any]]] = {
     "sequence": np.dtype(np.int64),
     "exposure_device_ns": np.dtype(np.int64),
     "exposure_host_ns": np.dtype(np.int64),
     "marker": np.dtype(np.int32),
     "flags": np.dtype(np.uint32),
-}
-"""The columns of version 1."""
-COLUMNS: Final[dict[str, np.dtype[Any]]] = COLUMNS_1 | {
-    "in_force": np.dtype(np.int32),
+    "active_calibration": np.dtype(np.int32),
     "peaks_end": np.dtype(np.int64),
     "points_end": np.dtype(np.int64),
     "checksum": np.dtype(np.uint32),
@@ -61,7 +58,7 @@ FRAME: Final = np.dtype(
         ("exposure_host_ns", "<i8"),
         ("marker", "<i4"),
         ("flags", "<u4"),
-        ("in_force", "<i4"),
+        ("active_calibration", "<i4"),
         ("peaks", "<u4"),
         ("points", "<u4"),
     ]
@@ -87,16 +84,18 @@ CALIBRATION_EXTENT: Final = np.dtype(
         ("document_bytes", "<i8"),
         ("table_start", "<i8"),
         ("table_bytes", "<i8"),
+        ("checksum", "<u4"),
     ]
 )
-"""Where in ``in_force/bytes`` a document and its table lie; a table of 0 bytes is none."""
+"""Where a document and its table lie in ``active_calibrations/bytes``; one of 0 bytes is none."""
 STATE: Final = np.dtype(
     [
         ("number", "<i8"),
         ("frames", "<i8"),
         ("peaks", "<i8"),
         ("points", "<i8"),
-        ("in_force", "<i8"),
+        ("active_calibrations", "<i8"),
+        ("duration_ns", "<i8"),
         ("missing", "<i8"),
         ("dropped_compute", "<i8"),
         ("dropped_writer", "<i8"),
@@ -132,7 +131,8 @@ class RecordingState:
         frames: frames that are in the file.
         peaks: rows of peaks.
         points: rows of points.
-        in_force: calibrations with their tables.
+        active_calibrations: calibrations with their tables.
+        duration_ns: from the first exposure to the last, on the device's clock [ns].
         missing: sequence numbers missing between the first frame and the last, for whatever
             reason.
         dropped_compute: frames dropped because the live pipeline did not keep up; those behind
@@ -147,7 +147,8 @@ class RecordingState:
     frames: int = 0
     peaks: int = 0
     points: int = 0
-    in_force: int = 0
+    active_calibrations: int = 0
+    duration_ns: int = 0
     missing: int = 0
     dropped_compute: int = 0
     dropped_writer: int = 0
@@ -208,18 +209,6 @@ def _state_checksum(row: Any) -> int:
     return zlib.crc32(row.tobytes()[: -STATE["checksum"].itemsize])
 
 
-def attributes_checksum(description: str, provenance: str) -> int:
-    """Return the checksum of a recording's texts: HDF5 itself does not check attributes.
-
-    Args:
-        description: of the device, JSON.
-        provenance: of the recording, JSON.
-    """
-    # surrogateescape: how h5py decodes bytes that are no UTF-8.
-    first, second = (text.encode(errors="surrogateescape") for text in (description, provenance))
-    return zlib.crc32(second, zlib.crc32(first))
-
-
 def frame_checksums(rows: NDArray[np.void], lines: NDArray[np.uint16] | None) -> NDArray[np.uint32]:
     """Return the checksums of frames, shape (F,).
 
@@ -257,6 +246,19 @@ def result_checksums(
     return checksums
 
 
+def calibration_checksum(row: int, extent: NDArray[np.void], document: bytes, table: bytes) -> int:
+    """Return the checksum of an active calibration.
+
+    Args:
+        row: its number.
+        extent: of CALIBRATION_EXTENT, shape (); its ``checksum`` does not count.
+        document: the calibration, JSON.
+        table: its table, HDF5; empty without one.
+    """
+    head = row.to_bytes(8, "little") + extent.tobytes()[: -CALIBRATION_EXTENT["checksum"].itemsize]
+    return zlib.crc32(table, zlib.crc32(document, zlib.crc32(head)))
+
+
 @dataclass(frozen=True)
 class RecordingInfo:
     """Contents and provenance of a recording.
@@ -267,11 +269,10 @@ class RecordingInfo:
         duration_s: from the first exposure to the last, on the device's clock [s].
         lost: exposures missing between the first frame and the last.
         complete: whether the writer closed it; False while it is written, and after a crash.
-        version: of the layout.
         lines: whether it holds lines.
         results: whether it holds peaks and points.
-        provenance: who wrote it, when and with which settings; empty in version 1.
-        state: frames lost and the reason of the end; in version 1 the number of frames only.
+        provenance: who wrote it, when and with which settings.
+        state: row counts, frames lost and the reason of the end.
     """
 
     description: DeviceDescription
@@ -279,7 +280,6 @@ class RecordingInfo:
     duration_s: float
     lost: int
     complete: bool
-    version: int
     lines: bool
     results: bool
     provenance: dict[str, Any]

@@ -17,17 +17,15 @@ from hardware.recording.layout import (
     CALIBRATION_EXTENT,
     CHUNK_FRAMES,
     COLUMNS,
-    COLUMNS_1,
     FORMAT,
     FRAME,
-    NO_CALIBRATION_ROW,
     NO_MARKER,
     PEAK,
     STATE,
     VERSION,
     RecordingInfo,
     RecordingState,
-    attributes_checksum,
+    calibration_checksum,
     frame_checksums,
     point_dtype,
     result_checksums,
@@ -62,11 +60,14 @@ class RecordingReader:
 
     def refresh(self) -> RecordingInfo:
         """Return the current contents of the recording; new rows are not validated."""
-        self.info = self._build_info(self.info.description, self.info.version, self.info.provenance)
+        self.info = self._build_info(self.info.description, self.info.provenance)
         return self.info
 
     def column(self, name: str) -> NDArray[Any]:
-        """Return one of COLUMNS for all frames, shape (frames,), as it was recorded."""
+        """Return one of COLUMNS for all frames, shape (frames,).
+
+        The checksums of the frames are not compared: ``block`` does that.
+        """
         return read_column(self._file, self.info, name)
 
     def frames(self) -> Iterator[LineFrame]:
@@ -113,18 +114,14 @@ class RecordingReader:
             InvalidRecording: the stored data are damaged.
         """
         rows = slice(first, max(first, min(end, self.info.frames)))
-        names = COLUMNS if self.info.version > 1 else COLUMNS_1
-        columns = {name: self._file.read(f"frames/{name}", rows) for name in names}
+        columns = {name: self._file.read(f"frames/{name}", rows) for name in COLUMNS}
         lines = self._file.read("frames/lines", rows) if self.info.lines else None
         block_rows = np.zeros(rows.stop - rows.start, FRAME)
-        block_rows["in_force"] = NO_CALIBRATION_ROW
         for name in FRAME.names or ():
             if name in columns:
                 block_rows[name] = columns[name]
         peaks = np.empty(0, PEAK)
         points = np.empty(0, point_dtype(len(self.info.description.sensors)))
-        if self.info.version == 1:
-            return FrameBlock(block_rows, lines, peaks, points)
         ends = {}
         for name in ("peaks", "points"):
             before = self._file.read(f"frames/{name}_end", slice(first - 1, first))
@@ -142,26 +139,27 @@ class RecordingReader:
             points["frame"] -= first
         return FrameBlock(block_rows, lines, peaks, points)
 
-    def in_force(self, row: int) -> tuple[bytes, bytes]:
+    def active_calibration(self, row: int) -> tuple[bytes, bytes]:
         """Return a calibration (JSON) and its table (HDF5), empty without one.
 
         Raises:
-            InvalidRecording: there is none of this row.
+            InvalidRecording: there is none of this row, or it is damaged.
         """
-        if not 0 <= row < self.info.state.in_force:
-            raise self._file.invalid(
-                f"has no row {row} of in_force; it has {self.info.state.in_force}"
-            )
-        extent = self._file.read("in_force/rows", slice(row, row + 1))[0]
+        count = self.info.state.active_calibrations
+        if not 0 <= row < count:
+            raise self._file.invalid(f"has no row {row} of active_calibrations; it has {count}")
+        extent = self._file.read("active_calibrations/rows", slice(row, row + 1))[0]
         document, table = (
-            self._file.read("in_force/bytes", slice(start, start + size)).tobytes()
+            self._file.read("active_calibrations/bytes", slice(start, start + size)).tobytes()
             for start, size in (
                 (int(extent["document_start"]), int(extent["document_bytes"])),
                 (int(extent["table_start"]), int(extent["table_bytes"])),
             )
         )
-        if (len(document), len(table)) != (extent["document_bytes"], extent["table_bytes"]):
-            raise self._file.invalid(f"is cut short in row {row} of in_force")
+        if calibration_checksum(row, extent, document, table) != extent["checksum"]:
+            raise self._file.invalid(
+                f"has damaged data in active_calibrations (the checksum of row {row} is another)"
+            )
         return document, table
 
     def close(self) -> None:
@@ -176,25 +174,13 @@ class RecordingReader:
 
     def _check_header(self) -> RecordingInfo:
         attributes = self._file.attributes()
-        if attributes.get("format") != FORMAT:
+        found, expected = (attributes.get("format"), attributes.get("version")), (FORMAT, VERSION)
+        if found != expected:
             raise self._file.invalid(
-                f"is an HDF5 file of format {attributes.get('format')!r}, not {FORMAT!r}"
+                "is an HDF5 file of format {!r}, version {!r}; ".format(*found)
+                + "this program reads {!r}, version {}".format(*expected)
             )
-        version = attributes.get("version")
-        if version not in (1, VERSION) or isinstance(version, bool):
-            raise self._file.invalid(
-                f"has version {version}; this program reads the versions 1 and {VERSION}"
-            )
-        texts = [
-            str(attributes.get(name, absent))
-            for name, absent in (("description", ""), ("provenance", "{}"))
-        ]
-        # Recordings of earlier programs have no such checksum.
-        if (
-            attributes.get("attributes_checksum", checksum := attributes_checksum(*texts))
-            != checksum
-        ):
-            raise self._file.invalid("has damaged attributes: their checksum does not fit")
+        texts = [str(attributes.get(name)) for name in ("description", "provenance")]
         try:
             description = read_description(texts[0])
             scan_shape(description)
@@ -203,7 +189,7 @@ class RecordingReader:
             raise self._file.invalid(
                 unusable or f"describes an unusable device: {error.detail}"
             ) from error
-        return self._build_info(description, int(str(version)), self._provenance(texts[1]))
+        return self._build_info(description, self._provenance(texts[1]))
 
     def _provenance(self, text: str) -> dict[str, Any]:
         try:
@@ -215,35 +201,25 @@ class RecordingReader:
         return document
 
     def _build_info(
-        self, description: DeviceDescription, version: int, provenance: dict[str, Any]
+        self, description: DeviceDescription, provenance: dict[str, Any]
     ) -> RecordingInfo:
-        results = version > 1 and "peaks" in self._file
-        lines = version == 1 or "frames/lines" in self._file
-        state = self._state(version)
-        frames = self._check_shapes(description, version, state, lines=lines, results=results)
-        ends = [slice(0, min(frames, 1)), slice(max(frames - 1, 0), frames)]
-        device_ns, sequence = (
-            np.concatenate([self._file.read(f"frames/{name}", rows) for rows in ends]).tolist()
-            or [0, 0]
-            for name in ("exposure_device_ns", "sequence")
-        )
+        lines, results = "frames/lines" in self._file, "peaks" in self._file
+        state = self._state()
+        self._check_shapes(description, state, lines=lines, results=results)
         return RecordingInfo(
             description=description,
-            frames=frames,
-            duration_s=(device_ns[-1] - device_ns[0]) * 1e-9,
-            lost=sequence[-1] - sequence[0] + 1 - frames if frames else 0,
-            complete=state.complete if state else self._file.attributes().get("complete") is True,
-            version=version,
+            frames=state.frames,
+            duration_s=state.duration_ns * 1e-9,
+            lost=state.missing,
+            complete=state.complete,
             lines=lines,
             results=results,
             provenance=provenance,
-            state=state or RecordingState(frames),
+            state=state,
         )
 
-    def _state(self, version: int) -> RecordingState | None:
-        """Return the newest valid state; None in version 1."""
-        if version == 1:
-            return None
+    def _state(self) -> RecordingState:
+        """Return the newest valid state."""
         rows = self._file.rows("state", STATE)
         if rows != 2:
             raise self._file.invalid(f"holds {rows} rows in state; there must be 2")
@@ -255,43 +231,26 @@ class RecordingReader:
     def _check_shapes(
         self,
         description: DeviceDescription,
-        version: int,
-        state: RecordingState | None,
+        state: RecordingState,
         *,
         lines: bool,
         results: bool,
-    ) -> int:
-        """Check presence, type and length of all datasets; return the number of frames."""
-        names = COLUMNS_1 if version == 1 else COLUMNS
-        expected: dict[str, tuple[np.dtype[Any], tuple[int, ...]]] = {
-            f"frames/{name}": (dtype, ()) for name, dtype in names.items()
+    ) -> None:
+        """Check presence, type and length of all datasets."""
+        expected: dict[str, tuple[np.dtype[Any], tuple[int, ...], int]] = {
+            f"frames/{name}": (dtype, (), state.frames) for name, dtype in COLUMNS.items()
         }
+        expected["active_calibrations/rows"] = (CALIBRATION_EXTENT, (), state.active_calibrations)
+        expected["active_calibrations/bytes"] = (np.dtype(np.uint8), (), 0)
         if lines:
-            expected["frames/lines"] = (np.dtype(np.uint16), scan_shape(description))
-        lengths = {name: self._file.rows(name, *kind) for name, kind in expected.items()}
-        if state is None:
-            if len(set(lengths.values())) != 1:
-                listed = ", ".join(
-                    f"{name.removeprefix('frames/')} {length}" for name, length in lengths.items()
-                )
-                raise self._file.invalid(f"has datasets of different lengths: {listed}")
-            return int(next(iter(lengths.values())))
-        counts = dict.fromkeys(expected, state.frames)
-        more: dict[str, tuple[np.dtype[Any], int]] = {
-            "in_force/rows": (CALIBRATION_EXTENT, state.in_force)
-        }
+            expected["frames/lines"] = (np.dtype(np.uint16), scan_shape(description), state.frames)
         if results:
-            more["peaks"] = (PEAK, state.peaks)
-            more["points"] = (point_dtype(len(description.sensors)), state.points)
-        for name, (dtype, count) in more.items():
-            lengths[name], counts[name] = self._file.rows(name, dtype), count
-        self._file.rows("in_force/bytes", np.dtype(np.uint8))
-        for name, count in counts.items():
-            if not 0 <= count <= lengths[name]:
-                raise self._file.invalid(
-                    f"holds {lengths[name]} rows in {name}; its state says {count}"
-                )
-        return state.frames
+            expected["peaks"] = (PEAK, (), state.peaks)
+            expected["points"] = (point_dtype(len(description.sensors)), (), state.points)
+        for name, (dtype, row, count) in expected.items():
+            length = self._file.rows(name, dtype, row)
+            if not 0 <= count <= length:
+                raise self._file.invalid(f"holds {length} rows in {name}; its state says {count}")
 
     def _compare(
         self, computed: NDArray[np.uint32], stored: NDArray[np.uint32], what: str, first: int

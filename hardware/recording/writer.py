@@ -33,7 +33,7 @@ from hardware.recording.layout import (
     VERSION,
     Losses,
     RecordingState,
-    attributes_checksum,
+    calibration_checksum,
     frame_checksums,
     pack_state,
     point_dtype,
@@ -89,11 +89,11 @@ class RecordingWriter:
         self._state = RecordingState()
         self._number = 0
         self._first_sequence = self._last_sequence = -1
-        self._last_device_ns = int(np.iinfo(np.int64).min)
+        self._first_device_ns = self._last_device_ns = int(np.iinfo(np.int64).min)
         self._lines: ScanChunks | None = None
         self._point = point_dtype(self._shape[0])
         self._waiting = RowBuffer(self._point)
-        self._in_force_bytes = 0
+        self._calibration_bytes = 0
         # Under another name until it can be read: an early crash leaves no partial file.
         unready = unfinished_path(path, os.getpid())
         try:
@@ -121,14 +121,13 @@ class RecordingWriter:
         lines: bool,
     ) -> None:
         attributes = self._file.attrs
-        attributes["format"] = FORMAT
         attributes["version"] = VERSION
-        texts = (
-            json.dumps(asdict(self._description)),
-            json.dumps(provenance, allow_nan=False),
-        )
-        attributes["description"], attributes["provenance"] = texts
-        attributes["attributes_checksum"] = attributes_checksum(*texts)
+        for name, text in (
+            ("format", FORMAT),
+            ("description", json.dumps(asdict(self._description))),
+            ("provenance", json.dumps(provenance, allow_nan=False)),
+        ):
+            attributes[name] = np.bytes_(text.encode())
         group = self._file.create_group("frames")
         for name, kind in COLUMNS.items():
             self._growing(group, name, kind)
@@ -137,7 +136,7 @@ class RecordingWriter:
         if self._results:
             self._growing(self._file, "peaks", PEAK)
             self._growing(self._file, "points", self._point)
-        group = self._file.create_group("in_force")
+        group = self._file.create_group("active_calibrations")
         self._growing(group, "rows", CALIBRATION_EXTENT, 16)
         self._growing(group, "bytes", np.dtype(np.uint8), 2**16)
         self._file.create_dataset("state", shape=(2,), dtype=STATE, chunks=(2,))
@@ -156,12 +155,12 @@ class RecordingWriter:
         """Number of frames that were appended."""
         return self._waiting.frames
 
-    def append(self, frame: LineFrame, in_force: int = NO_CALIBRATION_ROW) -> None:
+    def append(self, frame: LineFrame, calibration_row: int = NO_CALIBRATION_ROW) -> None:
         """Append a frame without results.
 
         Args:
             frame: the frame.
-            in_force: row of the calibration that was active, as ``put_active_calibration``
+            calibration_row: of the calibration that was active, as ``put_active_calibration``
                 returned it.
 
         Raises:
@@ -201,7 +200,7 @@ class RecordingWriter:
         lines = None if self._lines is None else frame.lines[None]
         nothing = np.empty(0, PEAK), np.empty(0, self._point)
         rows = frame_rows([frame])
-        rows["in_force"] = in_force
+        rows["active_calibration"] = calibration_row
         self._take(FrameBlock(rows, lines, *nothing))
 
     def append_block(self, block: FrameBlock) -> int:
@@ -227,14 +226,18 @@ class RecordingWriter:
 
     def put_active_calibration(self, document: bytes, table: bytes = b"") -> int:
         """Store a calibration (JSON) and its table (HDF5); return its row for the frames."""
-        group = self._file["in_force"]
-        start, row = self._in_force_bytes, len(group["rows"])
+        group = self._file["active_calibrations"]
+        start, row = self._calibration_bytes, len(group["rows"])
         both = document + table
         group["bytes"].resize(start + len(both), axis=0)
         group["bytes"][start:] = np.frombuffer(both, np.uint8)
         group["rows"].resize(row + 1, axis=0)
-        group["rows"][row] = (start, len(document), start + len(document), len(table))
-        self._in_force_bytes += len(both)
+        extent = np.array(
+            (start, len(document), start + len(document), len(table), 0), CALIBRATION_EXTENT
+        )
+        extent["checksum"] = calibration_checksum(row, extent, document, table)
+        group["rows"][row] = extent
+        self._calibration_bytes += len(both)
         return row
 
     def flush(self, losses: Losses = NO_LOSSES) -> RecordingState:
@@ -253,7 +256,8 @@ class RecordingWriter:
             frames=waiting.frames,
             peaks=waiting.peaks,
             points=waiting.points,
-            in_force=len(self._file["in_force/rows"]),
+            active_calibrations=len(self._file["active_calibrations/rows"]),
+            duration_ns=self._last_device_ns - self._first_device_ns,
             missing=missing if waiting.frames else 0,
             **vars(losses),
         )
@@ -279,6 +283,7 @@ class RecordingWriter:
         rows = block.rows.copy()  # they may lie in a ring that goes on meanwhile
         if self._first_sequence < 0:
             self._first_sequence = int(rows["sequence"][0])
+            self._first_device_ns = int(rows["exposure_device_ns"][0])
         self._last_sequence = int(rows["sequence"][-1])
         self._last_device_ns = int(rows["exposure_device_ns"][-1])
         base = self._waiting

@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hardware.clock_sync import DeviceClock, ExposureTimestamp, host_time_ns
+from hardware.clock_sync import DeviceClock, HostClock
 from hardware.line_frame import FrameFlag, LineFrame
 from hardware.serial.messages import NO_MARKER, Description, Lines, LinesFlag
 
@@ -111,7 +111,8 @@ class FrameBuilder:
         self._markers = markers
         self._last: tuple[int, int] | None = None
         self._arrival_ns = 0
-        self._newest_ns = (-1, -(2**63))
+        self._host_clock = HostClock()
+        self._device_ns = -1
         self._sequence = -1
         self._reconnected_description: Description | None = None
 
@@ -152,7 +153,8 @@ class FrameBuilder:
         self._arrival_ns = arrival_ns
         self._sequence += step
         self.lost += step - 1
-        device_ns, host_ns = self._rising(stamp, came_back is not None)
+        self._device_ns = max(stamp.device_ns, self._device_ns + 1)
+        _, host_ns = self._host_clock.convert(stamp.host_ns)
         flags = FrameFlag.OVERFLOW if step > 1 or restarted else FrameFlag.NONE
         if exposed.flags & LinesFlag.SATURATED:
             flags |= FrameFlag.SATURATED
@@ -160,21 +162,9 @@ class FrameBuilder:
         return LineFrame(
             self._device,
             self._sequence,
-            device_ns,
-            host_time_ns(host_ns),
+            self._device_ns,
+            host_ns,
             marker,
             exposed.counts,
             flags,
         )
-
-    def _rising(self, stamp: ExposureTimestamp, came_back: bool) -> tuple[int, int]:
-        """Return an exposure's times, later than those of the one before.
-
-        The host's may be earlier after a reconnection, with another delay of the device.
-        """
-        device_ns, host_ns = self._newest_ns
-        self._newest_ns = (
-            max(stamp.device_ns, device_ns + 1),
-            stamp.host_ns if came_back else max(stamp.host_ns, host_ns + 1),
-        )
-        return self._newest_ns

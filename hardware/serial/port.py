@@ -6,6 +6,7 @@ that was asked for has come, and whose close sleeps for 0.3 s. Where there is a 
 is read directly: what has come, in one call, as soon as it comes.
 """
 
+import errno
 import os
 import selectors
 import socket
@@ -19,7 +20,7 @@ from urllib.parse import urlsplit
 import serial
 
 from hardware.errors import DeviceNotConnected
-from hardware.name_lookup import lookup
+from hardware.name_lookup import connect_to_any, lookup
 
 READ_BYTES: Final = 2**18
 CONNECT_S: Final = 2.0
@@ -99,8 +100,19 @@ def open_port(url: str, baudrate: int, closing: CloseSignal) -> Port:
 
 
 def _opened(url: str, baudrate: int, closing: CloseSignal) -> Port:
-    if url.startswith("rfc2217://"):
-        url = _with_address(url)
+    if not url.startswith("rfc2217://"):
+        return _open_url(url, baudrate, closing)
+    parts = urlsplit(url)
+
+    def connect(address: str) -> Port:
+        host = f"[{address}]" if ":" in address else address
+        found = parts._replace(netloc=f"{host}:{parts.port}").geturl()
+        return _open_url(found, baudrate, closing)
+
+    return connect_to_any(lookup(parts.hostname or ""), connect)
+
+
+def _open_url(url: str, baudrate: int, closing: CloseSignal) -> Port:
     port = serial.serial_for_url(url, do_not_open=True)
     port.baudrate = baudrate
     port.timeout = 0
@@ -201,22 +213,32 @@ class _PollingPort:
 def _connected(url: str, closing: CloseSignal) -> socket.socket:
     """Return a connected socket; waits at most LOOKUP_S for the name and CONNECT_S for the host."""
     parts = urlsplit(url)
-    if parts.hostname is None or parts.port is None:
+    host, port = parts.hostname, parts.port
+    if host is None or port is None:
         raise ValueError("it must be socket://HOST:PORT")
+    addresses = lookup(host)
+    seconds = CONNECT_S / len(addresses)
+    return connect_to_any(addresses, lambda one: _connect_socket(one, port, seconds, closing))
+
+
+def _connect_socket(host: str, port: int, seconds: float, closing: CloseSignal) -> socket.socket:
+    """Return a socket that is connected to an address."""
     family, kind, protocol, _, address = socket.getaddrinfo(
-        lookup(parts.hostname), parts.port, type=socket.SOCK_STREAM, flags=socket.AI_NUMERICHOST
+        host, port, type=socket.SOCK_STREAM, flags=socket.AI_NUMERICHOST
     )[0]
     connection = socket.socket(family, kind, protocol)
     try:
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         connection.setblocking(False)
-        connection.connect_ex(address)
+        code = connection.connect_ex(address)
+        if code not in (0, errno.EINPROGRESS, errno.EWOULDBLOCK):  # no way to such addresses
+            raise OSError(code, os.strerror(code))
         with selectors.DefaultSelector() as selector:
             connected = selector.register(connection, selectors.EVENT_WRITE)
             selector.register(closing, selectors.EVENT_READ)
-            ready = [key for key, _ in selector.select(CONNECT_S)]
+            ready = [key for key, _ in selector.select(seconds)]
         if connected not in ready:
-            raise TimeoutError(f"no answer in {CONNECT_S:g} s")
+            raise TimeoutError(f"no answer in {seconds:g} s")
         error = connection.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
         if error:
             raise OSError(error, os.strerror(error))
@@ -224,14 +246,6 @@ def _connected(url: str, closing: CloseSignal) -> socket.socket:
         connection.close()
         raise
     return connection
-
-
-def _with_address(url: str) -> str:
-    """Return the URL with its host's address in place of the name, which has a time limit."""
-    parts = urlsplit(url)
-    address = lookup(parts.hostname or "")
-    host = f"[{address}]" if ":" in address else address
-    return parts._replace(netloc=f"{host}:{parts.port}").geturl()
 
 
 def _reason(error: Exception) -> str:

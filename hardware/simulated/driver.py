@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from compute.optics.detector import Detector
 from compute.optics.ideal_optics import IdealOptics
 from compute.optics.pixel_solid_angles import stripe_images
-from hardware.clock_sync import host_time_ns, wait_until
+from hardware.clock_sync import HostClock, wait_until
 from hardware.driver import DeviceDescription, SensorDescription
 from hardware.line_frame import FrameFlag, LineFrame
 from hardware.simulated.frame_batch import BATCH, Renderer, Timing
@@ -86,6 +86,7 @@ class RenderedDriver:
         batch = self._renderer.batch(number)  # before the first exposure, which is then in time
         start_host_ns = time.time_ns()
         start_ns = time.monotonic_ns()
+        host_clock = HostClock()
         sequence, end = 0, self._timing.frames
         burst = max(1, round(IDLE_BURST_S * self._timing.frame_rate_hz))
         while (end is None or sequence < end) and not closed.is_set():
@@ -105,7 +106,7 @@ class RenderedDriver:
                 if rendered or sequence % burst == 0:
                     last = sequence if rendered else sequence + burst - 1
                     wait_until(start_ns + self._timing.time_ns(last), closed)
-                host_ns = host_time_ns(due_ns)
+                _, host_ns = host_clock.convert(due_ns)
                 if closed.is_set():
                     return
             index = sequence % BATCH

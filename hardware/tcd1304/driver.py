@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from hardware.clock_sync import host_time_ns
+from hardware.clock_sync import HostClock
 from hardware.driver import DeviceDescription, SensorDescription
 from hardware.line_frame import FrameFlag, LineFrame
 from hardware.link import ReportingDriver, most_severe
@@ -145,6 +145,7 @@ class Tcd1304Driver(ReportingDriver["_Run"]):
         self, run: "_Run", sequence: int, scans: Sequence[BoardScan], *, after_loss: bool
     ) -> LineFrame:
         centre_ns, run.uncertainty_ns = combined_exposure_time(scans)
+        monotonic_ns, host_ns = run.host_clock.convert(centre_ns)
         lines = np.stack(
             [dark_corrected_counts(scan.counts, self._settings.saturated_at) for scan in scans]
         )
@@ -154,8 +155,8 @@ class Tcd1304Driver(ReportingDriver["_Run"]):
         return LineFrame(
             device=self._description.name,
             sequence=sequence,
-            exposure_device_ns=centre_ns - run.opened_ns,
-            exposure_host_ns=host_time_ns(centre_ns),
+            exposure_device_ns=monotonic_ns - run.opened_ns,
+            exposure_host_ns=host_ns,
             marker=None,
             lines=lines,
             flags=flags,
@@ -169,6 +170,7 @@ class _Run:
         self.closed = CloseSignal()
         self.boards = [BoardLink(board, settings, self.closed) for board in settings.boards]
         self.opened_ns = time.monotonic_ns()
+        self.host_clock = HostClock()
         self.uncertainty_ns: int | None = None
 
     def close(self) -> None:

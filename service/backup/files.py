@@ -34,7 +34,7 @@ def back_up_files(
 
     It has its name only when it is whole. Files that are as in the newest earlier backup are hard
     links to that one's, so that recordings take their space once. A recording that is being
-    written is left out.
+    written is left out, and so is one that is deleted meanwhile.
 
     Args:
         database: the server's.
@@ -143,30 +143,54 @@ def _write_last(data_dir: Path, backup: Path, at: datetime) -> None:
 
 
 def _copy_tree(source: Path, target: Path, before: Path | None) -> int:
-    """Copy a folder's files, by links where they have not changed; return how many."""
+    """Copy a folder's files, by links where they have not changed; return how many.
+
+    A file that is deleted or changed meanwhile is left out.
+    """
     target.mkdir(mode=0o700)
     count = 0
     for path in _files(source):
-        if time.time() - path.stat().st_mtime < WRITTEN_S:
-            continue
         name = path.relative_to(source)
         copy = target / name
-        copy.parent.mkdir(parents=True, exist_ok=True)
         previous = None if before is None else before / name
-        if previous is not None and previous.is_file() and _is_same(path, previous):
-            os.link(previous, copy)
+        try:
+            # The time of a file's change may lie ahead: the clock was set back, or its maker's is.
+            status = path.stat()
+            if abs(time.time() - status.st_mtime) < WRITTEN_S:
+                continue
+            copy.parent.mkdir(parents=True, exist_ok=True)
+            if previous is not None and previous.is_file() and _is_same(path, previous):
+                os.link(previous, copy)
+            else:
+                shutil.copy2(path, copy)
+            unchanged = _state(path.stat()) == _state(status)
+        except FileNotFoundError:
+            if path.exists():
+                raise
+            unchanged = False
+        if unchanged:
+            count += 1
         else:
-            shutil.copy2(path, copy)
-        count += 1
+            copy.unlink(missing_ok=True)
     return count
 
 
 def _files(folder: Path) -> Iterator[Path]:
-    if folder.is_dir():
-        yield from (one for one in sorted(folder.rglob("*")) if one.is_file())
+    """Yield the files below a folder; one that is deleted meanwhile is left out."""
+
+    def refuse(error: OSError) -> None:
+        if not isinstance(error, FileNotFoundError):
+            raise error
+
+    for where, folders, names in os.walk(folder, onerror=refuse):
+        folders.sort()
+        yield from (one for name in sorted(names) if (one := Path(where, name)).is_file())
 
 
 def _is_same(one: Path, other: Path) -> bool:
     """Whether two files have the same size and time of change, as copies keep it."""
-    first, second = one.stat(), other.stat()
-    return (first.st_size, first.st_mtime_ns) == (second.st_size, second.st_mtime_ns)
+    return _state(one.stat()) == _state(other.stat())
+
+
+def _state(status: os.stat_result) -> tuple[int, int]:
+    return status.st_size, status.st_mtime_ns

@@ -20,11 +20,16 @@ DOCUMENT: Final = TypeAdapter(Calibration)
 def read_json(path: Path) -> Any:
     """Return the content of a JSON file; raises InvalidParameter."""
     try:
-        return json.loads(path.read_bytes())
-    except OSError as error:
-        raise InvalidParameter(f"{path} cannot be read: {error.strerror or error}") from error
+        return json.loads(_read_bytes(path))
     except (ValueError, RecursionError) as error:
         raise InvalidParameter(f"{path} is not JSON: {error}") from error
+
+
+def _read_bytes(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise InvalidParameter(f"{path} cannot be read: {error.strerror or error}") from error
 
 
 def validate(adapter: TypeAdapter[T], content: Any, path: Path, what: str, hint: str) -> T:
@@ -56,10 +61,10 @@ def read_settings(kind: type[T], path: Path | None) -> T:
     """Return the settings of a simulation in a JSON file, or the defaults without a file.
 
     Raises:
-        InvalidParameter: a setting is wrong.
+        InvalidParameter: the file cannot be read, or a setting is wrong.
     """
     try:
-        return TypeAdapter(kind).validate_json(b"{}" if path is None else path.read_bytes())
+        return TypeAdapter(kind).validate_json(b"{}" if path is None else _read_bytes(path))
     except ValidationError as error:
         raise InvalidParameter(f"{path}: {'; '.join(error_messages(error))}") from error
 
@@ -111,7 +116,7 @@ def read_active_calibration(
     calibration_file = read_calibration(calibration)
     if table is None:
         return ActiveCalibration(str(calibration), calibration_file.calibration, None, None)
-    corrections = read_table(table.read_bytes()).table
+    corrections = read_table(_read_bytes(table)).table
     if corrections.calibration_hash != calibration_file.content_hash:
         raise InvalidParameter(
             f"the table {table} was made for the calibration with the hash "

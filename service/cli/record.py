@@ -1,8 +1,6 @@
 """`lumiline record`: records a simulated device with its calibration, without a server."""
 
 import signal
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -12,7 +10,16 @@ import typer
 from compute.errors import LumilineError
 from service.cli.json_files import read_settings
 from service.cli.options import AsJson, Force, ProfileOption, SimulationOption
-from service.cli.output import check_output, file_errors, hint, print_json, progress, say_written
+from service.cli.output import (
+    atomic_file,
+    check_output,
+    fail,
+    file_errors,
+    hint,
+    print_json,
+    progress,
+    say_written,
+)
 
 if TYPE_CHECKING:
     from compute.calibration.result import Calibration
@@ -38,6 +45,8 @@ def record(
     from service.pipeline.active_calibration import ActiveCalibration
 
     check_output(output, force=force)
+    if output.exists() and not output.is_file():
+        raise fail(f"{output} is a pipe or a device; a recording is written to a file")
     with file_errors(output, ""):
         if profile is None:
             (driver, calibration), doing = _simulated(simulation, seconds), "recording"
@@ -48,11 +57,10 @@ def record(
         driver.open()
         description = driver.description
         total = max(1, int(seconds * description.frame_rate_hz))
-        output.unlink(missing_ok=True)  # the writer makes a new file
         count = 0
         with (
-            _removed_if_empty(output, lambda: count),
-            RecordingWriter(output, description) as writer,
+            atomic_file(output) as temporary,
+            RecordingWriter(temporary, description) as writer,
             progress(doing, total, quiet=as_json) as report,
         ):
             row = NO_CALIBRATION_ROW
@@ -77,17 +85,6 @@ def record(
         })  # fmt: skip
     else:
         say_written(output)
-
-
-@contextmanager
-def _removed_if_empty(path: Path, frames: Callable[[], int]) -> Iterator[None]:
-    """Remove a file of no frames after a failure; what was recorded until then is kept."""
-    try:
-        yield
-    except BaseException:
-        if not frames():
-            path.unlink(missing_ok=True)
-        raise
 
 
 def _simulated(

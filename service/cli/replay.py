@@ -79,7 +79,7 @@ def _replay(path: Path, calibration: Path | None, table: Path | None, output: Pa
                 stack.enter_context(atomic_file(output)).open("w", encoding="utf-8")
             )
         active = read_active_calibration(calibration, table)
-        if active is None and reader.info.state.in_force == 0:
+        if active is None and reader.info.state.active_calibrations == 0:
             raise InvalidRecording(f"{path.name} holds no calibration; give one with --calibration")
         processor = FrameProcessor("replay", reader.info.description, "cpu")
         report = stack.enter_context(progress("replaying", reader.info.frames))

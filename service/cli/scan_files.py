@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.damaged_file import refusing_damage
 from compute.errors import InvalidParameter
 from compute.signal.centroid_settings import MAX_PIXELS, MIN_PIXELS
 from service.api.line_scans.schema import FULL_SCALE, PixelNoise
@@ -126,10 +127,15 @@ def _recorded(path: Path, exposure: int, sensor: str | None) -> ScanFile:
 
 
 def _numpy(path: Path) -> Scans:
+    def invalid(reason: str) -> InvalidParameter:
+        return InvalidParameter(f"{path} cannot be read as a NumPy array: {reason}")
+
     try:
-        values = np.load(path, allow_pickle=False)
-    except (OSError, ValueError, EOFError) as error:
-        raise InvalidParameter(f"{path} cannot be read as a NumPy array: {error}") from error
+        with refusing_damage(invalid):
+            # Mapped, as a damaged header may declare more than the memory holds.
+            values = np.load(path, mmap_mode="r", allow_pickle=False)
+    except MemoryError as error:  # of Python's parser
+        raise invalid("its header is nested too deeply") from error
     if values.ndim == 1:
         values = values[None]
     if values.ndim != 2 or values.dtype.kind not in "uif" or not len(values):
@@ -181,4 +187,4 @@ def _counts(path: Path, values: NDArray[Any], text: Callable[[int, int], str]) -
             f"{path}, line {row}, pixel {column} is {text(row, column)}; it must be a whole "
             f"number in 0 .. {FULL_SCALE}"
         )
-    return np.asarray(values, dtype=np.uint16)
+    return np.array(values, dtype=np.uint16)

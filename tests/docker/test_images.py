@@ -73,6 +73,8 @@ def test_the_unit_is_one(tmp_path: Path):
     unit = tmp_path / "lumiline.service"
     # What it starts is not installed here.
     unit.write_text(text.replace("/opt/lumiline/bin/lumiline-start", "/bin/true"))
+    (tmp_path / "lumiline.service.d").mkdir()
+    shutil.copy(ROOT / "deploy" / "devices.conf", tmp_path / "lumiline.service.d")
     done = subprocess.run(
         ["systemd-analyze", "verify", "--man=no", str(unit)], capture_output=True, text=True
     )
@@ -83,6 +85,24 @@ def test_the_unit_is_one(tmp_path: Path):
         ["systemd-analyze", "verify", "--man=no", str(unit)], capture_output=True, text=True
     )
     assert "ProtectSystm" in done.stderr
+
+
+@pytest.mark.parametrize(
+    "path", sorted((ROOT / "deploy").glob("*.service")), ids=lambda one: one.name
+)
+def test_unit_names_no_group_as_a_missing_one_would_keep_it_from_starting(path: Path):
+    assert re.findall(r"^(?:Supplementary)?Groups?=.*", path.read_text(), re.M) == []
+
+
+def test_group_of_the_devices_is_the_same_for_the_unit_and_the_cameras():
+    """What docs/how-to/operation.md replaces on hosts where it has another name."""
+    drop_in, rules = (ROOT / "deploy" / name for name in ("devices.conf", "60-lumiline.rules"))
+    assert re.findall(r"^SupplementaryGroups=(.*)", drop_in.read_text(), re.M) == ["dialout"]
+    assert re.findall(r'GROUP="(.*?)"', rules.read_text()) == ["dialout"]
+    done = subprocess.run(
+        ["sed", "s/dialout$/uucp/", str(drop_in)], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.endswith("[Service]\nSupplementaryGroups=uucp\n")
 
 
 @pytest.fixture

@@ -1,5 +1,7 @@
-"""DeviceClock: accuracy with delayed arrivals, wrap-arounds and resets."""
+"""DeviceClock: accuracy with delayed arrivals, wrap-arounds, resets; HostClock: times that rise."""
 
+from collections.abc import Iterator
+from itertools import chain, repeat
 from typing import Any
 
 import numpy as np
@@ -8,7 +10,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from compute.errors import InvalidParameter
-from hardware.clock_sync import DeviceClock
+from hardware import clock_sync
+from hardware.clock_sync import (
+    BRACKET_NS,
+    MAX_READS,
+    SET_BACK_NS,
+    DeviceClock,
+    HostClock,
+    host_clock_offset_ns,
+)
 from hardware.clock_sync_simulation import (
     CASES,
     MIN_DELAY_S,
@@ -192,3 +202,68 @@ def test_another_clock_goes_on_from_where_the_first_was() -> None:
     assert stamps[0].device_ns - last.device_ns == pytest.approx(510_000_000, abs=1000)
     assert stamps[-1].device_ns - stamps[0].device_ns == 990_000_000
     assert clock.restarts == 1
+
+
+class BusyClocks:
+    """Two clocks of a host; before each of their reads the thread waits for a time."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, waits_ns: Iterator[int]) -> None:
+        self.now_ns, self.offset_ns, self.reads = 10**12, 10**18, 0
+        self._waits_ns = waits_ns
+        monkeypatch.setattr(clock_sync, "time", self)
+
+    def monotonic_ns(self) -> int:
+        self.now_ns += next(self._waits_ns)
+        self.reads += 1
+        return self.now_ns
+
+    def time_ns(self) -> int:
+        return self.monotonic_ns() + self.offset_ns
+
+
+def test_offset_of_clocks_read_at_once_takes_one_bracket(monkeypatch: pytest.MonkeyPatch) -> None:
+    clocks = BusyClocks(monkeypatch, repeat(50))
+    assert host_clock_offset_ns() == clocks.offset_ns
+    assert clocks.reads == 3
+
+
+@pytest.mark.parametrize("place", [0, 1, 2, 3])
+def test_offset_after_a_wait_between_the_reads_is_that_of_a_narrow_bracket(
+    monkeypatch: pytest.MonkeyPatch, place: int
+) -> None:
+    waits = [50] * place + [20_000_000]
+    clocks = BusyClocks(monkeypatch, chain(waits, repeat(50)))
+    assert abs(host_clock_offset_ns() - clocks.offset_ns) <= BRACKET_NS // 2
+    assert clocks.reads == (6 if place in (1, 2) else 3)
+
+
+def test_offset_of_a_host_that_is_always_busy_is_that_of_the_narrowest_bracket(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    waits = [10_000_000] * 3 * (MAX_READS - 2) + [10_000_000, 30_000, 40_000]
+    clocks = BusyClocks(monkeypatch, chain(waits, repeat(10_000_000)))
+    assert abs(host_clock_offset_ns() - clocks.offset_ns) <= 35_000
+    assert clocks.reads == 3 * MAX_READS
+
+
+def test_host_times_rise_over_busy_clocks_and_small_steps_back(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    random = np.random.default_rng(8)
+    waits = (int(wait) for wait in random.choice([50, 40_000, 20_000_000], 100_000))
+    clocks, host = BusyClocks(monkeypatch, waits), HostClock()
+    found = []
+    for number in range(400):
+        clocks.offset_ns -= 900_000_000 * (number == 200)
+        found.append(host.convert(10**12 + number // 2 * 1_000_000))
+    for times in zip(*found, strict=True):
+        assert (np.diff(times) > 0).all()
+
+
+def test_host_times_follow_a_clock_that_was_set_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    clocks, host = BusyClocks(monkeypatch, repeat(50)), HostClock()
+    _, before_ns = host.convert(10**12)
+    clocks.offset_ns -= 2 * SET_BACK_NS
+    _, after_ns = host.convert(10**12 + 1_000_000)
+    assert after_ns - before_ns == 1_000_000 - 2 * SET_BACK_NS
+    assert host.convert(10**12 + 2_000_000)[1] == after_ns + 1_000_000

@@ -59,7 +59,7 @@ class WriterProcessClient:
         self.dropped_frames = 0
         """Frames dropped because the writer did not keep up."""
         self._dropped_compute = 0
-        self._in_force = 0
+        self._calibrations = 0
         self._stopping = False
         self._stop_sent = False
         self._died = WRITER_DIED
@@ -132,8 +132,8 @@ class WriterProcessClient:
 
         with self._lock:
             self._sender.send(packed)
-            self._in_force += 1
-            return self._in_force - 1
+            self._calibrations += 1
+            return self._calibrations - 1
 
     def put(
         self,
@@ -206,8 +206,8 @@ class WriterProcessClient:
     def _cannot_send(self, error: Exception) -> None:
         """Kill the writer, which would wait for a calibration that cannot be sent."""
         name = self.job.path.name
-        _log.error("recording %s: what is in force cannot be kept", name, exc_info=error)
-        self._died = f"what was in force cannot be kept: {type(error).__name__}: {error}"
+        _log.error("recording %s: the active calibration cannot be kept", name, exc_info=error)
+        self._died = f"the active calibration cannot be kept: {type(error).__name__}: {error}"
         self.kill()
 
     def _send_head(self) -> bool:

@@ -62,7 +62,7 @@ class _Recording:
         self._job = job
         self._ring = ring
         self._documents = documents
-        self._in_force = 0
+        self._calibrations = 0
         self._begin_ns: int | None = None
         self._bytes = 0
         self._refused = 0
@@ -127,13 +127,13 @@ class _Recording:
             if not inside.all():
                 self.ended = f"the limit of {job.seconds:g} s"
                 block = block.select(inside)
-        while self._in_force <= int(block.rows["in_force"].max(initial=-1)):
+        while self._calibrations <= int(block.rows["active_calibration"].max(initial=-1)):
             documents = self._documents.next()
             if documents is None:
                 self.ended = ORPHANED
                 return
             self.writer.put_active_calibration(*documents)
-            self._in_force += 1
+            self._calibrations += 1
         self._refused += self.writer.append_block(block)
         self._bytes += sum(
             part.nbytes for part in (block.rows, block.lines, block.peaks, block.points)

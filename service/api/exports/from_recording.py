@@ -39,7 +39,7 @@ def table_from_recording(
         InvalidParameter: the calibration is of other sensors.
     """
     info = reader.info
-    if given is None and info.state.in_force == 0:
+    if given is None and info.state.active_calibrations == 0:
         raise InvalidRecording(
             "the recording holds no calibration; give one: `calibration_id`, or --calibration"
         )

@@ -1,12 +1,16 @@
 """Active calibration in a recording: the calibration as JSON, its correction table as HDF5."""
 
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any, Final
 
 from pydantic import TypeAdapter, ValidationError
 
 from compute.calibration.result import Calibration
+from compute.damaged_file import refusing_damage
 from compute.errors import InvalidRecording, LumilineError
 from service.api.calibrations.calibration_content import content_hash
 from service.api.correction_tables.table_content import TableContent
@@ -68,6 +72,50 @@ def dump_active_calibration(found: ActiveCalibration) -> tuple[bytes, bytes]:
     return json.dumps(document, allow_nan=False).encode(), table or b""
 
 
+@dataclass(frozen=True)
+class ActiveCalibrationNames:
+    """Ids in the document of an active calibration; None: it has no such part.
+
+    Args:
+        calibration_id: of the calibration.
+        content_hash: of the calibration.
+        table_id: of its correction table.
+        radiometric_id: of the radiometric calibration.
+        bad_pixels: number of masked pixels.
+    """
+
+    calibration_id: str | None = None
+    content_hash: str | None = None
+    table_id: str | None = None
+    radiometric_id: str | None = None
+    bad_pixels: int = 0
+
+
+def read_names(document: bytes, where: str) -> ActiveCalibrationNames:
+    """Return the ids in the document of an active calibration.
+
+    Args:
+        document: as of ``dump_active_calibration``.
+        where: the recording's name, for errors.
+
+    Raises:
+        InvalidRecording: it is no such document.
+    """
+    if not document:
+        return ActiveCalibrationNames()
+    radiometric, bad_pixels = load_pixels(document, where)
+    found = json.loads(document)
+    ids = [found.get(name) for name in ("id", "content_hash", "table")]
+    for text in ids:
+        if not isinstance(text, str | None):
+            raise InvalidRecording(
+                f"{where} holds an active calibration with the id or hash {text!r:.40}; it must be "
+                "a text"
+            )
+    radiometric_id = None if radiometric is None else radiometric.radiometric_id
+    return ActiveCalibrationNames(*ids, radiometric_id, len(bad_pixels))
+
+
 def load_active_calibration(document: bytes, table: bytes, where: str) -> ActiveCalibration:
     """Return the active calibration that a recording holds.
 
@@ -87,14 +135,11 @@ def load_active_calibration(document: bytes, table: bytes, where: str) -> Active
         return ActiveCalibration(radiometric=radiometric, bad_pixels=bad_pixels)
     from service.api.correction_tables.hdf5_file import read_table
 
-    try:
+    with _refusing_damage(f"{where} holds a calibration that is none"):
         found: dict[str, Any] = json.loads(document)
         calibration = _RESULT.validate_python(found["result"])
-    except (ValueError, KeyError, TypeError, RecursionError) as error:
-        first = error.errors()[0]["msg"] if isinstance(error, ValidationError) else error
-        raise InvalidRecording(f"{where} holds a calibration that is none: {first}") from error
-    content = {name: found[name] for name in found.keys() - _NOT_HASHED}
-    own_hash = content_hash(content if len(content) > 1 else content["result"])
+        content = {name: found[name] for name in found.keys() - _NOT_HASHED}
+        own_hash = content_hash(content if len(content) > 1 else content["result"])
     if own_hash != found.get("content_hash"):
         raise InvalidRecording(
             f"{where} holds a calibration whose content has the hash {own_hash}; it says "
@@ -127,10 +172,10 @@ def load_pixels(
     """
     if not document:
         return None, ()
-    try:
+    with _refusing_damage(f"{where} holds a radiometric calibration, or bad pixels, that are none"):
         found = json.loads(document)
         if not isinstance(found, dict):
-            return None, ()
+            raise TypeError("the document is no JSON object")
         bad_pixels = _BAD_PIXELS.validate_python(found.get("bad_pixels", ()))
         stored = found.get("radiometric")
         if stored is None:
@@ -138,13 +183,25 @@ def load_pixels(
         content, kept = dict(stored["content"]), str(stored["content_hash"])
         sensors = content_of(content).sensors
         own_hash = content_hash(content)
-    except (LumilineError, ValueError, KeyError, TypeError, RecursionError) as error:
-        raise InvalidRecording(
-            f"{where} holds a radiometric calibration, or bad pixels, that are none: {error}"
-        ) from error
     if own_hash != kept:
         raise InvalidRecording(
             f"{where} holds a radiometric calibration whose content has the hash {own_hash}; it "
             f"says {kept[:64]}: it was changed after it was written"
         )
     return ActiveRadiometric(str(stored.get("id")), sensors, own_hash, content), bad_pixels
+
+
+@contextmanager
+def _refusing_damage(what: str) -> Iterator[None]:
+    """Raise InvalidRecording with ``what`` and the reason for whatever the content causes."""
+
+    def invalid(reason: str) -> InvalidRecording:
+        return InvalidRecording(f"{what}: {reason}")
+
+    with refusing_damage(invalid):
+        try:
+            yield
+        except ValidationError as error:
+            raise invalid(error.errors()[0]["msg"]) from error
+        except LumilineError as error:
+            raise invalid(error.detail) from error

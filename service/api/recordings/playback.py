@@ -12,6 +12,7 @@ from compute.errors import InvalidParameter, InvalidRecording
 from compute.flags import flag_names
 from compute.reconstruction.point_batch import PointBatch, PointFlag
 from compute.signal.centroid_reference import find_peaks_reference
+from compute.signal.centroid_settings import MAX_PIXELS, MIN_PIXELS
 from compute.signal.fit.fit_reference import fit_scans
 from compute.signal.peaks import PeakBatch, PeakFlag
 from hardware.driver import DeviceDescription
@@ -92,7 +93,7 @@ def recorded_scans(path: Path, name: str, number: int, detail_sensor: str | None
     those without a radiometric calibration.
 
     Raises:
-        InvalidRecording: it cannot be read, is damaged, or has no lines.
+        InvalidRecording: it cannot be read, is damaged, or has no scans to search for peaks.
         InvalidParameter: it has no such frame, or no such sensor.
     """
     with _reader(path) as reader:
@@ -105,6 +106,12 @@ def recorded_scans(path: Path, name: str, number: int, detail_sensor: str | None
     if block.lines is None:
         raise InvalidRecording(f'recording "{name}" holds results only, and no scans to be shown')
     description = info.description
+    pixels = block.lines.shape[-1]
+    if not MIN_PIXELS <= pixels <= MAX_PIXELS:
+        raise InvalidRecording(
+            f'recording "{name}" has scans of {pixels} pixels; peaks are searched in {MIN_PIXELS} '
+            f"to {MAX_PIXELS}"
+        )
     names = [sensor.name for sensor in description.sensors]
     check_sensor(detail_sensor, names)
     model = nominal_search_model(description)

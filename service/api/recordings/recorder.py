@@ -69,7 +69,7 @@ class Recorder:
 
     def _hand_over(self, batch: FrameBatch) -> None:
         rows = frame_rows(batch.frames)
-        rows["in_force"] = self._row(self.session.processor.active_calibration)
+        rows["active_calibration"] = self._row(self.session.processor.active_calibration)
         peaks, points = self._nothing
         if self.job.results:
             sensors = len(batch.sensor_names)

@@ -1,6 +1,5 @@
 """RecordingRepository: the folder of recordings, described from the files themselves."""
 
-import json
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -15,6 +14,7 @@ from sqlalchemy import select
 from compute.errors import InvalidRecording
 from service.api.devices.driver_factory import recording_path
 from service.api.devices.schema import RECORDING_PATTERN
+from service.api.recordings.active_calibration_file import read_names
 from service.api.recordings.schema import (
     Content,
     RecordingDetail,
@@ -39,6 +39,7 @@ class _CachedDocument:
     size: int
     modified_ns: int
     document: RecordingDocument
+    calibrations: list[UsedCalibration]
 
 
 class RecordingRepository:
@@ -71,37 +72,37 @@ class RecordingRepository:
         Raises:
             UnknownRecording: there is no such file.
         """
+        return self._read(name).document
+
+    def detail(self, document: RecordingDocument) -> RecordingDetail:
+        """Return it with the calibrations in the file; none where it cannot be read."""
+        calibrations = self._read(document.id).calibrations
+        return RecordingDetail(**dict(document), calibrations=calibrations)
+
+    def _read(self, name: str) -> _CachedDocument:
         path = self.path(name)
         status = path.stat()
         with self._lock:
             kept = self._kept.get(name)
         now = (status.st_ino, status.st_size, status.st_mtime_ns)
         if kept is not None and (kept.inode, kept.size, kept.modified_ns) == now:
-            return kept.document
+            return kept
         common = {
             "id": name,
             "size_bytes": status.st_size,
             "updated_at": datetime.fromtimestamp(status.st_mtime, UTC),
         }
+        calibrations: list[UsedCalibration] = []
         try:
             with _reader(path) as reader:
                 found = RecordingDocument(**common, **_members(reader.info))
+                calibrations = _used_calibrations(reader, path.name)
         except InvalidRecording as error:
             found = RecordingDocument(**common, **unread("unreadable", error.detail))
+        cached = _CachedDocument(*now, found, calibrations)
         with self._lock:
-            self._kept[name] = _CachedDocument(*now, found)
-        return found
-
-    def detail(self, document: RecordingDocument) -> RecordingDetail:
-        """Return it with the calibrations in the file; none where it cannot be read."""
-        used: list[UsedCalibration] = []
-        if document.state != "unreadable":
-            try:
-                with _reader(self.path(document.id)) as reader:
-                    used = _used(reader)
-            except InvalidRecording as error:
-                document = document.model_copy(update={"reason": error.detail})
-        return RecordingDetail(**dict(document), calibrations=used)
+            self._kept[name] = cached
+        return cached
 
     def _files(self) -> Iterator[tuple[str, int]]:
         """Yield names that a client can ask for, and when the files were changed [ns]."""
@@ -162,34 +163,24 @@ def _moment(text: object) -> datetime | None:
     return found if found.tzinfo is not None else None
 
 
-def _used(reader: "RecordingReader") -> list[UsedCalibration]:
-    """Return the calibrations of a file, in the order in which they came into force."""
-    if reader.info.state.in_force == 0:
+def _used_calibrations(reader: "RecordingReader", where: str) -> list[UsedCalibration]:
+    """Return the calibrations of a file, in the order in which they became active.
+
+    Raises:
+        InvalidRecording: one of them, or the first frame of one, is damaged.
+    """
+    count = reader.info.state.active_calibrations
+    if count == 0:
         return []
-    rows = reader.column("in_force")
+    rows = reader.column("active_calibration")
     used = []
-    for row in range(reader.info.state.in_force):
-        try:
-            found = json.loads(reader.in_force(row)[0] or b"{}")
-        except ValueError:
-            found = {}
-        first = np.flatnonzero(rows == row)[:1].tolist()
-        texts = {
-            name: None if found.get(key) is None else str(found[key])
-            for name, key in (
-                ("calibration_id", "id"), ("content_hash", "content_hash"), ("table_id", "table"),
-            )
-        }  # fmt: skip
-        pixels = found.get("radiometric")
-        radiometric = str(pixels.get("id")) if isinstance(pixels, dict) else None
-        used.append(
-            UsedCalibration(
-                **texts,
-                radiometric_id=radiometric,
-                bad_pixels=len(found.get("bad_pixels", ())),
-                from_frame=first[0] if first else None,
-            )
-        )
+    for row in range(count):
+        names = read_names(reader.active_calibration(row)[0], where)
+        first = next(iter(np.flatnonzero(rows == row)[:1].tolist()), None)
+        if first is not None:
+            # Their checksums confirm that it is this frame, and not the one before.
+            reader.block(max(first - 1, 0), first + 1, results=False)
+        used.append(UsedCalibration(**vars(names), from_frame=first))
     return used
 
 

@@ -56,7 +56,7 @@ def recorded_calibration(reader: RecordingReader, row: int) -> ActiveCalibration
     """
     if row < 0:
         return NO_ACTIVE_CALIBRATION
-    document, table = reader.in_force(row)
+    document, table = reader.active_calibration(row)
     return load_active_calibration(document, table, "the recording")
 
 
@@ -101,18 +101,18 @@ def calibration_intervals(
         InvalidRecording, InvalidTableFile: what is there is none, or was changed.
     """
     frames = reader.info.frames
-    if reader.info.version == 1 or (given is not None and reader.info.state.in_force == 0):
+    if given is not None and reader.info.state.active_calibrations == 0:
         if frames:
-            yield 0, frames, NO_ACTIVE_CALIBRATION if given is None else given
+            yield 0, frames, given
         return
-    rows = reader.column("in_force")
+    rows = reader.column("active_calibration")
     changes = np.flatnonzero(np.diff(rows, prepend=rows[:1] - 1)).tolist()
     for first, end in zip(changes, [*changes[1:], frames], strict=True):
         row = int(rows[first])
         if given is None:
             yield first, end, recorded_calibration(reader, row)
         else:
-            document = b"" if row < 0 else reader.in_force(row)[0]
+            document = b"" if row < 0 else reader.active_calibration(row)[0]
             radiometric, bad_pixels = load_pixels(document, "the recording")
             yield (
                 first,

@@ -4,6 +4,7 @@ import asyncio
 import random
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Final
@@ -13,7 +14,7 @@ import httpx
 
 from service.api.webhooks.schema import DeliveryState, WebhookState
 from service.api.webhooks.signature import signed_headers
-from service.api.webhooks.target import TargetRefused, check_url, resolve
+from service.api.webhooks.target import Address, TargetRefused, check_url, resolve
 
 MAX_WAITING: Final = 256
 """Events of one webhook that wait; beyond it the oldest is dropped: newer ones say more."""
@@ -137,9 +138,22 @@ class WebhookDelivery:
 
 
 async def _post(url: str, body: bytes, headers: dict[str, str]) -> int:
-    """Send a request to the checked address of a URL's host; redirects are not followed."""
-    parts = urlsplit(check_url(url))
-    address = await resolve(url)
+    """Send a request to the first checked address of a URL's host that can be connected to.
+
+    Redirects are not followed.
+    """
+    addresses = await resolve(check_url(url))
+    connect_s = REQUEST_S / len(addresses)
+    for address in addresses[:-1]:
+        with suppress(httpx.ConnectError, httpx.ConnectTimeout):
+            return await _post_to(address, url, body, headers, connect_s)
+    return await _post_to(addresses[-1], url, body, headers, connect_s)
+
+
+async def _post_to(
+    address: Address, url: str, body: bytes, headers: dict[str, str], connect_s: float
+) -> int:
+    parts = urlsplit(url)
     host = f"[{address}]" if address.version == 6 else str(address)
     netloc = host if parts.port is None else f"{host}:{parts.port}"
     headers = {
@@ -149,7 +163,11 @@ async def _post(url: str, body: bytes, headers: dict[str, str]) -> int:
         **headers,
     }
     async with (
-        httpx.AsyncClient(timeout=REQUEST_S, follow_redirects=False, trust_env=False) as client,
+        httpx.AsyncClient(
+            timeout=httpx.Timeout(REQUEST_S, connect=connect_s),
+            follow_redirects=False,
+            trust_env=False,
+        ) as client,
         # The certificate is that of the name, not of the address. The answer's body is not read.
         client.stream(
             "POST",

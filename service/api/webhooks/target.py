@@ -2,7 +2,7 @@
 
 Whoever makes webhooks lets the server send requests into its network. Addresses that no receiver
 has are refused: link-local ones, where clouds serve credentials (169.254.169.254), multicast and
-unspecified ones. A name is resolved for each delivery and the request goes to the address that was
+unspecified ones. A name is resolved for each delivery and the request goes to an address that was
 checked, so that a name cannot lead elsewhere a moment later.
 """
 
@@ -71,16 +71,25 @@ def check_address(address: Address, scheme: str) -> None:
         )
 
 
-async def resolve(url: str) -> Address:
-    """Return the checked address of a URL's host.
+async def resolve(url: str) -> list[Address]:
+    """Return the addresses of a URL's host that a request may be sent to, the preferred first.
 
     Raises:
-        TargetRefused: it is refused.
+        TargetRefused: all are refused.
         OSError, TimeoutError: the name is not known, or nobody answers in time.
     """
     parts = urlsplit(url)
     # The lookup has a time limit and keeps no pool busy: see there.
     found = await asyncio.to_thread(lookup, parts.hostname or "")
-    address = ip_address(found.partition("%")[0])
-    check_address(address, parts.scheme)
-    return address
+    addresses, refusals = [], []
+    for text in found:
+        address = ip_address(text.partition("%")[0])
+        try:
+            check_address(address, parts.scheme)
+        except TargetRefused as refusal:
+            refusals.append(refusal)
+        else:
+            addresses.append(address)
+    if not addresses:
+        raise refusals[0]
+    return addresses

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import hardware.clock_sync
 import hardware.genicam.timestamps
 from hardware.genicam.timestamps import BufferTimestamps, FrameCounter, ScanTimestamps
 
@@ -103,7 +104,8 @@ def test_arrivals_are_exact_until_the_clock_is_set_and_bounded_then(
         monotonic_ns=lambda: host.mono_ns, time_ns=lambda: host.mono_ns + host.ahead_ns
     )
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(hardware.genicam.timestamps, "time", clocks)
+        for module in (hardware.genicam.timestamps, hardware.clock_sync):
+            patch.setattr(module, "time", clocks)
         arrivals = BufferTimestamps()
         for waited_ns, taken_after_ns, set_by_ns in steps:
             empty_ns = host.mono_ns
@@ -120,7 +122,8 @@ def test_before_anything_was_empty_it_is_bounded_by_the_opening(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     clocks = SimpleNamespace(monotonic_ns=lambda: OPENED_NS, time_ns=lambda: MAX_LEAD_NS)
-    monkeypatch.setattr(hardware.genicam.timestamps, "time", clocks)
+    for module in (hardware.genicam.timestamps, hardware.clock_sync):
+        monkeypatch.setattr(module, "time", clocks)
     arrivals = BufferTimestamps()
     clocks.monotonic_ns = lambda: OPENED_NS + 500
     assert arrivals.of(MAX_LEAD_NS - 10_000) == OPENED_NS

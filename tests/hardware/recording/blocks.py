@@ -25,7 +25,7 @@ def described() -> DeviceDescription:
     )
 
 
-def block(first: int, frames: int, in_force: int = NO_CALIBRATION_ROW) -> FrameBlock:
+def block(first: int, frames: int, calibration_row: int = NO_CALIBRATION_ROW) -> FrameBlock:
     """Frames of these sequence numbers; frame n has n % 3 peaks and n % 2 points."""
     number = np.arange(first, first + frames)
     rows = np.zeros(frames, FRAME)
@@ -33,7 +33,7 @@ def block(first: int, frames: int, in_force: int = NO_CALIBRATION_ROW) -> FrameB
     rows["exposure_device_ns"] = number * 1_000_000
     rows["exposure_host_ns"] = 5 + number * 1_000_000
     rows["marker"] = -1
-    rows["in_force"] = in_force
+    rows["active_calibration"] = calibration_row
     rows["peaks"], rows["points"] = number % 3, number % 2
     peaks = np.zeros(int(rows["peaks"].sum()), PEAK)
     peaks["frame"] = np.repeat(np.arange(frames), rows["peaks"])

@@ -2,22 +2,45 @@
 
 from pathlib import Path
 
+import h5py
 import pytest
 
 from compute.errors import InvalidRecording
+from hardware.recording.layout import FORMAT
 from hardware.recording.reader import RecordingReader
 from hardware.recording.writer import RecordingWriter
 from tests.damage import FEW_OR_MANY, damages
-from tests.hardware.recording.blocks import assert_same_block, block, described
+from tests.hardware.recording.blocks import assert_same_block, block, described, joined
+
+CALIBRATIONS = [(b'{"id": "sim-nominal-%d"}' % row, bytes(range(256)) * row) for row in range(3)]
+STARTS = list(enumerate(range(0, 96, 32)))
 
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     path = tmp_path_factory.mktemp("whole") / "r.h5"
     with RecordingWriter(path, described(), lines=True, results=True) as writer:
-        for start in range(0, 96, 32):
-            writer.append_block(block(start, 32))
+        for row, start in STARTS:
+            writer.put_active_calibration(*CALIBRATIONS[row])
+            writer.append_block(block(start, 32, row))
     return path.read_bytes()
+
+
+def test_recording_has_nothing_of_variable_length(whole: bytes):
+    """Where a bit of a length is flipped, HDF5 does not return from reading such a text."""
+    assert b"GCOL" not in whole
+
+
+def test_text_of_variable_length_is_not_read(whole: bytes, tmp_path: Path):
+    path = tmp_path / "r.h5"
+    path.write_bytes(whole)
+    with h5py.File(path, "r+") as file:
+        file.attrs["format"] = FORMAT
+    data = path.read_bytes()
+    at = data.index(b"GCOL") + 16 + 8
+    path.write_bytes(data[:at] + (-16).to_bytes(8, "little", signed=True) + data[at + 8 :])
+    with pytest.raises(InvalidRecording, match="is an HDF5 file of format None"):
+        RecordingReader(path)
 
 
 @FEW_OR_MANY
@@ -26,14 +49,17 @@ def test_recording_that_is_damaged_is_refused_or_holds_what_was_written(
 ):
     path, refused = tmp_path / "r.h5", 0
     # Half of the places in the first part, where HDF5 has its headers and trees.
-    for data in damages(whole, count, overwritten=64, head=4096):
+    for data in damages(whole, count, overwritten=64, part=range(4096)):
         path.write_bytes(data)
         try:
             with RecordingReader(path) as reader:
                 found = reader.block(0, reader.info.frames)
                 assert reader.info.description == described(), data
+                count_of = range(reader.info.state.active_calibrations)
+                used = [reader.active_calibration(row) for row in count_of]
         except InvalidRecording:
             refused += 1
             continue
-        assert_same_block(found, block(0, len(found.rows)))
+        assert used == CALIBRATIONS, data
+        assert_same_block(found, joined([block(start, 32, row) for row, start in STARTS]))
     assert count / 10 < refused < count

@@ -1,8 +1,6 @@
-"""Recordings of version 2 with results and calibrations, read while written; version 1."""
+"""Recordings with results and calibrations, read while written."""
 
-import json
 import tempfile
-from dataclasses import asdict
 from itertools import pairwise
 from pathlib import Path
 
@@ -14,7 +12,7 @@ from hypothesis import strategies as st
 
 from compute.errors import InvalidRecording
 from hardware.recording.frame_block import FrameBlock
-from hardware.recording.layout import COLUMNS_1, Losses
+from hardware.recording.layout import Losses
 from hardware.recording.reader import RecordingReader
 from hardware.recording.writer import RecordingWriter
 from tests.hardware.recording.blocks import (
@@ -79,20 +77,40 @@ def test_frames_that_do_not_follow_are_left_out_with_their_results(tmp_path: Pat
         assert reader.info.lost == reader.info.state.missing == 11
 
 
-def test_what_was_in_force_is_kept_whole(tmp_path: Path) -> None:
+def test_active_calibrations_are_read_as_written(tmp_path: Path) -> None:
     table = bytes(range(256)) * 700
     with RecordingWriter(tmp_path / "r.h5", described(), provenance={"by": "me"}) as writer:
         assert writer.put_active_calibration(b'{"id": "a"}', table) == 0
-        writer.append_block(block(0, 3, in_force=0))
+        writer.append_block(block(0, 3, calibration_row=0))
         assert writer.put_active_calibration(b'{"id": "b"}') == 1
-        writer.append_block(block(3, 3, in_force=1))
+        writer.append_block(block(3, 3, calibration_row=1))
     with RecordingReader(tmp_path / "r.h5") as reader:
-        assert reader.column("in_force").tolist() == [0, 0, 0, 1, 1, 1]
-        assert reader.in_force(0) == (b'{"id": "a"}', table)
-        assert reader.in_force(1) == (b'{"id": "b"}', b"")
-        with pytest.raises(InvalidRecording, match="has no row 2 of in_force; it has 2"):
-            reader.in_force(2)
+        assert reader.column("active_calibration").tolist() == [0, 0, 0, 1, 1, 1]
+        assert reader.active_calibration(0) == (b'{"id": "a"}', table)
+        assert reader.active_calibration(1) == (b'{"id": "b"}', b"")
+        with pytest.raises(InvalidRecording, match="has no row 2 of active_calibrations; it has 2"):
+            reader.active_calibration(2)
         assert reader.info.provenance == {"by": "me"}
+
+
+@pytest.mark.parametrize("at", ["document", "table", "rows"])
+def test_active_calibration_with_a_flipped_bit_is_refused(tmp_path: Path, at: str) -> None:
+    document, table = b'{"id": "sim-nominal", "bad_pixels": [7]}', bytes(range(256))
+    with RecordingWriter(tmp_path / "r.h5", described()) as writer:
+        for _ in range(2):
+            writer.put_active_calibration(document, table)
+        writer.append_block(block(0, 3, calibration_row=1))
+    with h5py.File(tmp_path / "r.h5", "r+") as file:
+        group = file["active_calibrations"]
+        extent = group["rows"][1]
+        if at == "rows":  # the other one's extent: as whole, and of another calibration
+            group["rows"][1] = group["rows"][0]
+        else:
+            group["bytes"][int(extent[f"{at}_start"]) + 10] ^= 1
+    with RecordingReader(tmp_path / "r.h5") as reader:
+        assert reader.active_calibration(0) == (document, table)
+        with pytest.raises(InvalidRecording, match="damaged data in active_calibrations"):
+            reader.active_calibration(1)
 
 
 def test_a_reader_follows_the_writer_flush_by_flush(tmp_path: Path) -> None:
@@ -163,27 +181,3 @@ def test_an_existing_file_is_left_on_request(tmp_path: Path) -> None:
         RecordingWriter(tmp_path / "r.h5", described(), exclusive=True)
     assert read_recording(tmp_path / "r.h5").frames == 4
     assert [path.name for path in tmp_path.iterdir()] == ["r.h5"]
-
-
-def test_version_1_is_read(tmp_path: Path) -> None:
-    """A file as the first writer made it: chunked columns with checksums, all of one length."""
-    whole = block(3, 70)
-    with h5py.File(tmp_path / "old.h5", "w") as file:
-        file.attrs["format"], file.attrs["version"] = "lumiline-recording", 1
-        file.attrs["complete"] = True
-        file.attrs["description"] = json.dumps(asdict(described()))
-        group = file.create_group("frames")
-        for name in COLUMNS_1:
-            group.create_dataset(
-                name, data=whole.rows[name], maxshape=(None,), chunks=(4096,), fletcher32=True
-            )
-        group.create_dataset(
-            "lines", data=whole.lines, maxshape=(None, SENSORS, PIXELS), chunks=(32, 1, PIXELS),
-            fletcher32=True,
-        )  # fmt: skip
-    with RecordingReader(tmp_path / "old.h5") as reader:
-        info = reader.info
-        assert (info.version, info.frames, info.complete, info.results) == (1, 70, True, False)
-        frames = list(reader.frames())
-    assert [frame.sequence for frame in frames] == list(range(3, 73))
-    np.testing.assert_array_equal([frame.lines for frame in frames], whole.lines)

@@ -83,10 +83,18 @@ def test_a_device_that_comes_back_with_another_delay_is_timed_by_that() -> None:
     maker = FrameBuilder("bar", DESCRIPTION, 0)
     first = built(maker, 0, 0, 1_000_000_000)
     maker.reconnect(replace(DESCRIPTION, delay_us=250_000.0))
-    second = built(maker, 1, STEP, 1_010_000_000)
+    second = built(maker, 1, 100 * STEP, 2_000_000_000)
     assert (second.flags, maker.clock.restarts) == (FrameFlag.NONE, 0)
     passed_ns = second.exposure_host_ns - first.exposure_host_ns
-    assert passed_ns == pytest.approx(10_000_000 - 250_000_000, abs=50_000_000)
+    assert passed_ns == pytest.approx(1_000_000_000 - 250_000_000, abs=50_000_000)
+
+
+def test_exposure_of_a_device_that_comes_back_with_a_longer_delay_is_after_the_last() -> None:
+    maker = FrameBuilder("bar", DESCRIPTION, 0)
+    first = built(maker, 0, 0, 1_000_000_000)
+    maker.reconnect(replace(DESCRIPTION, delay_us=250_000.0))
+    second = built(maker, 1, STEP, 1_010_000_000)
+    assert second.exposure_host_ns > first.exposure_host_ns
 
 
 def test_exposure_that_is_sent_twice_is_refused() -> None:
@@ -124,8 +132,7 @@ def test_random_numbers_and_ticks_are_irregular_and_poison_no_counter(kind: str)
         for clock in ("device", "host")
     )
     assert (np.diff(device) > 0).all()
-    # To the resolution of two clocks that are read one after the other.
-    assert (np.diff(host) > -1_000_000).all()
+    assert (np.diff(host) > 0).all()
     assert maker.irregular > 400
     # Regular again: the first one may begin anew, the others tell what is lost.
     built(maker, 1000, 1000 * STEP, 15_000_000_000)

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import hardware.clock_sync
 import hardware.simulated.driver
 from hardware.line_frame import FrameFlag, LineFrame
 from hardware.simulated.driver import FIFO_S, FrameRenderer, SimulatedDriver
@@ -32,7 +33,7 @@ class Clock:
         self.now_ns = 10**12
         monkeypatch.setattr(hardware.simulated.driver, "time", self)
         monkeypatch.setattr(hardware.simulated.driver, "wait_until", self._wait)
-        monkeypatch.setattr(hardware.simulated.driver, "host_time_ns", lambda due_ns: due_ns + 7)
+        monkeypatch.setattr(hardware.clock_sync, "time", self)
 
     def monotonic_ns(self) -> int:
         return self.now_ns

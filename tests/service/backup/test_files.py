@@ -1,9 +1,11 @@
 """Backups of database, recordings and profiles together."""
 
 import os
+import shutil
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -74,6 +76,72 @@ def test_unchanged_files_take_their_space_once_and_old_backups_go(
     third, _ = back_up_files(database, settings, folder, keep=2)
     assert backups_in(folder) == [second, third]
     assert (second / same).read_bytes() == b"a"
+
+
+def test_backup_file_changed_in_the_future_is_copied_once(
+    database: Database, settings: Settings, tmp_path: Path
+) -> None:
+    ahead = time.time() + 1e6
+    os.utime(settings.data_dir / "recordings" / "b.h5", (ahead, ahead))
+    first, counts = back_up_files(database, settings, tmp_path / "backups")
+    assert counts["recordings"] == 2
+    first = first.rename(tmp_path / "backups" / "20200101T000000Z")
+    second, _ = back_up_files(database, settings, tmp_path / "backups")
+    inodes = {(one / "recordings" / "b.h5").stat().st_ino for one in (first, second)}
+    assert len(inodes) == 1
+
+
+@pytest.mark.parametrize("moment", ["before", "meanwhile", "changed"])
+def test_backup_file_deleted_or_changed_meanwhile_is_left_out(
+    database: Database,
+    settings: Settings,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    moment: str,
+) -> None:
+    gone, copy2 = settings.data_dir / "recordings" / "day" / "a.h5", shutil.copy2
+
+    def deleting(source: Path, target: Path) -> None:
+        if source == gone and moment == "before":
+            gone.unlink()
+        copy2(source, target)
+        if source == gone:
+            gone.unlink()
+            if moment == "changed":
+                gone.write_bytes(b"longer")
+
+    monkeypatch.setattr(shutil, "copy2", deleting)
+    made, counts = back_up_files(database, settings, tmp_path / "backups")
+    assert counts["recordings"] == 1
+    files = [one.name for one in (made / "recordings").rglob("*.h5")]
+    assert files == ["b.h5"]
+
+
+def test_backup_folder_deleted_meanwhile_is_left_out(
+    database: Database, settings: Settings, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder, scandir = str(settings.data_dir / "recordings" / "day"), os.scandir
+
+    def deleting(path: str) -> Any:
+        if str(path) == folder and Path(folder).exists():
+            shutil.rmtree(folder)
+        return scandir(path)
+
+    monkeypatch.setattr(os, "scandir", deleting)
+    _, counts = back_up_files(database, settings, tmp_path / "backups")
+    assert counts["recordings"] == 1
+
+
+def test_backup_that_cannot_be_written_raises(
+    database: Database, settings: Settings, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def missing(source: Path, target: Path) -> None:
+        raise FileNotFoundError(str(target))
+
+    monkeypatch.setattr(shutil, "copy2", missing)
+    with pytest.raises(FileNotFoundError):
+        back_up_files(database, settings, tmp_path / "backups")
+    assert backups_in(tmp_path / "backups") == []
 
 
 def test_restore_brings_back_what_is_missing_and_replaces_nothing(

@@ -1,7 +1,9 @@
 """The commands as a user runs them; in a process of their own where that plays a part."""
 
 import csv
+import errno
 import json
+import os
 import re
 import signal
 import subprocess
@@ -12,6 +14,8 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner, Result
 
+from hardware.line_frame import LineFrame
+from hardware.recording.writer import RecordingWriter
 from service.cli import app
 from tests.hardware.recording.blocks import read_recording
 from validation.all_cases import ALL_CASES
@@ -134,7 +138,7 @@ def test_an_interrupted_recording_is_a_recording(tmp_path: Path) -> None:
         stdout=subprocess.PIPE, stderr=subprocess.PIPE,
     )  # fmt: skip
     end = time.monotonic() + 240.0
-    while not (path.exists() and path.stat().st_size > 5_000_000):
+    while not any(one.stat().st_size > 5_000_000 for one in tmp_path.glob(".long.h5.*/long.h5")):
         assert process.poll() is None
         assert time.monotonic() < end
         time.sleep(0.02)
@@ -144,6 +148,29 @@ def test_an_interrupted_recording_is_a_recording(tmp_path: Path) -> None:
     info = read_recording(path)
     assert info.complete
     assert 100 < info.frames < 3_000_000
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_record_that_fails_leaves_the_recording_that_was_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "there.h5"
+    here("record", path, "--seconds", "0.02")
+    before = path.read_bytes()
+    append, calls = RecordingWriter.append, []
+
+    def full(writer: RecordingWriter, frame: LineFrame, row: int) -> None:
+        calls.append(row)
+        if len(calls) > 10:
+            assert path.read_bytes() == before
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        append(writer, frame, row)
+
+    monkeypatch.setattr(RecordingWriter, "append", full)
+    run = here("record", path, "--seconds", "0.05", "--force", code=2)
+    assert "there.h5 cannot be written: No space left on device" in " ".join(run.stderr.split())
+    assert list(tmp_path.iterdir()) == [path]
+    assert path.read_bytes() == before
 
 
 @pytest.mark.slow

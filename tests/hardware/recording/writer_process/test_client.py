@@ -39,7 +39,7 @@ def job(path: Path, **changes: Any) -> WriterJob:
 
 
 def put(feed: WriterProcessClient, first: int, frames: int) -> bool:
-    one = block(first, frames, in_force=0)
+    one = block(first, frames, calibration_row=0)
     return feed.put(one.rows, list(one.lines), one.peaks, one.points, 7)
 
 
@@ -52,12 +52,12 @@ def wait_for(condition: Callable[[], bool]) -> None:
 
 def check_frames(path: Path, frames: int) -> None:
     """Every bit of that many frames from the first on is in the file."""
-    expected = block(0, frames, in_force=0)
+    expected = block(0, frames, calibration_row=0)
     with RecordingReader(path) as reader:
         assert_same_block(reader.block(0, frames), expected)
         assert reader.info.frames == frames
         if frames:
-            assert reader.in_force(0) == (b'{"id": "c"}', b"table" * 1000)
+            assert reader.active_calibration(0) == (b'{"id": "c"}', b"table" * 1000)
 
 
 def feed_at_random(feed: WriterProcessClient, seconds: float, rng: np.random.Generator) -> None:
@@ -151,7 +151,7 @@ def test_a_writer_that_does_not_keep_up_costs_frames_that_are_counted(tmp_path: 
     assert (state.complete, state.reason, state.dropped_compute) == (True, "enough", 7)
     assert state.dropped_writer == state.missing == feed.dropped_frames
     with RecordingReader(path) as reader:
-        expected = joined([block(first, 40, in_force=0) for first in [*kept, 40_000]])
+        expected = joined([block(first, 40, calibration_row=0) for first in [*kept, 40_000]])
         assert_same_block(reader.block(0, 10**6), expected)
 
 

@@ -82,7 +82,7 @@ def block(
     batch: FrameBatch, frames: tuple[LineFrame, ...], *, lines: bool, results: bool
 ) -> FrameBlock:
     rows = frame_rows(frames)
-    rows["in_force"] = 0
+    rows["active_calibration"] = 0
     peaks, of_peaks = peak_rows(batch.peaks, len(batch.sensor_names))
     points, of_points = point_rows(batch)
     rows["peaks"], rows["points"] = (of_peaks, of_points) if results else (0, 0)

@@ -1,11 +1,13 @@
 """Frames of a recording to look at: points, scans, peaks."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from compute.errors import InvalidParameter, InvalidRecording
+from hardware.driver import SensorDescription
 from hardware.line_frame import LineFrame
 from hardware.recording.frame_block import FrameBlock, frame_rows
 from hardware.recording.writer import RecordingWriter
@@ -63,6 +65,15 @@ def test_frames_are_those_asked_for_and_none_behind_the_end(
     assert [one.number for one in found.frames] == list(range(FRAMES - 3, FRAMES))
     assert [one.sequence for one in found.frames] == [one.sequence for one in frames[-3:]]
     assert recorded_frames(recording, "lines.h5", FRAMES, 10).frames == []
+
+
+def test_scans_too_short_for_a_peak_are_refused(tmp_path: Path) -> None:
+    sensors = (SensorDescription("s", 24, 10.0),)
+    device = replace(_driver().description, sensors=sensors)
+    with RecordingWriter(tmp_path / "r.h5", device) as writer:
+        writer.append(LineFrame(device.name, 0, 0, 0, None, np.zeros((1, 24), np.uint16)))
+    with pytest.raises(InvalidRecording, match="scans of 24 pixels; peaks are searched in 64 to 6"):
+        recorded_scans(tmp_path / "r.h5", "r.h5", 0, None)
 
 
 @pytest.mark.parametrize("source", ["recording", "with_results"])

@@ -151,7 +151,7 @@ def test_a_recording_gives_the_same_bits_again(
     path = record(live, recordings, settings)
     with RecordingReader(path) as reader:
         frames = reader.info.frames
-        rows = reader.column("in_force")
+        rows = reader.column("active_calibration")
         assert sorted(set(rows.tolist())) == [-1, 0, 1]
         points = reader.block(0, frames).points
         processor = FrameProcessor("again", reader.info.description, "cpu")

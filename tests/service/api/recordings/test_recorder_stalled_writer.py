@@ -104,8 +104,8 @@ def test_activations_frames_and_stops_do_not_wait_for_a_writer_that_stalls(
     assert [one.calibration_id for one in done.calibrations][-3:] == ["n0", "n1", "n2"]
     with RecordingReader(recordings.finished_path("r.h5")) as reader:
         last = len(done.calibrations) - 1
-        assert reader.in_force(last)[1] == BEYOND_PIPES
-        assert reader.column("in_force")[-1] == last
+        assert reader.active_calibration(last)[1] == BEYOND_PIPES
+        assert reader.column("active_calibration")[-1] == last
 
 
 def test_a_writer_that_does_not_stop_is_killed(
@@ -231,6 +231,6 @@ def test_a_calibration_that_cannot_be_kept_fails_the_recording_only(
     content = {"result": float("nan")}
     live.set_calibration("sim", replace(good, calibration_content=content, calibration_hash="h"))
     wait_for(lambda: recordings.get("r.h5").state == "failed")
-    assert "what was in force cannot be kept: ValueError" in str(recordings.get("r.h5").reason)
+    assert "the active calibration cannot be kept: ValueError" in str(recordings.get("r.h5").reason)
     assert goes_on(live)
     live.set_calibration("sim", good)

@@ -54,6 +54,20 @@ def state(client: TestClient, webhook_id: str = "alarm") -> dict[str, Any]:
     return found
 
 
+def test_delivery_to_a_name_goes_to_the_address_where_somebody_listens(
+    client: TestClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As of `localhost`: the receiver listens on IPv4 only, and the name leads to IPv6 first."""
+    monkeypatch.setattr("service.api.webhooks.target.lookup", lambda _: ("::1", "127.0.0.1"))
+    with receiving() as receiver:
+        make(client, receiver.url.replace("127.0.0.1", "localhost"), "device.lost")
+        answer = client.post(f"{API}/alarm/test")
+        assert answer.status_code < 300, answer.text
+        receiver.wait(1)
+    ((headers, _),) = receiver.requests
+    assert {name.lower(): text for name, text in headers.items()}["host"].startswith("localhost:")
+
+
 def emit(client: Any, *arguments: Any) -> None:
     client.app.state.webhooks.emit(*arguments)
 

@@ -51,8 +51,8 @@ def test_check_url_others_are_refused_with_what_would_be_right(url: str, word: s
         check_url(url)
 
 
-def _resolving(monkeypatch: pytest.MonkeyPatch, address: str) -> None:
-    monkeypatch.setattr("service.api.webhooks.target.lookup", lambda _: address)
+def _resolving(monkeypatch: pytest.MonkeyPatch, *addresses: str) -> None:
+    monkeypatch.setattr("service.api.webhooks.target.lookup", lambda _: addresses)
 
 
 def test_resolve_name_that_leads_to_metadata_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -65,7 +65,17 @@ def test_resolve_plain_http_leaves_no_private_network(monkeypatch: pytest.Monkey
     _resolving(monkeypatch, "93.184.216.34")
     with pytest.raises(TargetRefused, match="outside of private networks"):
         asyncio.run(resolve("http://alarm.example.org/"))
-    assert str(asyncio.run(resolve("https://alarm.example.org/"))) == "93.184.216.34"
+    assert [str(one) for one in asyncio.run(resolve("https://alarm.example.org/"))] == [
+        "93.184.216.34"
+    ]
+
+
+def test_resolve_name_of_several_addresses_keeps_those_that_are_allowed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    _resolving(monkeypatch, "fe80::1%eth0", "::1", "93.184.216.34", "192.168.1.5")
+    found = asyncio.run(resolve("http://alarm.example.org/"))
+    assert [str(one) for one in found] == ["::1", "192.168.1.5"]
 
 
 def test_signed_headers_published_example_is_verified() -> None:

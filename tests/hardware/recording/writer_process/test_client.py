@@ -44,7 +44,7 @@ def put(feed: WriterProcessClient, first: int, frames: int) -> bool:
 
 
 def wait_for(condition: Callable[[], bool]) -> None:
-    end = time.monotonic() + 20.0
+    end = time.monotonic() + 240.0
     while not condition():
         assert time.monotonic() < end, "it did not come true"
         time.sleep(0.005)
@@ -81,7 +81,7 @@ def test_a_writer_that_is_killed_at_any_moment_loses_nothing_acknowledged(
     feed_at_random(feed, rng.uniform(0.0, 0.5), rng)
     unfinished_path(path, feed.pid).touch()  # as of one that is killed while it makes the file
     feed.kill()
-    assert feed.wait(10.0)
+    assert feed.wait(240.0)
     acknowledged = feed.status.state.frames
     assert (feed.status.ended, feed.status.failed) == (WRITER_DIED, True)
     assert list(tmp_path.iterdir()) == [path]
@@ -146,7 +146,7 @@ def test_a_writer_that_does_not_keep_up_costs_frames_that_are_counted(tmp_path: 
     wait_for(lambda: feed.status.tail > 0)
     assert put(feed, 40_000, 40)
     feed.stop("enough")
-    assert feed.wait(10.0)
+    assert feed.wait(240.0)
     state = read_recording(path).state
     assert (state.complete, state.reason, state.dropped_compute) == (True, "enough", 7)
     assert state.dropped_writer == state.missing == feed.dropped_frames
@@ -166,7 +166,7 @@ def test_the_end_is_told_whatever_is_told_behind_it(tmp_path: Path) -> None:
         feed._send_head()
     finally:
         os.kill(feed.pid, signal.SIGCONT)
-    assert feed.wait(10.0)
+    assert feed.wait(240.0)
     assert feed.status.ended == read_recording(path).state.reason == "enough"
 
 
@@ -176,7 +176,7 @@ def test_a_writer_that_lives_touches_the_file_without_frames(tmp_path: Path) -> 
     begin = path.stat().st_mtime_ns
     wait_for(lambda: path.stat().st_mtime_ns > begin)
     feed.stop("enough")
-    assert feed.wait(10.0)
+    assert feed.wait(240.0)
     assert read_recording(path).frames == 0
 
 
@@ -198,7 +198,7 @@ def test_limits_end_it_with_the_reason(
     while not feed.ended and first < 100_000:
         first += 30 if put(feed, first, 30) else 0
         time.sleep(0.001)
-    assert feed.wait(10.0)
+    assert feed.wait(240.0)
     info = read_recording(path)
     assert info.complete
     assert info.state.reason.startswith(reason)
@@ -206,8 +206,12 @@ def test_limits_end_it_with_the_reason(
     assert not feed.status.failed
     assert info.frames == frames or frames is None
     if "size_bytes" in limit:
-        # A frame has 96 bytes of lines, and about as much each of columns, peaks and points.
-        assert 200.0 < 100_000 / info.frames < 400.0
+        # The file is larger than its frames; it ends with the block that reaches the limit.
+        one = block(0, 30, calibration_row=0)
+        parts = (one.rows, one.lines, one.peaks, one.points)
+        frame_bytes = sum(part.nbytes for part in parts if part is not None) / 30
+        assert max(info.frames * frame_bytes, path.stat().st_size) >= limit["size_bytes"]
+        assert (info.frames - 30) * frame_bytes < limit["size_bytes"]
 
 
 def test_a_full_disk_fails_it_and_leaves_what_was_flushed(tmp_path: Path) -> None:
@@ -223,7 +227,7 @@ def test_a_full_disk_fails_it_and_leaves_what_was_flushed(tmp_path: Path) -> Non
     while not feed.ended:
         first += 40 if put(feed, first, 40) else 0
         time.sleep(0.001)
-    assert feed.wait(10.0)
+    assert feed.wait(240.0)
     assert feed.status.failed
     assert feed.status.ended is not None
     assert feed.status.ended.startswith("the file cannot be written: ")

@@ -82,7 +82,7 @@ class LimitedHttpProtocol(HttpToolsProtocol):
             self.app = self._application
         else:
             self.logger.warning("%d connections or requests at once: refused", self._max_at_once)
-            self.app = _too_many  # type: ignore[assignment]
+            self.app = _too_many
         super().on_headers_complete()
 
     def on_message_complete(self) -> None:

@@ -113,7 +113,10 @@ def read_names(document: bytes, where: str) -> ActiveCalibrationNames:
                 "a text"
             )
     radiometric_id = None if radiometric is None else radiometric.radiometric_id
-    return ActiveCalibrationNames(*ids, radiometric_id, len(bad_pixels))
+    calibration_id, own_hash, table_id = ids
+    return ActiveCalibrationNames(
+        calibration_id, own_hash, table_id, radiometric_id, len(bad_pixels)
+    )
 
 
 def load_active_calibration(document: bytes, table: bytes, where: str) -> ActiveCalibration:

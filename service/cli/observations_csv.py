@@ -9,7 +9,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.camera.model import SensorModel
+from compute.camera.model import SensorGeometry, SensorModel
 from compute.errors import InvalidParameter
 from service.cli.spreadsheet import Cell, NumberFormat, read_spreadsheet
 
@@ -51,9 +51,13 @@ class ReadingTable:
     readings_px: Array
     sigma_px: Array | None
 
-    def in_order_of(self, models: Sequence[SensorModel], source: str = "the calibration") -> Self:
-        """Return the readings in the order of a calibration's sensors; raises InvalidParameter."""
-        names = tuple(model.name for model in models)
+    def in_order_of(
+        self,
+        sensors: Sequence[SensorModel] | Sequence[SensorGeometry],
+        source: str = "the calibration",
+    ) -> Self:
+        """Return the readings in the order of these sensors; raises InvalidParameter."""
+        names = tuple(sensor.name for sensor in sensors)
         if set(self.sensors) != set(names):
             raise InvalidParameter(
                 f"{self.path} has readings of {', '.join(self.sensors)}; {source} is of "

@@ -411,7 +411,7 @@ class NewCalibration(TypedDict):
         ]
         | Sequence[Sequence[int]]
     ]
-    control_sigma_mm: NotRequired[float | None]
+    position_sigma_mm: NotRequired[float | None]
     loss: NotRequired[Literal["linear", "robust"]]
     labels: NotRequired[Literal["off", "report", "exclude", "repair"]]
     id: NotRequired[str | None]
@@ -438,7 +438,7 @@ class NewCalibrationRun(TypedDict):
         ]
         | Sequence[Sequence[int]]
     ]
-    control_sigma_mm: NotRequired[float | None]
+    position_sigma_mm: NotRequired[float | None]
     loss: NotRequired[Literal["linear", "robust"]]
     labels: NotRequired[Literal["off", "report", "exclude", "repair"]]
     points: NotRequired[Sequence[ControlPoint] | None]
@@ -464,7 +464,7 @@ class NewMappingRun(TypedDict):
     pitch_mm: NotRequired[Sequence[float] | None]
     penalty_weight: NotRequired[float | None]
     min_neighbours: NotRequired[int]
-    point_sigma_mm: NotRequired[float]
+    position_sigma_mm: NotRequired[float]
     note: NotRequired[str]
 
 

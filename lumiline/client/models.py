@@ -506,7 +506,7 @@ class CalibrationSettings(ResponseModel):
     """How a device is calibrated.Raises: InvalidParameter: a value is out of range or unknown."""
 
     distortion: str | tuple[tuple[int, int], ...] = "none"
-    control_sigma_mm: float | None = None
+    position_sigma_mm: float | None = None
     loss: str = "linear"
     labels: str = "off"
 
@@ -1977,7 +1977,7 @@ class ErrorSources(ResponseModel):
     flat_field_residual: float | None = None
     reading_step_px: float | None = None
     control_points: int | None = None
-    control_sigma_mm: float | None = None
+    control_position_sigma_mm: float | None = None
     distortion: str | None = None
     uncorrected_distortion_px: tuple[float, ...] | None = None
     terms_residual_px: float | None = None

@@ -45,7 +45,7 @@ SKIPPED: Final = {
     ("README.md", "make"): "minutes each; CI runs both, and `make test` would run itself",
     ("docs/how-to/devices.md", "curl"): "a device on a USB port",
     ("docs/how-to/genicam.md", "apt-get"): "changes the machine",
-    ("docs/how-to/genicam.md", "lumiline cameras"): "needs the library that the line before installs",
+    ("docs/how-to/genicam.md", "lumiline cameras"): "needs that library",
     ("docs/how-to/genicam.md", "curl"): "cameras in a network",
     ("docs/how-to/operation.md", "docker/"): "tests/docker",
     ("docs/how-to/operation.md", "docker compose"): "needs Docker; CI runs the image",
@@ -202,9 +202,6 @@ def _tool(device_id: str, tool_id: str = "pointer") -> dict[str, Any]:
 
 def _calibration(reader: Reader) -> None:
     reader.run("lumiline examples . --force")
-    reader.run(
-        "lumiline wand waved.csv --positions '0 300' --calibration nominal.json --output c.json"
-    )
     frame = reader.example("runs/calibration")
     reader.write("frame.json", frame)
     reader.write("places.json", reader.example("runs/mapping"))
@@ -237,9 +234,7 @@ def _radiometric(reader: Reader) -> None:
 
 def _recordings(reader: Reader) -> None:
     reader.run("lumiline examples . --force")
-    reader.run(
-        "lumiline wand waved.csv --positions '0 300' --calibration nominal.json --output camera.json"
-    )
+    shutil.copy(reader.folder / "nominal.json", reader.folder / "camera.json")
     reader.run("lumiline map volume.csv --calibration camera.json --output corrections.h5")
     reader.record("frame.h5", {"kind": "calibration-frame"}, 2.0, frame_rate_hz=400)
     capture = reader.example("captures")

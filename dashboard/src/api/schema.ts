@@ -2051,7 +2051,7 @@ export interface components {
                 number,
                 number
             ][];
-            control_sigma_mm?: number | null;
+            position_sigma_mm?: number | null;
             /**
              * @default linear
              * @enum {string}
@@ -2506,7 +2506,7 @@ export interface components {
             flat_field_residual?: number | null;
             reading_step_px?: number | null;
             control_points?: number | null;
-            control_sigma_mm?: number | null;
+            control_position_sigma_mm?: number | null;
             distortion?: ("uncorrected" | "terms" | "map") | null;
             uncorrected_distortion_px?: number[] | null;
             terms_residual_px?: number | null;
@@ -3362,7 +3362,7 @@ export interface components {
                 number,
                 number
             ][];
-            control_sigma_mm?: number | null;
+            position_sigma_mm?: number | null;
             /**
              * @default linear
              * @enum {string}
@@ -3385,7 +3385,7 @@ export interface components {
                 number,
                 number
             ][];
-            control_sigma_mm?: number | null;
+            position_sigma_mm?: number | null;
             /**
              * @default linear
              * @enum {string}
@@ -3498,7 +3498,7 @@ export interface components {
             /** @default 4 */
             min_neighbours: number;
             /** @default 0 */
-            point_sigma_mm: number;
+            position_sigma_mm: number;
             /** @default  */
             note: string;
         };

@@ -592,6 +592,7 @@ class CaptureSettings(TypedDict):
     marker: NotRequired[int | None]
     seen_share: NotRequired[float]
     timeout_s: NotRequired[float]
+    still_px: NotRequired[float]
 
 
 class NewCapture(TypedDict):
@@ -601,6 +602,7 @@ class NewCapture(TypedDict):
     device_id: str
     note: NotRequired[str]
     targets: Sequence[CapturesTarget]
+    recording_id: NotRequired[str | None]
     settings: NotRequired[CaptureSettings]
 
 

@@ -734,6 +734,7 @@ class CaptureSettings(ResponseModel):
     marker: int | None = None
     seen_share: float = 0.8
     timeout_s: float = 10.0
+    still_px: float = 0.5
 
 
 class CapturesTarget(ResponseModel):
@@ -774,6 +775,7 @@ class Capture(ResponseModel):
     note: str
     created_at: datetime
     updated_at: datetime
+    recording_id: str | None
     settings: CaptureSettings
     targets: tuple[CapturesTarget, ...]
     captured: tuple[CapturedTarget, ...]

@@ -63,7 +63,9 @@ def _rename_calibrations(bind: sa.Connection, tables: sa.MetaData, names: Names)
     parents = sa.Table("correction_tables", tables, autoload_with=bind)
     for key, content in bind.execute(sa.select(rows.c.id, rows.c.content)).all():
         result = content.get("result") if isinstance(content, dict) else None
-        settings = result.get("settings") if isinstance(result, dict) else None
+        if not isinstance(result, dict):
+            continue
+        settings = result.get("settings")
         renamed = _renamed(settings, names)
         if renamed == settings:
             continue

@@ -53,7 +53,15 @@ SKIPPED: Final = {
     ("docs/how-to/radiometric-calibration.md", "lumiline radiometric-calibration capture"):
         "a person changes the light and presses Enter; "
         "tests/service/cli/test_radiometric_calibration.py",
+    ("docs/how-to/radiometric-calibration.md", "lumiline radiometric-calibration line-shape"):
+        "a person moves a marker; test_recorded_lines.py",
+    ("docs/how-to/radiometric-calibration.md", "lumiline radiometric-calibration upload shaped"):
+        "the file of the line before",
     ("docs/how-to/tcd1304.md", "curl"): "boards on USB ports",
+    ("docs/how-to/tools.md", "curl -s localhost:8000/api/v1/tools/pointer/points"):
+        "a person holds the tip still; tests/service/api/tools",
+    ("docs/how-to/tools.md", "lumiline tools point"):
+        "a person holds the tip still; tests/service/api/tools",
     ("docs/how-to/webhooks.md", "curl"): "a server and an alarm with names of their own",
     ("docs/reference/versions.md", "python docs/generators/contract.py "):
         "writes into the repository",
@@ -73,7 +81,7 @@ class Command:
 
 def shell_blocks(text: str) -> Iterator[tuple[int, list[str]]]:
     """Yield first line and lines of each block of commands."""
-    fence = ""
+    fence, body = "", list[str]()
     for number, line in enumerate(text.splitlines(), 1):
         mark = re.match(r"^\s*(`{3,})(.*)$", line)
         if mark and not fence:
@@ -149,7 +157,8 @@ class Reader:
     def run(self, text: str) -> str:
         """Return what a command prints; it must succeed."""
         done = subprocess.run(
-            ["bash", "-euo", "pipefail", "-c", text],
+            # Not the last command of bash: the shell is there to be found by --install-completion.
+            ["bash", "-euo", "pipefail", "-c", f"{text}\n:"],
             cwd=self.folder, env=self.environment, capture_output=True, text=True,
             timeout=TIMEOUT_S, stdin=subprocess.DEVNULL,
         )  # fmt: skip
@@ -243,7 +252,29 @@ def _recordings(reader: Reader) -> None:
 
 
 def _tools(reader: Reader) -> None:
-    reader.write("tools.json", [_tool("bar", "probe")])
+    reader.running("bar", reader.simulate(MOVING_TOOL, frame_rate_hz=100))
+    reader.write("probe.json", _tool("sim", "probe") | {"strobe_markers": [4, 5, 6, 7]})
+    reader.write("tools.json", [_tool("bar", "stylus")])
+
+
+def _reference(reader: Reader) -> None:
+    reader.request("POST", "tools", _tool("sim"))
+    reader.write("points.json", reader.example("calibrations"))
+    reader.write("lines.json", reader.example("line-scans"))
+    reader.run("lumiline examples .")
+    reader.write("nominal.json", reader.request("GET", "calibrations/sim-nominal"))
+    reader.run("lumiline map volume.csv --calibration nominal.json --output sim-map.h5")
+    table = (reader.folder / "sim-map.h5").read_bytes()
+    answer = httpx.post(
+        f"http://{reader.address}/api/v1/correction-tables", params={"id": "sim-map"},
+        content=table, headers={"content-type": "application/x-hdf5"}, timeout=60.0,
+    )  # fmt: skip
+    assert answer.is_success, answer.text
+
+
+def _etag(reader: Reader) -> str:
+    answer = httpx.get(f"http://{reader.address}/api/v1/tools/pointer")
+    return answer.headers["etag"]
 
 
 PREPARE: Final[dict[str, Callable[[Reader], None]]] = {
@@ -254,6 +285,7 @@ PREPARE: Final[dict[str, Callable[[Reader], None]]] = {
     "docs/how-to/radiometric-calibration.md": _radiometric,
     "docs/how-to/recordings.md": _recordings,
     "docs/how-to/tools.md": _tools,
+    "docs/reference/api.md": _reference,
 }
 """By page: what its reader has before it begins."""
 
@@ -270,6 +302,7 @@ PLACEHOLDERS: Final[dict[str, dict[str, Callable[[Reader], str]]]] = {
     "docs/how-to/security.md": {
         "k3f90aq7m2xd": lambda reader: json.loads(reader.run("lumiline keys list --json"))[0]["id"],
     },
+    "docs/reference/api.md": {'"5f0c..."': _etag},
 }  # fmt: skip
 """By page and text: what it stands for."""
 
@@ -344,6 +377,8 @@ def run_endless(reader: Reader, text: str) -> None:
         ["bash", "-c", f"exec {text}" if "=" not in text.split()[0] else f"env {text}"],
         cwd=reader.folder, env=reader.environment | {"LUMILINE_PORT": str(port)},
         stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, stdin=subprocess.DEVNULL,
+        # Ignored in what a shell runs in the background, and so would be Ctrl-C.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )  # fmt: skip
     assert process.stdout is not None
     if "serve" in text.split():

@@ -2110,6 +2110,7 @@ export interface components {
             created_at: string;
             /** Format: date-time */
             updated_at: string;
+            recording_id: string | null;
             settings: components["schemas"]["CaptureSettings"];
             targets: components["schemas"]["service__api__captures__schema__Target"][];
             captured: components["schemas"]["CapturedTarget"][];
@@ -2123,6 +2124,8 @@ export interface components {
             seen_share: number;
             /** @default 10 */
             timeout_s: number;
+            /** @default 0.5 */
+            still_px: number;
         };
         CapturedFrames: {
             frames: number;
@@ -3412,6 +3415,7 @@ export interface components {
             /** @default  */
             note: string;
             targets: components["schemas"]["service__api__captures__schema__Target"][];
+            recording_id?: string | null;
             settings?: components["schemas"]["CaptureSettings"];
         };
         NewCapturedTool: {

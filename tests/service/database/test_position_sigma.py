@@ -47,7 +47,7 @@ def test_documents_of_before_have_the_new_name_and_their_hashes(database: Databa
     table = replace(content(made.content_hash), settings={"position_sigma_mm": 0.1, "points": 9})
     with Session(database.engine) as session:
         parent = add_calibration(session, "sim", made, "", "framed")
-        add_table(session, table, parent, "computed", "", "mapped")
+        add_table(session, table, parent, "run", "", "mapped")
         for kind in ("calibration", "mapping", "update"):
             session.add(
                 RunRow(

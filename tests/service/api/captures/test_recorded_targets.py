@@ -12,9 +12,9 @@ from hardware.simulated.simulated_rig import simulated_sensor_models
 from service.api.captures.examples import NEW_CAPTURES
 from service.api.captures.schema import CaptureSettings, Target
 from service.api.devices.schema import Sensor
-from service.api.recordings import recalculation
 from service.api.recordings.recorded_readings import captured_targets
 from service.application.app import create_app
+from service.jobs.call_process import CallProcess
 from service.problems.errors import SensorsChanged
 from service.settings import Settings
 from tests.service.api.runs.in_process_worker import use_in_process_worker
@@ -46,7 +46,7 @@ def client(settings: Settings, frame: Path, monkeypatch: pytest.MonkeyPatch) -> 
     def call(_self: Any, function: Any, *arguments: Any, timeout_s: float) -> Any:
         return function(*arguments)
 
-    monkeypatch.setattr(recalculation.CallProcess, "call", call)
+    monkeypatch.setattr(CallProcess, "call", call)
     settings.folders.recordings.mkdir(parents=True, exist_ok=True)
     shutil.copy(frame, settings.folders.recordings / "frame.h5")
     with TestClient(create_app(settings, FakePipeline())) as client:

@@ -25,6 +25,7 @@ import httpx
 import pytest
 
 from tests.running_server import serving
+from tests.service.cli.test_all_commands import COMMANDS
 
 ROOT: Final = Path(__file__).parents[2]
 PAGES: Final = ["README.md", *sorted(str(p.relative_to(ROOT)) for p in ROOT.glob("docs/**/*.md"))]
@@ -449,3 +450,28 @@ def test_commands_of_a_page_succeed_in_order(page: str, tmp_path: Path, programs
                     follow(reader, page, command)
                 except (AssertionError, subprocess.SubprocessError, LookupError) as error:
                     raise AssertionError(f"{page}:{command.line}: {command.text}") from error
+
+
+def unknown_options(text: str) -> list[str]:
+    """Return the options of commands that stand in a line of prose, and that they have not."""
+    found = []
+    for quoted in re.findall(r"`(?:LUMILINE_\w+=\S+ )?(lumiline [^`\n]+)`", text):
+        words = quoted.split()[1:]
+        name = " ".join(words[:2]) if " ".join(words[:2]) in COMMANDS else words[0]
+        if name not in COMMANDS:
+            continue  # a group of commands, or an option of all
+        known = {option for one in COMMANDS[name].params for option in one.opts}
+        named = set(re.findall(r"(?<![\w-])--[a-z-]+", quoted))
+        found += [f"{quoted}: {option}" for option in sorted(named - known - {"--help"})]
+    return found
+
+
+def test_commands_in_prose_have_the_options_that_are_named() -> None:
+    for page in PAGES:
+        assert not unknown_options((ROOT / page).read_text(encoding="utf-8")), page
+
+
+def test_unknown_options_finds_one_that_is_not_there() -> None:
+    assert unknown_options("`lumiline drift a.csv --sensors s3`, `lumiline plan --grid 3`") == [
+        "lumiline drift a.csv --sensors s3: --sensors"
+    ]

@@ -193,16 +193,16 @@ def _fit(
     progress(0.05, "cameras without distortion")
     undistorted = fit_undistorted(observed, settings.loss, initial_models)
     weighted = observed
-    if settings.control_sigma_mm is not None and observed.sigma_known:
-        weighted = observed.with_point_sigma(undistorted.models, settings.control_sigma_mm)
+    if settings.position_sigma_mm is not None and observed.sigma_known:
+        weighted = observed.with_point_sigma(undistorted.models, settings.position_sigma_mm)
     fits, selection = _fit_distortion(weighted, undistorted, settings, progress)
     progress(0.8, "covariance")
-    if settings.control_sigma_mm is None:
+    if settings.position_sigma_mm is None:
         result = assemble_with_exact_points(observed, fits, settings)
     else:
         joint = partial_progress(progress, 0.8, 1.0)
         result = _assemble_with_uncertain_points(
-            observed, fits, settings, settings.control_sigma_mm, joint
+            observed, fits, settings, settings.position_sigma_mm, joint
         )
     progress(1.0, "calibrated")
     return replace(result, distortion=selection)
@@ -221,9 +221,9 @@ def _fit_distortion(
     if requested == "auto":
         search = partial_progress(progress, 0.1, 0.8)
         point_sigma = None
-        if not observed.sigma_known and settings.control_sigma_mm is not None:
+        if not observed.sigma_known and settings.position_sigma_mm is not None:
             point_sigma = projected_point_sigma(
-                models, observed.points_mm, settings.control_sigma_mm
+                models, observed.points_mm, settings.position_sigma_mm
             )
         return fit_distortion_scale(observed, fits, settings.loss, point_sigma, search)
     if isinstance(requested, str):
@@ -338,18 +338,18 @@ def _assemble_with_uncertain_points(
     observed: ControlObservations,
     fits: SensorFits,
     settings: CalibrationSettings,
-    control_sigma_mm: float,
+    position_sigma_mm: float,
     progress: Progress,
 ) -> Calibration:
     """Adjust sensors and uncertain control points jointly and return the calibration."""
-    point_sigma = projected_point_sigma(fits.models, observed.points_mm, control_sigma_mm)
+    point_sigma = projected_point_sigma(fits.models, observed.points_mm, position_sigma_mm)
     if observed.sigma_known:
         sigma = observed.sigma_px
-        joint = adjust_control_points(observed, fits, sigma, control_sigma_mm, progress)
+        joint = adjust_control_points(observed, fits, sigma, position_sigma_mm, progress)
     else:
         pooled = settings.distortion == "auto"
         joint, sigma = _estimate_noise(
-            observed, fits, point_sigma, control_sigma_mm, pooled, progress
+            observed, fits, point_sigma, position_sigma_mm, pooled, progress
         )
     total = np.hypot(sigma, point_sigma)
     chi2_terms = observed.residuals_px(joint.models) / total
@@ -384,7 +384,7 @@ def _estimate_noise(
     observed: ControlObservations,
     fits: SensorFits,
     point_sigma_px: Array,
-    control_sigma_mm: float,
+    position_sigma_mm: float,
     pooled: bool,
     progress: Progress,
 ) -> tuple[JointFit, Array]:
@@ -406,7 +406,7 @@ def _estimate_noise(
     sigma, last = first, None
     for _ in range(MAX_NOISE_ITERATIONS):
         wide = np.broadcast_to(sigma, point_sigma_px.shape)
-        joint = adjust_control_points(observed, fits, wide, control_sigma_mm, progress, last)
+        joint = adjust_control_points(observed, fits, wide, position_sigma_mm, progress, last)
         last = joint
         variance, dof = (sigma * joint.sigma_ratio) ** 2, joint.redundancy
         if pooled:

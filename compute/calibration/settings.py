@@ -128,7 +128,7 @@ class CalibrationSettings:
         distortion: "none"; "auto": all terms up to the fifth order, their scale estimated
             (``compute.calibration.single_sensor.distortion_scale``); the name of one of PRESETS;
             or the terms themselves.
-        control_sigma_mm: standard deviation of each coordinate of the control points [mm]; None:
+        position_sigma_mm: standard deviation of each coordinate of the control points [mm]; None:
             exact. With it the points are unknowns too, and the covariance of the sensors is joint.
         loss: "linear": least squares. "robust": outliers lose their weight
             (``compute.robust_statistics``).
@@ -140,7 +140,7 @@ class CalibrationSettings:
     """
 
     distortion: Distortion = "none"
-    control_sigma_mm: float | None = None
+    position_sigma_mm: float | None = None
     loss: Loss = "linear"
     labels: LabelPolicy = "off"
 
@@ -158,13 +158,13 @@ class CalibrationSettings:
             check_order(self.distortion)
         elif self.distortion != "auto":
             preset_terms(self.distortion)
-        sigma = self.control_sigma_mm
+        sigma = self.position_sigma_mm
         low, high = CONTROL_SIGMA_RANGE_MM
         if sigma is not None and not (np.isfinite(sigma) and low <= sigma <= high):
             raise InvalidParameter(
-                f"control_sigma_mm is {sigma}; it must lie in {low:g} .. {high:g} mm, or be left "
+                f"position_sigma_mm is {sigma}; it must lie in {low:g} .. {high:g} mm, or be left "
                 "out for exact points",
-                control_sigma_mm=sigma,
+                position_sigma_mm=sigma,
             )
 
 

@@ -36,13 +36,13 @@ class MappingMeasurements:
         readings_px: readings of them, shape (N, S) [px]; NaN where not seen.
         sigma_px: standard deviations of the readings, shape (N, S) [px]; None: estimated from the
             residuals of the fit, one for each sensor.
-        point_sigma_mm: standard deviation of each coordinate of the positions, independent [mm].
+        position_sigma_mm: standard deviation of each coordinate of the positions, independent [mm].
     """
 
     points_mm: Array
     readings_px: Array
     sigma_px: Array | None = None
-    point_sigma_mm: float = 0.0
+    position_sigma_mm: float = 0.0
 
     def variance_px2(self, cameras: CameraStack) -> Array:
         """Return the readings' variances with the positions' projected in, shape (N, S) [px^2].
@@ -50,7 +50,7 @@ class MappingMeasurements:
         Without standard deviations of the readings, only the positions' share.
         """
         jacobian = cameras.linearise(self.points_mm)[1]
-        variance: Array = self.point_sigma_mm**2 * (jacobian**2).sum(axis=2)
+        variance: Array = self.position_sigma_mm**2 * (jacobian**2).sum(axis=2)
         if self.sigma_px is not None:
             variance = variance + self.sigma_px**2
         return np.where(np.isfinite(self.readings_px), variance, np.nan)
@@ -64,15 +64,15 @@ def check_measurements(measured: MappingMeasurements, models: Sequence[SensorMod
         models: the S cameras.
 
     Raises:
-        InvalidParameter: ``point_sigma_mm`` is not zero or positive, or an array is of a wrong
+        InvalidParameter: ``position_sigma_mm`` is not zero or positive, or an array is of a wrong
             shape or has a wrong value.
         NonFiniteValue, DuplicatePoint, ReadingOutsideSensor: see
             ``compute.camera.observation_checks``.
         TooFewPoints, DegeneratePoints: a sensor's points are too few, or flat.
     """
-    point_sigma = measured.point_sigma_mm
+    point_sigma = measured.position_sigma_mm
     if not 0.0 <= point_sigma < np.inf:
-        raise InvalidParameter(f"point_sigma_mm is {point_sigma}; it must be 0 or positive")
+        raise InvalidParameter(f"position_sigma_mm is {point_sigma}; it must be 0 or positive")
     points, readings = measured.points_mm, measured.readings_px
     check_observations(points, readings, models, measured.sigma_px)
     whole = _extents(points) if len(points) >= MIN_POINTS else None

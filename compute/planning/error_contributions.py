@@ -168,16 +168,16 @@ def _calibration(scene: PlannedScene, gain: Array) -> ErrorContribution:
     points = _control_points(scene)
     readings = scene.lines.cameras.project(points)
     on_pixels = is_visible(readings, scene.device.pixels, np.ones_like(readings))
-    sigma = inputs.number("control_sigma_mm")
+    sigma = inputs.number("control_position_sigma_mm")
     settings = CalibrationSettings(
         "none" if inputs.choice("distortion") == "uncorrected" else _TERMS,
-        control_sigma_mm=sigma if sigma > 0.0 else None,
+        position_sigma_mm=sigma if sigma > 0.0 else None,
     )
     calibration = _calibrate(scene, points, np.where(on_pixels, readings, np.nan), settings)
     model = MeasurementModel.of(calibration.models, np.array(calibration.covariance))
     covariance = model.systematic_covariance(scene.points_mm)
     variance = np.einsum("nis,nst,nit->ni", gain, covariance, gain)
-    names = ("control_points", "control_sigma_mm", "distortion", "reading_step_px")
+    names = ("control_points", "control_position_sigma_mm", "distortion", "reading_step_px")
     return ErrorContribution("calibration", "systematic", True, names, np.sqrt(variance))
 
 

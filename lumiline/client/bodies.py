@@ -396,7 +396,7 @@ class NewCalibration(TypedDict):
         ]
         | Sequence[Sequence[int]]
     ]
-    control_sigma_mm: NotRequired[float | None]
+    position_sigma_mm: NotRequired[float | None]
     loss: NotRequired[Literal["linear", "robust"]]
     labels: NotRequired[Literal["off", "report", "exclude", "repair"]]
     id: NotRequired[str | None]
@@ -423,7 +423,7 @@ class NewCalibrationRun(TypedDict):
         ]
         | Sequence[Sequence[int]]
     ]
-    control_sigma_mm: NotRequired[float | None]
+    position_sigma_mm: NotRequired[float | None]
     loss: NotRequired[Literal["linear", "robust"]]
     labels: NotRequired[Literal["off", "report", "exclude", "repair"]]
     points: NotRequired[Sequence[ControlPoint] | None]
@@ -449,7 +449,7 @@ class NewMappingRun(TypedDict):
     pitch_mm: NotRequired[Sequence[float] | None]
     penalty_weight: NotRequired[float | None]
     min_neighbours: NotRequired[int]
-    point_sigma_mm: NotRequired[float]
+    position_sigma_mm: NotRequired[float]
     note: NotRequired[str]
 
 
@@ -577,6 +577,7 @@ class CaptureSettings(TypedDict):
     marker: NotRequired[int | None]
     seen_share: NotRequired[float]
     timeout_s: NotRequired[float]
+    still_px: NotRequired[float]
 
 
 class NewCapture(TypedDict):
@@ -586,6 +587,7 @@ class NewCapture(TypedDict):
     device_id: str
     note: NotRequired[str]
     targets: Sequence[CapturesTarget]
+    recording_id: NotRequired[str | None]
     settings: NotRequired[CaptureSettings]
 
 

@@ -489,7 +489,7 @@ class CalibrationSettings(ResponseModel):
     """Settings of a calibration."""
 
     distortion: str | tuple[tuple[int, int], ...] = "none"
-    control_sigma_mm: float | None = None
+    position_sigma_mm: float | None = None
     loss: str = "linear"
     labels: str = "off"
 
@@ -717,6 +717,7 @@ class CaptureSettings(ResponseModel):
     marker: int | None = None
     seen_share: float = 0.8
     timeout_s: float = 10.0
+    still_px: float = 0.5
 
 
 class CapturesTarget(ResponseModel):
@@ -757,6 +758,7 @@ class Capture(ResponseModel):
     note: str
     created_at: datetime
     updated_at: datetime
+    recording_id: str | None
     settings: CaptureSettings
     targets: tuple[CapturesTarget, ...]
     captured: tuple[CapturedTarget, ...]
@@ -1946,7 +1948,7 @@ class ErrorSources(ResponseModel):
     flat_field_residual: float | None = None
     reading_step_px: float | None = None
     control_points: int | None = None
-    control_sigma_mm: float | None = None
+    control_position_sigma_mm: float | None = None
     distortion: str | None = None
     uncorrected_distortion_px: tuple[float, ...] | None = None
     terms_residual_px: float | None = None

@@ -138,7 +138,7 @@ MEMBERS: Final[dict[str, str]] = {
     "poses": "Readings of the target in each pose, by sensor.",
     "position_mm": "Its position X, Y, Z [mm]; null where there is none.",
     "position_px": "Position of each line [px].",
-    "position_sigma_mm": "Standard deviation of the markers' positions [mm].",
+    "position_sigma_mm": "Standard deviation of each coordinate of the known positions [mm].",
     "positions": "Differences of position over the control points' box.",
     "positions_mm": "Position of each marker at the reference [mm].",
     "previous_calibration_id": "The calibration that was active before; null: none.",

@@ -19,7 +19,6 @@ from compute.calibration.result import (
     effective_readings,
 )
 from compute.calibration.settings import CalibrationSettings, Distortion, LabelPolicy, Loss
-from compute.camera.model import SensorGeometry
 from compute.errors import InvalidParameter
 from service.cli.json_files import DOCUMENT
 from service.cli.observations_csv import ObservationTable, read_observations
@@ -37,6 +36,7 @@ from service.cli.output import (
     say_written,
     write_file,
 )
+from service.cli.sensor_geometry import PixelsOption, SensorsOption, with_geometry
 
 if TYPE_CHECKING:
     from compute.camera.field_distortion import Term
@@ -48,9 +48,11 @@ MAX_LISTED = 10
 def calibrate(
     context: typer.Context,
     observations: Annotated[Path, typer.Argument(help="CSV: X_mm,Y_mm,Z_mm,NAME_px,...")],
-    pixels: Annotated[int, typer.Option(min=8, help="Pixels of each sensor.")],
+    sensors: SensorsOption = None,
+    pixels: PixelsOption = None,
     pitch_um: Annotated[
-        float | None, typer.Option(min=0.01, help=r"Pixel pitch \[um]; helps wide-field lenses.")
+        float | None,
+        typer.Option(min=0.01, help=r"With --pixels: pixel pitch \[um]; helps wide-field lenses."),
     ] = None,
     distortion: Annotated[
         str,
@@ -74,6 +76,8 @@ def calibrate(
     """Calibrate from a CSV file; print the fit, write the calibration as JSON, and a report."""
     check_output(output, force=force)
     check_output(report, force=force)
+    if sensors is not None:
+        refuse_unused(context, "with --sensors, which says them of each", "pixels", "pitch_um")
     if report is None:
         refuse_unused(context, "without --report", "report_figures")
     if output is None and report is None:
@@ -85,11 +89,10 @@ def calibrate(
         cast("Loss", loss),
         cast("LabelPolicy", labels),
     )
-    table = read_observations(observations)
-    sensors = [SensorGeometry(name, pixels, pitch_um) for name in table.sensors]
+    table, geometry = with_geometry(read_observations(observations), sensors, pixels, pitch_um)
     with progress("calibrating", 1.0, quiet=as_json) as report_progress:
         result = calibrate_and_assess(
-            table.points_mm, table.readings_px, sensors, table.sigma_px, settings,
+            table.points_mm, table.readings_px, geometry, table.sigma_px, settings,
             lambda share, _stage: report_progress(share),
         )  # fmt: skip
     errors = _error_rows(result, table)

@@ -39,7 +39,7 @@ def drift(
     output: Annotated[
         Path | None, typer.Option(help="Write the calibration, brought up to date, as JSON.")
     ] = None,
-    sensors: Annotated[
+    update_sensors: Annotated[
         str | None, typer.Option(help="Sensors that may have changed, as 'A,B'; left out: all.")
     ] = None,
     as_json: AsJson = False,
@@ -48,7 +48,7 @@ def drift(
     """Check a calibration by still markers; write it brought up to date where that is asked."""
     check_output(output, force=force)
     if output is None:
-        refuse_unused(context, "without --output", "sensors", "force")
+        refuse_unused(context, "without --output", "update_sensors", "force")
     if earlier is not None:
         refuse_unused(context, "with --earlier, which tells readings apart", "position_sigma")
     checked = read_calibration(calibration).calibration
@@ -57,7 +57,7 @@ def drift(
     with progress("comparing", quiet=as_json):
         check = check_drift(checked, still)
         if output is not None:
-            names = None if sensors is None else sensors.replace(",", " ").split()
+            names = None if update_sensors is None else update_sensors.replace(",", " ").split()
             updated = update_calibration(checked, still, sensors=names)
     if as_json:
         print_json({"status": verdict_of(check), "in_words": in_words(check), **asdict(check)})

@@ -95,7 +95,7 @@ def read_calibration(path: Path) -> CalibrationFile:
     )  # fmt: skip
     if sent:
         return CalibrationFile(
-            calibration, str(content.get("content_hash", "")), str(content.get("device", ""))
+            calibration, str(content.get("content_hash", "")), str(content.get("device_id", ""))
         )
     canonical = DOCUMENT.dump_python(calibration, mode="json")
     return CalibrationFile(calibration, content_hash(canonical))

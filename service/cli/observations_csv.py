@@ -8,9 +8,11 @@ from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
+from rich.markup import escape
 
-from compute.camera.model import SensorModel
+from compute.camera.model import SensorGeometry, SensorModel
 from compute.errors import InvalidParameter
+from service.cli.output import hint
 from service.cli.spreadsheet import Cell, NumberFormat, read_spreadsheet
 
 Array = NDArray[np.float64]
@@ -51,9 +53,13 @@ class ReadingTable:
     readings_px: Array
     sigma_px: Array | None
 
-    def in_order_of(self, models: Sequence[SensorModel], source: str = "the calibration") -> Self:
-        """Return the readings in the order of a calibration's sensors; raises InvalidParameter."""
-        names = tuple(model.name for model in models)
+    def in_order_of(
+        self,
+        sensors: Sequence[SensorModel] | Sequence[SensorGeometry],
+        source: str = "the calibration",
+    ) -> Self:
+        """Return the readings in the order of these sensors; raises InvalidParameter."""
+        names = tuple(sensor.name for sensor in sensors)
         if set(self.sensors) != set(names):
             raise InvalidParameter(
                 f"{self.path} has readings of {', '.join(self.sensors)}; {source} is of "
@@ -82,11 +88,13 @@ class ObservationTable(ReadingTable):
 def read_observations(path: Path) -> ObservationTable:
     """Read columns ``X_mm, Y_mm, Z_mm``, and for each sensor ``NAME_px`` [, ``NAME_sigma_px``].
 
-    Coordinates may be in other units of POWERS. A column ``name`` has the points' labels; other
-    columns are left alone. An empty reading means that the sensor did not see the point.
+    Coordinates may be in other units of POWERS. A column ``name`` has the points' labels. Other
+    columns are not used; those of numbers are named on standard error. An empty reading means that
+    the sensor did not see the point.
 
     Raises:
-        InvalidParameter: a column is missing, or a cell is not a number.
+        InvalidParameter: a column is missing, a cell is not a number, or a column that is not used
+            is called like a sensor.
     """
     file = _File(path, POSITION)
     readings, sigma, points = file.numbers()
@@ -105,11 +113,13 @@ def read_observations(path: Path) -> ObservationTable:
 def read_wand(path: Path, markers: int) -> ReadingTable:
     """Read columns ``pose, marker`` (from 1), and for each sensor ``NAME_px`` [, sigma].
 
-    Poses are told apart by their text and kept in the order in which they first come.
+    Poses are told apart by their text and kept in the order in which they first come. Other
+    columns are as in ``read_observations``.
 
     Raises:
         InvalidParameter: a column is missing, a cell is not a number, a marker that the wand has
-            not got, or a pose's marker given twice.
+            not got, a pose's marker given twice, or a column that is not used is called like a
+            sensor.
     """
     file = _File(path, POSE_COLUMNS)
     readings, sigma, _ = file.numbers()
@@ -195,6 +205,34 @@ class _File:
         self._positions = [name for name in POSITION if name in required]
         used = [*self._positions, *self._sigma, *(f"{name}_px" for name in self.sensors)]
         self._format = NumberFormat(sheet, (cell for name in used for cell in self.cells(name)))
+        self._report_unused({*used, *required, *(("name",) if required == POSITION else ())})
+
+    def _report_unused(self, used: set[str]) -> None:
+        """Name the columns of numbers that are not used; raises InvalidParameter for a reading."""
+        indices = {self.columns[name] for name in used if name in self.columns}
+        unused = [
+            heading
+            for index, heading in enumerate(self._sheet.headings)
+            if index not in indices
+            and heading
+            and any(row[index].numeric for row in self._sheet.rows)
+            and all(row[index].numeric or row[index].missing for row in self._sheet.rows)
+        ]
+        patterns = {_pattern(name): name for name in reversed(self.sensors)}
+        for heading in unused:
+            if _pattern(heading) in patterns:
+                raise InvalidParameter(
+                    f'{self._sheet.path} has numbers in the column "{heading}", which is called '
+                    f"like the sensor {patterns[_pattern(heading)]} but is not said to be in "
+                    f"pixels; call it {heading}_px if it has readings, or else delete it"
+                )
+        if unused:
+            what = "columns" if len(unused) > 1 else "column"
+            hint(
+                f"{self._sheet.path}: the numbers in the {what} {escape(', '.join(unused))} are "
+                "not used; "
+                "the heading of readings ends in _px"
+            )
 
     def cells(self, name: str) -> list[Cell]:
         """Return the cells of a column."""
@@ -212,6 +250,12 @@ class _File:
             for name in names
         ]
         return np.array(columns).reshape(len(names), len(self._sheet.rows)).T.copy()
+
+
+def _pattern(name: str) -> str:
+    """Return what names of one series have in common: cam1 and Cam 12, a and B."""
+    letters = re.sub(r"[\s_.-]", "", name.lower())
+    return "?" if len(letters) == 1 and letters.isalpha() else re.sub(r"\d+", "#", letters)
 
 
 def _recognise(heading: str) -> tuple[str, int]:

@@ -36,6 +36,11 @@ class Cell:
         """Whether the cell states no value."""
         return self.text.lower() in MISSING
 
+    @property
+    def numeric(self) -> bool:
+        """Whether the cell looks like a number, in whatever way it is written."""
+        return _NUMBER.fullmatch(_plain(self.text)) is not None
+
 
 @dataclass(frozen=True)
 class Spreadsheet:

@@ -2,7 +2,7 @@
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import typer
@@ -12,7 +12,6 @@ from compute.calibration.self_calibration.result import SelfCalibration
 from compute.calibration.self_calibration.self_calibrate import self_calibrate
 from compute.calibration.self_calibration.targets import Recording, Wand
 from compute.calibration.self_calibration.wave_coverage import wave_coverage
-from compute.camera.model import SensorGeometry, SensorModel
 from compute.errors import InvalidParameter, LumilineError
 from service.cli.calibrate import fit_table, parse_distortion, write_calibration
 from service.cli.json_files import DOCUMENT, read_calibration
@@ -29,9 +28,13 @@ from service.cli.options import (
     refuse_unused,
 )
 from service.cli.output import check_output, console, make_table, print_json, progress, say
+from service.cli.sensor_geometry import PixelsOption, SensorsOption, with_geometry
 from service.cli.server_session import client_session
 from service.cli.wand_live import show_coverage, wave_live
 from service.cli.wand_sources import LiveWand, read_recorded_wand
+
+if TYPE_CHECKING:
+    from compute.camera.model import SensorGeometry, SensorModel
 
 CALIBRATION_SHARE = 0.8
 MAX_LISTED = 20
@@ -76,14 +79,15 @@ def wand(
             "and which of two mirror images is right.",
         ),
     ] = False,
-    pixels: Annotated[int | None, typer.Option(min=8, help="Pixels of each sensor.")] = None,
+    sensors: SensorsOption = None,
+    pixels: PixelsOption = None,
     directions: Annotated[
         str | None,
         typer.Option(
-            help="Without --calibration: for each sensor, in the order of its column, the "
-            r"direction in which its readings grow \[degrees, clockwise from the right, seen from "
-            "the device towards the scene], to 20 degrees, as '90 0 45 135'; it settles the mirror "
-            "image."
+            help="Without --calibration: for each sensor, in the order of --sensors or else of the "
+            r"columns, the direction in which its readings grow \[degrees, clockwise from the "
+            "right, seen from the device towards the scene], to 20 degrees, as '90 0 45 135'; it "
+            "settles the mirror image."
         ),
     ] = None,
     distortion: Annotated[
@@ -118,31 +122,26 @@ def wand(
             "give the strobed marker of each"
         )
     cameras = None if calibration is None else read_calibration(calibration).calibration.models
-    sensors: tuple[SensorGeometry, ...] | None = None
+    geometry: tuple[SensorGeometry, ...] = ()
     if readings is not None:
         table = read_wand(readings, len(target))
-        if cameras is None and pixels is not None:
-            sensors = tuple(SensorGeometry(name, pixels) for name in table.sensors)
+        if cameras is None:
+            table, geometry = with_geometry(table, sensors, pixels)
     elif recording is not None:
         with progress("finding peaks", 1.0, quiet=as_json) as report:
-            table, sensors = read_recorded_wand(recording, strobed, report)
+            table, geometry = read_recorded_wand(recording, strobed, report)
     else:
         assert device is not None
         with client_session(url, key) as client:
             source = LiveWand(client, device, strobed)
-            sensors = source.sensors
+            geometry = source.sensors
             table = wave_live(source, target, cameras, seconds, quiet=as_json)
     initial: tuple[SensorModel, ...] | tuple[SensorGeometry, ...]
     if cameras is not None:
         initial = cameras
         table = table.in_order_of(cameras, str(calibration))
-    elif sensors is None:
-        raise InvalidParameter(
-            "no initial cameras: give --calibration with a file, or --pixels of each sensor and "
-            "--directions to calibrate from the readings alone"
-        )
     else:
-        initial = sensors
+        initial = geometry
     waved = Recording(target, table.readings_px, table.sigma_px)
     try:
         with progress("calibrating", 1.0, quiet=as_json) as report:
@@ -214,11 +213,13 @@ def _refuse_unused(
     if readings is not None:
         refuse_unused(context, "on a CSV file, which names the markers", "strobe_markers")
     else:
-        refuse_unused(context, "here: the device's sensors have theirs", "pixels")
+        refuse_unused(context, "here: the device's sensors are known", "sensors", "pixels")
     if calibration is None:
         refuse_unused(context, "without --calibration", "from_readings")
     else:
-        refuse_unused(context, "with --calibration, whose cameras have theirs", "pixels")
+        refuse_unused(context, "with --calibration, which has the sensors", "sensors", "pixels")
+    if context.params["sensors"] is not None:
+        refuse_unused(context, "with --sensors, which says them of each", "pixels")
     if output is None:
         refuse_unused(context, "without --output", "force")
 

@@ -45,7 +45,7 @@ def read_recorded_wand(
     """
     # The file library and the kernels are loaded by who reads a recording.
     from hardware.recording.reader import RecordingReader
-    from service.cli.readings import recorded_readings
+    from service.api.recordings.recorded_readings import recorded_readings
 
     with RecordingReader(path) as reader:
         description = reader.info.description

@@ -291,6 +291,7 @@ class CaptureRow(_NotedOfDevice, Base):
     sensors: Mapped[list[dict[str, Any]]] = mapped_column(JSON)
     settings: Mapped[dict[str, Any]] = mapped_column(JSON)
     targets: Mapped[list[dict[str, Any]]] = mapped_column(JSON)
+    recording_id: Mapped[str | None] = mapped_column(String(200))
     captured: Mapped[dict[str, Any]] = mapped_column(JSON)
     updated_at: Mapped[datetime] = mapped_column(UtcDateTime)
 

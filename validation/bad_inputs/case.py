@@ -133,7 +133,7 @@ def false_refusals(trials: int, seed: int) -> tuple[int, list[str]]:
         count += 1
         sigma = trial.noise_px if trial.noise_given else None
         distortion: Distortion = "auto" if trial.distorted or number % 2 else "none"
-        settings = CalibrationSettings(distortion, trial.control_sigma_mm or None)
+        settings = CalibrationSettings(distortion, trial.position_sigma_mm or None)
         arrays = trial.control_mm, trial.readings_px
         found, text = answer(*arrays, trial.rig.pixels, settings, sigma)
         if found is None:

@@ -68,7 +68,7 @@ def run_trial(trial: Trial, rng: np.random.Generator) -> Outcome:
     rig = trial.rig
     sensors = [SensorGeometry(f"s{k + 1}", rig.pixels) for k in range(rig.sensors)]
     sigma = np.full(trial.readings_px.shape, trial.noise_px) if trial.noise_given else None
-    settings = CalibrationSettings("auto", trial.control_sigma_mm or None)
+    settings = CalibrationSettings("auto", trial.position_sigma_mm or None)
     try:
         found = calibrate(trial.control_mm, trial.readings_px, sensors, sigma, settings)
     except LumilineError as error:

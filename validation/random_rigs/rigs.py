@@ -81,7 +81,7 @@ class Trial:
         control_mm: coordinates of the control points as they are known, shape (N, 3).
         readings_px: shape (N, S); NaN where missing.
         noise_px: standard deviation of a reading.
-        control_sigma_mm: standard deviation of a known coordinate; 0: exact.
+        position_sigma_mm: standard deviation of a known coordinate; 0: exact.
         noise_given: whether calibration is told the noise.
     """
 
@@ -90,7 +90,7 @@ class Trial:
     control_mm: Array
     readings_px: Array
     noise_px: float
-    control_sigma_mm: float
+    position_sigma_mm: float
     noise_given: bool
 
     @property

@@ -166,8 +166,8 @@ def cross_validate(
     observed = ControlObservations.of(points, readings, sensors, sigma)
     fits = _stored_fits(calibration, observed)
     settings = calibration.settings or DEFAULTS
-    if sigma is not None and settings.control_sigma_mm is not None:
-        observed = observed.with_point_sigma(fits.models, settings.control_sigma_mm)
+    if sigma is not None and settings.position_sigma_mm is not None:
+        observed = observed.with_point_sigma(fits.models, settings.position_sigma_mm)
     differences = np.full(points.shape, np.nan)
     predicted = np.full(readings.shape, np.nan)
     batch = max(1, BATCH_VALUES // (readings.size * CameraStack.of(fits.models).width))

@@ -279,7 +279,7 @@ def _remarks(calibration: Calibration, sensors: tuple[SensorDiagnosis, ...]) -> 
                 "all three directions."
             )
         settings = calibration.settings
-        uncertain = settings is not None and settings.control_sigma_mm is not None
+        uncertain = settings is not None and settings.position_sigma_mm is not None
         if uncertain and fit.sigma_source == "assumed":
             remarks.append(
                 f"Sensor {one.sensor}: its readings count as uncertain by {fit.sigma_px:.2g} px, "

@@ -60,7 +60,7 @@ def adjust_control_points(
     observed: ControlObservations,
     fits: SensorFits,
     sigma_px: Array,
-    control_sigma_mm: float,
+    position_sigma_mm: float,
     progress: Progress = no_progress,
     start: JointFit | None = None,
 ) -> JointFit:
@@ -75,7 +75,7 @@ def adjust_control_points(
         observed: control points and readings.
         fits: starting cameras, with the readings' weights and the lenses' prior.
         sigma_px: standard deviations of the readings, shape (N, S) [px].
-        control_sigma_mm: standard deviation of each coordinate of the points [mm].
+        position_sigma_mm: standard deviation of each coordinate of the points [mm].
         progress: called with the fraction done and the stage.
         start: an adjustment with other standard deviations, from whose cameras and points the
             search starts; None: from the fitted cameras and the given points.
@@ -84,13 +84,13 @@ def adjust_control_points(
         NoConvergence: see ``adjust``.
         UndeterminedParameters: see ``adjust``.
     """
-    point_sigma = projected_point_sigma(fits.models, observed.points_mm, control_sigma_mm)
+    point_sigma = projected_point_sigma(fits.models, observed.points_mm, position_sigma_mm)
     used = fits.used(observed)
     for share in MIN_NOISE_SHARES:
         # Readings much more precise than the points make a valley too narrow to follow.
         wide = np.maximum(sigma_px, share * np.nan_to_num(point_sigma))
         try:
-            adjustment = _adjust(observed, fits, wide, control_sigma_mm, progress, start)
+            adjustment = _adjust(observed, fits, wide, position_sigma_mm, progress, start)
         except (NoConvergence, UndeterminedParameters):
             if share == MIN_NOISE_SHARES[-1]:
                 raise
@@ -105,7 +105,7 @@ def _adjust(
     observed: ControlObservations,
     fits: SensorFits,
     sigma_px: Array,
-    control_sigma_mm: float,
+    position_sigma_mm: float,
     progress: Progress,
     start: JointFit | None,
 ) -> JointFit:
@@ -116,7 +116,7 @@ def _adjust(
         np.where(counts, observed.readings_px, np.nan),
         np.where(counts, sigma_px / np.sqrt(np.where(counts, fits.weights, 1.0)), np.nan),
         points,
-        np.broadcast_to(control_sigma_mm**2 * np.eye(3), (len(points), 3, 3)),
+        np.broadcast_to(position_sigma_mm**2 * np.eye(3), (len(points), 3, 3)),
     )
     free = np.concatenate(
         [np.isin(np.arange(m.parameter_count), fitted_columns(m)) for m in fits.models]

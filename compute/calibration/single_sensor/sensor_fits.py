@@ -97,15 +97,15 @@ class ControlObservations:
         return cls(points_mm, readings_px, wide, sigma_px is not None, tuple(sensors))
 
     def with_point_sigma(
-        self, models: Sequence[SensorModel], point_sigma_mm: float
+        self, models: Sequence[SensorModel], position_sigma_mm: float
     ) -> "ControlObservations":
         """Add the control points' uncertainty to the readings' standard deviations.
 
         Args:
             models: the S cameras.
-            point_sigma_mm: standard deviation of each coordinate [mm].
+            position_sigma_mm: standard deviation of each coordinate [mm].
         """
-        point_sigma = projected_point_sigma(models, self.points_mm, point_sigma_mm)
+        point_sigma = projected_point_sigma(models, self.points_mm, position_sigma_mm)
         return replace(self, sigma_px=np.hypot(self.sigma_px, np.nan_to_num(point_sigma)))
 
     def residuals_px(self, models: Sequence[SensorModel] | CameraStack) -> Array:

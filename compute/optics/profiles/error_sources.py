@@ -26,7 +26,7 @@ class ErrorSources:
         flat_field_residual: share of the fixed pattern that a flat field leaves.
         reading_step_px: step to which readings are rounded; 0: none [px].
         control_points: of the calibration, spread over the volume.
-        control_sigma_mm: of each of their coordinates [mm].
+        control_position_sigma_mm: of each of their coordinates [mm].
         distortion: how it is corrected: not, by terms of the camera model, by a table after them.
         uncorrected_distortion_px: what a camera without terms leaves, one value for each sensor
             [px]; None: the traced lens's.
@@ -52,7 +52,7 @@ class ErrorSources:
     flat_field_residual: float | None = None
     reading_step_px: float | None = None
     control_points: int | None = None
-    control_sigma_mm: float | None = None
+    control_position_sigma_mm: float | None = None
     distortion: DistortionCorrection | None = None
     uncorrected_distortion_px: tuple[float, ...] | None = None
     terms_residual_px: float | None = None
@@ -123,7 +123,7 @@ TYPICAL: Final[Mapping[str, TypicalValue]] = {
         "a frame of some 20 markers (20: Bianchi et al., 1990; 19: thesis, Test 5.4), "
         "at three places",
     ),
-    "control_sigma_mm": TypicalValue(
+    "control_position_sigma_mm": TypicalValue(
         0.05, "a frame measured to 0.01 to 0.02 mm, and the seats of its markers"
     ),
     "distortion": TypicalValue("terms", "what a calibration fits"),

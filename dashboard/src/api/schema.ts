@@ -2051,7 +2051,7 @@ export interface components {
                 number,
                 number
             ][];
-            control_sigma_mm?: number | null;
+            position_sigma_mm?: number | null;
             /**
              * @default linear
              * @enum {string}
@@ -2110,6 +2110,7 @@ export interface components {
             created_at: string;
             /** Format: date-time */
             updated_at: string;
+            recording_id: string | null;
             settings: components["schemas"]["CaptureSettings"];
             targets: components["schemas"]["service__api__captures__schema__Target"][];
             captured: components["schemas"]["CapturedTarget"][];
@@ -2123,6 +2124,8 @@ export interface components {
             seen_share: number;
             /** @default 10 */
             timeout_s: number;
+            /** @default 0.5 */
+            still_px: number;
         };
         CapturedFrames: {
             frames: number;
@@ -2506,7 +2509,7 @@ export interface components {
             flat_field_residual?: number | null;
             reading_step_px?: number | null;
             control_points?: number | null;
-            control_sigma_mm?: number | null;
+            control_position_sigma_mm?: number | null;
             distortion?: ("uncorrected" | "terms" | "map") | null;
             uncorrected_distortion_px?: number[] | null;
             terms_residual_px?: number | null;
@@ -3363,7 +3366,7 @@ export interface components {
                 number,
                 number
             ][];
-            control_sigma_mm?: number | null;
+            position_sigma_mm?: number | null;
             /**
              * @default linear
              * @enum {string}
@@ -3386,7 +3389,7 @@ export interface components {
                 number,
                 number
             ][];
-            control_sigma_mm?: number | null;
+            position_sigma_mm?: number | null;
             /**
              * @default linear
              * @enum {string}
@@ -3413,6 +3416,7 @@ export interface components {
             /** @default  */
             note: string;
             targets: components["schemas"]["service__api__captures__schema__Target"][];
+            recording_id?: string | null;
             settings?: components["schemas"]["CaptureSettings"];
         };
         NewCapturedTool: {
@@ -3499,7 +3503,7 @@ export interface components {
             /** @default 4 */
             min_neighbours: number;
             /** @default 0 */
-            point_sigma_mm: number;
+            position_sigma_mm: number;
             /** @default  */
             note: string;
         };

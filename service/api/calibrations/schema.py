@@ -99,7 +99,7 @@ class CalibrationOptions(RequestModel):
         "order, their scale estimated from the readings of all sensors), the name of a set, or the "
         "terms themselves as pairs of powers of the two field angles.",
     )
-    control_sigma_mm: Annotated[float, Field(ge=1e-6, le=1e3)] | None = Field(
+    position_sigma_mm: Annotated[float, Field(ge=1e-6, le=1e3)] | None = Field(
         default=None,
         description="Standard deviation of each coordinate of the control points; null: exact.",
     )
@@ -116,7 +116,7 @@ class CalibrationOptions(RequestModel):
         Raises:
             InvalidParameter: one means nothing, or contradicts another.
         """
-        return CalibrationSettings(self.distortion, self.control_sigma_mm, self.loss, self.labels)
+        return CalibrationSettings(self.distortion, self.position_sigma_mm, self.loss, self.labels)
 
 
 class NewCalibration(CalibrationOptions):

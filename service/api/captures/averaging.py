@@ -2,13 +2,14 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from datetime import datetime
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from service.api.captures.schema import CapturedTarget
+from service.api.captures.schema import CapturedSensor, CapturedTarget
 from service.problems.errors import MarkerNotMoved, NoObservation, TargetMoved
 
 Array = NDArray[np.float64]
@@ -27,6 +28,7 @@ class AveragedReading:
     """Readings of S sensors, each shape (S,); NaN where a sensor did not see the marker.
 
     Args:
+        total_frames: that were averaged.
         frames: in which it was seen.
         mean_px: mean reading [px].
         spread_px: standard deviation of one reading [px].
@@ -34,6 +36,7 @@ class AveragedReading:
         sigma_px: standard deviation of the mean [px]: of the larger of the two.
     """
 
+    total_frames: int
     frames: NDArray[np.intp]
     mean_px: Array
     spread_px: Array
@@ -83,7 +86,41 @@ def average(
             stated[column] = np.sqrt(np.nanmean(own**2))
         _check_rest(values, stated[column], sensors[column], target, int(enough.sum()))
     larger = np.fmax(np.fmax(spread, stated), 1e-6)
-    return AveragedReading(count, mean, spread, stated, larger / np.sqrt(np.maximum(count, 1)))
+    return AveragedReading(
+        frames, count, mean, spread, stated, larger / np.sqrt(np.maximum(count, 1))
+    )
+
+
+def to_captured(
+    target: str, found: AveragedReading, sensors: Sequence[str], captured_at: datetime
+) -> CapturedTarget:
+    """Return what was read of a target as a session keeps it.
+
+    Args:
+        target: its name.
+        found: its mean readings.
+        sensors: names of the sensors.
+        captured_at: when they were captured.
+    """
+    return CapturedTarget(
+        target=target,
+        frames=found.total_frames,
+        sensors=[
+            CapturedSensor(
+                sensor=name,
+                frames=int(found.frames[column]),
+                mean_px=float(found.mean_px[column]),
+                spread_px=float(found.spread_px[column]),
+                stated_px=(
+                    float(found.stated_px[column]) if np.isfinite(found.stated_px[column]) else None
+                ),
+                sigma_px=float(found.sigma_px[column]),
+            )
+            for column, name in enumerate(sensors)
+            if np.isfinite(found.mean_px[column])
+        ],
+        captured_at=captured_at,
+    )
 
 
 def _check_rest(values: Array, stated_px: float, sensor: str, target: str, sensors: int) -> None:

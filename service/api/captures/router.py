@@ -1,31 +1,34 @@
 """REST resource /api/v1/captures: place, hold, capture, next."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
+from pathlib import Path
 from threading import Lock
-from typing import Annotated
+from typing import Annotated, Protocol
 
-import numpy as np
 from fastapi import Body, Query, Response
 
 from service.api.captures import store
-from service.api.captures.averaging import average
+from service.api.captures.averaging import average, to_captured
 from service.api.captures.examples import NEW_CAPTURES
 from service.api.captures.schema import (
     Capture,
-    CapturedSensor,
     CapturedTarget,
     CaptureSettings,
     NewCapture,
 )
-from service.api.devices.store import get_device
+from service.api.devices.driver_factory import recording_path
+from service.api.devices.schema import Sensor
+from service.api.devices.store import get_device, sensors_of_row
 from service.api.inputs import (
     DatabaseDep,
     DeviceFilter,
     JsonTypes,
     LiveDep,
+    SettingsDep,
     id_in_path,
+    of_application,
 )
 from service.api.openapi import ResourceRouter, raises
 from service.api.paging import Page, PagingDep, page_of
@@ -38,6 +41,25 @@ router = ResourceRouter("/api/v1/captures", "captures")
 
 NewCaptureBody = Annotated[NewCapture, JsonTypes(), Body(openapi_examples=NEW_CAPTURES)]
 CapturePath = Annotated[str, id_in_path("The session's id.", "sim-capture", "frame")]
+
+
+class RecordedTargets(Protocol):
+    """Finds the targets of a session in a recording."""
+
+    def captured(
+        self, path: Path, request: NewCapture, sensors: Sequence[Sensor]
+    ) -> list[CapturedTarget]:
+        """Return what a recording has of a session's targets.
+
+        Args:
+            path: the recording.
+            request: the session to begin.
+            sensors: of its device.
+        """
+        ...
+
+
+RecordedTargetsDep = Annotated[RecordedTargets, of_application("recalculation")]
 
 _capturing: set[str] = set()
 _guard = Lock()
@@ -55,16 +77,31 @@ def list_captures(
 
 
 @router.operation("POST", "create-capture", "Begin a capture session", status_code=201)
-@raises("unknown-device", "capture-exists", "duplicate-point")
-def create_capture(request: NewCaptureBody, database: DatabaseDep, response: Response) -> Capture:
+@raises("unknown-device", "capture-exists", "duplicate-point", "unknown-recording")
+@raises("invalid-recording", "invalid-parameter", "sensors-changed", "nothing-seen", "target-moved")
+@raises("marker-not-moved", "busy")
+def create_capture(
+    request: NewCaptureBody,
+    database: DatabaseDep,
+    settings: SettingsDep,
+    recorded: RecordedTargetsDep,
+    response: Response,
+) -> Capture:
     """Name the places at which a marker will be held, in the order in which they will be visited.
 
     Then, for each: place the marker, hold it, POST `capture`. When all are done, name the session
-    as `capture_id` of a calibration or mapping run.
+    as `capture_id` of a calibration or mapping run. With `recording_id` all targets are captured at
+    once, from a recording with scans in which the markers rest at them.
     """
+    captured: Sequence[CapturedTarget] = ()
+    if request.recording_id is not None:
+        path = recording_path(request.recording_id, settings.folders.recordings)
+        with database.read() as session:
+            sensors = sensors_of_row(get_device(session, request.device_id))
+        captured = recorded.captured(path, request, sensors)
     with database.write() as session:
         device = get_device(session, request.device_id, lock=True)
-        made = store.document(store.add_capture(session, request, device))
+        made = store.document(store.add_capture(session, request, device, captured))
     response.headers["Location"] = f"/api/v1/captures/{made.id}"
     return made
 
@@ -126,29 +163,9 @@ def capture_target(
             frames=len(position),
         )
     found = average(position, sigma, names, settings.seen_share, wanted.name)
-    taken = CapturedTarget(
-        target=wanted.name,
-        frames=len(position),
-        sensors=[
-            CapturedSensor(
-                sensor=name,
-                frames=int(found.frames[column]),
-                mean_px=float(found.mean_px[column]),
-                spread_px=float(found.spread_px[column]),
-                stated_px=_number(found.stated_px[column]),
-                sigma_px=float(found.sigma_px[column]),
-            )
-            for column, name in enumerate(names)
-            if np.isfinite(found.mean_px[column])
-        ],
-        captured_at=datetime.now(UTC),
-    )
+    taken = to_captured(wanted.name, found, names, datetime.now(UTC))
     with database.write() as session:
         return store.document(store.keep(session, capture_id, taken))
-
-
-def _number(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
 
 
 @contextmanager

@@ -2,7 +2,7 @@
 
 from typing import Annotated
 
-from pydantic import Field
+from pydantic import Field, StringConstraints
 
 from hardware.field_bounds import FIRST_ERROR_ONLY
 from service.api.base_models import (
@@ -14,6 +14,7 @@ from service.api.base_models import (
     ResponseModel,
     Slug,
 )
+from service.api.devices.schema import RECORDING_PATTERN
 
 MAX_TARGETS = 2_000
 
@@ -47,6 +48,10 @@ class CaptureSettings(RequestModel):
     timeout_s: Annotated[float, Field(gt=0, le=60)] = Field(
         default=10.0, description="How long the frames are waited for."
     )
+    still_px: Annotated[float, Field(ge=0.001, le=1000)] = Field(
+        default=0.5,
+        description="With `recording_id`: largest change of a reading within a still period [px].",
+    )
 
 
 class NewCaptureSession(RequestModel):
@@ -61,6 +66,14 @@ class NewCapture(NewCaptureSession):
     """A capture session to begin."""
 
     targets: Annotated[list[Target], Field(min_length=1, max_length=MAX_TARGETS), FIRST_ERROR_ONLY]
+    recording_id: (
+        Annotated[str, StringConstraints(max_length=200, pattern=RECORDING_PATTERN)] | None
+    ) = Field(
+        default=None,
+        description="A recording with scans of the device: all targets are captured from it. Those "
+        "with a strobed marker rest all the time; those without are its still periods of ten "
+        "exposures or more, in their order. Null: from the running device, one by one.",
+    )
     settings: CaptureSettings = Field(default_factory=CaptureSettings)
 
 
@@ -106,6 +119,7 @@ class CaptureSession(ResponseModel):
 class Capture(CaptureSession):
     """A capture session: what is done and what is left."""
 
+    recording_id: str | None = Field(description="Captured from it; null: from the device.")
     settings: CaptureSettings
     targets: list[Target]
     captured: list[CapturedTarget] = Field(description="In the order of the targets.")

@@ -1,6 +1,7 @@
 """Capture sessions in the database: begun, filled target by target, turned into control points."""
 
 import secrets
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from math import dist
 from typing import Any
@@ -37,12 +38,24 @@ ALL_CAPTURED = "All targets are captured: post a run with this capture_id."
 CAPTURES = Resource(CaptureRow, "capture", UnknownCapture, CaptureExists, "capture session")
 
 
-def add_capture(session: Session, request: NewCapture, device: DeviceRow) -> CaptureRow:
-    """Store a new session, with nothing captured.
+def add_capture(
+    session: Session,
+    request: NewCapture,
+    device: DeviceRow,
+    captured: Sequence[CapturedTarget] = (),
+) -> CaptureRow:
+    """Store a new session.
+
+    Args:
+        session: the session of the database.
+        request: what to begin.
+        device: its device.
+        captured: what is captured already.
 
     Raises:
         CaptureExists: the id is taken.
         DuplicatePoint: two targets have one name, or one position.
+        MarkerNotMoved: two targets were read the same.
     """
     names: set[str] = set()
     places: dict[tuple[float, float, float], str] = {}
@@ -60,6 +73,9 @@ def add_capture(session: Session, request: NewCapture, device: DeviceRow) -> Cap
                 f"{target.position_mm} mm; give each once: a target can be captured again by name",
                 point=target.name,
             )
+    places_by_name = {target.name: target.position_mm for target in request.targets}
+    for number, found in enumerate(captured):
+        _check_moved(found, captured[:number], places_by_name)
     now = datetime.now(UTC)
     row = CaptureRow(
         id=request.id or f"capture-{secrets.token_hex(8)}",
@@ -67,7 +83,8 @@ def add_capture(session: Session, request: NewCapture, device: DeviceRow) -> Cap
         sensors=device.sensors,
         settings=request.settings.model_dump(mode="json"),
         targets=[target.model_dump(mode="json") for target in request.targets],
-        captured={},
+        recording_id=request.recording_id,
+        captured={one.target: one.model_dump(mode="json") for one in captured},
         note=request.note,
         created_at=now,
         updated_at=now,
@@ -140,15 +157,25 @@ def keep(session: Session, capture_id: str, found: CapturedTarget) -> CaptureRow
     row = CAPTURES.get(session, capture_id, lock=True)
     places = {target["name"]: target["position_mm"] for target in row.targets}
     others = [
-        CapturedTarget.model_validate(row.captured[name])
-        for name, place in places.items()
-        if name in row.captured and dist(place, places[found.target]) > MIN_POINT_DISTANCE_MM
+        CapturedTarget.model_validate(row.captured[name]) for name in places if name in row.captured
     ]
-    check_marker_moved(found, others)
+    _check_moved(found, others, places)
     row.captured = {**row.captured, found.target: found.model_dump(mode="json")}
     row.updated_at = datetime.now(UTC)
     session.flush()
     return row
+
+
+def _check_moved(
+    found: CapturedTarget,
+    others: Sequence[CapturedTarget],
+    places: Mapping[str, Sequence[float]],
+) -> None:
+    """Raise MarkerNotMoved where a target elsewhere was read the same."""
+    here = places[found.target]
+    check_marker_moved(
+        found, [one for one in others if dist(places[one.target], here) > MIN_POINT_DISTANCE_MM]
+    )
 
 
 def captured_points(

@@ -75,8 +75,10 @@ class CorrectionTableDocument(ResponseModel):
     max_correction_px: list[float] = Field(description="Largest coefficient there, by sensor.")
     settings: dict[str, Any] = Field(description="How it was asked to be made.")
     validation: dict[str, Any] = Field(description="Figures on points that it never saw.")
-    made_at: Moment = Field(description="When it was computed.")
-    created_at: Moment = Field(description="When it was stored here.")
+    made_at: Moment = Field(
+        description="When it was computed, perhaps on another server; part of the content hash."
+    )
+    created_at: Moment = Field(description="When it was stored on this server.")
 
 
 def find_parent(session: Session, content: TableContent) -> CalibrationRow:

@@ -1,5 +1,6 @@
-"""Points of recorded frames by another calibration, worked out in a process of its own."""
+"""Results of recorded frames, worked out in a process of its own: points, captured targets."""
 
+from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -8,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware.driver import DeviceDescription
+from service.api.captures.schema import CapturedTarget, CaptureSettings, NewCapture, Target
 from service.api.concurrency_limit import ConcurrencyLimit
-from service.api.devices.schema import check_sensors
+from service.api.devices.schema import Sensor, check_sensors
 from service.api.recordings.playback import recorded_frames
 from service.jobs.call_process import CallProcess
 from service.pipeline.active_calibration import ActiveCalibration
@@ -28,17 +30,18 @@ MAX_DEVICES: Final = 2
 
 
 class Recalculation:
-    """Works points out from recorded peaks, as the live pipeline would with another calibration.
+    """Works results out from recordings, as the live pipeline would have.
 
-    In a process: frames with many markers lit together take long, and would keep the live pipeline
-    waiting. It is started when needed, keeps its kernels, and ends when idle.
+    Points with another calibration, and captures of targets. In a process: frames with many markers
+    lit together take long, and would keep the live pipeline waiting. It is started when needed,
+    keeps its kernels, and ends when idle.
     """
 
     def __init__(self) -> None:
         self._process = CallProcess(MEMORY_BYTES, PEAK_BYTES)
         self._limit = ConcurrencyLimit(
             MAX_CONCURRENT,
-            f"{MAX_CONCURRENT} requests wait for points by another calibration; send this one "
+            f"{MAX_CONCURRENT} requests wait for results of recordings; send this one "
             "again in a second",
         )
 
@@ -64,6 +67,28 @@ class Recalculation:
             found: str = self._process.call(
                 _frames, path, name, first, count, given, timeout_s=TIMEOUT_S
             )
+        return found
+
+    def captured(
+        self, path: Path, request: NewCapture, sensors: Sequence[Sensor]
+    ) -> list[CapturedTarget]:
+        """Return what a recording has of a capture session's targets.
+
+        Args:
+            path: the recording.
+            request: the session to begin.
+            sensors: of its device.
+
+        Raises:
+            Busy: too many such requests wait.
+            WorkerEnded: it took too much time or memory.
+            LumilineError: as ``captured_targets``.
+        """
+        with self._limit:
+            found: list[CapturedTarget] = self._process.call(
+                _captured, path, request.device_id, list(sensors), request.targets,
+                request.settings, timeout_s=TIMEOUT_S,
+            )  # fmt: skip
         return found
 
     def close(self) -> None:
@@ -92,6 +117,16 @@ def _frames(path: Path, name: str, first: int, count: int, given: ActiveCalibrat
 
     found = recorded_frames(path, name, first, count, given.calibration_id, solve)
     return found.model_dump_json()
+
+
+def _captured(
+    path: Path, device_id: str, sensors: list[Sensor], targets: list[Target],
+    settings: CaptureSettings,
+) -> list[CapturedTarget]:  # fmt: skip
+    # The file library is loaded by the process alone.
+    from service.api.recordings.recorded_readings import captured_targets
+
+    return captured_targets(path, device_id, sensors, targets, settings)
 
 
 @lru_cache(maxsize=MAX_DEVICES)

@@ -113,7 +113,7 @@ class NewMappingRun(PointsRequest):
     min_neighbours: Annotated[int, Field(ge=1, le=1000)] = Field(
         default=4, description="Measurements near a cell without which it is not supported."
     )
-    point_sigma_mm: Annotated[float, Field(ge=0, le=1000)] = Field(
+    position_sigma_mm: Annotated[float, Field(ge=0, le=1000)] = Field(
         default=0.0, description="Standard deviation of each coordinate of the points."
     )
     note: Note = ""

@@ -50,8 +50,8 @@ def test_the_factory_set_makes_nineteen_parameters() -> None:
         ({"distortion": ((1, 1),)}, "tilt"),
         ({"distortion": ((3, 0), (50, 50))}, r"u\^50 v\^50, of the order 100"),
         ({"distortion": ((6, 4),)}, "may add up to 9"),
-        ({"control_sigma_mm": 0.0}, "1e-06"),
-        ({"control_sigma_mm": float("nan")}, "nan"),
+        ({"position_sigma_mm": 0.0}, "1e-06"),
+        ({"position_sigma_mm": float("nan")}, "nan"),
     ],
 )
 def test_settings_that_mean_nothing(given: dict[str, Any], message: str) -> None:

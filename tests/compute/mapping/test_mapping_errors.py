@@ -70,7 +70,7 @@ def test_values_that_are_none(control, models):
     sigma = control.sigma_px.copy()
     sigma[2, 0] = 0.0
     refused(InvalidParameter, "point 3 by sensor s1 is 0.0", models, changed(control, sigma=sigma))
-    refused(InvalidParameter, "point_sigma_mm is -1", models, changed(control, spread=-1.0))
+    refused(InvalidParameter, "position_sigma_mm is -1", models, changed(control, spread=-1.0))
 
 
 def test_a_reading_beyond_the_pixels(control, models):

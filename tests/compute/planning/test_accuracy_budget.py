@@ -173,7 +173,7 @@ def test_calibrations_with_uncertain_control_points_scatter_as_budgeted() -> Non
             readings,
             [SensorGeometry(f"s{i}", 2048) for i in range(4)],
             np.broadcast_to(SIGMA, readings.shape),
-            CalibrationSettings(control_sigma_mm=sigma_mm),
+            CalibrationSettings(position_sigma_mm=sigma_mm),
         )
         cameras = CameraStack.of(found.models)
         shifted = cameras.project(POINTS)
@@ -183,7 +183,7 @@ def test_calibrations_with_uncertain_control_points_scatter_as_budgeted() -> Non
         errors.append(locate(SENSORS, 2.0 * truth - shifted, SIGMA, POINTS) - POINTS)
     rms = np.sqrt(np.square(errors).mean(axis=0))
     sources = ErrorSources(
-        control_points=control, control_sigma_mm=sigma_mm, distortion="uncorrected"
+        control_points=control, control_position_sigma_mm=sigma_mm, distortion="uncorrected"
     )
     budgeted = contribution("calibration", sources)
     # 120 trials scatter by 6 %; another placement of 25 points does more.
@@ -200,7 +200,9 @@ def test_terms_leave_what_they_cannot_fit() -> None:
             wave = wave_px * np.sin(2.0 * np.pi * u / 0.05)
             return sensor.read(points) + 0.5 * sensor.distance_px * u**3 + wave
 
-        sources = ErrorSources(terms_residual_px=0.0, control_points=300, control_sigma_mm=0.0)
+        sources = ErrorSources(
+            terms_residual_px=0.0, control_points=300, control_position_sigma_mm=0.0
+        )
         found = {one.name: one for one in error_contributions(scene(sources, lens=lens))}
         return found["distortion after terms"].sigma_mm
 
@@ -218,7 +220,9 @@ def test_terms_leave_what_they_cannot_fit() -> None:
 
 def test_more_and_better_control_points_calibrate_better() -> None:
     few, many, exact = (
-        contribution("calibration", ErrorSources(control_points=count, control_sigma_mm=sigma))
+        contribution(
+            "calibration", ErrorSources(control_points=count, control_position_sigma_mm=sigma)
+        )
         for count, sigma in ((30, 0.1), (480, 0.1), (30, 0.0))
     )
     ratio = few / many

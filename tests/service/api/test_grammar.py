@@ -54,6 +54,16 @@ JUDGED: Final = {
 """What is judged: schemas that have a ``status``."""
 HTTP_STATUS: Final = {"Problem", "ProblemType", "RunProblem"}
 """Problem documents, whose ``status`` is a number of HTTP."""
+SIGMAS_MM: Final = {
+    "position_sigma_mm": "of each coordinate of known positions that the request gives",
+    "control_position_sigma_mm": "the same, of a plan's calibration beside its other error sources",
+    "reference_sigma_mm": "of a known distance",
+    "frame_sigma_mm": "of fiducials in the frame of the image",
+    "measured_sigma_mm": "of fiducials as the device measured them",
+    "mean_sigma_mm": "of found points, on the mean",
+    "max_sigma_mm": "of found points, the largest or its limit",
+}
+"""Members in ``_sigma_mm`` and their quantities: one quantity has one name."""
 OTHER_UNITS: Final = {"seconds", "milliseconds", "minutes", "hours"}
 """Words in place of which a name has the unit at its end, such as ``duration_s``."""
 
@@ -208,6 +218,15 @@ def not_snake_case(document: Document) -> list[Any]:
     ]
 
 
+def sigmas_by_other_names(document: Document) -> list[Any]:
+    """Standard deviations in mm under a name that no quantity of SIGMAS_MM has."""
+    return [
+        (schema, name)
+        for schema, name, _ in properties(document)
+        if name.endswith("_sigma_mm") and name not in SIGMAS_MM
+    ]
+
+
 def units_written_out(document: Document) -> list[Any]:
     return [
         (schema, member)
@@ -221,6 +240,7 @@ CHECKS: Final[dict[str, Callable[[Document], list[Any]]]] = {
     for check in (
         bare_references, moments_without_at, lists_without_pages, states_and_statuses_mixed,
         keys_of_paths, items_without_id, not_snake_case, units_written_out,
+        sigmas_by_other_names,
     )
 }  # fmt: skip
 
@@ -236,6 +256,7 @@ def test_the_tables_name_what_there_is() -> None:
     assert schemas >= STATES | JUDGED | HTTP_STATUS | {schema for schema, _ in NO_REFERENCE}
     segments = {segment for path in document["paths"] for segment in path.split("/")}
     assert segments >= set(RESOURCES)
+    assert {member for _, member, _ in properties(document)} >= set(SIGMAS_MM)
 
 
 def text(**more: Any) -> dict[str, Any]:
@@ -302,6 +323,7 @@ VIOLATIONS: Final[list[tuple[str, Callable[[Document], None]]]] = [
     ("items_without_id", without_id),
     ("not_snake_case", with_member("Run", "deviceId", text())),
     ("not_snake_case", with_query("/api/v1/runs", "device-id")),
+    ("sigmas_by_other_names", with_member("Run", "control_sigma_mm", {"type": "number"})),
     ("units_written_out", with_member("Run", "seconds", {"type": "number"})),
 ]
 

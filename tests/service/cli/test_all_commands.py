@@ -54,7 +54,7 @@ OTHER_NAMES: Final = {
 UNITS: Final = {"um": "-um", "px": "-px", "s": "-s", "°C": "-c", "Hz": "-hz", "mm": ""}
 SAMPLES: Final = {
     "key": "abc", "scope": "read:stream", "name": "n", "hold": "h", "tool": "t", "device": "d",
-    "radiometric_id": "r", "pixels": "640", "positions": "0 300", "markers": "4",
+    "radiometric_id": "r", "positions": "0 300", "markers": "4",
 }  # fmt: skip
 """Values of what a command must be given, where that is no file."""
 SUBJECTS: Final = {"reproduce": ["section-6.1"], "plan": ["bar"], "wand": ["no-readings.csv"]}
@@ -248,8 +248,10 @@ NO_EFFECT: Final = [
     ("bench live --rate-hz 9", "--rate-hz"),
     ("bench pose --compute-device cpu", "--compute-device"),
     ("calibrate a.csv --pixels 640 --force", "--force"),
+    ("calibrate a.csv --sensors a=640 --pixels 640", "--pixels"),
+    ("calibrate a.csv --sensors a=640 --pitch-um 5", "--pitch-um"),
     ("calibrate a.csv --pixels 640 --report-figures x", "--report-figures"),
-    ("drift a.csv --calibration c.json --sensors A", "--sensors"),
+    ("drift a.csv --calibration c.json --update-sensors A", "--update-sensors"),
     ("drift a.csv --calibration c.json --force", "--force"),
     ("drift a.csv --calibration c.json --earlier b.csv --position-sigma 1", "--position-sigma"),
     ("export a.h5 --output a.csv --predicted", "--predicted"),
@@ -279,6 +281,9 @@ NO_EFFECT: Final = [
     ("wand a.csv --positions 0,1 --strobe-markers 0,1", "--strobe-markers"),
     ("wand a.csv --positions 0,1 --from-readings", "--from-readings"),
     ("wand --recording a.h5 --positions 0,1 --pixels 640", "--pixels"),
+    ("wand --recording a.h5 --positions 0,1 --sensors a=640", "--sensors"),
+    ("wand a.csv --positions 0,1 --sensors a=640 --pixels 640", "--pixels"),
+    ("wand a.csv --positions 0,1 --calibration c.json --sensors a=640", "--sensors"),
     ("wand a.csv --positions 0,1 --calibration c.json --pixels 640", "--pixels"),
     ("wand a.csv --positions 0,1 --pixels 640 --force", "--force"),
 ]

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+import service.api
 from compute.camera.field_distortion import FieldDistortion
 from compute.camera.model import SensorModel
 from compute.camera.stack import CameraStack
@@ -220,3 +221,15 @@ def test_error_rows_points_not_predicted_are_in_no_row(monkeypatch: pytest.Monke
     ]
     assert errors.missing_points == [0]
     assert "2 blocks left out: no row, because only 1 of 4" in errors.remarks[0]
+
+
+def test_read_calibration_sent_by_the_service_names_its_device(tmp_path: Path) -> None:
+    """So that a table that is made from it can be uploaded."""
+    examples = json.loads(
+        (Path(service.api.__file__).parent / "answer_examples.json").read_text(encoding="utf-8")
+    )
+    sent = examples["get-calibration"]
+    path = tmp_path / "sent.json"
+    path.write_text(json.dumps(sent), encoding="utf-8")
+    read = read_calibration(path)
+    assert (read.device, read.content_hash) == (sent["device_id"], sent["content_hash"])

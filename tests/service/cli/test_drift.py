@@ -81,7 +81,7 @@ def test_a_knocked_sensor_is_told_and_mended(folder: Path, tmp_path: Path, earli
     assert told["status"] == "sensors-moved"
     assert [one["moved"] for one in told["sensors"]] == [False, False, True, False]
     mended = tmp_path / "mended.json"
-    written = drift(folder / "knocked.csv", *given, "--sensors", "s3", "--output", mended)
+    written = drift(folder / "knocked.csv", *given, "--update-sensors", "s3", "--output", mended)
     assert written.exit_code == 0, written.output
     assert read_calibration(mended).calibration.method == "update"
     again = drift(folder / "knocked.csv", "--calibration", mended)
@@ -97,7 +97,14 @@ def test_what_does_not_go_together_is_refused(folder: Path, tmp_path: Path):
         ((folder / "now.csv", *given, "--earlier", folder / "fewer.csv"), "the same markers"),
         ((tmp_path / "none.csv", *given), "cannot be read"),
         (
-            (folder / "now.csv", *given, "--sensors", "s9", "--output", tmp_path / "out.json"),
+            (
+                folder / "now.csv",
+                *given,
+                "--update-sensors",
+                "s9",
+                "--output",
+                tmp_path / "out.json",
+            ),
             "no sensor s9",
         ),
     ):

@@ -66,6 +66,53 @@ def test_what_is_wrong_is_said_with_its_place(tmp_path: Path, text: str, message
         read_observations(path)
 
 
+@pytest.mark.parametrize(
+    ("headings", "message"),
+    [
+        ("X_mm,Y_mm,Z_mm,a_px,b", 'column "b", which is called like the sensor a'),
+        ("X_mm,Y_mm,Z_mm,cam1_px,Cam 12", "call it Cam 12_px if it has readings"),
+        ("X_mm,Y_mm,Z_mm,left_px,LEFT", "like the sensor left but is not said to be in pixels"),
+    ],
+)
+def test_read_observations_unused_column_like_a_sensor_is_refused(
+    tmp_path: Path, headings: str, message: str
+) -> None:
+    path = tmp_path / "points.csv"
+    path.write_text(f"{headings}\n1,2,3,4,5\n1,2,3,n/a,-\n", encoding="utf-8")
+    with pytest.raises(InvalidParameter, match=message):
+        read_observations(path)
+
+
+@pytest.mark.parametrize(
+    ("extra", "told"),
+    [
+        ("right", "the numbers in the column right are not used"),
+        ("right,off [mm]", "the numbers in the columns right, off [mm] are not used"),
+        ("pose,marker", "the numbers in the columns pose, marker are not used"),
+    ],
+)
+def test_read_observations_unused_numbers_are_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], extra: str, told: str
+) -> None:
+    path = tmp_path / "points.csv"
+    count = 1 + extra.count(",")
+    rows = f"1,2,3,4{',5' * count},good\n1,2,3,4{',' * count},\n"
+    path.write_text(f"X_mm,Y_mm,Z_mm,left_px,{extra},remark\n{rows}", encoding="utf-8")
+    assert read_observations(path).sensors == ("left",)
+    printed = capsys.readouterr()
+    assert told in " ".join(printed.err.split())
+    assert not printed.out
+
+
+def test_read_observations_text_and_row_numbers_are_not_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "points.csv"
+    path.write_text(",name,X_mm,Y_mm,Z_mm,left_px,remark,empty\n0,1,1,2,3,4,2 mm off,\n", "utf-8")
+    read_observations(path)
+    assert not capsys.readouterr().err
+
+
 def test_a_file_that_is_not_there(tmp_path: Path) -> None:
     with pytest.raises(InvalidParameter, match="cannot be read"):
         read_observations(tmp_path / "none.csv")

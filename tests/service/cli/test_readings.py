@@ -8,11 +8,13 @@ import pytest
 
 from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter
+from hardware.driver import SensorDescription
 from hardware.simulated.calibration_target import calibration_target_points_mm
 from hardware.simulated.simulated_rig import simulated_sensor_models
 from service.api.captures.schema import Target
+from service.api.recordings.recorded_readings import StrobeCycles, still_periods, target_readings
 from service.cli.observations_csv import read_observations, read_wand
-from service.cli.readings import StrobeCycles, _control_points, _poses, still_periods
+from service.cli.readings import SEEN_SHARE, _poses
 from tests.service.cli.test_commands import here
 
 POINTS = np.add(calibration_target_points_mm(), (0.0, 0.0, 1500.0))
@@ -82,24 +84,28 @@ def test_readings_refuse_with_the_way_out(frame: Path, tmp_path: Path) -> None:
     assert output.read_text(encoding="utf-8") == "mine"
 
 
+SENSORS = tuple(SensorDescription(name, 2048, 10.0) for name in "abc")
+
+
 def moved_marker() -> StrobeCycles:
     """One marker at rest at three places, moved slowly between them."""
     rest, way = np.ones(20), np.arange(1.0, 20.0)
     track = np.concatenate([100 * rest, 100 + 10 * way, 300 * rest, 300 + 5 * way, 400 * rest])
     noise = np.random.default_rng(1).normal(0.0, 0.02, (len(track), 1, 3))
     values = track[:, None, None] + noise
-    return StrobeCycles(("a", "b", "c"), values, np.full(values.shape, 0.02), strobed=False)
+    return StrobeCycles(SENSORS, values, np.full(values.shape, 0.02), strobed=False)
 
 
 def test_control_points_are_the_still_periods_in_order() -> None:
     cycles = moved_marker()
     visited = [Target(name=f"P{x}", position_mm=(x, 0.0, 0.0)) for x in range(3)]
-    rows = _control_points(cycles, visited, 0.5)
-    assert [place for place, *_ in rows] == [[f"P{x}", x, 0.0, 0.0] for x in range(3)]
-    assert np.allclose([mean for _, mean, _ in rows], [[100] * 3, [300] * 3, [400] * 3], atol=0.02)
+    found = target_readings(cycles, visited, 0.5, SEEN_SHARE)
+    means = [mean.mean_px for mean in found]
+    assert np.allclose(means, [[100] * 3, [300] * 3, [400] * 3], atol=0.02)
+    assert [mean.total_frames for mean in found] == [20, 20, 20]
     assert [place for place, *_ in _poses(cycles, 0.5)] == [[1, 1], [2, 1], [3, 1]]
     with pytest.raises(InvalidParameter, match=r"3 still periods .* 2 targets"):
-        _control_points(cycles, visited[:2], 0.5)
+        target_readings(cycles, visited[:2], 0.5, SEEN_SHARE)
 
 
 def test_still_periods_end_where_a_reading_moves() -> None:

@@ -123,12 +123,16 @@ def test_a_wand_of_the_wrong_length_is_warned_of(waved: tuple[Path, Path]) -> No
 
 def test_a_wand_without_initial_cameras_wants_a_description(waved: tuple[Path, Path]) -> None:
     options = ("wand", waved[0], "--positions", "0 300")
-    assert "give --calibration with a file, or --pixels" in run(*options, code=2)
+    assert "give --sensors with a device's JSON file" in run(*options, code=2)
     for directions in ("90 0 45", "up right left down"):
         shown = run(*options, "--pixels", 2048, "--directions", directions, code=2)
         assert "an angle in degrees for each of s1, s2, s3, s4" in shown
     shown = run(*options, "--pixels", 2048, "--distortion", "auto", code=2)
     assert "needs control points" in shown
+    some = "s1=2048,s2=2048,s3=2048"
+    assert "add s4 to --sensors" in run(*options, "--sensors", some, code=2)
+    shown = run(*options, "--sensors", f"{some},s4=1024", "--directions", "90 0 45", code=2)
+    assert "an angle in degrees for each of s1, s2, s3, s4" in shown
     shown = run(*options, "--calibration", waved[1], "--pixels", 2048, code=2)
     assert "--pixels has no effect with --calibration" in shown
 

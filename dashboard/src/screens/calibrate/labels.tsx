@@ -116,7 +116,7 @@ function requestOf(calibration: Document, points: Document["points"], judgements
     device_id: calibration.device_id,
     points,
     distortion: settings?.distortion ?? "auto",
-    control_sigma_mm: settings?.control_sigma_mm ?? null,
+    position_sigma_mm: settings?.position_sigma_mm ?? null,
     loss: settings?.loss ?? "linear",
     // A person has judged: the server changes no label, and says what still looks wrong.
     labels: "report",

@@ -29,7 +29,7 @@ export function MappingRun({ capture, mapped }: { capture: Capture; mapped: (tab
             capture_id: capture.id,
             method: "b-spline" as const,
             min_neighbours: 4,
-            point_sigma_mm: sigma.value,
+            position_sigma_mm: sigma.value,
             allow_incomplete: capture.left > 0,
             note: "",
           };

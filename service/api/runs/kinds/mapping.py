@@ -33,7 +33,7 @@ class Request(ResponseModel):
     points: list[ControlPoint]
     sensors: list[Sensor]
     settings: MappingSettings
-    point_sigma_mm: float
+    position_sigma_mm: float
     result_id: str | None
     capture_id: str | None
     note: str
@@ -90,7 +90,7 @@ def store(session: "Session", row: "RunRow", content: TableContent) -> str:
 def measurements(request: Request) -> MappingMeasurements:
     """Return a request's points as the computation takes them; raises as ``control_arrays``."""
     points, readings, sigma = control_arrays(request.points, request.sensors)
-    return MappingMeasurements(points, readings, sigma, request.point_sigma_mm)
+    return MappingMeasurements(points, readings, sigma, request.position_sigma_mm)
 
 
 def compute(
@@ -118,7 +118,7 @@ def compute(
     )
     settings = asdict(result.settings) | {
         "points": len(request.points),
-        "point_sigma_mm": request.point_sigma_mm,
+        "position_sigma_mm": request.position_sigma_mm,
         "points_made_the_calibration": covariance is None,
     }
     return TableContent(

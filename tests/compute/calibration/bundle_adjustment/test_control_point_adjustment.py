@@ -32,7 +32,7 @@ def test_the_joint_covariance_is_honest_and_joint() -> None:
     models, points = rig(), control_points(40)
     runs, sigma_px, sigma_mm = 60, 0.05, 0.2
     rng = np.random.default_rng(2)
-    settings = CalibrationSettings(control_sigma_mm=sigma_mm)
+    settings = CalibrationSettings(position_sigma_mm=sigma_mm)
     joint, correlation = [], []
     for _ in range(runs):
         readings = project(models, points) + sigma_px * rng.standard_normal((40, 4))
@@ -60,7 +60,7 @@ def test_points_move_to_where_the_readings_say_they_are() -> None:
         readings,
         geometry(models),
         np.full((40, 4), 0.02),
-        CalibrationSettings(control_sigma_mm=0.3),
+        CalibrationSettings(position_sigma_mm=0.3),
     )
     assert found.point_shifts_mm is not None
     assert found.point_shifts_mm[7][0] == pytest.approx(-1.5, abs=0.3)
@@ -77,7 +77,7 @@ def test_without_deviations_of_readings_the_rest_of_the_residuals_is_theirs() ->
     rng = np.random.default_rng(4)
     readings = project(models, points) + 0.5 * rng.standard_normal((60, 4))
     given = points + 0.05 * rng.standard_normal(points.shape)
-    settings = CalibrationSettings(control_sigma_mm=0.05)
+    settings = CalibrationSettings(position_sigma_mm=0.05)
     found = calibrate(given, readings, geometry(models), None, settings)
     for fit in found.sensors:
         assert fit.sigma_source == "residuals"
@@ -91,7 +91,7 @@ def test_noise_far_below_the_points_uncertainty_is_told_by_the_sensors_agreement
     rng = np.random.default_rng(4)
     readings = project(models, points) + 0.05 * rng.standard_normal((120, 4))
     given = points + 0.5 * rng.standard_normal(points.shape)
-    settings = CalibrationSettings(control_sigma_mm=0.5)
+    settings = CalibrationSettings(position_sigma_mm=0.5)
     found = calibrate(given, readings, geometry(models), None, settings)
     sigma = np.array([fit.sigma_px for fit in found.sensors])
     # 92 readings more than unknowns tell all: 23 of each sensor, a deviation to 15 % at best.
@@ -106,7 +106,7 @@ def test_readings_that_count_as_less_certain_than_given_are_named(
     rng = np.random.default_rng(1)
     readings = project(models, points) + 0.02 * rng.standard_normal((40, 4))
     given = points + 0.3 * rng.standard_normal(points.shape)
-    settings = CalibrationSettings(control_sigma_mm=0.3)
+    settings = CalibrationSettings(position_sigma_mm=0.3)
     observed = given, readings, geometry(models), np.full((40, 4), 0.02)
     as_given = calibrate(*observed, settings)
     assert {fit.sigma_source for fit in as_given.sensors} == {"given"}

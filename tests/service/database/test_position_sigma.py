@@ -11,7 +11,7 @@ from sqlalchemy.orm import Session
 
 from compute.calibration.settings import CalibrationSettings
 from service.api.calibrations.calibration_content import (
-    Outcome,
+    CalibrationRecord,
     calibration_content,
     content_hash,
     result_of,
@@ -43,7 +43,7 @@ def _stored(database: Database) -> str:
 def test_documents_of_before_have_the_new_name_and_their_hashes(database: Database) -> None:
     settings = CalibrationSettings("none", position_sigma_mm=0.02)
     result = replace(nominal_calibration(), settings=settings)
-    made = Outcome(result, calibration_content("sim", "fitted", [], result), {})
+    made = CalibrationRecord(result, calibration_content("sim", "fitted", [], result), {})
     table = replace(content(made.content_hash), settings={"position_sigma_mm": 0.1, "points": 9})
     with Session(database.engine) as session:
         parent = add_calibration(session, "sim", made, "", "framed")

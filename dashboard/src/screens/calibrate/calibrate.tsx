@@ -150,7 +150,7 @@ function NewSession({ device: shown, begun }: { device: Device; begun: (id: stri
         disabled={typeof read === "string"}
         run={async () => {
           if (typeof read === "string") return;
-          const settings = { frames: 50, seen_share: 0.8, timeout_s: 10, marker: lit };
+          const settings = { frames: 50, seen_share: 0.8, timeout_s: 10, still_px: 0.5, marker: lit };
           const body = { device_id: shown.id, targets: read, settings, note: "" };
           begun((await sent(api.POST("/api/v1/captures", { body }))).id);
         }}

@@ -441,6 +441,7 @@ def test_commands_found_in_each_form() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1100)  # README's have a demo, wands and maps
 @pytest.mark.parametrize("page", RUN)
 def test_commands_of_a_page_succeed_in_order(page: str, tmp_path: Path, programs: Path) -> None:
     with reading(page, tmp_path, programs) as reader:

@@ -24,6 +24,8 @@ from service.pipeline.active_calibration import (
 
 _RESULT: Final = TypeAdapter(Calibration)
 _NOT_HASHED: Final = {"id", "content_hash", "table", "radiometric", "bad_pixels"}
+_IDS: Final = {"calibration_id": "id", "content_hash": "content_hash", "table_id": "table"}
+"""Members of a document that name something, as ActiveCalibrationNames calls them."""
 _BAD_PIXELS: Final = TypeAdapter(tuple[LiveBadPixel, ...])
 
 
@@ -105,15 +107,18 @@ def read_names(document: bytes, where: str) -> ActiveCalibrationNames:
         return ActiveCalibrationNames()
     radiometric, bad_pixels = load_pixels(document, where)
     found = json.loads(document)
-    ids = [found.get(name) for name in ("id", "content_hash", "table")]
-    for text in ids:
+    ids = {name: found.get(key) for name, key in _IDS.items()}
+    for text in ids.values():
         if not isinstance(text, str | None):
             raise InvalidRecording(
                 f"{where} holds an active calibration with the id or hash {text!r:.40}; it must be "
                 "a text"
             )
-    radiometric_id = None if radiometric is None else radiometric.radiometric_id
-    return ActiveCalibrationNames(*ids, radiometric_id, len(bad_pixels))
+    return ActiveCalibrationNames(
+        **ids,
+        radiometric_id=None if radiometric is None else radiometric.radiometric_id,
+        bad_pixels=len(bad_pixels),
+    )
 
 
 def load_active_calibration(document: bytes, table: bytes, where: str) -> ActiveCalibration:

@@ -1,13 +1,18 @@
 """Validated access to the HDF5 file of a recording, and to the description stored in it."""
 
+import ctypes
 import math
+import os
 from collections import Counter
+from collections.abc import Callable
 from contextlib import AbstractContextManager
+from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
 import h5py
 import numpy as np
+from h5py._objects import phil
 from numpy.typing import NDArray
 from pydantic import TypeAdapter, ValidationError
 
@@ -16,6 +21,11 @@ from compute.errors import InvalidParameter, InvalidRecording
 from hardware.driver import DeviceDescription
 from hardware.recording.layout import NO_CALIBRATION_ROW, NO_MARKER, RecordingInfo
 
+_READ_ATTEMPTS: Final = 26
+"""How often metadata with a wrong checksum are read in a file that is being written.
+
+HDF5 waits 1 ns, then twice as long each time, 67 ms in all. Its own 100 attempts would not end.
+"""
 _SWMR: Final = 4
 _FLAGS_AT: Final = 11
 """Offset of the consistency flags in a superblock of version 3; _SWMR: open for writing."""
@@ -36,7 +46,7 @@ class RecordingFile:
             lambda reason: self.invalid(f"is not an HDF5 file, or is cut short ({reason})")
         ):
             self._written = _being_written(path)
-            self._file = h5py.File(path, "r", libver="latest", swmr=self._written)
+            self._file = _open_written(path) if self._written else h5py.File(path, "r")
 
     def __contains__(self, name: str) -> bool:
         """Return whether the file has a member of this name."""
@@ -95,6 +105,29 @@ class RecordingFile:
     def invalid(self, reason: str) -> InvalidRecording:
         """Return an InvalidRecording for this file."""
         return InvalidRecording(f"{self._name} {reason}", file=self._name)
+
+
+def _open_written(path: Path) -> h5py.File:
+    """Open a file that a program writes, or left open; raises as h5py does."""
+    access = h5py.h5p.create(h5py.h5p.FILE_ACCESS)
+    access.set_libver_bounds(h5py.h5f.LIBVER_LATEST, h5py.h5f.LIBVER_LATEST)
+    with phil:
+        set_attempts = _read_attempts_setter()
+        if set_attempts is not None:
+            set_attempts(access.id, _READ_ATTEMPTS)
+    flags = h5py.h5f.ACC_RDONLY | h5py.h5f.ACC_SWMR_READ
+    return h5py.File(h5py.h5f.open(os.fsencode(path), flags, fapl=access))
+
+
+@cache
+def _read_attempts_setter() -> Callable[[int, int], int] | None:
+    """Return HDF5's H5Pset_metadata_read_attempts, which h5py does not wrap; None: not found."""
+    try:
+        function = ctypes.PyDLL(h5py.h5p.__file__).H5Pset_metadata_read_attempts
+    except (OSError, AttributeError):  # on Windows a library's symbols are its own only
+        return None
+    function.argtypes, function.restype = [ctypes.c_int64, ctypes.c_uint], ctypes.c_int
+    return function
 
 
 def _being_written(path: Path) -> bool:

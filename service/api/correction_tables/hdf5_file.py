@@ -18,7 +18,7 @@ from service.api.correction_tables.table_content import TableContent, check_sign
 from service.problems.errors import InvalidTableFile
 
 FORMAT: Final = "lumiline-correction-table"
-VERSION: Final = 1
+VERSION: Final = 2
 
 _ARRAYS: Final = {"coefficients_px": "<f8", "variance_px2": "<f8", "valid": "|u1"}
 _TEXTS: Final = (
@@ -50,29 +50,41 @@ def write_table(content: TableContent) -> bytes:
     Root attributes: format, format_version, device, sensors, calibration_hash, degree, origin_mm,
     pitch_mm, cells, made_at (ISO 8601), settings and validation (JSON), content_hash. Datasets:
     coefficients_px, variance_px2 (float64), valid (0 and 1), with the shapes of CorrectionTable.
+    Texts are UTF-8 of fixed length: a damaged length of another one makes HDF5 loop for ever.
     """
     table, grid = content.table, content.table.grid
     buffer = io.BytesIO()
-    with h5py.File(buffer, "w") as file:
-        file.attrs["format"] = FORMAT
+    texts = {
+        "format": FORMAT,
+        "device": content.device,
+        "calibration_hash": table.calibration_hash,
+        "made_at": content.made_at.isoformat(),
+        "settings": json.dumps(content.settings, allow_nan=False),
+        "validation": json.dumps(content.validation, allow_nan=False),
+        "content_hash": content.content_hash(),
+    }
+    # The latest layout has checksums of all metadata, and takes texts beyond 64 KiB.
+    with h5py.File(buffer, "w", libver="latest") as file:
+        for name, text in texts.items():
+            file.attrs[name] = _fixed(text)[0]
         file.attrs["format_version"] = VERSION
-        file.attrs["device"] = content.device
-        file.attrs["sensors"] = list(table.sensors)
-        file.attrs["calibration_hash"] = table.calibration_hash
+        file.attrs["sensors"] = _fixed(*table.sensors)
         file.attrs["degree"] = int(table.degree)
         file.attrs["origin_mm"] = np.array(grid.origin_mm, dtype=np.float64)
         file.attrs["pitch_mm"] = np.array(grid.pitch_mm, dtype=np.float64)
         file.attrs["cells"] = np.array(grid.cells, dtype=np.int64)
-        file.attrs["made_at"] = content.made_at.isoformat()
-        file.attrs["settings"] = json.dumps(content.settings, allow_nan=False)
-        file.attrs["validation"] = json.dumps(content.validation, allow_nan=False)
-        file.attrs["content_hash"] = content.content_hash()
         for name, kind in _ARRAYS.items():
             values = np.ascontiguousarray(getattr(table, name), dtype=kind)
             file.create_dataset(
                 name, data=values, chunks=(1, *values.shape[1:]), compression="gzip", shuffle=True
             )
     return buffer.getvalue()
+
+
+def _fixed(*texts: str) -> NDArray[np.bytes_]:
+    """Return texts as HDF5 strings of fixed length."""
+    encoded = [text.encode() for text in texts]
+    return np.array(encoded, dtype=f"S{max(1, *map(len, encoded))}")
 
 
 def read_table(data: bytes) -> TableContent:
@@ -156,8 +168,8 @@ def _attributes(
     attribute = _attribute(file, "sensors")
     if not _is_text(attribute) or len(attribute.shape) != 1 or attribute.shape[0] > _MAX_SENSORS:
         raise InvalidTableFile(
-            f"the attribute sensors must be a list of at most {_MAX_SENSORS} names; it has the "
-            f"shape {attribute.shape}"
+            f"the attribute sensors must list at most {_MAX_SENSORS} names of fixed length; "
+            f"it has the type {attribute.dtype} and the shape {attribute.shape}"
         )
     return texts, numbers, tuple(_decoded("sensors", name) for name in file.attrs["sensors"])
 
@@ -169,13 +181,18 @@ def _attribute(file: h5py.File, name: str) -> h5py.h5a.AttrID:
 
 
 def _is_text(attribute: h5py.h5a.AttrID) -> bool:
-    return h5py.check_string_dtype(attribute.dtype) is not None
+    """Whether it is a text of fixed length: reading a damaged other one may not end."""
+    kind = h5py.check_string_dtype(attribute.dtype)
+    return kind is not None and kind.length is not None
 
 
 def _text(file: h5py.File, name: str) -> str:
     attribute = _attribute(file, name)
     if not _is_text(attribute) or attribute.shape != ():
-        raise InvalidTableFile(f"the attribute {name} must be one text")
+        raise InvalidTableFile(
+            f"the attribute {name} must be one text of fixed length; it has the type "
+            f"{attribute.dtype} and the shape {attribute.shape}"
+        )
     return _decoded(name, file.attrs[name])
 
 

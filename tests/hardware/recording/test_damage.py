@@ -43,6 +43,30 @@ def test_text_of_variable_length_is_not_read(whole: bytes, tmp_path: Path):
         RecordingReader(path)
 
 
+def test_damage_in_a_file_that_its_writer_left_open_is_refused_soon(tmp_path: Path):
+    """HDF5 reads again there, as the writer may be about to write; not for ever."""
+    path = tmp_path / "r.h5"
+    with RecordingWriter(tmp_path / "open.h5", described()) as writer:
+        writer.append_block(block(0, 40))
+        writer.flush()
+        left = (tmp_path / "open.h5").read_bytes()
+    places = [20, left.index(b"OHDR") + 30]
+    for at in places:
+        path.write_bytes(left[:at] + bytes([left[at] ^ 1]) + left[at + 1 :])
+        with pytest.raises(InvalidRecording, match="incorrect metadata checksum"):
+            RecordingReader(path)
+
+
+@pytest.mark.parametrize("bit", range(8))
+def test_flag_of_a_file_that_is_being_written_flipped_is_refused(
+    whole: bytes, tmp_path: Path, bit: int
+):
+    path = tmp_path / "r.h5"
+    path.write_bytes(whole[:11] + bytes([whole[11] ^ 1 << bit]) + whole[12:])
+    with pytest.raises(InvalidRecording, match=r"cut short \(.*checksum|cut short"):
+        RecordingReader(path)
+
+
 @FEW_OR_MANY
 def test_recording_that_is_damaged_is_refused_or_holds_what_was_written(
     whole: bytes, tmp_path: Path, count: int

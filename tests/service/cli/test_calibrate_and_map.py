@@ -164,7 +164,7 @@ def test_map_writes_a_table_that_mends_a_plain_calibration(
     shown = here(*given).stdout
     assert "s1" in shown
     with h5py.File(table) as file:
-        assert file.attrs["calibration_hash"] == read_calibration(plain).content_hash
+        assert file.attrs["calibration_hash"].decode() == read_calibration(plain).content_hash
         validation = json.loads(file.attrs["validation"])
     for sensor in validation["sensors"]:
         assert sensor["before_rms_px"] > 10.0 * SIGMA_PX

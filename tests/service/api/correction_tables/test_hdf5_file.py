@@ -96,7 +96,7 @@ def set_attribute(name: str, value: Any) -> Callable[[h5py.File], None]:
     def change(file: h5py.File) -> None:
         del file.attrs[name]
         if value is not None:
-            file.attrs[name] = value
+            file.attrs[name] = np.bytes_(value.encode()) if isinstance(value, str) else value
 
     return change
 
@@ -200,13 +200,15 @@ def member(file: h5py.File) -> None:
     [
         (set_attribute("format", "another"), "format is"),
         (set_attribute("format", None), "no attribute format"),
-        (set_attribute("format_version", 2), "format_version is 2"),
-        (set_attribute("format_version", 1.0), "format_version has the type"),
+        (set_attribute("format_version", 1), "format_version is 1"),
+        (set_attribute("format_version", 2.0), "format_version has the type"),
         (set_attribute("cells", np.array([5, 4])), "cells has the type"),
         (set_attribute("cells", np.array([5.0, 4.0, 3.0])), "cells has the type"),
-        (set_attribute("sensors", "one"), "sensors must be a list"),
-        (set_attribute("sensors", ["x"] * 65), "sensors must be a list"),
+        (set_attribute("sensors", "one"), "sensors must list"),
+        (set_attribute("sensors", ["x"] * 65), "sensors must list"),
+        (set_attribute("sensors", ["x"] * 4), "sensors must list at most 64 names of fixed length"),
         (set_attribute("device", np.zeros(3)), "device must be one text"),
+        (set_attribute("device", np.array("sim", h5py.string_dtype())), "one text of fixed length"),
         (set_attribute("made_at", "yesterday"), "made_at is"),
         (set_attribute("made_at", "2026-03-01T12:30:00"), "time zone"),
         (set_attribute("settings", "{"), "settings is not JSON"),

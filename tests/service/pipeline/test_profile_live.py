@@ -110,7 +110,7 @@ def test_shadows_are_read_and_tracks_are_not(
     [
         ('{"bits": 3}', "settings.json: bits: "),
         ("{", "settings.json: "),
-        (None, "settings.json: No such file"),
+        (None, "settings.json cannot be read: No such file"),
         ('{"frame_rate_hz": 9000}', "frame_rate_hz is 9000.0; thesis-5.9 reads at most 30"),
     ],
 )

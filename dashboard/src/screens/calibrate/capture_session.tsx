@@ -12,7 +12,7 @@ import { position, significant } from "../../ui/format";
 import { Action, Badge, Failure, Panel, Table } from "../../ui/parts";
 import { RunAction } from "../../ui/run_action";
 import { coverage } from "./coverage";
-import { tone } from "./tone";
+import { tone } from "../../ui/tone";
 import { type Order, proposedTarget, volumeCoverage } from "./volume_coverage";
 
 export type Capture = Schemas["Capture"];

@@ -12,7 +12,7 @@ import { Action, Failure, Panel, Table } from "../../ui/parts";
 import { RunAction } from "../../ui/run_action";
 import { sectors } from "./direction_grid";
 import { Sessions } from "./sessions";
-import { tone } from "./tone";
+import { tone } from "../../ui/tone";
 import { directions, wand } from "./wand_input";
 
 type Wave = Schemas["WaveCapture"];

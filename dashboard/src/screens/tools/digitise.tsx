@@ -5,8 +5,9 @@ import { api, type Schemas, sent } from "../../api/client";
 import { text } from "../../text";
 import { download, toCsv } from "../../ui/download";
 import { meanSigma, position, significant } from "../../ui/format";
+import { IdChoice } from "../../ui/id_choice";
 import { Action, Panel, Table } from "../../ui/parts";
-import { tone } from "../calibrate/tone";
+import { tone } from "../../ui/tone";
 import { following } from "./entries";
 import { useFrames } from "./frames";
 import { keptByDevice } from "./kept";
@@ -70,29 +71,15 @@ export function DigitisePoints({ device, tools }: { device: string; tools: reado
         <>
           <p>{text.points.help}</p>
           <div class="row">
-            <label>
-              {text.points.tool}{" "}
-              <select value={tool.id} onChange={({ currentTarget }) => (chosen.value = currentTarget.value)}>
-                {able.map(({ id }) => (
-                  <option key={id} value={id}>
-                    {id}
-                  </option>
-                ))}
-              </select>
-            </label>
-            <label>
-              {text.points.frame}{" "}
-              <select value={frame.value} onChange={({ currentTarget }) => (frame.value = currentTarget.value)}>
-                <option value="">{text.points.byTool}</option>
-                {(frames.value?.frames ?? [])
-                  .filter(({ id }) => id !== tool.id)
-                  .map(({ id }) => (
-                    <option key={id} value={id}>
-                      {id}
-                    </option>
-                  ))}
-              </select>
-            </label>
+            <IdChoice label={text.points.tool} value={tool.id} among={able} choose={(id) => (chosen.value = id)} />
+            <IdChoice
+              label={text.points.frame}
+              value={frame.value}
+              among={frames.value?.frames ?? []}
+              none={text.points.byTool}
+              without={tool.id}
+              choose={(id) => (frame.value = id)}
+            />
             <label>
               {text.points.name} <input value={name.value} onInput={({ currentTarget }) => (name.value = currentTarget.value)} />
             </label>

@@ -5,6 +5,7 @@ import { api, type Schemas, sent } from "../../api/client";
 import { type Polled, usePolled } from "../../live/polling";
 import { text } from "../../text";
 import { position, significant } from "../../ui/format";
+import { IdChoice } from "../../ui/id_choice";
 import { Badge, Copy, Failure, Panel } from "../../ui/parts";
 
 type FrameList = Schemas["FrameList"];
@@ -31,8 +32,8 @@ export function Frames({ device }: { device: string }) {
       {first !== undefined && second !== undefined ? (
         <section aria-label={text.frames.transform}>
           <div class="row">
-            <FrameChoice label={text.frames.from} frames={frames} value={first} choose={(id) => (from.value = id)} />
-            <FrameChoice label={text.frames.to} frames={frames} value={second} choose={(id) => (to.value = id)} />
+            <IdChoice label={text.frames.from} among={frames} value={first} choose={(id) => (from.value = id)} />
+            <IdChoice label={text.frames.to} among={frames} value={second} choose={(id) => (to.value = id)} />
             <button
               type="button"
               onClick={() => {
@@ -67,28 +68,6 @@ function Tree({ frames, root }: { frames: readonly FrameState[]; root: string | 
         </li>
       ))}
     </ul>
-  );
-}
-
-interface FrameChoiceProps {
-  label: string;
-  frames: readonly FrameState[];
-  value: string;
-  choose: (id: string) => void;
-}
-
-function FrameChoice({ label, frames, value, choose }: FrameChoiceProps) {
-  return (
-    <label>
-      {label}{" "}
-      <select value={value} onChange={({ currentTarget }) => choose(currentTarget.value)}>
-        {frames.map(({ id }) => (
-          <option key={id} value={id}>
-            {id}
-          </option>
-        ))}
-      </select>
-    </label>
   );
 }
 

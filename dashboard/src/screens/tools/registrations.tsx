@@ -6,6 +6,7 @@ import { type Polled, usePolled } from "../../live/polling";
 import { text } from "../../text";
 import { attempt } from "../../ui/attempt";
 import { position, significant } from "../../ui/format";
+import { IdChoice } from "../../ui/id_choice";
 import { Action, Failure, Panel, Table } from "../../ui/parts";
 import { parseTargets } from "../../ui/targets";
 import { readText } from "../../ui/text_file";
@@ -109,36 +110,19 @@ function NewRegistration({ device, tools, registered }: NewRegistrationProps) {
         <label>
           {text.registrations.id} <input value={id.value} onInput={({ currentTarget }) => (id.value = currentTarget.value.trim())} />
         </label>
-        <label>
-          {text.registrations.relativeTo}{" "}
-          <select
-            value={reference.value}
-            onChange={({ currentTarget }) => {
-              reference.value = currentTarget.value;
-              // What was measured is in another frame.
-              measured.value = new Map();
-            }}
-          >
-            <option value="">{text.tools.tracker}</option>
-            {tools
-              .filter((one) => one.id !== tool.id)
-              .map((one) => (
-                <option key={one.id} value={one.id}>
-                  {one.id}
-                </option>
-              ))}
-          </select>
-        </label>
-        <label>
-          {text.points.tool}{" "}
-          <select value={tool.id} onChange={({ currentTarget }) => (chosen.value = currentTarget.value)}>
-            {able.map((one) => (
-              <option key={one.id} value={one.id}>
-                {one.id}
-              </option>
-            ))}
-          </select>
-        </label>
+        <IdChoice
+          label={text.registrations.relativeTo}
+          value={reference.value}
+          among={tools}
+          none={text.tools.tracker}
+          without={tool.id}
+          choose={(id) => {
+            reference.value = id;
+            // What was measured is in another frame.
+            measured.value = new Map();
+          }}
+        />
+        <IdChoice label={text.points.tool} value={tool.id} among={able} choose={(id) => (chosen.value = id)} />
         <label>
           {text.tools.file}{" "}
           <input

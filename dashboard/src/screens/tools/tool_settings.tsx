@@ -5,6 +5,7 @@ import { useEffect, useRef } from "preact/hooks";
 import { api, RequestFailed, type Schemas, sent, tagged } from "../../api/client";
 import { usePolled } from "../../live/polling";
 import { text } from "../../text";
+import { IdChoice } from "../../ui/id_choice";
 import { Action, Failure } from "../../ui/parts";
 
 type Tool = Schemas["Tool"];
@@ -100,19 +101,14 @@ function Form({ tool, tools, save, done }: FormProps) {
   const tip_sd_mm = limit.value === "" ? null : Number(limit.value);
   return (
     <>
-      <label>
-        {text.tools.reference}{" "}
-        <select value={reference.value} onChange={({ currentTarget }) => (reference.value = currentTarget.value)}>
-          <option value="">{text.tools.tracker}</option>
-          {tools
-            .filter(({ id }) => id !== tool.id)
-            .map(({ id }) => (
-              <option key={id} value={id}>
-                {id}
-              </option>
-            ))}
-        </select>
-      </label>
+      <IdChoice
+        label={text.tools.reference}
+        value={reference.value}
+        among={tools}
+        none={text.tools.tracker}
+        without={tool.id}
+        choose={(id) => (reference.value = id)}
+      />
       <label>
         {text.tools.tipLimit}{" "}
         <input

@@ -151,7 +151,7 @@ def test_more_requests_than_may_wait_are_refused(
     with ExitStack() as stack:
         for _ in range(MAX_CONCURRENT):
             stack.enter_context(recalculation._limit)
-        with pytest.raises(Busy, match="wait for points by another calibration"):
+        with pytest.raises(Busy, match="wait for results of recordings"):
             ask(recalculation, recording, nominal())
 
 

@@ -61,7 +61,9 @@ def pivot(server: str, tip_at_mm: tuple[float, float, float]) -> None:
 
 @pytest.fixture
 def no_tool(server: str) -> Iterator[None]:
-    """What a test makes is removed after it."""
+    """What a test makes is removed after it; coordinates are those of the nominal calibration."""
+    activate = f"{server}/api/v1/calibrations/sim-nominal/activate"
+    httpx.post(activate, timeout=60).raise_for_status()
     place(server, 0.0)
     yield
     for path in ("registrations/phantom", "tools/pointer"):

@@ -22,6 +22,8 @@ LAST_BACKUP: Final = "last-backup.json"
 WRITTEN_S: Final = 60.0
 """A file that changed within this time may still be written: the next backup has it."""
 _NAME: Final = "%Y%m%dT%H%M%SZ"
+_NOTHING_TOLD: Final = (OSError, ValueError, KeyError, TypeError)
+"""There was no backup, or its file is damaged."""
 
 
 def back_up_files(
@@ -104,9 +106,8 @@ def restore_files(backup: Path, settings: Settings) -> tuple[int, list[str]]:
 def last_backup(data_dir: Path) -> datetime | None:
     """Return when the last whole backup was made; None: never, or it cannot be told."""
     try:
-        document: Any = json.loads((data_dir / LAST_BACKUP).read_text(encoding="utf-8"))
-        return datetime.fromisoformat(document["at"])
-    except (OSError, ValueError, KeyError, TypeError):
+        return datetime.fromisoformat(_last_written(data_dir)["at"])
+    except _NOTHING_TOLD:
         return None
 
 
@@ -116,9 +117,9 @@ def backups_beside_last(data_dir: Path) -> list[Path]:
     Empty where there was none, or the folder cannot be read.
     """
     try:
-        document: Any = json.loads((data_dir / LAST_BACKUP).read_text(encoding="utf-8"))
-        return [one for one in backups_in(Path(document["backup"]).parent) if _is_named(one)]
-    except (OSError, ValueError, KeyError, TypeError):
+        folder = Path(_last_written(data_dir)["backup"]).parent
+        return [one for one in backups_in(folder) if _is_named(one)]
+    except _NOTHING_TOLD:
         return []
 
 
@@ -133,6 +134,11 @@ def _is_named(backup: Path) -> bool:
     except ValueError:
         return False  # somebody renamed it
     return True
+
+
+def _last_written(data_dir: Path) -> Any:
+    """Return what was written of the last whole backup; raises what _NOTHING_TOLD lists."""
+    return json.loads((data_dir / LAST_BACKUP).read_text(encoding="utf-8"))
 
 
 def _write_last(data_dir: Path, backup: Path, at: datetime) -> None:

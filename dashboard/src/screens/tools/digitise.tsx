@@ -9,7 +9,6 @@ import { IdChoice } from "../../ui/id_choice";
 import { Action, Panel, Table } from "../../ui/parts";
 import { tone } from "../../ui/tone";
 import { following } from "./entries";
-import { useFrames } from "./frames";
 import { keptByDevice } from "./kept";
 
 type Tool = Schemas["Tool"];
@@ -37,13 +36,12 @@ const pointsOf = keptByDevice<readonly MeasuredPoint[]>(() => []);
 /** Of the next point. */
 const nameOf = keptByDevice(() => "1");
 
-export function DigitisePoints({ device, tools }: { device: string; tools: readonly Tool[] }) {
+export function DigitisePoints({ device, tools, frames }: { device: string; tools: readonly Tool[]; frames: readonly Schemas["FrameState"][] }) {
   const able = pointers(tools);
   const chosen = useSignal("");
   const frame = useSignal("");
   const name = nameOf(device);
   const points = pointsOf(device);
-  const frames = useFrames(device, 5);
   const tool = able.find(({ id }) => id === chosen.value) ?? able[0];
   const shown = points.value;
   const save = () => {
@@ -75,7 +73,7 @@ export function DigitisePoints({ device, tools }: { device: string; tools: reado
             <IdChoice
               label={text.points.frame}
               value={frame.value}
-              among={frames.value?.frames ?? []}
+              among={frames}
               none={text.points.byTool}
               without={tool.id}
               choose={(id) => (frame.value = id)}

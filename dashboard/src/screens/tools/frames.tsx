@@ -12,14 +12,13 @@ type FrameList = Schemas["FrameList"];
 type FrameState = Schemas["FrameState"];
 type FrameTransform = Schemas["FrameTransform"];
 
-/** Return a device's frames, asked for every some seconds. */
-export function useFrames(device: string, seconds: number): Polled<FrameList> {
+/** Return a device's frames, asked for every second. */
+export function useFrames(device: string): Polled<FrameList> {
   const path = { params: { path: { device_id: device } } };
-  return usePolled(`frames ${device}`, () => sent(api.GET("/api/v1/devices/{device_id}/frames", path)), seconds);
+  return usePolled(`frames ${device}`, () => sent(api.GET("/api/v1/devices/{device_id}/frames", path)), 1);
 }
 
-export function Frames({ device }: { device: string }) {
-  const polled = useFrames(device, 1);
+export function Frames({ device, polled }: { device: string; polled: Polled<FrameList> }) {
   const frames = polled.value?.frames ?? [];
   const from = useSignal<string | null>(null);
   const to = useSignal<string | null>(null);

@@ -11,7 +11,7 @@ import { Badge, Failure, Panel, Table, useThrottled } from "../../ui/parts";
 import { StreamBanner } from "../scene/scene";
 import { DefineTool } from "./define_tool";
 import { DigitisePoints } from "./digitise";
-import { Frames } from "./frames";
+import { Frames, useFrames } from "./frames";
 import { Registrations } from "./registrations";
 import { TipCalibration } from "./tip_calibration";
 import { ToolSettings } from "./tool_settings";
@@ -33,6 +33,7 @@ function DeviceTools({ id }: { id: string }) {
   const newest = useThrottled(() => stream.frame.value?.tools ?? [], TABLE_HZ);
   // A status of before must not look like one of now.
   const poses = stream.connection.value === "open" && !stream.stale.value ? newest : [];
+  const frames = useFrames(id);
   const chosen = useSignal<string | null>(null);
   const tools = polled.value?.items ?? [];
   const tool = tools.find((one) => one.id === chosen.value);
@@ -69,9 +70,9 @@ function DeviceTools({ id }: { id: string }) {
         </Panel>
       ) : null}
       <DefineTool device={id} done={polled.refresh} />
-      <DigitisePoints device={id} tools={tools} />
+      <DigitisePoints device={id} tools={tools} frames={frames.value?.frames ?? []} />
       <Registrations device={id} tools={tools} />
-      <Frames device={id} />
+      <Frames device={id} polled={frames} />
     </>
   );
 }

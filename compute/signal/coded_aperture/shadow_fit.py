@@ -58,7 +58,8 @@ class ShadowFit(ArrayRows):
     """Shadows of L scans, one each; NaN where none is found.
 
     Args:
-        found: the shadow stands out of the noise, and the fit converged, bool, shape (L,).
+        found: the shadow stands out of the noise, the fit converged, and more pixels than
+            parameters are below full scale, bool, shape (L,).
         flags: PeakFlag values, int32, shape (L,). SATURATED: pixels at full scale were left out.
             CLIPPED: a tenth or more of the contrast that a scan can hold is off the scan.
             AMBIGUOUS: another shift is not excluded. POOR_FIT: the template does not explain the
@@ -180,7 +181,8 @@ class ShadowFitter:
         near = np.abs(solution.shift_px - first.shift_px[significant]) <= max(
             self.search.lobe_px, 1
         )
-        good = np.flatnonzero(near & (solution.amplitude > 0.0))
+        # With as many pixels as parameters a fit explains whatever there is.
+        good = np.flatnonzero(near & (solution.amplitude > 0.0) & (solution.dof >= 1.0))
         solution, candidate = solution[good], significant[good]
         fit.found[candidate] = True
         fit.shift_px[candidate], fit.sigma_px[candidate] = solution.shift_px, solution.sigma_px

@@ -150,6 +150,13 @@ def test_saturated_pixels_are_left_out() -> None:
     assert not (dim.flags & PeakFlag.SATURATED).any()
 
 
+def test_as_many_pixels_as_parameters_hold_no_shadow() -> None:
+    lines = np.full((1, PIXELS), 4095, np.uint16)
+    lines[0, [44, 166, 207]] = [2426, 2917, 3882]
+    eager = ShadowSettings(false_alarms_per_line=0.99)
+    assert not ShadowFitter(TEMPLATE, PIXELS, NOISE, eager).fit(lines).found.any()
+
+
 def test_another_pattern_fits_poorly() -> None:
     rng = np.random.default_rng(8)
     other = ShadowTemplate(smooth_bars(CODE[::-1]), 4, 40, 100.0, dark_beyond=True)

@@ -152,9 +152,10 @@ def test_inverse_of_the_cubic_is_right_to_the_last_digits(
     true = Decimal(p0) + Decimal(offset)
     wanted = float(true + Decimal(cubic) * Decimal(offset) ** 3)
     found = float(invert_cubic(np.array([wanted]), np.array([p0]), np.array([cubic]))[0])
-    # The root of the rounded right side; the slope carries the rounding of p over to q.
+    # The root of the rounded right side; the slope carries the rounding of p over to q. Distances
+    # from p0 may be longer than readings, and are rounded by their own length.
     root = cubic_root(Decimal(wanted), Decimal(p0), Decimal(cubic))
-    scale = max(abs(found), abs(wanted), p0, 1e-300)
+    scale = max(abs(found), abs(wanted), p0, abs(found - p0), abs(wanted - p0), 1e-300)
     slope = float(1 + 3 * Decimal(cubic) * (root - Decimal(p0)) ** 2)
     assert abs(float(Decimal(found) - root)) <= 2.0 * np.spacing(scale) / min(slope, 1.0)
 

@@ -2,7 +2,8 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Generic, Literal, Protocol, TypeVar, runtime_checkable
+from functools import partial
+from typing import Any, Generic, Literal, Protocol, Self, TypeVar, runtime_checkable
 
 from hardware.line_frame import LineFrame
 
@@ -109,6 +110,19 @@ S = TypeVar("S", bound=Session)
 
 class SessionDriver(Generic[S]):
     """Base of drivers whose state from ``open`` to ``close`` is one object."""
+
+    _arguments: tuple[tuple[Any, ...], dict[str, Any]]
+
+    def __new__(cls, *args: Any, **members: Any) -> Self:
+        """Keep the arguments: they are what a driver is pickled as, to be opened elsewhere."""
+        made = super().__new__(cls)
+        made._arguments = args, members
+        return made
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle what makes a driver like this one, which is not open."""
+        args, members = self._arguments
+        return partial(type(self), **members), args
 
     def __init__(self) -> None:
         self._session: S | None = None

@@ -27,6 +27,11 @@ def default_data_dir() -> Path:
     return Path(home) / "lumiline"
 
 
+def default_station() -> Literal["process", "thread"]:
+    """Return "process" where descriptors can be handed to one."""
+    return "process" if os.name == "posix" else "thread"
+
+
 def configuration_file() -> Path:
     """Return the file named by LUMILINE_CONFIG, else ``lumiline.toml`` where we were started."""
     return Path(os.environ.get("LUMILINE_CONFIG") or "lumiline.toml")
@@ -75,6 +80,9 @@ class Settings(BaseSettings):
     """A device profile to start as a device: the name of a built-in one, or the path of a file."""
     compute_device: str | None = None
     """Where the live pipeline computes: ``cpu``, ``cuda:0``, ...; None: the compute's choice."""
+    station: Literal["process", "thread"] = Field(default_factory=default_station)
+    """Where devices, their frames and beam holds are: in a process of their own, which nothing
+    that clients ask for holds up, or in threads of the server."""
     stream_kept_messages: int = Field(default=10_000, ge=1)
     """Messages of each device that are kept for stream clients which are behind or come back."""
     stream_lag_s: float = Field(default=1.0, ge=0.0, allow_inf_nan=False)

@@ -16,7 +16,7 @@ from service.api.json_body import INLINE_BYTES, BodyReader, check_json_body, val
 from service.api.preconditions import members_apart, tagged
 from service.database.engine import Database
 from service.jobs.run_manager import RunManager
-from service.pipeline.pipeline_manager import PipelineManager
+from service.pipeline.interface import Pipeline
 from service.problems.errors import NotReady
 from service.settings import Settings
 
@@ -30,15 +30,15 @@ def of_application(name: str) -> Any:
     return Depends(part)
 
 
-def _live(request: Request) -> PipelineManager:
-    live: PipelineManager | None = request.app.state.live
+def _live(request: Request) -> Pipeline:
+    live: Pipeline | None = request.app.state.live
     if live is None:
         raise NotReady("the live pipeline does not run; restart the server", part="live")
     return live
 
 
 DatabaseDep = Annotated[Database, of_application("database")]
-LiveDep = Annotated[PipelineManager, Depends(_live)]
+LiveDep = Annotated[Pipeline, Depends(_live)]
 RunsDep = Annotated[RunManager, of_application("runs")]
 SettingsDep = Annotated[Settings, of_application("settings")]
 

@@ -51,7 +51,7 @@ from service.application.middleware import (
 )
 from service.application.server import router as server
 from service.backup.router import router as backups
-from service.pipeline.pipeline_manager import PipelineManager
+from service.pipeline.interface import Pipeline
 from service.problems.handlers import install_problem_handlers, unknown_websocket
 from service.protocols.metrics.registry import Metrics
 from service.protocols.metrics.registry import router as metrics
@@ -101,7 +101,7 @@ tool or the markers first, as docs/how-to/tools.md and docs/how-to/beam-holds.md
 
 def create_app(
     settings: Settings,
-    live: PipelineManager | None = None,
+    live: Pipeline | None = None,
     started: Callable[[], None] | None = None,
 ) -> FastAPI:
     """Return the application; nothing is opened or started before its lifespan begins.

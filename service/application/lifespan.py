@@ -27,6 +27,7 @@ from service.database.engine import Database
 from service.database.server_lock import is_unused, server_lock
 from service.jobs.run_manager import RunManager
 from service.jobs.store import running_runs
+from service.pipeline.interface import Pipeline
 from service.pipeline.pipeline_manager import PipelineManager
 from service.protocols.metrics.care_collector import CareCollector
 from service.protocols.metrics.collectors import (
@@ -40,13 +41,14 @@ from service.protocols.openigtlink.application_host import openigtlink_running
 from service.protocols.stream.hub import Hub
 from service.security.authenticator import Authenticator
 from service.settings import Settings
+from service.station.remote_pipeline import RemotePipeline
 
 
 @asynccontextmanager
 async def running(
     app: FastAPI,
     settings: Settings,
-    live: PipelineManager | None = None,
+    live: Pipeline | None = None,
     started: Callable[[], None] | None = None,
 ) -> AsyncIterator[None]:
     """Run all parts of the service, which endpoints find in ``app.state``.
@@ -142,7 +144,9 @@ def _retention_limits(settings: Settings) -> RetentionLimits:
     )
 
 
-def _live_manager(settings: Settings) -> PipelineManager:
+def _live_manager(settings: Settings) -> Pipeline:
     find_own_profile = partial(find_profile, profiles_dir=settings.folders.profiles)
     hub = Hub(settings.stream_kept_messages, settings.stream_lag_s)
+    if settings.station == "process":
+        return RemotePipeline(hub, settings.compute_device, find_own_profile)
     return PipelineManager(hub, settings.compute_device, find_own_profile)

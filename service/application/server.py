@@ -18,7 +18,7 @@ from service.api.recordings.recording_manager import RecordingManager, Recording
 from service.database.engine import Database
 from service.database.migration import newest_revision, revision_of
 from service.jobs.run_manager import RunManager
-from service.pipeline.pipeline_manager import PipelineManager
+from service.pipeline.interface import Pipeline
 from service.problems.catalogue import PROBLEM_TYPES, ProblemType
 from service.problems.errors import NotReady, UnknownProblem
 from service.security.credential import why_not_local
@@ -34,7 +34,7 @@ _Complaint = tuple[str, str]
 
 def check_ready(
     database: Database,
-    live: PipelineManager | None,
+    live: Pipeline | None,
     runs: RunManager,
     recordings: RecordingManager,
 ) -> None:
@@ -56,7 +56,7 @@ def limits(recordings: RecordingManager) -> list[str]:
     return []
 
 
-def failed_devices(live: PipelineManager) -> list[str]:
+def failed_devices(live: Pipeline) -> list[str]:
     """Return the devices that failed, which keep the others and the server from nothing."""
     return [name for name, status in live.statuses().items() if status.state == "failed"]
 
@@ -80,7 +80,7 @@ def _database(database: Database) -> Iterator[_Complaint]:
         yield "database", text
 
 
-def _live(live: PipelineManager | None) -> Iterator[_Complaint]:
+def _live(live: Pipeline | None) -> Iterator[_Complaint]:
     if live is None or not live.ready:
         yield "live", "the live pipeline does not run; restart the server"
         return
@@ -180,7 +180,7 @@ def get_readiness(
     settings: SettingsDep,
 ) -> Readiness:
     """Answers 200 when the database answers and is of this version, and all parts run."""
-    live: PipelineManager | None = request.app.state.live
+    live: Pipeline | None = request.app.state.live
     check_ready(database, live, runs, recordings)
     failed = failed_devices(live) if live is not None else []
     address = request.client.host if request.client else "unknown"

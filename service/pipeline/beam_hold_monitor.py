@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import count
 from typing import Final
 
 import numpy as np
@@ -204,6 +205,9 @@ def _lit(spec: WatchedLitMarkers, batch: FrameBatch, index: int) -> tuple[Array,
     return own.position_mm[first:last][good], own.covariance[first:last, :3, :3][good]
 
 
+_REVISIONS: Final = count(1)
+
+
 class BeamHoldMonitor:
     """Feeds a deviation monitor with observations, and keeps the state of its hold.
 
@@ -308,6 +312,7 @@ class BeamHoldMonitor:
                 _vector(decision.shift_mm),
                 _vector(decision.rotation_rad),
                 decision.probability,
+                revision=next(_REVISIONS),
             )
         )
 
@@ -343,7 +348,9 @@ class BeamHoldMonitor:
         return now
 
     def _held_state(self, cause: BeamHoldCause, reason: str | None, since_ns: int) -> BeamHoldState:
-        return BeamHoldState(self.hold.id, True, cause, reason, since_ns, *self._last)
+        return BeamHoldState(
+            self.hold.id, True, cause, reason, since_ns, *self._last, revision=next(_REVISIONS)
+        )
 
     def _held_since(self, time_ns: int) -> int:
         return self.now.since_ns if self.now.held else time_ns

@@ -5,7 +5,7 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from threading import Condition, Thread
-from typing import Final
+from typing import Final, Protocol
 
 from service.pipeline.beam_hold_monitor import BeamHoldMonitor
 from service.pipeline.frame_batch import BeamHoldState, FrameBatch
@@ -288,6 +288,16 @@ _AGAIN_S: Final = 0.05
 """Until a check that failed is tried again."""
 
 
+class HoldDeadlines(Protocol):
+    """Beam holds with deadlines."""
+
+    changed: Condition
+
+    def check(self) -> float | None:
+        """Hold beams past their deadline; return the time to the next deadline [s]; None: none."""
+        ...
+
+
 class BeamHoldWatchdog:
     """Thread that checks a registry at each deadline, until ``close``.
 
@@ -295,7 +305,7 @@ class BeamHoldWatchdog:
     has nothing else to do, and sleeps while all beams are held.
     """
 
-    def __init__(self, registry: BeamHoldRegistry) -> None:
+    def __init__(self, registry: HoldDeadlines) -> None:
         self._registry = registry
         self._closing = False
         self._thread = Thread(target=self._run, name="hold-watchdog", daemon=True)

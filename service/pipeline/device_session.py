@@ -13,7 +13,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from statistics import median
 from threading import Lock, RLock
-from typing import Final, Protocol
+from typing import Any, Final, Protocol
 
 from compute.pose.rigid_body import PoseStatus, ToolPose
 from hardware.driver import DeviceDescription
@@ -22,13 +22,14 @@ from hardware.link import LinkState
 from service.pipeline.active_calibration import ActiveCalibration
 from service.pipeline.bad_pixel_watch import BadPixelWatch
 from service.pipeline.beam_hold_registry import BeamHoldRegistry
+from service.pipeline.detection_stage import Method, SearchModel
 from service.pipeline.device_status import DeviceState, DeviceStatus
 from service.pipeline.frame_batch import (
     BeamHoldState,
     FrameBatch,
     LatestPoses,
-    PoseEntry,
     TrackingResult,
+    newest_poses,
 )
 from service.pipeline.frame_processor import MAX_FRAMES, FrameProcessor
 from service.pipeline.stage_latency import StageLatency
@@ -162,6 +163,11 @@ class StreamPublisher(Protocol):
 
     closed: str | None
     """Why all streams have ended; None: they have not."""
+
+    @property
+    def congested(self) -> bool:
+        """Whether sources that can wait have to, for what takes the results is far behind."""
+        ...
 
     def publish_batch(self, batch: FrameBatch) -> None:
         """Send a batch of frames to the clients of its device."""
@@ -312,11 +318,7 @@ class DeviceSession:
         if watch is None or self.reader is None or self.reader.lossless:
             return
         if time.monotonic() >= watch.due_s and watch.take(frames):
-            active = self.with_bad_pixels(self.processor.active_calibration)
-            # Recordings name what each frame was processed with: a replay gives the same bits.
-            for tap in self.taps:
-                tap.prepare(active)
-            self.processor.set_calibration(active)
+            self.set_calibration(self.processor.active_calibration)
 
     def with_bad_pixels(self, active: ActiveCalibration) -> ActiveCalibration:
         """Return a calibration with the pixels that were found to be bad since the start."""
@@ -326,9 +328,11 @@ class DeviceSession:
     def set_calibration(self, active: ActiveCalibration) -> None:
         """Switch calibration and table, between two batches; runs in the compute thread."""
         active = self.with_bad_pixels(active)
-        for tap in self.taps:
-            tap.prepare(active)
-        self.processor.set_calibration(active)
+        with self._taps_lock:
+            # Recordings name what each frame was processed with: a replay gives the same bits.
+            for tap in self.taps:
+                tap.prepare(active)
+            self.processor.set_calibration(active)
 
     def _idle(self, now_s: float) -> bool:
         """Whether nobody has wanted results for a while; tells the driver when that changes."""
@@ -385,22 +389,14 @@ class DeviceSession:
         if self.stopped or now - self._published_s < MIN_POSE_INTERVAL_S:
             return
         self._published_s = now
-        newest = batch.frames[-1]
-        self.poses.put(
-            PoseEntry(
-                self.device_id,
-                newest.sequence,
-                newest.exposure_host_ns,
-                {pose.tool: pose for pose in motion.poses_of(len(batch.frames) - 1)},
-                batch.calibration_id,
-                self.description.frame_rate_hz,
-                batch.table_id,
-            )
-        )
+        entry = newest_poses(batch, self.description.frame_rate_hz)
+        if entry is not None:
+            self.poses.put(entry)
 
     def attach(self, tap: Tap, *, sampled: bool = False) -> None:
         """Give a tap all batches from now on; ``sampled``: some seconds of a minute are enough."""
         with self._taps_lock:
+            tap.prepare(self.processor.active_calibration)
             self.taps = (*self.taps, tap)
             if sampled:
                 self._sampled_taps = (*self._sampled_taps, tap)
@@ -437,6 +433,35 @@ class DeviceSession:
         self.poses.remove(self.device_id)
         self.holds.fail(self.device_id, f"the device failed: {self.failure}")
         self.streams.publish_status(self.device_id, "failed", self.failure)
+
+    @property
+    def active_calibration(self) -> ActiveCalibration:
+        """What its newest batch was processed with."""
+        return self.processor.active_calibration
+
+    @property
+    def method(self) -> Method | None:
+        """How its peaks are found; None: nothing reads its scans."""
+        return self.processor.detection.method
+
+    @property
+    def search_model(self) -> SearchModel:
+        """What its peaks are found with."""
+        return self.processor.detection.search_model
+
+    @property
+    def last_sequence(self) -> int:
+        """Sequence number of the newest frame; -1 before the first."""
+        return self.ring.last_sequence
+
+    @property
+    def frames_dropped(self) -> int:
+        """Frames that taps lack, since nobody took them in time."""
+        return self.ring.dropped
+
+    def peak_settings(self) -> dict[str, Any]:
+        """Return the method of peak detection and its errors as a JSON object."""
+        return self.processor.detection.settings()
 
     @property
     def running(self) -> bool:

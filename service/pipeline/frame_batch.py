@@ -70,6 +70,7 @@ class BeamHoldState:
         rotation_rad: rotation vector from the reference [rad]; None: not measured, or of markers.
         probability: of being beyond the limit that is nearest to it.
         release: while it is not held: what says whether that is still so.
+        revision: grows with each state of any hold in this process.
     """
 
     hold_id: str
@@ -83,6 +84,11 @@ class BeamHoldState:
     rotation_rad: Vector | None = None
     probability: float | None = None
     release: BeamEnableToken | None = field(default=None, compare=False, repr=False)
+    revision: int = field(default=0, compare=False, repr=False)
+
+    def held_because(self, why: str) -> "BeamHoldState":
+        """Return the state held, for want of data."""
+        return replace(self, held=True, cause=BeamHoldCause.NO_DATA, reason=why, release=None)
 
     @property
     def superseded(self) -> bool:
@@ -97,8 +103,7 @@ class BeamHoldState:
         assert self.release is not None
         by = self.release.ended
         if by is None:
-            why = "nothing was measured since for longer than is allowed"
-            return replace(self, held=True, cause=BeamHoldCause.NO_DATA, reason=why, release=None)
+            return self.held_because("nothing was measured since for longer than is allowed")
         return replace(
             self, held=True, cause=by.cause, reason=by.reason, since_ns=by.since_ns, release=None
         )
@@ -244,6 +249,27 @@ class PoseEntry:
     frame_rate_hz: float = 0.0
     table_id: str | None = None
     arrived_s: float = field(default_factory=time.monotonic)
+
+
+def newest_poses(batch: FrameBatch, frame_rate_hz: float) -> PoseEntry | None:
+    """Return the poses of the newest frame of a batch; None: it has no tools.
+
+    Args:
+        batch: F frames of a device, F > 0.
+        frame_rate_hz: of the device; 0 when not known.
+    """
+    if batch.motion is None or not batch.motion.poses:
+        return None
+    newest = batch.frames[-1]
+    return PoseEntry(
+        batch.device_id,
+        newest.sequence,
+        newest.exposure_host_ns,
+        {pose.tool: pose for pose in batch.motion.poses_of(len(batch.frames) - 1)},
+        batch.calibration_id,
+        frame_rate_hz,
+        batch.table_id,
+    )
 
 
 class LatestPoses:

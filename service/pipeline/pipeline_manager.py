@@ -1,7 +1,6 @@
 """PipelineManager: starts and stops devices and their threads; the API's door to the pipeline."""
 
 import logging
-from collections.abc import Callable
 from threading import RLock
 
 import numpy as np
@@ -27,11 +26,11 @@ from service.pipeline.device_session import (
 from service.pipeline.device_status import DeviceStatus
 from service.pipeline.frame_batch import LatestPoses
 from service.pipeline.frame_processor import FrameProcessor
+from service.pipeline.interface import Accept, any_device
 from service.pipeline.stage_latency import Stage
-from service.pipeline.taps import PeakTap, Tap, poll
+from service.pipeline.tap_collection import collect_readings, not_running
 from service.pipeline.threads import ComputeThread, FrameRing, ReaderThread
 from service.pipeline.tracking_config import NO_TRACKING, TrackingConfig
-from service.problems.errors import DeviceNotRunning
 
 _log = logging.getLogger(__name__)
 
@@ -44,13 +43,6 @@ NOT_AS_STORED = (
     "what is stored of it could not be taken over (the log says why); change the hold, or start "
     "the device again"
 )
-
-Accept = Callable[[DeviceDescription], None]
-"""Raises a LumilineError when a device is not what it should be."""
-
-
-def any_device(_: DeviceDescription) -> None:
-    """Accept every device."""
 
 
 class PipelineManager:
@@ -300,52 +292,22 @@ class PipelineManager:
         session = self._sessions.get(device_id)
         return session.description if session else None
 
+    def known_session(self, device_id: str) -> DeviceSession | None:
+        """Return the session of a device that was started, running or not; None: it was not."""
+        return self._sessions.get(device_id)
+
     def session(self, device_id: str) -> DeviceSession:
         """Return a running device's session; raises DeviceNotRunning. Never waits."""
         session = self._sessions.get(device_id)
         if session is None or not session.running:
-            raise self._not_running(device_id)
+            raise not_running(device_id, self.status(device_id))
         return session
-
-    def attach(self, session: DeviceSession, tap: Tap, *, sampled: bool = False) -> None:
-        """Give a tap all batches of a session from now on; ``sampled``: see DeviceSession."""
-        tap.prepare(session.processor.active_calibration)
-        session.attach(tap, sampled=sampled)
-
-    def detach(self, session: DeviceSession, tap: Tap) -> None:
-        """Give a tap no more batches."""
-        session.detach(tap)
 
     def collect(
         self, device_id: str, frames: int, marker: int | None, timeout_s: float
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the readings of one marker in the next frames of a running device.
-
-        Args:
-            device_id: the device.
-            frames: how many.
-            marker: the strobed marker; None: frames in which all are lit, and one is in view.
-            timeout_s: how long they are waited for; then there are fewer.
-
-        Returns:
-            Positions and their sigmas [px], shape (F, S); NaN where a sensor saw no clear
-            peak.
-
-        Raises:
-            DeviceNotRunning: it does not run, ends meanwhile, or is disconnected.
-        """
-        session = self._sessions.get(device_id)
-        if session is None or not session.connected:
-            raise self._not_running(device_id)
-        tap = PeakTap(session.ring.last_sequence, frames, marker)
-        self.attach(session, tap)
-        try:
-            for _ in poll(tap.ended, timeout_s):
-                if not session.connected:
-                    raise self._not_running(device_id)
-        finally:
-            self.detach(session, tap)
-        return tap.readings(len(session.description.sensors))
+        """Return the readings of one marker in the next frames; see ``collect_readings``."""
+        return collect_readings(self, device_id, frames, marker, timeout_s)
 
     def close(self) -> None:
         """Stop all devices and the compute thread."""
@@ -368,22 +330,8 @@ class PipelineManager:
     ) -> DeviceSession:
         """Make the device's buffers; runs in the compute thread."""
         capacity = max(MIN_RING_FRAMES, int(RING_SECONDS * description.frame_rate_hz))
-        ring = FrameRing(capacity, self._compute.wake)
+        ring = FrameRing(capacity, self._compute.wake, lambda: self.streams.congested)
         processor = FrameProcessor(device_id, description, self._compute_device, model)
         return DeviceSession(
             device_id, description, processor, ring, self.streams, self.poses, self.holds
-        )
-
-    def _not_running(self, device_id: str) -> DeviceNotRunning:
-        """Return the error of a device from which nothing can be captured now."""
-        status = self.status(device_id)
-        if status.state == "disconnected":
-            return DeviceNotRunning(
-                f'device "{device_id}" is disconnected: {status.reason}; connect it, and it goes '
-                "on by itself",
-                device_id=device_id,
-            )
-        return DeviceNotRunning(
-            f'device "{device_id}" does not run; start it to capture what it sees',
-            device_id=device_id,
         )

@@ -3,15 +3,18 @@
 from collections.abc import Callable
 from threading import Event
 
-from service.pipeline.device_session import DeviceSession
-from service.pipeline.pipeline_manager import PipelineManager
-from service.pipeline.taps import Tap, poll
+import numpy as np
+from numpy.typing import NDArray
+
+from service.pipeline.device_status import DeviceStatus
+from service.pipeline.interface import Pipeline, RunningDevice
+from service.pipeline.taps import PeakTap, Tap, poll
 from service.problems.errors import DeviceNotRunning, NotReady
 
 
 def collect(
-    live: PipelineManager,
-    session: DeviceSession,
+    live: Pipeline,
+    session: RunningDevice,
     tap: Tap,
     seconds: float,
     ended: Event,
@@ -25,7 +28,7 @@ def collect(
         DeviceNotRunning: the device stops or is lost meanwhile.
         NotReady: the server stops meanwhile.
     """
-    live.attach(session, tap)
+    session.attach(tap)
     try:
         for _ in poll(ended, seconds):
             if live.streams.closed is not None:
@@ -43,4 +46,50 @@ def collect(
                     device_id=session.device_id,
                 )
     finally:
-        live.detach(session, tap)
+        session.detach(tap)
+
+
+def collect_readings(
+    live: Pipeline, device_id: str, frames: int, marker: int | None, timeout_s: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the readings of one marker in the next frames of a running device; waits for them.
+
+    Args:
+        live: the running devices.
+        device_id: the device.
+        frames: how many.
+        marker: the strobed marker; None: frames in which all are lit, and one is in view.
+        timeout_s: how long they are waited for; then there are fewer.
+
+    Returns:
+        Positions and their sigmas [px], shape (F, S); NaN where a sensor saw no clear peak.
+
+    Raises:
+        DeviceNotRunning: it does not run, ends meanwhile, or is disconnected.
+    """
+    session = live.session(device_id)
+    if not session.connected:
+        raise not_running(device_id, live.status(device_id))
+    tap = PeakTap(session.last_sequence, frames, marker)
+    session.attach(tap)
+    try:
+        for _ in poll(tap.ended, timeout_s):
+            if not session.connected:
+                raise not_running(device_id, live.status(device_id))
+    finally:
+        session.detach(tap)
+    return tap.readings(len(session.description.sensors))
+
+
+def not_running(device_id: str, status: DeviceStatus) -> DeviceNotRunning:
+    """Return the error of a device from which nothing can be captured now."""
+    if status.state == "disconnected":
+        return DeviceNotRunning(
+            f'device "{device_id}" is disconnected: {status.reason}; connect it, and it goes '
+            "on by itself",
+            device_id=device_id,
+        )
+    return DeviceNotRunning(
+        f'device "{device_id}" does not run; start it to capture what it sees',
+        device_id=device_id,
+    )

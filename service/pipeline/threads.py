@@ -27,6 +27,7 @@ T = TypeVar("T")
 
 JOIN_TIMEOUT_S: Final = 5.0
 _ROOM_POLL_S: Final = 0.1
+_CONGESTION_POLL_S: Final = 0.002
 
 
 class FrameRing:
@@ -35,8 +36,20 @@ class FrameRing:
     Frames are handed over by reference: a driver does not write to a frame again.
     """
 
-    def __init__(self, capacity: int, notify: Callable[[], None]) -> None:
-        """Create a ring that calls ``notify`` after each frame that is put in."""
+    def __init__(
+        self,
+        capacity: int,
+        notify: Callable[[], None],
+        congested: Callable[[], bool] = lambda: False,
+    ) -> None:
+        """Create a ring.
+
+        Args:
+            capacity: number of frames.
+            notify: called after each frame that is put in.
+            congested: whether sources that can wait have to, though there is room.
+        """
+        self._congested = congested
         self._frames: deque[LineFrame] = deque()
         self._capacity = capacity
         self._notify = notify
@@ -75,6 +88,8 @@ class FrameRing:
 
     def wait_for_room(self, cancelled: Callable[[], bool]) -> None:
         """Wait until a frame can be put without dropping another, for sources that can wait."""
+        while self._congested() and not cancelled():
+            time.sleep(_CONGESTION_POLL_S)
         while len(self._frames) >= self._capacity and not cancelled():
             self._room.clear()
             if len(self._frames) >= self._capacity:

@@ -24,7 +24,8 @@ from service.pipeline.device_session import DeviceSession, ToolCounts
 from service.pipeline.device_status import DeviceStatus
 from service.pipeline.frame_batch import LatestPoses
 from service.pipeline.frame_processor import FrameProcessor
-from service.pipeline.pipeline_manager import Accept, PipelineManager, any_device
+from service.pipeline.interface import Accept, any_device
+from service.pipeline.pipeline_manager import PipelineManager
 from service.pipeline.stage_latency import Stage
 from service.pipeline.taps import Tap
 from service.pipeline.threads import FrameRing
@@ -84,9 +85,17 @@ class _Processor(FrameProcessor):
 class _Running(DeviceSession):
     """Runs, and no frame ever comes."""
 
+    pipeline: "FakePipeline"
+
     @property
     def drained(self) -> bool:
         return False
+
+    def attach(self, tap: Tap, *, sampled: bool = False) -> None:
+        self.pipeline.attach(self, tap)
+
+    def detach(self, tap: Tap) -> None:
+        self.pipeline.detach(self, tap)
 
     @property
     def connected(self) -> bool:
@@ -190,9 +199,11 @@ class FakePipeline(PipelineManager):
             raise DeviceNotRunning(f'device "{device_id}" does not run')
         processor = _Processor()
         processor.active_calibration = self.active
-        return _Running(device_id, self.records, processor, FrameRing(1, int), self.streams)
+        running = _Running(device_id, self.records, processor, FrameRing(1, int), self.streams)
+        running.pipeline = self
+        return running
 
-    def attach(self, session: DeviceSession, tap: Tap, *, sampled: bool = False) -> None:
+    def attach(self, session: DeviceSession, tap: Tap) -> None:
         self.calls.append(("attach", session.device_id))
         if isinstance(
             tap,

@@ -24,7 +24,7 @@ from service.pipeline.beam_hold_monitor import (
     lit_places,
 )
 from service.pipeline.frame_batch import FrameBatch
-from service.pipeline.pipeline_manager import PipelineManager
+from service.pipeline.interface import Pipeline
 from service.pipeline.tap_collection import collect
 from service.pipeline.taps import SingleCalibrationTap
 from service.pipeline.tracking_config import (
@@ -116,7 +116,7 @@ class ReferenceTap(SingleCalibrationTap):
 
 
 def capture_reference(
-    live: PipelineManager, device_id: str, spec: Spec, asked: NewReference
+    live: Pipeline, device_id: str, spec: Spec, asked: NewReference
 ) -> tuple[dict[str, Any], str, str | None]:
     """Measure the watched object; return the reference with the active calibration and table.
 

@@ -30,7 +30,7 @@ from service.api.preconditions import OptionalIfMatch, RequiredIfMatch
 from service.api.tools import concurrency_limits
 from service.database.models import HoldRow
 from service.pipeline.frame_batch import BeamHoldState
-from service.pipeline.pipeline_manager import PipelineManager
+from service.pipeline.interface import Pipeline
 
 router = ResourceRouter("/api/v1", "beam-holds")
 
@@ -196,7 +196,7 @@ def get_beam_hold_state(
     return state_of(live, device, hold_id)
 
 
-def _set_up(live: PipelineManager, row: HoldRow) -> BeamHold:
+def _set_up(live: Pipeline, row: HoldRow) -> BeamHold:
     """Return a hold with its reference, captured now where it has none."""
     made = store.document(row)
     if made.reference is not None:
@@ -209,7 +209,7 @@ def _device_of(database: DatabaseDep, hold_id: str) -> str:
         return store.BEAM_HOLDS.get(session, hold_id).device_id
 
 
-def state_of(live: PipelineManager, device_id: str, hold_id: str) -> BeamHoldStatus:
+def state_of(live: Pipeline, device_id: str, hold_id: str) -> BeamHoldStatus:
     """Return the state of a beam hold; one that is not monitored holds the beam."""
     now = live.holds.now(hold_id)
     if now is None:

@@ -5,6 +5,7 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Annotated, Final
 
 from sqlalchemy import select
@@ -37,7 +38,7 @@ from service.database.engine import Database
 from service.database.models import CalibrationRow, DeviceRow, HoldRow
 from service.pipeline.active_calibration import ActiveCalibration, ActiveRadiometric
 from service.pipeline.device_status import DeviceStatus
-from service.pipeline.pipeline_manager import Accept, PipelineManager
+from service.pipeline.interface import Pipeline
 from service.pipeline.tracking_config import TrackingConfig
 from service.problems.errors import ActivationConflict, SensorsChanged
 from service.settings import DataFolders
@@ -69,7 +70,7 @@ class DeviceService:
     def __init__(
         self,
         database: Database,
-        live: PipelineManager,
+        live: Pipeline,
         folders: DataFolders,
         stored: StoredContent,
     ) -> None:
@@ -148,7 +149,9 @@ class DeviceService:
                 tracked = self._stored.tracking_config(session, row)
             self._live.set_tracking_config(device_id, tracked)
             driver = make_driver(device_id, source, self._folders)
-            self._live.start_device(device_id, driver, found, _only_with(device_id, stored))
+            self._live.start_device(
+                device_id, driver, found, partial(_check_sensors, device_id, stored)
+            )
             return self._live.status(device_id)
 
     def stop(self, device_id: str) -> DeviceStatus:
@@ -289,19 +292,15 @@ class DeviceService:
                 _log.exception("device %s was not started", device_id)
 
 
-def _only_with(device_id: str, stored: Sequence[Sensor]) -> Accept:
-    """Return what refuses a device whose sensors are not the stored ones."""
-
-    def accept(description: DeviceDescription) -> None:
-        if not sensors_match(description.sensors, stored):
-            raise SensorsChanged(
-                f'device "{device_id}" is stored with the sensors {listed(stored)}; what is '
-                f"connected has {listed(description.sensors)}; connect the right one, or send its "
-                "source anew, which reads its sensors",
-                device_id=device_id,
-            )
-
-    return accept
+def _check_sensors(device_id: str, stored: Sequence[Sensor], found: DeviceDescription) -> None:
+    """Refuse a device whose sensors are not the stored ones; raises SensorsChanged."""
+    if not sensors_match(found.sensors, stored):
+        raise SensorsChanged(
+            f'device "{device_id}" is stored with the sensors {listed(stored)}; what is '
+            f"connected has {listed(found.sensors)}; connect the right one, or send its "
+            "source anew, which reads its sensors",
+            device_id=device_id,
+        )
 
 
 def _check_precondition(

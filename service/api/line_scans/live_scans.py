@@ -19,7 +19,7 @@ from service.api.line_scans.schema import DeviceScan, DeviceScans, LinePeak
 from service.pipeline.active_calibration import ActiveCalibration
 from service.pipeline.detection_stage import SearchModel
 from service.pipeline.frame_batch import FrameBatch
-from service.pipeline.pipeline_manager import PipelineManager
+from service.pipeline.interface import Pipeline
 from service.pipeline.tap_collection import collect
 from service.problems.errors import DeviceNotRunning
 
@@ -84,7 +84,7 @@ class ScanTap:
 
 
 def live_scans(
-    live: PipelineManager,
+    live: Pipeline,
     device_id: str,
     after: int | None,
     marker: int | None,
@@ -111,13 +111,13 @@ def live_scans(
                 device_id=device_id,
             )
         batch, index = tap.found
-        frame, model = batch.frames[index], session.processor.detection.search_model
+        frame, model = batch.frames[index], session.search_model
         return DeviceScans(
             device_id=device_id,
             sequence=frame.sequence,
             exposure_ns=frame.exposure_host_ns,
             marker=frame.marker,
-            method=session.processor.detection.method,
+            method=session.method,
             radiometric_id=batch.radiometric_id,
             scans=[
                 describe_scan(

@@ -11,8 +11,7 @@ from service.api.quality.schema import WatchSettings
 from service.api.quality.store import watch_of
 from service.database.engine import Database
 from service.database.models import CalibrationRow, WatchSampleRow
-from service.pipeline.device_session import DeviceSession
-from service.pipeline.pipeline_manager import PipelineManager
+from service.pipeline.interface import Pipeline, RunningDevice
 
 _log = logging.getLogger(__name__)
 
@@ -31,12 +30,12 @@ class DriftMonitor:
     """
 
     def __init__(
-        self, database: Database, live: PipelineManager, sample_interval_s: float = LOOK_S
+        self, database: Database, live: Pipeline, sample_interval_s: float = LOOK_S
     ) -> None:
         self._database = database
         self._live = live
         self._sample_interval_s = sample_interval_s
-        self._taps: dict[str, tuple[DeviceSession, IntervalStatisticsTap]] = {}
+        self._taps: dict[str, tuple[RunningDevice, IntervalStatisticsTap]] = {}
         self._ended = Event()
         self._thread = Thread(target=self._run, name="watch", daemon=True)
 
@@ -77,15 +76,15 @@ class DriftMonitor:
             if changed or last or tap.seconds >= settings.interval_s:
                 self._store(device_id, tap, settings)
             if changed:
-                self._live.detach(watched, tap)
+                watched.detach(tap)
                 del self._taps[device_id]
                 known = None
         if known is None and running is not None and not last:
             tap = IntervalStatisticsTap(wanted)
-            self._live.attach(running, tap, sampled=True)
+            running.attach(tap, sampled=True)
             self._taps[device_id] = (running, tap)
 
-    def _session(self, device_id: str) -> DeviceSession | None:
+    def _session(self, device_id: str) -> RunningDevice | None:
         try:
             return self._live.session(device_id)
         except LumilineError:

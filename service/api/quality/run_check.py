@@ -9,7 +9,7 @@ from compute.errors import InvalidParameter
 from compute.quality.accuracy import PointToPoint, SinglePoint, point_to_point, single_point
 from service.api.quality.point_tap import PointTap, check_strobed
 from service.api.quality.schema import NewPointToPoint, NewSinglePoint
-from service.pipeline.pipeline_manager import PipelineManager
+from service.pipeline.interface import Pipeline
 from service.pipeline.tap_collection import collect
 
 _GAPS: Final = 2.5
@@ -30,7 +30,7 @@ class CheckMeasurement:
 
 
 def measure(
-    live: PipelineManager, device_id: str, asked: NewSinglePoint | NewPointToPoint
+    live: Pipeline, device_id: str, asked: NewSinglePoint | NewPointToPoint
 ) -> CheckMeasurement:
     """Measure for as long as was asked.
 

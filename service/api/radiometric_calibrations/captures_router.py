@@ -143,7 +143,7 @@ def capture_frames(
         device_id = row.device_id
         dark = store.statistics_by_name(row).get(store.DARK)
     running = live.session(device_id)
-    tap = FrameTap(running.ring.last_sequence, settings.frames, len(sensors))
+    tap = FrameTap(running.last_sequence, settings.frames, len(sensors))
     collect(live, running, tap, settings.timeout_s, tap.ended, tap.add_up)
     tap.add_up()
     check_frame_count(tap.sums.frames, settings.frames, f"device {device_id}")

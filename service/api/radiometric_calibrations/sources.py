@@ -35,8 +35,7 @@ from service.api.radiometric_calibrations.schema import (
 from service.api.radiometric_calibrations.store import active_radiometric, check_content
 from service.database.engine import Database
 from service.pipeline.active_calibration import bad_pixel_flags
-from service.pipeline.device_session import DeviceSession
-from service.pipeline.pipeline_manager import PipelineManager
+from service.pipeline.interface import Pipeline, RunningDevice
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -47,7 +46,7 @@ def content_from(
     sensors: Sequence[SensorDescription],
     database: Database,
     recordings: Path,
-    live: PipelineManager,
+    live: Pipeline,
 ) -> RadiometricContent:
     """Return the calibrations of the sensors that a request asks for.
 
@@ -124,13 +123,13 @@ def _active_sensors(device: str, database: Database) -> Mapping[str, Radiometric
         return {} if active is None else active_radiometric(session, active).sensors
 
 
-def _from_bad_pixels(running: DeviceSession) -> dict[str, RadiometricCalibration]:
+def _from_bad_pixels(running: RunningDevice) -> dict[str, RadiometricCalibration]:
     """Return the active calibrations of a device, with the bad pixels that its frames have shown.
 
     Raises:
         InvalidParameter: there are none.
     """
-    active, description = running.processor.active_calibration, running.description
+    active, description = running.active_calibration, running.description
     if not active.bad_pixels:
         raise InvalidParameter(
             f'the frames of device "{running.device_id}" have shown no bad pixel since its start; '

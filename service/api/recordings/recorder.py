@@ -17,8 +17,8 @@ from service.api.recordings.active_calibration_file import dump_active_calibrati
 from service.api.recordings.result_rows import peak_rows, point_rows
 from service.api.recordings.schema import NewRecording
 from service.pipeline.active_calibration import ActiveCalibration
-from service.pipeline.device_session import DeviceSession
 from service.pipeline.frame_batch import FrameBatch
+from service.pipeline.interface import RunningDevice
 from service.version import package_version
 
 
@@ -33,13 +33,14 @@ class Recorder:
         OSError: the file cannot be made.
     """
 
-    def __init__(self, job: WriterJob, session: DeviceSession) -> None:
+    def __init__(self, job: WriterJob, session: RunningDevice) -> None:
         self.job = job
         self.session = session
         self._feed = WriterProcessClient(job)
         self._lock = Lock()
         self._rows: dict[ActiveCalibration, int] = {}
-        self._dropped_before = session.ring.dropped
+        self._active_row = NO_CALIBRATION_ROW
+        self._dropped_before = session.frames_dropped
         sensors = len(session.description.sensors)
         self._nothing = np.empty(0, PEAK), np.empty(0, point_dtype(sensors))
 
@@ -55,7 +56,7 @@ class Recorder:
 
     def prepare(self, found: ActiveCalibration) -> None:
         """Have a calibration and its table brought to the file, before the frames of them."""
-        self._row(found)
+        self._active_row = self._row(found)
 
     def offer(self, batch: FrameBatch) -> None:
         """Hand a batch over; it is dropped and counted when the writer is behind. Never waits."""
@@ -69,14 +70,14 @@ class Recorder:
 
     def _hand_over(self, batch: FrameBatch) -> None:
         rows = frame_rows(batch.frames)
-        rows["active_calibration"] = self._row(self.session.processor.active_calibration)
+        rows["active_calibration"] = self._active_row
         peaks, points = self._nothing
         if self.job.results:
             sensors = len(batch.sensor_names)
             peaks, rows["peaks"] = peak_rows(batch.peaks, sensors)
             points, rows["points"] = point_rows(batch)
         lines = [frame.lines for frame in batch.frames]
-        dropped = self.session.ring.dropped - self._dropped_before
+        dropped = self.session.frames_dropped - self._dropped_before
         self._feed.put(rows, lines, peaks, points, dropped)
 
     def stop(self, reason: str) -> None:
@@ -140,7 +141,7 @@ _UNKNOWN_HZ: Final = 1000.0
 
 
 def writer_job(
-    session: DeviceSession,
+    session: RunningDevice,
     request: NewRecording,
     path: Path,
     begin: datetime,
@@ -171,18 +172,18 @@ def writer_job(
     )
 
 
-def _provenance(session: DeviceSession, request: NewRecording, begin: datetime) -> dict[str, Any]:
+def _provenance(session: RunningDevice, request: NewRecording, begin: datetime) -> dict[str, Any]:
     """Return the provenance of results: software versions and settings."""
     return {
         "program": "lumiline",
         "version": package_version(),
         "started_at": begin.isoformat(),
         "request": request.model_dump(mode="json"),
-        "peaks": session.processor.detection.settings(),
+        "peaks": session.peak_settings(),
     }
 
 
-def _ring_bytes(session: DeviceSession) -> int:
+def _ring_bytes(session: RunningDevice) -> int:
     sensors, pixels = scan_shape(session.description)
     rate = session.description.frame_rate_hz or _UNKNOWN_HZ
     wanted = int(RING_SECONDS * rate * sensors * pixels * 2)

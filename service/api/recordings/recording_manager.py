@@ -14,8 +14,7 @@ from service.api.paging import Page, Paging, page_of_sequence
 from service.api.recordings.recorder import Recorder, WriteCounters, writer_job
 from service.api.recordings.repository import RecordingRepository, unread
 from service.api.recordings.schema import NewRecording, RecordingDetail, RecordingDocument
-from service.pipeline.device_session import DeviceSession
-from service.pipeline.pipeline_manager import PipelineManager
+from service.pipeline.interface import Pipeline, RunningDevice
 from service.problems.errors import (
     InsufficientStorage,
     RecordingExists,
@@ -45,7 +44,7 @@ class RecordingManager:
     """
 
     def __init__(
-        self, live: PipelineManager, folder: Path, free_bytes: int = 0, flush_s: float = 1.0
+        self, live: Pipeline, folder: Path, free_bytes: int = 0, flush_s: float = 1.0
     ) -> None:
         self.library = RecordingRepository(folder)
         self._live = live
@@ -98,7 +97,7 @@ class RecordingManager:
         finally:
             with self._lock:
                 del self._starting[name]
-        self._live.attach(session, recorder)
+        session.attach(recorder)
         _log.info("recording %s of device %s has begun", name, device_id)
         if self._closing.is_set():
             recorder.stop(_SHUT_DOWN)
@@ -131,7 +130,7 @@ class RecordingManager:
         with self._lock:
             recorder = self._active.get(name)
         if recorder is not None:
-            self._live.detach(recorder.session, recorder)
+            recorder.session.detach(recorder)
             recorder.stop("stopped by request")
             recorder.wait(_CLOSE_S)
             self._settle()
@@ -215,7 +214,7 @@ class RecordingManager:
         with self._lock:
             active = dict(self._active)
         for recorder in active.values():
-            self._live.detach(recorder.session, recorder)
+            recorder.session.detach(recorder)
             recorder.stop(_SHUT_DOWN)
         end = time.monotonic() + _SHUTDOWN_S
         for name, recorder in active.items():
@@ -246,7 +245,7 @@ class RecordingManager:
             for name, recorder in list(self._active.items()):
                 if recorder.status.ended is None:
                     continue
-                self._live.detach(recorder.session, recorder)
+                recorder.session.detach(recorder)
                 level = logging.ERROR if recorder.status.failed else logging.INFO
                 _log.log(level, "recording %s has ended: %s", name, recorder.status.ended)
                 if recorder.status.failed:
@@ -300,7 +299,7 @@ def _of_recorder(name: str, recorder: Recorder) -> RecordingDocument:
     )
 
 
-def _why(session: DeviceSession) -> str:
+def _why(session: RunningDevice) -> str:
     status = session.status()
     if status.state == "stopped":
         return "the device was stopped"

@@ -17,7 +17,7 @@ from service.api.tools.point_schema import NewPoint
 from service.api.tools.pose_query import Frame
 from service.api.tools.pose_taps import TipTap
 from service.api.tools.tip_limit import TipLimit
-from service.pipeline.pipeline_manager import PipelineManager
+from service.pipeline.interface import Pipeline
 from service.pipeline.tap_collection import collect
 from service.problems.errors import CalibrationSwitched, NoActiveCalibration, NoObservation
 
@@ -45,7 +45,7 @@ class Pointer:
 
 
 def digitise_point(
-    live: PipelineManager, pointer: Pointer, frame: Frame, asked: NewPoint
+    live: Pipeline, pointer: Pointer, frame: Frame, asked: NewPoint
 ) -> dict[str, Any]:
     """Wait until the tip is held still; return the members of MeasuredPoint that were found.
 

@@ -18,7 +18,7 @@ from service.api.tools.registrations import REGISTRATIONS, frame_from_measured
 from service.api.tools.schema import TRACKER
 from service.api.tools.store import tools
 from service.pipeline.frame_batch import PoseEntry
-from service.pipeline.pipeline_manager import PipelineManager
+from service.pipeline.interface import Pipeline
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,7 +145,7 @@ def _describe_node(node: Node) -> str:
     return f'{node.kind} "{node.name}": {node.reason}'
 
 
-def device_frames(session: Session, live: PipelineManager, device_id: str) -> DeviceFrames:
+def device_frames(session: Session, live: Pipeline, device_id: str) -> DeviceFrames:
     """Return a device's frames: the tracker's, its tools' and those of its registrations."""
     entry = live.poses.newest().get(device_id)
     now_ns = time.time_ns()

@@ -15,7 +15,7 @@ from compute.pose.tool_calibration.digitising import (
 from compute.quality.accuracy import MarkerTrack
 from service.api.quality.point_tap import PointTap, check_strobed
 from service.api.tools.schema import NewCapturedTool, Origin
-from service.pipeline.pipeline_manager import PipelineManager
+from service.pipeline.interface import Pipeline
 from service.pipeline.tap_collection import collect
 from service.problems.errors import NoObservation
 
@@ -26,7 +26,7 @@ MIN_OBSERVED_FRACTION: Final = 0.2
 """A marker must be seen in at least this share of the frames that the best seen one is seen in."""
 
 
-def capture_geometry(live: PipelineManager, asked: NewCapturedTool) -> tuple[RigidBody, Origin]:
+def capture_geometry(live: Pipeline, asked: NewCapturedTool) -> tuple[RigidBody, Origin]:
     """Look at a tool for as long as was asked; return its geometry, and how it is known.
 
     The origin is the middle of the markers, the axes are their principal axes: X along the

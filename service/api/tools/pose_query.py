@@ -17,7 +17,7 @@ from service.api.tools.rigid_bodies import tip_of
 from service.api.tools.schema import TRACKER, Pose
 from service.database.models import RegistrationRow, ToolRow
 from service.pipeline.frame_batch import PoseEntry, pose_members
-from service.pipeline.pipeline_manager import PipelineManager
+from service.pipeline.interface import Pipeline
 from service.problems.errors import UnknownTool
 
 STALE_S: Final = 1.0
@@ -78,7 +78,7 @@ def frame_of(session: Session, tool: ToolRow, wanted: str | None) -> Frame:
     return Frame(name, name)
 
 
-def newest_pose(live: PipelineManager, tool: ToolRow, frame: Frame, max_tip_sd_mm: float) -> Pose:
+def newest_pose(live: Pipeline, tool: ToolRow, frame: Frame, max_tip_sd_mm: float) -> Pose:
     """Return the newest pose of a tool, or the reason why there is none; a stale one is none.
 
     Args:
@@ -124,7 +124,7 @@ def newest_pose(live: PipelineManager, tool: ToolRow, frame: Frame, max_tip_sd_m
 
 
 def board_pose(
-    live: PipelineManager, tool_id: str, device_id: str, entry: PoseEntry | None, now_ns: int
+    live: Pipeline, tool_id: str, device_id: str, entry: PoseEntry | None, now_ns: int
 ) -> ToolPose:
     """Return what the board has of a tool, or the reason why it has nothing to go by."""
     if entry is None:

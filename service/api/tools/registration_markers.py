@@ -15,7 +15,7 @@ from service.api.tools.geometry_capture import MIN_FRAMES, stationary_marker
 from service.api.tools.marker_tap import MarkerObservation, MarkerTap
 from service.api.tools.registration_schema import NewThreeMarkers
 from service.api.tools.registrations import NewRegistrationRecord, target_errors
-from service.pipeline.pipeline_manager import PipelineManager
+from service.pipeline.interface import Pipeline
 from service.pipeline.tap_collection import collect
 from service.problems.errors import NoObservation
 
@@ -25,7 +25,7 @@ _TOLD_TURN_RAD: Final = float(np.radians(0.5))
 """A frame whose turn is known no better is warned of: 1 mm is passed at some 100 mm."""
 
 
-def of_markers(live: PipelineManager, request: NewThreeMarkers) -> NewRegistrationRecord:
+def of_markers(live: Pipeline, request: NewThreeMarkers) -> NewRegistrationRecord:
     """Return the frame of three markers, whose positions are given or measured now.
 
     Raises:
@@ -94,7 +94,7 @@ def _given_covariances(request: NewThreeMarkers) -> Array:
 
 
 def _looked_at(
-    live: PipelineManager, request: NewThreeMarkers
+    live: Pipeline, request: NewThreeMarkers
 ) -> tuple[list[StationaryPoint], tuple[str | None, str | None]]:
     """Return the markers' measured positions with the active calibration and table."""
     numbers = request.strobe_markers

@@ -29,7 +29,7 @@ from service.api.tools.registration_schema import (
     Registration,
 )
 from service.database.engine import Database
-from service.pipeline.pipeline_manager import PipelineManager
+from service.pipeline.interface import Pipeline
 from service.settings import Settings
 
 router = ResourceRouter("/api/v1/registrations", "tools")
@@ -107,7 +107,7 @@ def _of_pairs(asked: NewPairedPoints) -> store.NewRegistrationRecord:
 
 
 def _of_markers(
-    database: Database, live: PipelineManager, asked: NewThreeMarkers
+    database: Database, live: Pipeline, asked: NewThreeMarkers
 ) -> store.NewRegistrationRecord:
     from service.api.tools.registration_markers import of_markers
 

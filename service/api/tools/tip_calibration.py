@@ -9,7 +9,7 @@ from compute.errors import TooFewPoses
 from compute.pose.rigid_body import ToolPose
 from service.api.tools.pose_taps import PoseTap
 from service.api.tools.schema import NewToolCalibration
-from service.pipeline.pipeline_manager import PipelineManager
+from service.pipeline.interface import Pipeline
 from service.pipeline.tap_collection import collect
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ MAX_COLLECTED: Final = 100_000
 
 
 def calibrate_tip(
-    live: PipelineManager,
+    live: Pipeline,
     device_id: str,
     tool_id: str,
     reference: str | None,

@@ -42,8 +42,7 @@ from service.api.wave_captures.store import keep_wave
 from service.api.wave_captures.stored_wave import StoredWave
 from service.database.engine import Database
 from service.jobs.call_process import CallProcess
-from service.pipeline.device_session import DeviceSession
-from service.pipeline.pipeline_manager import PipelineManager
+from service.pipeline.interface import Pipeline, RunningDevice
 from service.pipeline.tap_collection import collect
 from service.problems.errors import Busy, NotReady
 
@@ -90,7 +89,7 @@ class WaveCaptureManager:
         live: the live pipeline.
     """
 
-    def __init__(self, database: Database, live: PipelineManager) -> None:
+    def __init__(self, database: Database, live: Pipeline) -> None:
         self._database = database
         self._live = live
         self._waves: dict[str, _Wave] = {}
@@ -181,10 +180,10 @@ class WaveCaptureManager:
 class _Wave:
     """The thread that takes the poses of one session."""
 
-    def __init__(self, task: WaveTask, manager: WaveCaptureManager, running: DeviceSession) -> None:
+    def __init__(self, task: WaveTask, manager: WaveCaptureManager, running: RunningDevice) -> None:
         self.task = task
         self.running = running
-        self.tap = ExposureTap(running.ring.last_sequence, task.markers, len(task.sensors))
+        self.tap = ExposureTap(running.last_sequence, task.markers, len(task.sensors))
         self.reason = ""
         self._manager = manager
         self._collector = StrobedPoseCollector(

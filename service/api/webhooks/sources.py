@@ -7,7 +7,7 @@ from typing import Any, Final
 
 from service.pipeline.device_status import DeviceStatus
 from service.pipeline.frame_batch import BeamHoldState
-from service.pipeline.pipeline_manager import PipelineManager
+from service.pipeline.interface import Pipeline
 
 _log = logging.getLogger(__name__)
 
@@ -76,7 +76,7 @@ class DeviceEvents:
 class EventSources:
     """Watches holds and devices of a server until it is closed."""
 
-    def __init__(self, live: PipelineManager, emit: Emit, look_s: float = LOOK_S) -> None:
+    def __init__(self, live: Pipeline, emit: Emit, look_s: float = LOOK_S) -> None:
         self._live = live
         self._look_s = look_s
         self._devices = DeviceEvents(emit)

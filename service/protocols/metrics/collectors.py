@@ -27,7 +27,7 @@ from service.jobs.run_manager import BOUNDS_S, DurationHistogram
 from service.jobs.store import STATES, Kind
 from service.pipeline import device_session
 from service.pipeline.device_status import DeviceState
-from service.pipeline.pipeline_manager import PipelineManager
+from service.pipeline.interface import Pipeline
 from service.pipeline.stage_latency import Stage
 from service.problems.errors import NotReady
 from service.protocols.stream.hub import Hub
@@ -174,7 +174,7 @@ def _by_device(objects: Mapping[str, Any]) -> dict[tuple[str, ...], Any]:
 class LiveCollector(Collector):
     """Reads the pipeline's counters, which begin anew with a device's start."""
 
-    def __init__(self, live: PipelineManager, hub: Hub) -> None:
+    def __init__(self, live: Pipeline, hub: Hub) -> None:
         self._live = live
         self._hub = hub
 

@@ -19,8 +19,7 @@ from service.settings import Settings
 from service.version import package_version
 
 if TYPE_CHECKING:
-    from service.pipeline.pipeline_manager import PipelineManager
-
+    from service.pipeline.interface import Pipeline
 
 _COUNTS: Final[Members] = (
     ("connections", "Connections of NDI clients that were taken.", "connections"),
@@ -55,7 +54,7 @@ async def ndi_running(app: FastAPI, settings: Settings) -> AsyncIterator[None]:
     if settings.ndi_port is None:
         yield
         return
-    live: PipelineManager = app.state.live
+    live: Pipeline = app.state.live
     options = NdiOptions(
         port=settings.ndi_port,
         host=settings.ndi_host,

@@ -24,7 +24,7 @@ from service.api.tools.tip_limit import tip_limit_of
 from service.database.audited_session import entry
 from service.database.engine import Database
 from service.database.models import RegistrationRow, ToolRow
-from service.pipeline.pipeline_manager import PipelineManager
+from service.pipeline.interface import Pipeline
 from service.pipeline.transform_names import frame_name
 from service.principal import Act, Principal, current_act
 from service.problems.errors import UnknownRecording
@@ -47,9 +47,7 @@ _CLIENT: Final = Principal("service", "openigtlink", "OpenIGTLink client", froze
 class ApplicationHost:
     """The application as the OpenIGTLink server knows it; used in one event loop."""
 
-    def __init__(
-        self, database: Database, live: PipelineManager, recordings: RecordingManager
-    ) -> None:
+    def __init__(self, database: Database, live: Pipeline, recordings: RecordingManager) -> None:
         self._database = database
         self._live = live
         self._recordings = recordings

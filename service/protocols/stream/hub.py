@@ -162,8 +162,13 @@ class Subscription:
         return item.payload
 
 
+ClientListener = Callable[[str, int], None]
+
+
 class Hub:
     """StreamPublisher of the service: appends to the device's log, and never waits for a client."""
+
+    congested = False
 
     def __init__(self, kept_messages: int = KEPT_MESSAGES, lag_s: float = LAG_S) -> None:
         self._kept_messages = kept_messages
@@ -173,6 +178,19 @@ class Hub:
         self._lock = Lock()
         self.closed: str | None = None
         """Why all streams have ended; None: they have not."""
+        self._client_listeners: list[ClientListener] = []
+
+    def on_clients(self, listener: ClientListener) -> None:
+        """Call with a device and its number of clients whenever that changes."""
+        self._client_listeners.append(listener)
+
+    def client_counts(self) -> dict[str, int]:
+        """Return the number of clients of each device that had any."""
+        return {device_id: len(here) for device_id, here in tuple(self._clients.items())}
+
+    def _tell_clients(self, device_id: str) -> None:
+        for listener in self._client_listeners:
+            listener(device_id, self.subscribers(device_id))
 
     def log(self, device_id: str) -> StreamLog:
         """Return the device's log, made when it is first asked for."""
@@ -192,6 +210,7 @@ class Hub:
         with self._lock:
             here = self._clients.get(request.device_id, ())
             self._clients[request.device_id] = (*here, subscription)
+        self._tell_clients(request.device_id)
         return subscription
 
     def unsubscribe(self, subscription: Subscription) -> None:
@@ -200,6 +219,7 @@ class Hub:
         with self._lock:
             here = self._clients.get(device_id, ())
             self._clients[device_id] = tuple(one for one in here if one is not subscription)
+        self._tell_clients(device_id)
 
     def subscribers(self, device_id: str) -> int:
         """Return the number of clients of a device."""

@@ -9,7 +9,7 @@ from fastapi import APIRouter, Depends, WebSocket, WebSocketDisconnect
 from starlette.datastructures import State
 
 from compute.errors import LumilineError
-from service.pipeline.pipeline_manager import PipelineManager
+from service.pipeline.interface import Pipeline
 from service.principal import Principal
 from service.problems.catalogue import problem_type_of
 from service.problems.errors import NotReady, UpgradeRequired
@@ -57,7 +57,7 @@ async def stream(websocket: WebSocket, query: StreamQueryDep) -> None:
 
 
 async def _serve(websocket: WebSocket, request: StreamRequest, principal: Principal) -> None:
-    live: PipelineManager = websocket.app.state.live
+    live: Pipeline = websocket.app.state.live
     hub: Hub = websocket.app.state.streams
     client_protocols = subprotocols(websocket.headers)
     await websocket.accept(SUBPROTOCOL if SUBPROTOCOL in client_protocols else None)
@@ -87,7 +87,7 @@ def stream_by_http(_query: StreamQueryDep) -> None:
     )
 
 
-def _greeting(live: PipelineManager, subscription: Subscription) -> dict[str, Any]:
+def _greeting(live: Pipeline, subscription: Subscription) -> dict[str, Any]:
     """Return the first message: what will come, and how things stand."""
     request = subscription.request
     status = live.status(request.device_id)

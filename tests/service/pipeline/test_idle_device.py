@@ -52,7 +52,7 @@ def test_device_that_nobody_looks_at_computes_nothing_until_a_tap_comes(
         assert idle.frames_processed == before.frames_processed
         assert (idle.state, idle.frames_lost) == ("running", 0)
         tap = Tap()
-        live.attach(live.session("sim"), tap)
+        live.session("sim").attach(tap)
         wait_for(lambda: len(tap.frames) >= 20)
         assert all(frame.lines.shape == (4, 2048) for frame in tap.frames)
         sequences = [frame.sequence for frame in tap.frames]
@@ -71,7 +71,7 @@ def test_device_that_is_only_sampled_computes_in_its_part_of_the_interval(
         driver = SimulatedDriver("sim", SimulationSettings(frame_rate_hz=200.0))
         live.start_device("sim", driver, ActiveCalibration())
         tap = Tap()
-        live.attach(live.session("sim"), tap, sampled=True)
+        live.session("sim").attach(tap, sampled=True)
         wait_for(lambda: driver.idle)
         before = live.status("sim")
         wait_for(lambda: live.status("sim").frames_received >= before.frames_received + 50)

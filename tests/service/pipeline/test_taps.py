@@ -35,11 +35,11 @@ def test_detached_tap_is_not_in_the_middle_of_a_batch() -> None:
         driver = SimulatedDriver("sim", SimulationSettings(frame_rate_hz=200.0))
         live.start_device("sim", driver, ActiveCalibration())
         session = live.session("sim")
-        live.attach(session, tap)
+        session.attach(tap)
         assert tap.halfway.wait(WAIT_S)
 
         def detach() -> None:
-            live.detach(session, tap)
+            session.detach(tap)
             detached.set()
 
         thread = Thread(target=detach)

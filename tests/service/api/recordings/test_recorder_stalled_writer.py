@@ -197,7 +197,7 @@ def test_a_tap_that_fails_is_detached_and_the_device_goes_on(
     tap = Failing()
     session = live.session("sim")
     with caplog.at_level(logging.ERROR):
-        live.attach(session, tap)
+        session.attach(tap)
         wait_for(lambda: tap.offered > 0)
         assert goes_on(live)
     assert tap.offered == 1

@@ -1,0 +1,395 @@
+"""The station's process: devices, their threads, beam holds, and the writer's end of the bus.
+
+Started by the gateway with three descriptors: a socket for calls, the memory of the ring, and its
+doorbell. It ends when the socket does. Nothing here serves clients, reads the database or files.
+"""
+
+import contextlib
+import gc
+import logging
+import os
+import pickle
+import signal
+import sys
+import threading
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, fields
+from multiprocessing.connection import Connection
+from threading import Lock, Thread
+from typing import TYPE_CHECKING, Any, Final
+
+from compute.errors import LumilineError
+from hardware.driver import DeviceDescription, Driver
+from service.logs import DEVICE
+from service.pipeline.active_calibration import ActiveCalibration
+from service.pipeline.detection_stage import FindProfile, SearchModel
+from service.pipeline.frame_batch import BeamHoldState, FrameBatch
+from service.pipeline.interface import Accept
+from service.pipeline.pipeline_manager import PipelineManager
+from service.pipeline.tracking_config import TrackingConfig
+from service.problems.errors import DeviceNotRunning
+from service.station.bus_messages import (
+    DeviceFigures,
+    StationFigures,
+    batch_message,
+    calibration_message,
+    end_message,
+    figures_message,
+    hold_message,
+    state_message,
+)
+from service.station.calls import Answer, Call, LogLine, Start
+from service.station.shared_ring import Doorbell, RingWriter
+
+if TYPE_CHECKING:
+    from service.pipeline.device_session import DeviceSession
+
+_log = logging.getLogger(__name__)
+
+FIGURES_S: Final = 0.2
+"""Time between two messages with a station's figures."""
+_SWITCH_S: Final = 5e-4
+"""How long a thread may keep the interpreter from another: a frame waits for it at most."""
+_CALLS: Final = 8
+"""Calls at a time: the start of a device may take seconds, and keeps no other waiting."""
+
+
+@dataclass(frozen=True, eq=False)
+class VersionedCalibration(ActiveCalibration):
+    """A calibration with the number that the gateway knows it by."""
+
+    version: int = 0
+
+
+class BusPublisher:
+    """StreamPublisher of a station: puts everything on the bus, in order."""
+
+    closed: str | None = None
+
+    def __init__(self, ring: RingWriter, doorbell: int) -> None:
+        self._ring = ring
+        self._doorbell = doorbell
+        self.generations: dict[str, int] = {}
+        """Number of each device's newest start."""
+        self.taps: dict[str, int] = {}
+        """Taps of each device: they want pixels."""
+        self.clients: dict[str, int] = {}
+        """Clients of each device at the gateway."""
+        self.figures: Callable[[], StationFigures] | None = None
+        """Figures that go before each change of a state."""
+
+    @property
+    def congested(self) -> bool:
+        """Whether the gateway is so far behind that sources that can wait have to."""
+        return self._ring.behind > self._ring.capacity // 2
+
+    def put(self, message: bytes) -> None:
+        """Put a message on the bus, and wake its readers."""
+        self._ring.write(message)
+        Doorbell.ring(self._doorbell)
+
+    @property
+    def head(self) -> int:
+        """Position behind the newest message."""
+        return self._ring.head
+
+    def publish_batch(self, batch: FrameBatch) -> None:
+        """Put a batch of frames on the bus."""
+        device_id = batch.device_id
+        generation = self.generations.get(device_id, 0)
+        pixels = bool(self.taps.get(device_id))
+        self.put(batch_message(batch, generation, pixels=pixels))
+
+    def publish_status(
+        self,
+        device_id: str,
+        state: str,
+        reason: str | None = None,
+        link: str | None = None,
+        description: DeviceDescription | None = None,
+    ) -> None:
+        """Put a device's state on the bus, behind the figures that agree with it."""
+        if state == "starting":
+            self.generations[device_id] = self.generations.get(device_id, 0) + 1
+        self.publish_figures()
+        self.put(state_message(device_id, state, reason, link, description))
+
+    def publish_figures(self) -> None:
+        """Put the figures of all devices on the bus."""
+        if self.figures is not None:
+            self.put(figures_message(self.figures()))
+
+    def publish_hold(self, device_id: str, now: BeamHoldState) -> None:
+        """Do nothing: the listener of the registry also knows which change is the last."""
+
+    def put_hold(self, device_id: str, now: BeamHoldState, last: bool) -> None:
+        """Put a change of a beam hold on the bus; a ``Listener`` of the registry."""
+        self.put(hold_message(device_id, now, last=last))
+
+    def subscribers(self, device_id: str) -> int:
+        """Return the number of clients of a device."""
+        return self.clients.get(device_id, 0)
+
+    def end(self, device_id: str) -> None:
+        """Put on the bus that a device was deleted."""
+        self.publish_figures()
+        self.put(end_message(device_id))
+
+
+class BusTap:
+    """Stands for a tap at the gateway: tells it what the batches are processed with."""
+
+    def __init__(self, publisher: BusPublisher, tap: int) -> None:
+        self._publisher = publisher
+        self._tap = tap
+
+    def prepare(self, found: ActiveCalibration) -> None:
+        """Tell it before the first batch that is processed with this."""
+        version = found.version if isinstance(found, VersionedCalibration) else 0
+        self._publisher.put(calibration_message(self._tap, version, found.bad_pixels))
+
+    def offer(self, batch: FrameBatch) -> None:
+        """Do nothing: it has the batch from the bus."""
+
+
+class Station:
+    """What the gateway calls, by name; all of it may be called from any thread.
+
+    Args:
+        ring: takes the messages.
+        doorbell: descriptor by which its reader is woken.
+        start: what the gateway says at the beginning.
+    """
+
+    def __init__(self, ring: RingWriter, doorbell: int, start: Start) -> None:
+        self._publisher = BusPublisher(ring, doorbell)
+        find_profile: FindProfile = start.find_profile
+        self._manager = PipelineManager(self._publisher, start.compute_device, find_profile)
+        self._taps: dict[int, tuple[DeviceSession, BusTap]] = {}
+        self._lock = Lock()
+        self._manager.holds.listen(self._publisher.put_hold)
+        self._publisher.figures = self._figures
+        self._ended = threading.Event()
+        self._figures_thread = Thread(target=self._publish_figures, name="figures", daemon=True)
+        self._figures_thread.start()
+
+    @property
+    def head(self) -> int:
+        """Position behind the newest message of the bus."""
+        return self._publisher.head
+
+    def close(self) -> None:
+        """Stop all devices."""
+        self._ended.set()
+        self._manager.close()
+
+    def start_device(
+        self,
+        device_id: str,
+        driver: bytes,
+        active: ActiveCalibration,
+        version: int,
+        accept: Accept,
+    ) -> DeviceDescription | None:
+        """Start a device with a pickled driver; arguments else as of ``Pipeline``."""
+        opened: Driver = pickle.loads(driver)  # noqa: S301 - from our own parent process
+        return self._manager.start_device(device_id, opened, _versioned(active, version), accept)
+
+    def stop_device(self, device_id: str) -> None:
+        """As of ``Pipeline``."""
+        self._manager.stop_device(device_id)
+
+    def forget_device(self, device_id: str) -> None:
+        """As of ``Pipeline``."""
+        self._manager.forget_device(device_id)
+
+    def set_calibration(self, device_id: str, active: ActiveCalibration, version: int) -> None:
+        """As of ``Pipeline``, with the number that the gateway knows the calibration by."""
+        self._manager.set_calibration(device_id, _versioned(active, version))
+
+    def set_tracking_config(self, device_id: str, tracked: TrackingConfig) -> None:
+        """As of ``Pipeline``."""
+        self._manager.set_tracking_config(device_id, tracked)
+
+    def attach(self, device_id: str, generation: int, tap: int, *, sampled: bool) -> None:
+        """Let batches of a device have pixels, and tell a tap what they are processed with.
+
+        Raises:
+            DeviceNotRunning: the device was started again since.
+        """
+        session = self._manager.session(device_id)
+        if self._publisher.generations.get(device_id) != generation:
+            raise DeviceNotRunning(
+                f'device "{device_id}" was started again meanwhile; try again', device_id=device_id
+            )
+        with self._lock:
+            self._publisher.taps[device_id] = self._publisher.taps.get(device_id, 0) + 1
+            bus_tap = BusTap(self._publisher, tap)
+            self._taps[tap] = session, bus_tap
+        session.attach(bus_tap, sampled=sampled)
+
+    def detach(self, tap: int) -> None:
+        """End what ``attach`` began."""
+        with self._lock:
+            session, bus_tap = self._taps.pop(tap, (None, None))
+            if session is None or bus_tap is None:
+                return
+            self._publisher.taps[session.device_id] -= 1
+        session.detach(bus_tap)
+
+    def set_clients(self, device_id: str, clients: int) -> None:
+        """Take how many clients of a device there are."""
+        self._publisher.clients[device_id] = clients
+
+    def search_model(self, device_id: str) -> SearchModel:
+        """Return what a running device's peaks are found with; raises DeviceNotRunning."""
+        return self._manager.session(device_id).search_model
+
+    def last_sequence(self, device_id: str) -> int:
+        """Return the number of a running device's newest frame; raises DeviceNotRunning."""
+        return self._manager.session(device_id).last_sequence
+
+    def acknowledge(self, hold_id: str) -> bool:
+        """End the latch of a hold; return whether there is one."""
+        return self._manager.holds.acknowledge(hold_id) is not None
+
+    def set_up(self, reference_id: str) -> None:
+        """As of ``BeamHolds``."""
+        self._manager.holds.set_up(reference_id)
+
+    def _publish_figures(self) -> None:
+        while not self._ended.wait(FIGURES_S):
+            try:
+                self._publisher.publish_figures()
+            except Exception:  # noqa: BLE001 - the next ones may work
+                _log.exception("the station's figures are not published now")
+
+    def _figures(self) -> StationFigures:
+        manager = self._manager
+        devices = {
+            device_id: DeviceFigures(status, self._publisher.generations.get(device_id, 0))
+            if (session := manager.known_session(device_id)) is None
+            else DeviceFigures(
+                status,
+                self._publisher.generations.get(device_id, 0),
+                session.description,
+                session.running,
+                session.connected,
+                session.drained,
+                session.latency.counts(),
+                session.stages.sums(),
+                {
+                    tool: (dict(counts.frames), counts.newest_ns)
+                    for tool, counts in session.pose_counts.counts().items()
+                },
+                session.peak_settings(),
+            )
+            for device_id, status in manager.statuses().items()
+        }
+        return StationFigures(devices, manager.busy_s, manager.ready)
+
+
+def _versioned(active: ActiveCalibration, version: int) -> VersionedCalibration:
+    members = {one.name: getattr(active, one.name) for one in fields(ActiveCalibration)}
+    return VersionedCalibration(**members, version=version)
+
+
+class LogForwarder(logging.Handler):
+    """Sends log lines to the gateway, which has the only log."""
+
+    def __init__(self, send: Callable[[LogLine], None]) -> None:
+        super().__init__()
+        self._send = send
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Send a line, with its device and its traceback as text."""
+        try:
+            if record.exc_info and not record.exc_text:
+                record.exc_text = logging.Formatter().formatException(record.exc_info)
+            line = dict(vars(record))
+            line |= {"msg": record.getMessage(), "args": None, "exc_info": None}
+            line["device"] = getattr(record, "device", None) or DEVICE.get()
+            self._send(LogLine(line))
+        except Exception:  # noqa: BLE001 - as handlers do
+            self.handleError(record)
+
+
+class CallServer:
+    """Takes the gateway's calls from a socket, and answers each when it is done.
+
+    Args:
+        connection: the socket.
+    """
+
+    def __init__(self, connection: Connection) -> None:
+        self._connection = connection
+        self._sending = Lock()
+
+    def send(self, message: Answer | LogLine) -> None:
+        """Send a message; one to a gateway that has ended is lost."""
+        with self._sending, contextlib.suppress(OSError):
+            self._connection.send(message)
+
+    def serve(self, station: Station) -> None:
+        """Answer calls until the socket ends."""
+        with ThreadPoolExecutor(_CALLS, thread_name_prefix="call") as pool:
+            while True:
+                try:
+                    call = self._connection.recv()
+                except (EOFError, OSError):
+                    return
+                pool.submit(self._answer, station, call)
+
+    def _answer(self, station: Station, call: Call) -> None:
+        error: BaseException | None = None
+        result: Any = None
+        try:
+            result = getattr(station, call.method)(*call.args, **call.members)
+        except LumilineError as caught:
+            error = caught
+        except Exception as caught:  # noqa: BLE001 - the gateway gets it
+            _log.exception("the station's %s failed", call.method)
+            error = RuntimeError(f"{type(caught).__name__}: {caught}")
+        if call.number is not None:
+            self.send(Answer(call.number, result, error, station.head))
+
+
+def run(connection: Connection, ring: RingWriter, doorbell: int) -> None:
+    """Be the station until the gateway ends.
+
+    Args:
+        connection: the gateway's calls.
+        ring: takes the messages.
+        doorbell: descriptor by which its reader is woken.
+    """
+    # Ctrl-C, and a service manager's signal, go to all processes; the gateway decides.
+    for name in ("SIGINT", "SIGTERM", "SIGHUP"):
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), signal.SIG_IGN)
+    sys.setswitchinterval(_SWITCH_S)
+    calls = CallServer(connection)
+    root = logging.getLogger()
+    root.handlers[:] = [LogForwarder(calls.send)]
+    try:
+        start: Start = connection.recv()
+    except (EOFError, OSError):
+        return
+    root.setLevel(start.log_level)
+    station = Station(ring, doorbell, start)
+    gc.collect()
+    gc.freeze()
+    calls.serve(station)
+    station.close()
+
+
+def main() -> None:
+    """Run with the descriptors of the socket, the ring's memory and its doorbell as arguments."""
+    connection, memory, doorbell = (int(text) for text in sys.argv[1:4])
+    run(Connection(connection), RingWriter(memory), doorbell)
+    # Threads of drivers that hang must not keep the process.
+    os._exit(0)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,156 @@
+"""StationProcess: a station as its gateway has it: process, calls, reader's end of the bus."""
+
+import logging
+import os
+import pickle
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from concurrent.futures import Future
+from multiprocessing.connection import Connection
+from queue import SimpleQueue
+from threading import Lock, Thread
+from typing import Any, Final
+
+from service.problems.errors import NotReady
+from service.station.calls import Answer, Call, LogLine, Start
+from service.station.shared_ring import Doorbell, RingReader, new_ring
+
+_log = logging.getLogger(__name__)
+
+RING_BYTES: Final = 1 << 26
+"""Of the bus: 0.8 s of four sensors of 2,048 pixels at 5 kHz where their pixels are wanted."""
+_END_S: Final = 10.0
+"""How long a station has to stop its devices."""
+
+
+class StationProcess:
+    """Starts a station; its calls may be made from any thread.
+
+    Args:
+        start: what it is told first.
+        lost: called once, from a thread of its own, when it ends without being asked to, with why.
+    """
+
+    def __init__(self, start: Start, lost: Callable[["StationProcess", str], None]) -> None:
+        self._lost = lost
+        self._closing = False
+        self._lock = Lock()
+        self._number = 0
+        self._answers: dict[int, Future[Answer]] = {}
+        self._why: str | None = None
+        memory = new_ring(RING_BYTES)
+        self.doorbell = Doorbell()
+        self.reader = RingReader(memory, from_begin=True)
+        ours, theirs = socket.socketpair()
+        with theirs:
+            descriptors = (theirs.fileno(), memory, self.doorbell.write_descriptor)
+            self._process = subprocess.Popen(  # noqa: S603 - our own module
+                [sys.executable, "-m", "service.station.process", *map(str, descriptors)],
+                stdin=subprocess.DEVNULL,
+                pass_fds=descriptors,
+                env=os.environ | {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
+            )
+        os.close(memory)
+        self._connection = Connection(ours.detach())
+        self._outgoing: SimpleQueue[bytes | None] = SimpleQueue()
+        self._sender = Thread(target=self._send, name="station-calls", daemon=True)
+        self._receiver = Thread(target=self._receive, name="station-answers", daemon=True)
+        self._outgoing.put(pickle.dumps(start))
+        self._sender.start()
+        self._receiver.start()
+
+    @property
+    def process_id(self) -> int:
+        """Of the operating system."""
+        return self._process.pid
+
+    def call(self, method: str, *args: Any, **members: Any) -> Answer:
+        """Call a method of the station, and wait for its answer.
+
+        Raises:
+            NotReady: the station ends, or has ended.
+            LumilineError: what the method raised; RuntimeError for any other error.
+        """
+        future: Future[Answer] = Future()
+        with self._lock:
+            if self._why is not None:
+                raise _not_there(self._why)
+            self._number += 1
+            call = Call(self._number, method, args, members)
+            self._answers[call.number or 0] = future
+        self._outgoing.put(pickle.dumps(call))
+        answer = future.result()
+        if answer.error is not None:
+            raise answer.error
+        return answer
+
+    def notify(self, method: str, *args: Any) -> None:
+        """Call a method of the station whose answer nobody needs; never waits."""
+        self._outgoing.put(pickle.dumps(Call(None, method, args)))
+
+    def close(self) -> None:
+        """End the station and wait for it; one that does not end is killed."""
+        self._closing = True
+        self._outgoing.put(None)
+        self._sender.join(_END_S)
+        try:
+            self._process.wait(_END_S)
+        except subprocess.TimeoutExpired:
+            _log.error("the station did not end within %g s, and is killed", _END_S)
+            self._process.kill()
+            self._process.wait()
+        self._receiver.join(_END_S)
+
+    def release(self) -> None:
+        """Release what its bus is read by; nobody reads it any more."""
+        self.reader.close()
+        self.doorbell.close()
+        self._connection.close()
+
+    def _send(self) -> None:
+        try:
+            while (message := self._outgoing.get()) is not None:
+                self._connection.send_bytes(message)
+            with socket.socket(fileno=os.dup(self._connection.fileno())) as end:
+                end.shutdown(socket.SHUT_WR)
+        except OSError:
+            pass  # it has ended: the receiver tells
+
+    def _receive(self) -> None:
+        try:
+            while True:
+                message = self._connection.recv()
+                if isinstance(message, LogLine):
+                    record = logging.makeLogRecord(message.members)
+                    logging.getLogger(record.name).handle(record)
+                    continue
+                with self._lock:
+                    future = self._answers.pop(message.number)
+                future.set_result(message)
+        except (EOFError, OSError):
+            pass
+        self._outgoing.put(None)
+        self._process.wait()
+        code = self._process.returncode
+        why = f"signal {-code}" if code < 0 else f"exit status {code}"
+        with self._lock:
+            self._why = why
+            waiting = list(self._answers.values())
+            self._answers.clear()
+        for future in waiting:
+            future.set_exception(_not_there(why))
+        if not self._closing:
+            threading.Thread(
+                target=self._lost, args=(self, why), name="station-lost", daemon=True
+            ).start()
+
+
+def _not_there(why: str) -> NotReady:
+    return NotReady(
+        f"the process that owns the devices has ended ({why}) and is started again; try again in a "
+        "second",
+        part="station",
+    )

@@ -256,10 +256,16 @@ class DeviceSession:
         self._last_request_s = time.monotonic()
         self._skipped = 0
 
-    def work(self) -> bool:
-        """Process and publish what waits; runs in the compute thread."""
+    def work(self) -> bool | None:
+        """Process and publish what waits; runs in the compute thread.
+
+        Returns:
+            Whether there was any; None: it has to wait, since the streams are far behind.
+        """
         if self.failure is not None:
             return False
+        if self.streams.congested and self.reader is not None and self.reader.lossless:
+            return None if len(self.ring) else False
         begin = time.monotonic()
         try:
             if self._idle(begin):

@@ -330,7 +330,7 @@ class PipelineManager:
     ) -> DeviceSession:
         """Make the device's buffers; runs in the compute thread."""
         capacity = max(MIN_RING_FRAMES, int(RING_SECONDS * description.frame_rate_hz))
-        ring = FrameRing(capacity, self._compute.wake, lambda: self.streams.congested)
+        ring = FrameRing(capacity, self._compute.wake)
         processor = FrameProcessor(device_id, description, self._compute_device, model)
         return DeviceSession(
             device_id, description, processor, ring, self.streams, self.poses, self.holds

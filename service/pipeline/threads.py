@@ -27,7 +27,7 @@ T = TypeVar("T")
 
 JOIN_TIMEOUT_S: Final = 5.0
 _ROOM_POLL_S: Final = 0.1
-_CONGESTION_POLL_S: Final = 0.002
+_LATER_S: Final = 0.005
 
 
 class FrameRing:
@@ -36,20 +36,8 @@ class FrameRing:
     Frames are handed over by reference: a driver does not write to a frame again.
     """
 
-    def __init__(
-        self,
-        capacity: int,
-        notify: Callable[[], None],
-        congested: Callable[[], bool] = lambda: False,
-    ) -> None:
-        """Create a ring.
-
-        Args:
-            capacity: number of frames.
-            notify: called after each frame that is put in.
-            congested: whether sources that can wait have to, though there is room.
-        """
-        self._congested = congested
+    def __init__(self, capacity: int, notify: Callable[[], None]) -> None:
+        """Create a ring that calls ``notify`` after each frame that is put in."""
         self._frames: deque[LineFrame] = deque()
         self._capacity = capacity
         self._notify = notify
@@ -88,8 +76,6 @@ class FrameRing:
 
     def wait_for_room(self, cancelled: Callable[[], bool]) -> None:
         """Wait until a frame can be put without dropping another, for sources that can wait."""
-        while self._congested() and not cancelled():
-            time.sleep(_CONGESTION_POLL_S)
         while len(self._frames) >= self._capacity and not cancelled():
             self._room.clear()
             if len(self._frames) >= self._capacity:
@@ -218,13 +204,14 @@ class ComputeThread:
     """Calls every registered worker whenever frames wait, and jobs that need this thread.
 
     A worker takes what is there and returns whether it did anything; the thread sleeps when
-    none of them did and no frame has come since. It runs from the beginning until ``close``.
+    none of them did and no frame has come since. A worker that returns None has something that it
+    cannot do yet, and is called again soon. It runs from the beginning until ``close``.
     """
 
     def __init__(self) -> None:
         self._wake = Event()
         self._jobs: SimpleQueue[Callable[[], None]] = SimpleQueue()
-        self._workers: dict[str, Callable[[], bool]] = {}
+        self._workers: dict[str, Callable[[], bool | None]] = {}
         self._closing = False
         self._since_s: float | None = None
         self._thread = Thread(target=self._run, name="compute", daemon=True)
@@ -263,7 +250,7 @@ class ComputeThread:
             self._run_jobs()
         return future
 
-    def add(self, name: str, worker: Callable[[], bool]) -> None:
+    def add(self, name: str, worker: Callable[[], bool | None]) -> None:
         """Register a worker; call in the thread, by ``submit``."""
         self._workers[name] = worker
 
@@ -278,19 +265,21 @@ class ComputeThread:
         self._thread.join(10.0)
 
     def _run(self) -> None:
+        later = False
         while not self._closing:
             self._since_s = None
-            self._wake.wait()
+            self._wake.wait(_LATER_S if later else None)
             # Cleared before the work is looked at: what comes meanwhile wakes the next round.
             self._wake.clear()
             busy = True
             while busy and not self._closing:
-                busy = False
+                busy = later = False
                 self._run_jobs()
                 for name, worker in list(self._workers.items()):
                     self._since_s = time.monotonic()
                     try:
-                        busy = worker() or busy
+                        done = worker()
+                        busy, later = bool(done) or busy, done is None or later
                     except Exception:  # noqa: BLE001
                         # A worker reports its own failure; this is the last line of defence.
                         _log.exception("worker %s failed and is removed", name)

@@ -171,13 +171,17 @@ class Station:
         self._manager.holds.listen(self._publisher.put_hold)
         self._publisher.figures = self._figures
         self._ended = threading.Event()
-        self._figures_thread = Thread(target=self._publish_figures, name="figures", daemon=True)
+        self._figures_thread = Thread(target=self._keep_publishing_figures, name="figures", daemon=True)
         self._figures_thread.start()
 
     @property
     def head(self) -> int:
         """Position behind the newest message of the bus."""
         return self._publisher.head
+
+    def publish_figures(self) -> None:
+        """Put the figures of all devices on the bus."""
+        self._publisher.publish_figures()
 
     def close(self) -> None:
         """Stop all devices."""
@@ -258,10 +262,10 @@ class Station:
         """As of ``BeamHolds``."""
         self._manager.holds.set_up(reference_id)
 
-    def _publish_figures(self) -> None:
+    def _keep_publishing_figures(self) -> None:
         while not self._ended.wait(FIGURES_S):
             try:
-                self._publisher.publish_figures()
+                self.publish_figures()
             except Exception:  # noqa: BLE001 - the next ones may work
                 _log.exception("the station's figures are not published now")
 
@@ -352,6 +356,8 @@ class CallServer:
             _log.exception("the station's %s failed", call.method)
             error = RuntimeError(f"{type(caught).__name__}: {caught}")
         if call.number is not None:
+            # Whoever has the answer finds the figures that it has changed.
+            station.publish_figures()
             self.send(Answer(call.number, result, error, station.head))
 
 
@@ -389,7 +395,3 @@ def main() -> None:
     run(Connection(connection), RingWriter(memory), doorbell)
     # Threads of drivers that hang must not keep the process.
     os._exit(0)
-
-
-if __name__ == "__main__":
-    main()

@@ -48,7 +48,7 @@ class StationProcess:
         with theirs:
             descriptors = (theirs.fileno(), memory, self.doorbell.write_descriptor)
             self._process = subprocess.Popen(  # noqa: S603 - our own module
-                [sys.executable, "-m", "service.station.process", *map(str, descriptors)],
+                [sys.executable, "-m", "service.station", *map(str, descriptors)],
                 stdin=subprocess.DEVNULL,
                 pass_fds=descriptors,
                 env=os.environ | {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},

@@ -1,0 +1,358 @@
+"""RemotePipeline with a real station: the same results as in one process, and what loss means."""
+
+import asyncio
+import logging
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from compute.errors import InvalidParameter
+from hardware.driver import DeviceDescription
+from hardware.line_frame import LineFrame
+from hardware.recording.writer import RecordingWriter
+from hardware.replay import ReplayDriver
+from hardware.simulated.driver import SimulatedDriver
+from hardware.simulated.settings import SimulationSettings
+from service.application.initial_content import nominal_calibration
+from service.pipeline.active_calibration import ActiveCalibration
+from service.pipeline.frame_batch import FrameBatch
+from service.pipeline.interface import Pipeline
+from service.pipeline.pipeline_manager import PipelineManager
+from service.pipeline.tracking_config import TrackingConfig
+from service.problems.errors import DeviceNotRunning, NotReady
+from service.protocols.stream.hub import Hub
+from service.protocols.stream.messages import CONTENTS
+from service.station import station_process
+from service.station.remote_pipeline import RemotePipeline
+from tests.service.api.beam_holds.batches import CHEST, hold
+from tests.service.pipeline.test_tools_live import SCENE, tools
+from tests.service.station.conftest import WAIT_S, MakePipeline
+
+CALIBRATED = ActiveCalibration("nominal", nominal_calibration())
+LIVE = SimulationSettings(frame_rate_hz=200.0)
+
+
+def wait_for(condition: Callable[[], object]) -> None:
+    end = time.monotonic() + WAIT_S
+    while not condition():
+        assert time.monotonic() < end, "it did not happen"
+        time.sleep(0.01)
+
+
+def messages(hub: Hub, device_id: str) -> list[dict[str, Any]]:
+    """All messages of a device's log, with all contents."""
+    return [
+        {"n": number} | message
+        for entry in hub.log(device_id).since(0, 1 << 20)
+        for number, message in enumerate(
+            entry.messages(frozenset(CONTENTS), 0, entry.count), entry.first
+        )
+    ]
+
+
+@pytest.fixture
+def recording(tmp_path: Path) -> Path:
+    """Two seconds of tools."""
+    path = tmp_path / "tools.h5"
+    driver = SimulatedDriver("sim", SimulationSettings(scene=SCENE, duration_s=2.0, realtime=False))
+    driver.open()
+    with RecordingWriter(path, driver.description) as writer:
+        for frame in driver.frames():
+            writer.append(frame)
+    return path
+
+
+def results(live: Pipeline, hub: Hub, path: Path) -> list[dict[str, Any]]:
+    """What the streams say of a recording of tools, played as fast as it goes."""
+    driver = ReplayDriver("sim", path, speed=None)
+    live.set_tracking_config("sim", TrackingConfig(True, tools("strobed")))
+    live.start_device("sim", driver, CALIBRATED)
+    wait_for(lambda: messages(hub, "sim")[-1].get("state") == "ended")
+    return [one for one in messages(hub, "sim") if one["type"] == "frame"]
+
+
+def test_results_are_those_of_one_process(make_pipeline: MakePipeline, recording: Path) -> None:
+    hub, own = Hub(), Hub()
+    far = results(make_pipeline(hub), hub, recording)
+    manager = PipelineManager(own, "cpu")
+    try:
+        near = results(manager, own, recording)
+    finally:
+        manager.close()
+    assert len(near) == 2000
+    assert [one | {"n": 0} for one in far] == [one | {"n": 0} for one in near]
+    assert any(tool["status"] == "OK" for one in far for tool in one["tools"])
+
+
+class KeepingTap:
+    """Keeps what it is given, and takes its time."""
+
+    def __init__(self, pause_s: float = 0.0) -> None:
+        self.pause_s = pause_s
+        self.events: list[ActiveCalibration | FrameBatch] = []
+
+    def prepare(self, found: ActiveCalibration) -> None:
+        self.events.append(found)
+
+    def offer(self, batch: FrameBatch) -> None:
+        time.sleep(self.pause_s)
+        self.events.append(batch)
+
+    @property
+    def batches(self) -> list[FrameBatch]:
+        return [one for one in self.events if isinstance(one, FrameBatch)]
+
+    @property
+    def frames(self) -> list[LineFrame]:
+        return [frame for batch in self.batches for frame in batch.frames]
+
+
+def test_tap_knows_what_each_batch_was_processed_with(pipeline: RemotePipeline) -> None:
+    pipeline.start_device("sim", SimulatedDriver("sim", LIVE), ActiveCalibration())
+    device, tap = pipeline.session("sim"), KeepingTap()
+    device.attach(tap)
+    for name in ("first", "second", None):
+        count = len(tap.batches)
+        wait_for(lambda count=count: len(tap.batches) > count + 3)
+        active = ActiveCalibration(name, CALIBRATED.calibration if name else None)
+        pipeline.set_calibration("sim", active)
+        assert pipeline.status("sim").calibration_id == name
+    count = len(tap.batches)
+    wait_for(lambda: len(tap.batches) > count + 3)
+    device.detach(tap)
+    seen = len(tap.events)
+    known: list[str | None] = []
+    for one in tap.events:
+        if isinstance(one, ActiveCalibration):
+            known.append(one.calibration_id)
+        else:
+            assert one.calibration_id == known[-1]
+            assert all(frame.lines.shape == (4, 2048) for frame in one.frames)
+    assert known == [None, "first", "second", None]
+    # Without taps nobody wants pixels.
+    later: list[FrameBatch] = []
+    pipeline.streams.publish_batch = later.append  # type: ignore[method-assign]
+    wait_for(lambda: len(later) > 3 and later[-1].frames[-1].lines.size == 0)
+    assert len(tap.events) == seen
+
+
+def test_tap_that_fails_has_no_more_and_the_device_goes_on(pipeline: RemotePipeline) -> None:
+    class Failing(KeepingTap):
+        def offer(self, batch: FrameBatch) -> None:
+            super().offer(batch)
+            raise ValueError
+
+    pipeline.start_device("sim", SimulatedDriver("sim", LIVE), CALIBRATED)
+    device, failing, good = pipeline.session("sim"), Failing(), KeepingTap()
+    device.attach(failing)
+    device.attach(good)
+    wait_for(lambda: len(good.batches) > 5)
+    assert len(failing.batches) == 1
+    assert device.connected
+
+
+def refuse(description: DeviceDescription) -> None:
+    raise InvalidParameter(f"not {description.name}", name=description.name)
+
+
+def test_errors_of_the_station_are_those_of_the_pipeline(pipeline: RemotePipeline) -> None:
+    with pytest.raises(InvalidParameter, match="not sim") as caught:
+        pipeline.start_device("sim", SimulatedDriver("sim", LIVE), CALIBRATED, refuse)
+    assert caught.value.context == {"name": "sim"}
+    status = pipeline.status("sim")
+    assert (status.state, status.reason) == ("failed", "not sim")
+    with pytest.raises(DeviceNotRunning):
+        pipeline.session("sim")
+    assert pipeline.status("other").state == "stopped"
+
+
+def test_what_was_asked_for_has_happened(pipeline: RemotePipeline) -> None:
+    """No call returns before what it caused can be seen here."""
+    for _ in range(5):
+        pipeline.start_device("sim", SimulatedDriver("sim", LIVE), CALIBRATED)
+        assert pipeline.status("sim").state == "running"
+        device = pipeline.session("sim")
+        assert device.status().calibration_id == "nominal"
+        assert device.search_model.fit is not None
+        pipeline.stop_device("sim")
+        assert pipeline.status("sim").state == "stopped"
+        assert not device.connected
+    assert messages(pipeline.streams, "sim")[-1]["state"] == "stopped"  # type: ignore[arg-type]
+
+
+def test_call_in_the_event_loop_is_refused(
+    pipeline: RemotePipeline, event_loop_thread: asyncio.AbstractEventLoop
+) -> None:
+    async def call() -> None:
+        pipeline.stop_device("sim")
+
+    with pytest.raises(RuntimeError, match="stop_device waits for the event loop"):
+        asyncio.run_coroutine_threadsafe(call(), event_loop_thread).result(WAIT_S)
+
+
+def test_a_source_that_can_wait_waits_for_a_slow_gateway(
+    make_pipeline: MakePipeline, recording: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(station_process, "RING_BYTES", 4 << 20)
+    live, tap = make_pipeline(Hub()), KeepingTap(pause_s=0.02)
+    live.start_device("sim", ReplayDriver("sim", recording, speed=None), CALIBRATED)
+    device = live.session("sim")
+    device.attach(tap)
+    wait_for(lambda: device.drained)
+    first = tap.frames[0].sequence
+    assert first < 1000
+    # Over 16 MB of pixels by a ring of 4.
+    assert [frame.sequence for frame in tap.frames] == list(range(first, 2000))
+    assert device.frames_dropped == 0
+
+
+def test_a_live_source_waits_for_nobody_and_what_is_missed_is_counted(
+    make_pipeline: MakePipeline, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(station_process, "RING_BYTES", 4 << 20)
+    live, tap = make_pipeline(Hub()), KeepingTap()
+    live.start_device("sim", SimulatedDriver("sim", SimulationSettings()), CALIBRATED)
+    device = live.session("sim")
+    device.attach(tap)
+    wait_for(lambda: len(tap.frames) > 10)
+    tap.pause_s = 2.0  # the ring holds a quarter of a second
+    count = len(tap.batches)
+    wait_for(lambda: len(tap.batches) > count)
+    tap.pause_s = 0.0
+    count = len(tap.batches)
+    wait_for(lambda: len(tap.batches) > count + 20)
+    device.detach(tap)
+    numbers = [frame.sequence for frame in tap.frames]
+    missing = numbers[-1] - numbers[0] + 1 - len(numbers)
+    assert missing > 500
+    wait_for(lambda: live.status("sim").frames_lost + device.frames_dropped >= missing)
+
+
+@pytest.fixture
+def kept_log(caplog: pytest.LogCaptureFixture) -> Iterator[pytest.LogCaptureFixture]:
+    with caplog.at_level(logging.INFO):
+        yield caplog
+
+
+def test_lost_station_is_replaced_with_all_it_had(
+    make_pipeline: MakePipeline, kept_log: pytest.LogCaptureFixture
+) -> None:
+    hub = Hub()
+    live = make_pipeline(hub)
+    watched = hold(CHEST, identity="chest")
+    live.set_tracking_config("sim", TrackingConfig(True, holds=(watched,)))
+    live.start_device("sim", SimulatedDriver("sim", LIVE), ActiveCalibration())
+    live.start_device("ended", SimulatedDriver("ended", LIVE), CALIBRATED)
+    live.stop_device("ended")
+    live.set_calibration("sim", CALIBRATED)
+    device, tap = live.session("sim"), KeepingTap()
+    device.attach(tap)
+    wait_for(lambda: tap.batches)
+    lost = live.process_id
+    os.kill(lost, signal.SIGKILL)
+    wait_for(lambda: live.process_id != lost)
+    assert not device.connected
+    assert device.drained
+    wait_for(lambda: live.status("sim").state == "running")
+    assert live.status("sim").calibration_id == "nominal"
+    assert live.status("ended").state == "stopped"
+    again = live.session("sim")
+    assert again is not device
+    count = len(tap.batches)
+    other = KeepingTap()
+    again.attach(other)
+    wait_for(lambda: len(other.batches) > 3)
+    assert len(tap.batches) == count
+    states = [
+        (one["state"], one["reason"]) for one in messages(hub, "sim") if one["type"] == "state"
+    ]
+    why = "the process that owns the devices has ended (signal 9) and is started again"
+    assert ("starting", why) in states
+    assert states[-1] == ("running", None)
+    now = live.holds.now("chest")
+    assert now is not None
+    assert now.held
+    assert any(one["reason"] == why for one in messages(hub, "sim") if one["type"] == "hold")
+    assert any(record.levelno == logging.CRITICAL for record in kept_log.records)
+
+
+def test_call_to_a_lost_station_is_told_to_come_again(pipeline: RemotePipeline) -> None:
+    pipeline.start_device("sim", SimulatedDriver("sim", LIVE), CALIBRATED)
+    os.kill(pipeline.process_id, signal.SIGSTOP)
+    caught: list[BaseException] = []
+
+    def stop() -> None:
+        try:
+            pipeline.stop_device("sim")
+        except NotReady as error:
+            caught.append(error)
+
+    thread = threading.Thread(target=stop)
+    thread.start()
+    time.sleep(0.2)
+    os.kill(pipeline.process_id, signal.SIGKILL)
+    thread.join(WAIT_S)
+    assert "is started again; try again" in str(caught[0])
+
+
+def test_lines_of_the_stations_log_come_here(
+    pipeline: RemotePipeline, kept_log: pytest.LogCaptureFixture
+) -> None:
+    with pytest.raises(RuntimeError, match="KeyError"):
+        pipeline.start_device(
+            "sim", SimulatedDriver("sim", LIVE), CALIBRATED, partial(dict.__getitem__, {})
+        )
+    wait_for(lambda: any("start_device failed" in one.message for one in kept_log.records))
+    [record] = [one for one in kept_log.records if "start_device failed" in one.message]
+    assert record.name == "service.station.process"
+    assert "KeyError" in str(record.exc_text)
+
+
+_GATEWAY = """
+import asyncio, sys, time
+from service.pipeline.detection_stage import built_in_profile
+from service.protocols.stream.hub import Hub
+from service.station.remote_pipeline import RemotePipeline
+
+async def main():
+    live = RemotePipeline(Hub(), "cpu", built_in_profile)
+    while not live.ready:
+        await asyncio.sleep(0.02)
+    print(live.process_id, flush=True)
+    await asyncio.sleep(600)
+
+asyncio.run(main())
+"""
+
+
+def is_there(process_id: int) -> bool:
+    """Whether a process runs; one that has ended may wait for whoever inherits it."""
+    try:
+        state = Path(f"/proc/{process_id}/stat").read_text(encoding="ascii").split(") ")[1][0]
+    except (OSError, IndexError):
+        return False
+    return state not in "ZX"
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="no /proc on this machine")
+@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT])
+def test_station_ends_with_its_gateway(how: signal.Signals) -> None:
+    gateway = subprocess.Popen(
+        [sys.executable, "-c", _GATEWAY], stdout=subprocess.PIPE, start_new_session=True
+    )
+    assert gateway.stdout is not None
+    station = int(gateway.stdout.readline())
+    assert is_there(station)
+    os.killpg(gateway.pid, how) if how == signal.SIGINT else gateway.kill()
+    gateway.wait(WAIT_S)
+    wait_for(lambda: not is_there(station))
+    gateway.stdout.close()

@@ -8,18 +8,19 @@ from contextlib import contextmanager
 
 
 @contextmanager
-def running_peer(module: str) -> Iterator[str]:
+def running_peer(module: str, *arguments: str) -> Iterator[str]:
     """Run a module with a listening socket and yield the URL; ends it afterwards.
 
     Args:
-        module: gets the socket's descriptor as its argument: see ``inherited_listener``.
+        module: gets the socket's descriptor as its first argument: see ``inherited_listener``.
+        arguments: that it gets behind it.
     """
     listener = socket.socket()
     listener.bind(("127.0.0.1", 0))
     listener.listen()
     port = listener.getsockname()[1]
     process = subprocess.Popen(  # noqa: S603 - our own modules
-        [sys.executable, "-m", module, str(listener.fileno())],
+        [sys.executable, "-m", module, str(listener.fileno()), *arguments],
         pass_fds=[listener.fileno()],
     )
     listener.close()

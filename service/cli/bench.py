@@ -10,6 +10,7 @@ from service.cli.output import console, fail, make_table, print_json
 
 BENCHMARKS: Final = {
     "live": "60 s of the live pipeline: 4 sensors x 2048 pixels at 1 kHz to one websocket client",
+    "latency": "a serial device to one client, quiet and loaded, in turn with a bare relay",
     "load": "4 sensors x 2048 pixels at full rate, a recorder, 50 clients, some of them stalled",
     "openigtlink": "ten tools at 200 Hz to pyigtl, while another client stalls and leaves",
     "navigation": "simulated optics to an OpenIGTLink client: latency, jitter and tip errors",
@@ -29,8 +30,8 @@ BENCHMARKS: Final = {
     "simulation": "simulated frames of a profile's device on one core, beside ideal lenses",
 }
 _OF_A_SERVICE: Final = (
-    *("live", "load", "openigtlink", "navigation", "hold", "hostile-bodies", "stalled-clients"),
-    *("dashboard", "decoder", "clock"),
+    *("live", "latency", "load", "openigtlink", "navigation", "hold", "hostile-bodies"),
+    *("stalled-clients", "dashboard", "decoder", "clock"),
 )
 LOAD_RATE_HZ: Final = 5000.0
 _MODULES: Final = {
@@ -39,7 +40,8 @@ _MODULES: Final = {
 """Modules of the package ``benchmarks`` that are not named as their benchmark."""
 _ON_A_DEVICE: Final = ("signal", "reconstruct", "rays")
 _TIMED: Final = (
-    *("live", "load", "openigtlink", "navigation", "hold", "stalled-clients", "dashboard"),
+    *("live", "latency", "load", "openigtlink", "navigation", "hold", "stalled-clients"),
+    "dashboard",
 )
 
 

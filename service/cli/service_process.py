@@ -82,7 +82,7 @@ def simulated_device(
     device_file.write_text(json.dumps(settings or {}), encoding="utf-8")
     command = [
         "simulate-serial", "--listen", f"127.0.0.1:{port}", "--rate-hz", str(rate_hz),
-        "--cycle", str(cycle), "--simulation", str(device_file),
+        "--cycle", str(cycle), "--simulation", str(device_file), "--json",
     ]  # fmt: skip
     with _own_process(command, folder / "device.log"):
         yield {"kind": "serial", "settings": {"url": f"socket://127.0.0.1:{port}"}}

@@ -3,6 +3,7 @@
 import re
 import signal
 import socket
+import time
 from dataclasses import replace
 from pathlib import Path
 from threading import Event
@@ -52,12 +53,16 @@ def simulate_serial(
         if rate_hz is not None:
             chosen = replace(chosen, frame_rate_hz=rate_hz)
 
-        def make(now_ns: int) -> SimulatedSerialDevice:
-            return SimulatedSerialDevice(chosen, now_ns, rendered=cycle, part_counts=part)
+        on_ns = time.monotonic_ns()
+
+        def make(_: int) -> SimulatedSerialDevice:
+            return SimulatedSerialDevice(chosen, on_ns, rendered=cycle, part_counts=part)
 
         def say_where(url: str) -> None:
             if as_json:
-                print_json({"url": url, "link": None if link is None else str(link)})
+                path = None if link is None else str(link)
+                # By this machine's monotonic clock: where the device's own begins.
+                print_json({"url": url, "link": path, "switched_on_ns": on_ns})
             else:
                 say(f"the device is at {url}" + (f", also {link}" if link else ""))
 

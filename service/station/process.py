@@ -171,7 +171,9 @@ class Station:
         self._manager.holds.listen(self._publisher.put_hold)
         self._publisher.figures = self._figures
         self._ended = threading.Event()
-        self._figures_thread = Thread(target=self._keep_publishing_figures, name="figures", daemon=True)
+        self._figures_thread = Thread(
+            target=self._keep_publishing_figures, name="figures", daemon=True
+        )
         self._figures_thread.start()
 
     @property

@@ -42,6 +42,7 @@ from service.protocols.stream.hub import Hub
 from service.security.authenticator import Authenticator
 from service.settings import Settings
 from service.station.remote_pipeline import RemotePipeline
+from service.station.station_starter import StationStarter
 
 
 @asynccontextmanager
@@ -66,6 +67,11 @@ async def running(
 
         at_the_end(app.state.bodies.close)
         at_the_end(app.state.recalculation.close)
+        starter = StationStarter()
+        at_the_end(starter.close)
+        if live is None and settings.station == "process":
+            # It has loaded what a station needs when the database is ready.
+            starter.launch()
         database = Database(settings.effective_database_url, query_timeout=True)
         at_the_end(database.close)
         started_at = datetime.now(UTC)
@@ -76,7 +82,7 @@ async def running(
             await run_sync(forget_unfinished, database, started_at)
         app.state.database = database
         app.state.authenticator = Authenticator(database, settings)
-        manager = _live_manager(settings) if live is None else live
+        manager = _live_manager(settings, starter) if live is None else live
         at_the_end(manager.close)
         app.state.live = manager
         app.state.streams = manager.streams
@@ -144,9 +150,9 @@ def _retention_limits(settings: Settings) -> RetentionLimits:
     )
 
 
-def _live_manager(settings: Settings) -> Pipeline:
+def _live_manager(settings: Settings, starter: StationStarter) -> Pipeline:
     find_own_profile = partial(find_profile, profiles_dir=settings.folders.profiles)
     hub = Hub(settings.stream_kept_messages, settings.stream_lag_s)
     if settings.station == "process":
-        return RemotePipeline(hub, settings.compute_device, find_own_profile)
+        return RemotePipeline(hub, starter, settings.compute_device, find_own_profile)
     return PipelineManager(hub, settings.compute_device, find_own_profile)

@@ -194,7 +194,7 @@ def _show(found: Figures) -> None:
     console.print(
         "latency: middle of the exposure to the message in the client's hands. The relay passes on "
         f"as many bytes as a message has ({found['message_bytes']}) for each exposure, and decodes "
-        f"nothing. {found['shortest_delay_ms']:.2f} ms of each pass until the exposure's last byte is "
-        f"here. Loaded: {CLIENTS} more clients, a recording, and {REQUESTS_HZ:g} requests a "
+        f"nothing. {found['shortest_delay_ms']:.2f} ms of each pass until the exposure's last byte "
+        f"is here. Loaded: {CLIENTS} more clients, a recording, and {REQUESTS_HZ:g} requests a "
         "second."
     )

@@ -183,6 +183,10 @@ class Pipeline(Protocol):
         """Return a device's tracking configuration, now or once it is started."""
         ...
 
+    def refresh(self) -> None:
+        """Wait until statuses and counters are those of now, where they may be older."""
+        ...
+
     def status(self, device_id: str) -> DeviceStatus:
         """Return the device's status; "stopped" for one never started."""
         ...

@@ -253,6 +253,9 @@ class PipelineManager:
         """Hand calibration and table to the session, between two batches in its own thread."""
         self._compute.submit(lambda: session.set_calibration(active)).result()
 
+    def refresh(self) -> None:
+        """Do nothing: they are those of now."""
+
     def status(self, device_id: str) -> DeviceStatus:
         """Return the device's status; "stopped" for one never started. Never waits."""
         subscribers = self.streams.subscribers(device_id)

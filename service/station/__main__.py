@@ -1,5 +1,5 @@
-"""``python -m service.station``: a station, started by its gateway."""
+"""``python -m service.station``: the process that stations are forked from."""
 
-from service.station.process import main
+from service.station.station_starter import main
 
 main()

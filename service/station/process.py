@@ -1,15 +1,13 @@
 """The station's process: devices, their threads, beam holds, and the writer's end of the bus.
 
-Started by the gateway with three descriptors: a socket for calls, the memory of the ring, and its
+It has three descriptors of its gateway: a socket for calls, the memory of the ring, and its
 doorbell. It ends when the socket does. Nothing here serves clients, reads the database or files.
 """
 
 import contextlib
 import gc
 import logging
-import os
 import pickle
-import signal
 import sys
 import threading
 from collections.abc import Callable
@@ -78,6 +76,7 @@ class BusPublisher:
         """Clients of each device at the gateway."""
         self.figures: Callable[[], StationFigures] | None = None
         """Figures that go before each change of a state."""
+        self._figures_lock = Lock()
 
     @property
     def congested(self) -> bool:
@@ -118,7 +117,9 @@ class BusPublisher:
     def publish_figures(self) -> None:
         """Put the figures of all devices on the bus."""
         if self.figures is not None:
-            self.put(figures_message(self.figures()))
+            # Together: older ones must not come after newer ones.
+            with self._figures_lock:
+                self.put(figures_message(self.figures()))
 
     def publish_hold(self, device_id: str, now: BeamHoldState) -> None:
         """Do nothing: the listener of the registry also knows which change is the last."""
@@ -256,6 +257,9 @@ class Station:
         """Return the number of a running device's newest frame; raises DeviceNotRunning."""
         return self._manager.session(device_id).last_sequence
 
+    def refresh(self) -> None:
+        """Do nothing: figures go before each answer."""
+
     def acknowledge(self, hold_id: str) -> bool:
         """End the latch of a hold; return whether there is one."""
         return self._manager.holds.acknowledge(hold_id) is not None
@@ -371,10 +375,6 @@ def run(connection: Connection, ring: RingWriter, doorbell: int) -> None:
         ring: takes the messages.
         doorbell: descriptor by which its reader is woken.
     """
-    # Ctrl-C, and a service manager's signal, go to all processes; the gateway decides.
-    for name in ("SIGINT", "SIGTERM", "SIGHUP"):
-        if hasattr(signal, name):
-            signal.signal(getattr(signal, name), signal.SIG_IGN)
     sys.setswitchinterval(_SWITCH_S)
     calls = CallServer(connection)
     root = logging.getLogger()
@@ -389,11 +389,3 @@ def run(connection: Connection, ring: RingWriter, doorbell: int) -> None:
     gc.freeze()
     calls.serve(station)
     station.close()
-
-
-def main() -> None:
-    """Run with the descriptors of the socket, the ring's memory and its doorbell as arguments."""
-    connection, memory, doorbell = (int(text) for text in sys.argv[1:4])
-    run(Connection(connection), RingWriter(memory), doorbell)
-    # Threads of drivers that hang must not keep the process.
-    os._exit(0)

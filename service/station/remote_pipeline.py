@@ -7,6 +7,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import count
@@ -46,6 +47,7 @@ from service.station.calls import Start
 from service.station.remote_holds import RemoteHolds
 from service.station.shared_ring import Record
 from service.station.station_process import StationProcess
+from service.station.station_starter import StationStarter
 
 _log = logging.getLogger(__name__)
 
@@ -239,6 +241,7 @@ class RemotePipeline:
 
     Args:
         streams: takes the results for the clients.
+        starter: starts the station; stays the caller's.
         compute_device: "cpu", "cuda:0", ...; None: the best there is.
         find_profile: returns the device profiles that descriptions name; can be pickled.
     """
@@ -246,6 +249,7 @@ class RemotePipeline:
     def __init__(
         self,
         streams: ClientStreams,
+        starter: StationStarter,
         compute_device: str | None,
         find_profile: FindProfile,
     ) -> None:
@@ -275,9 +279,10 @@ class RemotePipeline:
         """Notified when more of the bus was read."""
         self._due = 0
         self._closing = False
+        self._starter = starter
         self._restarts = 0
         self._began_s = time.monotonic()
-        self._station = StationProcess(self._start, self._lost)
+        self._station = StationProcess(self._starter, self._start, self._lost)
         self._loop.add_reader(self._station.doorbell.descriptor, self._read)
         streams.on_clients(lambda device_id, number: self.notify("set_clients", device_id, number))
 
@@ -380,6 +385,14 @@ class RemotePipeline:
         with self._lock:
             known = self._calibrations.get(device_id)
             return known[max(known)] if known else NO_ACTIVE_CALIBRATION
+
+    def refresh(self) -> None:
+        """Wait until statuses and counters are those of now; while there is no station, they are.
+
+        Else they are younger than FIGURES_S.
+        """
+        with suppress(NotReady):
+            self.call("refresh")
 
     def status(self, device_id: str) -> DeviceStatus:
         """Return the device's status; "stopped" for one never started. Never waits."""
@@ -554,7 +567,7 @@ class RemotePipeline:
         if self._closing:
             return
         self._began_s = time.monotonic()
-        self._station = StationProcess(self._start, self._lost)
+        self._station = StationProcess(self._starter, self._start, self._lost)
         call_in_loop(
             self._loop, self._loop.add_reader, self._station.doorbell.descriptor, self._read
         )

@@ -3,12 +3,12 @@
 import logging
 import os
 import pickle
+import signal
 import socket
-import subprocess
-import sys
 import threading
 from collections.abc import Callable
 from concurrent.futures import Future
+from contextlib import suppress
 from multiprocessing.connection import Connection
 from queue import SimpleQueue
 from threading import Lock, Thread
@@ -17,6 +17,7 @@ from typing import Any, Final
 from service.problems.errors import NotReady
 from service.station.calls import Answer, Call, LogLine, Start
 from service.station.shared_ring import Doorbell, RingReader, new_ring
+from service.station.station_starter import StationStarter
 
 _log = logging.getLogger(__name__)
 
@@ -30,11 +31,15 @@ class StationProcess:
     """Starts a station; its calls may be made from any thread.
 
     Args:
+        starter: forks it.
         start: what it is told first.
         lost: called once, from a thread of its own, when it ends without being asked to, with why.
     """
 
-    def __init__(self, start: Start, lost: Callable[["StationProcess", str], None]) -> None:
+    def __init__(
+        self, starter: StationStarter, start: Start, lost: Callable[["StationProcess", str], None]
+    ) -> None:
+        self._starter = starter
         self._lost = lost
         self._closing = False
         self._lock = Lock()
@@ -47,12 +52,8 @@ class StationProcess:
         ours, theirs = socket.socketpair()
         with theirs:
             descriptors = (theirs.fileno(), memory, self.doorbell.write_descriptor)
-            self._process = subprocess.Popen(  # noqa: S603 - our own module
-                [sys.executable, "-m", "service.station", *map(str, descriptors)],
-                stdin=subprocess.DEVNULL,
-                pass_fds=descriptors,
-                env=os.environ | {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
-            )
+            self.process_id = starter.start(descriptors)
+            """Of the operating system."""
         os.close(memory)
         self._connection = Connection(ours.detach())
         self._outgoing: SimpleQueue[bytes | None] = SimpleQueue()
@@ -61,11 +62,6 @@ class StationProcess:
         self._outgoing.put(pickle.dumps(start))
         self._sender.start()
         self._receiver.start()
-
-    @property
-    def process_id(self) -> int:
-        """Of the operating system."""
-        return self._process.pid
 
     def call(self, method: str, *args: Any, **members: Any) -> Answer:
         """Call a method of the station, and wait for its answer.
@@ -96,13 +92,12 @@ class StationProcess:
         self._closing = True
         self._outgoing.put(None)
         self._sender.join(_END_S)
-        try:
-            self._process.wait(_END_S)
-        except subprocess.TimeoutExpired:
-            _log.error("the station did not end within %g s, and is killed", _END_S)
-            self._process.kill()
-            self._process.wait()
         self._receiver.join(_END_S)
+        if self._receiver.is_alive():
+            _log.error("the station did not end within %g s, and is killed", _END_S)
+            with suppress(ProcessLookupError):
+                os.kill(self.process_id, signal.SIGKILL)
+            self._receiver.join(_END_S)
 
     def release(self) -> None:
         """Release what its bus is read by; nobody reads it any more."""
@@ -133,8 +128,7 @@ class StationProcess:
         except (EOFError, OSError):
             pass
         self._outgoing.put(None)
-        self._process.wait()
-        code = self._process.returncode
+        code = self._starter.wait(self.process_id, _END_S) or 0
         why = f"signal {-code}" if code < 0 else f"exit status {code}"
         with self._lock:
             self._why = why

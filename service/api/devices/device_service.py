@@ -2,7 +2,7 @@
 
 import logging
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
@@ -12,17 +12,14 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from compute.errors import LumilineError
-from hardware.driver import DeviceDescription
 from service.api.devices import store
 from service.api.devices.driver_factory import make_driver, sensors_of
 from service.api.devices.schema import (
     Device,
     DeviceChange,
     NewDevice,
-    Sensor,
+    check_connected_sensors,
     check_sensors,
-    listed,
-    sensors_match,
 )
 from service.api.devices.store import (
     Target,
@@ -40,7 +37,7 @@ from service.pipeline.active_calibration import ActiveCalibration, ActiveRadiome
 from service.pipeline.device_status import DeviceStatus
 from service.pipeline.interface import Pipeline
 from service.pipeline.tracking_config import TrackingConfig
-from service.problems.errors import ActivationConflict, SensorsChanged
+from service.problems.errors import ActivationConflict
 from service.settings import DataFolders
 
 _log = logging.getLogger(__name__)
@@ -150,7 +147,7 @@ class DeviceService:
             self._live.set_tracking_config(device_id, tracked)
             driver = make_driver(device_id, source, self._folders)
             self._live.start_device(
-                device_id, driver, found, partial(_check_sensors, device_id, stored)
+                device_id, driver, found, partial(check_connected_sensors, device_id, stored)
             )
             return self._live.status(device_id)
 
@@ -167,6 +164,7 @@ class DeviceService:
         """Return what a device is doing; raises UnknownDevice."""
         with self._database.read() as session:
             store.get_device(session, device_id)
+        self._live.refresh()
         return self._live.status(device_id)
 
     @contextmanager
@@ -290,17 +288,6 @@ class DeviceService:
                 _log.error("device %s was not started: %s", device_id, error.detail)
             except Exception:  # noqa: BLE001 - a driver's fault must not keep the server down
                 _log.exception("device %s was not started", device_id)
-
-
-def _check_sensors(device_id: str, stored: Sequence[Sensor], found: DeviceDescription) -> None:
-    """Refuse a device whose sensors are not the stored ones; raises SensorsChanged."""
-    if not sensors_match(found.sensors, stored):
-        raise SensorsChanged(
-            f'device "{device_id}" is stored with the sensors {listed(stored)}; what is '
-            f"connected has {listed(found.sensors)}; connect the right one, or send its "
-            "source anew, which reads its sensors",
-            device_id=device_id,
-        )
 
 
 def _check_precondition(

@@ -8,7 +8,7 @@ from pydantic import ConfigDict, Field, StringConstraints
 from pydantic.dataclasses import dataclass as checked_dataclass
 
 from compute.camera.model import SensorModel
-from hardware.driver import SensorDescription
+from hardware.driver import DeviceDescription, SensorDescription
 from hardware.field_bounds import FIRST_ERROR_ONLY
 from hardware.genicam.settings import GenicamSettings
 from hardware.serial.settings import SerialSettings
@@ -211,3 +211,16 @@ def _layout(sensors: Sequence[AnySensor]) -> list[tuple[str, int]]:
 def listed(sensors: Sequence[AnySensor]) -> str:
     """Return the sensors' names and pixel counts as text for messages."""
     return ", ".join(f'"{name}" ({pixels} px)' for name, pixels in _layout(sensors))
+
+
+def check_connected_sensors(
+    device_id: str, stored: Sequence[Sensor], found: DeviceDescription
+) -> None:
+    """Refuse a device whose sensors are not the stored ones; raises SensorsChanged."""
+    if not sensors_match(found.sensors, stored):
+        raise SensorsChanged(
+            f'device "{device_id}" is stored with the sensors {listed(stored)}; what is '
+            f"connected has {listed(found.sensors)}; connect the right one, or send its "
+            "source anew, which reads its sensors",
+            device_id=device_id,
+        )

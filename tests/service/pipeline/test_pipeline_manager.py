@@ -415,6 +415,7 @@ def test_a_failure_of_the_processing_ends_the_device(
     assert status.reason is not None
     assert "singular" in status.reason
     wait_for(lambda: "reader-sim" not in [thread.name for thread in threading.enumerate()])
+    monkeypatch.setattr(FrameProcessor, "process", process)
     live.start_device(
         "sim", SimulatedDriver("sim", simulation()), ActiveCalibration("c1", nominal())
     )

@@ -9,6 +9,7 @@ import pytest
 from service.pipeline.detection_stage import built_in_profile
 from service.protocols.stream.hub import Hub
 from service.station.remote_pipeline import RemotePipeline
+from service.station.station_starter import StationStarter
 
 WAIT_S = 240.0
 """For what takes a second where the machine has time."""
@@ -28,13 +29,23 @@ def event_loop_thread() -> Iterator[asyncio.AbstractEventLoop]:
     loop.close()
 
 
+@pytest.fixture(scope="session")
+def starter() -> Iterator[StationStarter]:
+    """Forks stations."""
+    starter = StationStarter()
+    yield starter
+    starter.close()
+
+
 @pytest.fixture
-def make_pipeline(event_loop_thread: asyncio.AbstractEventLoop) -> Iterator[MakePipeline]:
+def make_pipeline(
+    event_loop_thread: asyncio.AbstractEventLoop, starter: StationStarter
+) -> Iterator[MakePipeline]:
     """Makes pipelines in that loop, which are closed at the end."""
     made: list[RemotePipeline] = []
 
     async def new(hub: Hub) -> RemotePipeline:
-        return RemotePipeline(hub, "cpu", built_in_profile)
+        return RemotePipeline(hub, starter, "cpu", built_in_profile)
 
     def make(hub: Hub) -> RemotePipeline:
         made.append(asyncio.run_coroutine_threadsafe(new(hub), event_loop_thread).result(WAIT_S))

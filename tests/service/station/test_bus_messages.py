@@ -129,7 +129,8 @@ def hold_state(data: st.DataObject) -> BeamHoldState:
     return BeamHoldState(
         "watch", held, data.draw(st.sampled_from(BeamHoldCause)), data.draw(REASONS),
         data.draw(st.integers(0, 2**62)), 7, 8, data.draw(vector), data.draw(vector),
-        data.draw(st.one_of(st.none(), st.floats(0.0, 1.0))), release, data.draw(st.integers(0, 2**63)),
+        data.draw(st.one_of(st.none(), st.floats(0.0, 1.0))), release,
+        data.draw(st.integers(0, 2**62)),
     )  # fmt: skip
 
 
@@ -155,7 +156,8 @@ def batch_of(data: st.DataObject) -> FrameBatch:
     return FrameBatch(
         "sim", NAMES, data.draw(REASONS), data.draw(REASONS),
         tuple(
-            LineFrame("sim", data.draw(st.integers(0, 2**40)), number, data.draw(st.integers(0, 2**63)),
+            LineFrame("sim", data.draw(st.integers(0, 2**40)), number,
+                      data.draw(st.integers(0, 2**63)),
                       data.draw(st.one_of(st.none(), st.integers(0, 9))),
                       data.draw(arrays(np.uint16, (4, 5))), FrameFlag(data.draw(st.integers(0, 3))))
             for number in range(frames)

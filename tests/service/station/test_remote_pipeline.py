@@ -76,6 +76,7 @@ def results(live: Pipeline, hub: Hub, path: Path) -> list[dict[str, Any]]:
     driver = ReplayDriver("sim", path, speed=None)
     live.set_tracking_config("sim", TrackingConfig(True, tools("strobed")))
     live.start_device("sim", driver, CALIBRATED)
+    wait_for(lambda: live.status("sim").state == "ended")
     wait_for(lambda: messages(hub, "sim")[-1].get("state") == "ended")
     return [one for one in messages(hub, "sim") if one["type"] == "frame"]
 
@@ -322,9 +323,10 @@ import asyncio, sys, time
 from service.pipeline.detection_stage import built_in_profile
 from service.protocols.stream.hub import Hub
 from service.station.remote_pipeline import RemotePipeline
+from service.station.station_starter import StationStarter
 
 async def main():
-    live = RemotePipeline(Hub(), "cpu", built_in_profile)
+    live = RemotePipeline(Hub(), StationStarter(), "cpu", built_in_profile)
     while not live.ready:
         await asyncio.sleep(0.02)
     print(live.process_id, flush=True)

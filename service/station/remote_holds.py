@@ -70,11 +70,10 @@ class RemoteHolds:
                     token.ended = now
 
     def take(self, batch: FrameBatch) -> None:
-        """Keep the newest states of a batch; changes among them have come before it."""
-        if batch.holds:
-            with self.changed:
-                for now in batch.holds[-1]:
-                    self._keep(batch.device_id, now)
+        """Keep the newest states of a batch that has any; changes among them have come before it."""
+        with self.changed:
+            for now in batch.holds[-1]:
+                self._keep(batch.device_id, now)
 
     def change(self, device_id: str, now: BeamHoldState, *, last: bool) -> None:
         """Take a change, and tell of it; ``last``: the hold was deleted."""

@@ -496,7 +496,8 @@ class RemotePipeline:
     def _take(self, record: Record) -> None:
         kind, header, at = split_message(record.data)
         if kind is MessageKind.BATCH:
-            self._take_batch(read_batch(record.data, header, at, self.holds), record.missed > 0)
+            batch = read_batch(record.data, header, at, self.holds)
+            self._take_batch(batch, missed=record.missed > 0)
         elif kind is MessageKind.HOLD:
             device_id, row, last = header
             self.holds.change(device_id, read_hold(row, self.holds), last=last)
@@ -513,19 +514,23 @@ class RemotePipeline:
         else:
             self.streams.end(*header)
 
-    def _take_batch(self, batch: FrameBatch, missed: bool) -> None:
-        self.holds.take(batch)
+    def _take_batch(self, batch: FrameBatch, *, missed: bool) -> None:
+        if batch.holds:
+            self.holds.take(batch)
         device = self._devices.get(batch.device_id)
-        now_s = time.monotonic()
-        if now_s - self._pose_times_s.get(batch.device_id, 0.0) >= MIN_POSE_INTERVAL_S:
-            rate = 0.0 if device is None else device.description.frame_rate_hz
-            entry = newest_poses(batch, rate)
-            if entry is not None:
-                self._pose_times_s[batch.device_id] = now_s
-                self.poses.put(entry)
+        if batch.motion is not None and batch.motion.poses:
+            self._publish_poses(batch, 0.0 if device is None else device.description.frame_rate_hz)
         if device is not None:
             device.offer(batch, missed=missed)
         self.streams.publish_batch(batch)
+
+    def _publish_poses(self, batch: FrameBatch, frame_rate_hz: float) -> None:
+        now_s = time.monotonic()
+        if now_s - self._pose_times_s.get(batch.device_id, 0.0) >= MIN_POSE_INTERVAL_S:
+            entry = newest_poses(batch, frame_rate_hz)
+            if entry is not None:
+                self._pose_times_s[batch.device_id] = now_s
+                self.poses.put(entry)
 
     def _take_figures(self, figures: StationFigures) -> None:
         self._figures = figures

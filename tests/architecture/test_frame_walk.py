@@ -3,7 +3,7 @@
 import asyncio
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, cast
@@ -17,6 +17,8 @@ from hardware.simulated.driver import SimulatedDriver
 from hardware.simulated.settings import SimulationSettings
 from service.pipeline import bad_pixel_watch, stage_latency
 from service.pipeline.active_calibration import ActiveCalibration
+from service.pipeline.detection_stage import built_in_profile
+from service.pipeline.interface import Pipeline
 from service.pipeline.pipeline_manager import PipelineManager
 from service.pipeline.tracking_config import (
     NO_TRACKING,
@@ -28,6 +30,12 @@ from service.pipeline.tracking_config import (
 from service.protocols.stream import router
 from service.protocols.stream.hub import Hub
 from service.protocols.stream.query import parse_stream_request
+from service.station import remote_pipeline
+from service.station.calls import Answer, Start
+from service.station.process import Station
+from service.station.remote_pipeline import RemotePipeline
+from service.station.shared_ring import Doorbell, RingReader, RingWriter, new_ring
+from service.station.station_starter import StationStarter
 from tests.architecture.walks import differences, listed, tracing
 from tests.service.pipeline.test_tools_live import SCENE, exact, tools
 
@@ -43,6 +51,13 @@ WARM_UP_FRAMES = 150
 """After which all tracks are confirmed and all tools found: the frames behind are plain ones."""
 
 
+_SOURCES: dict[int, "PacedSource"] = {}
+
+
+def _source(number: int) -> "PacedSource":
+    return _SOURCES[number]
+
+
 class PacedSource:
     """Simulated frames, made before, that leave the driver one at a time when told to."""
 
@@ -55,6 +70,11 @@ class PacedSource:
         self._frames = list(driver.frames())
         self._allowed = threading.Semaphore(0)
         self._closed = False
+        _SOURCES[id(self)] = self
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle a reference: the station of the test is in this process."""
+        return _source, (id(self),)
 
     def open(self) -> None: ...
 
@@ -88,8 +108,47 @@ class Socket:
         self.sent.put_nowait(payload)
 
 
+class InProcessStation:
+    """Takes the place of a station's process: the same, but for the process."""
+
+    process_id = 0
+
+    def __init__(self, _: StationStarter, start: Start, lost: object) -> None:
+        self._memory = new_ring(1 << 24)
+        self.doorbell = Doorbell()
+        self.reader = RingReader(self._memory, from_begin=True)
+        self._station = Station(RingWriter(self._memory), self.doorbell.write_descriptor, start)
+
+    def call(self, method: str, *args: Any, **members: Any) -> Answer:
+        result = getattr(self._station, method)(*args, **members)
+        return Answer(0, result, None, self._station.head)
+
+    def notify(self, method: str, *args: Any) -> None:
+        self.call(method, *args)
+
+    def close(self) -> None:
+        self._station.close()
+
+    def release(self) -> None:
+        self.doorbell.close()
+
+
+def own_pipeline(hub: Hub) -> Pipeline:
+    """A pipeline in threads of this process."""
+    return PipelineManager(hub, "cpu")
+
+
+def pipeline_of_station(hub: Hub) -> Pipeline:
+    """A pipeline behind a bus."""
+    return RemotePipeline(hub, StationStarter(), "cpu", built_in_profile)
+
+
 async def walk(
-    illumination: Illumination, content: str, tracked: TrackingConfig, **settings: Any
+    illumination: Illumination,
+    content: str,
+    tracked: TrackingConfig,
+    make_pipeline: Callable[[Hub], Pipeline] = own_pipeline,
+    **settings: Any,
 ) -> tuple[set[str], str]:
     """Return the modules that plain frames run through, and the last message."""
     frames = WARM_UP_FRAMES + TRACED_FRAMES
@@ -100,10 +159,11 @@ async def walk(
     )
     hub, socket = Hub(), Socket()
     with tracing() as trace:
-        live = PipelineManager(hub, "cpu")
+        live = make_pipeline(hub)
         try:
-            live.set_tracking_config("sim", tracked)
-            live.start_device("sim", source, ActiveCalibration("nominal", exact()))
+            await asyncio.to_thread(live.set_tracking_config, "sim", tracked)
+            active = ActiveCalibration("nominal", exact())
+            await asyncio.to_thread(live.start_device, "sim", source, active)
             query = {"device_id": "sim", "content": content, "encoding": "json"}
             subscription = hub.subscribe(parse_stream_request(query))
             sender = asyncio.create_task(router._forward(cast("WebSocket", socket), subscription))
@@ -117,7 +177,7 @@ async def walk(
             trace.on = False
             sender.cancel()
         finally:
-            live.close()
+            await asyncio.to_thread(live.close)
     return trace.modules, str(last)
 
 
@@ -165,3 +225,24 @@ def test_walk_of_a_frame_runs_the_modules_of_the_table(
     table = [name for heading in headings for name in listed(heading)]
     assert not differences(ran, table)
     assert len(ran) <= most
+
+
+@pytest.mark.parametrize("content", ["points", EVERYTHING])
+def test_walk_through_a_station_has_the_modules_of_the_bus_in_addition(
+    content: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(bad_pixel_watch, "SAMPLE_INTERVAL_S", float("inf"))
+    monkeypatch.setattr(stage_latency, "INTERVAL_S", 1e9)
+    monkeypatch.setattr(remote_pipeline, "StationProcess", InProcessStation)
+    headings = ["Points", "Between station and gateway"]
+    if content == "points":
+        walked = walk("strobed", content, NO_TRACKING, pipeline_of_station)
+    else:
+        walked = walk("strobed", content, config("strobed"), pipeline_of_station, scene=SCENE)
+        headings.append("Tracks, tools and holds")
+    ran, _ = asyncio.run(walked)
+    table = [name for heading in headings for name in listed(heading)]
+    if content != "points":
+        table.append("service.station.remote_holds")
+    assert not differences(ran, table)
+    assert len(ran) <= (16 if content == "points" else 37)

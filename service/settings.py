@@ -5,7 +5,7 @@ import os
 from dataclasses import dataclass
 from ipaddress import ip_network
 from pathlib import Path
-from typing import Final, Literal
+from typing import Annotated, Final, Literal
 from urllib.parse import urlsplit
 
 from pydantic import Field, field_validator, model_validator
@@ -83,6 +83,11 @@ class Settings(BaseSettings):
     station: Literal["process", "thread"] = Field(default_factory=default_station)
     """Where devices, their frames and beam holds are: in a process of their own, which nothing
     that clients ask for holds up, or in threads of the server."""
+    station_priority: int | None = Field(default=None, ge=1, le=99)
+    """Priority of real time of that process, above all that have none; None: as all others. It
+    needs the right to it."""
+    station_cores: tuple[Annotated[int, Field(ge=0)], ...] = ()
+    """Numbers of the cores that process may use; none: all."""
     stream_kept_messages: int = Field(default=10_000, ge=1)
     """Messages of each device that are kept for stream clients which are behind or come back."""
     stream_lag_s: float = Field(default=1.0, ge=0.0, allow_inf_nan=False)

@@ -154,5 +154,12 @@ def _live_manager(settings: Settings, starter: StationStarter) -> Pipeline:
     find_own_profile = partial(find_profile, profiles_dir=settings.folders.profiles)
     hub = Hub(settings.stream_kept_messages, settings.stream_lag_s)
     if settings.station == "process":
-        return RemotePipeline(hub, starter, settings.compute_device, find_own_profile)
+        return RemotePipeline(
+            hub,
+            starter,
+            settings.compute_device,
+            find_own_profile,
+            settings.station_priority,
+            settings.station_cores,
+        )
     return PipelineManager(hub, settings.compute_device, find_own_profile)

@@ -1,6 +1,7 @@
 """Pipeline: the live side as REST and the protocols use it, wherever it runs."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
@@ -23,6 +24,25 @@ Accept = Callable[[DeviceDescription], None]
 
 def any_device(_: DeviceDescription) -> None:
     """Accept every device."""
+
+
+@dataclass(frozen=True)
+class StationState:
+    """The process that devices belong to, where it is not this one.
+
+    Args:
+        process_id: of the operating system.
+        restarts: how often it was lost and started again.
+        messages_missed: messages of the bus that were overwritten before they were read.
+        memory_bytes: its resident memory.
+        cpu_s: computing time that it has used.
+    """
+
+    process_id: int
+    restarts: int
+    messages_missed: int
+    memory_bytes: int
+    cpu_s: float
 
 
 class RunningDevice(Protocol):
@@ -148,6 +168,11 @@ class Pipeline(Protocol):
     @property
     def busy_s(self) -> float:
         """Time spent so far on the current batch or job [s]."""
+        ...
+
+    @property
+    def station(self) -> StationState | None:
+        """The process that devices belong to; None: this one."""
         ...
 
     def start_device(

@@ -87,6 +87,11 @@ class PipelineManager:
         """Time that the compute thread has spent on its current batch or job [s]."""
         return self._compute.busy_s
 
+    @property
+    def station(self) -> None:
+        """None: devices belong to this process."""
+        return None
+
     def start_device(
         self,
         device_id: str,

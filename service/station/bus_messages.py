@@ -431,11 +431,15 @@ class StationFigures:
         devices: by id.
         busy_s: time that its compute thread has spent on its current batch [s].
         ready: whether that runs.
+        memory_bytes: resident memory of the process.
+        cpu_s: computing time that it has used.
     """
 
     devices: dict[str, DeviceFigures]
     busy_s: float = 0.0
     ready: bool = True
+    memory_bytes: int = 0
+    cpu_s: float = 0.0
 
 
 def figures_message(figures: StationFigures) -> bytes:

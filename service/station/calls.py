@@ -31,11 +31,15 @@ class Start:
         compute_device: "cpu", "cuda:0", ...; None: the best there is.
         find_profile: returns the device profiles that descriptions name.
         log_level: of the lines that are wanted.
+        priority: of real time, 1 to 99; None: as all others.
+        cores: numbers of the cores that it may use; empty: all.
     """
 
     compute_device: str | None
     find_profile: FindProfile
     log_level: int
+    priority: int | None = None
+    cores: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)

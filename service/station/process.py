@@ -7,13 +7,16 @@ doorbell. It ends when the socket does. Nothing here serves clients, reads the d
 import contextlib
 import gc
 import logging
+import os
 import pickle
 import sys
 import threading
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields
 from multiprocessing.connection import Connection
+from pathlib import Path
 from threading import Lock, Thread
 from typing import TYPE_CHECKING, Any, Final
 
@@ -201,11 +204,15 @@ class Station:
     ) -> DeviceDescription | None:
         """Start a device with a pickled driver; arguments else as of ``Pipeline``."""
         opened: Driver = pickle.loads(driver)  # noqa: S301 - from our own parent process
-        return self._manager.start_device(device_id, opened, _versioned(active, version), accept)
+        with _collected():
+            return self._manager.start_device(
+                device_id, opened, _versioned(active, version), accept
+            )
 
     def stop_device(self, device_id: str) -> None:
         """As of ``Pipeline``."""
-        self._manager.stop_device(device_id)
+        with _collected():
+            self._manager.stop_device(device_id)
 
     def forget_device(self, device_id: str) -> None:
         """As of ``Pipeline``."""
@@ -297,12 +304,36 @@ class Station:
             )
             for device_id, status in manager.statuses().items()
         }
-        return StationFigures(devices, manager.busy_s, manager.ready)
+        return StationFigures(
+            devices, manager.busy_s, manager.ready, _resident_bytes(), time.process_time()
+        )
+
+
+def _resident_bytes() -> int:
+    """Return the resident memory of this process; 0 where the system does not tell."""
+    try:
+        pages = Path("/proc/self/statm").read_text(encoding="ascii").split()[1]
+    except OSError:
+        return 0
+    return int(pages) * os.sysconf("SC_PAGE_SIZE")
 
 
 def _versioned(active: ActiveCalibration, version: int) -> VersionedCalibration:
     members = {one.name: getattr(active, one.name) for one in fields(ActiveCalibration)}
     return VersionedCalibration(**members, version=version)
+
+
+@contextlib.contextmanager
+def _collected() -> Iterator[None]:
+    """Collect garbage after what makes it, and never while frames are processed.
+
+    The hot path makes no cycles: reference counts free what it lets go.
+    """
+    try:
+        yield
+    finally:
+        gc.collect()
+        gc.freeze()
 
 
 class LogForwarder(logging.Handler):
@@ -367,6 +398,30 @@ class CallServer:
             self.send(Answer(call.number, result, error, station.head))
 
 
+def prefer(priority: int | None, cores: Sequence[int]) -> None:
+    """Let this process go before others, or on some cores only; the log says what was refused.
+
+    Args:
+        priority: 1 to 99, of real time (first in, first out); None: as all others.
+        cores: numbers of those that it may use; empty: all.
+    """
+    if cores:
+        try:
+            os.sched_setaffinity(0, cores)
+        except (AttributeError, OSError, ValueError) as error:
+            _log.warning("station_cores %s: refused (%s); it runs on any", cores, error)
+    if priority is not None:
+        try:
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+        except (AttributeError, OSError, ValueError) as error:
+            _log.warning(
+                "station_priority %d: refused (%s); it runs as all others do. The service needs "
+                "the right to it: CAP_SYS_NICE, or LimitRTPRIO of its unit",
+                priority,
+                error,
+            )
+
+
 def run(connection: Connection, ring: RingWriter, doorbell: int) -> None:
     """Be the station until the gateway ends.
 
@@ -384,7 +439,9 @@ def run(connection: Connection, ring: RingWriter, doorbell: int) -> None:
     except (EOFError, OSError):
         return
     root.setLevel(start.log_level)
+    prefer(start.priority, start.cores)
     station = Station(ring, doorbell, start)
+    gc.disable()
     gc.collect()
     gc.freeze()
     calls.serve(station)

@@ -70,7 +70,7 @@ class RemoteHolds:
                     token.ended = now
 
     def take(self, batch: FrameBatch) -> None:
-        """Keep the newest states of a batch that has any; changes among them have come before it."""
+        """Keep the newest states of a batch that has any; their changes have come before it."""
         with self.changed:
             for now in batch.holds[-1]:
                 self._keep(batch.device_id, now)

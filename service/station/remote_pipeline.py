@@ -25,7 +25,7 @@ from service.pipeline.detection_stage import FindProfile, Method, SearchModel, p
 from service.pipeline.device_session import MIN_POSE_INTERVAL_S, StreamPublisher, ToolCounts
 from service.pipeline.device_status import DeviceStatus
 from service.pipeline.frame_batch import FrameBatch, LatestPoses, newest_poses
-from service.pipeline.interface import Accept, RunningDevice, any_device
+from service.pipeline.interface import Accept, RunningDevice, StationState, any_device
 from service.pipeline.stage_latency import Stage
 from service.pipeline.tap_collection import collect_readings, not_running
 from service.pipeline.taps import Tap
@@ -244,6 +244,8 @@ class RemotePipeline:
         starter: starts the station; stays the caller's.
         compute_device: "cpu", "cuda:0", ...; None: the best there is.
         find_profile: returns the device profiles that descriptions name; can be pickled.
+        priority: of real time for the station, 1 to 99; None: as all others.
+        cores: numbers of the cores that it may use; empty: all.
     """
 
     def __init__(
@@ -252,6 +254,8 @@ class RemotePipeline:
         starter: StationStarter,
         compute_device: str | None,
         find_profile: FindProfile,
+        priority: int | None = None,
+        cores: tuple[int, ...] = (),
     ) -> None:
         self.streams = streams
         self.poses = LatestPoses()
@@ -265,7 +269,8 @@ class RemotePipeline:
         self._watchdog = BeamHoldWatchdog(self.holds)
         self._loop = asyncio.get_running_loop()
         self._loop_thread = threading.get_ident()
-        self._start = Start(compute_device, find_profile, logging.getLogger().getEffectiveLevel())
+        level = logging.getLogger().getEffectiveLevel()
+        self._start = Start(compute_device, find_profile, level, priority, cores)
         self._figures = StationFigures({}, ready=False)
         self._devices: dict[str, RemoteDevice] = {}
         self._started: dict[str, _StartedDevice] = {}
@@ -280,7 +285,7 @@ class RemotePipeline:
         self._due = 0
         self._closing = False
         self._starter = starter
-        self._restarts = 0
+        self._restarts = self._failures = self._messages_missed = 0
         self._began_s = time.monotonic()
         self._station = StationProcess(self._starter, self._start, self._lost)
         self._loop.add_reader(self._station.doorbell.descriptor, self._read)
@@ -297,9 +302,16 @@ class RemotePipeline:
         return self._figures.busy_s
 
     @property
-    def process_id(self) -> int:
-        """Of the station's process."""
-        return self._station.process_id
+    def station(self) -> StationState:
+        """The process that devices belong to."""
+        figures = self._figures
+        return StationState(
+            self._station.process_id,
+            self._restarts,
+            self._messages_missed,
+            figures.memory_bytes,
+            figures.cpu_s,
+        )
 
     def next_tap(self) -> int:
         """Return a number for a tap."""
@@ -477,6 +489,7 @@ class RemotePipeline:
         count_read = 0
         for record in station.reader.read(min(self._due, TURN)):
             count_read += 1
+            self._messages_missed += record.missed
             try:
                 self._take(record)
             except Exception:  # noqa: BLE001 - of this message; the next ones go on
@@ -567,8 +580,9 @@ class RemotePipeline:
         call_in_loop(self._loop, end)
         done.wait()
         steady = time.monotonic() - self._began_s > STEADY_S
-        self._restarts = 0 if steady else self._restarts + 1
-        time.sleep(RESTART_S[min(self._restarts, len(RESTART_S)) - 1] if self._restarts else 0.0)
+        self._restarts += 1
+        time.sleep(RESTART_S[0 if steady else min(self._failures, len(RESTART_S) - 1)])
+        self._failures = 1 if steady else self._failures + 1
         if self._closing:
             return
         self._began_s = time.monotonic()

@@ -218,6 +218,7 @@ class LiveCollector(Collector):
             "How long the compute thread is at what it has in hand; 0 when it waits.",
             self._live.busy_s,
         )
+        yield from self._station()
         yield from self._tools()
         yield gauge(
             "hold_held",
@@ -238,6 +239,28 @@ class LiveCollector(Collector):
             "Messages that are kept for clients which are behind or come back.",
             (((name,), log.message_count) for name, log in logs.items()),
         )
+
+    def _station(self) -> Iterator[Metric]:
+        station = self._live.station
+        counts = [
+            (
+                "station_restarts",
+                "How often the process that devices belong to was lost and started again.",
+                station.restarts if station else 0,
+            ),
+            (
+                "station_messages_missed",
+                "Messages of its bus that were overwritten before they were read.",
+                station.messages_missed if station else 0,
+            ),
+        ]
+        if station is not None:
+            counts.append(("station_cpu_seconds", "Computing time of it.", station.cpu_s))
+            yield single(
+                "station_memory_bytes", "Resident memory of it.", float(station.memory_bytes)
+            )
+        for name, what, value in counts:
+            yield counter(name, what, (((), float(value)),), ())
 
     def _tools(self) -> Iterator[Metric]:
         tools = {

@@ -258,9 +258,9 @@ def test_lost_station_is_replaced_with_all_it_had(
     device, tap = live.session("sim"), KeepingTap()
     device.attach(tap)
     wait_for(lambda: tap.batches)
-    lost = live.process_id
+    lost = live.station.process_id
     os.kill(lost, signal.SIGKILL)
-    wait_for(lambda: live.process_id != lost)
+    wait_for(lambda: live.station.process_id != lost)
     assert not device.connected
     assert device.drained
     wait_for(lambda: live.status("sim").state == "running")
@@ -288,7 +288,7 @@ def test_lost_station_is_replaced_with_all_it_had(
 
 def test_call_to_a_lost_station_is_told_to_come_again(pipeline: RemotePipeline) -> None:
     pipeline.start_device("sim", SimulatedDriver("sim", LIVE), CALIBRATED)
-    os.kill(pipeline.process_id, signal.SIGSTOP)
+    os.kill(pipeline.station.process_id, signal.SIGSTOP)
     caught: list[BaseException] = []
 
     def stop() -> None:
@@ -300,7 +300,7 @@ def test_call_to_a_lost_station_is_told_to_come_again(pipeline: RemotePipeline) 
     thread = threading.Thread(target=stop)
     thread.start()
     time.sleep(0.2)
-    os.kill(pipeline.process_id, signal.SIGKILL)
+    os.kill(pipeline.station.process_id, signal.SIGKILL)
     thread.join(WAIT_S)
     assert "is started again; try again" in str(caught[0])
 
@@ -329,7 +329,7 @@ async def main():
     live = RemotePipeline(Hub(), StationStarter(), "cpu", built_in_profile)
     while not live.ready:
         await asyncio.sleep(0.02)
-    print(live.process_id, flush=True)
+    print(live.station.process_id, flush=True)
     await asyncio.sleep(600)
 
 asyncio.run(main())

@@ -301,7 +301,11 @@ def call_in_loop(
 ) -> None:
     """Call in an event loop, from any thread; nothing happens in one that has ended."""
     with suppress(RuntimeError):  # it is closed: the service is ending
-        loop.call_soon_threadsafe(call, *args)
+        if asyncio._get_running_loop() is loop:
+            # It is awake already.
+            loop.call_soon(call, *args)
+        else:
+            loop.call_soon_threadsafe(call, *args)
 
 
 @cache

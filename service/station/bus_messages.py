@@ -182,13 +182,9 @@ class _Reader:
 
     def take(self, kind: np.dtype[Any]) -> NDArray[Any]:
         """Return the next array, which is of this type."""
-        shape = next(self._shapes)
-        count = 1
-        for length in shape:
-            count *= length
-        array = np.frombuffer(self._data, kind, count, self._at) if count else np.empty(0, kind)
-        self._at += count * kind.itemsize
-        return array.reshape(shape)
+        array: NDArray[Any] = np.ndarray(next(self._shapes), kind, self._data, self._at)
+        self._at += array.nbytes
+        return array
 
     def take_members(self, members: Sequence[_Spec]) -> dict[str, NDArray[Any]]:
         """Return the next arrays by name."""

@@ -242,7 +242,7 @@ class LiveCollector(Collector):
 
     def _station(self) -> Iterator[Metric]:
         station = self._live.station
-        counts = [
+        counts: list[tuple[str, str, float]] = [
             (
                 "station_restarts",
                 "How often the process that devices belong to was lost and started again.",

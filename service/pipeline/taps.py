@@ -19,6 +19,11 @@ Array = NDArray[np.float64]
 class Tap(Protocol):
     """Takes the batches of a running device beside the streams."""
 
+    @property
+    def wants_pixels(self) -> bool:
+        """Whether it needs the frames' pixels; without them ``lines`` may be empty."""
+        ...
+
     def prepare(self, found: ActiveCalibration) -> None:
         """Learn the calibration that becomes active next; called in a thread that may wait."""
         ...
@@ -34,6 +39,8 @@ class PeakTap:
     Of a strobed frame the brightest peak of each sensor is the marker; of others a sensor counts
     when it saw one peak and no other.
     """
+
+    wants_pixels: Final = False
 
     def __init__(self, after_sequence: int, frames: int, marker: int | None) -> None:
         """Take ``frames`` frames of ``marker`` that were exposed after that sequence number."""
@@ -93,6 +100,8 @@ def clear_readings(
 
 class SingleCalibrationTap:
     """Base of taps that need one calibration and table throughout; ends when they change."""
+
+    wants_pixels: Final = False
 
     def __init__(self) -> None:
         self.ended = Event()

@@ -73,8 +73,8 @@ class BusPublisher:
         self._doorbell = doorbell
         self.generations: dict[str, int] = {}
         """Number of each device's newest start."""
-        self.taps: dict[str, int] = {}
-        """Taps of each device: they want pixels."""
+        self.pixel_taps: dict[str, int] = {}
+        """Taps of each device that want pixels."""
         self.clients: dict[str, int] = {}
         """Clients of each device at the gateway."""
         self.figures: Callable[[], StationFigures] | None = None
@@ -100,7 +100,7 @@ class BusPublisher:
         """Put a batch of frames on the bus."""
         device_id = batch.device_id
         generation = self.generations.get(device_id, 0)
-        pixels = bool(self.taps.get(device_id))
+        pixels = bool(self.pixel_taps.get(device_id))
         self.put(batch_message(batch, generation, pixels=pixels))
 
     def publish_status(
@@ -144,7 +144,8 @@ class BusPublisher:
 class BusTap:
     """Stands for a tap at the gateway: tells it what the batches are processed with."""
 
-    def __init__(self, publisher: BusPublisher, tap: int) -> None:
+    def __init__(self, publisher: BusPublisher, tap: int, *, wants_pixels: bool) -> None:
+        self.wants_pixels = wants_pixels
         self._publisher = publisher
         self._tap = tap
 
@@ -226,8 +227,10 @@ class Station:
         """As of ``Pipeline``."""
         self._manager.set_tracking_config(device_id, tracked)
 
-    def attach(self, device_id: str, generation: int, tap: int, *, sampled: bool) -> None:
-        """Let batches of a device have pixels, and tell a tap what they are processed with.
+    def attach(
+        self, device_id: str, generation: int, tap: int, *, sampled: bool, pixels: bool
+    ) -> None:
+        """Tell a tap what batches are processed with; ``pixels``: let them have their pixels.
 
         Raises:
             DeviceNotRunning: the device was started again since.
@@ -238,8 +241,9 @@ class Station:
                 f'device "{device_id}" was started again meanwhile; try again', device_id=device_id
             )
         with self._lock:
-            self._publisher.taps[device_id] = self._publisher.taps.get(device_id, 0) + 1
-            bus_tap = BusTap(self._publisher, tap)
+            known = self._publisher.pixel_taps.get(device_id, 0)
+            self._publisher.pixel_taps[device_id] = known + pixels
+            bus_tap = BusTap(self._publisher, tap, wants_pixels=pixels)
             self._taps[tap] = session, bus_tap
         session.attach(bus_tap, sampled=sampled)
 
@@ -249,7 +253,7 @@ class Station:
             session, bus_tap = self._taps.pop(tap, (None, None))
             if session is None or bus_tap is None:
                 return
-            self._publisher.taps[session.device_id] -= 1
+            self._publisher.pixel_taps[session.device_id] -= bus_tap.wants_pixels
         session.detach(bus_tap)
 
     def set_clients(self, device_id: str, clients: int) -> None:

@@ -170,7 +170,14 @@ class RemoteDevice:
         with self._lock:
             self._taps[number] = _AttachedTap(tap)
         try:
-            self._pipeline.call("attach", self.device_id, self.generation, number, sampled=sampled)
+            self._pipeline.call(
+                "attach",
+                self.device_id,
+                self.generation,
+                number,
+                sampled=sampled,
+                pixels=tap.wants_pixels,
+            )
         except (DeviceNotRunning, NotReady):
             # It has ended meanwhile: whoever waits for its batches sees that.
             return

@@ -56,6 +56,8 @@ DetailQuery = Annotated[
 class ScanTap:
     """Takes the newest wanted exposure of one batch, and no other."""
 
+    wants_pixels: Final = True
+
     def __init__(self, after_sequence: int | None, marker: int | None) -> None:
         self._after = after_sequence
         self._marker = marker

@@ -2,15 +2,20 @@
 
 from dataclasses import dataclass, field
 from threading import Lock
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.reconstruction.point_batch import PointFlag
+from compute.reconstruction.point_batch import PointBatch, PointFlag
 from service.pipeline.active_calibration import ActiveCalibration
 from service.pipeline.frame_batch import FrameBatch
 
 Array = NDArray[np.float64]
+
+
+_TOGETHER: Final = 64
+"""Batches that are added up together."""
 
 
 @dataclass
@@ -80,11 +85,15 @@ class IntervalStatisticsTap:
         reference: the strobed marker that never moves; None: there is none.
     """
 
+    wants_pixels: Final = False
+
     def __init__(self, reference: int | None) -> None:
         self.reference = reference
         self._lock = Lock()
         self._done: list[IntervalSums] = []
         self._now: IntervalSums | None = None
+        self._pending: list[tuple[PointBatch, NDArray[np.bool_]]] = []
+        """Points that are not added up yet, and which are of the reference marker."""
 
     def prepare(self, found: ActiveCalibration) -> None:
         """Do nothing: the batches say what they were made with."""
@@ -92,6 +101,7 @@ class IntervalStatisticsTap:
     def take(self) -> list[IntervalSums]:
         """Return the sums since the last call, one for each calibration and table."""
         with self._lock:
+            self._add_pending()
             done, now = self._done, self._now
             self._done, self._now = [], None
         return done if now is None else [*done, now]
@@ -117,15 +127,24 @@ class IntervalStatisticsTap:
             made_with = (batch.calibration_id, batch.table_id)
             if now is None or (now.calibration_id, now.table_id) != made_with:
                 if now is not None:
+                    self._add_pending()
                     self._done.append(now)
                 now = self._now = IntervalSums(*made_with, begin, begin)
             now.end_ns = batch.frames[-1].exposure_device_ns
-            self._add(now, batch)
+            if len(batch.points):
+                marker = np.array([frame.marker == self.reference for frame in batch.frames])
+                self._pending.append((batch.points, marker[batch.owner]))
+            if len(self._pending) >= _TOGETHER:
+                self._add_pending()
 
-    def _add(self, sums: IntervalSums, batch: FrameBatch) -> None:
-        points = batch.points
-        if not len(points):
-            return
+    def _add_pending(self) -> None:
+        """Add up what waits: many small batches cost as much as one large one."""
+        pending, self._pending = self._pending, []
+        if pending and self._now is not None:
+            points = PointBatch.concatenate([points for points, _ in pending])
+            self._add(self._now, points, np.concatenate([reference for _, reference in pending]))
+
+    def _add(self, sums: IntervalSums, points: PointBatch, reference: NDArray[np.bool_]) -> None:
         found = np.isfinite(points.position_mm[:, 0])
         found &= (points.flags & int(PointFlag.AMBIGUOUS)) == 0
         sums.points += int(found.sum())
@@ -136,8 +155,7 @@ class IntervalStatisticsTap:
         sums.inconsistent += int((points.flags & int(PointFlag.INCONSISTENT) != 0).sum())
         if self.reference is None:
             return
-        marker = np.array([frame.marker == self.reference for frame in batch.frames])
-        places = points.position_mm[found & marker[batch.owner]]
+        places = points.position_mm[found & reference]
         if len(places):
             if sums.reference_first is None:
                 sums.reference_first = places[0].copy()

@@ -2,7 +2,7 @@
 
 from collections import deque
 from threading import Event
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from service.api.radiometric_calibrations.frame_statistics import FrameAccumulator
 from service.pipeline.active_calibration import ActiveCalibration
@@ -21,6 +21,8 @@ class FrameTap:
         frames: how many.
         sensors: of the device.
     """
+
+    wants_pixels: Final = True
 
     def __init__(self, after_sequence: int, frames: int, sensors: int) -> None:
         self._after = after_sequence

@@ -45,6 +45,11 @@ class Recorder:
         self._nothing = np.empty(0, PEAK), np.empty(0, point_dtype(sensors))
 
     @property
+    def wants_pixels(self) -> bool:
+        """Whether scans are recorded."""
+        return self.job.lines
+
+    @property
     def status(self) -> WriterStatus:
         """Frames safe in the file, its size, and why it ended; None: it goes on."""
         return self._feed.status

@@ -28,6 +28,8 @@ class ExposureTap:
         sensors: number of sensors.
     """
 
+    wants_pixels: Final = False
+
     def __init__(self, after_sequence: int, markers: Sequence[int], sensors: int) -> None:
         self._after = after_sequence
         self._markers = frozenset(markers)

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import pytest
 
@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 class Tap:
     """Takes all frames."""
+
+    wants_pixels: Final = True
 
     def __init__(self) -> None:
         self.frames: list[LineFrame] = []

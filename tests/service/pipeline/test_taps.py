@@ -1,6 +1,7 @@
 """Taps: a detached one has all that it was being given, and gets no more."""
 
 from threading import Event, Thread
+from typing import Final
 
 from hardware.simulated.driver import SimulatedDriver
 from hardware.simulated.settings import SimulationSettings
@@ -14,6 +15,8 @@ WAIT_S = 60.0
 
 class SlowTap:
     """Takes a batch in two steps, as one that keeps times and positions in two lists."""
+
+    wants_pixels: Final = False
 
     def __init__(self) -> None:
         self.halfway, self.go_on = Event(), Event()

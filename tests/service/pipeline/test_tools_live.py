@@ -3,7 +3,7 @@
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from typing import Literal
+from typing import Final, Literal
 
 import numpy as np
 import pytest
@@ -255,6 +255,8 @@ class Costs(LoadShedding):
 
 class Bench:
     """A device at 1 kHz whose frames come as they are asked for, and what is made of them."""
+
+    wants_pixels: Final = False
 
     def __init__(self, seconds: float) -> None:
         driver = SimulatedDriver("sim", simulation("strobed", seconds))

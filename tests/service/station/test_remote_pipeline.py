@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import pytest
 
@@ -96,6 +96,8 @@ def test_results_are_those_of_one_process(make_pipeline: MakePipeline, recording
 
 class KeepingTap:
     """Keeps what it is given, and takes its time."""
+
+    wants_pixels: Final = True
 
     def __init__(self, pause_s: float = 0.0) -> None:
         self.pause_s = pause_s

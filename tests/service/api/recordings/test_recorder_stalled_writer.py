@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from threading import Event, Thread
-from typing import Any
+from typing import Any, Final
 
 import pytest
 
@@ -56,6 +56,8 @@ def recordings(live: PipelineManager, tmp_path: Path) -> Iterator[RecordingManag
 
 class Stalled:
     """A recording whose process is stopped, as by a disk that does not answer."""
+
+    wants_pixels: Final = False
 
     def __init__(self, recordings: RecordingManager, name: str) -> None:
         recordings.start("sim", NewRecording(id=name))

@@ -201,6 +201,8 @@ _log = logging.getLogger(__name__)
 
 MIN_POSE_INTERVAL_S = 0.001
 """Least time between two entries of the newest poses: of faster devices frames are left out."""
+MAX_BATCH_BYTES: Final = 1 << 24
+"""Most pixels of a batch [bytes]."""
 BATCH_SECONDS = 0.02
 """How long the frames of one device may keep those of the others waiting."""
 
@@ -250,7 +252,9 @@ class DeviceSession:
         """Of one frame a second, from its exposure to the streams."""
         self.failure: str | None = None
         self.stopped = False
-        self._batch = MAX_FRAMES
+        sensors, pixels = len(description.sensors), description.sensors[0].pixels
+        self._max_frames = max(1, min(MAX_FRAMES, MAX_BATCH_BYTES // (2 * sensors * pixels)))
+        self._batch = self._max_frames
         self._watches_holds = False
         self._has_tools = False
         self._last_request_s = time.monotonic()
@@ -310,7 +314,7 @@ class DeviceSession:
             if self.load_shedding.sheds:
                 elapsed_s -= tracking
         self._batch = max(
-            1, min(MAX_FRAMES, int(BATCH_SECONDS / max(elapsed_s / len(frames), 1e-6)))
+            1, min(self._max_frames, int(BATCH_SECONDS / max(elapsed_s / len(frames), 1e-6)))
         )
         return True
 
@@ -406,6 +410,12 @@ class DeviceSession:
             self.taps = (*self.taps, tap)
             if sampled:
                 self._sampled_taps = (*self._sampled_taps, tap)
+
+    def repeat_calibration(self, tap: Tap) -> None:
+        """Tell a tap again what its next batches are processed with, if it is attached."""
+        with self._taps_lock:
+            if any(one is tap for one in self.taps):
+                tap.prepare(self.processor.active_calibration)
 
     def detach(self, tap: Tap) -> None:
         """Give a tap no more batches; what it was being given, it has when this returns."""

@@ -256,6 +256,17 @@ class Station:
             self._publisher.pixel_taps[session.device_id] -= bus_tap.wants_pixels
         session.detach(bus_tap)
 
+    def resynchronise(self) -> None:
+        """Say again what the gateway may have missed: states, and what batches are made with."""
+        with self._lock:
+            taps = list(self._taps.values())
+        for session, tap in taps:
+            session.repeat_calibration(tap)
+        for device_id in self._manager.statuses():
+            known = self._manager.known_session(device_id)
+            if known is not None and known.running:
+                known.publish_status()
+
     def set_clients(self, device_id: str, clients: int) -> None:
         """Take how many clients of a device there are."""
         self._publisher.clients[device_id] = clients

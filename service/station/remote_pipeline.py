@@ -95,6 +95,7 @@ class RemoteDevice:
         self._prepared_with: ActiveCalibration | None = None
         self._missed = 0
         self._newest: int | None = None
+        self._interrupted = self._resumes = False
         self._lock = RLock()
         """Held while a batch is offered: a detached tap has all that it was being given."""
         self._taps: dict[int, _AttachedTap] = {}
@@ -188,6 +189,8 @@ class RemoteDevice:
             numbers = [number for number, one in self._taps.items() if one.tap is tap]
             for number in numbers:
                 del self._taps[number]
+            if not self._taps:
+                self._interrupted = False
         for number in numbers:
             self._pipeline.notify("detach", number)
 
@@ -200,15 +203,26 @@ class RemoteDevice:
             self._prepared_with = active
             self._guarded(number, one, partial(one.tap.prepare, active))
             one.prepared = True
+            if self._interrupted and all(one.prepared for one in self._taps.values()):
+                self._interrupted, self._resumes = False, True
             return True
 
-    def offer(self, batch: FrameBatch, *, missed: bool) -> None:
-        """Offer a batch to the taps; ``missed``: some before it were overwritten."""
-        first, last = batch.frames[0].sequence, batch.frames[-1].sequence
-        if missed and self._newest is not None:
-            self._missed += max(0, first - self._newest - 1)
-        self._newest = last
+    def interrupt(self) -> None:
+        """Offer no more until taps know again what batches are processed with: some were missed."""
         with self._lock:
+            self._interrupted = bool(self._taps)
+            for one in self._taps.values():
+                one.prepared = False
+
+    def offer(self, batch: FrameBatch) -> None:
+        """Offer a batch to the taps that know what it was processed with."""
+        first, last = batch.frames[0].sequence, batch.frames[-1].sequence
+        with self._lock:
+            if self._interrupted:
+                return
+            if self._resumes and self._newest is not None:
+                self._missed += max(0, first - self._newest - 1)
+            self._newest, self._resumes = last, False
             for number, one in tuple(self._taps.items()):
                 if one.prepared:
                     self._guarded(number, one, partial(one.tap.offer, batch))
@@ -286,6 +300,8 @@ class RemotePipeline:
         self._versions = count(1)
         self._tap_numbers = count(1)
         self._pose_times_s: dict[str, float] = {}
+        self._away: dict[str, DeviceFigures] = {}
+        """Devices of a lost station that are not started again yet."""
         self._lock = RLock()
         self._passed = Condition()
         """Notified when more of the bus was read."""
@@ -358,9 +374,17 @@ class RemotePipeline:
         started = _StartedDevice(pickle.dumps(driver), accept)
         with self._lock:
             self._started[device_id] = started
-        description: DeviceDescription | None = self.call(
-            "start_device", device_id, started.driver, active, version, accept
-        )
+        try:
+            description: DeviceDescription | None = self.call(
+                "start_device", device_id, started.driver, active, version, accept
+            )
+        except NotReady:
+            raise  # the next station starts it
+        except BaseException:
+            with self._lock:
+                if self._started.get(device_id) is started:
+                    del self._started[device_id]
+            raise
         return description
 
     def stop_device(self, device_id: str) -> None:
@@ -496,7 +520,8 @@ class RemotePipeline:
         count_read = 0
         for record in station.reader.read(min(self._due, TURN)):
             count_read += 1
-            self._messages_missed += record.missed
+            if record.missed:
+                self._resynchronise(record.missed)
             try:
                 self._take(record)
             except Exception:  # noqa: BLE001 - of this message; the next ones go on
@@ -509,6 +534,13 @@ class RemotePipeline:
         if self._due:
             self._loop.call_soon(self._read_on, station)
 
+    def _resynchronise(self, missed: int) -> None:
+        """Ask for what may be among the messages that were missed."""
+        self._messages_missed += missed
+        for device in self._devices.values():
+            device.interrupt()
+        self.notify("resynchronise")
+
     def _read_on(self, station: StationProcess) -> None:
         if station is self._station and self._due:
             self._read()
@@ -516,8 +548,7 @@ class RemotePipeline:
     def _take(self, record: Record) -> None:
         kind, header, at = split_message(record.data)
         if kind is MessageKind.BATCH:
-            batch = read_batch(record.data, header, at, self.holds)
-            self._take_batch(batch, missed=record.missed > 0)
+            self._take_batch(read_batch(record.data, header, at, self.holds))
         elif kind is MessageKind.HOLD:
             device_id, row, last = header
             self.holds.change(device_id, read_hold(row, self.holds), last=last)
@@ -534,14 +565,14 @@ class RemotePipeline:
         else:
             self.streams.end(*header)
 
-    def _take_batch(self, batch: FrameBatch, *, missed: bool) -> None:
+    def _take_batch(self, batch: FrameBatch) -> None:
         if batch.holds:
             self.holds.take(batch)
         device = self._devices.get(batch.device_id)
         if batch.motion is not None and batch.motion.poses:
             self._publish_poses(batch, 0.0 if device is None else device.description.frame_rate_hz)
         if device is not None:
-            device.offer(batch, missed=missed)
+            device.offer(batch)
         self.streams.publish_batch(batch)
 
     def _publish_poses(self, batch: FrameBatch, frame_rate_hz: float) -> None:
@@ -553,6 +584,11 @@ class RemotePipeline:
                 self.poses.put(entry)
 
     def _take_figures(self, figures: StationFigures) -> None:
+        if self._away:
+            # Not "stopped" while it is their turn to be started again.
+            there = {**self._away, **figures.devices}
+            self._away = {name: self._away[name] for name in self._away.keys() - figures.devices}
+            figures = replace(figures, devices=there)
         self._figures = figures
         for device_id, one in figures.devices.items():
             known = self._devices.get(device_id)
@@ -621,6 +657,7 @@ class RemotePipeline:
             else:
                 away[device_id] = replace(one, generation=0, running=False, connected=False)
         self._figures = StationFigures(away, ready=False)
+        self._away = {name: one for name, one in away.items() if name in self._started}
         with self._passed:
             self._passed.notify_all()
 
@@ -644,3 +681,4 @@ class RemotePipeline:
                     _log.error("device %s was not started again: %s", device_id, error.detail)
         except NotReady:
             return  # that station is lost, too: its successor begins anew
+        self._away = {}

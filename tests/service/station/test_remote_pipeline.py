@@ -33,6 +33,7 @@ from service.protocols.stream.hub import Hub
 from service.protocols.stream.messages import CONTENTS
 from service.station import station_process
 from service.station.remote_pipeline import RemotePipeline
+from service.station.station_starter import StationStarter
 from tests.service.api.beam_holds.batches import CHEST, hold
 from tests.service.pipeline.test_tools_live import SCENE, tools
 from tests.service.station.conftest import WAIT_S, MakePipeline
@@ -238,6 +239,11 @@ def test_a_live_source_waits_for_nobody_and_what_is_missed_is_counted(
     missing = numbers[-1] - numbers[0] + 1 - len(numbers)
     assert missing > 500
     wait_for(lambda: live.status("sim").frames_lost + device.frames_dropped >= missing)
+    assert live.station.messages_missed > 0
+    # What it is processed with may have been among what was missed, and was told again.
+    assert sum(isinstance(one, ActiveCalibration) for one in tap.events) > 1
+    known = [one for one in tap.events if isinstance(one, ActiveCalibration)]
+    assert {one.calibration_id for one in known} == {"nominal"}
 
 
 @pytest.fixture
@@ -286,6 +292,41 @@ def test_lost_station_is_replaced_with_all_it_had(
     assert now.held
     assert any(one["reason"] == why for one in messages(hub, "sim") if one["type"] == "hold")
     assert any(record.levelno == logging.CRITICAL for record in kept_log.records)
+
+
+def test_device_that_did_not_start_is_not_started_again(pipeline: RemotePipeline) -> None:
+    with pytest.raises(InvalidParameter):
+        pipeline.start_device("sim", SimulatedDriver("sim", LIVE), CALIBRATED, refuse)
+    pipeline.start_device("other", SimulatedDriver("other", LIVE), CALIBRATED)
+    os.kill(pipeline.station.process_id, signal.SIGKILL)
+    wait_for(lambda: pipeline.station.restarts == 1 and pipeline.status("other").state == "running")
+    assert pipeline.status("sim").state == "stopped"
+
+
+def test_devices_of_a_lost_station_are_never_told_to_be_stopped(pipeline: RemotePipeline) -> None:
+    for name in ("one", "two", "three"):
+        pipeline.start_device(name, SimulatedDriver(name, LIVE), CALIBRATED)
+    os.kill(pipeline.station.process_id, signal.SIGKILL)
+    seen = set()
+    while pipeline.station.restarts == 0 or seen_last(pipeline) != {"running"}:
+        seen |= seen_last(pipeline)
+        time.sleep(0.001)
+    assert seen == {"running", "starting"}
+
+
+def seen_last(pipeline: RemotePipeline) -> set[str]:
+    return {pipeline.status(name).state for name in ("one", "two", "three")}
+
+
+def test_starter_that_is_gone_is_replaced(
+    make_pipeline: MakePipeline, starter: StationStarter
+) -> None:
+    live = make_pipeline(Hub())
+    live.start_device("sim", SimulatedDriver("sim", LIVE), CALIBRATED)
+    assert starter._process is not None
+    os.kill(starter._process.pid, signal.SIGKILL)
+    os.kill(live.station.process_id, signal.SIGKILL)
+    wait_for(lambda: live.station.restarts == 1 and live.status("sim").state == "running")
 
 
 def test_call_to_a_lost_station_is_told_to_come_again(pipeline: RemotePipeline) -> None:

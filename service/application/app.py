@@ -61,6 +61,7 @@ from service.protocols.stream.router import router as stream
 from service.security.guard import Guard, check_complete, confirm
 from service.security.stream_limit import StreamLimit
 from service.settings import Settings
+from service.station.station_starter import StationStarter
 from service.version import package_version
 
 SMALL_BODY_BYTES: Final = 128 * 1024
@@ -103,6 +104,7 @@ def create_app(
     settings: Settings,
     live: Pipeline | None = None,
     started: Callable[[], None] | None = None,
+    starter: StationStarter | None = None,
 ) -> FastAPI:
     """Return the application; nothing is opened or started before its lifespan begins.
 
@@ -110,6 +112,7 @@ def create_app(
         settings: the settings.
         live: takes the live pipeline's place, closed with the application all the same.
         started: called once all is running and before requests are served.
+        starter: starts the station; None: one that is made when the lifespan begins.
     """
 
     app = FastAPI(
@@ -117,7 +120,7 @@ def create_app(
         version=package_version(),
         summary="Tracking server for linear optical sensors",
         description=DESCRIPTION,
-        lifespan=partial(running, settings=settings, live=live, started=started),
+        lifespan=partial(running, settings=settings, live=live, started=started, starter=starter),
         redirect_slashes=False,
         docs_url=None,
         redoc_url=None,

@@ -51,6 +51,7 @@ async def running(
     settings: Settings,
     live: Pipeline | None = None,
     started: Callable[[], None] | None = None,
+    starter: StationStarter | None = None,
 ) -> AsyncIterator[None]:
     """Run all parts of the service, which endpoints find in ``app.state``.
 
@@ -59,6 +60,7 @@ async def running(
         settings: its settings.
         live: takes the live pipeline's place, closed at the end all the same.
         started: called once all is running and before requests are served.
+        starter: starts the station; None: one that is made here. Closed at the end all the same.
     """
     async with AsyncExitStack() as stack:
 
@@ -67,7 +69,7 @@ async def running(
 
         at_the_end(app.state.bodies.close)
         at_the_end(app.state.recalculation.close)
-        starter = StationStarter()
+        starter = StationStarter() if starter is None else starter
         at_the_end(starter.close)
         if live is None and settings.station == "process":
             # It has loaded what a station needs when the database is ready.

@@ -5,8 +5,10 @@ import json
 import os
 import threading
 import webbrowser
+from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 from pydantic import ValidationError
@@ -14,6 +16,9 @@ from pydantic_core import ErrorDetails
 
 from service.cli.options import ComputeDevice, ProfileOption
 from service.settings import Settings
+
+if TYPE_CHECKING:
+    from service.station.station_starter import StationStarter
 
 _SETTINGS: Final = tuple(Settings.model_fields)
 
@@ -36,6 +41,18 @@ def serve(
     settings = load_settings(
         host=host, port=port, data_dir=data_dir, profile=profile, compute_device=compute_device
     )
+    from service.station.station_starter import StationStarter
+
+    with closing(StationStarter()) as starter:
+        if settings.station == "process":
+            # It loads what a station needs while this process loads what the gateway does.
+            starter.launch()
+        _serve(settings, starter, open_dashboard if open_browser else None)
+
+
+def _serve(
+    settings: Settings, starter: "StationStarter", listening: Callable[[str], None] | None
+) -> None:
     from service.application import shutdown
     from service.application.app import create_app
     from service.cli import preflight
@@ -45,8 +62,7 @@ def serve(
     with configured_logging(settings):
         preflight.check_startup(settings)
         preflight.create_bootstrap_key(settings)
-        app = create_app(settings, started=freeze_gc)
-        listening = open_dashboard if open_browser else None
+        app = create_app(settings, started=freeze_gc, starter=starter)
         shutdown.run_server(app, server_options(settings), listening)
 
 

@@ -22,7 +22,6 @@ _log = logging.getLogger(__name__)
 
 _STARTED: Final = struct.Struct("<q")
 _ENDED: Final = struct.Struct("<qi")  # process, exit code or negative signal
-_END_S: Final = 10.0
 PRELOADED: Final = (
     "compute.pose.filtering.native.strobed_step",
     "compute.pose.tool_tracking.tool_tracker",
@@ -128,11 +127,9 @@ class StationStarter:
             self._control.close()
             self._control = None
         if self._process is not None:
-            try:
-                self._process.wait(_END_S)
-            except subprocess.TimeoutExpired:
-                self._process.kill()
-                self._process.wait()
+            # It has nothing to bring to an end, and may still be loading.
+            self._process.kill()
+            self._process.wait()
             self._process = None
 
 

@@ -2,6 +2,7 @@
 
 import difflib
 import os
+import sys
 from dataclasses import dataclass
 from ipaddress import ip_network
 from pathlib import Path
@@ -28,8 +29,8 @@ def default_data_dir() -> Path:
 
 
 def default_station() -> Literal["process", "thread"]:
-    """Return "process" where descriptors can be handed to one."""
-    return "process" if os.name == "posix" else "thread"
+    """Return "process" on Linux, which has what its bus and its start need."""
+    return "process" if sys.platform == "linux" else "thread"
 
 
 def configuration_file() -> Path:

@@ -52,6 +52,8 @@ FIGURES_S: Final = 0.2
 """Time between two messages with a station's figures."""
 _SWITCH_S: Final = 5e-4
 """How long a thread may keep the interpreter from another: a frame waits for it at most."""
+END_WITHIN_S: Final = 8.0
+"""Until a station whose gateway has ended, and whose devices do not, ends all the same."""
 _CALLS: Final = 8
 """Calls at a time: the start of a device may take seconds, and keeps no other waiting."""
 
@@ -389,13 +391,14 @@ class CallServer:
 
     def serve(self, station: Station) -> None:
         """Answer calls until the socket ends."""
-        with ThreadPoolExecutor(_CALLS, thread_name_prefix="call") as pool:
-            while True:
-                try:
-                    call = self._connection.recv()
-                except (EOFError, OSError):
-                    return
-                pool.submit(self._answer, station, call)
+        pool = ThreadPoolExecutor(_CALLS, thread_name_prefix="call")
+        while True:
+            try:
+                call = self._connection.recv()
+            except (EOFError, OSError):
+                break
+            pool.submit(self._answer, station, call)
+        pool.shutdown(wait=False, cancel_futures=True)
 
     def _answer(self, station: Station, call: Call) -> None:
         error: BaseException | None = None
@@ -460,4 +463,8 @@ def run(connection: Connection, ring: RingWriter, doorbell: int) -> None:
     gc.collect()
     gc.freeze()
     calls.serve(station)
+    # A driver that hangs must not keep its device from the next station.
+    last = threading.Timer(END_WITHIN_S, os._exit, (1,))
+    last.daemon = True
+    last.start()
     station.close()

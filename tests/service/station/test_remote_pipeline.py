@@ -361,8 +361,15 @@ def test_lines_of_the_stations_log_come_here(
     assert "KeyError" in str(record.exc_text)
 
 
+class HangingDriver(SimulatedDriver):
+    """Does not come back from being opened."""
+
+    def open(self) -> None:
+        time.sleep(3600.0)
+
+
 _GATEWAY = """
-import asyncio, sys, time
+import asyncio, sys, threading, time
 from service.pipeline.detection_stage import built_in_profile
 from service.protocols.stream.hub import Hub
 from service.station.remote_pipeline import RemotePipeline
@@ -372,6 +379,12 @@ async def main():
     live = RemotePipeline(Hub(), StationStarter(), "cpu", built_in_profile)
     while not live.ready:
         await asyncio.sleep(0.02)
+    if "hangs" in sys.argv:
+        from tests.service.station.test_remote_pipeline import LIVE, HangingDriver
+        driver = HangingDriver("sim", LIVE)
+        threading.Thread(target=live.start_device, args=("sim", driver), daemon=True).start()
+        while live.status("sim").state != "starting":
+            await asyncio.sleep(0.02)
     print(live.station.process_id, flush=True)
     await asyncio.sleep(600)
 
@@ -389,10 +402,12 @@ def is_there(process_id: int) -> bool:
 
 
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="no /proc on this machine")
-@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT])
-def test_station_ends_with_its_gateway(how: signal.Signals) -> None:
+@pytest.mark.parametrize(
+    ("how", "device"), [(signal.SIGKILL, ""), (signal.SIGINT, ""), (signal.SIGKILL, "hangs")]
+)
+def test_station_ends_with_its_gateway(how: signal.Signals, device: str) -> None:
     gateway = subprocess.Popen(
-        [sys.executable, "-c", _GATEWAY], stdout=subprocess.PIPE, start_new_session=True
+        [sys.executable, "-c", _GATEWAY, device], stdout=subprocess.PIPE, start_new_session=True
     )
     assert gateway.stdout is not None
     station = int(gateway.stdout.readline())

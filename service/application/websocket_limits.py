@@ -2,6 +2,7 @@
 
 import asyncio
 import socket
+from collections.abc import Sequence
 from contextlib import suppress
 from typing import Any, Final
 from weakref import WeakKeyDictionary
@@ -91,7 +92,7 @@ class LimitedWebSocketProtocol(WebSocketsSansIOProtocol):
 
     async def run_asgi(self) -> None:
         """Run the application, which may send many messages in one go."""
-        self.scope["extensions"][SEND_MANY] = {}
+        self.scope["extensions"][SEND_MANY] = {"send": self.send_payloads}
         turns = _turns.setdefault(self.loop, asyncio.Semaphore(OPENING))
         with suppress(TimeoutError):
             async with asyncio.timeout(OPENING_WAIT_S):
@@ -110,12 +111,16 @@ class LimitedWebSocketProtocol(WebSocketsSansIOProtocol):
 
     async def send(self, message: Any) -> None:
         """Send what the application gives, or close the connection."""
-        payloads = message.get("payloads")
-        if payloads is None:
-            await super().send(message)
-            if message["type"] != "websocket.accept":
-                self._opened()
-            return
+        await super().send(message)
+        if message["type"] != "websocket.accept":
+            self._opened()
+
+    async def send_payloads(self, payloads: Sequence[bytes | str]) -> None:
+        """Send messages in one write, past all layers of the application between.
+
+        Raises:
+            ClientDisconnected: the connection is closed.
+        """
         await self.writable.wait()
         if self.disconnected or self.close_sent:
             raise ClientDisconnected

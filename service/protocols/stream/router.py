@@ -32,7 +32,7 @@ ACCESS_CHECK_INTERVAL_S: Final = 2.0
 TURN_BYTES: Final = 32 * 1024
 """What one client is sent before it is the turn of others; at least one message."""
 SEND_MANY: Final = "lumiline.send_many"
-"""Extension of ASGI: a ``websocket.send`` with a list ``payloads`` is written in one go."""
+"""Extension of ASGI: its ``send`` writes a list of payloads in one go."""
 
 
 @router.websocket("/api/v1/stream")
@@ -152,14 +152,15 @@ async def _until_ended(state: State, principal: Principal) -> None:
 
 
 async def _send_many(websocket: WebSocket, payloads: list[Payload]) -> None:
-    """Send payloads in one write, where the server can."""
-    if SEND_MANY not in websocket.scope.get("extensions", {}) or len(payloads) == 1:
+    """Send payloads in one write, and by the shortest way, where the server can."""
+    server = websocket.scope.get("extensions", {}).get(SEND_MANY)
+    if server is None:
         for payload in payloads:
             await _send(websocket, payload)
         return
     try:
-        await websocket.send({"type": "websocket.send", "payloads": payloads})
-    except RuntimeError as error:
+        await server["send"](payloads)
+    except OSError as error:
         raise WebSocketDisconnect(1006) from error
 
 

@@ -369,11 +369,14 @@ class HangingDriver(SimulatedDriver):
 
 
 _GATEWAY = """
-import asyncio, sys, threading, time
+import asyncio, signal, sys, threading, time
 from service.pipeline.detection_stage import built_in_profile
 from service.protocols.stream.hub import Hub
 from service.station.remote_pipeline import RemotePipeline
 from service.station.station_starter import StationStarter
+
+# Who starts a shell's job in the background lets it ignore this one.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 async def main():
     live = RemotePipeline(Hub(), StationStarter(), "cpu", built_in_profile)
@@ -412,7 +415,11 @@ def test_station_ends_with_its_gateway(how: signal.Signals, device: str) -> None
     assert gateway.stdout is not None
     station = int(gateway.stdout.readline())
     assert is_there(station)
-    os.killpg(gateway.pid, how) if how == signal.SIGINT else gateway.kill()
-    gateway.wait(WAIT_S)
-    wait_for(lambda: not is_there(station))
-    gateway.stdout.close()
+    try:
+        os.killpg(gateway.pid, how) if how == signal.SIGINT else gateway.kill()
+        gateway.wait(WAIT_S)
+        wait_for(lambda: not is_there(station))
+    finally:
+        gateway.kill()
+        gateway.wait(WAIT_S)
+        gateway.stdout.close()

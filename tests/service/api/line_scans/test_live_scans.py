@@ -1,6 +1,5 @@
 """The newest scans of a running device: its own peaks, and the fits behind them."""
 
-from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -30,21 +29,24 @@ class Live:
         self.processor = FrameProcessor("sim", driver.description, "cpu")
         self.taps: list[Any] = []
         self.streams = Hub()
-        self._session = SimpleNamespace(
-            device_id="sim",
-            description=driver.description,
-            processor=self.processor,
-            connected=True,
-        )
+        self.device_id, self.description, self.connected = "sim", driver.description, True
 
     def session(self, _device_id: str) -> Any:
-        return self._session
+        return self
 
-    def attach(self, _session: Any, tap: Any) -> None:
+    @property
+    def search_model(self) -> Any:
+        return self.processor.detection.search_model
+
+    @property
+    def method(self) -> Any:
+        return self.processor.detection.method
+
+    def attach(self, tap: Any) -> None:
         self.taps.append(tap)
         tap.offer(self.processor.process(self.frames))
 
-    def detach(self, _session: Any, tap: Any) -> None:
+    def detach(self, tap: Any) -> None:
         self.taps.remove(tap)
 
 

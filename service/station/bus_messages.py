@@ -421,7 +421,7 @@ class DeviceFigures:
 
 @dataclass(frozen=True)
 class StationFigures:
-    """Figures of a station, several times a second and at each change.
+    """Figures of a station, twice a second and at each change.
 
     Args:
         devices: by id.

@@ -48,7 +48,7 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger(__name__)
 
-FIGURES_S: Final = 0.2
+FIGURES_S: Final = 0.5
 """Time between two messages with a station's figures."""
 _SWITCH_S: Final = 5e-4
 """How long a thread may keep the interpreter from another: a frame waits for it at most."""

@@ -12,12 +12,8 @@ import time
 from pathlib import Path
 from typing import Any, Final, Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
 from benchmarks.baseline_relay import MIN_EXPOSURE_BYTES
 
-PERCENTILES: Final = (50.0, 90.0, 99.0, 99.9)
 Kind = Literal["service", "relay"]
 _TICK_NS: Final = 1000
 _SEQUENCE_AND_TICKS: Final = struct.Struct("<IQ")
@@ -105,13 +101,6 @@ def shortest_delay_ns(device: tuple[str, int], start: bytes, seconds: float) -> 
     if shortest is None:
         raise RuntimeError(f"the device sent no exposure in {seconds:g} s")
     return shortest
-
-
-def figures(latency_ns: NDArray[np.int64]) -> dict[str, float]:
-    """Return percentiles and the largest [ms], and how many there are."""
-    values = latency_ns / 1e6
-    found = {f"p{one:g}": float(np.percentile(values, one)) for one in PERCENTILES}
-    return found | {"max": float(values.max()), "frames": float(len(values))}
 
 
 def steal_s() -> float:

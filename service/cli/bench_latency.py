@@ -40,7 +40,7 @@ def run(*, seconds: float, as_json: bool, **_: Any) -> None:
 
 def _measure(folder: Path, seconds: float, *, quiet: bool) -> Figures:
     from benchmarks.baseline_relay import running_baseline_relay
-    from benchmarks.latency import shortest_delay_ns
+    from benchmarks.latency import shortest_delay_ns, steal_s
     from hardware.serial.codec import encode
     from hardware.serial.messages import Start
 
@@ -61,7 +61,7 @@ def _measure(folder: Path, seconds: float, *, quiet: bool) -> Figures:
         report = stack.enter_context(progress("blocks in turn", 3.0 * rounds, quiet=quiet))
         for number in range(rounds):
             for step, name in enumerate(blocks):
-                before_s = _steal()
+                before_s = steal_s()
                 if name == "relay":
                     received = _received("relay", relay) - on_ns
                 else:
@@ -71,9 +71,9 @@ def _measure(folder: Path, seconds: float, *, quiet: bool) -> Figures:
                     # Its times of exposure are later by the shortest delay there is.
                     received += delay_ns
                 blocks[name].append(received)
-                steal[name] += _steal() - before_s
+                steal[name] += steal_s() - before_s
                 report(3.0 * number + step + 1.0)
-    from benchmarks.latency import figures
+    from benchmarks.stream_clients import percentiles
 
     return {
         "message_bytes": size,
@@ -83,14 +83,11 @@ def _measure(folder: Path, seconds: float, *, quiet: bool) -> Figures:
             name: sum(one for (kind, _), one in lost.items() if kind == name)
             for name in ("service", "loaded")
         },
-        **{name: figures(np.concatenate(parts)) for name, parts in blocks.items()},
+        **{
+            name: percentiles(np.concatenate(parts).tolist()) | {"frames": sum(map(len, parts))}
+            for name, parts in blocks.items()
+        },
     }
-
-
-def _steal() -> float:
-    from benchmarks.latency import steal_s
-
-    return steal_s()
 
 
 def _received(kind: str, url: str, seconds: float = BLOCK_S) -> np.ndarray[Any, Any]:

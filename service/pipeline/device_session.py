@@ -33,7 +33,7 @@ from service.pipeline.frame_batch import (
 )
 from service.pipeline.frame_processor import MAX_FRAMES, FrameProcessor
 from service.pipeline.stage_latency import StageLatency
-from service.pipeline.taps import Tap
+from service.pipeline.taps import Tap, log_failed_tap
 from service.pipeline.threads import FrameRing, ReaderThread
 from service.pipeline.tracking_config import TrackingConfig
 
@@ -268,7 +268,7 @@ class DeviceSession:
         """
         if self.failure is not None:
             return False
-        if self.streams.congested and self.reader is not None and self.reader.lossless:
+        if self.reader is not None and self.reader.lossless and self.streams.congested:
             return None if len(self.ring) else False
         begin = time.monotonic()
         try:
@@ -399,9 +399,7 @@ class DeviceSession:
         if self.stopped or now - self._published_s < MIN_POSE_INTERVAL_S:
             return
         self._published_s = now
-        entry = newest_poses(batch, self.description.frame_rate_hz)
-        if entry is not None:
-            self.poses.put(entry)
+        self.poses.put(newest_poses(batch, motion, self.description.frame_rate_hz))
 
     def attach(self, tap: Tap, *, sampled: bool = False) -> None:
         """Give a tap all batches from now on; ``sampled``: some seconds of a minute are enough."""
@@ -431,13 +429,7 @@ class DeviceSession:
                     tap.offer(batch)
                 except Exception as error:  # noqa: BLE001 - of the tap, not of the device
                     self.detach(tap)
-                    _log.error(
-                        "device %s: %s failed and has no more of its frames",
-                        self.device_id,
-                        type(tap).__name__,
-                        exc_info=error,
-                        extra={"device": self.device_id},
-                    )
+                    log_failed_tap(self.device_id, tap, error)
 
     def _fail(self, error: Exception) -> None:
         """Give the device up: its driver is closed, clients are told, the log has the cause."""

@@ -251,21 +251,20 @@ class PoseEntry:
     arrived_s: float = field(default_factory=time.monotonic)
 
 
-def newest_poses(batch: FrameBatch, frame_rate_hz: float) -> PoseEntry | None:
-    """Return the poses of the newest frame of a batch; None: it has no tools.
+def newest_poses(batch: FrameBatch, motion: TrackingResult, frame_rate_hz: float) -> PoseEntry:
+    """Return the poses of the newest frame of a batch.
 
     Args:
         batch: F frames of a device, F > 0.
+        motion: of the batch.
         frame_rate_hz: of the device; 0 when not known.
     """
-    if batch.motion is None or not batch.motion.poses:
-        return None
     newest = batch.frames[-1]
     return PoseEntry(
         batch.device_id,
         newest.sequence,
         newest.exposure_host_ns,
-        {pose.tool: pose for pose in batch.motion.poses_of(len(batch.frames) - 1)},
+        {pose.tool: pose for pose in motion.poses_of(len(batch.frames) - 1)},
         batch.calibration_id,
         frame_rate_hz,
         batch.table_id,

@@ -1,5 +1,6 @@
 """Taps: consumers of a running device's batches beside the streams."""
 
+import logging
 import time
 from collections.abc import Iterator
 from threading import Event
@@ -12,6 +13,8 @@ from compute.measurement.flag_policy import STANDARD_POLICY
 from service.pipeline.active_calibration import ActiveCalibration
 from service.pipeline.frame_batch import FrameBatch
 from service.problems.errors import CalibrationSwitched, NoActiveCalibration
+
+_log = logging.getLogger(__name__)
 
 Array = NDArray[np.float64]
 
@@ -31,6 +34,17 @@ class Tap(Protocol):
     def offer(self, batch: FrameBatch) -> None:
         """Copy the wanted data of a batch; called in the compute thread, never waits long."""
         ...
+
+
+def log_failed_tap(device_id: str, tap: Tap, error: Exception) -> None:
+    """Log that a tap failed, and has no more of a device's frames."""
+    _log.error(
+        "device %s: %s failed and has no more of its frames",
+        device_id,
+        type(tap).__name__,
+        exc_info=error,
+        extra={"device": device_id},
+    )
 
 
 class PeakTap:

@@ -24,7 +24,7 @@ from compute.errors import LumilineError
 from hardware.driver import DeviceDescription, Driver
 from service.logs import DEVICE
 from service.pipeline.active_calibration import ActiveCalibration
-from service.pipeline.detection_stage import FindProfile, SearchModel
+from service.pipeline.detection_stage import SearchModel
 from service.pipeline.frame_batch import BeamHoldState, FrameBatch
 from service.pipeline.interface import Accept
 from service.pipeline.pipeline_manager import PipelineManager
@@ -171,8 +171,7 @@ class Station:
 
     def __init__(self, ring: RingWriter, doorbell: int, start: Start) -> None:
         self._publisher = BusPublisher(ring, doorbell)
-        find_profile: FindProfile = start.find_profile
-        self._manager = PipelineManager(self._publisher, start.compute_device, find_profile)
+        self._manager = PipelineManager(self._publisher, start.compute_device, start.find_profile)
         self._taps: dict[int, tuple[DeviceSession, BusTap]] = {}
         self._lock = Lock()
         self._manager.holds.listen(self._publisher.put_hold)

@@ -24,11 +24,11 @@ from service.pipeline.beam_hold_registry import BeamHoldWatchdog
 from service.pipeline.detection_stage import FindProfile, Method, SearchModel, peak_method
 from service.pipeline.device_session import MIN_POSE_INTERVAL_S, StreamPublisher, ToolCounts
 from service.pipeline.device_status import DeviceStatus
-from service.pipeline.frame_batch import FrameBatch, LatestPoses, newest_poses
+from service.pipeline.frame_batch import FrameBatch, LatestPoses, TrackingResult, newest_poses
 from service.pipeline.interface import Accept, RunningDevice, StationState, any_device
 from service.pipeline.stage_latency import Stage
 from service.pipeline.tap_collection import collect_readings, not_running
-from service.pipeline.taps import Tap
+from service.pipeline.taps import Tap, log_failed_tap
 from service.pipeline.threads import call_in_loop
 from service.pipeline.tracking_config import NO_TRACKING, TrackingConfig
 from service.problems.errors import DeviceNotRunning, NotReady
@@ -91,7 +91,6 @@ class RemoteDevice:
         self.generation = figures.generation
         self.description: DeviceDescription = figures.description
         self._figures = figures
-        self._ended = False
         self._prepared_with: ActiveCalibration | None = None
         self._missed = 0
         self._newest: int | None = None
@@ -100,11 +99,6 @@ class RemoteDevice:
         """Held while a batch is offered: a detached tap has all that it was being given."""
         self._taps: dict[int, _AttachedTap] = {}
 
-    @property
-    def figures(self) -> DeviceFigures:
-        """Its newest figures; once it was started again or lost, the last of this start."""
-        return self._figures
-
     def update(self, figures: DeviceFigures) -> None:
         """Take newer figures of this start."""
         self._figures = figures
@@ -112,7 +106,6 @@ class RemoteDevice:
     def end(self) -> None:
         """Note that nothing more comes: it was started again, or its station is lost."""
         self._figures = replace(self._figures, running=False, connected=False, drained=True)
-        self._ended = True
 
     @property
     def running(self) -> bool:
@@ -234,13 +227,7 @@ class RemoteDevice:
         except Exception as error:  # noqa: BLE001 - of the tap, not of the device
             self._taps.pop(number, None)
             self._pipeline.notify("detach", number)
-            _log.error(
-                "device %s: %s failed and has no more of its frames",
-                self.device_id,
-                type(one.tap).__name__,
-                exc_info=error,
-                extra={"device": self.device_id},
-            )
+            log_failed_tap(self.device_id, one.tap, error)
 
 
 @dataclass(frozen=True)
@@ -570,18 +557,19 @@ class RemotePipeline:
             self.holds.take(batch)
         device = self._devices.get(batch.device_id)
         if batch.motion is not None and batch.motion.poses:
-            self._publish_poses(batch, 0.0 if device is None else device.description.frame_rate_hz)
+            rate_hz = 0.0 if device is None else device.description.frame_rate_hz
+            self._publish_poses(batch, batch.motion, rate_hz)
         if device is not None:
             device.offer(batch)
         self.streams.publish_batch(batch)
 
-    def _publish_poses(self, batch: FrameBatch, frame_rate_hz: float) -> None:
+    def _publish_poses(
+        self, batch: FrameBatch, motion: TrackingResult, frame_rate_hz: float
+    ) -> None:
         now_s = time.monotonic()
         if now_s - self._pose_times_s.get(batch.device_id, 0.0) >= MIN_POSE_INTERVAL_S:
-            entry = newest_poses(batch, frame_rate_hz)
-            if entry is not None:
-                self._pose_times_s[batch.device_id] = now_s
-                self.poses.put(entry)
+            self._pose_times_s[batch.device_id] = now_s
+            self.poses.put(newest_poses(batch, motion, frame_rate_hz))
 
     def _take_figures(self, figures: StationFigures) -> None:
         if self._away:

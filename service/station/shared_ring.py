@@ -154,12 +154,10 @@ class Record:
     Args:
         data: its bytes.
         missed: records before it that the reader was too slow for.
-        end: position behind it.
     """
 
     data: bytes
     missed: int
-    end: int
 
 
 class RingReader:
@@ -180,11 +178,6 @@ class RingReader:
         self.position = words[_TAIL_AT] if from_begin else words[_HEAD_AT]
         """Position behind the newest record that was read."""
         self._next = 0 if from_begin else None
-
-    @property
-    def head(self) -> int:
-        """Position behind the newest record that is there."""
-        return self._words[_HEAD_AT]
 
     def read(self, limit: int) -> Iterator[Record]:
         """Yield the next records; ends where there is no more.
@@ -221,7 +214,7 @@ class RingReader:
                 continue
             missed = 0 if self._next is None else number - self._next
             self._next = number + 1
-            return Record(data, missed, self.position)
+            return Record(data, missed)
         return None
 
     def _copy(self, position: int) -> tuple[bytes | None, int, int] | None:

@@ -76,7 +76,7 @@ class StationProcess:
                 raise _not_there(self._why)
             self._number += 1
             call = Call(self._number, method, args, members)
-            self._answers[call.number or 0] = future
+            self._answers[self._number] = future
         self._outgoing.put(pickle.dumps(call))
         answer = future.result()
         if answer.error is not None:

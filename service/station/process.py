@@ -75,8 +75,10 @@ class BusPublisher:
         self._doorbell = doorbell
         self.generations: dict[str, int] = {}
         """Number of each device's newest start."""
-        self.pixel_taps: dict[str, int] = {}
+        self._pixel_taps: dict[str, int] = {}
         """Taps of each device that want pixels."""
+        self._pixels_lock = Lock()
+        """Held until a batch is on the bus: a tap that wants pixels comes before it or behind."""
         self.clients: dict[str, int] = {}
         """Clients of each device at the gateway."""
         self.figures: Callable[[], StationFigures] | None = None
@@ -102,8 +104,14 @@ class BusPublisher:
         """Put a batch of frames on the bus."""
         device_id = batch.device_id
         generation = self.generations.get(device_id, 0)
-        pixels = bool(self.pixel_taps.get(device_id))
-        self.put(batch_message(batch, generation, pixels=pixels))
+        with self._pixels_lock:
+            pixels = bool(self._pixel_taps.get(device_id))
+            self.put(batch_message(batch, generation, pixels=pixels))
+
+    def count_pixel_taps(self, device_id: str, more: int) -> None:
+        """Note that so many more taps of a device want pixels, from the next batch on."""
+        with self._pixels_lock:
+            self._pixel_taps[device_id] = self._pixel_taps.get(device_id, 0) + more
 
     def publish_status(
         self,
@@ -242,8 +250,7 @@ class Station:
                 f'device "{device_id}" was started again meanwhile; try again', device_id=device_id
             )
         with self._lock:
-            known = self._publisher.pixel_taps.get(device_id, 0)
-            self._publisher.pixel_taps[device_id] = known + pixels
+            self._publisher.count_pixel_taps(device_id, int(pixels))
             bus_tap = BusTap(self._publisher, tap, wants_pixels=pixels)
             self._taps[tap] = session, bus_tap
         session.attach(bus_tap, sampled=sampled)
@@ -254,7 +261,7 @@ class Station:
             session, bus_tap = self._taps.pop(tap, (None, None))
             if session is None or bus_tap is None:
                 return
-            self._publisher.pixel_taps[session.device_id] -= bus_tap.wants_pixels
+            self._publisher.count_pixel_taps(session.device_id, -int(bus_tap.wants_pixels))
         session.detach(bus_tap)
 
     def resynchronise(self) -> None:

@@ -72,7 +72,10 @@ async def measure(server: str, query: str, seconds: float, good: int, stalled: i
         tasks.create_task(_probe(server, end, probes))
         await asyncio.sleep(seconds / 10)
         lossless = f"{query}&mode=lossless&content=points,peaks"
-        opened += [_open_unread(server, lossless) for _ in range(stalled)]
+        # In a thread: the good ones read meanwhile.
+        opened += await asyncio.to_thread(
+            lambda: [_open_unread(server, lossless) for _ in range(stalled)]
+        )
     for connection in opened:
         connection.close()
     return {

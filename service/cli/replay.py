@@ -70,7 +70,7 @@ def _replay(path: Path, calibration: Path | None, table: Path | None, output: Pa
     from hardware.recording.reader import RecordingReader
     from service.api.recordings.reprocessing import reprocess
     from service.pipeline.frame_processor import FrameProcessor
-    from service.protocols.stream.messages import StreamBatch, encode, frame_messages
+    from service.protocols.stream.messages import StreamBatch, encode
 
     with RecordingReader(path) as reader, ExitStack() as stack:
         target = typer.get_text_stream("stdout")
@@ -85,7 +85,7 @@ def _replay(path: Path, calibration: Path | None, table: Path | None, output: Pa
         report = stack.enter_context(progress("replaying", reader.info.frames))
         count = 0
         for batch in reprocess(reader, processor, given=active):
-            for message in frame_messages(StreamBatch(batch), frozenset({"points"})):
+            for message in StreamBatch(batch).messages(frozenset({"points"})):
                 target.write(f"{encode(message, 'json')!s}\n")
             count += len(batch.frames)
             report(count)

@@ -1,12 +1,14 @@
 """Messages of the bus: batches, beam holds, states and figures of devices, as bytes.
 
-A message is a header in MessagePack, which begins with its kind, and the arrays' bytes behind it in
-a fixed order. A batch comes back as it was, to the bit; without its pixels where nobody wants them.
+A message is a header in MessagePack, which begins with its kind. A batch has its details behind it,
+and the arrays' bytes in a fixed order: it is read when somebody wants its content, and comes back
+as it was, to the bit; without its pixels where nobody wants them.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
+from functools import lru_cache
 from operator import attrgetter
 from typing import Any, Final, Protocol
 
@@ -197,13 +199,13 @@ class _Reader:
         self._at += -(self._at - self._begin) % _ALIGNMENT
 
 
-def _message(kind: MessageKind, header: Sequence[Any], arrays: Sequence[bytes] = ()) -> bytes:
-    packed = msgpack.packb([int(kind), *header])
-    return b"".join((packed, b"\xc1" * (-len(packed) % _ALIGNMENT), *arrays))
+def _message(kind: MessageKind, header: Sequence[Any]) -> bytes:
+    packed: bytes = msgpack.packb([int(kind), *header])
+    return packed
 
 
 def split_message(data: bytes) -> tuple[MessageKind, list[Any], int]:
-    """Return a message's kind, the rest of its header, and where its arrays begin.
+    """Return a message's kind, the rest of its header, and where that ends.
 
     Raises:
         ValueError: it is no message of the bus.
@@ -212,7 +214,7 @@ def split_message(data: bytes) -> tuple[MessageKind, list[Any], int]:
     unpacker.feed(data)
     try:
         kind, *header = unpacker.unpack()
-        return MessageKind(kind), header, -(-unpacker.tell() // _ALIGNMENT) * _ALIGNMENT
+        return MessageKind(kind), header, unpacker.tell()
     except (TypeError, ValueError, msgpack.UnpackException) as error:
         raise ValueError(f"this is no message of the bus: {error}") from error
 
@@ -242,68 +244,131 @@ def batch_message(batch: FrameBatch, generation: int, *, pixels: bool) -> bytes:
         frames.append(row)
         if pixels:
             writer.add(lines, _PIXELS)
+    details = msgpack.packb(
+        (
+            batch.sensor_names,
+            batch.calibration_id,
+            batch.table_id,
+            batch.radiometric_id,
+            batch.frames[0].device if batch.frames else batch.device_id,
+            frames,
+            poses,
+            writer.shapes,
+        )
+    )
     header = (
         generation,
         batch.device_id,
-        batch.sensor_names,
-        batch.calibration_id,
-        batch.table_id,
-        batch.radiometric_id,
-        batch.frames[0].device if batch.frames else batch.device_id,
-        frames,
-        pixels,
-        poses,
+        len(frames),
+        batch.frames[0].sequence if batch.frames else 0,
+        batch.frames[-1].sequence if batch.frames else -1,
+        bool(poses),
         [[hold_row(now) for now in after] for after in batch.holds],
-        writer.shapes,
+        len(details),
+        sum(frame.lines.nbytes for frame in batch.frames) if pixels else 0,
     )
-    return _message(MessageKind.BATCH, header, writer.parts)
+    packed = _message(MessageKind.BATCH, header) + details
+    return b"".join((packed, bytes(-len(packed) % _ALIGNMENT), *writer.parts))
 
 
-def read_batch(data: bytes, header: Sequence[Any], at: int, tokens: HoldTokens) -> FrameBatch:
-    """Return the batch of a message, of which ``split_message`` has told header and arrays.
+class BatchMessage:
+    """A batch as it came by the bus; what it holds is read when it is first wanted.
 
-    Frames whose pixels were not wanted have empty ``lines``.
+    Streams keep many of these, and nobody asks for most: they are bytes, and nothing that the
+    garbage collector has to look through.
+
+    Attributes:
+        device_id: the device.
+        count: how many frames.
+        first_sequence: sequence number of the first.
+        last_sequence: and of the last.
+        has_poses: whether there are poses of tools.
+        holds: the device's beam holds after each frame; empty: it has none.
+
+    Args:
+        data: the message.
+        header: what ``split_message`` has returned of it.
+        end: where that ends.
+        tokens: of the holds.
     """
-    (_, device_id, names, calibration_id, table_id, radiometric_id, device) = header[:7]
-    rows, pixels, poses, holds, shapes = header[7:]
-    reader = _Reader(data, at, shapes)
-    peaks = PeakBatch(**reader.take_members(_PEAKS))
-    points = PointBatch(**reader.take_members(_POINTS))
-    owner = reader.take(_OWNER)
-    motion = None
-    if poses is not None:
-        tracks = TrackBatch(**reader.take_members(_TRACKS))
-        track_owner, pose_owner = reader.take(_OWNER), reader.take(_OWNER)
-        motion = TrackingResult(
-            tracks, track_owner, tuple([_pose(row) for row in poses]), pose_owner
-        )
-    frames = tuple(
-        [
-            LineFrame(
-                device,
-                sequence,
-                device_ns,
-                host_ns,
-                marker,
-                reader.take(_PIXELS) if pixels else _NO_PIXELS,
-                FrameFlag(flags),
+
+    __slots__ = (
+        "_begin",
+        "_data",
+        "_end",
+        "_pixel_bytes",
+        "count",
+        "device_id",
+        "first_sequence",
+        "has_poses",
+        "holds",
+        "last_sequence",
+    )
+
+    def __init__(self, data: bytes, header: Sequence[Any], end: int, tokens: HoldTokens) -> None:
+        self._data = data
+        _, self.device_id, self.count, self.first_sequence, self.last_sequence = header[:5]
+        self.has_poses, holds, details, self._pixel_bytes = header[5:]
+        self._begin, self._end = end, end + details
+        self.holds = tuple([tuple([read_hold(row, tokens) for row in after]) for after in holds])
+
+    def drop_pixels(self) -> None:
+        """Keep the message without its frames' pixels from now on."""
+        if self._pixel_bytes:
+            self._data = self._data[: -self._pixel_bytes]
+            self._pixel_bytes = 0
+
+    def read(self) -> FrameBatch:
+        """Return the batch; frames whose pixels were not wanted have empty ``lines``."""
+        return _read_batch(self)
+
+    def _read(self) -> FrameBatch:
+        details = msgpack.unpackb(memoryview(self._data)[self._begin : self._end])
+        (names, calibration_id, table_id, radiometric_id, device, rows, poses, shapes) = details
+        reader = _Reader(self._data, -(-self._end // _ALIGNMENT) * _ALIGNMENT, shapes)
+        peaks = PeakBatch(**reader.take_members(_PEAKS))
+        points = PointBatch(**reader.take_members(_POINTS))
+        owner = reader.take(_OWNER)
+        motion = None
+        if poses is not None:
+            tracks = TrackBatch(**reader.take_members(_TRACKS))
+            track_owner, pose_owner = reader.take(_OWNER), reader.take(_OWNER)
+            motion = TrackingResult(
+                tracks, track_owner, tuple([_pose(row) for row in poses]), pose_owner
             )
-            for sequence, device_ns, host_ns, marker, flags in rows
-        ]
-    )
-    return FrameBatch(
-        device_id,
-        tuple(names),
-        calibration_id,
-        table_id,
-        frames,
-        peaks,
-        points,
-        owner,
-        motion,
-        tuple([tuple([read_hold(row, tokens) for row in after]) for after in holds]),
-        radiometric_id,
-    )
+        frames = tuple(
+            [
+                LineFrame(
+                    device,
+                    sequence,
+                    device_ns,
+                    host_ns,
+                    marker,
+                    reader.take(_PIXELS) if self._pixel_bytes else _NO_PIXELS,
+                    FrameFlag(flags),
+                )
+                for sequence, device_ns, host_ns, marker, flags in rows
+            ]
+        )
+        return FrameBatch(
+            self.device_id,
+            tuple(names),
+            calibration_id,
+            table_id,
+            frames,
+            peaks,
+            points,
+            owner,
+            motion,
+            self.holds,
+            radiometric_id,
+        )
+
+
+@lru_cache(maxsize=4)
+def _read_batch(message: BatchMessage) -> FrameBatch:
+    """Read a batch once for all who want the newest."""
+    return message._read()
 
 
 _NO_PIXELS: Final = np.empty((0, 0), np.uint16)

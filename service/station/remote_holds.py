@@ -2,14 +2,14 @@
 
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from threading import Condition
 from typing import Final
 
 from service.pipeline.beam_hold_registry import Listener
-from service.pipeline.frame_batch import BeamEnableToken, BeamHoldState, FrameBatch
+from service.pipeline.frame_batch import BeamEnableToken, BeamHoldState
 
 _log = logging.getLogger(__name__)
 
@@ -69,11 +69,11 @@ class RemoteHolds:
                 if token is not None:
                     token.ended = now
 
-    def take(self, batch: FrameBatch) -> None:
-        """Keep the newest states of a batch that has any; their changes have come before it."""
+    def take(self, device_id: str, newest: Sequence[BeamHoldState]) -> None:
+        """Keep the newest states of a batch; their changes have come before it."""
         with self.changed:
-            for now in batch.holds[-1]:
-                self._keep(batch.device_id, now)
+            for now in newest:
+                self._keep(device_id, now)
 
     def change(self, device_id: str, now: BeamHoldState, *, last: bool) -> None:
         """Take a change, and tell of it; ``last``: the hold was deleted."""

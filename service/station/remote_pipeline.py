@@ -24,7 +24,7 @@ from service.pipeline.beam_hold_registry import BeamHoldWatchdog
 from service.pipeline.detection_stage import FindProfile, Method, SearchModel, peak_method
 from service.pipeline.device_session import MIN_POSE_INTERVAL_S, StreamPublisher, ToolCounts
 from service.pipeline.device_status import DeviceStatus
-from service.pipeline.frame_batch import FrameBatch, LatestPoses, TrackingResult, newest_poses
+from service.pipeline.frame_batch import LatestPoses, newest_poses
 from service.pipeline.interface import Accept, RunningDevice, StationState, any_device
 from service.pipeline.stage_latency import Stage
 from service.pipeline.tap_collection import collect_readings, not_running
@@ -33,11 +33,11 @@ from service.pipeline.threads import call_in_loop
 from service.pipeline.tracking_config import NO_TRACKING, TrackingConfig
 from service.problems.errors import DeviceNotRunning, NotReady
 from service.station.bus_messages import (
+    BatchMessage,
     DeviceFigures,
     MessageKind,
     StationFigures,
     read_bad_pixels,
-    read_batch,
     read_description,
     read_figures,
     read_hold,
@@ -64,7 +64,11 @@ _PASS_S: Final = 10.0
 
 
 class ClientStreams(StreamPublisher, Protocol):
-    """StreamPublisher that tells how many clients there are."""
+    """StreamPublisher that takes batches as bytes, and tells how many clients there are."""
+
+    def publish_message(self, message: BatchMessage) -> None:
+        """Send a batch of frames, which is read when a client wants it."""
+        ...
 
     def on_clients(self, listener: Callable[[str, int], None]) -> None:
         """Call with a device and its number of clients whenever that changes."""
@@ -183,7 +187,7 @@ class RemoteDevice:
             for number in numbers:
                 del self._taps[number]
             if not self._taps:
-                self._interrupted = False
+                self._interrupted, self._newest = False, None
         for number in numbers:
             self._pipeline.notify("detach", number)
 
@@ -207,15 +211,15 @@ class RemoteDevice:
             for one in self._taps.values():
                 one.prepared = False
 
-    def offer(self, batch: FrameBatch) -> None:
+    def offer(self, message: BatchMessage) -> None:
         """Offer a batch to the taps that know what it was processed with."""
-        first, last = batch.frames[0].sequence, batch.frames[-1].sequence
         with self._lock:
-            if self._interrupted:
+            if self._interrupted or not self._taps:
                 return
             if self._resumes and self._newest is not None:
-                self._missed += max(0, first - self._newest - 1)
-            self._newest, self._resumes = last, False
+                self._missed += max(0, message.first_sequence - self._newest - 1)
+            self._newest, self._resumes = message.last_sequence, False
+            batch = message.read()
             for number, one in tuple(self._taps.items()):
                 if one.prepared:
                     self._guarded(number, one, partial(one.tap.offer, batch))
@@ -533,9 +537,9 @@ class RemotePipeline:
             self._read()
 
     def _take(self, record: Record) -> None:
-        kind, header, at = split_message(record.data)
+        kind, header, end = split_message(record.data)
         if kind is MessageKind.BATCH:
-            self._take_batch(read_batch(record.data, header, at, self.holds))
+            self._take_batch(BatchMessage(record.data, header, end, self.holds))
         elif kind is MessageKind.HOLD:
             device_id, row, last = header
             self.holds.change(device_id, read_hold(row, self.holds), last=last)
@@ -552,24 +556,27 @@ class RemotePipeline:
         else:
             self.streams.end(*header)
 
-    def _take_batch(self, batch: FrameBatch) -> None:
-        if batch.holds:
-            self.holds.take(batch)
-        device = self._devices.get(batch.device_id)
-        if batch.motion is not None and batch.motion.poses:
+    def _take_batch(self, message: BatchMessage) -> None:
+        device_id = message.device_id
+        if message.holds:
+            self.holds.take(device_id, message.holds[-1])
+        device = self._devices.get(device_id)
+        if message.has_poses:
             rate_hz = 0.0 if device is None else device.description.frame_rate_hz
-            self._publish_poses(batch, batch.motion, rate_hz)
+            self._publish_poses(message, rate_hz)
         if device is not None:
-            device.offer(batch)
-        self.streams.publish_batch(batch)
+            device.offer(message)
+        message.drop_pixels()
+        self.streams.publish_message(message)
 
-    def _publish_poses(
-        self, batch: FrameBatch, motion: TrackingResult, frame_rate_hz: float
-    ) -> None:
+    def _publish_poses(self, message: BatchMessage, frame_rate_hz: float) -> None:
         now_s = time.monotonic()
-        if now_s - self._pose_times_s.get(batch.device_id, 0.0) >= MIN_POSE_INTERVAL_S:
-            self._pose_times_s[batch.device_id] = now_s
-            self.poses.put(newest_poses(batch, motion, frame_rate_hz))
+        if now_s - self._pose_times_s.get(message.device_id, 0.0) < MIN_POSE_INTERVAL_S:
+            return
+        self._pose_times_s[message.device_id] = now_s
+        batch = message.read()
+        if batch.motion is not None:
+            self.poses.put(newest_poses(batch, batch.motion, frame_rate_hz))
 
     def _take_figures(self, figures: StationFigures) -> None:
         if self._away:

@@ -15,10 +15,12 @@ from service.pipeline.frame_batch import BeamHoldState, FrameBatch
 from service.pipeline.threads import call_in_loop
 from service.protocols.stream.message_log import LatestCursor, SequentialCursor, StreamLog
 from service.protocols.stream.messages import (
+    BatchSource,
     Content,
     Encoding,
     Payload,
     StreamBatch,
+    UnreadBatch,
     describe_message,
     hold_message,
     state_message,
@@ -236,8 +238,15 @@ class Hub:
 
     def publish_batch(self, batch: FrameBatch) -> None:
         """Put a batch of frames into the device's log; callable from any thread."""
-        self.log(batch.device_id).append_batch(StreamBatch(batch))
-        self._call_clients(batch.device_id, partial(Subscription.wake, frames=True))
+        self._append_batch(batch.device_id, StreamBatch(batch))
+
+    def publish_message(self, message: BatchSource) -> None:
+        """Put a batch into the device's log that is read when a client wants it."""
+        self._append_batch(message.device_id, UnreadBatch(message))
+
+    def _append_batch(self, device_id: str, batch: StreamBatch | UnreadBatch) -> None:
+        self.log(device_id).append_batch(batch)
+        self._call_clients(device_id, partial(Subscription.wake, frames=True))
 
     def publish(self, device_id: str, message: dict[str, Any]) -> None:
         """Put a message that is no frame into the device's log; callable from any thread."""

@@ -6,7 +6,7 @@ import time
 from bisect import bisect_right
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from operator import attrgetter
 from threading import Lock
 from typing import Final, NamedTuple
@@ -18,9 +18,9 @@ from service.protocols.stream.messages import (
     Payload,
     Rows,
     StreamBatch,
+    UnreadBatch,
     bundle,
     encode,
-    frame_messages,
     missed_message,
 )
 
@@ -57,8 +57,9 @@ class LogEntry:
     frames: bool
     releases: tuple[BeamEnableToken, ...] = ()
     content: Content | None = None
-    _all: dict[Variant, tuple[int, list[Payload]]] = field(default_factory=dict)
-    _single: dict[tuple[Variant, int], tuple[int, Payload]] = field(default_factory=dict)
+    _encoded: dict[Variant | tuple[Variant, int], tuple[int, tuple[Payload, ...]]] | None = None
+    """What was encoded: all messages of a variant, or one by its index, and of how many releases
+    that were over then. Made late: most are kept without ever being asked for."""
 
     @property
     def end(self) -> int:
@@ -69,40 +70,52 @@ class LogEntry:
         """Whether clients of a variant get it."""
         return self.content is None or self.content in variant[0]
 
-    def payloads(self, variant: Variant) -> list[Payload]:
+    def payloads(self, variant: Variant) -> tuple[Payload, ...]:
         """Return all messages, encoded."""
-        over = self._over
-        variant_over, payloads = self._all.get(variant, (-1, []))
-        if variant_over != over:
-            payloads = self._encoded(variant, 0, self.count)
-            self._all[variant] = over, payloads
-        return payloads
+        return self._payloads(variant, variant, 0, self.count)
 
     def payload(self, variant: Variant, number: int) -> Payload:
         """Return one message, encoded; the others of a batch are not touched."""
         index = number - self.first
-        over = self._over
-        variant_over, payloads = self._all.get(variant, (-1, []))
-        if variant_over == over:
-            return payloads[index]
-        variant_over, single = self._single.get((variant, index), (-1, b""))
-        if variant_over != over:
-            (single,) = self._encoded(variant, index, index + 1)
-            self._single[variant, index] = over, single
+        found = self._known(variant)
+        if found is not None:
+            return found[index]
+        (single,) = self._payloads((variant, index), variant, index, index + 1)
         return single
+
+    def _payloads(
+        self, key: Variant | tuple[Variant, int], variant: Variant, first: int, last: int
+    ) -> tuple[Payload, ...]:
+        payloads = self._known(key)
+        if payloads is None:
+            over = self._over
+            payloads = self._encode(variant, first, last)
+            if self._encoded is None:
+                self._encoded = {}
+            self._encoded[key] = over, payloads
+        return payloads
+
+    def _known(self, key: Variant | tuple[Variant, int]) -> tuple[Payload, ...] | None:
+        """Return what was encoded since the last release was over, if it was."""
+        if self._encoded is None:
+            return None
+        over, payloads = self._encoded.get(key, (-1, None))
+        return payloads if over == self._over else None
 
     @property
     def _over(self) -> int:
         """Number of its releases that are over."""
         return sum(one.over for one in self.releases)
 
-    def _encoded(self, variant: Variant, first: int, last: int) -> list[Payload]:
+    def _encode(self, variant: Variant, first: int, last: int) -> tuple[Payload, ...]:
         content, encoding = variant
         messages = self.messages(content, first, last)
-        return [
-            encode(message | {"n": number}, encoding)
-            for number, message in enumerate(messages, self.first + first)
-        ]
+        return tuple(
+            [
+                encode(message | {"n": number}, encoding)
+                for number, message in enumerate(messages, self.first + first)
+            ]
+        )
 
 
 class StreamLog:
@@ -151,14 +164,10 @@ class StreamLog:
         newest = self.newest
         return -1 if newest is None else newest.end - 1
 
-    def append_batch(self, batch: StreamBatch) -> None:
+    def append_batch(self, batch: StreamBatch | UnreadBatch) -> None:
         """Add one message for each frame of a batch."""
-
-        def messages(content: frozenset[Content], first: int, last: int) -> Rows:
-            return frame_messages(batch, content, first, last)
-
-        if batch.frames:
-            self._append(len(batch.frames), messages, frames=True, releases=batch.releases)
+        if batch.count:
+            self._append(batch.count, batch.messages, frames=True, releases=batch.releases)
 
     def append(
         self,

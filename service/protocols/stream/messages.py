@@ -6,7 +6,7 @@ from functools import lru_cache
 from itertools import pairwise
 from math import isfinite
 from operator import attrgetter
-from typing import Any, Final, Literal, NamedTuple, cast, get_args
+from typing import Any, Final, Literal, NamedTuple, Protocol, cast, get_args
 
 import msgpack
 import numpy as np
@@ -19,7 +19,12 @@ from compute.tracking.track_batch import TrackFlag, TrackState
 from hardware.driver import DeviceDescription
 from hardware.line_frame import FrameFlag
 from service.pipeline.detection_stage import peak_method
-from service.pipeline.frame_batch import BeamHoldState, FrameBatch, pose_members
+from service.pipeline.frame_batch import (
+    BeamEnableToken,
+    BeamHoldState,
+    FrameBatch,
+    pose_members,
+)
 
 Content = Literal["points", "peaks", "tracks", "tools", "holds"]
 Encoding = Literal["msgpack", "json"]
@@ -46,11 +51,62 @@ class FrameHeader(NamedTuple):
 _HEADER: Final = attrgetter(*FrameHeader._fields)
 
 
+class BatchSource(Protocol):
+    """A batch that is read when somebody wants its content."""
+
+    device_id: str
+    count: int
+    """How many frames."""
+    holds: tuple[tuple[BeamHoldState, ...], ...]
+    """The device's beam holds after each frame; empty: it has none."""
+
+    def __hash__(self) -> int:
+        """Return a hash: no two are the same."""
+        ...
+
+    def read(self) -> FrameBatch:
+        """Return the batch."""
+        ...
+
+
+class UnreadBatch:
+    """Frames of one device as the streams keep them until a client wants them.
+
+    Args:
+        source: the batch.
+    """
+
+    __slots__ = ("_source", "count", "releases")
+
+    def __init__(self, source: BatchSource) -> None:
+        self._source = source
+        self.count = source.count
+        self.releases = enabling_tokens(source.holds)
+
+    def messages(self, content: frozenset[Content], first: int, last: int | None) -> Rows:
+        """Return one message for each frame; see ``StreamBatch``."""
+        return _read(self._source).messages(content, first, last)
+
+
+@lru_cache(maxsize=4)
+def _read(source: BatchSource) -> "StreamBatch":
+    """Read a batch once for all clients that want the newest, of any content."""
+    return StreamBatch(source.read())
+
+
+def enabling_tokens(
+    holds: tuple[tuple[BeamHoldState, ...], ...],
+) -> tuple[BeamEnableToken, ...]:
+    """Return the tokens of all holds whose beam is enabled after some frame, each once."""
+    return tuple({now.release for after in holds for now in after if now.release})
+
+
 class StreamBatch:
-    """Frames of one device as the streams keep them: a FrameBatch without pixels.
+    """Frames of one device as the streams send them: a FrameBatch without pixels.
 
     Attributes:
         frames: headers of F frames.
+        count: F.
         peak_start: index of the first of the P peaks of each scan, and P at the end, shape
             (F x S + 1,).
         peak_values: position [px], sigma [px], amplitude [counts], width [px] and reduced
@@ -67,9 +123,8 @@ class StreamBatch:
         self._sensor_names = batch.sensor_names
         self._points, self._owner = batch.points, batch.owner
         self._motion, self._holds = batch.motion, batch.holds
-        self.releases = tuple(
-            {now.release for after in batch.holds for now in after if now.release}
-        )
+        self.count = len(batch.frames)
+        self.releases = enabling_tokens(batch.holds)
         # Copied: the batch's arrays have room for more peaks than there are.
         peaks = batch.peaks
         self.peak_start = np.zeros(len(peaks.count) + 1, dtype=np.intp)
@@ -84,6 +139,24 @@ class StreamBatch:
         )
         self.peak_values = np.stack([column[there] for column in values]).astype(np.float64)
         self.peak_flags = peaks.flags[there]
+
+    def messages(
+        self, content: frozenset[Content], first: int = 0, last: int | None = None
+    ) -> Rows:
+        """Return one message for each frame, with the chosen content.
+
+        Args:
+            content: what each message holds beside the frame itself.
+            first: the first frame wanted, from 0.
+            last: the frame after the last one wanted; None: to the end.
+        """
+        messages = self.headers(first, last)
+        for name in CONTENTS:
+            if name in content:
+                rows_by_frame = self.rows(name, first, len(messages))
+                for message, rows in zip(messages, rows_by_frame, strict=True):
+                    message[name] = rows
+        return messages
 
     def headers(self, first: int, last: int | None) -> Rows:
         """Return the members that each message has, of the frames from ``first`` to ``last``."""
@@ -251,26 +324,6 @@ def _flag_names(
     kind: type[PointFlag] | type[PeakFlag] | type[TrackFlag], flags: int
 ) -> tuple[str, ...]:
     return flag_names(kind(flags))
-
-
-def frame_messages(
-    batch: StreamBatch, content: frozenset[Content], first: int = 0, last: int | None = None
-) -> Rows:
-    """Return one message for each frame of a batch, with the chosen content.
-
-    Args:
-        batch: F frames.
-        content: what each message holds beside the frame itself.
-        first: the first frame wanted, from 0.
-        last: the frame after the last one wanted; None: to the end.
-    """
-    messages = batch.headers(first, last)
-    for name in CONTENTS:
-        if name in content:
-            rows_by_frame = batch.rows(name, first, len(messages))
-            for message, rows in zip(messages, rows_by_frame, strict=True):
-                message[name] = rows
-    return messages
 
 
 def hold_members(now: BeamHoldState) -> dict[str, Any]:

@@ -1,8 +1,10 @@
 """Failures at the start of `lumiline serve`: one line, no password, an exit code."""
 
+import asyncio
 import gc
 import socket
 import sqlite3
+import weakref
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +15,7 @@ from sqlalchemy.exc import OperationalError
 from typer.testing import CliRunner
 
 from service.cli import app
-from service.cli.serve import freeze_gc
+from service.cli.serve import collect_young, freeze_gc
 from service.database.engine import Database
 from service.database.migration import migrate
 
@@ -181,3 +183,27 @@ def test_what_streams_keep_is_seldom_collected() -> None:
         gc.callbacks.remove(see)
         gc.set_threshold(*before)
         gc.unfreeze()
+
+
+def test_young_garbage_is_collected_again_and_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also where nothing new is made: that alone would bring a collection."""
+    monkeypatch.setattr("service.cli.serve.COLLECT_S", 0.01)
+
+    class Node:
+        itself: "Node"
+
+    async def until_collected() -> None:
+        collect_young()
+        for _ in range(3):
+            node = Node()
+            node.itself = node
+            known = weakref.ref(node)
+            del node
+            while known() is not None:
+                await asyncio.sleep(0.01)
+
+    gc.disable()
+    try:
+        asyncio.run(asyncio.wait_for(until_collected(), 240.0))
+    finally:
+        gc.enable()

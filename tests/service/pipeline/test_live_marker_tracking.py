@@ -22,7 +22,7 @@ from service.pipeline.active_calibration import ActiveCalibration
 from service.pipeline.frame_batch import FrameBatch, TrackingResult
 from service.pipeline.frame_processor import FrameProcessor
 from service.pipeline.tracking_config import TrackingConfig
-from service.protocols.stream.messages import StreamBatch, encode, frame_messages
+from service.protocols.stream.messages import StreamBatch, encode
 from tests.service.api.exports.test_from_stream_and_recording import (
     FRAMES,
     Taken,
@@ -111,7 +111,7 @@ def test_both_ends_of_the_bar_keep_their_numbers(motion_model: MotionModel) -> N
     ends = ends_at(batches, BAR)
     assert sorted(ends[BEGUN].values()) == [0, 1]
     assert all(frame == ends[BEGUN] for frame in ends[BEGUN:])
-    messages = frame_messages(StreamBatch(batches[-1]), content=frozenset({"tracks"}))
+    messages = StreamBatch(batches[-1]).messages(content=frozenset({"tracks"}))
     assert messages
     for message in messages:
         told = json.loads(encode(message, "json"), parse_constant=refuse)

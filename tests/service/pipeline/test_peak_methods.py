@@ -41,7 +41,6 @@ from service.protocols.stream.messages import (
     StreamBatch,
     describe_message,
     encode,
-    frame_messages,
 )
 from tests.service.pipeline.test_pipeline_manager import nominal
 
@@ -217,7 +216,7 @@ def test_points_of_shadows() -> None:
     processor = FrameProcessor("one", driver.description, "cpu")
     processor.set_calibration(ActiveCalibration("c", nominal_calibration(profile)))
     (batch,) = processed(driver, processor)
-    messages = list(frame_messages(StreamBatch(batch), frozenset({"points", "peaks"})))
+    messages = list(StreamBatch(batch).messages(frozenset({"points", "peaks"})))
     for message in messages:
         (point,) = message["points"]
         error = np.subtract(point["position_mm"], points[message["marker"]])
@@ -259,7 +258,7 @@ def test_lines_beyond_the_fits_widths_are_measured(sigma_px: float) -> None:
     (batch,) = processed(driver, FrameProcessor("sim", driver.description, "cpu"))
     assert not (batch.peaks.flags & PeakFlag.UNFITTED).any()
     assert np.isnan(batch.peaks.reduced_chi2).all()
-    (message, *_) = frame_messages(StreamBatch(batch), frozenset({"peaks"}))
+    (message, *_) = StreamBatch(batch).messages(frozenset({"peaks"}))
     assert all(peak["reduced_chi2"] is None for peak in message["peaks"])
     encode(message, "json")
 

@@ -28,7 +28,7 @@ from service.pipeline.frame_batch import FrameBatch
 from service.pipeline.frame_processor import FrameProcessor
 from service.pipeline.pipeline_manager import PipelineManager
 from service.protocols.stream.hub import Hub
-from service.protocols.stream.messages import StreamBatch, frame_messages
+from service.protocols.stream.messages import StreamBatch
 
 
 class RecordingHub(Hub):
@@ -100,7 +100,7 @@ def run_to_the_end(
     return [
         message
         for batch in hub.batches
-        for message in frame_messages(StreamBatch(batch), frozenset({"points", "peaks"}))
+        for message in StreamBatch(batch).messages(frozenset({"points", "peaks"}))
     ]
 
 
@@ -166,7 +166,7 @@ def test_a_replay_gives_the_same_bits(live: PipelineManager, tmp_path: Path) -> 
     replayed = [
         message
         for batch in hub.batches
-        for message in frame_messages(StreamBatch(batch), frozenset({"points", "peaks"}))
+        for message in StreamBatch(batch).messages(frozenset({"points", "peaks"}))
     ]
     assert len(replayed) == 100
     for message in (*direct, *replayed):
@@ -275,9 +275,7 @@ def test_calibrations_are_switched_between_two_frames(live: PipelineManager) -> 
         seen = len(hub.batches)
         wait_for(lambda seen=seen: len(hub.batches) > seen + 1)  # type: ignore[misc]
     live.stop_device("sim")
-    messages = [
-        m for b in hub.batches for m in frame_messages(StreamBatch(b), frozenset({"points"}))
-    ]
+    messages = [m for b in hub.batches for m in StreamBatch(b).messages(frozenset({"points"}))]
     sequences = [message["sequence"] for message in messages]
     assert sequences == list(range(sequences[0], sequences[0] + len(sequences)))
     assert {message["calibration_id"] for message in messages} == {"zero", "ten"}

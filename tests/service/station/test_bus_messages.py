@@ -29,15 +29,16 @@ from service.pipeline.frame_batch import (
     TrackingResult,
 )
 from service.station.bus_messages import (
+    BatchMessage,
     DeviceFigures,
     MessageKind,
     StationFigures,
+    _read_batch,
     batch_message,
     calibration_message,
     figures_message,
     hold_message,
     read_bad_pixels,
-    read_batch,
     read_description,
     read_figures,
     read_hold,
@@ -169,9 +170,13 @@ def batch_of(data: st.DataObject) -> FrameBatch:
 
 
 def read(message: bytes, tokens: Tokens | None = None) -> FrameBatch:
-    kind, header, at = split_message(message)
+    return batch_of_message(message, tokens).read()
+
+
+def batch_of_message(message: bytes, tokens: Tokens | None = None) -> BatchMessage:
+    kind, header, end = split_message(message)
     assert kind is MessageKind.BATCH
-    return read_batch(message, header, at, tokens or Tokens())
+    return BatchMessage(message, header, end, tokens or Tokens())
 
 
 @settings(deadline=None, max_examples=60)
@@ -183,11 +188,21 @@ def test_any_batch_comes_back_to_the_bit(data: st.DataObject) -> None:
     assert [now.revision for now in tokens.ended] == [now.revision for now in held]
 
 
+@pytest.mark.parametrize("dropped", ["at the station", "before it is read", "after"])
 @settings(deadline=None, max_examples=20)
-@given(st.data())
-def test_without_pixels_all_else_comes_back(data: st.DataObject) -> None:
+@given(data=st.data())
+def test_without_pixels_all_else_comes_back(dropped: str, data: st.DataObject) -> None:
     batch = batch_of(data)
-    found = read(batch_message(batch, 3, pixels=False))
+    message = batch_of_message(batch_message(batch, 3, pixels=dropped != "at the station"))
+    assert (message.device_id, message.count) == (batch.device_id, len(batch.frames))
+    assert message.first_sequence == batch.frames[0].sequence
+    assert message.last_sequence == batch.frames[-1].sequence
+    assert message.has_poses == bool(batch.motion and batch.motion.poses)
+    if dropped == "after":
+        assert_same(message.read(), batch)  # shared by all who want the newest
+        _read_batch.cache_clear()
+    message.drop_pixels()
+    found = message.read()
     assert all(frame.lines.size == 0 for frame in found.frames)
     frames = tuple(
         replace(frame, lines=there.lines)

@@ -32,6 +32,7 @@ from service.problems.errors import DeviceNotRunning, NotReady
 from service.protocols.stream.hub import Hub
 from service.protocols.stream.messages import CONTENTS
 from service.station import station_process
+from service.station.bus_messages import BatchMessage
 from service.station.remote_pipeline import RemotePipeline
 from service.station.station_starter import StationStarter
 from tests.service.api.beam_holds.batches import CHEST, hold
@@ -120,7 +121,9 @@ class KeepingTap:
         return [frame for batch in self.batches for frame in batch.frames]
 
 
-def test_tap_knows_what_each_batch_was_processed_with(pipeline: RemotePipeline) -> None:
+def test_tap_knows_what_each_batch_was_processed_with(
+    pipeline: RemotePipeline, monkeypatch: pytest.MonkeyPatch
+) -> None:
     pipeline.start_device("sim", SimulatedDriver("sim", LIVE), ActiveCalibration())
     device, tap = pipeline.session("sim"), KeepingTap()
     device.attach(tap)
@@ -143,9 +146,9 @@ def test_tap_knows_what_each_batch_was_processed_with(pipeline: RemotePipeline) 
             assert all(frame.lines.shape == (4, 2048) for frame in one.frames)
     assert known == [None, "first", "second", None]
     # Without taps nobody wants pixels.
-    later: list[FrameBatch] = []
-    pipeline.streams.publish_batch = later.append  # type: ignore[method-assign]
-    wait_for(lambda: len(later) > 3 and later[-1].frames[-1].lines.size == 0)
+    later: list[BatchMessage] = []
+    monkeypatch.setattr(BatchMessage, "drop_pixels", lambda message: later.append(message))
+    wait_for(lambda: len(later) > 3 and later[-1].read().frames[-1].lines.size == 0)
     assert len(tap.events) == seen
 
 
@@ -372,6 +375,7 @@ _GATEWAY = """
 import asyncio, signal, sys, threading, time
 from service.pipeline.detection_stage import built_in_profile
 from service.protocols.stream.hub import Hub
+from service.station.bus_messages import BatchMessage
 from service.station.remote_pipeline import RemotePipeline
 from service.station.station_starter import StationStarter
 

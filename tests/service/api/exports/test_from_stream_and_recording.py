@@ -30,7 +30,7 @@ from service.pipeline.active_calibration import ActiveCalibration
 from service.pipeline.frame_batch import FrameBatch
 from service.pipeline.frame_processor import FrameProcessor
 from service.pipeline.tracking_config import TrackingConfig
-from service.protocols.stream.messages import StreamBatch, encode, frame_messages
+from service.protocols.stream.messages import StreamBatch, encode
 from tests.service.api.exports.readers import read_sequence, read_trc
 from tests.service.cli.test_commands import here, nominal_document
 from tests.service.pipeline.test_pipeline_manager import nominal
@@ -194,7 +194,7 @@ def test_no_calibration(taken: Taken, tmp_path: Path) -> None:
 def captured(taken: Taken, path: Path, *, bundled: bool = False) -> Path:
     wanted = frozenset({"points", "tracks", "tools"})
     messages = [
-        message for batch in taken.batches for message in frame_messages(StreamBatch(batch), wanted)
+        message for batch in taken.batches for message in StreamBatch(batch).messages(wanted)
     ]
     lines = [json.dumps({"type": "hello", "device_id": "sim"})]
     if bundled:

@@ -20,7 +20,7 @@ from compute.signal.peaks import PeakBatch
 from hardware.line_frame import LineFrame
 from service.pipeline.frame_batch import FrameBatch
 from service.protocols.stream.hub import Hub, StreamEnded, StreamRequest, Subscription
-from service.protocols.stream.messages import StreamBatch, encode, frame_messages
+from service.protocols.stream.messages import StreamBatch, encode
 
 POINTS = frozenset({"points"})
 
@@ -383,11 +383,11 @@ def test_whatever_comes_what_a_client_gets_and_what_it_missed_add_up(
 def test_messages_of_a_part_of_a_batch_are_those_of_the_whole() -> None:
     batch = StreamBatch(frames_of(range(5), peaks_a_line=2))
     content = frozenset({"points", "peaks"})
-    whole = frame_messages(batch, content)
+    whole = batch.messages(content)
     assert [message["sequence"] for message in whole] == list(range(5))
     for first in range(5):
         for last in range(first, 6):
-            assert frame_messages(batch, content, first, last) == whole[first:last]
+            assert batch.messages(content, first, last) == whole[first:last]
     assert [peak["position_px"] for peak in whole[3]["peaks"]] == [600.0, 601.0, 700.0, 701.0]
     assert [peak["sensor"] for peak in whole[3]["peaks"]] == ["a", "a", "b", "b"]
     assert {peak["reduced_chi2"] for peak in whole[3]["peaks"]} == {None}

@@ -9,7 +9,7 @@ STAMP := $(VENV)/.installed
 help:
 	@echo "make demo   the main job, end to end: real service, simulated device, measured frames"
 	@echo "make test   the test suite, without what is slow: make test-slow"
-	@echo "make lint   ruff, mypy --strict, import contracts, the kernels' C++ headers"
+	@echo "make lint   ruff, mypy --strict, import contracts, repository review, the kernels' C++ headers"
 	@echo "make docs   the documentation site, in build/docs; warnings are errors"
 	@echo "make serve  the service on port 8000"
 	@echo "make dashboard  types, unit tests and build of the web page: dashboard/README.md"
@@ -56,6 +56,7 @@ lint: $(STAMP)
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	$(BIN)/repo-review --show err .
 	$(BIN)/python docs/generators/contract.py --check
 	$(BIN)/python -m tests.compute.native.lint
 

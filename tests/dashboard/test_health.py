@@ -1,4 +1,4 @@
-"""Latency by stage of a running device."""
+"""What Health shows of a running device and of the processes."""
 
 import re
 
@@ -10,7 +10,7 @@ from tests.dashboard.test_pages import serious_findings, show
 pytestmark = pytest.mark.slow
 
 
-def test_latency_is_shown_by_stage(visit: Visit):
+def test_health_of_a_running_device_shows_stages_losses_and_processes(visit: Visit):
     show(visit.url, {"kind": "rotating-bar"})
     page = visit.page
     visit.screen("Health")
@@ -31,4 +31,9 @@ def test_latency_is_shown_by_stage(visit: Visit):
     counts = [cell.split() for cell in losses.locator("td").all_inner_texts()]
     # A simulated device has no cable; of all else there is a number.
     assert all(one[0].isdigit() for one in counts[3:6])
+    processes = page.get_by_role("region", name="Processes").last
+    for name, note in (("Gateway", "open files"), ("Station", "never lost")):
+        row = processes.get_by_role("row", name=re.compile(name)).inner_text()
+        assert note in row
+        assert re.search(r"\d MiB|\d MB", row)
     assert not serious_findings(page)

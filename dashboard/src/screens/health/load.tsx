@@ -56,7 +56,8 @@ export function Load() {
       </Panel>
       <Losses before={first.metrics} after={last.metrics} seconds={seconds} />
       <Clients before={first.metrics} after={last.metrics} seconds={seconds} />
-      <Resources before={first.metrics} after={last.metrics} seconds={seconds} />
+      <Processes before={first.metrics} after={last.metrics} seconds={seconds} />
+      <Resources metrics={last.metrics} />
     </>
   );
 }
@@ -228,17 +229,63 @@ function StreamClients() {
   );
 }
 
-function Resources({ before, after, seconds }: BetweenProps) {
+interface Process {
+  readonly name: string;
+  readonly memory: number | null;
+  readonly cpu: string;
+  readonly notes: readonly string[];
+  readonly bad: boolean;
+}
+
+/** The gateway, which is the process that answers, and the station, if devices have a process of their own. */
+function Processes({ before, after, seconds }: BetweenProps) {
   const value = (name: string) => valueOf(after, name);
-  const backup = value("lumiline_last_backup_timestamp_seconds");
   const started = value("process_start_time_seconds");
+  const restarts = value("lumiline_station_restarts_total") ?? 0;
+  const missed = value("lumiline_station_messages_missed_total") ?? 0;
+  const rows: Process[] = [
+    {
+      name: text.health.gateway,
+      memory: value("process_resident_memory_bytes"),
+      cpu: "process_cpu_seconds_total",
+      notes: [text.health.files(value("process_open_fds")), text.health.since(started ? time(new Date(1000 * started).toISOString()) : text.missing)],
+      bad: false,
+    },
+  ];
+  if (value("lumiline_station_memory_bytes") !== null)
+    rows.push({
+      name: text.health.station,
+      memory: value("lumiline_station_memory_bytes"),
+      cpu: "lumiline_station_cpu_seconds_total",
+      notes: [text.health.restarts(restarts), text.health.busMissed(missed)],
+      bad: restarts > 0 || missed > 0,
+    });
+  return (
+    <Panel title={text.health.processes}>
+      <p class="muted">{rows.length > 1 ? text.health.processesHelp : text.health.oneProcess}</p>
+      <Table
+        caption={text.health.processes}
+        columns={[text.health.process, text.health.memory, text.health.cores, text.health.notes]}
+        rows={rows}
+        identity={({ name }) => name}
+        empty={text.missing}
+        row={({ name, memory, cpu, notes, bad }) => [
+          name,
+          memory === null ? text.missing : bytes(memory),
+          significant(grown(before, after, cpu) / seconds, 2),
+          <Badge kind={bad ? "bad" : "idle"}>{notes.join(", ")}</Badge>,
+        ]}
+      />
+    </Panel>
+  );
+}
+
+function Resources({ metrics }: { metrics: Metrics }) {
+  const room = valueOf(metrics, "lumiline_recordings_free_bytes");
+  const backup = valueOf(metrics, "lumiline_last_backup_timestamp_seconds");
   const rows: [string, string][] = [
-    [text.health.room, value("lumiline_recordings_free_bytes") === null ? text.missing : bytes(value("lumiline_recordings_free_bytes") ?? 0)],
+    [text.health.room, room === null ? text.missing : bytes(room)],
     [text.health.backup, backup ? time(new Date(1000 * backup).toISOString()) : text.health.noBackup],
-    [text.health.memory, bytes(value("process_resident_memory_bytes") ?? 0)],
-    [text.health.cores, significant(grown(before, after, "process_cpu_seconds_total") / seconds, 2)],
-    [text.health.files, `${value("process_open_fds") ?? text.missing}`],
-    [text.health.since, started ? time(new Date(1000 * started).toISOString()) : text.missing],
   ];
   return (
     <Panel title={text.health.resources}>

@@ -219,12 +219,11 @@ def split_message(data: bytes) -> tuple[MessageKind, list[Any], int]:
         raise ValueError(f"this is no message of the bus: {error}") from error
 
 
-def batch_message(batch: FrameBatch, generation: int, *, pixels: bool) -> bytes:
+def batch_message(batch: FrameBatch, *, pixels: bool) -> bytes:
     """Return a batch as a message.
 
     Args:
         batch: F frames.
-        generation: of the device's start.
         pixels: whether its frames' pixels are wanted.
     """
     writer = _Writer()
@@ -257,7 +256,6 @@ def batch_message(batch: FrameBatch, generation: int, *, pixels: bool) -> bytes:
         )
     )
     header = (
-        generation,
         batch.device_id,
         len(frames),
         batch.frames[0].sequence if batch.frames else 0,
@@ -307,8 +305,8 @@ class BatchMessage:
 
     def __init__(self, data: bytes, header: Sequence[Any], end: int, tokens: HoldTokens) -> None:
         self._data = data
-        _, self.device_id, self.count, self.first_sequence, self.last_sequence = header[:5]
-        self.has_poses, holds, details, self._pixel_bytes = header[5:]
+        self.device_id, self.count, self.first_sequence, self.last_sequence = header[:4]
+        self.has_poses, holds, details, self._pixel_bytes = header[4:]
         self._begin, self._end = end, end + details
         self.holds = tuple([tuple([read_hold(row, tokens) for row in after]) for after in holds])
 

@@ -102,11 +102,9 @@ class BusPublisher:
 
     def publish_batch(self, batch: FrameBatch) -> None:
         """Put a batch of frames on the bus."""
-        device_id = batch.device_id
-        generation = self.generations.get(device_id, 0)
         with self._pixels_lock:
-            pixels = bool(self._pixel_taps.get(device_id))
-            self.put(batch_message(batch, generation, pixels=pixels))
+            pixels = bool(self._pixel_taps.get(batch.device_id))
+            self.put(batch_message(batch, pixels=pixels))
 
     def count_pixel_taps(self, device_id: str, more: int) -> None:
         """Note that so many more taps of a device want pixels, from the next batch on."""

@@ -291,7 +291,10 @@ class Hub:
         for client in self._clients.get(device_id, ()):
             loops[client.loop].append(client)
         for loop, clients in loops.items():
-            call_in_loop(loop, _call_each, action, clients)
+            if asyncio._get_running_loop() is loop:
+                _call_each(action, clients)
+            else:
+                call_in_loop(loop, _call_each, action, clients)
 
 
 def _call_each(action: Callable[[Subscription], None], clients: list[Subscription]) -> None:

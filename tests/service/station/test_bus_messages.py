@@ -183,7 +183,7 @@ def batch_of_message(message: bytes, tokens: Tokens | None = None) -> BatchMessa
 @given(st.data())
 def test_any_batch_comes_back_to_the_bit(data: st.DataObject) -> None:
     batch, tokens = batch_of(data), Tokens()
-    assert_same(read(batch_message(batch, 3, pixels=True), tokens), batch)
+    assert_same(read(batch_message(batch, pixels=True), tokens), batch)
     held = [now for after in batch.holds for now in after if now.held]
     assert [now.revision for now in tokens.ended] == [now.revision for now in held]
 
@@ -193,7 +193,7 @@ def test_any_batch_comes_back_to_the_bit(data: st.DataObject) -> None:
 @given(data=st.data())
 def test_without_pixels_all_else_comes_back(dropped: str, data: st.DataObject) -> None:
     batch = batch_of(data)
-    message = batch_of_message(batch_message(batch, 3, pixels=dropped != "at the station"))
+    message = batch_of_message(batch_message(batch, pixels=dropped != "at the station"))
     assert (message.device_id, message.count) == (batch.device_id, len(batch.frames))
     assert message.first_sequence == batch.frames[0].sequence
     assert message.last_sequence == batch.frames[-1].sequence

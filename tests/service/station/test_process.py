@@ -27,7 +27,7 @@ def test_tap_that_wants_pixels_comes_before_a_batch_that_has_them_or_behind_one_
 
     attaching = threading.Thread(target=attach)
 
-    def batch_message(batch: FrameBatch, generation: int, *, pixels: bool) -> bytes:
+    def batch_message(batch: FrameBatch, *, pixels: bool) -> bytes:
         attaching.start()
         attaching.join(0.5)  # what is right waits; what is wrong is attached by now
         return b"pixels" if pixels else b"none"

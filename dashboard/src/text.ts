@@ -59,6 +59,7 @@ export const text = {
     sensors: "Sensors",
     looksAlong: "Looks along",
     pixelsAlong: "Pixels run along",
+    volume: (x: string, y: string, z: string) => `Dashed: the volume that the calibration is good for, x ${x}, y ${y}, z ${z} mm. A tool beyond is OUT_OF_VOLUME.`,
     sensorsHelp: "Directions are unit vectors of the world. Where a sensor is along its slit its calibration leaves open: given is the position nearest to the centre of the control points.",
     selected: "Selected",
     none: "Pick a marker or a tool, here or in a table.",

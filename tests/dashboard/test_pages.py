@@ -51,6 +51,21 @@ def test_scene_shows_the_markers_of_the_running_device(visit: Visit):
     assert re.search(r"-?\d+\.\d+, -?\d+\.\d+, -?\d+\.\d+", rows.first.inner_text())
 
 
+def test_scene_shows_the_volume_of_the_device(visit: Visit):
+    show(visit.url, {"kind": "rotating-bar"})
+    device = f"{visit.url}/api/v1/devices/sim"
+    tracking = httpx.get(device, timeout=60).json()["tracking"]
+    volume = {"volume_mm": [[-300, -200, 1800], [300, 200.5, 2600]]}
+    httpx.patch(device, json={"tracking": tracking | volume}, headers=ANY).raise_for_status()
+    try:
+        page = visit.page
+        page.get_by_text("x -300.0 … 300.0, y -200.0 … 200.5, z 1800 … 2600 mm").wait_for()
+        for side in ("Top", "Front", "Side"):
+            page.get_by_role("button", name=side, exact=True).click()
+    finally:
+        httpx.patch(device, json={"tracking": tracking}, headers=ANY).raise_for_status()
+
+
 def test_scan_is_frozen_zoomed_and_saved(visit: Visit, tmp_path: Path):
     show(visit.url, {"kind": "calibration-frame"})
     page = visit.page

@@ -1,5 +1,5 @@
 import { describe, expect, test } from "vitest";
-import { centreOf, cholesky, dot, rotationOf, sensorPose, type Vector } from "./geometry";
+import { centreOf, cholesky, cornersOf, distanceToSee, dot, rotationOf, sensorPose, type Vector } from "./geometry";
 
 describe("rotationOf", () => {
   test("a quarter turn about z takes x to y", () => {
@@ -61,4 +61,29 @@ describe("cholesky", () => {
 test("centreOf is the centre of the bounding box", () => {
   expect(centreOf([[0, 0, 0], [10, 4, -2], [1, 1, 1]])).toEqual([5, 2, -0.5]);
   expect(centreOf([])).toEqual([0, 0, 0]);
+});
+
+describe("distanceToSee", () => {
+  const slopes = [0.8, 0.4] as const;
+  const points = cornersOf([[-300, -80, -500], [250, 120, 400]]);
+
+  test.each([
+    ["from the front", [0, 0, 0]],
+    ["from above", [Math.PI / 2, 0, 0]],
+    ["from anywhere", [0.4, -0.9, 0.2]],
+  ])("shows all points, the outermost at the edge: %s", (_, turn) => {
+    const axes = rotationOf(turn as [number, number, number]);
+    const far = distanceToSee(points, axes, slopes);
+    const outermost = points.map((point) => {
+      const depth = far - dot(point, axes[2]);
+      expect(depth).toBeGreaterThan(0);
+      return Math.max(Math.abs(dot(point, axes[0])) / (slopes[0] * depth), Math.abs(dot(point, axes[1])) / (slopes[1] * depth));
+    });
+    expect(Math.max(...outermost)).toBeCloseTo(1);
+  });
+
+  test("a box has eight corners", () => {
+    expect(new Set(points.map(String)).size).toBe(8);
+    expect(points).toContainEqual([250, -80, 400]);
+  });
 });

@@ -71,6 +71,24 @@ export function centreOf(points: readonly Vector[]): Vector {
   return [0, 1, 2].map((axis) => (at(low, axis) + at(high, axis)) / 2) as unknown as Vector;
 }
 
+/** Return the corners of a box with these corners opposite each other [mm]. */
+export function cornersOf([low, high]: readonly [Vector, Vector]): Vector[] {
+  return [0, 1, 2, 3, 4, 5, 6, 7].map((corner) => [0, 1, 2].map((axis) => at(corner & (1 << axis) ? high : low, axis)) as unknown as Vector);
+}
+
+/** Return from how far a camera that looks at the origin has all points [mm] in its picture.
+ *
+ * `axes`: the camera's right, its up, and the direction from the origin to it; `slopes`: tangents
+ * of half the angles that the picture spans across and up.
+ */
+export function distanceToSee(points: readonly Vector[], axes: Matrix, slopes: readonly [number, number]): number {
+  const [right, up, back] = axes;
+  return Math.max(
+    0,
+    ...points.map((point) => dot(point, back) + Math.max(Math.abs(dot(point, right)) / slopes[0], Math.abs(dot(point, up)) / slopes[1])),
+  );
+}
+
 export function dot(a: readonly number[], b: readonly number[]): number {
   return at(a, 0) * at(b, 0) + at(a, 1) * at(b, 1) + at(a, 2) * at(b, 2);
 }

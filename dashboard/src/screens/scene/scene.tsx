@@ -45,6 +45,7 @@ function DeviceScene({ device: shown }: { device: Schemas["Device"] }) {
         calibration={active}
         state={useRef(new SceneState()).current}
         tools={tools.value?.items ?? NO_TOOLS}
+        volume={shown.tracking.volume_mm ?? null}
         old={stream.stale.value}
       >
         <StreamBanner stream={stream} />
@@ -67,6 +68,8 @@ interface ScenePictureProps {
   second?: SceneState | null;
   /** The tools whose poses the frames have. */
   tools?: readonly Tool[];
+  /** Lowest and highest corner of the volume that the calibration is good for [mm]; null: not said. */
+  volume?: readonly [Vector, Vector] | null;
   /** What is shown is of before. */
   old?: boolean;
   /** Over the picture. */
@@ -75,7 +78,7 @@ interface ScenePictureProps {
 
 /** Frames in 3D, and the same as tables. */
 export function ScenePicture(props: ScenePictureProps) {
-  const { state, calibration: active, tools = NO_TOOLS } = props;
+  const { state, calibration: active, tools = NO_TOOLS, volume = null } = props;
   const selected = useSignal<Picked | null>(null);
   const view = useSignal<View>("free");
   const factor = useSignal<number>(100);
@@ -121,10 +124,10 @@ export function ScenePicture(props: ScenePictureProps) {
     if (found) {
       const control = found.points.map((point) => point.position_mm as Vector);
       const models = found.result.sensors.map(({ model }) => model);
-      picture.current?.setCalibration(models, control);
+      picture.current?.setCalibration(models, control, volume);
       changes.value += 1;
     }
-  }, [calibration.value]);
+  }, [calibration.value, JSON.stringify(volume)]);
 
   // Drawn with each frame, and also when another thing is chosen: a paused or stopped one sends no frame.
   useEffect(
@@ -189,6 +192,7 @@ export function ScenePicture(props: ScenePictureProps) {
         </div>
       </div>
       <Failure message={calibration.error} />
+      {volume ? <p class="muted">{text.scene.volume(...boxRanges(volume))}</p> : null}
       <div class={props.old ? "stale" : undefined}>
         <Selected frame={frame} state={state} picked={selected.value} />
         <Tables
@@ -230,6 +234,10 @@ function Sensors({ models, control }: { models: readonly SensorModel[]; control:
       <p class="muted">{text.scene.sensorsHelp}</p>
     </Panel>
   );
+}
+
+function boxRanges([low, high]: readonly [Vector, Vector]): [string, string, string] {
+  return [0, 1, 2].map((axis) => `${significant(low[axis], 4)} … ${significant(high[axis], 4)}`) as [string, string, string];
 }
 
 function lengths(vector: Vector, decimals: number): string {

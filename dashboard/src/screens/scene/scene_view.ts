@@ -14,6 +14,7 @@ import {
   HemisphereLight,
   InstancedMesh,
   LineBasicMaterial,
+  LineDashedMaterial,
   LineSegments,
   Matrix4,
   Mesh,
@@ -34,7 +35,7 @@ import {
 import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
 import { ConvexGeometry } from "three/examples/jsm/geometries/ConvexGeometry.js";
 import type { ToolPose } from "../../live/messages";
-import { centreOf, cholesky, type SensorModel, type SensorPose, sensorPose, type Vector } from "./geometry";
+import { centreOf, cholesky, cornersOf, distanceToSee, type SensorModel, type SensorPose, sensorPose, type Vector } from "./geometry";
 
 export type View = "free" | "top" | "front" | "side";
 export type Picked = { kind: "marker" | "tool"; id: string };
@@ -89,6 +90,9 @@ export class SceneView {
   private sensors: readonly { model: SensorModel; pose: SensorPose }[] = [];
   private target = new Vector3();
   private extent = 500;
+  /** What the picture shows from all sides [mm]. */
+  private frame: readonly Vector[] = [];
+  private volume: readonly [Vector, Vector] | null = null;
   private scheduled = false;
   private framed = false;
   private view: View = "free";
@@ -131,8 +135,9 @@ export class SceneView {
     this.request();
   }
 
-  /** Take the calibration's sensors and control points [mm]: what does not move. */
-  setCalibration(models: readonly SensorModel[], control: readonly Vector[]): void {
+  /** Take the calibration's sensors, its control points and the volume that it is good for [mm]: what does not move. */
+  setCalibration(models: readonly SensorModel[], control: readonly Vector[], volume: readonly [Vector, Vector] | null): void {
+    this.volume = volume;
     for (const child of [...this.fixed.children]) {
       child.traverse(release);
       this.fixed.remove(child);
@@ -144,6 +149,7 @@ export class SceneView {
     this.framed = control.length > 0;
     this.fixed.add(new AxesHelper(this.extent / 8), ...axisNames(this.extent / 8));
     for (const { model, pose } of this.sensors) this.fixed.add(this.sensorBody(model, pose));
+    if (volume) this.fixed.add(boxOf(volume));
     if (control.length >= 4) {
       const hull = hullOf(control);
       if (hull) this.fixed.add(hull);
@@ -246,16 +252,25 @@ export class SceneView {
   /** Look from a side, and from the same when the calibration changes. */
   look(view: View): void {
     this.view = view;
-    // A sphere of four fifths of the extent fits into the smaller of both angles: what is shown is
-    // long rather than round.
-    const half = (this.camera.fov * Math.PI) / 360;
-    const across = Math.atan(Math.tan(half) * this.camera.aspect);
-    const far = (0.8 * this.extent) / Math.sin(Math.min(half, across));
     const from: Record<View, readonly [number, number, number]> = {
       free: [0.5, 0.45, -0.6], top: [0, 1, 0.0001], front: [0, 0, -1], side: [1, 0, 0],
     };
+    const back = new Vector3(...from[view]).normalize();
     this.controls.target.copy(this.target);
-    this.camera.position.copy(this.target).addScaledVector(new Vector3(...from[view]).normalize(), far);
+    this.camera.position.copy(this.target).add(back);
+    this.camera.lookAt(this.target);
+    this.camera.updateMatrixWorld();
+    const [right, up] = [new Vector3(), new Vector3()];
+    this.camera.matrixWorld.extractBasis(right, up, new Vector3());
+    const slope = Math.tan((this.camera.fov * Math.PI) / 360);
+    const away = distanceToSee(
+      this.frame.map((place) => new Vector3(...place).sub(this.target).toArray()),
+      [right.toArray(), up.toArray(), back.toArray()],
+      [slope * this.camera.aspect, slope],
+    );
+    // Sensors' bodies and their names stick out.
+    const far = 1.1 * away + this.extent / 9;
+    this.camera.position.copy(this.target).addScaledVector(back, far);
     this.camera.near = far / 1000;
     this.camera.far = far * 20;
     this.camera.updateProjectionMatrix();
@@ -264,7 +279,9 @@ export class SceneView {
   }
 
   /** Take the centre and the extent of the picture from points [mm]. */
-  private frameAll(points: readonly Vector[]): void {
+  private frameAll(given: readonly Vector[]): void {
+    const points = [...given, ...(this.volume ? cornersOf(this.volume) : [])];
+    this.frame = points;
     new Box3().setFromPoints(points.map((place) => new Vector3(...place))).getCenter(this.target);
     this.extent = 1.1 * Math.max(100, ...points.map((place) => this.target.distanceTo(new Vector3(...place))));
   }
@@ -428,6 +445,20 @@ function sprite(label: string, size: number): Sprite {
   made.scale.set(0.24, 0.03, 1);
   made.position.y = size * 0.6;
   return made;
+}
+
+/** Return the edges of a box, dashed. */
+function boxOf([low, high]: readonly [Vector, Vector]): LineSegments {
+  const [from, to] = [new Vector3(...low), new Vector3(...high)];
+  const size = to.clone().sub(from);
+  const box = new BoxGeometry(size.x, size.y, size.z);
+  const edges = new EdgesGeometry(box);
+  box.dispose();
+  const dash = size.length() / 60;
+  const lines = new LineSegments(edges, new LineDashedMaterial({ color: 0xc7a77f, dashSize: dash, gapSize: dash }));
+  lines.computeLineDistances();
+  lines.position.copy(from).addScaledVector(size, 0.5);
+  return lines;
 }
 
 /** Return the edges of the points' convex hull; null where they span none. */

@@ -30,7 +30,7 @@ from service.pipeline.tracking_config import (
 from service.protocols.stream import router
 from service.protocols.stream.hub import Hub
 from service.protocols.stream.query import parse_stream_request
-from service.station import remote_pipeline
+from service.station import process, remote_pipeline
 from service.station.calls import Answer, Start
 from service.station.process import Station
 from service.station.remote_pipeline import RemotePipeline
@@ -234,6 +234,8 @@ def test_walk_through_a_station_has_the_modules_of_the_bus_in_addition(
     monkeypatch.setattr(bad_pixel_watch, "SAMPLE_INTERVAL_S", float("inf"))
     monkeypatch.setattr(stage_latency, "INTERVAL_S", 1e9)
     monkeypatch.setattr(remote_pipeline, "StationProcess", InProcessStation)
+    # Figures of all devices come twice a second, from a thread that would be traced, too.
+    monkeypatch.setattr(process, "FIGURES_S", 1e6)
     headings = ["Points", "Between station and gateway"]
     if content == "points":
         walked = walk("strobed", content, NO_TRACKING, pipeline_of_station)

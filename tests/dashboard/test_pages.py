@@ -66,6 +66,25 @@ def test_scene_shows_the_volume_of_the_device(visit: Visit):
         httpx.patch(device, json={"tracking": tracking}, headers=ANY).raise_for_status()
 
 
+def test_open_capture_session_is_still_there_after_another_screen_and_a_reload(visit: Visit):
+    targets = [{"name": str(n), "position_mm": [10.0 * n, 0.0, 2000.0 + n * n]} for n in range(12)]
+    session = {"device_id": "sim", "id": "kept", "targets": targets}
+    httpx.post(f"{visit.url}/api/v1/captures", json=session, timeout=60).raise_for_status()
+    page = visit.page
+    visit.screen("Calibrate")
+    page.get_by_role("row", name="kept").get_by_role("button").click()
+    page.get_by_role("heading", name="kept").wait_for()
+    visit.screen("Beam holds")
+    page.get_by_role("heading", name="kept").wait_for(state="detached")
+    visit.screen("Calibrate")
+    page.get_by_role("heading", name="kept").wait_for()
+    page.reload()
+    page.get_by_role("heading", name="kept").wait_for()
+    page.get_by_role("button", name="Back", exact=True).click()
+    page.get_by_role("row", name="kept").wait_for()
+    httpx.delete(f"{visit.url}/api/v1/captures/kept").raise_for_status()
+
+
 def test_scan_is_frozen_zoomed_and_saved(visit: Visit, tmp_path: Path):
     show(visit.url, {"kind": "calibration-frame"})
     page = visit.page

@@ -8,6 +8,7 @@ import { usePolled } from "../../live/polling";
 import { text } from "../../text";
 import { attempt } from "../../ui/attempt";
 import { time } from "../../ui/format";
+import { keptSignal } from "../../ui/kept";
 import { Action, Badge, Failure, Panel, Table } from "../../ui/parts";
 import { parseTargets } from "../../ui/targets";
 import { readText } from "../../ui/text_file";
@@ -30,7 +31,8 @@ export function Calibrate() {
 
 function DeviceCalibration({ device: shown }: { device: Device }) {
   const calibration = useSignal<string | null>(null);
-  const way = useSignal<Way>("frame");
+  const way = keptSignal("way");
+  const chosen = WAYS.find((one) => one === way.value) ?? "frame";
   const table = useSignal<string | null>(null);
   const calibrated = (id: string) => (calibration.value = id);
   const purposes: Record<Exclude<Way, "wand">, (capture: Capture) => ComponentChildren> = {
@@ -41,13 +43,13 @@ function DeviceCalibration({ device: shown }: { device: Device }) {
   return (
     <>
       <LightCheck device={shown} />
-      <Ways chosen={way.value} choose={(one) => (way.value = one)} />
-      {way.value === "wand" ? (
+      <Ways chosen={chosen} choose={(one) => (way.value = one)} />
+      {chosen === "wand" ? (
         <WandCalibration device={shown} calibrated={calibrated} />
       ) : (
-        <Captures device={shown} purpose={purposes[way.value]} />
+        <Captures device={shown} purpose={purposes[chosen]} />
       )}
-      {way.value === "mapping" ? <CorrectionTables device={shown} table={table} /> : null}
+      {chosen === "mapping" ? <CorrectionTables device={shown} table={table} /> : null}
       {calibration.value ? (
         <CalibrationResult key={calibration.value} id={calibration.value} device={shown} open={calibrated} />
       ) : null}
@@ -78,7 +80,7 @@ function Ways({ chosen, choose }: { chosen: Way; choose: (way: Way) => void }) {
 
 /** The open capture session, or what begins one. */
 function Captures({ device: shown, purpose }: { device: Device; purpose: (capture: Capture) => ComponentChildren }) {
-  const session = useSignal<string | null>(null);
+  const session = keptSignal(`capture ${shown.id}`);
   const captures = usePolled(`captures ${shown.id}`, () =>
     sent(api.GET("/api/v1/captures", { params: { query: { device_id: shown.id, limit: 20 } } })),
   );

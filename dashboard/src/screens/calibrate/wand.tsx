@@ -8,6 +8,7 @@ import { usePolled } from "../../live/polling";
 import { text } from "../../text";
 import { attempt } from "../../ui/attempt";
 import { significant } from "../../ui/format";
+import { keptSignal } from "../../ui/kept";
 import { Action, Failure, Panel, Table } from "../../ui/parts";
 import { RunAction } from "../../ui/run_action";
 import { sectors } from "./direction_grid";
@@ -25,7 +26,7 @@ interface WandProps {
 }
 
 export function WandCalibration({ device, calibrated }: WandProps) {
-  const session = useSignal<string | null>(null);
+  const session = keptSignal(`wave capture ${device.id}`);
   const waves = usePolled(`waves ${device.id}`, () =>
     sent(api.GET("/api/v1/wave-captures", { params: { query: { device_id: device.id, limit: 20 } } })),
   );

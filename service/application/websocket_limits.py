@@ -1,16 +1,24 @@
-"""Websocket buffers and deadlines: who does not read is closed; connections open one by one."""
+"""Websocket buffers and deadlines: who does not read is closed; connections open one by one.
+
+What is no handshake is refused as other requests are, by a problem document.
+"""
 
 import asyncio
 import socket
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
+from functools import partial
 from typing import Any, Final
 from weakref import WeakKeyDictionary
 
 from uvicorn.protocols.utils import ClientDisconnected
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 from websockets.exceptions import InvalidState
+from websockets.http11 import Response
 
+from service.problems.catalogue import PROBLEM_TYPES
+from service.problems.errors import MalformedRequest, UpgradeRequired
+from service.problems.handlers import SECURITY_HEADERS, problem_response
 from service.protocols.stream.router import SEND_MANY
 
 SEND_BUFFER_BYTES: Final = 32 * 1024
@@ -30,6 +38,13 @@ that connect together then lengthen the others' latency at the 99th percentile b
 OPENING_WAIT_S: Final = 10.0
 """How long one waits for its turn: those before it may be slow, as where the database is."""
 
+_REFUSALS: Final = {
+    400: MalformedRequest.code,
+    405: "method-not-allowed",
+    426: UpgradeRequired.code,
+    500: "internal-error",
+}
+
 _turns: WeakKeyDictionary[asyncio.AbstractEventLoop, asyncio.Semaphore] = WeakKeyDictionary()
 
 
@@ -40,6 +55,7 @@ class LimitedWebSocketProtocol(WebSocketsSansIOProtocol):
         super().__init__(*positional, **named)
         self._stalled: asyncio.TimerHandle | None = None
         self._turn: asyncio.Semaphore | None = None
+        self.conn.reject = partial(_reject, self.conn.reject)  # type: ignore[method-assign]
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Bound the kernel's buffer of the connection."""
@@ -133,3 +149,22 @@ class LimitedWebSocketProtocol(WebSocketsSansIOProtocol):
         except InvalidState:
             raise ClientDisconnected from None
         self.transport.write(b"".join(self.conn.data_to_send()))
+
+
+def _reject(reject: Callable[[Any, str], Response], status: int, text: str) -> Response:
+    """Refuse a handshake by a problem document, with the headers that all answers have."""
+    response = reject(status, text)
+    changed = dict(SECURITY_HEADERS)
+    if status in _REFUSALS:
+        detail = text.partition("\n")[0]
+        problem = problem_response(PROBLEM_TYPES[_REFUSALS[status]], detail, "/")
+        response.body = bytes(problem.body)
+        changed |= {
+            "Content-Type": problem.headers["content-type"],
+            "Content-Length": str(len(response.body)),
+        }
+    for name, value in changed.items():
+        if name in response.headers:
+            del response.headers[name]  # else there would be two
+        response.headers[name] = value
+    return response

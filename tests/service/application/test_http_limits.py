@@ -40,6 +40,7 @@ def port(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
         uvicorn.Config(
             answer,
             http="service.application.http_limits:LimitedHttpProtocol",
+            ws="service.application.websocket_limits:LimitedWebSocketProtocol",
             limit_concurrency=CONNECTIONS,
             lifespan="off",
             log_config=None,
@@ -175,3 +176,26 @@ def test_silent_connections_lock_nobody_out(port: int, monkeypatch: pytest.Monke
         connection.close()
     for one in silent:
         one.close()
+
+
+@pytest.mark.parametrize(
+    ("handshake", "refused"),
+    [
+        (b"", (400, "/problems/malformed-request")),
+        (b"Sec-WebSocket-Key: short\r\n", (400, "/problems/malformed-request")),
+        (b"Sec-WebSocket-Version: 8\r\n", (400, "/problems/malformed-request")),
+    ],
+)
+def test_what_is_no_handshake_is_refused_as_other_requests_are(
+    port: int, handshake: bytes, refused: tuple[int, str]
+) -> None:
+    upgrade = b"GET / HTTP/1.1\r\nHost: x\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+    assert problem(everything(opened(port, upgrade + handshake + b"\r\n"))) == refused
+
+
+def test_a_websocket_whose_application_fails_is_answered_as_other_requests_are(port: int) -> None:
+    handshake = (
+        b"GET / HTTP/1.1\r\nHost: x\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+        b"Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n"
+    )
+    assert problem(everything(opened(port, handshake))) == (500, "/problems/internal-error")

@@ -59,7 +59,7 @@ def serve_terminal(
             link.symlink_to(name)
         named(name)
         device = make(time.monotonic_ns())
-        _serve(device, ours, lambda data: _write(ours, data), ended)
+        _serve(device, ours, lambda data: _write(ours, data, ended), ended)
     finally:
         if link is not None:
             link.unlink(missing_ok=True)
@@ -86,11 +86,11 @@ def _serve(
                 send(message)
 
 
-def _write(descriptor: int, data: bytes) -> None:
+def _write(descriptor: int, data: bytes, ended: Event) -> None:
     """Write to a terminal that may be full; data not accepted in time are lost."""
     end = time.monotonic() + _SEND_S
     view = memoryview(data)
-    while view and time.monotonic() < end:
+    while view and time.monotonic() < end and not ended.is_set():
         try:
             view = view[os.write(descriptor, view) :]
         except BlockingIOError:

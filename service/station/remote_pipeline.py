@@ -11,7 +11,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import count
-from threading import Condition, RLock
+from threading import Condition, Lock, RLock
 from typing import Any, Final, Protocol
 
 import numpy as np
@@ -301,8 +301,12 @@ class RemotePipeline:
         self._starter = starter
         self._restarts = self._failures = self._messages_missed = 0
         self._began_s = time.monotonic()
+        self._replacing = Lock()
+        """Held while another station takes a lost one's place."""
+        self._reading: StationProcess | None = None
+        """Whose messages are read; of the event loop alone."""
         self._station = StationProcess(self._starter, self._start, self._lost)
-        self._loop.add_reader(self._station.doorbell.descriptor, self._read)
+        self._begin_reading(self._station)
         streams.on_clients(lambda device_id, number: self.notify("set_clients", device_id, number))
 
     @property
@@ -476,14 +480,14 @@ class RemotePipeline:
 
     def close(self) -> None:
         """Stop all devices, and the station."""
-        self._closing = True
-        station = self._station
+        with self._replacing:
+            self._closing = True
+            station = self._station
         station.close()
         ended = threading.Event()
 
         def release() -> None:
-            self._loop.remove_reader(station.doorbell.descriptor)
-            station.release()
+            self._release(station)
             ended.set()
 
         call_in_loop(self._loop, release)
@@ -621,22 +625,31 @@ class RemotePipeline:
         self._restarts += 1
         time.sleep(RESTART_S[0 if steady else min(self._failures, len(RESTART_S) - 1)])
         self._failures = 1 if steady else self._failures + 1
-        if self._closing:
-            return
-        self._began_s = time.monotonic()
-        self._station = StationProcess(self._starter, self._start, self._lost)
-        call_in_loop(
-            self._loop, self._loop.add_reader, self._station.doorbell.descriptor, self._read
-        )
+        with self._replacing:
+            if self._closing:
+                return
+            self._began_s = time.monotonic()
+            self._station = StationProcess(self._starter, self._start, self._lost)
+        call_in_loop(self._loop, self._begin_reading, self._station)
         self._restore()
+
+    def _begin_reading(self, station: StationProcess) -> None:
+        self._loop.add_reader(station.doorbell.descriptor, self._read)
+        self._reading = station
+
+    def _release(self, station: StationProcess) -> None:
+        """Read a station's messages no more; one that was lost is released already."""
+        if self._reading is station:
+            self._reading = None
+            self._loop.remove_reader(station.doorbell.descriptor)
+            station.release()
 
     def _end_station(self, station: StationProcess, why: str) -> None:
         """Take the last messages of a station, and tell that its devices are away."""
         self._due = 1 << 30
         while self._due:
             self._read()
-        self._loop.remove_reader(station.doorbell.descriptor)
-        station.release()
+        self._release(station)
         reason = f"the process that owns the devices has ended ({why}) and is started again"
         self.holds.fail(reason)
         away = {}

@@ -34,6 +34,7 @@ from service.protocols.stream.messages import CONTENTS
 from service.station import station_process
 from service.station.bus_messages import BatchMessage
 from service.station.remote_pipeline import RemotePipeline
+from service.station.station_process import StationProcess
 from service.station.station_starter import StationStarter
 from tests.service.api.beam_holds.batches import CHEST, hold
 from tests.service.pipeline.test_tools_live import SCENE, tools
@@ -83,6 +84,7 @@ def results(live: Pipeline, hub: Hub, path: Path) -> list[dict[str, Any]]:
     return [one for one in messages(hub, "sim") if one["type"] == "frame"]
 
 
+@pytest.mark.slow
 def test_results_are_those_of_one_process(make_pipeline: MakePipeline, recording: Path) -> None:
     hub, own = Hub(), Hub()
     far = results(make_pipeline(hub), hub, recording)
@@ -351,6 +353,28 @@ def test_call_to_a_lost_station_is_told_to_come_again(pipeline: RemotePipeline) 
     assert "is started again; try again" in str(caught[0])
 
 
+def test_pipeline_that_is_closed_as_its_station_is_lost_releases_each_station_once(
+    make_pipeline: MakePipeline, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Descriptors closed twice may be others' by then."""
+    released: list[StationProcess] = []
+    release = StationProcess.release
+
+    def count(station: StationProcess) -> None:
+        released.append(station)
+        release(station)
+
+    monkeypatch.setattr(StationProcess, "release", count)
+    told = threading.Event()
+    hub = Hub()
+    live = make_pipeline(hub)
+    monkeypatch.setattr(live.holds, "fail", lambda _: told.set())
+    os.kill(live.station.process_id, signal.SIGKILL)
+    assert told.wait(WAIT_S)
+    live.close()
+    assert len(released) == len(set(released)) >= 1
+
+
 def test_lines_of_the_stations_log_come_here(
     pipeline: RemotePipeline, kept_log: pytest.LogCaptureFixture
 ) -> None:
@@ -377,6 +401,7 @@ from service.pipeline.detection_stage import built_in_profile
 from service.protocols.stream.hub import Hub
 from service.station.bus_messages import BatchMessage
 from service.station.remote_pipeline import RemotePipeline
+from service.station.station_process import StationProcess
 from service.station.station_starter import StationStarter
 
 # Who starts a shell's job in the background lets it ignore this one.
@@ -410,7 +435,12 @@ def is_there(process_id: int) -> bool:
 
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="no /proc on this machine")
 @pytest.mark.parametrize(
-    ("how", "device"), [(signal.SIGKILL, ""), (signal.SIGINT, ""), (signal.SIGKILL, "hangs")]
+    ("how", "device"),
+    [
+        (signal.SIGKILL, ""),
+        (signal.SIGINT, ""),
+        pytest.param(signal.SIGKILL, "hangs", marks=pytest.mark.slow),
+    ],
 )
 def test_station_ends_with_its_gateway(how: signal.Signals, device: str) -> None:
     gateway = subprocess.Popen(

@@ -35,5 +35,5 @@ def test_health_of_a_running_device_shows_stages_losses_and_processes(visit: Vis
     for name, note in (("Gateway", "open files"), ("Station", "never lost")):
         row = processes.get_by_role("row", name=re.compile(name)).inner_text()
         assert note in row
-        assert re.search(r"\d MiB|\d MB", row)
+        assert re.search(r"\d [MG]B", row)
     assert not serious_findings(page)

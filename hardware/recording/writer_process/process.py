@@ -51,7 +51,10 @@ class _Documents:
             if first < 0:
                 self.reason.put(self._source.read(second).decode(errors="replace"))
                 break
-            self._queue.put((self._source.read(first), self._source.read(second)))
+            document, table = self._source.read(first), self._source.read(second)
+            if (len(document), len(table)) != (first, second):
+                break  # whoever sent it has ended meanwhile
+            self._queue.put((document, table))
         self._queue.put(None)
 
 

@@ -19,7 +19,7 @@ from hardware.recording.layout import unfinished_path
 from hardware.recording.reader import RecordingReader
 from hardware.recording.writer import RecordingWriter
 from hardware.recording.writer_process.client import WRITER_DIED, WriterProcessClient
-from hardware.recording.writer_process.job import WriterJob
+from hardware.recording.writer_process.job import DOCUMENT, WriterJob
 from hardware.recording.writer_process.process import ORPHANED
 from tests.hardware.recording.blocks import (
     assert_same_block,
@@ -119,6 +119,27 @@ def test_a_program_that_is_killed_leaves_all_that_it_handed_over(tmp_path: Path)
     assert (info.complete, info.state.reason) == (False, ORPHANED)
     assert info.frames >= before
     check_frames(path, info.frames)
+
+
+def test_a_program_that_is_killed_within_a_calibration_leaves_what_came_before(
+    tmp_path: Path,
+) -> None:
+    """A calibration may be larger than the pipe that it is sent by."""
+    path = tmp_path / "r.h5"
+    feed = WriterProcessClient(job(path))
+    feed.put_active_calibration(lambda: (b'{"id": "c"}', b"table" * 1000))
+    assert put(feed, 0, 40)
+    wait_for(lambda: feed.status.state.frames == 40)
+    whole = DOCUMENT.pack(100_000, 9) + b"x" * 100_009
+    feed._sender.send(lambda: whole[:65_536])
+    one = block(40, 10, calibration_row=1)
+    assert feed.put(one.rows, list(one.lines), one.peaks, one.points)
+    feed._sender.close()
+    assert feed.wait(240.0)
+    info = read_recording(path)
+    assert (info.complete, info.state.reason) == (False, ORPHANED)
+    assert info.state.active_calibrations == 1
+    check_frames(path, 40)
 
 
 def _runs(pid: int) -> bool:

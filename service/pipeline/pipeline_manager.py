@@ -176,13 +176,13 @@ class PipelineManager:
             if opening.cancelled.is_set():
                 return
             if opening.state == "failed":
-                self._openings.pop(device_id, None)
                 self._refuse(device_id, opening.reason or "")
             else:
                 self.streams.publish_status(device_id, opening.state, opening.reason, opening.state)
 
     def _refuse(self, device_id: str, reason: str) -> None:
         """Keep and publish why a device was not started."""
+        self._openings.pop(device_id, None)
         self._sessions.pop(device_id, None)
         self._refused[device_id] = reason
         self.streams.publish_status(device_id, "failed", reason)

@@ -340,7 +340,7 @@ class RemotePipeline:
 
         Raises:
             NotReady: there is no station now.
-            LumilineError: what the method raised.
+            LumilineError: what the method raised; RuntimeError for any other error.
         """
         if threading.get_ident() == self._loop_thread:
             raise RuntimeError(f"{method} waits for the event loop, and was called in it")
@@ -351,6 +351,9 @@ class RemotePipeline:
                 lambda: station is not self._station or station.reader.position >= answer.head,
                 _PASS_S,
             )
+        # What failed has changed something, too.
+        if answer.error is not None:
+            raise answer.error
         return answer.result
 
     def notify(self, method: str, *args: Any) -> None:

@@ -64,11 +64,10 @@ class StationProcess:
         self._receiver.start()
 
     def call(self, method: str, *args: Any, **members: Any) -> Answer:
-        """Call a method of the station, and wait for its answer.
+        """Call a method of the station; return its answer, which may be an error.
 
         Raises:
             NotReady: the station ends, or has ended.
-            LumilineError: what the method raised; RuntimeError for any other error.
         """
         future: Future[Answer] = Future()
         with self._lock:
@@ -78,10 +77,7 @@ class StationProcess:
             call = Call(self._number, method, args, members)
             self._answers[self._number] = future
         self._outgoing.put(pickle.dumps(call))
-        answer = future.result()
-        if answer.error is not None:
-            raise answer.error
-        return answer
+        return future.result()
 
     def notify(self, method: str, *args: Any) -> None:
         """Call a method of the station whose answer nobody needs; never waits."""

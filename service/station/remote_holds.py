@@ -40,6 +40,8 @@ class RemoteHolds:
         self._states: dict[str, dict[str, BeamHoldState]] = {}
         self._tokens: dict[str, BeamEnableToken] = {}
         self._last_held: dict[str, BeamHoldState] = {}
+        self._lapsed: set[str] = set()
+        """Holds whose deadline passed here: clients may have been told that they hold."""
         self._listeners: list[Listener] = []
         self.changed = Condition()
         """Its lock is that of the states; notified when there is another deadline to watch."""
@@ -56,6 +58,8 @@ class RemoteHolds:
             if known is None:
                 known = self._tokens[hold_id] = BeamEnableToken(time.monotonic)
                 self.changed.notify_all()
+            elif known.over:
+                self._lapsed.add(hold_id)
             known.due_s = max(known.due_s, due_s)
             return known
 
@@ -74,11 +78,16 @@ class RemoteHolds:
         with self.changed:
             for now in newest:
                 self._keep(device_id, now)
+                if now.hold_id in self._lapsed and not now.standing.held:
+                    # The station has never held it, and tells of no change.
+                    self._lapsed.discard(now.hold_id)
+                    self._tell(device_id, now, last=False)
 
     def change(self, device_id: str, now: BeamHoldState, *, last: bool) -> None:
         """Take a change, and tell of it; ``last``: the hold was deleted."""
         with self.changed:
             self._keep(device_id, now)
+            self._lapsed.discard(now.hold_id)
             if last:
                 self._states.get(device_id, {}).pop(now.hold_id, None)
                 self._tokens.pop(now.hold_id, None)
@@ -163,6 +172,7 @@ class RemoteHolds:
         if token is not None:
             token.ended = now
         self._states[device_id][now.hold_id] = now
+        self._lapsed.add(now.hold_id)
         self._tell(device_id, now, last=False)
 
     def _keep(self, device_id: str, now: BeamHoldState) -> None:

@@ -106,6 +106,23 @@ def test_deadline_holds_without_a_word() -> None:
     assert not held(bench)
 
 
+@pytest.mark.parametrize("checked", [True, False])
+def test_batches_tell_that_a_beam_goes_on_whose_deadline_had_passed(checked: bool) -> None:
+    """The station never held it, so that no change of it comes."""
+    bench = Bench()
+    bench.say(1, held=False, in_s=0.01)
+    time.sleep(0.02 + GRACE_S)
+    if checked:
+        bench.holds.check()
+        assert bench.published[-1].held
+    count = len(bench.published)
+    for _ in range(2):
+        bench.holds.take("sim", [bench.state(1, held=False)])
+        assert not held(bench)
+    assert len(bench.published) == len(bench.told) == count + 1
+    assert not bench.published[-1].standing.held
+
+
 def test_newer_data_move_the_deadline() -> None:
     bench = Bench()
     bench.say(1, held=False, in_s=0.02)

@@ -276,6 +276,8 @@ class ComputeThread:
                 busy = later = False
                 self._run_jobs()
                 for name, worker in list(self._workers.items()):
+                    if self._workers.get(name) is not worker:
+                        continue  # a job has removed it meanwhile
                     self._since_s = time.monotonic()
                     try:
                         done = worker()

@@ -294,6 +294,7 @@ class RemotePipeline:
         self._away: dict[str, DeviceFigures] = {}
         """Devices of a lost station that are not started again yet."""
         self._lock = RLock()
+        self._turns: dict[str, RLock] = {}
         self._passed = Condition()
         """Notified when more of the bus was read."""
         self._due = 0
@@ -368,54 +369,59 @@ class RemotePipeline:
         accept: Accept = any_device,
     ) -> DeviceDescription | None:
         """Open the driver and start its reader; raises LumilineError when it cannot be opened."""
-        version = self._remember(device_id, active)
         started = _StartedDevice(pickle.dumps(driver), accept)
-        with self._lock:
-            self._started[device_id] = started
-        try:
-            description: DeviceDescription | None = self.call(
-                "start_device", device_id, started.driver, active, version, accept
-            )
-        except NotReady:
-            raise  # the next station starts it
-        except BaseException:
+        with self._turn(device_id):
+            version = self._remember(device_id, active)
             with self._lock:
-                if self._started.get(device_id) is started:
+                self._started[device_id] = started
+            try:
+                description: DeviceDescription | None = self.call(
+                    "start_device", device_id, started.driver, active, version, accept
+                )
+            except NotReady:
+                raise  # the next station starts it
+            except BaseException:
+                with self._lock:
                     del self._started[device_id]
-            raise
-        return description
+                raise
+            return description
 
     def stop_device(self, device_id: str) -> None:
         """Stop the device and close its driver; nothing happens when it is not running."""
-        with self._lock:
-            self._started.pop(device_id, None)
-        self.call("stop_device", device_id)
-        self.poses.remove(device_id)
+        with self._turn(device_id):
+            with self._lock:
+                self._started.pop(device_id, None)
+            self.call("stop_device", device_id)
+            self.poses.remove(device_id)
 
     def forget_device(self, device_id: str) -> None:
         """Stop the device, drop its counters and end its streams: it is deleted."""
-        with self._lock:
-            self._started.pop(device_id, None)
-            self._tracked.pop(device_id, None)
-        self.call("forget_device", device_id)
-        with self._lock:
-            self._calibrations.pop(device_id, None)
-        self.poses.remove(device_id)
+        with self._turn(device_id):
+            with self._lock:
+                self._started.pop(device_id, None)
+                self._tracked.pop(device_id, None)
+            self.call("forget_device", device_id)
+            with self._lock:
+                self._calibrations.pop(device_id, None)
+            self.poses.remove(device_id)
 
     def set_calibration(self, device_id: str, active: ActiveCalibration) -> None:
         """Switch calibration and table between two frames; nothing happens when it is not running.
 
         Nor when the device runs with other sensors than the calibration's.
         """
-        self.call("set_calibration", device_id, active, self._remember(device_id, active))
+        with self._turn(device_id), suppress(NotReady):  # the next station is told
+            self.call("set_calibration", device_id, active, self._remember(device_id, active))
 
     def set_tracking_config(self, device_id: str, tracked: TrackingConfig) -> None:
         """Set a device's tracking configuration: from the next batch on, or once it is started."""
-        with self._lock:
-            self._tracked[device_id] = tracked
-        self.call("set_tracking_config", device_id, tracked)
-        if not tracked.tools:
-            self.poses.remove(device_id)
+        with self._turn(device_id):
+            with self._lock:
+                self._tracked[device_id] = tracked
+            with suppress(NotReady):  # the next station is told
+                self.call("set_tracking_config", device_id, tracked)
+            if not tracked.tools:
+                self.poses.remove(device_id)
 
     def tracked(self, device_id: str) -> TrackingConfig:
         """Return a device's tracking configuration, now or once it is started."""
@@ -502,6 +508,15 @@ class RemotePipeline:
             name: one for name, one in self._figures.devices.items() if one.description is not None
         }
 
+    def _turn(self, device_id: str) -> RLock:
+        """Return what is held while a device is commanded: one command after another.
+
+        A station that takes the place of a lost one is told the same as the one before, while
+        others command it.
+        """
+        with self._lock:
+            return self._turns.setdefault(device_id, RLock())
+
     def _remember(self, device_id: str, active: ActiveCalibration) -> int:
         version = next(self._versions)
         with self._lock:
@@ -586,11 +601,14 @@ class RemotePipeline:
             self.poses.put(newest_poses(batch, batch.motion, frame_rate_hz))
 
     def _take_figures(self, figures: StationFigures) -> None:
+        # Not "stopped" while it is their turn to be started again.
+        self._away = {
+            name: one
+            for name, one in self._away.items()
+            if name in self._started and name not in figures.devices
+        }
         if self._away:
-            # Not "stopped" while it is their turn to be started again.
-            there = {**self._away, **figures.devices}
-            self._away = {name: self._away[name] for name in self._away.keys() - figures.devices}
-            figures = replace(figures, devices=there)
+            figures = replace(figures, devices=self._away | figures.devices)
         self._figures = figures
         for device_id, one in figures.devices.items():
             known = self._devices.get(device_id)
@@ -624,17 +642,29 @@ class RemotePipeline:
 
         call_in_loop(self._loop, end)
         done.wait()
-        steady = time.monotonic() - self._began_s > STEADY_S
         self._restarts += 1
-        time.sleep(RESTART_S[0 if steady else min(self._failures, len(RESTART_S) - 1)])
-        self._failures = 1 if steady else self._failures + 1
+        if time.monotonic() - self._began_s > STEADY_S:
+            self._failures = 0
+        while not self._closing and not self._replace():
+            pass
+        if not self._closing:
+            self._restore()
+
+    def _replace(self) -> bool:
+        """Start another station, after a while if the last ones did not last; return whether."""
+        time.sleep(RESTART_S[min(self._failures, len(RESTART_S) - 1)])
+        self._failures += 1
         with self._replacing:
             if self._closing:
-                return
+                return False
             self._began_s = time.monotonic()
-            self._station = StationProcess(self._starter, self._start, self._lost)
+            try:
+                self._station = StationProcess(self._starter, self._start, self._lost)
+            except OSError as error:
+                _log.critical("no other station can be started now: %s", error)
+                return False
         call_in_loop(self._loop, self._begin_reading, self._station)
-        self._restore()
+        return True
 
     def _begin_reading(self, station: StationProcess) -> None:
         self._loop.add_reader(station.doorbell.descriptor, self._read)
@@ -675,21 +705,33 @@ class RemotePipeline:
     def _restore(self) -> None:
         """Start the devices of the station before, as they were."""
         with self._lock:
-            tracked, started = dict(self._tracked), dict(self._started)
+            tracked, started = tuple(self._tracked), tuple(self._started)
         for device_id, number in self.streams.client_counts().items():
             self.notify("set_clients", device_id, number)
         try:
-            for device_id, config in tracked.items():
-                self.call("set_tracking_config", device_id, config)
-            for device_id, one in started.items():
-                active = self.calibration(device_id)
-                version = self._remember(device_id, active)
-                try:
-                    self.call("start_device", device_id, one.driver, active, version, one.accept)
-                except NotReady:
-                    raise
-                except LumilineError as error:
-                    _log.error("device %s was not started again: %s", device_id, error.detail)
+            for device_id in tracked:
+                with self._turn(device_id):
+                    self.call("set_tracking_config", device_id, self.tracked(device_id))
+            for device_id in started:
+                with self._turn(device_id):
+                    self._start_again(device_id)
         except NotReady:
             return  # that station is lost, too: its successor begins anew
-        self._away = {}
+
+    def _start_again(self, device_id: str) -> None:
+        """Start a device as it was, unless it was stopped meanwhile; raises NotReady."""
+        one = self._started.get(device_id)
+        if one is None:
+            return
+        active = self.calibration(device_id)
+        version = self._remember(device_id, active)
+        try:
+            self.call("start_device", device_id, one.driver, active, version, one.accept)
+        except NotReady:
+            raise
+        except LumilineError as error:
+            _log.error("device %s was not started again: %s", device_id, error.detail)
+        except Exception:  # noqa: BLE001 - the others are started all the same
+            with self._lock:
+                del self._started[device_id]
+            _log.exception("device %s was not started again", device_id)

@@ -50,12 +50,17 @@ class StationProcess:
         self.doorbell = Doorbell()
         self.reader = RingReader(memory, from_begin=True)
         ours, theirs = socket.socketpair()
-        with theirs:
-            descriptors = (theirs.fileno(), memory, self.doorbell.write_descriptor)
-            self.process_id = starter.start(descriptors)
-            """Of the operating system."""
-        os.close(memory)
         self._connection = Connection(ours.detach())
+        try:
+            with theirs:
+                descriptors = (theirs.fileno(), memory, self.doorbell.write_descriptor)
+                self.process_id = starter.start(descriptors)
+                """Of the operating system."""
+        except OSError:
+            self.release()
+            raise
+        finally:
+            os.close(memory)
         self._outgoing: SimpleQueue[bytes | None] = SimpleQueue()
         self._sender = Thread(target=self._send, name="station-calls", daemon=True)
         self._receiver = Thread(target=self._receive, name="station-answers", daemon=True)

@@ -27,8 +27,11 @@ from service.pipeline.device_status import DeviceStatus
 from service.pipeline.frame_batch import FrameBatch
 from service.pipeline.frame_processor import FrameProcessor
 from service.pipeline.pipeline_manager import PipelineManager
+from service.pipeline.threads import ComputeThread
 from service.protocols.stream.hub import Hub
 from service.protocols.stream.messages import StreamBatch
+
+WAIT_S = 240.0
 
 
 class RecordingHub(Hub):
@@ -464,3 +467,35 @@ def test_a_closed_manager_starts_nothing_and_does_not_hang() -> None:
         manager.start_device("other", SimulatedDriver("sim", SimulationSettings()))
     names = [thread.name for thread in threading.enumerate()]
     assert "reader-sim" not in names
+
+
+def test_worker_that_a_job_removes_is_not_called_again_in_the_same_round() -> None:
+    """Else frames of a device that was stopped come behind the message that says so."""
+    compute = ComputeThread()
+    began, go_on = threading.Event(), threading.Event()
+    calls: list[str] = []
+
+    def first() -> bool:
+        calls.append("first")
+        began.set()
+        go_on.wait(WAIT_S)
+        return False
+
+    def second() -> bool:
+        calls.append("second")
+        return False
+
+    def add() -> None:
+        compute.add("first", first)
+        compute.add("second", second)
+
+    try:
+        compute.submit(add)
+        assert began.wait(WAIT_S)
+        removed = compute.submit(lambda: compute.remove("second"))
+        go_on.set()
+        removed.result(WAIT_S)
+        compute.submit(lambda: None).result(WAIT_S)
+    finally:
+        compute.close()
+    assert set(calls) == {"first"}

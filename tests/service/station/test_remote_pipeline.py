@@ -327,6 +327,77 @@ def seen_last(pipeline: RemotePipeline) -> set[str]:
     return {pipeline.status(name).state for name in ("one", "two", "three")}
 
 
+def test_device_that_is_stopped_while_its_station_is_replaced_stays_stopped(
+    pipeline: RemotePipeline, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("one", "two"):
+        pipeline.start_device(name, SimulatedDriver(name, LIVE), CALIBRATED)
+    first_again, go_on = threading.Event(), threading.Event()
+    call = RemotePipeline.call
+
+    def wait_at_the_first(self: RemotePipeline, method: str, *args: Any, **members: Any) -> Any:
+        if method == "start_device" and threading.current_thread().name == "station-lost":
+            first_again.set()
+            go_on.wait(WAIT_S)
+        return call(self, method, *args, **members)
+
+    monkeypatch.setattr(RemotePipeline, "call", wait_at_the_first)
+    os.kill(pipeline.station.process_id, signal.SIGKILL)
+    assert first_again.wait(WAIT_S)
+    pipeline.stop_device("two")
+    assert pipeline.status("two").state == "stopped"
+    pipeline.set_tracking_config("two", TrackingConfig(True))
+    go_on.set()
+    wait_for(lambda: pipeline.status("one").state == "running")
+    pipeline.refresh()
+    assert pipeline.status("two").state == "stopped"
+    assert pipeline.call("last_sequence", "one") >= -1
+    with pytest.raises(DeviceNotRunning):
+        pipeline.call("last_sequence", "two")
+
+
+def test_changes_without_a_station_reach_the_next_one(
+    pipeline: RemotePipeline, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pipeline.start_device("sim", SimulatedDriver("sim", LIVE), ActiveCalibration())
+    lost, go_on = threading.Event(), threading.Event()
+    replace_station = RemotePipeline._replace
+
+    def later(self: RemotePipeline) -> bool:
+        lost.set()
+        go_on.wait(WAIT_S)
+        return replace_station(self)
+
+    monkeypatch.setattr(RemotePipeline, "_replace", later)
+    os.kill(pipeline.station.process_id, signal.SIGKILL)
+    assert lost.wait(WAIT_S)
+    pipeline.set_calibration("sim", CALIBRATED)
+    pipeline.set_tracking_config("sim", TrackingConfig(True))
+    go_on.set()
+    wait_for(lambda: pipeline.status("sim").state == "running")
+    assert pipeline.status("sim").calibration_id == "nominal"
+    assert pipeline.tracked("sim").tracks
+
+
+def test_station_that_cannot_be_started_is_tried_again(
+    pipeline: RemotePipeline, monkeypatch: pytest.MonkeyPatch, kept_log: pytest.LogCaptureFixture
+) -> None:
+    pipeline.start_device("sim", SimulatedDriver("sim", LIVE), CALIBRATED)
+    start, refused = StationStarter.start, []
+
+    def refuse_once(self: StationStarter, descriptors: Any) -> int:
+        if not refused:
+            refused.append(descriptors)
+            raise OSError("no memory")
+        return start(self, descriptors)
+
+    monkeypatch.setattr(StationStarter, "start", refuse_once)
+    os.kill(pipeline.station.process_id, signal.SIGKILL)
+    wait_for(lambda: pipeline.station.restarts == 1 and pipeline.status("sim").state == "running")
+    assert refused
+    assert "no other station can be started now: no memory" in kept_log.text
+
+
 def test_starter_that_is_gone_is_replaced(
     make_pipeline: MakePipeline, starter: StationStarter
 ) -> None:

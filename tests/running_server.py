@@ -1,5 +1,7 @@
 """A real server in this process: uvicorn on a free port, SQLite, the simulated device."""
 
+import atexit
+import functools
 import socket
 import threading
 import time
@@ -13,6 +15,22 @@ import uvicorn
 from service.application.app import create_app
 from service.cli.serve import server_options
 from service.settings import Settings
+from service.station.station_starter import StationStarter
+
+
+class SharedStarter(StationStarter):
+    """Forks the stations of one server after another: to load what they need takes a second."""
+
+    def close(self) -> None:
+        """Go on, for the next server."""
+
+
+@functools.cache
+def shared_starter() -> SharedStarter:
+    """Return the one of this process."""
+    starter = SharedStarter()
+    atexit.register(StationStarter.close, starter)
+    return starter
 
 
 @contextmanager
@@ -29,7 +47,8 @@ def serving(folder: Path, stream_lag_s: float = 60.0) -> Iterator[str]:
     )
     with socket.socket() as listener:
         listener.bind(("127.0.0.1", 0))
-        running = uvicorn.Server(uvicorn.Config(create_app(settings), **server_options(settings)))
+        app = create_app(settings, starter=shared_starter())
+        running = uvicorn.Server(uvicorn.Config(app, **server_options(settings)))
         thread = threading.Thread(target=running.run, kwargs={"sockets": [listener]})
         thread.start()
         url = f"http://127.0.0.1:{listener.getsockname()[1]}"

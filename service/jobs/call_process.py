@@ -1,6 +1,5 @@
 """CallProcess: a process that is kept and answers one call after another, with bounds."""
 
-import multiprocessing
 import pickle
 import signal
 from collections.abc import Callable
@@ -8,12 +7,13 @@ from threading import Lock
 from typing import TYPE_CHECKING, Any, Final
 
 from service.jobs.worker import Done, Failed, Message, serve
+from service.jobs.worker_process import process_context
 from service.problems.catalogue import ERRORS
 from service.problems.errors import WorkerEnded
 
 if TYPE_CHECKING:
     from multiprocessing.connection import Connection
-    from multiprocessing.context import SpawnProcess
+    from multiprocessing.process import BaseProcess
 
 _JOIN_S: Final = 5.0
 _IDLE_S: Final = 60.0
@@ -37,7 +37,7 @@ class CallProcess:
     def __init__(self, memory_bytes: int, peak_bytes: int, idle_s: float = _IDLE_S) -> None:
         self._bounds = (memory_bytes, idle_s, peak_bytes)
         self._lock = Lock()
-        self._process: SpawnProcess | None = None
+        self._process: BaseProcess | None = None
         self._pipe: Connection[Any, Any] | None = None
 
     def call(self, function: Callable[..., Any], *arguments: Any, timeout_s: float) -> Any:
@@ -99,13 +99,14 @@ class CallProcess:
         return message
 
     def _start(self) -> None:
-        context = multiprocessing.get_context("spawn")
-        self._pipe, theirs = context.Pipe()
-        self._process = context.Process(
-            target=serve, args=(theirs, *self._bounds), name="lumiline-calls", daemon=True
-        )
-        self._process.start()
-        theirs.close()
+        context = process_context()
+        ours, theirs = context.Pipe()
+        with theirs:
+            process = context.Process(
+                target=serve, args=(theirs, *self._bounds), name="lumiline-calls", daemon=True
+            )
+            process.start()
+        self._pipe, self._process = ours, process
 
     def _end(self, wait_s: float = _JOIN_S) -> int | None:
         """End the process, which may be about to end by itself; return its exit code."""

@@ -1,7 +1,7 @@
 """Main functions of worker processes: call functions and report through a pipe.
 
-Imports nothing heavy itself: what it sets for the numerical libraries must be set before they
-are loaded, with the task.
+Imports nothing heavy itself: what is set for the numerical libraries must be set before they are
+loaded, with the task or by ``preloaded``.
 """
 
 import contextlib
@@ -102,6 +102,7 @@ def _prepare(memory_bytes: int | None) -> None:
     # Ctrl-C, and its end, go to all processes of a terminal; the parent decides what becomes of
     # this one.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)  # what it was forked from ignores it
     if hasattr(signal, "SIGHUP"):
         signal.signal(signal.SIGHUP, signal.SIG_IGN)
     Thread(target=_end_with_parent, daemon=True).start()

@@ -1,24 +1,39 @@
-"""WorkerProcess: handle of a spawned process that runs one function."""
+"""WorkerProcess: handle of a process that runs one function."""
 
 import multiprocessing
 import pickle
 import time
 from collections.abc import Callable
+from functools import cache
 from types import TracebackType
-from typing import Any, Final, Self
+from typing import TYPE_CHECKING, Any, Final, Self
 
 from service.jobs.worker import Done, Failed, Message, Progress, work
 from service.problems.catalogue import ERRORS
 from service.problems.errors import WorkerEnded
 
+if TYPE_CHECKING:
+    from multiprocessing.context import ForkServerContext, SpawnContext
+
 _JOIN_S: Final = 5.0
 
 
-class WorkerProcess:
-    """Runs ``function(tell, *arguments)`` in a process of its own, which ends with this one.
+@cache
+def process_context() -> "ForkServerContext | SpawnContext":
+    """Return what worker processes are made with.
 
-    Spawned, not forked: a fork would copy locks that other threads of the server hold.
+    They are forked from a process that has loaded what they need, which takes a second, and has one
+    thread: a fork of the server would copy locks that its other threads hold.
     """
+    if "forkserver" not in multiprocessing.get_all_start_methods():
+        return multiprocessing.get_context("spawn")
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["service.jobs.preloaded"])
+    return context
+
+
+class WorkerProcess:
+    """Runs ``function(tell, *arguments)`` in a process of its own, which ends with this one."""
 
     def __init__(
         self,
@@ -33,14 +48,14 @@ class WorkerProcess:
             arguments: what can be pickled.
             memory_bytes: most memory that the process may take; None: no limit.
         """
-        context = multiprocessing.get_context("spawn")
+        context = process_context()
         self._pipe, theirs = context.Pipe(duplex=False)
         task = pickle.dumps((function, arguments))
-        self._process = context.Process(
-            target=work, args=(theirs, task, memory_bytes), name="lumiline-worker", daemon=True
-        )
-        self._process.start()
-        theirs.close()
+        with theirs:
+            self._process = context.Process(
+                target=work, args=(theirs, task, memory_bytes), name="lumiline-worker", daemon=True
+            )
+            self._process.start()
 
     @property
     def pid(self) -> int | None:

@@ -8,7 +8,6 @@ from typing import Any
 
 from compute.errors import NoConvergence
 
-# Not compute's own: importing that takes a second in every process.
 Progress = Callable[[float, str], None]
 
 
@@ -46,3 +45,7 @@ def take_memory(report_progress: Progress) -> int:
 
 def settings_of_process(report_progress: Progress) -> dict[str, Any]:
     return {"niceness": os.nice(0), "threads": os.environ["OPENBLAS_NUM_THREADS"]}
+
+
+def parent_of_process(report_progress: Progress) -> int:
+    return os.getppid()

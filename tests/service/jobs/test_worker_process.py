@@ -1,6 +1,7 @@
 """The worker's process: results, errors, limits, and its end with its parent."""
 
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -57,6 +58,28 @@ def test_killing_ends_the_process(tmp_path: Path):
         assert pid is not None
         assert is_running(pid)
     assert not is_running(pid)
+
+
+def test_process_ends_by_the_signal_of_a_parent_that_exits(tmp_path: Path):
+    with WorkerProcess(slow_tasks.wait_for_end, str(tmp_path / "pid")) as worker:
+        assert worker.next(60.0) is not None
+        assert worker.pid is not None
+        os.kill(worker.pid, signal.SIGTERM)
+        with pytest.raises(WorkerEnded, match=f"exit code {-signal.SIGTERM}"):
+            worker.next(60.0)
+
+
+@pytest.mark.parametrize(("number", "goes_on"), [(signal.SIGTERM, True), (signal.SIGKILL, False)])
+def test_process_that_workers_are_forked_from_is_replaced_only_when_it_is_gone(
+    number: signal.Signals, goes_on: bool
+):
+    first = call_in_process(slow_tasks.parent_of_process, **LIMITS)
+    os.kill(first, number)
+    end = time.monotonic() + 240.0
+    while not goes_on and is_running(first):
+        assert time.monotonic() < end
+        time.sleep(0.01)
+    assert (call_in_process(slow_tasks.parent_of_process, **LIMITS) == first) is goes_on
 
 
 def test_a_process_ends_with_its_parent(tmp_path: Path):

@@ -10,6 +10,7 @@ from service.pipeline.detection_stage import built_in_profile
 from service.protocols.stream.hub import Hub
 from service.station.remote_pipeline import RemotePipeline
 from service.station.station_starter import StationStarter
+from tests.running_server import shared_starter
 
 WAIT_S = 240.0
 """For what takes a second where the machine has time."""
@@ -29,12 +30,10 @@ def event_loop_thread() -> Iterator[asyncio.AbstractEventLoop]:
     loop.close()
 
 
-@pytest.fixture(scope="session")
-def starter() -> Iterator[StationStarter]:
+@pytest.fixture
+def starter() -> StationStarter:
     """Forks stations."""
-    starter = StationStarter()
-    yield starter
-    starter.close()
+    return shared_starter()
 
 
 @pytest.fixture

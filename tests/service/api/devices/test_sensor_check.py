@@ -22,7 +22,7 @@ def example(name: str) -> Any:
 
 
 DEVICE = example("device")
-CALIBRATION = example("calibration")
+CALIBRATION = example("calibration") | {"distortion": "none", "labels": "off"}  # done sooner
 SENSORS = DEVICE["source"]["sensors"]
 REVERSED = {"kind": "external", "sensors": SENSORS[::-1]}
 ONE_LONGER = {"kind": "external", "sensors": [SENSORS[0] | {"pixels": 481}, *SENSORS[1:]]}

@@ -40,16 +40,17 @@ demo: $(STAMP) $(PAGE)
 
 # Compiled modules are kept, also where the environment says not to: tests start many processes.
 # A test that ends its process would be tried again and again.
-PYTEST := PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 \
+PYTEST := PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python -m pytest \
 	--max-worker-restart 1
 
+# More than two cores need: many tests wait for something.
 test: $(STAMP) $(PAGE)
-	$(PYTEST) --dist loadfile -m "not slow"
+	$(PYTEST) -n 3 --dist loadfile -m "not slow"
 
 # By the test, not by the file: the few files that there are would leave a core idle. Tests of
 # generated examples run here, too: many new ones in each run, where `make test` has the same few.
 test-slow: $(STAMP) $(PAGE)
-	LUMILINE_TEST_EXAMPLES=random $(PYTEST) --dist worksteal -m "slow or hypothesis"
+	LUMILINE_TEST_EXAMPLES=random $(PYTEST) -n 2 --dist worksteal -m "slow or hypothesis"
 
 lint: $(STAMP)
 	$(BIN)/ruff check .

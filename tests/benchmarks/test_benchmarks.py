@@ -46,6 +46,7 @@ def test_signal_methods_find_the_same_peaks() -> None:
     assert min(errors.values()) == errors["lumiline fit"]
 
 
+@pytest.mark.slow
 def test_signal_latency_times_a_whole_frame() -> None:
     rows = signal.latency("cpu", frames=20)
     assert {"lumiline on cpu", "lumiline fit on cpu"} <= {row["method"] for row in rows}

@@ -25,6 +25,7 @@ from service.application.app import create_app
 from service.principal import SCOPES
 from service.security.store import add_key
 from service.settings import Settings
+from tests.openapi_document import openapi_document
 from tests.service.fake_pipeline import FakePipeline, TestClient
 
 pytestmark = pytest.mark.slow
@@ -137,7 +138,7 @@ def without_cursors(document: Any) -> Any:
     return document
 
 
-DOCUMENT = without_cursors(shorter(json.loads(json.dumps(relay.app.openapi()))))
+DOCUMENT = without_cursors(shorter(json.loads(json.dumps(openapi_document()))))
 
 
 def contract(accepted: list[str], *, every_value: bool = True) -> Any:
@@ -287,7 +288,7 @@ def contract_test(operation_id: str) -> Any:
 
 def test_what_is_tried_elsewhere_is_the_same() -> None:
     """Operations that leave values to another take no setting that the other does not."""
-    document = relay.app.openapi()
+    document = openapi_document()
     described = {
         operation["operationId"]: operation
         for path_item in document["paths"].values()
@@ -314,7 +315,7 @@ def test_what_is_tried_elsewhere_is_the_same() -> None:
 
 # One function for each operation: Schemathesis's own items all have the function's node id, by
 # which pytest-xdist tells tests apart, and would run one operation only.
-for path_item in relay.app.openapi()["paths"].values():
+for path_item in openapi_document()["paths"].values():
     for operation in path_item.values():
         name = operation["operationId"]
         globals()[f"test_{name.replace('-', '_')}"] = contract_test(name)

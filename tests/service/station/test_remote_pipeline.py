@@ -228,6 +228,7 @@ def test_a_source_that_can_wait_waits_for_a_slow_gateway(
     assert device.frames_dropped == 0
 
 
+@pytest.mark.slow
 def test_a_live_source_waits_for_nobody_and_what_is_missed_is_counted(
     make_pipeline: MakePipeline, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -508,6 +509,7 @@ def is_there(process_id: int) -> bool:
     return state not in "ZX"
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="no /proc on this machine")
 @pytest.mark.parametrize(
     ("how", "device"),

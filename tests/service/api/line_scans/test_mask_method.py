@@ -1,5 +1,6 @@
 """Shadows of coded windows over REST: the readings are compute's, by template and by profile."""
 
+import functools
 import io
 import json
 from typing import Any
@@ -14,6 +15,7 @@ from compute.optics.coded_aperture.correlation_decoding import decode_mask
 from compute.optics.profiles.profile_loader import load_profile
 from compute.optics.profiles.profile_optics import light_source, mask_optics, window_shadows
 from compute.signal.coded_aperture.shadow_fit import MaskReader, ShadowSettings
+from compute.signal.coded_aperture.shadow_template import ShadowTemplate
 from service.api.line_scans.examples import NEW_LINE_SCANS
 from service.api.line_scans.mask_method import MaskMethod, Template
 from service.api.line_scans.noise import line_noise
@@ -35,9 +37,14 @@ SHIFTS_PX = (0.0, 40.3, -62.7)
 BRIGHTEST = 200.0  # brighter shadows off the middle show that the template is of it
 
 
+@functools.cache
+def window_shadow() -> ShadowTemplate:
+    return woven(window_optics(), 4)
+
+
 def template() -> dict[str, Any]:
     """The template of the test's window as a client sends it."""
-    shadow = woven(window_optics(), 4)
+    shadow = window_shadow()
     return {
         "cells": (shadow.cells / shadow.cells.max()).tolist(),
         "per_px": shadow.per_px,
@@ -47,10 +54,20 @@ def template() -> dict[str, Any]:
     }
 
 
+@functools.cache
+def light_of_markers() -> np.ndarray:
+    """Of three markers, without noise."""
+    found, _ = shadows(window_optics(), SHIFTS_PX)
+    return found
+
+
 def lines(seed: int = 1) -> np.ndarray:
     """Shadows of three markers with noise, and a line without any."""
-    light, _ = shadows(window_optics(), SHIFTS_PX)
-    counts = np.vstack([light / light.max(), np.zeros((1, PIXELS))]) * BRIGHTEST + 30.0
+    counts = (
+        np.vstack([light_of_markers() / light_of_markers().max(), np.zeros((1, PIXELS))])
+        * BRIGHTEST
+        + 30.0
+    )
     return noisy(counts, seed)
 
 

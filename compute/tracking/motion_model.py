@@ -175,21 +175,14 @@ def mix_and_predict(models: MotionModels, states: ImmStates, step_s: Array) -> I
     if len(models) > 1 and len(states):
         joint = states.probability[:, :, None] * models.mode_transition_probabilities(step_s)
         ahead = joint.sum(axis=1)
-        mean, covariance, bias_cross_covariance = (
-            np.empty_like(part)
-            for part in (states.mean, states.covariance, states.bias_cross_covariance)
-        )
+        mixed = _mixtures(models, states, (joint / ahead[:, None, :]).swapaxes(1, 2))
         for to, has in enumerate(models.has_acceleration):
-            weights = joint[:, :, to] / ahead[:, to, None]
-            mixed = _mixture(models, states, weights)
-            mean[:, to], covariance[:, to] = mixed.mean, mixed.covariance
-            bias_cross_covariance[:, to] = mixed.bias_cross_covariance
             if not has:
-                mean[:, to, _ACCELERATION] = 0.0
-                covariance[:, to, _ACCELERATION] = 0.0
-                covariance[:, to, :, _ACCELERATION] = 0.0
-                bias_cross_covariance[:, to, _ACCELERATION] = 0.0
-        states = ImmStates(mean, covariance, bias_cross_covariance, ahead)
+                mixed.mean[:, to, _ACCELERATION] = 0.0
+                mixed.covariance[:, to, _ACCELERATION] = 0.0
+                mixed.covariance[:, to, :, _ACCELERATION] = 0.0
+                mixed.bias_cross_covariance[:, to, _ACCELERATION] = 0.0
+        states = ImmStates(mixed.mean, mixed.covariance, mixed.bias_cross_covariance, ahead)
     transition, noise = models.transitions(step_s)
     return ImmStates(
         (transition @ states.mean[..., None])[..., 0],
@@ -210,7 +203,10 @@ def combine_modes(models: MotionModels, states: ImmStates) -> CombinedState:
         return CombinedState(
             states.mean[:, 0], states.covariance[:, 0], states.bias_cross_covariance[:, 0]
         )
-    return _mixture(models, states, states.probability)
+    mixed = _mixtures(models, states, states.probability[:, None])
+    return CombinedState(
+        mixed.mean[:, 0], mixed.covariance[:, 0], mixed.bias_cross_covariance[:, 0]
+    )
 
 
 def mean_positions(states: ImmStates) -> Array:
@@ -240,8 +236,11 @@ def update_mode_probabilities(states: ImmStates, log_likelihood: Array) -> None:
     states.probability = raw / raw.sum(axis=1, keepdims=True)
 
 
-def _mixture(models: MotionModels, states: ImmStates, weights: Array) -> CombinedState:
-    """Return mean and covariance of the models' mixture with weights (T, M)."""
+def _mixtures(models: MotionModels, states: ImmStates, weights: Array) -> CombinedState:
+    """Return means and covariances of K mixtures of the models with weights (T, K, M).
+
+    Their shapes are those of one mixture, with an axis of K behind the first.
+    """
     has = models.has_acceleration
     mean, covariance = states.mean, states.covariance
     if any(has) and not all(has):
@@ -252,11 +251,16 @@ def _mixture(models: MotionModels, states: ImmStates, weights: Array) -> Combine
             if not model_has:
                 mean[:, model, _ACCELERATION] = mean[:, source, _ACCELERATION]
                 covariance[:, model, _ACCELERATION, _ACCELERATION] = acceleration
-    mixed_mean = (weights[..., None] * mean).sum(axis=1)
-    off = mean - mixed_mean[:, None]
-    spread_covariance = covariance + off[..., :, None] * off[..., None, :]
+    mixed_mean = weights @ mean
+    # The square root of the weights on both sides: symmetric to the last digit.
+    off = np.sqrt(weights)[..., None] * (mean[:, None] - mixed_mean[:, :, None])
+    tracks, mixtures, count = weights.shape
+    bias = states.bias_cross_covariance
+    mixed_covariance = weights @ covariance.reshape(tracks, count, STATE_SIZE**2)
+    mixed_bias = weights @ bias.reshape(tracks, count, STATE_SIZE * bias.shape[-1])
     return CombinedState(
         mixed_mean,
-        (weights[..., None, None] * spread_covariance).sum(axis=1),
-        (weights[..., None, None] * states.bias_cross_covariance).sum(axis=1),
+        mixed_covariance.reshape(tracks, mixtures, STATE_SIZE, STATE_SIZE)
+        + off.swapaxes(-1, -2) @ off,
+        mixed_bias.reshape(tracks, mixtures, STATE_SIZE, bias.shape[-1]),
     )

@@ -51,8 +51,14 @@ class DeviceConnector:
         self._thread = Thread(target=self._run, name=f"opener-{device_id}", daemon=True)
 
     def attempt(self) -> None:
-        """Open the driver once, in the caller's thread; raises what the driver raises."""
-        self.driver.open()
+        """Open the driver once, in the caller's thread; raises LumilineError where it fails."""
+        try:
+            self.driver.open()
+        except LumilineError:
+            raise
+        except Exception as error:
+            _log.exception("device %s: the driver could not be opened", self._device_id)
+            raise LumilineError(f"the driver failed: {type(error).__name__}: {error}") from error
         try:
             self._opened(self)
         except BaseException:
@@ -99,8 +105,8 @@ class DeviceConnector:
             self.error = error
             self._tell("failed", error.detail)
         except Exception as error:  # noqa: BLE001 - becomes the status
-            _log.exception("%s: the driver could not be opened", self._thread.name)
-            self.error = LumilineError(f"the driver failed: {type(error).__name__}: {error}")
+            _log.exception("device %s could not be started", self._device_id)
+            self.error = LumilineError(f"it failed: {type(error).__name__}: {error}")
             self._tell("failed", self.error.detail)
         finally:
             self._tried.set()

@@ -481,8 +481,12 @@ class DeviceSession:
         """Whether all frames are processed and no more will come."""
         if self.stopped or self.failure is not None:
             return True
-        accounted = self.processed + self._skipped + self.ring.dropped
-        return not self.running and accounted >= self.ring.received
+        return not self.running and self._accounted >= self.ring.received
+
+    @property
+    def _accounted(self) -> int:
+        """Frames of which no more comes."""
+        return self.processed + self._skipped + self.ring.dropped
 
     @property
     def connected(self) -> bool:
@@ -514,7 +518,9 @@ class DeviceSession:
 
     def publish_change(self) -> None:
         """Tell the clients its state behind its last frames; hold its beams when it is lost."""
-        while self.work():
+        # Not those that come meanwhile: other devices wait.
+        received = self.ring.received
+        while self._accounted < received and self.work():
             pass
         if not self.connected:
             self.poses.remove(self.device_id)

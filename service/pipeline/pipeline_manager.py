@@ -126,6 +126,9 @@ class PipelineManager:
                 except LumilineError as error:
                     self._refuse(device_id, error.detail)
                     raise
+                except Exception as error:
+                    self._refuse(device_id, f"it failed: {type(error).__name__}: {error}")
+                    raise
                 finally:
                     self._openings.pop(device_id, None)
         # Not under the lock: other devices go on while this one's is waited for.

@@ -418,8 +418,8 @@ def state_message(
     device_id: str,
     state: str,
     reason: str | None,
-    link: str | None,
-    description: DeviceDescription | None,
+    link: str | None = None,
+    description: DeviceDescription | None = None,
 ) -> bytes:
     """Return the state of a device, as ``StreamPublisher.publish_status`` takes it."""
     described = None if description is None else _DESCRIPTION.dump_json(description)

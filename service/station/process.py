@@ -263,15 +263,20 @@ class Station:
         session.detach(bus_tap)
 
     def resynchronise(self) -> None:
-        """Say again what the gateway may have missed: states, and what batches are made with."""
+        """Say again what the gateway may have missed: states, holds, what batches are made with."""
+        # First: batches of a device that was started again are for nobody of before.
+        self._publisher.publish_figures()
+        self._manager.holds.listen(self._publisher.put_hold)()
         with self._lock:
             taps = list(self._taps.values())
         for session, tap in taps:
             session.repeat_calibration(tap)
-        for device_id in self._manager.statuses():
+        for device_id, status in self._manager.statuses().items():
             known = self._manager.known_session(device_id)
-            if known is not None and known.running:
+            if known is not None and known.reader is not None:
                 known.publish_status()
+            else:
+                self._publisher.put(state_message(device_id, status.state, status.reason))
 
     def set_clients(self, device_id: str, clients: int) -> None:
         """Take how many clients of a device there are."""
@@ -401,7 +406,11 @@ class CallServer:
                 call = self._connection.recv()
             except (EOFError, OSError):
                 break
-            pool.submit(self._answer, station, call)
+            if call.number is None:
+                # In the order in which they come.
+                self._answer(station, call)
+            else:
+                pool.submit(self._answer, station, call)
         pool.shutdown(wait=False, cancel_futures=True)
 
     def _answer(self, station: Station, call: Call) -> None:

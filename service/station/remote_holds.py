@@ -2,13 +2,13 @@
 
 import logging
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Sequence, Set
 from contextlib import suppress
 from dataclasses import replace
 from threading import Condition
 from typing import Final
 
-from service.pipeline.beam_hold_registry import Listener
+from service.pipeline.beam_hold_registry import DELETED, Listener
 from service.pipeline.frame_batch import BeamEnableToken, BeamHoldState
 
 _log = logging.getLogger(__name__)
@@ -89,10 +89,17 @@ class RemoteHolds:
             self._keep(device_id, now)
             self._lapsed.discard(now.hold_id)
             if last:
+                # When it was held last stays: a batch on its way may say that it is enabled.
                 self._states.get(device_id, {}).pop(now.hold_id, None)
                 self._tokens.pop(now.hold_id, None)
-                self._last_held.pop(now.hold_id, None)
             self._tell(device_id, now, last=last)
+
+    def keep(self, device_id: str, hold_ids: Set[str]) -> None:
+        """Tell of all other holds of a device that they were deleted: the station has no others."""
+        with self.changed:
+            states = self._states.get(device_id, {})
+            for hold_id in states.keys() - hold_ids:
+                self.change(device_id, states[hold_id].held_because(DELETED), last=True)
 
     def fail(self, why: str) -> None:
         """Hold all beams: the station is lost."""
@@ -177,8 +184,8 @@ class RemoteHolds:
 
     def _keep(self, device_id: str, now: BeamHoldState) -> None:
         states = self._states.setdefault(device_id, {})
-        known = states.get(now.hold_id)
-        if known is None or now.revision >= known.revision:
+        known = (states.get(now.hold_id), self._last_held.get(now.hold_id))
+        if all(one is None or now.revision >= one.revision for one in known):
             states[now.hold_id] = now
 
     def _tell(self, device_id: str, now: BeamHoldState, *, last: bool) -> None:

@@ -55,6 +55,8 @@ TURN: Final = 64
 """Messages of the bus that are taken before the event loop does something else."""
 KEPT_CALIBRATIONS: Final = 8
 """Newest calibrations of a device that its batches may still be processed with."""
+_ENDED: Final = ("stopped", "failed", "ended")
+"""States of a device of which no frames come."""
 RESTART_S: Final = (0.0, 0.5, 1.0, 2.0, 5.0)
 """Until a station that was lost is started again; the last for all that follow."""
 STEADY_S: Final = 60.0
@@ -186,6 +188,7 @@ class RemoteDevice:
             numbers = [number for number, one in self._taps.items() if one.tap is tap]
             for number in numbers:
                 del self._taps[number]
+            self._resume()
             if not self._taps:
                 self._interrupted, self._newest = False, None
         for number in numbers:
@@ -200,9 +203,13 @@ class RemoteDevice:
             self._prepared_with = active
             self._guarded(number, one, partial(one.tap.prepare, active))
             one.prepared = True
-            if self._interrupted and all(one.prepared for one in self._taps.values()):
-                self._interrupted, self._resumes = False, True
+            self._resume()
             return True
+
+    def _resume(self) -> None:
+        """Offer batches again, once all taps know what they are processed with."""
+        if self._interrupted and all(one.prepared for one in self._taps.values()):
+            self._interrupted, self._resumes = False, True
 
     def interrupt(self) -> None:
         """Offer no more until taps know again what batches are processed with: some were missed."""
@@ -234,12 +241,14 @@ class RemoteDevice:
             log_failed_tap(self.device_id, one.tap, error)
 
 
-@dataclass(frozen=True)
+@dataclass(eq=False)
 class _StartedDevice:
     """How a device was started, for a station that takes the place of a lost one."""
 
     driver: bytes
     accept: Accept
+    station: StationProcess | None = None
+    """The last that has started it."""
 
 
 class RemotePipeline:
@@ -298,6 +307,8 @@ class RemotePipeline:
         self._passed = Condition()
         """Notified when more of the bus was read."""
         self._due = 0
+        self._read_to = 0
+        """Position of the bus up to which all is taken."""
         self._closing = False
         self._starter = starter
         self._restarts = self._failures = self._messages_missed = 0
@@ -349,13 +360,28 @@ class RemotePipeline:
         answer = station.call(method, *args, **members)
         with self._passed:
             self._passed.wait_for(
-                lambda: station is not self._station or station.reader.position >= answer.head,
+                lambda: station is not self._station or self._read_to >= answer.head,
                 _PASS_S,
             )
         # What failed has changed something, too.
         if answer.error is not None:
             raise answer.error
         return answer.result
+
+    def _call_or_lose(self, method: str, device_id: str) -> bool:
+        """Call a method that ends a device; return whether there was a station to do it.
+
+        Where there is none, the device has ended with the last one, and what clients are told of
+        that has come by when this returns.
+        """
+        station = self._station
+        try:
+            self.call(method, device_id)
+        except NotReady:
+            with self._passed:
+                self._passed.wait_for(lambda: self._reading is not station, _PASS_S)
+            return False
+        return True
 
     def notify(self, method: str, *args: Any) -> None:
         """Call a method of the station whose answer nobody needs."""
@@ -374,6 +400,7 @@ class RemotePipeline:
             version = self._remember(device_id, active)
             with self._lock:
                 self._started[device_id] = started
+            started.station = self._station
             try:
                 description: DeviceDescription | None = self.call(
                     "start_device", device_id, started.driver, active, version, accept
@@ -391,7 +418,7 @@ class RemotePipeline:
         with self._turn(device_id):
             with self._lock:
                 self._started.pop(device_id, None)
-            self.call("stop_device", device_id)
+            self._call_or_lose("stop_device", device_id)
             self.poses.remove(device_id)
 
     def forget_device(self, device_id: str) -> None:
@@ -400,7 +427,10 @@ class RemotePipeline:
             with self._lock:
                 self._started.pop(device_id, None)
                 self._tracked.pop(device_id, None)
-            self.call("forget_device", device_id)
+            told = self._call_or_lose("forget_device", device_id)
+            self.holds.keep(device_id, frozenset())
+            if not told:
+                call_in_loop(self._loop, self._forget_lost, device_id)
             with self._lock:
                 self._calibrations.pop(device_id, None)
             self.poses.remove(device_id)
@@ -410,8 +440,10 @@ class RemotePipeline:
 
         Nor when the device runs with other sensors than the calibration's.
         """
-        with self._turn(device_id), suppress(NotReady):  # the next station is told
-            self.call("set_calibration", device_id, active, self._remember(device_id, active))
+        with self._turn(device_id):
+            version = self._remember(device_id, active)
+            with suppress(NotReady):  # the next station is told
+                self.call("set_calibration", device_id, active, version)
 
     def set_tracking_config(self, device_id: str, tracked: TrackingConfig) -> None:
         """Set a device's tracking configuration: from the next batch on, or once it is started."""
@@ -420,6 +452,7 @@ class RemotePipeline:
                 self._tracked[device_id] = tracked
             with suppress(NotReady):  # the next station is told
                 self.call("set_tracking_config", device_id, tracked)
+            self._keep_configured_holds(device_id)
             if not tracked.tools:
                 self.poses.remove(device_id)
 
@@ -444,7 +477,8 @@ class RemotePipeline:
     def status(self, device_id: str) -> DeviceStatus:
         """Return the device's status; "stopped" for one never started. Never waits."""
         found = self._figures.devices.get(device_id)
-        status = DeviceStatus("stopped") if found is None else found.status
+        gone = device_id in self._away and device_id not in self._started
+        status = DeviceStatus("stopped") if found is None or gone else found.status
         return replace(status, subscribers=self.streams.subscribers(device_id))
 
     def statuses(self) -> dict[str, DeviceStatus]:
@@ -508,6 +542,10 @@ class RemotePipeline:
             name: one for name, one in self._figures.devices.items() if one.description is not None
         }
 
+    def _keep_configured_holds(self, device_id: str) -> None:
+        """Forget the holds that a device has no more: another station has never known them."""
+        self.holds.keep(device_id, {hold.id for hold in self.tracked(device_id).holds})
+
     def _turn(self, device_id: str) -> RLock:
         """Return what is held while a device is commanded: one command after another.
 
@@ -543,6 +581,7 @@ class RemotePipeline:
         self._due = self._due - count_read if count_read == min(self._due, TURN) else 0
         station.reader.report_progress()
         with self._passed:
+            self._read_to = station.reader.position
             self._passed.notify_all()
         if self._due:
             self._loop.call_soon(self._read_on, station)
@@ -552,6 +591,8 @@ class RemotePipeline:
         self._messages_missed += missed
         for device in self._devices.values():
             device.interrupt()
+        for device_id in self.holds.all():
+            self._keep_configured_holds(device_id)
         self.notify("resynchronise")
 
     def _read_on(self, station: StationProcess) -> None:
@@ -569,7 +610,7 @@ class RemotePipeline:
             self._take_figures(read_figures(header[0]))
         elif kind is MessageKind.STATE:
             device_id, state, reason, link, described = header
-            if state in ("stopped", "failed", "disconnected", "ended"):
+            if state in _ENDED or state == "disconnected":
                 self.poses.remove(device_id)
             description = read_description(described)
             self.streams.publish_status(device_id, state, reason, link, description)
@@ -601,12 +642,11 @@ class RemotePipeline:
             self.poses.put(newest_poses(batch, batch.motion, frame_rate_hz))
 
     def _take_figures(self, figures: StationFigures) -> None:
+        away = {name: one for name, one in self._away.items() if name not in figures.devices}
         # Not "stopped" while it is their turn to be started again.
-        self._away = {
-            name: one
-            for name, one in self._away.items()
-            if name in self._started and name not in figures.devices
-        }
+        self._away = {name: one for name, one in away.items() if name in self._started}
+        for device_id in away.keys() - self._away.keys():
+            self.streams.publish_status(device_id, "stopped")
         if self._away:
             figures = replace(figures, devices=self._away | figures.devices)
         self._figures = figures
@@ -637,8 +677,10 @@ class RemotePipeline:
         done: threading.Event = threading.Event()
 
         def end() -> None:
-            self._end_station(station, why)
-            done.set()
+            try:
+                self._end_station(station, why)
+            finally:
+                done.set()
 
         call_in_loop(self._loop, end)
         done.wait()
@@ -668,24 +710,34 @@ class RemotePipeline:
 
     def _begin_reading(self, station: StationProcess) -> None:
         self._loop.add_reader(station.doorbell.descriptor, self._read)
-        self._reading = station
+        self._reading, self._read_to = station, 0
 
     def _release(self, station: StationProcess) -> None:
         """Read a station's messages no more; one that was lost is released already."""
         if self._reading is station:
-            self._reading = None
+            self._reading, self._due = None, 0
             self._loop.remove_reader(station.doorbell.descriptor)
             station.release()
+            with self._passed:
+                self._passed.notify_all()
 
     def _end_station(self, station: StationProcess, why: str) -> None:
         """Take the last messages of a station, and tell that its devices are away."""
-        self._due = 1 << 30
-        while self._due:
-            self._read()
-        self._release(station)
+        if self._reading is not station:
+            return  # closed meanwhile
+        try:
+            self._due = 1 << 30
+            while self._due:
+                self._read()
+            self._tell_lost(why)
+        finally:
+            self._release(station)
+
+    def _tell_lost(self, why: str) -> None:
+        """Tell that the devices of a station are away, or have ended with it."""
         reason = f"the process that owns the devices has ended ({why}) and is started again"
         self.holds.fail(reason)
-        away = {}
+        figures, away = {}, {}
         for device_id, one in self._figures.devices.items():
             device = self._devices.pop(device_id, None)
             if device is not None:
@@ -693,14 +745,25 @@ class RemotePipeline:
             if device_id in self._started:
                 status = replace(one.status, state="starting", reason=reason)
                 away[device_id] = DeviceFigures(status, description=one.description)
-                self.poses.remove(device_id)
-                self.streams.publish_status(device_id, "starting", reason)
+            elif one.status.state in _ENDED:
+                status = one.status
             else:
-                away[device_id] = replace(one, generation=0, running=False, connected=False)
-        self._figures = StationFigures(away, ready=False)
-        self._away = {name: one for name, one in away.items() if name in self._started}
-        with self._passed:
-            self._passed.notify_all()
+                status = replace(one.status, state="stopped", reason=None)  # as it was told to
+            figures[device_id] = away.get(device_id) or replace(
+                one, status=status, generation=0, running=False, connected=False
+            )
+            if status is not one.status:
+                self.poses.remove(device_id)
+                self.streams.publish_status(device_id, status.state, status.reason)
+        self._figures = StationFigures(figures, ready=False)
+        self._away = away
+
+    def _forget_lost(self, device_id: str) -> None:
+        """Forget a device that was deleted while there was no station."""
+        self._away.pop(device_id, None)
+        devices = {name: one for name, one in self._figures.devices.items() if name != device_id}
+        self._figures = replace(self._figures, devices=devices)
+        self.streams.end(device_id)
 
     def _restore(self) -> None:
         """Start the devices of the station before, as they were."""
@@ -709,20 +772,31 @@ class RemotePipeline:
         for device_id, number in self.streams.client_counts().items():
             self.notify("set_clients", device_id, number)
         try:
-            for device_id in tracked:
+            for device_id in {*tracked, *self.holds.all()}:
                 with self._turn(device_id):
-                    self.call("set_tracking_config", device_id, self.tracked(device_id))
+                    self._configure_again(device_id)
             for device_id in started:
                 with self._turn(device_id):
                     self._start_again(device_id)
         except NotReady:
             return  # that station is lost, too: its successor begins anew
 
+    def _configure_again(self, device_id: str) -> None:
+        """Track what a device tracked; raises NotReady."""
+        try:
+            self.call("set_tracking_config", device_id, self.tracked(device_id))
+        except NotReady:
+            raise
+        except Exception:  # noqa: BLE001 - the others are tracked all the same
+            _log.exception("device %s does not follow its tools as before", device_id)
+        self._keep_configured_holds(device_id)
+
     def _start_again(self, device_id: str) -> None:
-        """Start a device as it was, unless it was stopped meanwhile; raises NotReady."""
+        """Start a device as it was, unless it was stopped or started meanwhile; raises NotReady."""
         one = self._started.get(device_id)
-        if one is None:
+        if one is None or one.station is self._station:
             return
+        one.station = self._station
         active = self.calibration(device_id)
         version = self._remember(device_id, active)
         try:

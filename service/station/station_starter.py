@@ -66,11 +66,11 @@ class StationStarter:
             for attempt in range(2):
                 try:
                     return self._start(descriptors)
-                except (BrokenPipeError, ConnectionError, EOFError):
+                except (BrokenPipeError, ConnectionError, EOFError) as error:
                     # It was killed: one more, with a new one.
                     self._forget()
                     if attempt:
-                        raise
+                        raise OSError("what forks stations has ended twice") from error
         raise AssertionError
 
     def wait(self, process_id: int, timeout_s: float) -> int | None:

@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ import pytest
 
 from compute.calibration.result import Calibration, SensorFit
 from compute.camera.model import SensorModel
-from compute.errors import InvalidParameter, InvalidRecording
+from compute.errors import InvalidParameter, InvalidRecording, LumilineError
 from hardware.driver import DeviceDescription
 from hardware.line_frame import LineFrame
 from hardware.recording.writer import RecordingWriter
@@ -22,7 +23,7 @@ from hardware.simulated.scenes import RotatingBar, StillPoints
 from hardware.simulated.settings import SimulationSettings
 from hardware.simulated.simulated_rig import simulated_rig
 from service.pipeline.active_calibration import ActiveCalibration
-from service.pipeline.device_session import BATCH_SECONDS
+from service.pipeline.device_session import BATCH_SECONDS, DeviceSession
 from service.pipeline.device_status import DeviceStatus
 from service.pipeline.frame_batch import FrameBatch
 from service.pipeline.frame_processor import FrameProcessor
@@ -499,3 +500,39 @@ def test_worker_that_a_job_removes_is_not_called_again_in_the_same_round() -> No
     finally:
         compute.close()
     assert set(calls) == {"first"}
+
+
+class BrokenDriver(SimulatedDriver):
+    """Has a fault of its own."""
+
+    def open(self) -> None:
+        raise KeyError("firmware")
+
+
+def test_unexpected_error_of_a_driver_is_the_devices_state() -> None:
+    hub = RecordingHub()
+    live = PipelineManager(hub, "cpu")
+    try:
+        with pytest.raises(LumilineError, match="the driver failed: KeyError"):
+            live.start_device("sim", BrokenDriver("sim", SimulationSettings()))
+        assert live.status("sim").state == "failed"
+    finally:
+        live.close()
+    assert hub.messages[-1]["state"] == "failed"
+    assert "KeyError" in hub.messages[-1]["reason"]
+
+
+def test_change_of_a_link_leaves_frames_that_come_meanwhile_to_the_next_round() -> None:
+    session: Any = SimpleNamespace(
+        ring=SimpleNamespace(received=3), _accounted=0, connected=True, stopped=True
+    )
+
+    def work() -> bool:
+        session._accounted += 1
+        session.ring.received += 1
+        assert session._accounted < 100
+        return True
+
+    session.work = work
+    DeviceSession.publish_change(session)
+    assert session._accounted == 3

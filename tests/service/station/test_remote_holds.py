@@ -89,6 +89,34 @@ def test_a_batch_from_before_the_hold_enables_nothing() -> None:
     assert not held(bench)
 
 
+def test_batch_from_before_a_hold_was_deleted_does_not_bring_it_back() -> None:
+    bench = Bench()
+    bench.say(1, held=False)
+    deleted = bench.state(3, held=True)
+    bench.holds.change("sim", deleted, last=True)
+    late = bench.state(2, held=False)
+    bench.holds.take("sim", [late])
+    assert late.standing.held
+    assert bench.holds.now("watch") is None
+    assert bench.holds.of_device("sim") == ()
+    assert bench.told[-1] == ("sim", True, "far", True)
+    # A new one of its name is another one.
+    bench.say(4, held=True)
+    bench.say(5, held=False)
+    assert not held(bench)
+
+
+def test_keep_tells_of_all_other_holds_that_they_were_deleted() -> None:
+    bench = Bench()
+    bench.say(1, held=False)
+    bench.holds.keep("sim", {"watch"})
+    assert len(bench.told) == 1
+    bench.holds.keep("sim", {"another"})
+    assert bench.holds.now("watch") is None
+    assert bench.told[-1] == ("sim", True, "the hold was deleted", True)
+    assert bench.published[-1].standing.held
+
+
 def test_deadline_holds_without_a_word() -> None:
     bench = Bench()
     bench.say(1, held=False, in_s=0.02)

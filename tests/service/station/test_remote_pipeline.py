@@ -399,6 +399,172 @@ def test_station_that_cannot_be_started_is_tried_again(
     assert "no other station can be started now: no memory" in kept_log.text
 
 
+@pytest.fixture
+def without_station(
+    make_pipeline: MakePipeline, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[Callable[[Hub], tuple[RemotePipeline, Callable[[], None]]]]:
+    """Makes pipelines with a device "sim" whose station has ended; what lets the next one come."""
+    go_on = threading.Event()
+    replace_station = RemotePipeline._replace
+
+    def later(self: RemotePipeline) -> bool:
+        go_on.wait(WAIT_S)
+        return replace_station(self)
+
+    monkeypatch.setattr(RemotePipeline, "_replace", later)
+
+    def make(hub: Hub) -> tuple[RemotePipeline, Callable[[], None]]:
+        live = make_pipeline(hub)
+        watched = TrackingConfig(True, holds=(hold(CHEST, identity="chest"),))
+        live.set_tracking_config("sim", watched)
+        live.start_device("sim", SimulatedDriver("sim", LIVE), CALIBRATED)
+        os.kill(live.station.process_id, signal.SIGKILL)
+        wait_for(lambda: live.status("sim").state == "starting")
+        return live, go_on.set
+
+    yield make
+    go_on.set()
+
+
+NoStation = Callable[[Hub], tuple[RemotePipeline, Callable[[], None]]]
+
+
+def states(hub: Hub) -> list[str]:
+    return [one["state"] for one in messages(hub, "sim") if one["type"] == "state"]
+
+
+def test_stop_without_a_station_is_told_to_clients(without_station: NoStation) -> None:
+    hub = Hub()
+    live, go_on = without_station(hub)
+    live.stop_device("sim")
+    assert live.status("sim").state == "stopped"
+    go_on()
+    wait_for(lambda: states(hub)[-1] == "stopped")
+    live.refresh()
+    assert live.status("sim").state == "stopped"
+
+
+def test_stop_that_a_station_dies_of_is_told_to_clients(make_pipeline: MakePipeline) -> None:
+    hub = Hub()
+    live = make_pipeline(hub)
+    live.start_device("sim", SimulatedDriver("sim", LIVE), CALIBRATED)
+    os.kill(live.station.process_id, signal.SIGSTOP)
+    stop = threading.Thread(target=live.stop_device, args=["sim"])
+    stop.start()
+    wait_for(lambda: "sim" not in live._started)
+    os.kill(live.station.process_id, signal.SIGKILL)
+    stop.join(WAIT_S)
+    assert live.status("sim").state == "stopped"
+    assert states(hub)[-1] == "stopped"
+
+
+def test_device_deleted_without_a_station_ends_its_streams_and_holds(
+    without_station: NoStation,
+) -> None:
+    hub = Hub()
+    live, go_on = without_station(hub)
+    live.forget_device("sim")
+    wait_for(lambda: "sim" not in hub.logs())
+    assert live.holds.of_device("sim") == ()
+    go_on()
+    wait_for(lambda: live.ready)
+    live.start_device("other", SimulatedDriver("other", LIVE), CALIBRATED)
+    assert "sim" not in hub.logs()
+    assert live.status("sim").state == "stopped"
+
+
+def test_hold_deleted_without_a_station_is_told_to_be_the_last(without_station: NoStation) -> None:
+    hub = Hub()
+    live, go_on = without_station(hub)
+    told: list[tuple[str, bool]] = []
+    live.holds.listen(lambda _, now, last: told.append((now.hold_id, last)))
+    live.set_tracking_config("sim", TrackingConfig(True))
+    go_on()
+    wait_for(lambda: live.status("sim").state == "running")
+    assert told[-1] == ("chest", True)
+    assert live.holds.now("chest") is None
+
+
+def test_device_that_was_started_at_the_new_station_goes_on(
+    pipeline: RemotePipeline, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("one", "two"):
+        pipeline.start_device(name, SimulatedDriver(name, LIVE), CALIBRATED)
+    first_again, go_on = threading.Event(), threading.Event()
+    call = RemotePipeline.call
+
+    def wait_at_the_first(self: RemotePipeline, method: str, *args: Any, **members: Any) -> Any:
+        if method == "start_device" and threading.current_thread().name == "station-lost":
+            first_again.set()
+            go_on.wait(WAIT_S)
+        return call(self, method, *args, **members)
+
+    monkeypatch.setattr(RemotePipeline, "call", wait_at_the_first)
+    os.kill(pipeline.station.process_id, signal.SIGKILL)
+    assert first_again.wait(WAIT_S)
+    pipeline.start_device("two", SimulatedDriver("two", LIVE), CALIBRATED)
+    device = pipeline.session("two")
+    go_on.set()
+    wait_for(lambda: pipeline.status("one").state == "running")
+    pipeline.refresh()
+    assert pipeline.session("two") is device
+    assert device.running
+
+
+def test_configuration_that_is_refused_keeps_no_device_from_its_restart(
+    pipeline: RemotePipeline, monkeypatch: pytest.MonkeyPatch, kept_log: pytest.LogCaptureFixture
+) -> None:
+    pipeline.set_tracking_config("sim", TrackingConfig(True))
+    pipeline.start_device("sim", SimulatedDriver("sim", LIVE), CALIBRATED)
+    call = RemotePipeline.call
+
+    def refuse_configuration(self: RemotePipeline, method: str, *args: Any, **more: Any) -> Any:
+        if method == "set_tracking_config":
+            raise InvalidParameter("no such tool")
+        return call(self, method, *args, **more)
+
+    monkeypatch.setattr(RemotePipeline, "call", refuse_configuration)
+    os.kill(pipeline.station.process_id, signal.SIGKILL)
+    wait_for(lambda: pipeline.station.restarts == 1 and pipeline.status("sim").state == "running")
+    assert "does not follow its tools as before" in kept_log.text
+
+
+def test_tap_that_is_detached_before_it_is_prepared_again_holds_up_no_other(
+    pipeline: RemotePipeline,
+) -> None:
+    pipeline.start_device("sim", SimulatedDriver("sim", LIVE), CALIBRATED)
+    device, taps = pipeline.session("sim"), (KeepingTap(), KeepingTap())
+    for tap in taps:
+        device.attach(tap)
+    wait_for(lambda: all(tap.batches for tap in taps))
+    with device._lock:
+        device.interrupt()
+        numbers = {one.tap: number for number, one in device._taps.items()}
+        device.prepare(numbers[taps[0]], CALIBRATED)
+        device.detach(taps[1])
+        count = len(taps[0].batches)
+    wait_for(lambda: len(taps[0].batches) > count)
+
+
+@pytest.mark.parametrize("times", [2, 4])
+def test_station_comes_back_when_what_forks_stations_ends_again_and_again(
+    pipeline: RemotePipeline, monkeypatch: pytest.MonkeyPatch, times: int
+) -> None:
+    pipeline.start_device("sim", SimulatedDriver("sim", LIVE), CALIBRATED)
+    start, failed = StationStarter._start, []
+
+    def fail_first(self: StationStarter, descriptors: Any) -> int:
+        if len(failed) < times:
+            failed.append(descriptors)
+            raise EOFError
+        return start(self, descriptors)
+
+    monkeypatch.setattr(StationStarter, "_start", fail_first)
+    os.kill(pipeline.station.process_id, signal.SIGKILL)
+    wait_for(lambda: pipeline.station.restarts == 1 and pipeline.status("sim").state == "running")
+    assert len(failed) == times
+
+
 def test_starter_that_is_gone_is_replaced(
     make_pipeline: MakePipeline, starter: StationStarter
 ) -> None:
@@ -415,13 +581,13 @@ def test_call_to_a_lost_station_is_told_to_come_again(pipeline: RemotePipeline) 
     os.kill(pipeline.station.process_id, signal.SIGSTOP)
     caught: list[BaseException] = []
 
-    def stop() -> None:
+    def ask() -> None:
         try:
-            pipeline.stop_device("sim")
+            pipeline.call("last_sequence", "sim")
         except NotReady as error:
             caught.append(error)
 
-    thread = threading.Thread(target=stop)
+    thread = threading.Thread(target=ask)
     thread.start()
     time.sleep(0.2)
     os.kill(pipeline.station.process_id, signal.SIGKILL)

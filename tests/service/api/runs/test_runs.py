@@ -162,6 +162,25 @@ def test_a_process_that_dies_fails_its_run(sqlite_client: Any, computing: Any):
     assert "exit code 7" in found["problem"]["detail"]
 
 
+def test_run_whose_process_is_ended_by_sigterm_is_interrupted_and_the_next_one_waits(
+    sqlite_settings: Settings, computing: Any
+):
+    """The signal went to all of the server's processes; the server itself takes longer."""
+    computing(slow_tasks.end_by_sigterm)
+    with TestClient(create_app(sqlite_settings, FakePipeline())) as client:
+        client.post(URL, json=body(id="first"))
+        client.post(URL, json=body(id="second"))
+        found = wait(client, "first")
+        assert (found["state"], found["problem"]) == ("interrupted", None)
+        assert found["stage"] == "the server was stopped; post it again"
+    database = Database(sqlite_settings.effective_database_url)
+    try:
+        with database.read() as session:
+            assert session.get_one(RunRow, "second").state == "queued"
+    finally:
+        database.close()
+
+
 @pytest.mark.slow
 def test_cancelling_ends_the_process_and_stores_nothing(
     client: Any, computing: Any, tmp_path: Path

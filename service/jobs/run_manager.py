@@ -143,8 +143,11 @@ class RunManager:
     def _dispatch(self) -> None:
         while not self._closing.is_set():
             try:
+                with self._lock:
+                    computing = list(self._running)
                 with self._database.write() as session:
-                    store.interrupt_lost(session)
+                    # Its own are stale, too, after a suspend or an outage of the database.
+                    store.interrupt_lost(session, computing)
                 while self._free_slots() and not self._closing.is_set() and self._take():
                     pass
             except NotReady:

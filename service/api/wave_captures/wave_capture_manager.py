@@ -54,6 +54,7 @@ CAMERAS_TIMEOUT_S: Final = 60.0
 _MEMORY_BYTES: Final = 4 * 1024**3
 _PEAK_BYTES: Final = 1024**3
 _JOIN_S: Final = 30.0
+_STOPPED: Final = "the server stopped; the poses so far are kept"
 
 
 @dataclass(frozen=True)
@@ -144,7 +145,7 @@ class WaveCaptureManager:
         with self._lock:
             self._closed = True
         for name in tuple(self._waves):
-            self.stop(name, "the server stopped")
+            self.stop(name, _STOPPED)
         self._pool.shutdown(wait=False, cancel_futures=True)
         self._process.close()
 
@@ -250,6 +251,8 @@ class _Wave:
             self._manager.collect(self)
             self._collector.add(self.tap.take())
             self.reason = self.reason or f"{self.task.settings.duration_s:g} s were over"
+        except NotReady:
+            self.reason = self.reason or _STOPPED
         except LumilineError as error:
             self.reason = self.reason or error.detail
         except Exception as error:  # noqa: BLE001 - of this session, not of the server

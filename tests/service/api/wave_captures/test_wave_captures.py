@@ -34,6 +34,7 @@ URL = "/api/v1/wave-captures"
 SESSION = f"{URL}/sim-wave-capture"
 RUNS = "/api/v1/runs/self-calibration"
 BODY = NEW_WAVE_CAPTURES["wand"]["value"]
+SERVER_STOPPED = "the server stopped; the poses so far are kept"
 LONG = BODY | {"settings": {"duration_s": 600.0, "end_when_enough": False}}
 
 
@@ -183,13 +184,29 @@ def test_a_session_survives_a_restart_and_keeps_its_poses(sqlite_settings: Setti
     second = FakePipeline()
     with TestClient(create_app(sqlite_settings, second)) as client:
         found = client.get(SESSION).json()
-        assert (found["state"], found["ended"]) == ("stopped", "the server stopped")
+        assert (found["state"], found["ended"]) == ("stopped", SERVER_STOPPED)
         assert found["progress"]["exposures"]["taken"] > 40
         kept = found["progress"]["exposures"]["taken"]
         showing(second, waved(10.0, start_s=10.0))
         client.post(f"{SESSION}/start")
         progress = client.post(f"{SESSION}/stop").json()["progress"]
         assert progress["poses"] == progress["exposures"]["taken"] > kept + 40
+
+
+def test_wave_whose_measurement_the_servers_end_stops_keeps_its_poses_and_says_so(
+    sqlite_client: Any, live: FakePipeline
+):
+    showing(live, waved(10.0))
+    sqlite_client.post(URL, json=LONG)
+    sqlite_client.post(f"{SESSION}/start")
+    end = time.monotonic() + 240.0
+    while sqlite_client.get(SESSION).json()["progress"]["poses"] <= 40:
+        assert time.monotonic() < end
+        time.sleep(0.05)
+    live.streams.close("the server is stopping")
+    found = ended(sqlite_client)
+    assert (found["state"], found["ended"]) == ("stopped", SERVER_STOPPED)
+    assert found["progress"]["exposures"]["taken"] > 40
 
 
 def test_what_cannot_be_waved_is_refused(sqlite_client: Any, live: FakePipeline):

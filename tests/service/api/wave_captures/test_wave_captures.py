@@ -16,6 +16,7 @@ from hardware.simulated.scenes import WavedWand
 from hardware.simulated.settings import SimulationSettings
 from service.api.wave_captures.examples import NEW_WAVE_CAPTURES
 from service.application.app import create_app
+from service.database.models import WaveCaptureRow
 from service.pipeline.frame_batch import FrameBatch
 from service.settings import Settings
 from tests.service.api.runs.in_process_worker import use_in_process_worker
@@ -207,6 +208,27 @@ def test_wave_whose_measurement_the_servers_end_stops_keeps_its_poses_and_says_s
     found = ended(sqlite_client)
     assert (found["state"], found["ended"]) == ("stopped", SERVER_STOPPED)
     assert found["progress"]["exposures"]["taken"] > 40
+
+
+def test_wave_that_is_started_while_another_one_ends_keeps_the_poses_of_both(
+    sqlite_client: Any, live: FakePipeline, monkeypatch: pytest.MonkeyPatch
+):
+    showing(live, waved(10.0))
+    sqlite_client.post(URL, json=LONG)
+    sqlite_client.post(f"{SESSION}/start")
+    find, first = live.session, []
+
+    def end_first(device_id: str) -> Any:
+        sqlite_client.app.state.wave_captures.stop("sim-wave-capture")
+        with sqlite_client.app.state.database.read() as session:
+            first.append(session.get_one(WaveCaptureRow, "sim-wave-capture").progress["poses"])
+        return find(device_id)
+
+    monkeypatch.setattr(live, "session", end_first)
+    showing(live, waved(10.0, start_s=10.0))
+    assert sqlite_client.post(f"{SESSION}/start").status_code == 200
+    both = sqlite_client.post(f"{SESSION}/stop").json()["progress"]
+    assert both["poses"] == both["exposures"]["taken"] > first[0] + 40 > 80
 
 
 def test_what_cannot_be_waved_is_refused(sqlite_client: Any, live: FakePipeline):

@@ -20,6 +20,7 @@ _IDLE_S: Final = 60.0
 _WAIT_FACTOR: Final = 10.0
 """How much longer than its computing time a call may take: the process is nice, and on a busy
 machine gets a small share."""
+_CLOSED: Final = "the server stops; send this again when it is up again"
 
 
 class CallProcess:
@@ -37,6 +38,7 @@ class CallProcess:
     def __init__(self, memory_bytes: int, peak_bytes: int, idle_s: float = _IDLE_S) -> None:
         self._bounds = (memory_bytes, idle_s, peak_bytes)
         self._lock = Lock()
+        self._closed = False
         self._process: BaseProcess | None = None
         self._pipe: Connection[Any, Any] | None = None
 
@@ -50,7 +52,7 @@ class CallProcess:
                 all, since other processes go first.
 
         Raises:
-            WorkerEnded: the process crashed, took too long or too much memory.
+            WorkerEnded: the process crashed, took too long or too much memory, or was closed.
             LumilineError: what the function raised.
             RuntimeError: it failed otherwise.
         """
@@ -65,9 +67,15 @@ class CallProcess:
         raise ERRORS[message.code](message.detail, **message.context)
 
     def close(self) -> None:
-        """End the process."""
-        with self._lock:
-            self._end(wait_s=0.0)
+        """End the process at once; a call in progress, and all later ones, raise WorkerEnded."""
+        self._closed = True
+        if self._lock.acquire(blocking=False):
+            try:
+                self._end(wait_s=0.0)
+            finally:
+                self._lock.release()
+        elif (process := self._process) is not None:
+            process.kill()  # the call that has the lock sees its end, or before that _closed
 
     def _exchange(self, task: bytes, timeout_s: float) -> Message:
         running = self._pipe is not None
@@ -75,6 +83,8 @@ class CallProcess:
             return self._ask(task, timeout_s)
         except (EOFError, OSError) as error:
             code = self._end()
+            if self._closed:
+                raise WorkerEnded(_CLOSED) from error
             if code == -getattr(signal, "SIGPROF", 0):
                 raise WorkerEnded(
                     f"it computed for longer than {timeout_s:g} s and was ended",
@@ -85,8 +95,11 @@ class CallProcess:
         return self._exchange(task, timeout_s)  # the one that was kept had been idle for too long
 
     def _ask(self, task: bytes, timeout_s: float) -> Message:
-        if self._pipe is None:
+        if self._pipe is None and not self._closed:
             self._start()
+        if self._closed:  # while it was started, too
+            self._end(wait_s=0.0)
+            raise WorkerEnded(_CLOSED)
         assert self._pipe is not None
         self._pipe.send((task, timeout_s))
         longest_s = _WAIT_FACTOR * timeout_s

@@ -2,6 +2,7 @@
 
 import logging
 import secrets
+import signal
 import time
 from bisect import bisect_left
 from collections.abc import Callable, Iterator, Mapping
@@ -21,7 +22,7 @@ from service.jobs.worker_process import WorkerProcess
 from service.principal import Act, current_act
 from service.problems.bounds import DETAIL_CHARACTERS, bound_context, cut_text
 from service.problems.catalogue import PROBLEM_TYPES
-from service.problems.errors import NotReady
+from service.problems.errors import NotReady, WorkerEnded
 
 BOUNDS_S: Final = (0.5, 1.0, 2.0, 5.0, 10.0, 30.0, 60.0, 300.0, 1800.0, 7200.0)
 """Upper bounds of the classes [s]; one more, without a bound, follows."""
@@ -81,6 +82,9 @@ _TELL_S: Final = 0.5
 _HEARTBEAT_S: Final = 2.0
 """How often it looks, beside progress, whether the run was cancelled or deleted elsewhere."""
 _RETRY_S: Final = 1.0
+_STOP_S: Final = 30.0
+"""How long a worker that was ended by SIGTERM keeps its place: the server's end takes no longer."""
+_STOPPED: Final = "the server was stopped; post it again"
 
 T = TypeVar("T")
 
@@ -139,8 +143,11 @@ class RunManager:
     def _dispatch(self) -> None:
         while not self._closing.is_set():
             try:
+                with self._lock:
+                    computing = list(self._running)
                 with self._database.write() as session:
-                    store.interrupt_lost(session)
+                    # Its own are stale, too, after a suspend or an outage of the database.
+                    store.interrupt_lost(session, computing)
                 while self._free_slots() and not self._closing.is_set() and self._take():
                     pass
             except NotReady:
@@ -171,7 +178,12 @@ class RunManager:
         try:
             self._execute(run_id)
         except LumilineError as error:
-            self._end(run_id, "failed", "failed", _problem(error.code, error.detail, error.context))
+            if _is_stopped(error):
+                self._end(run_id, "interrupted", _STOPPED)
+                self._closing.wait(_STOP_S)  # or the next run would begin, to be interrupted too
+            else:
+                problem = _problem(error.code, error.detail, error.context)
+                self._end(run_id, "failed", "failed", problem)
         except Exception as error:  # noqa: BLE001 - becomes the run's problem
             reference = secrets.token_hex(4)
             _log.error("run %s, reference %s: %s", run_id, reference, error, exc_info=error)
@@ -202,7 +214,7 @@ class RunManager:
         with WorkerProcess(function, *arguments) as worker:
             while True:
                 if self._closing.is_set():
-                    self._end(run_id, "interrupted", "the server was stopped; post it again")
+                    self._end(run_id, "interrupted", _STOPPED)
                     return
                 with self._lock:
                     if run_id in self._cancelled:
@@ -275,6 +287,11 @@ class RunManager:
             except NotReady:
                 if self._closing.wait(_RETRY_S):
                     raise
+
+
+def _is_stopped(error: LumilineError) -> bool:
+    """Whether a worker was ended by SIGTERM, which goes to the server's other processes too."""
+    return isinstance(error, WorkerEnded) and error.context.get("exit_code") == -signal.SIGTERM
 
 
 @contextmanager

@@ -3,6 +3,7 @@
 import os
 import secrets
 import socket
+from collections.abc import Collection
 from datetime import UTC, datetime, timedelta
 from typing import Any, Final, Literal, get_args
 
@@ -200,11 +201,14 @@ def delete_run(session: Session, run_id: str) -> None:
     session.flush()
 
 
-def interrupt_lost(session: Session, *, starting: bool = False) -> list[str]:
+def interrupt_lost(
+    session: Session, computing: Collection[str] = (), *, starting: bool = False
+) -> list[str]:
     """End the runs whose server is gone and return their ids.
 
     Args:
         session: the session.
+        computing: the runs that this server computes, whenever it was last heard of.
         starting: this server starts: what is called its own is of a process before it.
     """
     stale = RunRow.heartbeat_at < datetime.now(UTC) - STALE_AFTER
@@ -212,7 +216,9 @@ def interrupt_lost(session: Session, *, starting: bool = False) -> list[str]:
     if starting:
         condition = or_(stale, RunRow.owner.in_(_gone_or_own(session)))
     rows = session.scalars(
-        select(RunRow).where(RunRow.state == "running", condition).with_for_update()
+        select(RunRow)
+        .where(RunRow.state == "running", RunRow.id.not_in(computing), condition)
+        .with_for_update()
     ).all()
     for row in rows:
         finish(row, "interrupted", "the server ended while it ran; post it again")

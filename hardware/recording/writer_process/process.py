@@ -217,9 +217,11 @@ def _reason(error: Exception) -> str:
 
 
 def main() -> None:
-    """Entry point of the process; it ignores SIGINT and SIGTERM and ends with its parent."""
+    """Entry point of the process; it ignores SIGINT, SIGTERM, SIGHUP and ends with its parent."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    if hasattr(signal, "SIGHUP"):
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)
     record(int(sys.argv[1]), int(sys.argv[2]), sys.stdin.buffer, sys.stdout.fileno())
     os._exit(0)  # the thread that waits for calibrations may do so for ever
 

@@ -303,6 +303,8 @@ def _why(session: RunningDevice) -> str:
     status = session.status()
     if status.state == "stopped":
         return "the device was stopped"
+    if status.state == "running" or (status.state == "starting" and status.reason is None):
+        return "the device was started again"  # the status is that of the new start
     return f"the device has {status.state}: {status.reason or 'no reason given'}"
 
 

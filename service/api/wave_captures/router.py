@@ -31,7 +31,6 @@ from service.api.wave_captures.schema import (
     WaveSettings,
     calibration_target,
 )
-from service.api.wave_captures.stored_wave import StoredWave
 from service.api.wave_captures.wave_capture_manager import (
     WaveCaptureManager,
     WaveTask,
@@ -141,9 +140,10 @@ def start_capture(
             tuple(row.markers),
             WaveSettings.model_validate(row.settings),
             approximate_models(models, sensors),
-            StoredWave.unpack(row.data),
         )
-        return store.document(row, waves.start(task))
+    progress = waves.start(task)
+    with database.read() as session:
+        return store.document(store.WAVE_CAPTURES.get(session, wave_capture_id), progress)
 
 
 @router.operation("POST /{wave_capture_id}/stop", "stop-wave-capture", "Take no more poses")

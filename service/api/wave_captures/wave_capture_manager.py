@@ -38,7 +38,7 @@ from service.api.wave_captures.schema import (
     WaveSettings,
     WaveVolume,
 )
-from service.api.wave_captures.store import keep_wave
+from service.api.wave_captures.store import WAVE_CAPTURES, keep_wave
 from service.api.wave_captures.stored_wave import StoredWave
 from service.database.engine import Database
 from service.jobs.call_process import CallProcess
@@ -54,6 +54,7 @@ CAMERAS_TIMEOUT_S: Final = 60.0
 _MEMORY_BYTES: Final = 4 * 1024**3
 _PEAK_BYTES: Final = 1024**3
 _JOIN_S: Final = 30.0
+_STOPPED: Final = "the server stopped; the poses so far are kept"
 
 
 @dataclass(frozen=True)
@@ -68,7 +69,6 @@ class WaveTask:
         markers: its strobed markers.
         settings: when it ends.
         models: approximate cameras to judge by; None: computed from the readings.
-        stored: what was taken before.
     """
 
     capture_id: str
@@ -78,7 +78,6 @@ class WaveTask:
     markers: tuple[int, ...]
     settings: WaveSettings
     models: tuple[SensorModel, ...] | None
-    stored: StoredWave
 
 
 class WaveCaptureManager:
@@ -102,6 +101,7 @@ class WaveCaptureManager:
         """Take poses from now on, until enough, the end of the time, or ``stop``.
 
         Raises:
+            UnknownWaveCapture: the session was deleted meanwhile.
             DeviceNotRunning: the device does not run.
             InvalidParameter: it does not strobe the target's markers.
             Busy: poses of this device are being taken already.
@@ -117,7 +117,11 @@ class WaveCaptureManager:
                         f'session "{other.task.capture_id}" takes poses of device '
                         f'"{task.device_id}"; stop it first'
                     )
-            wave = _Wave(task, self, running)
+            # Not before: a wave that ended just now has stored its poses.
+            with self._database.read() as session:
+                row = WAVE_CAPTURES.get(session, task.capture_id)
+                stored = StoredWave.unpack(row.data)
+            wave = _Wave(task, stored, self, running)
             self._waves[task.capture_id] = wave
             wave.start()
         return wave.progress
@@ -144,7 +148,7 @@ class WaveCaptureManager:
         with self._lock:
             self._closed = True
         for name in tuple(self._waves):
-            self.stop(name, "the server stopped")
+            self.stop(name, _STOPPED)
         self._pool.shutdown(wait=False, cancel_futures=True)
         self._process.close()
 
@@ -180,8 +184,16 @@ class WaveCaptureManager:
 class _Wave:
     """The thread that takes the poses of one session."""
 
-    def __init__(self, task: WaveTask, manager: WaveCaptureManager, running: RunningDevice) -> None:
+    def __init__(
+        self,
+        task: WaveTask,
+        stored: StoredWave,
+        manager: WaveCaptureManager,
+        running: RunningDevice,
+    ) -> None:
         self.task = task
+        self.stored = stored
+        """What was taken before."""
         self.running = running
         self.tap = ExposureTap(running.last_sequence, task.markers, len(task.sensors))
         self.reason = ""
@@ -189,9 +201,9 @@ class _Wave:
         self._collector = StrobedPoseCollector(
             task.markers,
             [sensor.pixels for sensor in task.sensors],
-            PoseCounts(*task.stored.counts),
+            PoseCounts(*stored.counts),
         )
-        self._collector.restore(task.stored.readings_px, task.stored.sigma_px)
+        self._collector.restore(stored.readings_px, stored.sigma_px)
         self._models = task.models
         self._cameras: Future[UncalibratedStart] | None = None
         self._cameras_due = FIRST_CAMERAS_POSES
@@ -250,6 +262,8 @@ class _Wave:
             self._manager.collect(self)
             self._collector.add(self.tap.take())
             self.reason = self.reason or f"{self.task.settings.duration_s:g} s were over"
+        except NotReady:
+            self.reason = self.reason or _STOPPED
         except LumilineError as error:
             self.reason = self.reason or error.detail
         except Exception as error:  # noqa: BLE001 - of this session, not of the server
@@ -288,7 +302,7 @@ class _Wave:
         return self._models
 
     def _visibility_counts(self) -> np.ndarray:
-        return self.task.stored.seen + self.tap.seen
+        return self.stored.seen + self.tap.seen
 
 
 def progress_of(coverage: WaveCoverage, counts: PoseCounts, seen: np.ndarray) -> WaveProgress:

@@ -1,6 +1,7 @@
 """Functions that runs of the tests compute, in real processes."""
 
 import os
+import signal
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -37,6 +38,10 @@ def break_down(report_progress: Progress) -> None:
 
 def die(report_progress: Progress) -> None:
     os._exit(7)
+
+
+def end_by_sigterm(report_progress: Progress) -> None:
+    signal.raise_signal(signal.SIGTERM)
 
 
 def take_memory(report_progress: Progress) -> int:

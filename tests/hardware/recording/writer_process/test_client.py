@@ -176,6 +176,25 @@ def test_a_writer_that_does_not_keep_up_costs_frames_that_are_counted(tmp_path: 
         assert_same_block(reader.block(0, 10**6), expected)
 
 
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_writer_at_a_signal_to_all_processes_goes_on(
+    tmp_path: Path, number: signal.Signals
+) -> None:
+    path = tmp_path / "r.h5"
+    before = signal.signal(number, signal.SIG_DFL)  # it could be ignored here, as under nohup
+    try:
+        feed = WriterProcessClient(job(path))
+    finally:
+        signal.signal(number, before)
+    os.kill(feed.pid, number)
+    feed.put_active_calibration(lambda: (b'{"id": "c"}', b"table" * 1000))
+    assert put(feed, 0, 40)
+    feed.stop("enough")
+    assert feed.wait(240.0)
+    assert (feed.status.ended, feed.status.failed) == ("enough", False)
+    check_frames(path, 40)
+
+
 def test_the_end_is_told_whatever_is_told_behind_it(tmp_path: Path) -> None:
     """Frames that are being handed over while another thread stops it tell of the head later."""
     path = tmp_path / "r.h5"

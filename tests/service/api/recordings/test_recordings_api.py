@@ -12,7 +12,10 @@ import pytest
 
 from hardware.recording.reader import RecordingReader
 from hardware.recording.writer import RecordingWriter
+from hardware.simulated.driver import SimulatedDriver
+from hardware.simulated.settings import SimulationSettings
 from service.application.app import create_app
+from service.pipeline.device_status import DeviceStatus
 from service.settings import Settings
 from tests.hardware.recording.blocks import block, described, read_recording
 from tests.running_server import serving
@@ -103,6 +106,32 @@ def write(path: Path, frames: int, *, complete: bool = True) -> None:
     with RecordingWriter(path, described()) as writer:
         writer.append_block(block(0, frames))
         writer.close(complete=complete)
+
+
+@pytest.mark.parametrize(
+    ("status", "reason"),
+    [
+        (DeviceStatus("running", "links are slow"), "the device was started again"),
+        (DeviceStatus("starting"), "the device was started again"),
+        (DeviceStatus("starting", "no station"), "the device has starting: no station"),
+    ],
+)
+def test_recording_whose_device_is_started_again_says_so(
+    sqlite_client: TestClient,
+    live: FakePipeline,
+    monkeypatch: pytest.MonkeyPatch,
+    status: DeviceStatus,
+    reason: str,
+) -> None:
+    """A start in another process ends the session before; the status is the device's, as it is."""
+    live.records = SimulatedDriver("sim", SimulationSettings()).description
+    begun = sqlite_client.post("/api/v1/devices/sim/recordings", json={"id": "a.h5"})
+    assert begun.status_code == 201, begun.text
+    running = type(live.session("sim"))
+    monkeypatch.setattr(running, "status", lambda _: status)
+    monkeypatch.setattr(running, "drained", True)
+    wait_for(lambda: sqlite_client.get(f"{API}/a.h5").json()["state"] == "complete")
+    assert sqlite_client.get(f"{API}/a.h5").json()["reason"] == reason
 
 
 def test_files_that_others_put_there_appear_as_what_they_are(

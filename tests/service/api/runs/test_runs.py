@@ -13,7 +13,7 @@ from service.api.runs.kind_registry import KINDS, RunKind
 from service.application.app import create_app
 from service.database.engine import Database
 from service.database.models import RunRow
-from service.jobs import store
+from service.jobs import run_manager, store
 from service.settings import Settings
 from tests.service.api.runs.in_process_worker import use_in_process_worker
 from tests.service.fake_pipeline import FakePipeline, TestClient
@@ -162,6 +162,25 @@ def test_a_process_that_dies_fails_its_run(sqlite_client: Any, computing: Any):
     assert "exit code 7" in found["problem"]["detail"]
 
 
+def test_run_whose_process_is_ended_by_sigterm_is_interrupted_and_the_next_one_waits(
+    sqlite_settings: Settings, computing: Any
+):
+    """The signal went to all of the server's processes; the server itself takes longer."""
+    computing(slow_tasks.end_by_sigterm)
+    with TestClient(create_app(sqlite_settings, FakePipeline())) as client:
+        client.post(URL, json=body(id="first"))
+        client.post(URL, json=body(id="second"))
+        found = wait(client, "first")
+        assert (found["state"], found["problem"]) == ("interrupted", None)
+        assert found["stage"] == "the server was stopped; post it again"
+    database = Database(sqlite_settings.effective_database_url)
+    try:
+        with database.read() as session:
+            assert session.get_one(RunRow, "second").state == "queued"
+    finally:
+        database.close()
+
+
 @pytest.mark.slow
 def test_cancelling_ends_the_process_and_stores_nothing(
     client: Any, computing: Any, tmp_path: Path
@@ -246,6 +265,27 @@ def test_what_ran_when_the_server_died_is_interrupted(open_client: Any, settings
         client.app.state.runs.submitted()  # it would look in some seconds
         wait(client, "elsewhere")
         assert client.get("/api/v1/runs/elsewhere").json()["state"] == "interrupted"
+
+
+def test_run_that_is_computed_here_with_a_stale_heartbeat_goes_on(
+    sqlite_client: Any, monkeypatch: pytest.MonkeyPatch
+):
+    """As behind a suspend of the machine: the dispatcher looks before the run is heard of."""
+    monkeypatch.setattr(run_manager, "_HEARTBEAT_S", 1e6)
+    gate = use_in_process_worker(monkeypatch, closed=True)
+    sqlite_client.post(URL, json=body(id="own", **QUICK))
+    wait(sqlite_client, "own", lambda found: found["state"] == "running")
+    with sqlite_client.app.state.database.write() as session:
+        session.get_one(RunRow, "own").heartbeat_at -= 2 * store.STALE_AFTER
+        row = store.add_run(session, "calibration", "sim", {}, 10, "elsewhere")
+        assert store.claim(session) is row
+        row.owner = "elsewhere/1"
+        row.heartbeat_at -= 2 * store.STALE_AFTER
+    sqlite_client.app.state.runs.submitted()
+    assert wait(sqlite_client, "elsewhere")["state"] == "interrupted"
+    assert sqlite_client.get("/api/v1/runs/own").json()["state"] == "running"
+    gate.set()
+    assert wait(sqlite_client, "own")["state"] == "succeeded"
 
 
 @pytest.mark.slow

@@ -16,6 +16,7 @@ from hardware.simulated.scenes import WavedWand
 from hardware.simulated.settings import SimulationSettings
 from service.api.wave_captures.examples import NEW_WAVE_CAPTURES
 from service.application.app import create_app
+from service.database.models import WaveCaptureRow
 from service.pipeline.frame_batch import FrameBatch
 from service.settings import Settings
 from tests.service.api.runs.in_process_worker import use_in_process_worker
@@ -34,6 +35,7 @@ URL = "/api/v1/wave-captures"
 SESSION = f"{URL}/sim-wave-capture"
 RUNS = "/api/v1/runs/self-calibration"
 BODY = NEW_WAVE_CAPTURES["wand"]["value"]
+SERVER_STOPPED = "the server stopped; the poses so far are kept"
 LONG = BODY | {"settings": {"duration_s": 600.0, "end_when_enough": False}}
 
 
@@ -183,13 +185,50 @@ def test_a_session_survives_a_restart_and_keeps_its_poses(sqlite_settings: Setti
     second = FakePipeline()
     with TestClient(create_app(sqlite_settings, second)) as client:
         found = client.get(SESSION).json()
-        assert (found["state"], found["ended"]) == ("stopped", "the server stopped")
+        assert (found["state"], found["ended"]) == ("stopped", SERVER_STOPPED)
         assert found["progress"]["exposures"]["taken"] > 40
         kept = found["progress"]["exposures"]["taken"]
         showing(second, waved(10.0, start_s=10.0))
         client.post(f"{SESSION}/start")
         progress = client.post(f"{SESSION}/stop").json()["progress"]
         assert progress["poses"] == progress["exposures"]["taken"] > kept + 40
+
+
+def test_wave_whose_measurement_the_servers_end_stops_keeps_its_poses_and_says_so(
+    sqlite_client: Any, live: FakePipeline
+):
+    showing(live, waved(10.0))
+    sqlite_client.post(URL, json=LONG)
+    sqlite_client.post(f"{SESSION}/start")
+    end = time.monotonic() + 240.0
+    while sqlite_client.get(SESSION).json()["progress"]["poses"] <= 40:
+        assert time.monotonic() < end
+        time.sleep(0.05)
+    live.streams.close("the server is stopping")
+    found = ended(sqlite_client)
+    assert (found["state"], found["ended"]) == ("stopped", SERVER_STOPPED)
+    assert found["progress"]["exposures"]["taken"] > 40
+
+
+def test_wave_that_is_started_while_another_one_ends_keeps_the_poses_of_both(
+    sqlite_client: Any, live: FakePipeline, monkeypatch: pytest.MonkeyPatch
+):
+    showing(live, waved(10.0))
+    sqlite_client.post(URL, json=LONG)
+    sqlite_client.post(f"{SESSION}/start")
+    find, first = live.session, []
+
+    def end_first(device_id: str) -> Any:
+        sqlite_client.app.state.wave_captures.stop("sim-wave-capture")
+        with sqlite_client.app.state.database.read() as session:
+            first.append(session.get_one(WaveCaptureRow, "sim-wave-capture").progress["poses"])
+        return find(device_id)
+
+    monkeypatch.setattr(live, "session", end_first)
+    showing(live, waved(10.0, start_s=10.0))
+    assert sqlite_client.post(f"{SESSION}/start").status_code == 200
+    both = sqlite_client.post(f"{SESSION}/stop").json()["progress"]
+    assert both["poses"] == both["exposures"]["taken"] > first[0] + 40 > 80
 
 
 def test_what_cannot_be_waved_is_refused(sqlite_client: Any, live: FakePipeline):

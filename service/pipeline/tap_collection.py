@@ -66,18 +66,17 @@ def collect_readings(
 
     Raises:
         DeviceNotRunning: it does not run, ends meanwhile, or is disconnected.
+        NotReady: the server stops meanwhile.
     """
     session = live.session(device_id)
     if not session.connected:
         raise not_running(device_id, live.status(device_id))
     tap = PeakTap(session.last_sequence, frames, marker)
-    session.attach(tap)
     try:
-        for _ in poll(tap.ended, timeout_s):
-            if not session.connected:
-                raise not_running(device_id, live.status(device_id))
-    finally:
-        session.detach(tap)
+        collect(live, session, tap, timeout_s, tap.ended)
+    except DeviceNotRunning as error:
+        # Its status has the reason.
+        raise not_running(device_id, live.status(device_id)) from error
     return tap.readings(len(session.description.sensors))
 
 

@@ -152,6 +152,7 @@ def capture_target(
         settings = CaptureSettings.model_validate(row.settings)
         marker = wanted.marker if wanted.marker is not None else settings.marker
         device, names = row.device_id, [sensor["name"] for sensor in row.sensors]
+        created = row.created_at
     with _exclusive(device):
         position, sigma = live.collect(device, settings.frames, marker, settings.timeout_s)
     if len(position) < settings.frames:
@@ -165,7 +166,8 @@ def capture_target(
     found = average(position, sigma, names, settings.seen_share, wanted.name)
     taken = to_captured(wanted.name, found, names, datetime.now(UTC))
     with database.write() as session:
-        return store.document(store.keep(session, capture_id, taken))
+        row = store.get_same(session, store.CAPTURES, capture_id, created)
+        return store.document(store.keep(session, row, taken))
 
 
 @contextmanager

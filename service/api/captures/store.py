@@ -4,7 +4,7 @@ import secrets
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from math import dist
-from typing import Any
+from typing import Any, TypeVar
 
 from sqlalchemy.orm import Session
 
@@ -32,6 +32,7 @@ from service.problems.errors import (
 
 _MIN_SIGMA_PX = 1e-6
 _AnyCaptureRow = CaptureRow | RadiometricCaptureRow | WaveCaptureRow
+_Row = TypeVar("_Row", bound=_AnyCaptureRow)
 ALL_CAPTURED = "All targets are captured: post a run with this capture_id."
 
 
@@ -147,14 +148,36 @@ def check_sensors_now(session: Session, row: _AnyCaptureRow) -> None:
         )
 
 
-def keep(session: Session, capture_id: str, found: CapturedTarget) -> CaptureRow:
-    """Store the readings of a target in place of earlier ones.
+def get_same(
+    session: Session, resource: Resource[_Row], capture_id: str, created_at: datetime
+) -> _Row:
+    """Return the session for which something was captured, locked until the transaction's end.
+
+    Args:
+        session: the session of the database.
+        resource: the kind of capture session.
+        capture_id: its id.
+        created_at: when it was created, as it was read before the capture.
 
     Raises:
-        UnknownCapture: there is none.
+        UnknownCapture, or that of the kind: it was deleted meanwhile, and perhaps created again.
+    """
+    row = resource.get(session, capture_id, lock=True)
+    if row.created_at != created_at:
+        raise resource.unknown(
+            f'session "{capture_id}" was deleted and created again while its sensors were read; '
+            "what was read is of the former one and was not kept; capture it again",
+            **{f"{resource.key}_id": capture_id},
+        )
+    return row
+
+
+def keep(session: Session, row: CaptureRow, found: CapturedTarget) -> CaptureRow:
+    """Store the readings of a target in place of earlier ones; the row is locked.
+
+    Raises:
         MarkerNotMoved: another target was read the same.
     """
-    row = CAPTURES.get(session, capture_id, lock=True)
     places = {target["name"]: target["position_mm"] for target in row.targets}
     others = [
         CapturedTarget.model_validate(row.captured[name]) for name in places if name in row.captured

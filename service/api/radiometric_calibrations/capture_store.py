@@ -9,7 +9,7 @@ from sqlalchemy.orm import Session
 
 from service.api.base_models import from_attributes
 from service.api.captures.store import check_device
-from service.api.radiometric_calibrations.capture_checks import Kind
+from service.api.radiometric_calibrations.capture_checks import Kind, check_flat
 from service.api.radiometric_calibrations.frame_statistics import (
     FrameStatistics,
     pack_statistics,
@@ -102,19 +102,22 @@ def statistics_by_name(row: RadiometricCaptureRow) -> dict[str, FrameStatistics]
 
 def keep(
     session: Session,
-    capture_id: str,
+    row: RadiometricCaptureRow,
     taken: CapturedFrames,
     found: FrameStatistics,
 ) -> RadiometricCaptureRow:
-    """Store a capture in place of an earlier one of its name.
+    """Store a capture in place of an earlier one of its name; the row is locked.
 
-    A new dark capture drops the flat ones: they were checked against the earlier one.
+    A flat capture is checked against the dark one that is there now. A new dark capture drops the
+    flat ones: they were checked against the earlier one.
 
     Raises:
-        UnknownRadiometricCapture.
+        UnusableRadiometricCapture: a flat capture is unfit.
     """
-    row = RADIOMETRIC_CAPTURES.get(session, capture_id, lock=True)
     kept = {} if taken.kind == "dark" else statistics_by_name(row)
+    if taken.kind == "flat":
+        sensors = [one.sensor for one in taken.sensors]
+        check_flat(found, sensors, kept[DARK], taken.full_scale_counts)
     kept[taken.name] = found
     others = [one for one in row.captured if one["name"] in kept and one["name"] != taken.name]
     row.captured = sorted(

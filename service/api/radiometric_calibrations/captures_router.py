@@ -4,7 +4,7 @@ from typing import Annotated
 
 from fastapi import Body, Query, Response
 
-from service.api.captures.store import check_sensors_now
+from service.api.captures.store import check_sensors_now, get_same
 from service.api.devices.store import get_device
 from service.api.inputs import (
     DatabaseDep,
@@ -19,7 +19,6 @@ from service.api.radiometric_calibrations import capture_store as store
 from service.api.radiometric_calibrations.capture_checks import (
     Kind,
     check_dark,
-    check_flat,
     check_frame_count,
 )
 from service.api.radiometric_calibrations.examples import NEW_RADIOMETRIC_CAPTURES
@@ -138,10 +137,9 @@ def capture_frames(
         check_sensors_now(session, row)
         sensors = [sensor["name"] for sensor in row.sensors]
         kind = kind or store.document(row).next or "flat"
-        wanted = store.capture_name(row, kind, name)
+        store.capture_name(row, kind, name)  # refused before frames are waited for
         settings = RadiometricCaptureSettings.model_validate(row.settings)
-        device_id = row.device_id
-        dark = store.statistics_by_name(row).get(store.DARK)
+        device_id, created = row.device_id, row.created_at
     running = live.session(device_id)
     tap = FrameTap(running.last_sequence, settings.frames, len(sensors))
     collect(live, running, tap, settings.timeout_s, tap.ended, tap.add_up)
@@ -152,10 +150,16 @@ def capture_frames(
     full_scale = 2**description.bits - 1
     if kind == "dark":
         check_dark(found, sensors, description.offset_counts, full_scale)
-    elif dark is not None:
-        check_flat(found, sensors, dark, full_scale)
-    taken = store.captured_frames(
-        wanted, kind, found, sensors, full_scale, temperature_c, relative_light
-    )
     with database.write() as session:
-        return store.document(store.keep(session, radiometric_capture_id, taken, found))
+        row = get_same(session, store.RADIOMETRIC_CAPTURES, radiometric_capture_id, created)
+        # Named only now: another capture may have been stored meanwhile.
+        taken = store.captured_frames(
+            store.capture_name(row, kind, name),
+            kind,
+            found,
+            sensors,
+            full_scale,
+            temperature_c,
+            relative_light,
+        )
+        return store.document(store.keep(session, row, taken, found))

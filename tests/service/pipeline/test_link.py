@@ -18,7 +18,7 @@ from hardware.link import LinkCounters, LinkState
 from hardware.simulated.driver import SimulatedDriver
 from hardware.simulated.settings import SimulationSettings
 from service.pipeline.pipeline_manager import PipelineManager
-from service.problems.errors import DeviceNotRunning
+from service.problems.errors import DeviceNotRunning, NotReady
 from service.protocols.stream.hub import Hub
 
 DESCRIPTION = SimulatedDriver("cable", SimulationSettings()).description
@@ -170,6 +170,20 @@ def test_a_capture_ends_when_the_device_is_lost_meanwhile(live: PipelineManager)
     with pytest.raises(DeviceNotRunning, match="the cable was pulled"):
         live.collect("cable", 1, 0, 20.0)
     timer.join()
+
+
+def test_a_capture_ends_when_the_server_stops_meanwhile(
+    live: PipelineManager, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It would wait for a minute, and the process with it."""
+    live.start_device("cable", Cable())
+    wait_for(lambda: live.status("cable").state == "running", 240.0)
+    session = live.session("cable")
+    assert isinstance(live.streams, Hub)
+    close = live.streams.close
+    monkeypatch.setattr(session, "attach", lambda _: close("the server is stopping"))
+    with pytest.raises(NotReady, match="the server is stopping"):
+        live.collect("cable", 1, 0, 60.0)
 
 
 def test_a_device_that_is_not_there_is_waited_for(

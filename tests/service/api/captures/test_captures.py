@@ -131,6 +131,29 @@ def test_a_session_is_deleted(client: Any):
     assert client.delete(f"{URL}/sim-capture").json()["type"] == "/problems/unknown-capture"
 
 
+@pytest.mark.parametrize("name", ["P1", "elsewhere"])
+def test_a_session_made_anew_meanwhile_is_not_given_the_formers_readings(
+    client: Any, live: FakePipeline, monkeypatch: pytest.MonkeyPatch, name: str
+):
+    """Whether it has a target of the same name or not."""
+    assert client.post(URL, json=BODY).status_code == 201
+    place(live, BODY["targets"][0])
+
+    def replaced(*asked: Any) -> Any:
+        assert client.delete(f"{URL}/sim-capture").status_code == 204
+        targets = [{"name": name, "position_mm": [50.0, 0.0, 1500.0]}]
+        assert client.post(URL, json=BODY | {"targets": targets}).status_code == 201
+        return read(*asked)
+
+    read = live.collect
+    monkeypatch.setattr(live, "collect", replaced)
+    answer = client.post(f"{URL}/sim-capture/capture")
+    assert answer.status_code == 404, answer.text
+    assert answer.json()["type"] == "/problems/unknown-capture"
+    assert "created again" in answer.json()["detail"]
+    assert client.get(f"{URL}/sim-capture").json()["captured"] == []
+
+
 def test_a_target_names_its_marker_or_takes_the_settings(sqlite_client: Any, live: FakePipeline):
     targets = [
         {"name": f"P{number}", "position_mm": [30.0 * number, 0.0, 1500.0]} for number in range(3)

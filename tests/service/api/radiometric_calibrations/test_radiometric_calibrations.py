@@ -9,6 +9,7 @@ import pytest
 
 from hardware.line_frame import LineFrame
 from hardware.recording.writer import RecordingWriter
+from service.api.radiometric_calibrations import captures_router
 from service.api.radiometric_calibrations.examples import (
     NEW_RADIOMETRIC_CALIBRATIONS,
     NEW_RADIOMETRIC_CAPTURES,
@@ -27,6 +28,7 @@ from tests.service.api.radiometric_calibrations.frames import (
 from tests.service.fake_pipeline import FakePipeline
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
 CAPTURES = "/api/v1/radiometric-captures"
@@ -209,6 +211,67 @@ def test_a_capture_is_taken_again_and_a_new_dark_one_begins_anew(
     assert "28% of full scale" in again["instruction"]
     anew = capture(client, live, 0.0, kind="dark").json()
     assert [one["name"] for one in anew["captured"]] == ["dark"]
+
+
+@pytest.fixture
+def meanwhile(monkeypatch: pytest.MonkeyPatch) -> "Callable[[Callable[[], Any]], None]":
+    """Lets something happen once, when the next capture has its frames and has not stored them."""
+
+    def plan(happens: "Callable[[], Any]") -> None:
+        def collected(*asked: Any) -> None:
+            monkeypatch.setattr(captures_router, "collect", collect)
+            collect(*asked)
+            happens()
+
+        monkeypatch.setattr(captures_router, "collect", collected)
+
+    collect = captures_router.collect
+    return plan
+
+
+def test_overlapping_flat_captures_are_both_kept(
+    client: Any, live: FakePipeline, meanwhile: Any
+) -> None:
+    client.post(CAPTURES, json=CAPTURE_BODY)
+    capture(client, live, 0.0, kind="dark")
+    others: list[Any] = []
+    meanwhile(lambda: others.append(capture(client, live, LEVELS[1], kind="flat")))
+    found = capture(client, live, LEVELS[0], kind="flat")
+    assert others[0].status_code == found.status_code == 200, found.text
+    (acknowledged,) = others[0].json()["captured"][1:]
+    assert found.json()["captured"][1] == acknowledged
+    assert [one["name"] for one in found.json()["captured"]] == ["dark", "flat-1", "flat-2"]
+
+
+def test_a_flat_capture_is_checked_against_a_dark_one_that_came_meanwhile(
+    client: Any, live: FakePipeline, meanwhile: Any
+) -> None:
+    """Its light is 125 counts above the first one, and 25 above the second; 82 are needed."""
+    client.post(CAPTURES, json=CAPTURE_BODY)
+    capture(client, live, 0.0, kind="dark")
+    second: list[Any] = []
+    meanwhile(lambda: second.append(capture(client, live, 1200.0, kind="dark")))
+    refused = capture(client, live, 1500.0, kind="flat")
+    assert second[0].status_code == 200, second[0].text
+    assert refused.json()["type"] == "/problems/unusable-radiometric-capture", refused.text
+    assert "too dark" in refused.json()["detail"]
+    assert client.get(SESSION).json() == second[0].json()
+
+
+def test_a_session_made_anew_meanwhile_is_not_given_the_formers_frames(
+    client: Any, live: FakePipeline, meanwhile: Any
+) -> None:
+    client.post(CAPTURES, json=CAPTURE_BODY)
+
+    def again() -> None:
+        assert client.delete(SESSION).status_code == 204
+        assert client.post(CAPTURES, json=CAPTURE_BODY).status_code == 201
+
+    meanwhile(again)
+    answer = capture(client, live, 0.0, kind="dark")
+    assert answer.status_code == 404, answer.text
+    assert answer.json()["type"] == "/problems/unknown-radiometric-capture"
+    assert client.get(SESSION).json()["captured"] == []
 
 
 def test_from_recordings_of_the_data_directory(

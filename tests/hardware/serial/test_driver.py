@@ -66,7 +66,7 @@ class Watched:
         except Exception as error:  # noqa: BLE001
             self.error = error
 
-    def wait(self, condition: Callable[[], bool], seconds: float = 20.0) -> None:
+    def wait(self, condition: Callable[[], bool], seconds: float = 240.0) -> None:
         end = time.monotonic() + seconds
         while not condition():
             assert time.monotonic() < end, f"it did not come true: {self.driver.link()}"

@@ -17,6 +17,7 @@ from hardware.line_frame import LineFrame
 from hardware.link import LinkCounters, LinkState
 from hardware.simulated.driver import SimulatedDriver
 from hardware.simulated.settings import SimulationSettings
+from service.pipeline import pipeline_manager
 from service.pipeline.pipeline_manager import PipelineManager
 from service.problems.errors import DeviceNotRunning, NotReady
 from service.protocols.stream.hub import Hub
@@ -88,7 +89,9 @@ def frame(sequence: int) -> LineFrame:
 
 
 @pytest.fixture
-def live() -> Iterator[PipelineManager]:
+def live(monkeypatch: pytest.MonkeyPatch) -> Iterator[PipelineManager]:
+    # The first start in a process loads kernels, which takes long on a busy machine.
+    monkeypatch.setattr(pipeline_manager, "FIRST_ATTEMPT_S", 240.0)
     manager = PipelineManager(Hub(), "cpu")
     manager.streams = Told()
     yield manager
@@ -100,7 +103,7 @@ def states(live: PipelineManager) -> list[tuple[str, str | None, str | None]]:
     return [(one["state"], one["reason"], one["link"]) for one in live.streams.messages]
 
 
-def wait_for(condition: Callable[[], bool], seconds: float = 20.0) -> None:
+def wait_for(condition: Callable[[], bool], seconds: float = 240.0) -> None:
     end = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < end, "it did not come true"

@@ -10,7 +10,7 @@ from service.pipeline.frame_batch import FrameBatch
 from service.pipeline.pipeline_manager import PipelineManager
 from service.protocols.stream.hub import Hub
 
-WAIT_S = 60.0
+WAIT_S = 240.0
 
 
 class SlowTap:

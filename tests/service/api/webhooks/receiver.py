@@ -19,7 +19,7 @@ class Receiver:
     requests: list[tuple[dict[str, str], bytes]] = field(default_factory=list)
     came: threading.Condition = field(default_factory=threading.Condition)
 
-    def wait(self, count: int, timeout_s: float = 20.0) -> list[dict[str, Any]]:
+    def wait(self, count: int, timeout_s: float = 240.0) -> list[dict[str, Any]]:
         """Return the bodies when so many requests have come."""
         with self.came:
             assert self.came.wait_for(lambda: len(self.requests) >= count, timeout_s), (

@@ -20,7 +20,7 @@ from hardware.simulated.simulated_rig import (
     simulated_sensor_models,
 )
 from service.api.captures.schema import CapturedSensor, CapturedTarget
-from service.api.captures.store import keep
+from service.api.captures.store import CAPTURES, keep
 from service.api.devices.schema import Sensor
 from service.api.drift_checks.examples import NEW_DRIFT_CHECKS
 from service.api.drift_checks.schema import StationaryMarker
@@ -113,7 +113,7 @@ def capture(client: Any, name: str, models: tuple[SensorModel, ...], seed: int) 
             ]
             keep(
                 session,
-                name,
+                CAPTURES.get(session, name, lock=True),
                 CapturedTarget(
                     target=point["name"], frames=50, sensors=sensors, captured_at=datetime.now(UTC)
                 ),

@@ -2,6 +2,7 @@
 
 import multiprocessing
 import pickle
+import sys
 import time
 from collections.abc import Callable
 from functools import cache
@@ -25,7 +26,8 @@ def process_context() -> "ForkServerContext | SpawnContext":
     They are forked from a process that has loaded what they need, which takes a second, and has one
     thread: a fork of the server would copy locks that its other threads hold.
     """
-    if "forkserver" not in multiprocessing.get_all_start_methods():
+    safe = sys.version_info >= (3, 11, 1)  # CVE-2022-42919: other users could reach what forks
+    if not safe or "forkserver" not in multiprocessing.get_all_start_methods():
         return multiprocessing.get_context("spawn")
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(["service.jobs.preloaded"])

@@ -80,7 +80,9 @@ def test_banner_of_the_tools_covers_no_navigation(visit: Visit):
     httpx.post(f"{visit.url}/api/v1/devices/sim/stop", timeout=60).raise_for_status()
     try:
         visit.screen("Tools")
-        banner = visit.page.get_by_role("alert").filter(has_text="The device is not running")
+        # Of this screen: that of the one before may be there for a moment, and have no place.
+        tools = visit.page.get_by_role("region", name="Tools", exact=True)
+        banner = tools.get_by_role("alert").filter(has_text="The device is not running")
         banner.wait_for()
         below = "bar => bar.getBoundingClientRect().top - {}.bottom"
         header = "document.querySelector('header.top').getBoundingClientRect()"

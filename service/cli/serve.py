@@ -4,6 +4,7 @@ import asyncio
 import gc
 import json
 import os
+import sys
 import threading
 import webbrowser
 from collections.abc import Callable
@@ -25,6 +26,8 @@ _SETTINGS: Final = tuple(Settings.model_fields)
 
 GC_THRESHOLDS: Final = (10_000, 1_200, 100)
 """Objects more than before, and how many collections of one generation, before the next."""
+SWITCH_S: Final = 5e-4
+"""How long a request's thread may keep the interpreter from streams: each turn waits for it."""
 COLLECT_S: Final = 0.5
 """Time between two collections of young objects."""
 
@@ -62,6 +65,7 @@ def _serve(
     from service.logs import configured_logging
 
     preflight.check_ports(settings)
+    sys.setswitchinterval(SWITCH_S)
     with configured_logging(settings):
         preflight.check_startup(settings)
         preflight.create_bootstrap_key(settings)

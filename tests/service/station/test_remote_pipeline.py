@@ -328,9 +328,13 @@ def seen_last(pipeline: RemotePipeline) -> set[str]:
     return {pipeline.status(name).state for name in ("one", "two", "three")}
 
 
-def test_device_that_is_stopped_while_its_station_is_replaced_stays_stopped(
+def waiting_at_the_first_restart(
     pipeline: RemotePipeline, monkeypatch: pytest.MonkeyPatch
-) -> None:
+) -> threading.Event:
+    """Replace the station of devices "one" and "two", up to the first; return what lets it go on.
+
+    The new station is there, and neither device is started at it.
+    """
     for name in ("one", "two"):
         pipeline.start_device(name, SimulatedDriver(name, LIVE), CALIBRATED)
     first_again, go_on = threading.Event(), threading.Event()
@@ -345,6 +349,13 @@ def test_device_that_is_stopped_while_its_station_is_replaced_stays_stopped(
     monkeypatch.setattr(RemotePipeline, "call", wait_at_the_first)
     os.kill(pipeline.station.process_id, signal.SIGKILL)
     assert first_again.wait(WAIT_S)
+    return go_on
+
+
+def test_device_that_is_stopped_while_its_station_is_replaced_stays_stopped(
+    pipeline: RemotePipeline, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    go_on = waiting_at_the_first_restart(pipeline, monkeypatch)
     pipeline.stop_device("two")
     assert pipeline.status("two").state == "stopped"
     pipeline.set_tracking_config("two", TrackingConfig(True))
@@ -488,20 +499,7 @@ def test_hold_deleted_without_a_station_is_told_to_be_the_last(without_station: 
 def test_device_that_was_started_at_the_new_station_goes_on(
     pipeline: RemotePipeline, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for name in ("one", "two"):
-        pipeline.start_device(name, SimulatedDriver(name, LIVE), CALIBRATED)
-    first_again, go_on = threading.Event(), threading.Event()
-    call = RemotePipeline.call
-
-    def wait_at_the_first(self: RemotePipeline, method: str, *args: Any, **members: Any) -> Any:
-        if method == "start_device" and threading.current_thread().name == "station-lost":
-            first_again.set()
-            go_on.wait(WAIT_S)
-        return call(self, method, *args, **members)
-
-    monkeypatch.setattr(RemotePipeline, "call", wait_at_the_first)
-    os.kill(pipeline.station.process_id, signal.SIGKILL)
-    assert first_again.wait(WAIT_S)
+    go_on = waiting_at_the_first_restart(pipeline, monkeypatch)
     pipeline.start_device("two", SimulatedDriver("two", LIVE), CALIBRATED)
     device = pipeline.session("two")
     go_on.set()

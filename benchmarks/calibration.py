@@ -43,7 +43,8 @@ from benchmarks.calibration_peers import (
 )
 from benchmarks.triangulation import rig
 from compute.calibration.calibrate import calibrate
-from compute.calibration.single_sensor.camera_fit import equation_groups, minimise
+from compute.calibration.single_sensor.camera_fit import minimise
+from compute.calibration.single_sensor.design_matrix import equation_groups
 from compute.calibration.single_sensor.projective_camera import metric_cameras, search_from
 from compute.camera.model import SensorGeometry, SensorModel
 from compute.camera.stack import CameraStack

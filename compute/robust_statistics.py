@@ -31,6 +31,16 @@ def biweight(standardised: Array) -> Array:
     return weights
 
 
+def biweight_loss(standardised: Array) -> Array:
+    """Return Tukey's loss, z^2 / 2 near 0 and BIWEIGHT_LIMIT^2 / 6 beyond the limit, of z's shape.
+
+    ``biweight`` are the weights of its minimisation.
+    """
+    inside = np.maximum(1.0 - (standardised / BIWEIGHT_LIMIT) ** 2, 0.0)
+    loss: Array = BIWEIGHT_LIMIT**2 / 6.0 * (1.0 - inside**3)
+    return loss
+
+
 def mad_sigma(residuals: Array, used: NDArray[np.bool_], parameters: int) -> Array:
     """Estimate each sensor's noise from the median of its absolute residuals, shape (S,).
 

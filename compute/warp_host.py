@@ -6,7 +6,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache, partial
 from operator import attrgetter
-from typing import Any
+from typing import Any, Self
 
 from numpy.typing import NDArray
 
@@ -69,6 +69,22 @@ class PackedLaunch:
         """The kernel's arguments by name, to be changed between calls."""
         self._dim: int | None = None
         self._prepare()
+
+    @classmethod
+    def of_record(cls, kernel: Any, record: NDArray[Any]) -> Self:
+        """Return the launch of a kernel with one thread, which takes the address of a record.
+
+        Loads the kernel now, not at the first call, and compiles it unless an earlier process has.
+
+        Args:
+            kernel: made by ``native_kernel``.
+            record: is to be kept alive by the caller.
+        """
+        # Here and not above: Warp takes a second to load.
+        import warp as wp
+
+        inputs = [address(record)]
+        return cls(wp.launch(kernel, dim=1, inputs=inputs, device="cpu", record_cmd=True))
 
     def set_dim(self, dim: int) -> None:
         """Set the number of threads, where it is another: it takes as long as a kernel."""

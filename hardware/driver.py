@@ -61,7 +61,10 @@ class DeviceDescription:
 
 
 class Driver(Protocol):
-    """A source of line scans, a blocking generator that the caller runs in its own thread."""
+    """A source of line scans: a blocking generator.
+
+    The caller runs it in threads of its own: in one after the other, never in two at a time.
+    """
 
     @property
     def description(self) -> DeviceDescription:
@@ -95,6 +98,14 @@ class IdlingDriver(Protocol):
 
     idle: bool
     """Whether nobody looks: its frames come with empty ``lines``, numbered and timed as ever."""
+
+
+@runtime_checkable
+class PreparingDriver(Protocol):
+    """A driver that has something to do before its first frame, which takes long."""
+
+    preparation: str | None
+    """What it does, as a sentence; None: nothing any more. Set by ``open``."""
 
 
 class Session(Protocol):

@@ -172,6 +172,15 @@ class Settings(BaseSettings):
     ndi_part_numbers: dict[str, str] = Field(default_factory=dict)
     """Ids of tools by what the tool definitions that clients upload call them."""
 
+    @field_validator("station")
+    @classmethod
+    def _can_be_started(cls, station: str) -> str:
+        if station == "process" and sys.platform != "linux":
+            raise ValueError(
+                "a station's process needs Linux; leave the setting out, or give 'thread'"
+            )
+        return station
+
     @field_validator("trusted_proxies", "openigtlink_allow", "ndi_allow")
     @classmethod
     def _addresses(cls, addresses: tuple[str, ...]) -> tuple[str, ...]:

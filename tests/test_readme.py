@@ -26,6 +26,7 @@ def blocks(language: str) -> list[str]:
     return re.findall(rf"```{language}\n(.*?)```", README, flags=re.DOTALL)
 
 
+@pytest.mark.slow
 def test_the_table_of_errors_is_what_the_command_prints() -> None:
     from validation.published_errors import DLT, PUBLISHED
     from validation.tests_5_1_to_5_8 import CASES, LEAVE_ONE_OUT, METRIC
@@ -72,6 +73,7 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
         yield url.removeprefix("http://")
 
 
+@pytest.mark.slow
 def test_curl_tour(address: str) -> None:
     tour, _ = blocks("bash")
     device, calibration, activated, reconstruction = answers_to(tour, address)

@@ -17,22 +17,18 @@ from compute.calibration.mislabels.detector import find_label_errors
 from compute.calibration.mislabels.repair import CORRECTIONS, LabelFinding
 from compute.calibration.result import Calibration, SensorFit, nested_rows
 from compute.calibration.settings import DEFAULTS, CalibrationSettings, preset_terms
-from compute.calibration.single_sensor.camera_fit import (
-    EquationGroup,
-    effective_parameters,
-)
+from compute.calibration.single_sensor.design_matrix import EquationGroup, effective_parameters
+from compute.calibration.single_sensor.distorted_fit import fit_distorted
 from compute.calibration.single_sensor.distortion_scale import fit_distortion_scale
 from compute.calibration.single_sensor.reading_noise import estimate_noise
 from compute.calibration.single_sensor.sensor_fits import (
     SIGMA_FLOOR_PX,
     ControlObservations,
     SensorFits,
-    fit_distorted,
-    fit_metric_cameras,
-    fit_undistorted,
     projected_point_sigma,
     residual_sigma,
 )
+from compute.calibration.single_sensor.undistorted_fit import fit_metric_cameras, fit_undistorted
 from compute.camera.model import PARAMETER_COUNT, SensorGeometry, SensorModel, vector3
 from compute.camera.observation_checks import (
     UNEXPLAINED_PROBABILITY,
@@ -233,7 +229,7 @@ def _fit_distortion(
         terms = (requested,) * len(models)
         selection = DistortionEstimate("terms", "as asked")
     progress(0.7, f"distortion {selection.chosen}")
-    return fit_distorted(observed, fits, terms, settings.loss), selection
+    return fit_distorted(observed, fits, terms, settings.loss, from_subsets=True), selection
 
 
 def _fit_statistics(

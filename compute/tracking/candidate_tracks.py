@@ -15,7 +15,7 @@ from compute.tracking.max_weight_independent_set import (
     max_weight_independent_set,
 )
 from compute.tracking.motion_model import ImmStates, mean_positions, mix_and_predict
-from compute.tracking.native.associator import Associator
+from compute.tracking.native.kernels import Associator
 from compute.tracking.tracks import MIN_SUPPORT_SENSORS
 from compute.tracking.unresolved_neighbours import (
     NEIGHBOUR_FIELDS,

@@ -215,6 +215,16 @@ def mean_positions(states: ImmStates) -> Array:
     return mean
 
 
+def position_spreads(states: ImmStates) -> tuple[Array, Array]:
+    """Return mean positions (T, 3) and root traces of their covariances (T,) of mixtures [mm]."""
+    squares = np.trace(states.covariance[..., :3, :3], axis1=2, axis2=3)
+    if states.probability.shape[1] == 1:
+        return states.mean[:, 0, :3], np.sqrt(squares[:, 0])
+    mean = mean_positions(states)
+    squares += ((states.mean[..., :3] - mean[:, None]) ** 2).sum(axis=2)
+    return mean, np.sqrt((states.probability * squares).sum(axis=1))
+
+
 def is_finite(states: ImmStates) -> NDArray[np.bool_]:
     """Return which tracks' states are finite in all that their positions depend on, shape (T,)."""
     finite = np.isfinite(states.mean).all(axis=(1, 2))

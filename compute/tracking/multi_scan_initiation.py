@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from compute.measurement.measurements import Measurements
 from compute.tracking.candidate_tracks import CandidateBatch, CandidateTracks
-from compute.tracking.native.associator import Associator
+from compute.tracking.native.kernels import Associator
 from compute.tracking.state_initialisation import filter_sequence
 from compute.tracking.unassociated_points import UnassociatedPointFinder
 from compute.tracking.viterbi_linking import ViterbiLinker

@@ -8,7 +8,7 @@ from compute.reconstruction.correspondence.predicted_candidates import Predicted
 from compute.tracking.candidate_tracks import CandidateBatch
 from compute.tracking.motion_model import ImmStates, combine_modes, is_finite, mean_positions
 from compute.tracking.multi_scan_initiation import MultiScanInitiator
-from compute.tracking.native.associator import Associator
+from compute.tracking.native.kernels import Associator
 from compute.tracking.state_initialisation import states_from_points
 from compute.tracking.track_management import (
     MIN_SUPPORTED_HITS_AMBIGUOUS,

@@ -7,7 +7,12 @@ from numpy.typing import NDArray
 
 from compute.errors import InvalidParameter
 from compute.reconstruction.triangulation import chi2_limit, squared_distances
-from compute.tracking.motion_model import ImmStates, MotionModels, combine_modes
+from compute.tracking.motion_model import (
+    ImmStates,
+    MotionModels,
+    combine_modes,
+    position_spreads,
+)
 from compute.tracking.settings import TrackerSettings
 from compute.tracking.tracks import Tracks
 
@@ -176,17 +181,16 @@ def indistinguishable_tracks(
     """
     if len(rows) < 2:
         return np.empty(0, dtype=np.intp)
-    combined = combine_modes(motion, tracks.states.rows(rows))
-    position_mm = combined.mean[:, :3]
-    size = np.sqrt(np.trace(combined.covariance[:, :3, :3], axis1=1, axis2=2))
+    position_mm, spread_mm = position_spreads(states := tracks.states.rows(rows))
     limit = chi2_limit(_MOTION, INDISTINGUISHABLE_SIGNIFICANCE)
     apart = np.sqrt(((position_mm[:, None] - position_mm[None]) ** 2).sum(axis=2))
-    close = apart <= np.sqrt(limit) * (size[:, None] + size[None])
-    np.fill_diagonal(close, val=False)
+    close = apart <= np.sqrt(limit) * (spread_mm[:, None] + spread_mm[None])
+    close &= rows[:, None] < rows  # each pair once
     if not close.any():
         return np.empty(0, dtype=np.intp)
+    combined = combine_modes(motion, states)
     indistinguishable: set[int] = set()
-    for one, two in np.argwhere(np.triu(close)):
+    for one, two in np.argwhere(close):
         # What the calibration's error does to both alike does not part them.
         bias, cross = tracks.bias[rows[one]], combined.bias_cross_covariance
         total = combined.covariance[one] + combined.covariance[two]

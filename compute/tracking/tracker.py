@@ -12,12 +12,8 @@ from compute.measurement.measurement_model import MeasurementModel
 from compute.measurement.measurements import Measurements, check_sensors
 from compute.reconstruction.correspondence.candidates import MatchSettings
 from compute.reconstruction.solver import PointSolver
-from compute.tracking.motion_model import (
-    MotionModels,
-    mean_positions,
-    mix_and_predict,
-)
-from compute.tracking.native.associator import Associator
+from compute.tracking.motion_model import MotionModels, mean_positions
+from compute.tracking.native.kernels import Associator, Predictor
 from compute.tracking.settings import TrackerSettings
 from compute.tracking.state_initialisation import check_prior, states_from_prior
 from compute.tracking.track_batch import TrackBatch
@@ -76,6 +72,7 @@ class Tracker:
         self.settings = settings
         self.motion = MotionModels.of(settings)
         self._pixels = pixels
+        self._predictor = Predictor(self.motion, len(cameras))
         self._initiator = TrackInitiator(*self._build(cameras, parameter_covariance, corrections))
         self.reset()
 
@@ -232,7 +229,12 @@ class Tracker:
         self._tracks, associations = self._initiator.find(
             tracks, part, associations, exposure, free
         )
-        return to_track_batch(self.model, self.motion, self._tracks, associations, exposure)
+        step = np.asarray((time_ns - self._tracks.time_ns) * 1e-9, dtype=np.float64)
+        combined = self._predictor.combined(self._tracks.states, step)
+        return to_track_batch(
+            self.model, self._tracks, combined, associations, exposure,
+            acceleration=any(self.motion.has_acceleration),
+        )  # fmt: skip
 
     def _visible_rows(self, marker: int | None) -> NDArray[np.intp]:
         """Return the rows of tracks that this exposure may show."""
@@ -250,7 +252,7 @@ class Tracker:
         if len(rows) == 0:
             return
         step = np.asarray((time_ns - tracks.time_ns[rows]) * 1e-9, dtype=np.float64)
-        states = mix_and_predict(self.motion, tracks.states.rows(rows), step)
+        states = self._predictor.predict(tracks.states.rows(rows), step)
         tracks.time_ns[rows] = time_ns
         if not self.model.exact:
             position_mm = mean_positions(states)

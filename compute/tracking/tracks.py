@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from compute.measurement.measurement_model import MeasurementModel
 from compute.measurement.measurements import Measurements
 from compute.reconstruction.point_batch import Batch
-from compute.tracking.motion_model import ImmStates, MotionModels, combine_modes, mix_and_predict
+from compute.tracking.motion_model import CombinedState, ImmStates
 from compute.tracking.track_batch import TrackBatch, TrackFlag, TrackState
 from compute.tracking.unresolved_neighbours import NEIGHBOUR_FIELDS
 
@@ -250,30 +250,26 @@ _MERGED, _AMBIGUOUS, _FEW_SENSORS, _SUSPECT_PEAK, _OUTSIDE_MAP = map(np.int32, T
 
 def to_track_batch(
     model: MeasurementModel,
-    motion: MotionModels,
     tracks: Tracks,
+    combined: CombinedState,
     associations: Associations,
     exposure: Exposure,
+    *,
+    acceleration: bool,
 ) -> TrackBatch:
-    """Return the tracks after an exposure, predicted to it where they were not updated.
+    """Return the tracks after an exposure.
 
     Args:
         model: the measurement model, of S sensors.
-        motion: M motion models.
         tracks: T tracks.
+        combined: their mixtures at the exposure; of which the result takes hold.
         associations: their associations in the exposure.
         exposure: the exposure.
+        acceleration: whether it is estimated.
     """
-    time_ns, peaks = exposure.time_ns, exposure.peaks
-    states = tracks.states
-    late = np.flatnonzero(tracks.time_ns != time_ns)
-    if len(late):
-        states = states.rows(np.arange(len(tracks)))
-        step = np.asarray((time_ns - tracks.time_ns[late]) * 1e-9, dtype=np.float64)
-        states.put(late, mix_and_predict(motion, tracks.states.rows(late), step))
-    combined = combine_modes(motion, states)
-    mean, covariance = combined.mean.copy(), combined.covariance.copy()
-    if not any(motion.has_acceleration):
+    peaks = exposure.peaks
+    mean, covariance = combined.mean, combined.covariance
+    if not acceleration:
         mean[:, 6:] = np.nan
         covariance[:, 6:] = covariance[:, :, 6:] = np.nan
     dof = associations.sensor_counts()

@@ -5,7 +5,7 @@ import type { ComponentType } from "preact";
 import { useEffect } from "preact/hooks";
 import { api, sent } from "./api/client";
 import { logIn, logOut, openSession, refusal, serverReached, session, trouble } from "./api/session";
-import { choose, device, devices, loadDevices } from "./devices";
+import { choose, device, devices, loadDevices, missing } from "./devices";
 import { usePolled } from "./live/polling";
 import { visible } from "./live/visibility";
 import { Administration } from "./screens/administration/administration";
@@ -123,24 +123,38 @@ function Navigation() {
 }
 
 function DeviceChoice() {
-  usePolled("devices", loadDevices, 5);
+  const polled = usePolled("devices", loadDevices, 5);
   const now = device.value;
-  if (!now) return null;
+  const known = devices.value ?? [];
   return (
     <div class="row">
-      <label>
-        {text.device.label}{" "}
-        <select value={now.id} onChange={(event) => choose(event.currentTarget.value)}>
-          {devices.value.map((one) => (
-            <option key={one.id} value={one.id}>
-              {one.title || one.id}
-            </option>
-          ))}
-        </select>
-      </label>
-      <DeviceState id={now.id} />
+      {known.length ? (
+        <label>
+          {text.device.label}{" "}
+          <select value={now?.id ?? ""} onChange={(event) => choose(event.currentTarget.value)}>
+            {now ? null : (
+              <option value="" disabled>
+                {text.device.choose}
+              </option>
+            )}
+            {known.map((one) => (
+              <option key={one.id} value={one.id}>
+                {one.title || one.id}
+              </option>
+            ))}
+          </select>
+        </label>
+      ) : null}
+      {now ? <DeviceState id={now.id} /> : null}
+      <Failure message={missing.value === null ? null : text.device.gone(missing.value)} />
+      <Failure message={unlessGone(polled.error)} />
     </div>
   );
+}
+
+/** That the server is gone stands above the screen already. */
+function unlessGone(error: string | null): string | null {
+  return serverReached.value ? error : null;
 }
 
 function DeviceState({ id }: { id: string }) {
@@ -151,6 +165,8 @@ function DeviceState({ id }: { id: string }) {
   );
   const now = polled.value;
   const state = now?.state;
+  // The last state is of before.
+  if (polled.error !== null) return <Failure message={unlessGone(polled.error)} />;
   if (!state) return null;
   const path = { params: { path: { device_id: id } } };
   return (

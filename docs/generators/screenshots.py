@@ -54,6 +54,9 @@ def show_details(page: Page, name: str) -> None:
     if name == "recordings":
         page.get_by_role("button", name="Open").click()
         page.get_by_label("Position in the recording").fill("1500")
+        shown = page.locator('.count[aria-busy="false"]').get_by_text("frame 1500")
+        shown.wait_for(timeout=120_000)
+        page.locator(".stale").wait_for(state="detached")
     elif name == "plan":
         page.get_by_role("heading", name="What it would reach").wait_for()
         page.get_by_label("Baseline").fill("0.5")

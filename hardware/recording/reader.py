@@ -1,5 +1,6 @@
 """RecordingReader: validates a recording and reads its frames and results."""
 
+import hashlib
 import json
 from collections.abc import Iterator
 from pathlib import Path
@@ -62,6 +63,25 @@ class RecordingReader:
         """Return the current contents of the recording; new rows are not validated."""
         self.info = self._build_info(self.info.description, self.info.provenance)
         return self.info
+
+    def fingerprint(self) -> bytes:
+        """Return what tells a recording from others, and stays while frames are added.
+
+        That is who wrote it and when, its device, and its first frame with its calibration.
+
+        Raises:
+            InvalidRecording: the file cannot be read.
+        """
+        digest = hashlib.sha256(repr((self.info.description, self.info.provenance)).encode())
+        digest.update(repr((self.info.lines, self.info.results)).encode())
+        if self.info.frames:
+            for name in COLUMNS:
+                digest.update(self._file.read(f"frames/{name}", slice(0, 1)).tobytes())
+            row = int(self._file.read("frames/active_calibration", slice(0, 1))[0])
+            if 0 <= row < self.info.state.active_calibrations:
+                extent = self._file.read("active_calibrations/rows", slice(row, row + 1))
+                digest.update(extent.tobytes())
+        return digest.digest()
 
     def column(self, name: str) -> NDArray[Any]:
         """Return one of COLUMNS for all frames, shape (frames,).

@@ -81,7 +81,13 @@ class RenderedDriver:
             raise RuntimeError("the driver is not open; call open() before frames()")
         return self._run(closed)
 
+    def _prepare(self, closed: Event) -> None:
+        """Do what the first frame needs; ends soon after ``closed`` is set."""
+
     def _run(self, closed: Event) -> Iterator[LineFrame]:
+        self._prepare(closed)
+        if closed.is_set():
+            return
         number = 0
         batch = self._renderer.batch(number)  # before the first exposure, which is then in time
         start_host_ns = time.time_ns()

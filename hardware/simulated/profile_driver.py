@@ -2,7 +2,8 @@
 
 import logging
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
+from threading import Event
 from typing import Final
 
 import numpy as np
@@ -21,11 +22,13 @@ from compute.optics.profiles.profile_optics import (
     profile_optics,
 )
 from compute.optics.sensor_placement import to_optics_frame
+from compute.optics.stripe_optics.tabulated_optics import MakeTable
 from hardware.driver import DeviceDescription, Readout, SensorDescription
 from hardware.simulated.driver import RenderedDriver
 from hardware.simulated.frame_batch import Renderer, Timing
 from hardware.simulated.profile_settings import ProfileSettings
 from hardware.simulated.scenes import EvenLight
+from hardware.simulated.tracing_process import TracingCancelled, table_in_process
 
 
 class ProfileDriver(RenderedDriver):
@@ -64,7 +67,30 @@ class ProfileDriver(RenderedDriver):
             peaks=settings.peaks,
             profile=profile.name,
         )
-        super().__init__(description, ProfileRenderer(profile, settings, timing), timing)
+        self._profile_renderer = ProfileRenderer(profile, settings, timing)
+        super().__init__(description, self._profile_renderer, timing)
+        self._traces = settings.realtime and settings.optics == "tabulated"
+        self.preparation: str | None = None
+        """See PreparingDriver."""
+
+    def open(self) -> None:
+        """As of every driver; its optics are traced by ``frames``."""
+        super().open()
+        if self._traces and self.description.readout != "coded-window":
+            self.preparation = (
+                "the optics of its profile are being traced; its exposures begin in ten seconds or "
+                "more"
+            )
+
+    def _prepare(self, closed: Event) -> None:
+        """Trace the optics in a process of their own: a live device runs beside others."""
+        try:
+            if self._traces:
+                self._profile_renderer.trace(closed)
+        except TracingCancelled:
+            pass
+        finally:
+            self.preparation = None
 
 
 def readout_of(profile: DeviceProfile) -> Readout:
@@ -130,9 +156,22 @@ class ProfileRenderer(Renderer):
 
     @cached_property
     def _optics(self) -> SolidAngleOptics:
+        return self._traced(None)
+
+    def trace(self, cancelled: Event) -> None:
+        """Trace the optics in a process of their own, unless they are kept from before.
+
+        Raises:
+            TracingCancelled: the event was set meanwhile.
+        """
+        if not isinstance(self._scene, EvenLight):
+            # Before anybody asks for the property.
+            self.__dict__["_optics"] = self._traced(partial(table_in_process, cancelled=cancelled))
+
+    def _traced(self, make_table: MakeTable | None) -> SolidAngleOptics:
         name = self._profile.name
         _log.info("profile %s: tracing its optics, seconds before the first frame", name)
-        optics = profile_optics(self._profile, self._settings.optics)
+        optics = profile_optics(self._profile, self._settings.optics, make_table)
         _log.info("profile %s: its optics are traced", name)
         return optics
 

@@ -405,6 +405,13 @@ class NewCalibration(TypedDict):
     note: NotRequired[str]
 
 
+class NewNominalCalibration(TypedDict):
+    """The device whose profile gives a calibration."""
+
+    id: NotRequired[str | None]
+    device_id: str
+
+
 class NewCalibrationRun(TypedDict):
     """Control points, or a capture session that holds them, from which a device is calibrated."""
 

@@ -413,6 +413,13 @@ class Activation(ResponseModel):
     actor: str | None
 
 
+class CalibratedProfile(ResponseModel):
+    """The device profile that a nominal calibration was computed from."""
+
+    profile_id: str
+    content_hash: str
+
+
 class CalibrationSummary(ResponseModel):
     """A calibration without its numbers."""
 
@@ -424,6 +431,7 @@ class CalibrationSummary(ResponseModel):
     note: str
     point_count: int
     content_hash: str
+    profile: CalibratedProfile | None = None
     created_at: datetime
     retired_at: datetime | None
 
@@ -624,6 +632,7 @@ class CalibrationDocument(ResponseModel):
     note: str
     point_count: int
     content_hash: str
+    profile: CalibratedProfile | None = None
     created_at: datetime
     retired_at: datetime | None
     parent: ParentCalibration | None = None
@@ -1192,7 +1201,7 @@ class RetentionDocument(ResponseModel):
 
 
 class RecordedPoint(ResponseModel):
-    """A point as it was found while it was recorded, or is by another calibration."""
+    """A point: as it was found while it was recorded, or worked out now from the same frame."""
 
     marker: int | None
     position_mm: tuple[float, float, float] | None
@@ -1205,6 +1214,65 @@ class RecordedPoint(ResponseModel):
     flags: tuple[str, ...]
 
 
+class RecordedTrack(ResponseModel):
+    """A track of a marker in a recorded frame, as in the stream."""
+
+    id: int
+    marker: int | None
+    state: str
+    flags: tuple[str, ...]
+    position_mm: tuple[float, float, float]
+    covariance_mm2: tuple[
+        tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]
+    ]
+    velocity_mm_s: tuple[float, float, float]
+    velocity_covariance_mm2_s2: tuple[
+        tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]
+    ]
+    acceleration_mm_s2: tuple[float, float, float] | None
+    peaks: tuple[int | None, ...]
+    nis: float | None
+    dof: int
+
+
+class RecordedToolPose(ResponseModel):
+    """The pose of a tool in a recorded frame, in world coordinates, as in the stream."""
+
+    tool_id: str
+    status: str
+    reason: str | None
+    translation_mm: tuple[float, float, float] | None
+    rotation: (
+        tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
+        | None
+    )
+    quaternion_wxyz: tuple[float, float, float, float] | None
+    covariance: (
+        tuple[
+            tuple[float, float, float, float, float, float],
+            tuple[float, float, float, float, float, float],
+            tuple[float, float, float, float, float, float],
+            tuple[float, float, float, float, float, float],
+            tuple[float, float, float, float, float, float],
+            tuple[float, float, float, float, float, float],
+        ]
+        | None
+    )
+    tip_mm: tuple[float, float, float] | None
+    tip_covariance_mm2: (
+        tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
+        | None
+    )
+    residual_sigma: float | None
+    markers_used: int
+    readings_used: int
+    velocity_mm_s: tuple[float, float, float] | None
+    angular_velocity_rad_s: tuple[float, float, float] | None
+    detectable_sigma: float | None
+    external_tip_mm: float | None
+    external_rotation_rad: float | None
+
+
 class RecordedFrame(ResponseModel):
     """One frame of a recording, with its points."""
 
@@ -1213,6 +1281,8 @@ class RecordedFrame(ResponseModel):
     exposure_ns: int
     marker: int | None
     points: tuple[RecordedPoint, ...]
+    tracks: tuple[RecordedTrack, ...] | None
+    tools: tuple[RecordedToolPose, ...] | None
 
 
 class RecordedFrames(ResponseModel):
@@ -1985,6 +2055,7 @@ class DeviceProfileDocument(ResponseModel):
     notes: tuple[str, ...]
     assumed: dict[str, str]
     toml: str
+    content_hash: str
 
 
 class Box(ResponseModel):

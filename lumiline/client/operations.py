@@ -186,6 +186,19 @@ class Operations(Exchanges):
         )
 
     @ClientMethod
+    async def create_nominal_calibration(
+        self, *, idempotency_key: str | None = None, **members: Unpack[bodies.NewNominalCalibration]
+    ) -> models.CalibrationDocument:
+        """Calibrate a simulated device by its profile."""
+        return await self._send(
+            models.CalibrationDocument,
+            "POST",
+            "/api/v1/nominal-calibrations",
+            body=members,
+            headers={"Idempotency-Key": idempotency_key},
+        )
+
+    @ClientMethod
     async def calibration_report(
         self, calibration_id: str, file: Path | str, *, previous_calibration_id: str | None = None
     ) -> Path:
@@ -768,13 +781,19 @@ class Operations(Exchanges):
         first: int | None = None,
         count: int | None = None,
         calibration_id: str | None = None,
+        tracking: bool | None = None,
     ) -> models.RecordedFrames:
         """Look at frames of a recording."""
         return await self._send(
             models.RecordedFrames,
             "GET",
             path_of("/api/v1/recordings/{}/frames", recording_id),
-            params={"first": first, "count": count, "calibration_id": calibration_id},
+            params={
+                "first": first,
+                "count": count,
+                "calibration_id": calibration_id,
+                "tracking": tracking,
+            },
         )
 
     @ClientMethod

@@ -16,6 +16,7 @@ from service.problems.errors import (
     Busy,
     DuplicateKey,
     MalformedJson,
+    NotReady,
     UnsupportedMediaType,
     WorkerEnded,
 )
@@ -61,6 +62,7 @@ class BodyReader:
         Raises:
             Busy: too many bodies wait for their turn.
             BodyTooLarge: it takes too much time or memory.
+            NotReady: the server stops.
             UnsupportedMediaType, MalformedJson, DuplicateKey, InvalidRequest: as
                 ``read_json_body``.
         """
@@ -86,6 +88,8 @@ class BodyReader:
                 read_json_body, wanted, content_type, body, self._max_values, timeout_s=_TIMEOUT_S
             )
         except WorkerEnded as error:
+            if self._process.closed:
+                raise NotReady(error.detail) from error
             raise BodyTooLarge(
                 f"the body could not be read within {_TIMEOUT_S:g} s and {_MEMORY_BYTES} bytes of "
                 f"memory: {error.detail}"

@@ -10,10 +10,12 @@ from starlette.routing import BaseRoute
 from service.api.audit.log_records import router as log_records
 from service.api.audit.router import router as audit
 from service.api.beam_holds.router import router as holds
+from service.api.calibrations.nominal_router import router as nominal_calibrations
 from service.api.calibrations.router import router as calibrations
 from service.api.captures.router import router as captures
 from service.api.correction_tables.router import TABLES_PATH
 from service.api.correction_tables.router import router as correction_tables
+from service.api.devices.profiles import find_profile
 from service.api.devices.router import router as devices
 from service.api.drift_checks.router import router as drift_checks
 from service.api.exports.router import router as exports_router
@@ -28,6 +30,7 @@ from service.api.radiometric_calibrations.router import router as radiometric_ca
 from service.api.reconstructions.router import router as reconstructions
 from service.api.recordings.recalculation import Recalculation
 from service.api.recordings.router import router as recordings_router
+from service.api.recordings.target_extraction import TargetExtraction
 from service.api.reports.cache import ReportCache
 from service.api.reports.router import router as reports
 from service.api.runs.router import router as runs_router
@@ -131,7 +134,9 @@ def create_app(
     app.state.stopping = False
     app.state.reports = ReportCache()
     app.state.bodies = BodyReader(settings.body_limit_bytes)
-    app.state.recalculation = Recalculation()
+    find_own_profile = partial(find_profile, profiles_dir=settings.folders.profiles)
+    app.state.recalculation = Recalculation(find_own_profile)
+    app.state.target_extraction = TargetExtraction(find_own_profile)
     app.state.open_streams = StreamLimit(settings.streams_per_key)
     app.add_middleware(
         BodyLimitMiddleware,
@@ -164,6 +169,7 @@ def _routes() -> tuple[BaseRoute, ...]:
     for router in (
         devices,
         calibrations,
+        nominal_calibrations,
         reports,
         runs_router,
         captures,

@@ -71,5 +71,6 @@ def _stored_device(name_or_path: str, folder: Path, database: Database) -> str:
     profiles.keep(name_or_path, profile, folder)
     with database.write() as session:
         if not devices.is_stored(session, profile):  # another server may have been quicker
-            devices.store_profile_device(session, device)
+            file_hash = profiles.profile_hash(profile.name, folder)
+            devices.store_profile_device(session, device, file_hash)
     return identity

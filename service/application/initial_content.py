@@ -9,9 +9,8 @@ from compute.calibration.calibrate import QUANTISATION_PX
 from compute.calibration.result import Calibration, SensorFit
 from compute.camera.model import PARAMETER_COUNT
 from hardware.simulated.simulated_rig import PITCH_UM, simulated_sensor_models
-from service.api.calibrations.calibration_content import CalibrationRecord, calibration_content
-from service.api.calibrations.schema import ControlPointErrors
-from service.api.calibrations.store import activate, add_calibration
+from service.api.calibrations.schema import CalibratedProfile
+from service.api.calibrations.store import activate, add_nominal
 from service.api.devices.schema import NewDevice, Sensor, SimulatedSource
 from service.api.devices.store import add_device
 
@@ -45,10 +44,13 @@ def seed(session: Session) -> None:
     store_nominal(session, DEVICE_ID, result, NOTE)
 
 
-def store_nominal(session: Session, device_id: str, result: Calibration, note: str) -> None:
+def store_nominal(
+    session: Session,
+    device_id: str,
+    result: Calibration,
+    note: str,
+    profile: CalibratedProfile | None = None,
+) -> None:
     """Store a calibration that was not measured as the device's active one, ``ID-nominal``."""
-    content = calibration_content(device_id, "nominal", [], result)
-    errors = ControlPointErrors(fitted=None, leave_one_out=None)
-    record = CalibrationRecord(result, content, errors.model_dump(mode="json"))
-    calibration = add_calibration(session, device_id, record, note, f"{device_id}-nominal")
-    activate(session, calibration.id)
+    identity = f"{device_id}-nominal"
+    activate(session, add_nominal(session, device_id, result, note, identity, profile).id)

@@ -27,6 +27,7 @@ from service.database.engine import Database
 from service.database.server_lock import is_unused, server_lock
 from service.jobs.run_manager import RunManager
 from service.jobs.store import running_runs
+from service.pipeline.detection_stage import FindProfile
 from service.pipeline.interface import Pipeline
 from service.pipeline.pipeline_manager import PipelineManager
 from service.protocols.metrics.care_collector import CareCollector
@@ -69,6 +70,7 @@ async def running(
 
         at_the_end(app.state.bodies.close)
         at_the_end(app.state.recalculation.close)
+        at_the_end(app.state.target_extraction.close)
         starter = StationStarter() if starter is None else starter
         at_the_end(starter.close)
         if live is None and settings.station == "process":
@@ -111,7 +113,7 @@ async def running(
         await run_sync(app.state.device_service.autostart, *named)
         exports = ExportRepository(settings.folders.exports, settings.recording_free_bytes)
         app.state.exports = exports
-        kinds = kinds_with(exports, settings.folders.recordings)
+        kinds = kinds_with(exports, settings.folders.recordings, _profile_finder(settings))
         runs = RunManager(database, settings.runs_at_once, kinds)
         at_the_end(runs.close)
         app.state.runs = runs
@@ -152,8 +154,12 @@ def _retention_limits(settings: Settings) -> RetentionLimits:
     )
 
 
+def _profile_finder(settings: Settings) -> FindProfile:
+    return partial(find_profile, profiles_dir=settings.folders.profiles)
+
+
 def _live_manager(settings: Settings, starter: StationStarter) -> Pipeline:
-    find_own_profile = partial(find_profile, profiles_dir=settings.folders.profiles)
+    find_own_profile = _profile_finder(settings)
     hub = Hub(settings.stream_kept_messages, settings.stream_lag_s)
     if settings.station == "process":
         return RemotePipeline(

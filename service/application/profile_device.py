@@ -1,29 +1,22 @@
 """Makes the device of a profile, with the calibration of its traced optics."""
 
 from dataclasses import dataclass
-from typing import Final
 
-import numpy as np
 from pydantic import ValidationError
 from sqlalchemy.orm import Session
 
-from compute.calibration.calibrate import calibrate
 from compute.calibration.result import Calibration
-from compute.camera.model import SensorGeometry
-from compute.errors import InvalidParameter, LumilineError
-from compute.optics.coded_aperture.mask_optics import MaskOptics
+from compute.errors import InvalidParameter
 from compute.optics.profiles.device_profile import DeviceProfile
-from compute.optics.profiles.profile_optics import profile_optics
-from compute.planning.cramer_rao import centroids
 from hardware.simulated.profile_driver import ProfileDriver
 from hardware.simulated.profile_settings import ProfileSettings
+from service.api.calibrations.schema import CalibratedProfile
 from service.api.devices.driver_factory import validated_sensors
+from service.api.devices.nominal_calibration import nominal_calibration, nominal_note
 from service.api.devices.schema import NewDevice, ProfileSource, Sensor
 from service.api.devices.store import add_device, source_of
 from service.application.initial_content import store_nominal
 from service.database.models import DeviceRow
-
-_GRID: Final = 6  # control points along each side of the volume
 
 
 @dataclass(frozen=True)
@@ -95,8 +88,13 @@ def profile_device(profile: DeviceProfile) -> ProfileDevice:
     return ProfileDevice(device, sensors, calibration)
 
 
-def store_profile_device(session: Session, device: ProfileDevice) -> None:
+def store_profile_device(session: Session, device: ProfileDevice, file_hash: str) -> None:
     """Store a device with its calibration, ``ID-nominal``, as the active one.
+
+    Args:
+        session: the session.
+        device: the device.
+        file_hash: SHA-256 of its profile's file.
 
     Raises:
         DeviceExists, CalibrationExists.
@@ -105,40 +103,7 @@ def store_profile_device(session: Session, device: ProfileDevice) -> None:
     add_device(session, device.device, device.sensors)
     if result is None:
         return
-    residual_rms = max(fit.rms_px for fit in result.sensors)
-    note = (
-        "Cameras fitted to the profile's traced optics over its working volume; nothing was "
-        f"measured. The optics' distortion beyond them is up to {residual_rms:.2g} px RMS."
-    )
-    store_nominal(session, identity, result, note)
-
-
-def nominal_calibration(profile: DeviceProfile) -> Calibration:
-    """Return the cameras that fit the profile's traced optics best over its working volume.
-
-    A reading is a whole light line's centre of gravity, or where the shadow of the middle of a
-    window's code falls.
-
-    Raises:
-        InvalidParameter: the sensors do not see their volume well enough.
-    """
-    pixels = profile.pixels.count
-    share = np.linspace(-0.5, 0.5, _GRID)
-    grid = np.stack(np.meshgrid(share, share, share, indexing="ij"), axis=-1).reshape(-1, 3)
-    points = np.array(profile.volume.centre_mm) + grid * np.array(profile.volume.size_mm)
-    optics = profile_optics(profile, "exact")
-    if isinstance(optics, MaskOptics):
-        readings = optics.readings(points)
-        on_row = (readings >= -0.5) & (readings <= pixels - 0.5)
-    else:
-        readings, light = centroids(optics.solid_angles(points), pixels)
-        on_row = (readings >= -0.5) & (readings <= pixels - 0.5) & (light > 0.0)
-    geometry = [SensorGeometry(sensor.name, pixels) for sensor in profile.sensors]
-    try:
-        return calibrate(points, np.where(on_row, readings, np.nan), geometry)
-    except LumilineError as error:
-        raise InvalidParameter(
-            f"profile {profile.name}: its sensors do not see the volume well enough to be "
-            f"calibrated in it: {error.detail}; change the volume, or where the sensors are aimed",
-            field="volume",
-        ) from None
+    assert isinstance(device.device.source, ProfileSource)
+    profile = CalibratedProfile(profile_id=device.device.source.profile_id, content_hash=file_hash)
+    note = nominal_note(profile.profile_id, file_hash, result)
+    store_nominal(session, identity, result, note, profile)

@@ -6,13 +6,15 @@ from statistics import median
 from typing import Any, Final
 
 from service.cli.bench_service import DEVICE, Figures, run_benchmark
-from service.cli.output import console, make_table, progress
+from service.cli.output import console, fail, make_table, progress
 from service.cli.service_process import service_process
 
 TITLE: Final = "ten clients of a stream at 1 kHz, without and with 100 others that never read"
 GOOD: Final = 10
 STALLED: Final = 100
 ROUNDS: Final = 3
+MIN_SECONDS: Final = 20.0
+"""Less leaves no time in a round after the stalled ones' buffers are full."""
 
 
 def run(*, seconds: float, as_json: bool, **_: Any) -> None:
@@ -21,7 +23,15 @@ def run(*, seconds: float, as_json: bool, **_: Any) -> None:
     Args:
         seconds: of all rounds together.
         as_json: whether JSON is printed.
+
+    Raises:
+        typer.Exit: that is too short.
     """
+    if seconds < MIN_SECONDS:
+        raise fail(
+            f"{seconds:g} s are too short for {2 * ROUNDS} rounds of stalled-clients: the buffers "
+            f"of clients that do not read are full after some seconds; at least {MIN_SECONDS:g}"
+        )
     run_benchmark(
         lambda folder: _measure(folder, seconds / (2 * ROUNDS), quiet=as_json),
         _show,

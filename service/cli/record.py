@@ -105,7 +105,7 @@ def _profile(
     from compute.optics.profiles.profile_loader import load_profile
     from hardware.simulated.profile_driver import ProfileDriver
     from hardware.simulated.profile_settings import ProfileSettings
-    from service.application.profile_device import nominal_calibration
+    from service.api.devices.nominal_calibration import nominal_calibration
 
     profile = load_profile(name)
     chosen = replace(read_settings(ProfileSettings, simulation), realtime=False, duration_s=seconds)

@@ -66,6 +66,11 @@ class CallProcess:
             raise RuntimeError(message.detail)
         raise ERRORS[message.code](message.detail, **message.context)
 
+    @property
+    def closed(self) -> bool:
+        """Whether it was closed: calls fail for that reason, and for no other."""
+        return self._closed
+
     def close(self) -> None:
         """End the process at once; a call in progress, and all later ones, raise WorkerEnded."""
         self._closed = True

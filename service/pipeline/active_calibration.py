@@ -112,6 +112,17 @@ class ActiveCalibration:
     radiometric: ActiveRadiometric | None = None
     bad_pixels: tuple[LiveBadPixel, ...] = ()
 
+    @property
+    def nominal_remark(self) -> str | None:
+        """What users of poses are to know of a profile's nominal calibration, else None."""
+        profile = (self.calibration_content or {}).get("profile")
+        if profile is None:
+            return None
+        return (
+            f'its calibration is nominal: computed from the profile "{profile["profile_id"]}", not '
+            "measured; its points and poses are those of a simulation"
+        )
+
     def differs_in_bad_pixels_only(self, other: Self) -> bool:
         """Whether all but the bad pixels is the same, which are not."""
         return self.bad_pixels != other.bad_pixels and self._identity == other._identity

@@ -24,7 +24,7 @@ DELETED = "the hold was deleted"
 class BeamHoldRegistry:
     """Steps the beam holds with frames, and holds those whose deadline passes.
 
-    The compute thread steps it, the watchdog checks it, any thread reads it.
+    Who processes frames steps it, the watchdog checks it, any thread reads it.
 
     A hold that is not held has a deadline: when its newest measurement will be older than it may
     be. Whoever comes first after it holds: the watchdog, the next frame, or who reads.

@@ -40,18 +40,18 @@ class DeviceConnector:
     ) -> None:
         self.state: Literal["starting", "disconnected", "failed"] = "starting"
         self.reason: str | None = None
-        self.error: LumilineError | None = None
+        self.error: Exception | None = None
         self.driver = driver
         self._device_id = device_id
         self.active = active
         self.cancelled = Event()
         self._opened = opened
         self._changed = changed
-        self._tried = Event()
+        self._tried, self._open = Event(), Event()
         self._thread = Thread(target=self._run, name=f"opener-{device_id}", daemon=True)
 
-    def attempt(self) -> None:
-        """Open the driver once, in the caller's thread; raises LumilineError where it fails."""
+    def _attempt(self) -> None:
+        """Open the driver once; raises LumilineError where it fails."""
         try:
             self.driver.open()
         except LumilineError:
@@ -59,6 +59,7 @@ class DeviceConnector:
         except Exception as error:
             _log.exception("device %s: the driver could not be opened", self._device_id)
             raise LumilineError(f"the driver failed: {type(error).__name__}: {error}") from error
+        self._open.set()
         try:
             self._opened(self)
         except BaseException:
@@ -66,13 +67,17 @@ class DeviceConnector:
             raise
 
     def start(self, wait_s: float) -> None:
-        """Open it in a thread of its own; wait at most ``wait_s`` for the first attempt.
+        """Open it in a thread of its own; wait at most ``wait_s`` until it is open, or is not.
+
+        What is made of it then is waited for, too: kernels may have to be loaded.
 
         Raises:
             LumilineError: it cannot be opened, for another reason than that it is not there.
+            Exception: what is made of it failed otherwise.
         """
         self._thread.start()
-        self._tried.wait(wait_s)
+        if not self._tried.wait(wait_s) and self._open.is_set():
+            self._tried.wait()
         if self.error is not None:
             raise self.error
 
@@ -93,7 +98,7 @@ class DeviceConnector:
         try:
             while not self.cancelled.is_set():
                 try:
-                    self.attempt()
+                    self._attempt()
                 except DeviceNotConnected as error:
                     self._tell("disconnected", error.detail)
                 else:
@@ -106,8 +111,8 @@ class DeviceConnector:
             self._tell("failed", error.detail)
         except Exception as error:  # noqa: BLE001 - becomes the status
             _log.exception("device %s could not be started", self._device_id)
-            self.error = LumilineError(f"it failed: {type(error).__name__}: {error}")
-            self._tell("failed", self.error.detail)
+            self.error = error
+            self._tell("failed", f"it failed: {type(error).__name__}: {error}")
         finally:
             self._tried.set()
 

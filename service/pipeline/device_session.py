@@ -28,14 +28,18 @@ from service.pipeline.frame_batch import (
     BeamHoldState,
     FrameBatch,
     LatestPoses,
-    TrackingResult,
     newest_poses,
 )
 from service.pipeline.frame_processor import MAX_FRAMES, FrameProcessor
 from service.pipeline.stage_latency import StageLatency
 from service.pipeline.taps import Tap, log_failed_tap
-from service.pipeline.threads import FrameRing, ReaderThread
-from service.pipeline.tracking_config import TrackingConfig
+from service.pipeline.threads import (
+    MIN_RUN_TO_COMPLETION_HZ,
+    ComputeThread,
+    FrameRing,
+    ReaderThread,
+)
+from service.pipeline.tracking_config import TrackingConfig, WatchedTool
 
 SLICE_S: Final = 0.004
 """Time for a batch when tracking skips frames: poses are late by twice that at most, and the
@@ -55,6 +59,13 @@ comes back finds the messages that it missed."""
 SAMPLE_INTERVAL_S: Final = 60.0
 SAMPLE_S: Final = 2.0
 """Of each such interval an idle device computes this much, for taps that samples are enough for."""
+
+ENTER_SHARE: Final = 0.5
+LEAVE_SHARE: Final = 0.65
+"""Of the time between two frames: while one takes less, the thread that reads it processes it."""
+MAX_CYCLE: Final = 1.05
+"""Of the device's period: how far frames may be apart on the mean."""
+_MEAN_FRAMES: Final = 32
 
 _COSTS: Final = 9
 """Batches of which the median cost counts: a search now and then, or a hiccup, does not."""
@@ -155,6 +166,52 @@ class LoadShedding:
         return chosen
 
 
+class RunToCompletion:
+    """Decides whether the thread that reads a frame also processes it.
+
+    That saves the time until another thread wakes and has the interpreter. But a frame that comes
+    meanwhile waits, and several are not taken at once: it is for frames that take a small part of
+    the time between them, and only while they come as often as they should. It has no clock, and
+    learns from frames that were processed alone, as those in a batch cost less each.
+
+    Args:
+        rate_hz: of the device's frames; 0: not known, then the compute thread has all, as it has
+            those of slow devices.
+    """
+
+    def __init__(self, rate_hz: float) -> None:
+        self._period_s = 1.0 / rate_hz if rate_hz >= MIN_RUN_TO_COMPLETION_HZ else 0.0
+        self._mean_s = self._mean_cycle_s = self._period_s
+        self._begin_s: float | None = None
+        self.is_due = False
+        """Whether a frame that was just read is processed at once."""
+
+    def count(self, begin_s: float, frame_s: float) -> None:
+        """Learn from a frame that was processed alone.
+
+        Args:
+            begin_s: when that began [s].
+            frame_s: how long it took [s].
+        """
+        period_s, before_s = self._period_s, self._begin_s
+        self._begin_s = begin_s
+        if before_s is not None:
+            # A pause is none of the machine's.
+            cycle_s = min(begin_s - before_s, 4.0 * period_s)
+            self._mean_cycle_s += (cycle_s - self._mean_cycle_s) / _MEAN_FRAMES
+        self._mean_s += (frame_s - self._mean_s) / _MEAN_FRAMES
+        if frame_s > period_s:
+            # Others wait now: the compute thread takes them together.
+            self._mean_s = max(self._mean_s, period_s)
+        # Faster ones than the device says: a replay, an external trigger, several in one read.
+        shortest_s = min(period_s, self._mean_cycle_s)
+        limit = LEAVE_SHARE if self.is_due else ENTER_SHARE
+        # Slower ones: reading and processing together take longer than they may.
+        self.is_due = (
+            self._mean_s < limit * shortest_s and self._mean_cycle_s < MAX_CYCLE * period_s
+        )
+
+
 class StreamPublisher(Protocol):
     """Takes batches and changes of state; all methods may be called from any thread.
 
@@ -199,7 +256,7 @@ class StreamPublisher(Protocol):
 
 _log = logging.getLogger(__name__)
 
-MIN_POSE_INTERVAL_S = 0.001
+MIN_POSE_INTERVAL_S = 0.0005
 """Least time between two entries of the newest poses: of faster devices frames are left out."""
 MAX_BATCH_BYTES: Final = 1 << 24
 """Most pixels of a batch [bytes]."""
@@ -239,6 +296,7 @@ class DeviceSession:
         self._published_s = -MIN_POSE_INTERVAL_S
         self.frames_not_tracked_count = 0
         self.load_shedding = LoadShedding(description.frame_rate_hz)
+        self._run_to_completion = RunToCompletion(description.frame_rate_hz)
         self.reader: ReaderThread | None = None
         self._taps_lock = RLock()
         """Held while a batch is offered: a detached tap has all that it was being given."""
@@ -255,13 +313,33 @@ class DeviceSession:
         sensors, pixels = len(description.sensors), description.sensors[0].pixels
         self._max_frames = max(1, min(MAX_FRAMES, MAX_BATCH_BYTES // (2 * sensors * pixels)))
         self._batch = self._max_frames
-        self._watches_holds = False
+        self._watches_holds = self._watches_tools_alone = False
+        self._hold_states: tuple[tuple[BeamHoldState, ...], ...] | None = None
+        """States of the holds after each frame of the batch in hand, once they are known."""
         self._has_tools = False
         self._last_request_s = time.monotonic()
         self._skipped = 0
 
+    @property
+    def runs_to_completion(self) -> bool:
+        """Whether the thread that has just read a frame is to process it: no other waits."""
+        return (
+            len(self.ring) == 1
+            and self.reader is not None
+            and not self.reader.lossless
+            and not self.processor.uses_gpu
+            and self._run_to_completion.is_due
+        )
+
+    def process_frame(self, compute: ComputeThread) -> None:
+        """Let a frame that was put into the ring be processed: here, or in the compute thread."""
+        if self.runs_to_completion:
+            compute.work_now(self.device_id)
+        if len(self.ring):
+            compute.wake()
+
     def work(self) -> bool | None:
-        """Process and publish what waits; runs in the compute thread.
+        """Process and publish what waits; a worker of the ``ComputeThread``.
 
         Returns:
             Whether there was any; None: it has to wait, since the streams are far behind.
@@ -287,14 +365,13 @@ class DeviceSession:
                 track = None if track is None else tuple(track[index] for index in rendered)
             timed = begin >= self.stages.due_s and self.stages.sampled(frames, begin)
             taken_ns = time.time_ns() if timed else 0
-            batch = self.processor.process(frames, track=track)
+            self._hold_states = None
+            batch = self.processor.process(frames, track=track, take_poses=self._take_poses)
             computed_ns = time.time_ns() if timed else 0
             if self._watches_holds:
                 # Before all others: whoever holds a beam waits for nothing else.
-                batch = replace(batch, holds=self.holds.take(batch))
-            if batch.motion is not None and batch.motion.poses:
-                # Before the streams: who steers by a pose waits for nothing else.
-                self._publish_poses(batch, batch.motion)
+                states = self._hold_states
+                batch = replace(batch, holds=self.holds.take(batch) if states is None else states)
             self._offer(batch)
             self.streams.publish_batch(batch)
             self.latency.count((time.time_ns() - frames[0].exposure_host_ns) * 1e-9)
@@ -308,6 +385,8 @@ class DeviceSession:
         # Other devices wait meanwhile: a device whose frames take long gets short batches. But
         # where only some frames are tracked, that time is bounded, whatever the batch's length.
         elapsed_s = time.monotonic() - begin
+        if len(frames) == 1:
+            self._run_to_completion.count(begin, elapsed_s)
         if track is not None:
             tracking = self.processor.tracking_s
             self.load_shedding.count(sum(track), tracking, elapsed_s - tracking)
@@ -336,7 +415,7 @@ class DeviceSession:
         return active if watch is None else replace(active, bad_pixels=watch.found)
 
     def set_calibration(self, active: ActiveCalibration) -> None:
-        """Switch calibration and table, between two batches; runs in the compute thread."""
+        """Switch calibration and table, between two batches; in a turn of the ComputeThread."""
         active = self.with_bad_pixels(active)
         with self._taps_lock:
             # Recordings name what each frame was processed with: a replay gives the same bits.
@@ -384,22 +463,31 @@ class DeviceSession:
         return frames, tuple(track)
 
     def set_tracking_config(self, tracked: TrackingConfig) -> None:
-        """Track other things from the next batch on; runs in the compute thread."""
+        """Track other things from the next batch on; in a turn of the ComputeThread."""
         self._watches_holds = bool(tracked.holds)
+        self._watches_tools_alone = all(
+            isinstance(hold.spec, WatchedTool) for hold in tracked.holds
+        )
         self._has_tools = bool(tracked.tools or tracked.holds)
         self.processor.set_tracking_config(tracked)
         self.pose_counts.keep(tool.name for tool in tracked.tools)
         if not tracked.tools:
             self.poses.remove(self.device_id)
 
-    def _publish_poses(self, batch: FrameBatch, motion: TrackingResult) -> None:
-        """Count the poses of a batch, and put those of its newest frame up."""
-        self.pose_counts.count(motion.poses)
+    def _take_poses(self, batch: FrameBatch) -> None:
+        """Step the holds that watch tools, count the poses, and publish those of the newest frame.
+
+        Before points, tracks, taps and streams: who steers by a pose waits for nothing else.
+        """
+        assert batch.motion is not None
+        if self._watches_holds and self._watches_tools_alone:
+            self._hold_states = self.holds.take(batch)
+        self.pose_counts.count(batch.motion.poses)
         now = time.monotonic()
         if self.stopped or now - self._published_s < MIN_POSE_INTERVAL_S:
             return
         self._published_s = now
-        self.poses.put(newest_poses(batch, motion, self.description.frame_rate_hz))
+        self.poses.put(newest_poses(batch, batch.motion, self.description.frame_rate_hz))
 
     def attach(self, tap: Tap, *, sampled: bool = False) -> None:
         """Give a tap all batches from now on; ``sampled``: some seconds of a minute are enough."""
@@ -503,7 +591,8 @@ class DeviceSession:
         if state != "running":
             return state, reason, link
         if link is None:
-            return state, reason or self.processor.remark, link
+            remark = self.processor.remark or self.active_calibration.nominal_remark
+            return state, reason or self.reader.preparation or remark, link
         if link.state == "disconnected":
             return "disconnected", link.reason, link
         return state, link.reason or self.processor.remark, link
@@ -587,7 +676,7 @@ class ToolCounts:
 
 
 class PoseCounters:
-    """Frames by tool and pose status; counted by the compute thread, read by any."""
+    """Frames by tool and pose status; counted where frames are processed, read by any thread."""
 
     def __init__(self) -> None:
         self._lock = Lock()

@@ -18,7 +18,8 @@ class DeviceStatus:
             there, and is tried again until it is), stopped by request, ended by itself (a
             recording), or failed.
         reason: why it failed, ended or is disconnected, or what is wrong with its link, or, while
-            it runs, why its markers are not found (three sensors and several lit together).
+            it runs, what its driver does before the first frame, why its markers are not found
+            (three sensors and several lit together), or that its calibration is nominal.
         calibration_id: the calibration that points are reconstructed with; None: peaks only.
         table_id: the correction table that readings are corrected by; None: they are not.
         frames_received: frames received from the driver.

@@ -6,25 +6,27 @@ import time
 from collections.abc import Callable, Mapping, Sequence, Sized
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import lru_cache, partial
 from math import isfinite
 from threading import Lock
-from typing import Any, Self
+from typing import Any, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from compute.flags import flag_names
 from compute.pose.beam_hold import BeamHoldCause
 from compute.pose.rigid_body import ToolPose
 from compute.reconstruction.point_batch import PointBatch
 from compute.signal.peaks import PeakBatch
-from compute.tracking.track_batch import TrackBatch
+from compute.tracking.track_batch import TrackBatch, TrackFlag, TrackState
 from compute.transform import rotation_quaternion
 from hardware.line_frame import LineFrame
 from service.pipeline.threads import call_in_loop
 
 Array = NDArray[np.float64]
 Vector = tuple[float, float, float]
+_TRACK_STATES: Final = {int(state): state.name.lower() for state in TrackState}
 
 
 class BeamEnableToken:
@@ -213,6 +215,60 @@ def pose_members(pose: ToolPose) -> dict[str, Any]:
     }
 
 
+def track_members(tracks: TrackBatch, part: slice) -> list[dict[str, Any]]:
+    """Return tracks of a batch as JSON values."""
+    columns = (
+        tracks.identity,
+        tracks.marker,
+        tracks.state,
+        tracks.flags,
+        tracks.position_mm,
+        tracks.covariance[:, :3, :3],
+        tracks.velocity_mm_s,
+        tracks.covariance[:, 3:6, 3:6],
+        tracks.acceleration_mm_s2,
+        tracks.peaks,
+        tracks.nis,
+        tracks.dof,
+    )
+    # Straight from the arrays: objects in between cost too much at thousands of frames.
+    return [
+        {
+            "id": identity,
+            "marker": None if marker < 0 else marker,
+            "state": _TRACK_STATES[state],
+            "flags": _track_flag_names(flags),
+            "position_mm": position,
+            "covariance_mm2": covariance,
+            "velocity_mm_s": velocity,
+            "velocity_covariance_mm2_s2": velocity_covariance,
+            "acceleration_mm_s2": acceleration if isfinite(acceleration[0]) else None,
+            "peaks": [None if peak < 0 else peak for peak in peaks],
+            "nis": nis if isfinite(nis) else None,
+            "dof": dof,
+        }
+        for (
+            identity,
+            marker,
+            state,
+            flags,
+            position,
+            covariance,
+            velocity,
+            velocity_covariance,
+            acceleration,
+            peaks,
+            nis,
+            dof,
+        ) in zip(*(column[part].tolist() for column in columns), strict=True)
+    ]
+
+
+@lru_cache(maxsize=1024)
+def _track_flag_names(flags: int) -> tuple[str, ...]:
+    return flag_names(TrackFlag(flags))
+
+
 def _value(number: float | None) -> float | None:
     """Return a number; None for infinity and NaN, which JSON does not have."""
     return number if number is not None and isfinite(number) else None
@@ -272,7 +328,7 @@ def newest_poses(batch: FrameBatch, motion: TrackingResult, frame_rate_hz: float
 
 
 class LatestPoses:
-    """Newest poses of all devices; the compute thread writes, and never waits for a reader."""
+    """Newest poses of all devices; who processes frames writes, and waits for no reader."""
 
     def __init__(self) -> None:
         """Begin without any entry."""
@@ -281,7 +337,7 @@ class LatestPoses:
         self._listeners: list[Callable[[PoseEntry], None]] = []
 
     def put(self, entry: PoseEntry) -> None:
-        """Replace the entry of a device, and call the listeners in their loops."""
+        """Replace the entry of a device, and call the listeners."""
         with self._lock:
             self._newest[entry.device_id] = entry
         for listener in tuple(self._listeners):
@@ -297,17 +353,24 @@ class LatestPoses:
         with self._lock:
             self._newest.pop(device_id, None)
 
+    def call_at_once(self, call: Callable[[PoseEntry], None]) -> Callable[[], None]:
+        """Call with every newer entry, in the thread that puts it.
+
+        Returns:
+            What ends it; may be called again.
+        """
+        self._listeners.append(call)
+
+        def end() -> None:
+            with suppress(ValueError):
+                self._listeners.remove(call)
+
+        return end
+
     def listen(self, call: Callable[[PoseEntry], None]) -> Callable[[], None]:
         """Call in the running event loop with every newer entry.
 
         Returns:
             What ends it; may be called again.
         """
-        listener = partial(call_in_loop, asyncio.get_running_loop(), call)
-        self._listeners.append(listener)
-
-        def end() -> None:
-            with suppress(ValueError):
-                self._listeners.remove(listener)
-
-        return end
+        return self.call_at_once(partial(call_in_loop, asyncio.get_running_loop(), call))

@@ -4,18 +4,21 @@ A batch of frames of one device goes through these stages; each takes what the o
 
 1. ``detection_stage``: pixels to peaks (position, sigma, width, flags).
 2. ``weigh_peaks``: peaks to measurements, by the one policy for their flags.
-3. ``solve_points``: measurements to points: correspondence, then triangulation.
-4. ``tracking_stage``: measurements to tracks of markers, then to poses of tools.
+3. ``tracking_stage``: measurements to poses of tools, which wait for nothing else.
+4. ``solve_points``: measurements to points: correspondence, then triangulation. Before the poses
+   where all markers are lit together, since tools are then found by points.
+5. ``tracking_stage``: measurements to tracks of markers.
 
 Before them stand the threads and the ring between them (``threads``); ``device_session`` takes
-frames from it. Behind them ``device_session`` steps the beam holds (``beam_hold_registry``),
-publishes the newest poses, offers the batch to taps (``taps``), and hands it to the streams.
+frames from it. It publishes the newest poses as soon as they are known; behind the stages it steps
+the beam holds (``beam_hold_registry``; those that watch tools alone before the poses), offers the
+batch to taps (``taps``), and hands it to the streams.
 """
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +31,7 @@ from compute.reconstruction.outlier_exclusion import SUSPICIOUS, exclude_outlier
 from compute.reconstruction.point_batch import PointBatch, PointFlag
 from compute.reconstruction.solver import load_kernels
 from compute.signal.peaks import PeakBatch
+from compute.warp_host import warp_device
 from hardware.driver import DeviceDescription
 from hardware.line_frame import LineFrame
 from service.pipeline.active_calibration import (
@@ -36,10 +40,13 @@ from service.pipeline.active_calibration import (
     PreparedCalibration,
 )
 from service.pipeline.detection_stage import DetectionStage, ExpectedScans, expected_scans
-from service.pipeline.frame_batch import FrameBatch
+from service.pipeline.frame_batch import FrameBatch, TrackingResult
 from service.pipeline.threads import limit_blas_threads
 from service.pipeline.tracking_config import TrackingConfig
 from service.pipeline.tracking_stage import TrackingStage
+
+if TYPE_CHECKING:
+    from compute.pose.rigid_body import ToolPose
 
 MAX_FRAMES = 64
 """Most frames that are processed together."""
@@ -53,12 +60,18 @@ MAX_SIMULTANEOUS_MARKERS: Final = 12
 """Peaks of a sensor up to which markers lit together are told apart, in some milliseconds a frame.
 On four sensors more of them are mostly ambiguous, and take longer than frames come."""
 
+TakePoses = Callable[[FrameBatch], None]
+"""Takes what is known of a batch once the poses of its tools are."""
+Points = tuple[PointBatch, NDArray[np.intp]]
+"""Points of a batch, and the index of the frame of each."""
+
 
 class FrameProcessor:
     """Runs the stages over batches of frames: the same frames give the same bits.
 
-    Made and called in the compute thread; ``set_calibration`` and ``set_tracking_config`` too:
-    they prepare what the next batch needs, so that no frame waits for a kernel.
+    Made and called in a turn of the ``ComputeThread``; ``set_calibration`` and
+    ``set_tracking_config`` too: they prepare what the next batch needs, so that no frame waits for
+    a kernel.
     """
 
     def __init__(
@@ -89,18 +102,24 @@ class FrameProcessor:
         """How peaks are found."""
         reads = self.detection.reads
         self._tracking = TrackingStage(device_id, len(self._names), reads=reads)
+        self._no_points: Points = PointBatch.empty(len(self._names)), np.empty(0, dtype=np.intp)
         self.remark: str | None = None
         """What keeps markers of the newest batch from being found; None: nothing."""
         self.is_tracking = False
         """Whether markers or tools are tracked."""
         self.tracking_s = 0.0
         """Time that tracking took in the newest batch [s]."""
+        self.uses_gpu = False
+        """Whether frames are processed on a GPU, whose contexts belong to threads."""
         if reads:
+            import warp as wp
+
             # Here: what tracks tools loads only where frames are processed.
             from compute.pose.filtering.native.strobed_step import load_kernels as load_steps
 
             load_kernels(len(self._names), compute_device)
             load_steps(len(self._names))
+            self.uses_gpu = not warp_device(wp, compute_device).is_cpu
 
     @property
     def calibration_ids(self) -> tuple[str | None, str | None]:
@@ -154,7 +173,11 @@ class FrameProcessor:
         self._tracking.set_tracking_config(tracked)
 
     def process(
-        self, frames: Sequence[LineFrame], *, track: Sequence[bool] | None = None
+        self,
+        frames: Sequence[LineFrame],
+        *,
+        track: Sequence[bool] | None = None,
+        take_poses: TakePoses | None = None,
     ) -> FrameBatch:
         """Run all stages over up to MAX_FRAMES frames.
 
@@ -164,10 +187,13 @@ class FrameProcessor:
             frames: F frames of the device, in their order.
             track: of each frame, whether markers and tools are tracked in it; None: in all. The
                 poses of others say that the frame was skipped.
+            take_poses: called as soon as the poses of tools are known, with what is known then: a
+                batch without tracks, and without points of strobed frames.
         """
         one = len(frames) == 1
         lines = frames[0].lines if one else np.concatenate([frame.lines for frame in frames])
-        return self.process_peaks(frames, self.detection.find(lines), track=track)
+        peaks = self.detection.find(lines)
+        return self.process_peaks(frames, peaks, track=track, take_poses=take_poses)
 
     def process_peaks(
         self,
@@ -175,30 +201,56 @@ class FrameProcessor:
         peaks: PeakBatch,
         *,
         track: Sequence[bool] | None = None,
+        take_poses: TakePoses | None = None,
     ) -> FrameBatch:
         """Run the stages behind detection; arguments as of ``process``, with the frames' peaks."""
-        active = self._prepared
+        active = self._prepared if self.detection.reads else None
         measurements = None
-        if active is None or not self.detection.reads:
-            points, owner = PointBatch.empty(len(self._names)), np.empty(0, dtype=np.intp)
-        else:
+        if active is not None:
             measurements = weigh_peaks(active, frames, peaks, self.detection.flag_policy)
-            points, owner = solve_points(active, frames, measurements)
-            if len(self._names) == 3:
-                self.remark = _three_sensor_remark(frames, measurements)
+        lit = any(frame.marker is None for frame in frames)
+        points = self._solve(frames, measurements) if lit else self._no_points
+        poses: Sequence[Sequence[ToolPose]] = ()
+        if self.is_tracking:
+            begin = time.perf_counter()
+            poses = self._tracking.find_poses(frames, measurements, *points, track)
+            self.tracking_s = time.perf_counter() - begin
+            if take_poses is not None and poses[-1]:
+                early = TrackingResult.of([self._tracking.no_tracks] * len(frames), poses)
+                take_poses(self._batch(frames, peaks, points, early))
+        if not lit:
+            points = self._solve(frames, measurements)
         motion = None
         if self.is_tracking:
             begin = time.perf_counter()
-            motion = self._tracking.find(frames, measurements, points, owner, track)
-            self.tracking_s = time.perf_counter() - begin
+            tracks = self._tracking.find_tracks(frames, measurements, track)
+            motion = TrackingResult.of(tracks, poses)
+            self.tracking_s += time.perf_counter() - begin
+        return self._batch(frames, peaks, points, motion)
+
+    def _solve(self, frames: Sequence[LineFrame], measurements: Measurements | None) -> Points:
+        """Return the points of the frames; none where there are no measurements."""
+        if measurements is None:
+            return self._no_points
+        assert self._prepared is not None
+        if len(self._names) == 3:
+            self.remark = _three_sensor_remark(frames, measurements)
+        return solve_points(self._prepared, frames, measurements)
+
+    def _batch(
+        self,
+        frames: Sequence[LineFrame],
+        peaks: PeakBatch,
+        points: Points,
+        motion: TrackingResult | None,
+    ) -> FrameBatch:
         return FrameBatch(
             self._device_id,
             self._names,
             *self.calibration_ids,
             tuple(frames),
             peaks,
-            points,
-            owner,
+            *points,
             motion,
             radiometric_id=self.radiometric_id,
         )
@@ -245,7 +297,7 @@ def weigh_peaks(
 
 def solve_points(
     active: PreparedCalibration, frames: Sequence[LineFrame], measurements: Measurements
-) -> tuple[PointBatch, NDArray[np.intp]]:
+) -> Points:
     """Return the points of F frames, and the index of the frame that each belongs to.
 
     Args:

@@ -1,12 +1,13 @@
 """PipelineManager: starts and stops devices and their threads; the API's door to the pipeline."""
 
 import logging
+from functools import partial
 from threading import RLock
 
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.errors import InvalidParameter, LumilineError
+from compute.errors import InvalidParameter
 from hardware.driver import DeviceDescription, Driver
 from hardware.link import LinkedDriver, LinkState
 from service.pipeline.active_calibration import NO_ACTIVE_CALIBRATION, ActiveCalibration
@@ -38,6 +39,8 @@ RING_SECONDS = 2.0
 MIN_RING_FRAMES = 256
 FIRST_ATTEMPT_S = 3.0
 """How long a start waits for a device that may not be there; then it goes on by itself."""
+OPEN_S = 30.0
+"""The same for all others: their drivers may hang, too."""
 STOPPED = "the device is stopped"
 NOT_AS_STORED = (
     "what is stored of it could not be taken over (the log says why); change the hold, or start "
@@ -103,9 +106,9 @@ class PipelineManager:
 
         A device that is running is stopped first. One that cannot be started is "failed", with
         the reason. One that can be unplugged, and is, becomes "disconnected" and is tried again
-        until it is there, or is stopped: then there is no description yet. ``accept`` checks the
-        description before anything is made of it. The first start in a process takes the time
-        to load the kernels.
+        until it is there, or is stopped: then there is no description yet, nor where opening it
+        takes longer than OPEN_S. ``accept`` checks the description before anything is made of it.
+        The first start in a process takes the time to load the kernels.
         """
         previous = self._openings.get(device_id)
         with self._lock:
@@ -120,22 +123,10 @@ class PipelineManager:
             self._refused.pop(device_id, None)
             self._openings[device_id] = opening
             self.streams.publish_status(device_id, "starting")
-            if not isinstance(driver, LinkedDriver):
-                try:
-                    opening.attempt()
-                except LumilineError as error:
-                    self._refuse(device_id, error.detail)
-                    raise
-                except Exception as error:
-                    self._refuse(device_id, f"it failed: {type(error).__name__}: {error}")
-                    raise
-                finally:
-                    self._openings.pop(device_id, None)
         # Not under the lock: other devices go on while this one's is waited for.
-        if isinstance(driver, LinkedDriver):
-            if previous is not None:
-                previous.join()
-            opening.start(FIRST_ATTEMPT_S)
+        if previous is not None:
+            previous.join()
+        opening.start(FIRST_ATTEMPT_S if isinstance(driver, LinkedDriver) else OPEN_S)
         session = self._sessions.get(device_id)
         return session.description if session is not None and session.running else None
 
@@ -165,6 +156,7 @@ class PipelineManager:
                 device_id,
                 driver,
                 session.ring,
+                partial(session.process_frame, self._compute),
                 lambda: self._compute.submit(session.publish_change),
             )
             self._compute.submit(lambda: self._compute.add(device_id, session.work)).result()
@@ -341,7 +333,7 @@ class PipelineManager:
     ) -> DeviceSession:
         """Make the device's buffers; runs in the compute thread."""
         capacity = max(MIN_RING_FRAMES, int(RING_SECONDS * description.frame_rate_hz))
-        ring = FrameRing(capacity, self._compute.wake)
+        ring = FrameRing(capacity)
         processor = FrameProcessor(device_id, description, self._compute_device, model)
         return DeviceSession(
             device_id, description, processor, ring, self.streams, self.poses, self.holds

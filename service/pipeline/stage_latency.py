@@ -10,7 +10,8 @@ from service.pipeline.threads import FrameRing
 
 Stage = Literal["reception", "waiting", "computation", "publication"]
 """From the middle of the exposure until the driver has the frame; until its batch is taken; until
-points, tracks and poses are there; until holds, poses, taps and streams have them."""
+points, tracks and poses are there (those of tools go out before); until the other holds, taps and
+streams have them."""
 STAGES: Final[tuple[Stage, ...]] = get_args(Stage)
 INTERVAL_S: Final = 1.0
 
@@ -18,7 +19,7 @@ INTERVAL_S: Final = 1.0
 class StageLatency:
     """Times one frame a second: the others cost a comparison each.
 
-    Called by the compute thread, read by any.
+    Called where frames are processed, read by any thread.
 
     Args:
         ring: where frames come from; it notes when the sampled one came.

@@ -32,7 +32,7 @@ class Tap(Protocol):
         ...
 
     def offer(self, batch: FrameBatch) -> None:
-        """Copy the wanted data of a batch; called in the compute thread, never waits long."""
+        """Copy the wanted data of a batch; called where frames are processed, never waits long."""
         ...
 
 
@@ -69,7 +69,7 @@ class PeakTap:
         """Do nothing: readings do not depend on it."""
 
     def offer(self, batch: FrameBatch) -> None:
-        """Copy the wanted data of a batch; called in the compute thread, never waits long."""
+        """Copy the wanted data of a batch; called where frames are processed, never waits long."""
         sensors = len(batch.sensor_names)
         readings = []
         for index, frame in enumerate(batch.frames):

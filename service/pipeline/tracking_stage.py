@@ -17,7 +17,6 @@ from compute.tracking.blink_identification import BlinkIdentifier
 from compute.tracking.track_batch import TrackBatch
 from hardware.line_frame import LineFrame
 from service.pipeline.active_calibration import PreparedCalibration
-from service.pipeline.frame_batch import TrackingResult
 from service.pipeline.tracking_config import NO_TRACKING, TrackingConfig
 
 if TYPE_CHECKING:
@@ -110,8 +109,21 @@ class _Group:
         return not 0 <= now_ns - self.failed_ns < 1e9 * wait_s
 
 
+class _DeviceClock:
+    """Notices that a device's clock went back: it was restarted, and what is tracked is stale."""
+
+    def __init__(self) -> None:
+        self._last_ns: int | None = None
+
+    def went_back(self, frame: LineFrame) -> bool:
+        """Whether a frame was not exposed after the one before."""
+        last, self._last_ns = self._last_ns, frame.exposure_device_ns
+        return last is not None and frame.exposure_device_ns <= last
+
+
 class TrackingStage:
-    """Tracks markers and tools through the frames of one device; lives in the compute thread.
+    """Tracks markers and tools through the frames of one device; lives where frames are
+    processed.
 
     No fault of a tracker stops the device: tools that cannot be tracked have the status INVALID
     and the reason. When tracking all tools together fails, each is tracked by itself from then on,
@@ -132,7 +144,8 @@ class TrackingStage:
         self, device_id: str, sensors: int, *, reads: bool, make: TrackerFactory | None = None
     ) -> None:
         self._device_id = device_id
-        self._no_tracks = TrackBatch.empty(sensors)
+        self.no_tracks = TrackBatch.empty(sensors)
+        """The tracks of a frame in which nothing is tracked."""
         self._reads = reads
         self._make = make or TrackerFactory()
         self._tracked = NO_TRACKING
@@ -141,7 +154,7 @@ class TrackingStage:
         self._names: BlinkIdentifier | None = None
         self._groups: list[_Group] = []
         self._restarts = 0
-        self._last_ns: int | None = None
+        self._tools_clock, self._markers_clock = _DeviceClock(), _DeviceClock()
         self._first_number = 0  # added to the markers' numbers, which are never used again
         self._highest_number = 0
 
@@ -168,46 +181,65 @@ class TrackingStage:
         tracked, self._tracked = self._tracked, NO_TRACKING
         self.set_tracking_config(tracked)
 
-    def find(
+    def find_poses(
         self,
         frames: Sequence[LineFrame],
         measurements: Measurements | None,
         points: PointBatch,
         owner: NDArray[np.intp],
         track: Sequence[bool] | None = None,
-    ) -> TrackingResult:
-        """Return the tracks and tool poses of a batch.
+    ) -> list[Sequence[ToolPose]]:
+        """Return the tool poses of each frame of a batch.
 
         Args:
             frames: F frames, in their order.
             measurements: of these, shape (F, S, K); None: there is no calibration, or no method
                 reads the scans.
-            points: of these frames.
+            points: of those frames in which all markers are lit; of others they are not used.
             owner: index of the frame of each.
             track: of each frame, whether anything is tracked in it; None: in all. In others tools
-                are MISSING, as the computer does not keep up, and there are no tracks.
+                are MISSING, as the computer does not keep up.
         """
-        tracks: list[TrackBatch] = []
         poses: list[Sequence[ToolPose]] = []
         starts = owner.searchsorted(range(len(frames) + 1)).tolist()
         unavailable = NO_CALIBRATION if self._reads else NO_DETECTION_METHOD
         tools = self._tracked.tools
         for index, frame in enumerate(frames):
             if measurements is None:
-                tracks.append(self._no_tracks)
                 poses.append(_without(tools, frame, PoseStatus.UNKNOWN, unavailable))
                 continue
-            self._check_clock(frame)
+            if self._tools_clock.went_back(frame):
+                for group in self._groups:
+                    if group.tracker is not None:
+                        group.tracker.reset()
             if track is not None and not track[index]:
-                tracks.append(self._no_tracks)
                 poses.append(_without(tools, frame, PoseStatus.MISSING, FRAME_SKIPPED))
                 continue
-            exposure = measurements.exposure(index)
-            tracks.append(self._track_markers(frame, exposure) or self._no_tracks)
             lit = frame.marker is None
             frame_points = points.part(starts[index], starts[index + 1]) if lit else None
-            poses.append(self._track_tools(frame, exposure, frame_points))
-        return TrackingResult.of(tracks, poses)
+            poses.append(self._track_tools(frame, measurements.exposure(index), frame_points))
+        return poses
+
+    def find_tracks(
+        self,
+        frames: Sequence[LineFrame],
+        measurements: Measurements | None,
+        track: Sequence[bool] | None = None,
+    ) -> list[TrackBatch]:
+        """Return the tracks after each frame of a batch; arguments as of ``find_poses``.
+
+        There are none in frames that are not tracked.
+        """
+        if self._markers is None or measurements is None:
+            return [self.no_tracks] * len(frames)
+        tracks: list[TrackBatch] = []
+        for index, frame in enumerate(frames):
+            if self._markers_clock.went_back(frame) and self._markers is not None:
+                self._markers.reset()
+            tracked = track is None or track[index]
+            found = self._track_markers(frame, measurements.exposure(index)) if tracked else None
+            tracks.append(found or self.no_tracks)
+        return tracks
 
     def _marker_tracker(self, active: PreparedCalibration) -> "Tracker | None":
         """Return a marker tracker; its track numbers go on where those before ended."""
@@ -244,15 +276,6 @@ class TrackingStage:
         except Exception as error:  # noqa: BLE001 - becomes the tool's status
             self._log(f"its tool {tool.name} cannot be tracked")
             return _Group([tool], None, f"the tool cannot be tracked: {_error_message(error)}")
-
-    def _check_clock(self, frame: LineFrame) -> None:
-        """Reset the trackers when the device's clock went back: it was restarted."""
-        last, self._last_ns = self._last_ns, frame.exposure_device_ns
-        if last is None or frame.exposure_device_ns > last:
-            return
-        for tracker in (self._markers, *(group.tracker for group in self._groups)):
-            if tracker is not None:
-                tracker.reset()
 
     def _track_markers(self, frame: LineFrame, measurements: Measurements) -> TrackBatch | None:
         if self._markers is None:

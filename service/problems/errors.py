@@ -127,6 +127,10 @@ class SensorsChanged(ServiceError, status=409):
     """The calibration is of other sensors than the device has now; calibrate the device again."""
 
 
+class NominalCalibrationMismatch(ServiceError, status=409):
+    """The nominal calibration is of another simulated profile than the device's source."""
+
+
 class DeviceWithoutDriver(ServiceError, status=409):
     """An external device has no driver that could be started: its readings are posted."""
 

@@ -124,6 +124,7 @@ OPERATION_SCOPES: Final[Mapping[str, Access]] = {
     "get-correction-table": "read:calibration",
     "download-correction-table": "read:calibration",
     "create-calibration": "write:calibrations",
+    "create-nominal-calibration": "write:calibrations",
     "activate-calibration": "activate:calibrations",
     "retire-calibration": "activate:calibrations",
     "roll-back-device": "activate:calibrations",

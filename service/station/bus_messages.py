@@ -30,6 +30,7 @@ from service.pipeline.frame_batch import (
     BeamEnableToken,
     BeamHoldState,
     FrameBatch,
+    PoseEntry,
     TrackingResult,
 )
 from service.pipeline.stage_latency import Stage
@@ -44,6 +45,7 @@ class MessageKind(IntEnum):
     CALIBRATION = 3
     FIGURES = 4
     END = 5
+    POSES = 6
 
 
 class HoldTokens(Protocol):
@@ -260,7 +262,6 @@ def batch_message(batch: FrameBatch, *, pixels: bool) -> bytes:
         len(frames),
         batch.frames[0].sequence if batch.frames else 0,
         batch.frames[-1].sequence if batch.frames else -1,
-        bool(poses),
         [[hold_row(now) for now in after] for after in batch.holds],
         len(details),
         sum(frame.lines.nbytes for frame in batch.frames) if pixels else 0,
@@ -280,7 +281,6 @@ class BatchMessage:
         count: how many frames.
         first_sequence: sequence number of the first.
         last_sequence: and of the last.
-        has_poses: whether there are poses of tools.
         holds: the device's beam holds after each frame; empty: it has none.
 
     Args:
@@ -298,7 +298,6 @@ class BatchMessage:
         "count",
         "device_id",
         "first_sequence",
-        "has_poses",
         "holds",
         "last_sequence",
     )
@@ -306,7 +305,7 @@ class BatchMessage:
     def __init__(self, data: bytes, header: Sequence[Any], end: int, tokens: HoldTokens) -> None:
         self._data = data
         self.device_id, self.count, self.first_sequence, self.last_sequence = header[:4]
-        self.has_poses, holds, details, self._pixel_bytes = header[4:]
+        holds, details, self._pixel_bytes = header[4:]
         self._begin, self._end = end, end + details
         self.holds = tuple([tuple([read_hold(row, tokens) for row in after]) for after in holds])
 
@@ -407,6 +406,29 @@ def read_hold(row: Sequence[Any], tokens: HoldTokens) -> BeamHoldState:
     if now.held:
         tokens.held(now)
     return now
+
+
+def poses_message(entry: PoseEntry) -> bytes:
+    """Return the newest poses of a device; they go before the batch that they are of."""
+    return _message(
+        MessageKind.POSES,
+        (
+            entry.device_id,
+            entry.sequence,
+            entry.exposure_ns,
+            [_pose_row(pose) for pose in entry.poses.values()],
+            entry.calibration_id,
+            entry.frame_rate_hz,
+            entry.table_id,
+        ),
+    )
+
+
+def read_poses(header: Sequence[Any]) -> PoseEntry:
+    """Return the newest poses of a device from the header of their message."""
+    device_id, sequence, exposure_ns, rows, *members = header
+    poses = {pose.tool: pose for pose in map(_pose, rows)}
+    return PoseEntry(device_id, sequence, exposure_ns, poses, *members)
 
 
 def hold_message(device_id: str, now: BeamHoldState, *, last: bool) -> bytes:

@@ -25,7 +25,7 @@ from hardware.driver import DeviceDescription, Driver
 from service.logs import DEVICE
 from service.pipeline.active_calibration import ActiveCalibration
 from service.pipeline.detection_stage import SearchModel
-from service.pipeline.frame_batch import BeamHoldState, FrameBatch
+from service.pipeline.frame_batch import BeamHoldState, FrameBatch, PoseEntry
 from service.pipeline.interface import Accept
 from service.pipeline.pipeline_manager import PipelineManager
 from service.pipeline.tracking_config import TrackingConfig
@@ -38,6 +38,7 @@ from service.station.bus_messages import (
     end_message,
     figures_message,
     hold_message,
+    poses_message,
     state_message,
 )
 from service.station.calls import Answer, Call, LogLine, Start
@@ -135,6 +136,10 @@ class BusPublisher:
     def publish_hold(self, device_id: str, now: BeamHoldState) -> None:
         """Do nothing: the listener of the registry also knows which change is the last."""
 
+    def put_poses(self, entry: PoseEntry) -> None:
+        """Put the newest poses of a device on the bus."""
+        self.put(poses_message(entry))
+
     def put_hold(self, device_id: str, now: BeamHoldState, last: bool) -> None:
         """Put a change of a beam hold on the bus; a ``Listener`` of the registry."""
         self.put(hold_message(device_id, now, last=last))
@@ -181,6 +186,7 @@ class Station:
         self._taps: dict[int, tuple[DeviceSession, BusTap]] = {}
         self._lock = Lock()
         self._manager.holds.listen(self._publisher.put_hold)
+        self._manager.poses.call_at_once(self._publisher.put_poses)
         self._publisher.figures = self._figures
         self._ended = threading.Event()
         self._figures_thread = Thread(

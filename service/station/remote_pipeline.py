@@ -22,9 +22,9 @@ from hardware.driver import DeviceDescription, Driver
 from service.pipeline.active_calibration import NO_ACTIVE_CALIBRATION, ActiveCalibration
 from service.pipeline.beam_hold_registry import BeamHoldWatchdog
 from service.pipeline.detection_stage import FindProfile, Method, SearchModel, peak_method
-from service.pipeline.device_session import MIN_POSE_INTERVAL_S, StreamPublisher, ToolCounts
+from service.pipeline.device_session import StreamPublisher, ToolCounts
 from service.pipeline.device_status import DeviceStatus
-from service.pipeline.frame_batch import LatestPoses, newest_poses
+from service.pipeline.frame_batch import LatestPoses
 from service.pipeline.interface import Accept, RunningDevice, StationState, any_device
 from service.pipeline.stage_latency import Stage
 from service.pipeline.tap_collection import collect_readings, not_running
@@ -41,6 +41,7 @@ from service.station.bus_messages import (
     read_description,
     read_figures,
     read_hold,
+    read_poses,
     split_message,
 )
 from service.station.calls import Start
@@ -61,6 +62,8 @@ RESTART_S: Final = (0.0, 0.5, 1.0, 2.0, 5.0)
 """Until a station that was lost is started again; the last for all that follow."""
 STEADY_S: Final = 60.0
 """A station that has run for this long is started again at once."""
+REFRESH_S: Final = 1.0
+"""How long a question for a device's state waits for the station."""
 _PASS_S: Final = 10.0
 """How long a call waits for what it caused to come by the bus."""
 
@@ -299,7 +302,6 @@ class RemotePipeline:
         self._tracked: dict[str, TrackingConfig] = {}
         self._versions = count(1)
         self._tap_numbers = count(1)
-        self._pose_times_s: dict[str, float] = {}
         self._away: dict[str, DeviceFigures] = {}
         """Devices of a lost station that are not started again yet."""
         self._lock = RLock()
@@ -469,10 +471,16 @@ class RemotePipeline:
     def refresh(self) -> None:
         """Wait until statuses and counters are those of now; while there is no station, they are.
 
-        Else they are younger than FIGURES_S.
+        A station that has too much to do is not waited for: they are the last that it sent.
         """
-        with suppress(NotReady):
-            self.call("refresh")
+        station = self._station
+        with suppress(NotReady, TimeoutError):
+            answer = station.call_within(REFRESH_S, "refresh")
+            with self._passed:
+                self._passed.wait_for(
+                    lambda: station is not self._station or self._read_to >= answer.head,
+                    REFRESH_S,
+                )
 
     def status(self, device_id: str) -> DeviceStatus:
         """Return the device's status; "stopped" for one never started. Never waits."""
@@ -603,6 +611,8 @@ class RemotePipeline:
         kind, header, end = split_message(record.data)
         if kind is MessageKind.BATCH:
             self._take_batch(BatchMessage(record.data, header, end, self.holds))
+        elif kind is MessageKind.POSES:
+            self.poses.put(read_poses(header))
         elif kind is MessageKind.HOLD:
             device_id, row, last = header
             self.holds.change(device_id, read_hold(row, self.holds), last=last)
@@ -624,22 +634,10 @@ class RemotePipeline:
         if message.holds:
             self.holds.take(device_id, message.holds[-1])
         device = self._devices.get(device_id)
-        if message.has_poses:
-            rate_hz = 0.0 if device is None else device.description.frame_rate_hz
-            self._publish_poses(message, rate_hz)
         if device is not None:
             device.offer(message)
         message.drop_pixels()
         self.streams.publish_message(message)
-
-    def _publish_poses(self, message: BatchMessage, frame_rate_hz: float) -> None:
-        now_s = time.monotonic()
-        if now_s - self._pose_times_s.get(message.device_id, 0.0) < MIN_POSE_INTERVAL_S:
-            return
-        self._pose_times_s[message.device_id] = now_s
-        batch = message.read()
-        if batch.motion is not None:
-            self.poses.put(newest_poses(batch, batch.motion, frame_rate_hz))
 
     def _take_figures(self, figures: StationFigures) -> None:
         away = {name: one for name, one in self._away.items() if name not in figures.devices}

@@ -74,6 +74,19 @@ class StationProcess:
         Raises:
             NotReady: the station ends, or has ended.
         """
+        return self._asked(method, args, members).result()
+
+    def call_within(self, wait_s: float, method: str) -> Answer:
+        """Call a method without arguments; as ``call``.
+
+        Raises:
+            NotReady: the station ends, or has ended.
+            TimeoutError: there is no answer yet.
+        """
+        return self._asked(method, (), {}).result(wait_s)
+
+    def _asked(self, method: str, args: tuple[Any, ...], members: dict[str, Any]) -> Future[Answer]:
+        """Send a call; return what becomes its answer."""
         future: Future[Answer] = Future()
         with self._lock:
             if self._why is not None:
@@ -82,7 +95,7 @@ class StationProcess:
             call = Call(self._number, method, args, members)
             self._answers[self._number] = future
         self._outgoing.put(pickle.dumps(call))
-        return future.result()
+        return future
 
     def notify(self, method: str, *args: Any) -> None:
         """Call a method of the station whose answer nobody needs; never waits."""

@@ -26,7 +26,7 @@ PRELOADED: Final = (
     "compute.pose.filtering.native.strobed_step",
     "compute.pose.tool_tracking.tool_tracker",
     "compute.tracking.tracker",
-    "compute.tracking.native.associator",
+    "compute.tracking.native.kernels",
     "hardware.serial.driver",
     "hardware.simulated.profile_driver",
     "service.api.devices.profiles",

@@ -12,6 +12,7 @@ from compute.mapping.table import Degree
 from compute.reconstruction.solver import PointSolver
 
 
+@pytest.mark.slow
 def test_points_methods_solve_the_same_problem() -> None:
     rows = triangulation.run(seconds=0.0)
     assert {row["points"] for row in rows} == set(triangulation.SIZES)

@@ -12,6 +12,8 @@ from service.settings import Settings
 from tests.openapi_document import openapi_document
 from tests.service.fake_pipeline import FakePipeline, TestClient
 
+pytestmark = pytest.mark.slow  # each body is worked out in a process of its own
+
 
 def test_bodies_are_of_every_scope_by_which_one_is_sent():
     scopes = {

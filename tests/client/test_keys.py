@@ -33,6 +33,7 @@ def key(guarded: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> str:
     return capsys.readouterr().out.strip().splitlines()[-1]
 
 
+@pytest.mark.slow
 def test_without_a_key_both_interfaces_refuse(guarded: str) -> None:
     with Client(guarded) as client, pytest.raises(ServerProblem) as caught:
         client.devices()

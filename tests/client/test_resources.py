@@ -40,6 +40,7 @@ def ask(request: pytest.FixtureRequest, server: str) -> Ask:
     return waiting if request.param == "sync" else together
 
 
+@pytest.mark.slow
 def test_devices_and_calibrations(ask: Ask) -> None:
     device = ask("device", "sim")
     assert [one.id for one in ask("devices")] == ["sim"]
@@ -207,6 +208,7 @@ def exported(server: str) -> d.Run:
         return client.wait_for_run(run.id)
 
 
+@pytest.mark.slow
 def test_an_export_from_its_run_to_a_file(ask: Ask, exported: d.Run, tmp_path: Path) -> None:
     assert (exported.state, exported.result_id) == ("succeeded", "walk"), exported.problem
     assert ask("wait_for_run", exported.id) == exported

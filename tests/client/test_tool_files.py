@@ -47,6 +47,7 @@ def written(tmp_path: Path, content: Any) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_the_example_is_made(command: Command, server: str) -> None:
     assert "made: pointer, 4 markers, of device sim" in command("create", EXAMPLE).output
     with Client(server) as client:

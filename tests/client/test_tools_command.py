@@ -9,6 +9,7 @@ from service.cli import app
 from service.cli.tools import _poses
 
 
+@pytest.mark.slow
 def test_a_device_that_is_not_there(server: str) -> None:
     result = CliRunner().invoke(app, ["tools", "watch", "--url", server, "--device", "nix"])
     assert result.exit_code == 2

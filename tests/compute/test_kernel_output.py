@@ -11,6 +11,7 @@ STARTS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", STARTS)
 def test_starting_kernels_in_a_new_process_prints_nothing(name: str) -> None:
     done = subprocess.run([sys.executable, "-c", STARTS[name]], capture_output=True, timeout=240)

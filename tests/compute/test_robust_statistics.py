@@ -10,12 +10,14 @@ from scipy.stats import norm
 
 from compute.calibration.calibrate import calibrate
 from compute.calibration.settings import CalibrationSettings
+from compute.camera.model import SensorGeometry
 from compute.camera.stack import CameraStack
 from compute.errors import DegeneratePoints, ImplausibleReadings
 from compute.robust_statistics import (
     BIWEIGHT_LIMIT,
     EFFICIENCY_LOSS,
     biweight,
+    biweight_loss,
 )
 from tests.compute.distorted_rig import (
     distorted_rig,
@@ -24,6 +26,7 @@ from tests.compute.distorted_rig import (
     seen_readings,
 )
 from tests.compute.rig import control_points, geometry, project, rig
+from validation.wand_from_readings.scene import Bar, random_bar
 
 Array = NDArray[np.float64]
 
@@ -90,6 +93,7 @@ def test_gross_errors_beside_distortion() -> None:
     assert [found.reading_weights[row][column] for row, column in moved] == [0.0] * len(moved)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("known", [True, False])
 @pytest.mark.parametrize(("points", "seed"), [(19, 3), (30, 4)])
 def test_gross_errors_leave_no_trace_where_the_distortion_is_unknown(
@@ -115,6 +119,7 @@ def test_gross_errors_leave_no_trace_where_the_distortion_is_unknown(
     assert np.sqrt((error**2).mean(axis=0)).max() < 0.2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("known", [True, False])
 @pytest.mark.parametrize("seed", [0, 1, 2, 3])
 def test_gross_errors_of_few_readings_beside_distortion(known: bool, seed: int) -> None:
@@ -140,6 +145,7 @@ def test_gross_errors_of_few_readings_beside_distortion(known: bool, seed: int) 
     assert np.sqrt(np.nanmean(error[:, 0] ** 2)) < 0.3
 
 
+@pytest.mark.slow
 def test_the_covariance_is_honest() -> None:
     models, points = rig(1), control_points(40)
     exact = project(models, points)
@@ -170,3 +176,49 @@ def test_too_many_gross_errors_are_not_hidden() -> None:
     except (DegeneratePoints, ImplausibleReadings):
         return
     assert max(fit.sigma_px for fit in found.sensors) > 10.0
+
+
+def test_loss_is_the_integral_of_its_weights() -> None:
+    z = np.linspace(0.0, 8.0, 4001)
+    integrand = z * biweight(z)
+    steps = 0.5 * (integrand[1:] + integrand[:-1]) * np.diff(z)
+    integral = np.concatenate([[0.0], np.cumsum(steps)])
+    assert biweight_loss(z) == pytest.approx(integral, abs=1e-5)
+
+
+def _read_a_distorted_bar(seed: int, count: int) -> tuple[Bar, Array, Array]:
+    """A bar whose lenses move the light by 40 px at the field's edge, points, exact readings."""
+    rng = np.random.default_rng(seed)
+    bar = random_bar(rng, 4, distorted=False)
+    edge = 0.5 * bar.pixels / bar.distance_px
+    share = 40.0 / (0.5 * bar.pixels)
+    terms = np.column_stack([share / edge**2, 1.2 * share / edge**2, np.zeros(4)])
+    bar = replace(bar, distortion=terms)
+    cube = rng.uniform(-0.5, 0.5, (20 * count, 3)) * bar.side_mm
+    points = bar.centre_mm + cube
+    points = points[np.isfinite(bar.read(points)).all(axis=1)][: count + 100]
+    return bar, points, bar.read(points)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("known", [True, False])
+@pytest.mark.parametrize("seed", [11, 12, 13, 14])
+def test_gross_errors_of_few_readings_as_large_as_the_distortion(known: bool, seed: int) -> None:
+    """Two of 19 readings of each sensor are wrong, by no more than the lens distorts."""
+    count, sigma = 19, 0.1
+    bar, points, exact = _read_a_distorted_bar(seed, count)
+    rng = np.random.default_rng(seed)
+    wrong = exact[:count] + sigma * rng.standard_normal((count, 4))
+    moved = np.zeros(wrong.shape, dtype=bool)
+    for sensor in range(4):
+        moved[rng.permutation(count)[:2], sensor] = True
+    by = rng.uniform(12.0, 40.0, wrong.shape) * np.where(wrong > 0.5 * bar.pixels, -1.0, 1.0)
+    wrong = np.where(moved, wrong + by, wrong)
+    sensors = [SensorGeometry(f"s{k}", bar.pixels) for k in range(4)]
+    given = np.full(wrong.shape, sigma) if known else None
+    settings = CalibrationSettings(distortion="symmetric-3", loss="robust")
+    found = calibrate(points[:count], wrong, sensors, given, settings)
+    weights = np.array(found.reading_weights)
+    assert (weights[moved] == 0.0).all()
+    error = CameraStack.of(found.models).project(points[count:]) - exact[count:]
+    assert np.sqrt((error**2).mean(axis=0)).max() < 10.0 * sigma

@@ -101,6 +101,14 @@ def test_volume_is_mapped_and_the_table_activated(visit: Visit):
     result.get_by_text("active", exact=True).wait_for()
     device = f"{visit.url}/api/v1/devices/sim"
     assert httpx.get(device).json()["active_table_id"].startswith("table-")
+    tables = page.get_by_role("region", name="Correction tables of the device")
+    result.get_by_role("button", name="Close").click()
+    opened = tables.locator("tbody button").first
+    opened.press("Enter")
+    assert result.get_by_role("heading", level=2).evaluate("one => one === document.activeElement")
+    result.get_by_role("button", name="Close").press("Enter")
+    assert opened.evaluate("one => one === document.activeElement")
+    opened.press("Enter")
     result.get_by_role("button", name="Stop using it").click()
     result.get_by_role("button", name="Activate").wait_for()
     assert httpx.get(device).json()["active_table_id"] is None
@@ -118,7 +126,13 @@ def test_drift_is_found_and_the_calibration_brought_up_to_date(visit: Visit):
     row = verdict.get_by_role("row", name=re.compile(first))
     row.get_by_text("moved", exact=True).wait_for()
     assert not serious_findings(page)
+    # Who leaves finds the verdict again, and what was begun by it.
+    visit.screen("Quality")
+    visit.screen("Calibrate")
+    verdict.get_by_text("sensors moved", exact=True).wait_for()
     check.get_by_role("button", name=f"Bring up to date: {first}").click()
+    visit.screen("Quality")
+    visit.screen("Calibrate")
     result = page.get_by_role("region", name=re.compile("^Calibration cal-"))
     result.get_by_text(re.compile("^Brought up to date by drift check ")).wait_for()
     result.get_by_role("button", name="Activate").click()

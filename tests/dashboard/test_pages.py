@@ -190,10 +190,34 @@ def test_planned_profile_is_changed_kept_and_simulated(visit: Visit):
     page.get_by_role("button", name="Keep the profile").click()
     page.get_by_text('Simulated is the profile "planned"').wait_for()
     page.get_by_role("option", name="planned").wait_for(state="attached")
+    device = f"{visit.url}/api/v1/devices/planned"
     simulate.click()
-    page.get_by_role("button", name="1: zoom").wait_for()
-    assert httpx.get(f"{visit.url}/api/v1/devices/planned/state").json()["state"] == "running"
-    httpx.delete(f"{visit.url}/api/v1/devices/planned?cascade=true", headers=ANY, timeout=60)
+    # One click: the device is calibrated by its profile, started, and its points are in the scene.
+    page.get_by_text("The active calibration is nominal").wait_for()
+    state = httpx.get(f"{device}/state", timeout=10).json()
+    assert (state["state"], state["calibration_id"]) == ("running", "planned-nominal")
+    page.get_by_role("region", name="Points").locator("tbody tr").first.wait_for()
+    assert httpx.get(device, timeout=10).json()["source"]["settings"]["frame_rate_hz"] == 50
+    lost = httpx.get(f"{device}/state", timeout=10).json()
+    assert lost["frames_lost"] + lost["frames_dropped_compute"] <= 0.2 * lost["frames_received"]
+    httpx.delete(f"{device}?cascade=true", headers=ANY, timeout=60).raise_for_status()
+
+
+def test_profile_device_without_calibration_is_offered_the_nominal_one(visit: Visit):
+    page = visit.page
+    device = f"{visit.url}/api/v1/devices/offered"
+    source = {"kind": "profile", "profile_id": "bar", "settings": {"frame_rate_hz": 50}}
+    new = {"id": "offered", "title": "Offered", "source": source}
+    httpx.post(f"{visit.url}/api/v1/devices", json=new, timeout=60).raise_for_status()
+    httpx.post(f"{device}/start", timeout=60).raise_for_status()
+    page.reload()
+    page.get_by_role("combobox", name="Device").select_option("offered")
+    visit.screen("Scene")
+    page.get_by_text("The device has no active calibration").wait_for()
+    page.get_by_role("button", name="Use the profile's nominal calibration").click()
+    page.get_by_text("The active calibration is nominal").wait_for()
+    page.get_by_role("region", name="Points").locator("tbody tr").first.wait_for()
+    httpx.delete(f"{device}?cascade=true", headers=ANY, timeout=60).raise_for_status()
 
 
 def test_sliders_keep_what_was_edited_and_the_profile_as_it_was(visit: Visit):

@@ -172,7 +172,7 @@ class Reader:
 
     def example(self, path: str, method: str = "post") -> Any:
         """Return the first example body of an operation in the OpenAPI document."""
-        document = httpx.get(f"http://{self.address}/openapi.json").json()
+        document = httpx.get(f"http://{self.address}/openapi.json", timeout=120.0).json()
         content = document["paths"][f"/api/v1/{path}"][method]["requestBody"]["content"]
         return next(iter(content["application/json"]["examples"].values()))["value"]
 

@@ -199,7 +199,7 @@ class FakePipeline(PipelineManager):
             raise DeviceNotRunning(f'device "{device_id}" does not run')
         processor = _Processor()
         processor.active_calibration = self.active
-        running = _Running(device_id, self.records, processor, FrameRing(1, int), self.streams)
+        running = _Running(device_id, self.records, processor, FrameRing(1), self.streams)
         running.pipeline = self
         return running
 

@@ -756,6 +756,7 @@ def test_bad_input(bad_input_client: Any, row: Row):
     assert bad_input_client.get(problem["type"]).json()["status"] == row.status
 
 
+@pytest.mark.slow
 def test_an_unknown_distortion_is_told_once(bad_input_client: Any):
     problem = send(bad_input_client, BUILDERS["unknown distortion"]()).json()
     assert [error["location"] for error in problem["errors"]] == [["body", "distortion"]]

@@ -16,6 +16,8 @@ from service.database.models import CalibrationRow, DeviceRow
 from service.pipeline.active_calibration import ActiveCalibration
 from service.problems.errors import CalibrationRetired
 
+pytestmark = pytest.mark.slow  # threads and servers against each other
+
 THREADS = 8
 A_WHILE_S = 0.3
 """Long enough for another thread to reach the lock at which it has to wait."""

@@ -78,6 +78,7 @@ UNCHANGED = (
 )
 
 
+@pytest.mark.slow
 @FEW_OR_MANY
 def test_recording_that_is_damaged_is_listed_as_unreadable_or_answers_what_was_written(
     recording: tuple[bytes, range], tmp_path: Path, count: int
@@ -146,6 +147,7 @@ def _contents(document: dict[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in document.items() if name not in file}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("content", [
     b"[]", b"7", b"{", b"[" * 100_000, b'{"bad_pixels": 3}', b'{"bad_pixels": [[]]}',
     b'{"bad_pixels": {}}', b'{"radiometric": 3}', b'{"radiometric": []}', b'{"id": ["a"]}',
@@ -258,6 +260,7 @@ TOOLS = {
 }
 
 
+@pytest.mark.slow
 @FEW_OR_MANY
 def test_tool_file_that_is_damaged_is_refused_or_holds_tools(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, count: int

@@ -1,5 +1,6 @@
 """Settings: defaults, environment, TOML file, and which of them wins."""
 
+import sys
 from pathlib import Path
 
 import pytest
@@ -90,3 +91,12 @@ def test_a_variable_that_is_no_setting_is_refused(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setenv("LUMILINE_TEST_ANYTHING", "1")
     monkeypatch.setenv("lumiline_port", "81")
     assert Settings().port == 81
+
+
+def test_process_of_the_station_is_refused_where_there_is_none(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(sys, "platform", "darwin")
+    assert Settings().station == "thread"
+    with pytest.raises(ValidationError, match="needs Linux"):
+        Settings(station="process")

@@ -75,6 +75,7 @@ def test_tips_are_summed_up() -> None:
     assert tips.max_mm == pytest.approx(3.95)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("course", [REST, FAST])
 def test_strobed_tools_are_known_at_200_exposures_a_second(course: str) -> None:
     cell = compare(course, 200.0, 4, runs=2, seconds=0.9)

@@ -8,9 +8,10 @@ from numpy.typing import NDArray
 
 from compute.calibration.calibrate import calibrate
 from compute.calibration.settings import CalibrationSettings
-from compute.calibration.single_sensor.camera_fit import LensPrior, minimise
+from compute.calibration.single_sensor.camera_fit import minimise
+from compute.calibration.single_sensor.lens_prior import LensPrior
 from compute.calibration.single_sensor.projective_camera import ProjectiveCamera
-from compute.calibration.single_sensor.sensor_fits import fit_metric_cameras
+from compute.calibration.single_sensor.undistorted_fit import fit_metric_cameras
 from compute.camera.field_distortion import symmetric_terms
 from compute.camera.model import SensorModel
 from compute.camera.stack import CameraStack

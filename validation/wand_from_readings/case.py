@@ -37,7 +37,7 @@ DEGENERATE: Final[dict[Directions, str]] = {
     "flat cloud": "in one plane",
 }
 """Degenerate waves, and what their refusal says."""
-Verdict = Literal["same", "lower", "near", "other", "refused"]
+Verdict = Literal["same", "lower", "near", "other", "refused", "truth refused"]
 VERDICTS: Final[tuple[Verdict, ...]] = get_args(Verdict)
 
 
@@ -83,17 +83,20 @@ class Outcome:
     Args:
         verdict: "same" cameras as from the truth; "lower": a cost below it; "near": a higher cost,
             but cameras within the standard deviations of those from the truth, since other poses
-            at the limit of contradiction count; "other": cameras with a higher cost; "refused".
+            at the limit of contradiction count; "other": cameras with a higher cost; "refused";
+            "truth refused": the start from the truth is refused, and these cameras are not.
         mirrored: whether space came out mirrored.
         error_mm: RMS distance of the reconstructed markers, read exactly, from the true ones, after
             the best rigid motion; None where refused.
-        reason: why it was refused.
+        reason: why it was refused, or the start from the truth.
+        warned: whether the result says that it may be wrong.
     """
 
     verdict: Verdict
     mirrored: bool
     error_mm: float | None
     reason: str = ""
+    warned: bool = False
 
 
 def draw_wave(row: Row, seed: int, trial: int) -> Wave:
@@ -111,6 +114,16 @@ def draw_wave(row: Row, seed: int, trial: int) -> Wave:
         exchanged=row.exchanged,
         directions=row.directions,
     )
+
+
+def draw_degenerate_wave(kind: Directions, seed: int, trial: int) -> Wave:
+    """Return the readings of one degenerate wave of five sensors, one of DEGENERATE."""
+    rng = np.random.default_rng([seed, trial, list(DEGENERATE).index(kind)])
+    bar = random_bar(rng, 5, distorted=False)
+    return random_wave(
+        rng, bar, poses=POSES, sigma_px=float(rng.uniform(0.1, 0.5)), missing=0.1,
+        wrong=0.0, exchanged=0.0, directions=kind,
+    )  # fmt: skip
 
 
 def judge(wave: Wave) -> Outcome:
@@ -133,10 +146,11 @@ def judge(wave: Wave) -> Outcome:
     except LumilineError as problem:
         return Outcome("refused", False, None, problem.detail)
     error, mirrored = marker_error(found.calibration.models, wave)
+    warned = bool(found.warnings)
     try:
         right = self_calibrate(true_models(bar), [recording])
-    except LumilineError:
-        return Outcome("lower", mirrored, error)
+    except LumilineError as problem:
+        return Outcome("truth refused", mirrored, error, problem.detail, warned)
     right_error, _ = marker_error(right.calibration.models, wave)
     verdict: Verdict = "other"
     if found.chi2_per_dof <= right.chi2_per_dof * (1.0 + COST_TOLERANCE):
@@ -144,7 +158,7 @@ def judge(wave: Wave) -> Outcome:
         verdict = "same" if alike else "lower"
     elif inner_difference(found, right) <= 1.0:
         verdict = "near"
-    return Outcome(verdict, mirrored, error)
+    return Outcome(verdict, mirrored, error, warned=warned)
 
 
 def inner_difference(found: SelfCalibration, right: SelfCalibration) -> float:
@@ -228,12 +242,17 @@ def compute_tables(
         verdicts = [one.verdict for one in outcomes]
         errors = [one.error_mm for one in outcomes if one.error_mm is not None]
         mirrored += sum(one.mirrored for one in outcomes)
-        reasons += [f"Refused, {row.label}: {one.reason}" for one in outcomes if one.reason]
+        reasons += [
+            f"{one.verdict.capitalize()}, {row.label}: {one.reason}"
+            for one in outcomes
+            if one.reason
+        ]
         rows.append(
             (
                 row.label,
                 trials,
                 *(verdicts.count(name) for name in VERDICTS),
+                sum(one.warned for one in outcomes),
                 float(np.median(errors)) if errors else None,
                 max(errors, default=None),
             )
@@ -241,7 +260,7 @@ def compute_tables(
     table = ResultTable(
         f"cameras from a wand's readings and its length alone, {POSES} poses, beside a start from "
         f"the truth; errors of the markers in mm, seed {seed}",
-        ("rigs", "trials", *VERDICTS, "median error", "largest error"),
+        ("rigs", "trials", *VERDICTS, "warned", "median error", "largest error"),
         tuple(rows),
     )
     return (table, degenerate_waves(seed, trials)), (
@@ -259,18 +278,10 @@ def degenerate_waves(seed: int, trials: int) -> ResultTable:
         trials: rigs of each kind.
     """
     rows: list[tuple[Cell, ...]] = []
-    for number, (kind, name) in enumerate(DEGENERATE.items()):
-        reasons = []
-        for trial in range(trials):
-            rng = np.random.default_rng([seed, trial, number])
-            bar = random_bar(rng, 5, distorted=False)
-            wave = random_wave(
-                rng, bar, poses=POSES, sigma_px=float(rng.uniform(0.1, 0.5)), missing=0.1,
-                wrong=0.0, exchanged=0.0, directions=kind,
-            )  # fmt: skip
-            reasons.append(judge(wave).reason)
-        named = sum(name in reason for reason in reasons)
-        rows.append((kind, trials, sum(map(bool, reasons)), named))
+    for kind, name in DEGENERATE.items():
+        outcomes = [judge(draw_degenerate_wave(kind, seed, trial)) for trial in range(trials)]
+        refused = [one.reason for one in outcomes if one.verdict == "refused"]
+        rows.append((kind, trials, len(refused), sum(name in reason for reason in refused)))
     return ResultTable(
         f"degenerate waves, five sensors, seed {seed}",
         ("directions of the wand", "trials", "refused", "by name"),

@@ -20,16 +20,9 @@ from compute.calibration.result import (
     repaired_readings,
 )
 from compute.calibration.settings import DEFAULTS, CalibrationSettings
-from compute.calibration.single_sensor.camera_fit import (
-    LensPrior,
-    undetermined_sensors,
-)
-from compute.calibration.single_sensor.sensor_fits import (
-    ControlObservations,
-    SensorFits,
-    block_count,
-    spatial_block_index,
-)
+from compute.calibration.single_sensor.design_matrix import undetermined_sensors
+from compute.calibration.single_sensor.lens_prior import LensPrior
+from compute.calibration.single_sensor.sensor_fits import ControlObservations, SensorFits
 from compute.camera.model import PARAMETER_COUNT, SensorGeometry, vector3
 from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter
@@ -42,6 +35,9 @@ MAX_LEAVE_ONE_OUT_POINTS: Final = 100
 """Largest number of control points that are left out one by one; more only block by block."""
 BATCH_VALUES: Final = 2_000_000
 """Largest number of Jacobian elements in one batch of fits."""
+MAX_BLOCKS: Final = 16
+MIN_BLOCKS: Final = 5
+POINTS_PER_BLOCK: Final = 3
 
 
 def calibrate_and_assess(
@@ -247,3 +243,36 @@ def _is_determined(observed: ControlObservations, fits: SensorFits) -> bool:
         return False
     weights = fits.known_weights(observed)
     return not undetermined_sensors(fits.models, observed.points_mm, weights, fits.scaled_prior)
+
+
+def block_count(points: int) -> int:
+    """Return the number of blocks for a number of points: three points each, 5 to 16 blocks."""
+    return int(min(points, max(MIN_BLOCKS, min(MAX_BLOCKS, points // POINTS_PER_BLOCK))))
+
+
+def spatial_block_index(points_mm: Array, count: int) -> NDArray[np.intp]:
+    """Assign points to blocks of space, by repeated halving across the longest extent.
+
+    Model errors of neighbouring points are correlated. Points that are left out one by one would
+    be predicted from neighbours with the same error; a block is not.
+
+    Args:
+        points_mm: shape (N, 3) [mm].
+        count: number of blocks, at most N.
+
+    Returns:
+        The block of each point, 0 .. count - 1, shape (N,).
+    """
+    blocks = np.zeros(len(points_mm), dtype=np.intp)
+    parts = [(np.arange(len(points_mm)), 0, count)]
+    while parts:
+        rows, first, share = parts.pop()
+        if share == 1:
+            blocks[rows] = first
+            continue
+        extent = np.ptp(points_mm[rows], axis=0)
+        order = rows[np.argsort(points_mm[rows, int(extent.argmax())], kind="stable")]
+        low = share // 2
+        cut = round(len(rows) * low / share)
+        parts += [(order[:cut], first, low), (order[cut:], first + low, share - low)]
+    return blocks

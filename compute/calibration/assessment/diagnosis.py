@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 
 from compute.calibration.assessment_result import Diagnosis, SensorDiagnosis, Suggestion
 from compute.calibration.result import Calibration, SensorFit, prior_strength
-from compute.calibration.single_sensor.camera_fit import LensPrior, fitted_columns, minimise
+from compute.calibration.single_sensor.camera_fit import minimise
+from compute.calibration.single_sensor.design_matrix import fitted_columns
+from compute.calibration.single_sensor.lens_prior import LensPrior
 from compute.camera.model import PARAMETER_COUNT, vector3
 from compute.camera.stack import CameraStack
 from compute.progress import Progress, no_progress
@@ -39,6 +41,9 @@ MIN_PLANE_ANGLE: Final = 0.02
 determined along it: its standard deviation is then 50 times that of a plane."""
 MAX_NONLINEARITY: Final = 0.2
 """Largest relative difference of a refit from what the covariance predicts linearly."""
+MIN_ROBUST_REDUNDANCY: Final = 8
+"""Readings beyond the parameters from which a robust loss with distortion terms tells two wrong
+ones: with 15 for ten parameters one of 15 sensors kept one, with 19 none of 60."""
 NONLINEARITY_GRID_NODES: Final = 3
 NONLINEARITY_SIGMA: Final = 2.0
 """Standard deviations by which the readings are moved for it."""
@@ -307,6 +312,16 @@ def _redundancy_remarks(calibration: Calibration, counts: NDArray[np.intp]) -> l
                 f"Sensor {fit.model.name}: {count} readings for {needed} parameters leave no "
                 "redundancy: its residuals are about zero whatever was read, and no error of a "
                 f"reading can be noticed; give at least {needed + 3} points."
+            )
+            continue
+        settings = calibration.settings
+        robust = settings is not None and settings.loss == "robust"
+        terms = robust and not estimated and bool(fit.model.terms)
+        if terms and fit.points < needed + MIN_ROBUST_REDUNDANCY:
+            remarks.append(
+                f"Sensor {fit.model.name}: with {fit.points} readings for {needed} parameters the "
+                "robust loss cannot always tell wrong readings: one may count as right. Give at "
+                f"least {needed + MIN_ROBUST_REDUNDANCY} points, or take fewer distortion terms."
             )
     return remarks
 

@@ -10,7 +10,7 @@ from compute.calibration.bundle_adjustment.data_snooping import redundancy
 from compute.calibration.bundle_adjustment.pose_set import PoseSet
 from compute.calibration.bundle_adjustment.sensor_prior import SensorPrior
 from compute.calibration.bundle_adjustment.solver import adjust
-from compute.calibration.single_sensor.camera_fit import fitted_columns
+from compute.calibration.single_sensor.design_matrix import fitted_columns
 from compute.calibration.single_sensor.sensor_fits import (
     ControlObservations,
     SensorFits,

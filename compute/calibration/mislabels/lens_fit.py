@@ -10,11 +10,9 @@ from numpy.typing import NDArray
 from compute.calibration.mislabels.evaluation import SensorReadings
 from compute.calibration.mislabels.hypothesis import Hypothesis
 from compute.calibration.settings import Preset, preset_terms
-from compute.calibration.single_sensor.sensor_fits import (
-    ControlObservations,
-    fit_distorted,
-    fit_undistorted,
-)
+from compute.calibration.single_sensor.distorted_fit import fit_distorted
+from compute.calibration.single_sensor.sensor_fits import ControlObservations
+from compute.calibration.single_sensor.undistorted_fit import fit_undistorted
 from compute.camera.model import PARAMETER_COUNT, SensorModel
 from compute.camera.stack import CameraStack
 from compute.errors import DegeneratePoints, LumilineError, NoConvergence, TooFewPoints

@@ -13,7 +13,7 @@ from compute.calibration.bundle_adjustment.sensor_prior import SensorPrior
 from compute.calibration.bundle_adjustment.solver import approximate_solution
 from compute.calibration.self_calibration.datum import align_to_start
 from compute.calibration.self_calibration.initial_poses import InitialPoses, start_poses
-from compute.calibration.self_calibration.pose_screening import screen_poses
+from compute.calibration.self_calibration.pose_screening import check_poses_left, screen_poses
 from compute.calibration.self_calibration.targets import Recording
 from compute.camera.model import SensorModel
 from compute.errors import NoConvergence, TooFewPoints
@@ -130,4 +130,6 @@ def _place_targets(
     if not trusted:
         return starts
     # An outlier spoils its whole pose; the search can do without it.
-    return [screen_poses(models, start).consistent for start in starts]
+    consistent = [screen_poses(models, start).consistent for start in starts]
+    check_poses_left(consistent)
+    return consistent

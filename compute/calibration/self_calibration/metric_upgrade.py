@@ -25,8 +25,9 @@ MAX_PAIRS: Final = 150
 """Known lengths that judge a plane; more cost time and tell little more."""
 DISTINCT_CAMERA_THRESHOLD: Final = 0.03
 """Relative difference of the camera matrices from which two upgrades are different."""
-MAX_BEHIND: Final = 0.02
-"""Share of points that may lie beyond the plane at infinity: those of unnoticed wrong readings."""
+MAX_BEHIND: Final = 0.1
+"""Share of points that may lie beyond the plane at infinity: those of wrong readings, unnoticed
+where only three sensors read a marker; 1 % of wrong readings make 3 % of such points wrong."""
 LENGTH_SIGMA: Final = 0.1
 """Relative misfit of a length that is usual before the metric adjustment."""
 POINT_SIGMA: Final = 0.15

@@ -13,6 +13,7 @@ from compute.calibration.bundle_adjustment.pose_set import PoseSet
 from compute.calibration.self_calibration.initial_poses import InitialPoses, fit_poses, triangulate
 from compute.camera.model import SensorModel
 from compute.camera.stack import CameraStack
+from compute.errors import NoConvergence
 from compute.reconstruction.triangulation import chi2_limit
 
 Array = NDArray[np.float64]
@@ -29,6 +30,8 @@ WORSE_RATIO_THRESHOLD: Final = 10.0
 the cameras, which may still be inaccurate."""
 SINGLE_OUTLIER_RATIO_THRESHOLD: Final = 20.0
 """Difference of chi2 to that without any other reading that identifies the outlier."""
+CURVATURE_LIMIT: Final = 1.0
+"""Largest curvature of a pose, see ``pose_curvature``, at which least squares holds for it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +67,56 @@ def screen_poses(models: Sequence[SensorModel], start: InitialPoses) -> Screened
     limits = [chi2_limit(int(one), CONTRADICTION_PROBABILITY) for one in dof] / np.maximum(dof, 1)
     good = (misfit <= np.maximum(limits, WORSE_RATIO_THRESHOLD * typical)) & np.isfinite(chi2)
     return ScreenedPoses(InitialPoses(poses, start.pose_index), good)
+
+
+def check_poses_left(starts: Sequence[InitialPoses]) -> None:
+    """Check that each recording has poses left after screening.
+
+    Args:
+        starts: the poses that are left, of each recording.
+
+    Raises:
+        NoConvergence: a recording has none.
+    """
+    for number, start in enumerate(starts):
+        if len(start.poses) == 0:
+            recording = "the recording" if len(starts) == 1 else f"recording {number + 1}"
+            raise NoConvergence(
+                f"no pose of {recording} agrees with the cameras that the search ended at, or each "
+                "may as well be another: the readings hardly tell the cameras, or the lengths do "
+                "not belong to what was moved"
+            )
+
+
+def pose_curvature(models: Sequence[SensorModel], poses: PoseSet) -> Array:
+    """Return how far fitted poses are from linear within their standard deviation, shape (B,).
+
+    In a pose's least certain direction, one standard deviation away, the readings lie that many
+    standard deviations from the linear prediction (curvature: Bates and Watts,
+    doi:10.1111/j.2517-6161.1980.tb01094.x). Beyond 1 the readings may as well be those of another
+    pose, as where two solutions of a wand are about to meet: neither its covariance nor a step of
+    Gauss and Newton means anything.
+
+    Args:
+        models: the S cameras, held fixed.
+        poses: fitted to them.
+
+    Returns:
+        The curvatures; inf where a marker comes to lie behind a lens.
+    """
+
+    def residuals(poses: PoseSet) -> Array:
+        return AdjustmentState(tuple(models), (poses,)).residuals()[0]
+
+    normal, _ = _pose_equations(CameraStack.of(models), poses)
+    scale = np.sqrt(np.maximum(np.einsum("bii->bi", normal), np.finfo(np.float64).tiny))
+    values, vectors = np.linalg.eigh(normal / (scale[:, :, None] * scale[:, None]))
+    smallest = np.maximum(values[:, :1], np.finfo(np.float64).eps)
+    step = vectors[:, :, 0] / np.sqrt(smallest) / scale
+    ahead, behind = residuals(poses.retract(step)), residuals(poses.retract(-step))
+    second = 0.5 * (ahead + behind) - residuals(poses)
+    curvature = np.sqrt((second**2).sum(axis=(1, 2)))
+    return np.where(np.isfinite(curvature), curvature, np.inf)
 
 
 def find_outlier_readings(

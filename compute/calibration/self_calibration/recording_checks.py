@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from functools import partial
+from itertools import combinations
 from typing import Final
 
 import numpy as np
@@ -16,6 +17,7 @@ from compute.camera.observation_checks import FLATNESS_LIMIT, check_inside
 from compute.errors import (
     DegeneratePoints,
     InvalidParameter,
+    NoConvergence,
     TooFewPoints,
     UndeterminedParameters,
 )
@@ -38,9 +40,14 @@ DISTANCE_UNCERTAINTY_LIMIT: Final = 0.03
 """Relative standard deviation of a principal distance from which cameras are uncertain."""
 DISTANCE_UNKNOWN_LIMIT: Final = 0.3
 """The same from which nothing can be measured with them."""
-FLAT_READINGS_LIMIT: Final = 0.05
-"""Third singular value of the readings, of the second: markers in a plane have 0.01 to 0.03, in a
-volume 0.1 and more. Only failures are explained by it: a short bar far away has little, too."""
+FLAT_READINGS_LIMIT: Final = 3.0
+"""RMS distance, over the noise, of any three sensors' readings from the equation of markers in a
+plane: without depth it is 1; with less than 3 no camera is known. Only failures are explained by
+it."""
+MIN_FLATNESS_MARKERS: Final = 24
+"""Markers that three sensors read from which their readings are tested; the equation has seven
+unknowns."""
+FLATNESS_ROUNDS: Final = 5
 
 
 def check_recordings(
@@ -74,24 +81,39 @@ def check_recordings(
         check_inside(recording.readings_px.reshape(-1, len(models)), models)
 
 
-def check_scale(start: Sequence[SensorModel], found: Sequence[SensorModel]) -> None:
+def check_scale(
+    start: Sequence[SensorModel], found: Sequence[SensorModel], observed: Sequence[float]
+) -> None:
     """Check that the known lengths agree with the size of the starting device.
 
     Args:
         start: the S starting cameras.
         found: the S cameras of the solution.
+        observed: lengths as the starting cameras see them over the known ones, of each recording.
 
     Raises:
         InvalidParameter: they contradict each other, most likely by a unit.
+        NoConvergence: the starting cameras see them right, and the solution does not.
     """
     scale = device_scale(start, found)
-    if 1.0 / SCALE_LIMIT <= scale <= SCALE_LIMIT:
+    if _is_plausible(scale):
         return
+    if all(_is_plausible(one) for one in observed):
+        raise NoConvergence(
+            f"the search ended at cameras of a device {scale:.4g} times as large as the initial "
+            "one, which sees the known lengths right: the readings hardly tell the cameras; take "
+            "more poses that all sensors see, in all directions, near and far",
+            scale=scale,
+        )
     raise InvalidParameter(
         f"the given lengths make the device {scale:.4g} times as large as the cameras to start "
         f"from; {_unit_hint(1.0 / scale)}",
         scale=scale,
     )
+
+
+def _is_plausible(scale: float) -> bool:
+    return 1.0 / SCALE_LIMIT <= scale <= SCALE_LIMIT
 
 
 def scale_warning(scale: float) -> str:
@@ -212,8 +234,8 @@ def conic_share(directions: Array) -> float:
 
 def check_certainty(
     adjusted: AdjustmentResult, recordings: Sequence[Recording], pose_sets: Sequence[PoseSet]
-) -> None:
-    """Check that the readings determine the cameras.
+) -> str:
+    """Check that the readings determine the cameras, and return a warning where hardly; else "".
 
     Args:
         adjusted: the solution.
@@ -221,9 +243,12 @@ def check_certainty(
         pose_sets: its poses.
 
     Raises:
-        DegeneratePoints: as ``check_wave``, where a principal distance is uncertain.
+        DegeneratePoints: as ``check_volume_coverage``; as ``check_wave``, where a principal
+            distance is uncertain.
         UndeterminedParameters: one is next to unknown, for another reason.
     """
+    # The cameras that the search began with were others.
+    check_volume_coverage(pose_sets)
     variance = np.diagonal(adjusted.sensor_covariance)
     first = 0
     worst, sensor = 0.0, ""
@@ -231,8 +256,9 @@ def check_certainty(
         uncertainty = float(np.sqrt(variance[first])) / model.principal_distance_px
         worst, sensor = max((worst, sensor), (uncertainty, model.name))
         first += model.parameter_count
-    if worst > DISTANCE_UNCERTAINTY_LIMIT:
-        check_wave(recordings, pose_sets)
+    if worst <= DISTANCE_UNCERTAINTY_LIMIT:
+        return ""
+    check_wave(recordings, pose_sets)
     if worst > DISTANCE_UNKNOWN_LIMIT:
         raise UndeterminedParameters(
             f"the readings leave the principal distance of sensor {sensor} open: its standard "
@@ -240,40 +266,81 @@ def check_certainty(
             "% is accepted; take more poses, in all directions, near and far",
             sensor=sensor,
         )
+    return (
+        f"The readings determine the principal distance of sensor {sensor} to {100.0 * worst:.2g} "
+        f"% only (standard deviation; {100.0 * DISTANCE_UNCERTAINTY_LIMIT:g} % and less is good), "
+        "so positions may be wrong by as much of their distance from one another: wave the wand "
+        "at more poses that all sensors see, in all directions, near and far."
+    )
 
 
 def check_flat_readings(recordings: Sequence[Recording]) -> None:
     """Check, without cameras, that the markers of wands do not lie in one plane.
 
-    On a bar readings are nearly affine in x/z, y/z and 1/z; in a plane 1/z is affine in the other
-    two, and the readings have two dimensions instead of three.
+    Three linear sensors that see the points of a plane are three 1D cameras of a 2D world: their
+    readings satisfy one equation that is linear in each of them (the trifocal tensor of 1D
+    cameras). Those of points in a volume are independent.
 
     Args:
-        recordings: of wands; others are not used.
+        recordings: of wands; others are not used. Readings without standard deviations count as
+            having 1 px.
 
     Raises:
-        DegeneratePoints: they do.
+        DegeneratePoints: the readings of any three sensors satisfy it, to their noise.
     """
-    wands = [one.readings_px for one in recordings if isinstance(one.target, Wand)]
+    wands = [one for one in recordings if isinstance(one.target, Wand)]
     if not wands:
         return
-    readings = np.concatenate([one.reshape(-1, one.shape[2]) for one in wands])
-    readings = readings[np.isfinite(readings).all(axis=1)]
-    if len(readings) <= readings.shape[1]:
-        return
-    # About medians, and without the tenth farthest away: single wrong readings are not depth.
-    centred = readings - np.median(readings, axis=0)
-    plane = np.linalg.svd(centred, full_matrices=False)[2][:2]
-    away = np.linalg.norm(centred - centred @ plane.T @ plane, axis=1)
-    centred = centred[away <= np.quantile(away, 0.9)]
-    singular = np.linalg.svd(centred - centred.mean(axis=0), compute_uv=False)
-    if singular[2] < FLAT_READINGS_LIMIT * singular[1]:
+    sensors = wands[0].readings_px.shape[2]
+    readings = np.concatenate([one.readings_px.reshape(-1, sensors) for one in wands])
+    sigma = np.concatenate(
+        [
+            np.broadcast_to(1.0 if one.sigma_px is None else one.sigma_px, one.readings_px.shape)
+            for one in wands
+        ]
+    ).reshape(-1, sensors)
+    misfits = []
+    for three in combinations(range(sensors), 3):
+        read = readings[:, three]
+        complete = np.isfinite(read).all(axis=1)
+        if complete.sum() >= MIN_FLATNESS_MARKERS:
+            noise = float(np.median(sigma[:, three][complete]))
+            misfits.append(_planar_misfit_px(read[complete]) / noise)
+    if misfits and max(misfits) < FLAT_READINGS_LIMIT:
+        count = int((np.isfinite(readings).sum(axis=1) >= 3).sum())
         raise DegeneratePoints(
-            f"the {len(readings)} markers that all sensors read seem to be all in one plane: their "
-            f"readings vary in two dimensions (singular values {singular[0]:.3g}, "
-            f"{singular[1]:.3g}, {singular[2]:.3g} px), which leaves the sensors' parameters "
-            "undetermined; wave the wand nearer and farther, and towards the sensors too"
+            f"the {count} markers that three sensors read seem to be all in one plane: their "
+            f"readings satisfy its equation to {max(misfits):.2g} standard deviations, which "
+            "leaves the sensors' parameters undetermined; wave the wand nearer and farther, and "
+            "towards the sensors too"
         )
+
+
+def _planar_misfit_px(readings: Array) -> float:
+    """Return the RMS distance of readings from the equation of points in a plane [px].
+
+    Args:
+        readings: of three sensors, shape (N, 3) [px]. The tenth that is farthest off does not
+            count: single wrong readings are not depth.
+    """
+    scale = np.std(readings, axis=0)
+    a, b, c = ((readings - np.median(readings, axis=0)) / scale).T
+    one, zero = np.ones_like(a), np.zeros_like(a)
+    terms = np.stack([one, a, b, c, a * b, a * c, b * c, a * b * c], axis=1)
+    slopes = np.stack(
+        [
+            np.stack([zero, one, zero, zero, b, c, zero, b * c], axis=1) / scale[0],
+            np.stack([zero, zero, one, zero, a, zero, c, a * c], axis=1) / scale[1],
+            np.stack([zero, zero, zero, one, zero, a, b, a * b], axis=1) / scale[2],
+        ]
+    )
+    used = np.ones(len(readings), dtype=np.bool_)
+    for _ in range(FLATNESS_ROUNDS):
+        equation = np.linalg.svd(terms[used], full_matrices=False)[2][-1]
+        gradient = np.linalg.norm(slopes @ equation, axis=0)
+        distance = np.abs(terms @ equation) / np.maximum(gradient, np.finfo(np.float64).tiny)
+        used = distance <= np.quantile(distance, 0.9)
+    return float(np.sqrt((distance[used] ** 2).sum() / (used.sum() - 7)))
 
 
 def check_wave(recordings: Sequence[Recording], pose_sets: Sequence[PoseSet]) -> None:

@@ -1,6 +1,6 @@
 """self_calibrate: sensors from readings of a target at unknown poses, and one known length."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final, Literal
 
@@ -30,8 +30,11 @@ from compute.calibration.self_calibration.initial_poses import (
     start_poses,
 )
 from compute.calibration.self_calibration.pose_screening import (
+    CURVATURE_LIMIT,
+    check_poses_left,
     find_exchanges,
     find_outlier_readings,
+    pose_curvature,
     screen_poses,
 )
 from compute.calibration.self_calibration.projective_reconstruction import SEED
@@ -56,6 +59,7 @@ from compute.calibration.self_calibration.result import (
 )
 from compute.calibration.self_calibration.targets import Recording, RigidBody, Wand
 from compute.calibration.self_calibration.uncalibrated_start import (
+    check_uncalibrated,
     direction_vectors,
     pixel_directions,
     readings_noise,
@@ -66,7 +70,13 @@ from compute.calibration.self_calibration.uncalibrated_start import (
 from compute.calibration.settings import CalibrationSettings, Distortion, preset_terms
 from compute.camera.field_distortion import Term
 from compute.camera.model import SensorGeometry, SensorModel
-from compute.errors import InvalidParameter, NoConvergence, UndeterminedParameters
+from compute.errors import (
+    InvalidParameter,
+    LumilineError,
+    NoConvergence,
+    TooFewPoints,
+    UndeterminedParameters,
+)
 from compute.progress import Progress, no_progress
 
 Array = NDArray[np.float64]
@@ -164,31 +174,22 @@ def _calibrate_recordings(
         )
     progress(0.0, "start")
     begin = _begin(models, recordings, initial, directions_deg, distortion)
-    work = _SelfCalibrationState(begin.reference, tuple(recordings), sigma_given == {True})
     scales = tuple(observed_scale(begin.reference, recording) for recording in recordings)
     progress(0.1, "search")
+    work = _SelfCalibrationState(begin.reference, tuple(recordings), sigma_given == {True})
     if begin.initial is None:
         for observed in scales:
             check_observed_scale(observed)
         check_count(begin.reference, [start.poses for start in work.starts(trusted=False)])
-        work.models = coarse_solution(begin.reference, work.kept_recordings(), work.sigma)
     else:
         work.models = begin.initial
         check_count(work.models, [start.poses for start in work.starts()])
-    if begin.given:
-        check_scale(begin.reference, work.models)
-    progress(0.5, "adjustment")
-    check_volume_coverage([start.poses for start in work.starts()])
-    try:
-        starts, adjusted = work.solve(progress)
-    except (UndeterminedParameters, NoConvergence):
-        check_wave(recordings, [start.poses for start in work.starts()])
-        raise
-    check_certainty(adjusted, recordings, [start.poses for start in starts])
+    begin, work, starts, adjusted = _solve(begin, work, scales, progress)
+    certainty_warning = check_certainty(adjusted, recordings, [start.poses for start in starts])
     progress(0.95, "world frame")
     placed = _apply_datum(adjusted, begin.reference, starts, recordings, datum)
     scale = device_scale(begin.reference, placed.models) if begin.given else None
-    warnings = begin.warnings
+    warnings = begin.warnings + ((certainty_warning,) if certainty_warning else ())
     if scale is not None and abs(scale - 1.0) > SCALE_WARNING:
         warnings += (scale_warning(scale),)
     result = summarise(
@@ -241,7 +242,6 @@ def _begin(
         )
     if given and initial == "start":
         return _Begin(given, None, True)
-    sensors = [SensorGeometry(model.name, model.pixels) for model in models]
     directions = None if directions_deg is None else direction_vectors(directions_deg)
     if given:
         directions = pixel_directions(given)
@@ -250,6 +250,24 @@ def _begin(
             f"directions_deg has {len(directions)} angles; give one for each of {len(models)} "
             "sensors"
         )
+    return _begin_from_readings(models, recordings, given, directions, terms)
+
+
+def _begin_from_readings(
+    models: Sequence[SensorModel] | Sequence[SensorGeometry],
+    recordings: Sequence[Recording],
+    given: tuple[SensorModel, ...],
+    directions: Array | None,
+    terms: tuple[Term, ...],
+) -> _Begin:
+    """Return the best of some attempts at cameras from readings alone, with warnings.
+
+    Raises:
+        TooFewPoints: as ``uncalibrated_start``.
+        NoConvergence: as ``uncalibrated_start``, or the best cameras leave far more noise than is
+            stated.
+    """
+    sensors = [SensorGeometry(model.name, model.pixels) for model in models]
     stated = _stated_noise(recordings)
     best: _Begin | None = None
     least = np.inf
@@ -281,6 +299,75 @@ def _begin(
         )
         best = replace(best, warnings=(*best.warnings, warning))
     return best
+
+
+def _solve(
+    begin: _Begin, work: "_SelfCalibrationState", observed: Sequence[float], progress: Progress
+) -> tuple[_Begin, "_SelfCalibrationState", list[InitialPoses], AdjustmentResult]:
+    """Adjust sensors and poses; where the search fails from given cameras, by other ways.
+
+    Where readings are few, the coarse search may leave cameras that were right for others that fit
+    hardly better. So given cameras are adjusted as they are then, and after that those from the
+    readings alone.
+
+    Args:
+        begin: where to begin.
+        work: its state, in which the initial cameras are set.
+        observed: lengths as the reference sees them over the known ones, of each recording.
+        progress: called with the fraction done and the stage.
+
+    Returns:
+        Where the successful way began, its state, its poses, and the adjustment.
+
+    Raises:
+        TooFewPoints: as ``coarse_solution``.
+        DegeneratePoints, InvalidParameter: as ``check_volume_coverage`` and ``check_scale``.
+        NoConvergence, UndeterminedParameters: all ways failed; the first way's reason.
+    """
+    recordings, given = work.recordings, begin.reference
+
+    def search() -> _Begin:
+        return replace(begin, initial=coarse_solution(given, work.kept_recordings(), work.sigma))
+
+    def from_readings() -> _Begin:
+        check_uncalibrated(len(given), recordings)
+        return _begin_from_readings(given, recordings, given, pixel_directions(given), ())
+
+    ways: list[Callable[[], _Begin]] = [lambda: begin]
+    if begin.initial is None:
+        ways = [search, lambda: replace(begin, initial=given), from_readings]
+    failures: list[LumilineError] = []
+    for way in ways:
+        try:
+            beginning = way()
+            work = _SelfCalibrationState(given, recordings, work.sigma_given)
+            assert beginning.initial is not None
+            work.models = beginning.initial
+            if begin.given:
+                check_scale(given, work.models, observed)
+            progress(0.5, "adjustment")
+            check_volume_coverage([start.poses for start in work.starts()])
+            starts, adjusted = _adjust_explained(work, progress)
+            if begin.given:
+                check_scale(given, work.models, observed)
+        except (NoConvergence, UndeterminedParameters) as error:
+            failures.append(error)
+        except TooFewPoints:
+            if not failures:
+                raise
+        else:
+            return beginning, work, starts, adjusted
+    raise failures[0]
+
+
+def _adjust_explained(
+    work: "_SelfCalibrationState", progress: Progress
+) -> tuple[list[InitialPoses], AdjustmentResult]:
+    try:
+        return work.solve(progress)
+    except (UndeterminedParameters, NoConvergence):
+        check_wave(work.recordings, [start.poses for start in work.starts()])
+        raise
 
 
 def _cameras_from_readings(
@@ -388,9 +475,22 @@ class _SelfCalibrationState:
             starts.append(start.select(~undetermined_poses(self.models, start.poses)))
         return starts
 
-    def screen_poses(self) -> list[InitialPoses]:
+    def consistent_poses(self) -> list[InitialPoses]:
         """Fit all poses to the current cameras, without contradictory ones."""
         return [screen_poses(self.models, start).consistent for start in self.starts()]
+
+    def screen_poses(self) -> list[InitialPoses]:
+        """Fit all poses to the current cameras, without contradictory and ambiguous ones.
+
+        Raises:
+            NoConvergence: a recording has no others.
+        """
+        starts = [
+            start.select(pose_curvature(self.models, start.poses) <= CURVATURE_LIMIT)
+            for start in self.consistent_poses()
+        ]
+        check_poses_left(starts)
+        return starts
 
     def without_outliers(self) -> tuple[list[InitialPoses], AdjustmentResult]:
         """Reject outliers and repair exchanges until none is left; return poses and adjustment."""
@@ -498,10 +598,10 @@ class _SelfCalibrationState:
                 self.scale_sigma(sensor_sigma(adjusted, robust=False))
                 starts = self.screen_poses()
                 adjusted = self.adjusted(starts)
-        self.check_share(starts)
+        self.check_share()
         return starts, adjusted
 
-    def check_share(self, starts: Sequence[InitialPoses]) -> None:
+    def check_share(self) -> None:
         """Check that enough of the readings agree with one another.
 
         Raises:
@@ -513,7 +613,7 @@ class _SelfCalibrationState:
             seen = np.isfinite(one.readings_px).sum(axis=2)
             markers = 2 if isinstance(one.target, Wand) else 3
             total += int(seen[(seen >= 3).sum(axis=1) >= markers].sum())
-        used = sum(int(start.poses.observed_mask.sum()) for start in starts)
+        used = sum(int(start.poses.observed_mask.sum()) for start in self.consistent_poses())
         if used < MIN_SHARE * total:
             raise NoConvergence(
                 f"only {used} of {total} readings of poses that show enough markers agree with "

@@ -46,6 +46,8 @@ MAX_CANDIDATES: Final = 6
 ROUNDS: Final = 15
 PRIOR_ROUNDS: Final = 2
 """Rounds in which lenses are held near one another and near the middle of their pixels."""
+REFIT_NOISE: Final = (3.0, 10.0)
+"""Noise, over that which the best cameras leave, from which all poses are fitted to them again."""
 OUTLIER_LIMIT: Final = 5.0
 """Misfit of a point over its sigma beyond which it has a wrong reading."""
 MISFIT_LIMIT: Final = 16.0
@@ -77,8 +79,9 @@ def uncalibrated_start(
     """Compute S cameras without any initial values, for sensors that look the same way roughly.
 
     Affine factorisation, projective bundle adjustment, the dual of four cameras, a metric upgrade
-    by the wand's length and metric adjustment; the solution with the lowest cost counts. The mirror
-    image fits as well; which one is returned is arbitrary, see ``handedness``.
+    by the wand's length and metric adjustment. The best cameras are fitted to all poses again, also
+    to those that they contradicted; the solution with the lowest cost counts. The mirror image fits
+    as well; which one is returned is arbitrary, see ``handedness``.
 
     Args:
         sensors: names and pixels.
@@ -98,6 +101,10 @@ def uncalibrated_start(
             "no cameras fit the readings and the wand's length; wave it in all directions, "
             "near and far, and check that its markers are told apart"
         )
+    sigma = min(one.noise() for one in candidates)
+    candidates.sort(key=lambda one: one.cost(sigma))
+    refitted = [_refit_all_poses(candidates[0], wands, factor) for factor in REFIT_NOISE]
+    candidates += [one for one in refitted if one is not None]
     sigma = min(one.noise() for one in candidates)
     candidates.sort(key=lambda one: one.cost(sigma))
     best = candidates[0]
@@ -266,6 +273,44 @@ def _adjust(models: tuple[SensorModel, ...], wands: Sequence[Recording]) -> _Adj
     except (LumilineError, np.linalg.LinAlgError):
         return None
     return found if np.isfinite(sigma) else None
+
+
+def _refit_all_poses(
+    found: _Adjusted, wands: Sequence[Recording], factor: float
+) -> _Adjusted | None:
+    """Return cameras adjusted to all poses, with noise that falls from an inflated one.
+
+    Poses that wrong cameras contradict wait while these are adjusted, which then fit the others:
+    the choice confirms itself. With larger noise all poses count, and a robust loss bounds those
+    that hold wrong readings (graduated non-convexity: Blake and Zisserman, "Visual Reconstruction",
+    1987).
+
+    Args:
+        found: the cameras.
+        wands: the readings.
+        factor: the noise to begin with, over that which the cameras leave.
+
+    Returns:
+        The cameras, adjusted again as ``_adjust`` does; None where that fails.
+    """
+    models = found.models
+    noise = found.noise()
+    steps = int(np.ceil(np.log2(factor)))
+    try:
+        for sigma in np.maximum(noise * np.geomspace(factor, 1.0, steps + 1), SIGMA_FLOOR_PX):
+            sets = [
+                start_poses(models, one, np.full(one.readings_px.shape, sigma)).poses
+                for one in wands
+            ]
+            prior = None
+            if any(model.distortion is not None for model in models):
+                prior = lens_offset_prior(models, sets)
+            models = approximate_solution(
+                models, sets, prior=prior, free_datum=True, loss="robust"
+            ).models
+    except (LumilineError, np.linalg.LinAlgError):
+        return None
+    return _adjust(models, wands)
 
 
 def _lens_prior(models: Sequence[SensorModel]) -> SensorPrior:

@@ -17,20 +17,18 @@ from compute.calibration.assessment_result import DistortionEstimate
 from compute.calibration.settings import Loss, preset_terms
 from compute.calibration.single_sensor.camera_fit import (
     MAX_ITERATIONS,
-    LensPrior,
     MinimisationResult,
-    effective_parameters,
     minimise,
-    start_with_terms,
 )
+from compute.calibration.single_sensor.design_matrix import effective_parameters
+from compute.calibration.single_sensor.distorted_fit import SETTLED_WEIGHTS, studentised_weights
+from compute.calibration.single_sensor.lens_prior import LensPrior, start_with_terms
 from compute.calibration.single_sensor.reading_noise import estimate_noise
 from compute.calibration.single_sensor.sensor_fits import (
-    SETTLED_WEIGHTS,
     SIGMA_FLOOR_PX,
     ControlObservations,
     SensorFits,
     check_converged,
-    studentised_weights,
 )
 from compute.camera.model import PARAMETER_COUNT, SensorModel
 from compute.camera.stack import CameraStack

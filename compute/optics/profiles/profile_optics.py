@@ -23,7 +23,7 @@ from compute.optics.profiles.profile_sections import LedMarkers
 from compute.optics.sensor_placement import OpticalSensor, place_optics, place_sensor
 from compute.optics.stripe_optics.stripe_profile import Blur
 from compute.optics.stripe_optics.stripe_table import FieldOfView
-from compute.optics.stripe_optics.tabulated_optics import TabulatedOptics
+from compute.optics.stripe_optics.tabulated_optics import MakeTable, TabulatedOptics
 from compute.optics.stripe_optics.traced_stripes import ExactOptics
 from compute.optics.tracing.assembly import Assembly
 from compute.signal.coded_aperture.shadow_template import ShadowTemplate
@@ -189,7 +189,9 @@ def profile_field(profile: DeviceProfile, sensors: Sequence[OpticalSensor]) -> F
     )
 
 
-def profile_optics(profile: DeviceProfile, mode: OpticsMode) -> SolidAngleOptics:
+def profile_optics(
+    profile: DeviceProfile, mode: OpticsMode, make_table: MakeTable | None = None
+) -> SolidAngleOptics:
     """Return the optics of all sensors; pixels are the tracks' detectors, where it has a plate.
 
     Args:
@@ -197,6 +199,7 @@ def profile_optics(profile: DeviceProfile, mode: OpticsMode) -> SolidAngleOptics
         mode: "exact" traces every ray of every point; "tabulated" traces the working volume
             once (seconds) and interpolates from then on. A coded window is worked out in
             closed form in both.
+        make_table: traces a table that is not kept from before; None: in this thread.
 
     Raises:
         InvalidParameter: optics of several kinds, or an unknown mode.
@@ -215,7 +218,7 @@ def profile_optics(profile: DeviceProfile, mode: OpticsMode) -> SolidAngleOptics
     stripes: SolidAngleOptics = (
         ExactOptics(sensors, blur)
         if mode == "exact"
-        else TabulatedOptics(sensors, blur, profile_field(profile, sensors))
+        else TabulatedOptics(sensors, blur, profile_field(profile, sensors), make_table=make_table)
     )
     plate = gray_plate(profile)
     return stripes if plate is None else TrackOptics(stripes, plate)

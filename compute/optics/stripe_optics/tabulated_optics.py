@@ -1,10 +1,12 @@
 """Optics of placed sensors by tables of exact ray traces, for live simulation."""
 
-from collections.abc import Sequence
-from functools import lru_cache
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from threading import Lock
 from typing import Final
 
 import numpy as np
+from cachetools import FIFOCache
 from numpy.typing import NDArray
 
 from compute.optics.pixel_row import PixelRow
@@ -33,6 +35,7 @@ class TabulatedOptics:
         blur: emitter and wavelength.
         field: the part of each sensor's field of view to tabulate.
         nodes: how finely to tabulate.
+        make_table: makes a table that is not kept from before, which takes seconds.
     """
 
     def __init__(
@@ -41,6 +44,7 @@ class TabulatedOptics:
         blur: Blur,
         field: FieldOfView,
         nodes: TableNodes | None = None,
+        make_table: "MakeTable | None" = None,
     ) -> None:
         self._sensors = tuple(sensors)
         self._tables: dict[_Kind, StripeTable] = {}
@@ -49,7 +53,9 @@ class TabulatedOptics:
             kind = (sensor.assembly, sensor.row)
             self._of_kind.setdefault(kind, []).append(number)
             if kind not in self._tables:
-                self._tables[kind] = _table(*kind, blur, field, nodes)
+                self._tables[kind] = _kept_table(
+                    TableRequest(*kind, blur, field, nodes), make_table
+                )
 
     def solid_angles(self, points_mm: Array) -> PixelSolidAngles:
         """Return the solid angles of points (N, 3) in the world frame [mm]."""
@@ -71,9 +77,44 @@ class TabulatedOptics:
         )
 
 
-@lru_cache(maxsize=8)
-def _table(
-    assembly: Assembly, row: PixelRow, blur: Blur, field: FieldOfView, nodes: TableNodes | None
-) -> StripeTable:
-    """Return a table, kept for the next device of the kind: making one takes seconds."""
-    return StripeTable(TracedStripes(assembly, row, blur, _SAMPLING), field, nodes)
+@dataclass(frozen=True)
+class TableRequest:
+    """What a table is made of.
+
+    Args:
+        assembly: the lenses.
+        row: the pixels.
+        blur: emitter and wavelength.
+        field: the part of the field of view to tabulate.
+        nodes: how finely.
+    """
+
+    assembly: Assembly
+    row: PixelRow
+    blur: Blur
+    field: FieldOfView
+    nodes: TableNodes | None = None
+
+
+MakeTable = Callable[[TableRequest], StripeTable]
+
+_KEPT: Final = 8
+_tables: FIFOCache[TableRequest, StripeTable] = FIFOCache(_KEPT)
+_tables_lock: Final = Lock()
+
+
+def make_table(request: TableRequest) -> StripeTable:
+    """Trace a table; takes seconds."""
+    lines = TracedStripes(request.assembly, request.row, request.blur, _SAMPLING)
+    return StripeTable(lines, request.field, request.nodes)
+
+
+def _kept_table(request: TableRequest, make: MakeTable | None) -> StripeTable:
+    """Return a table, kept for the next device of the kind."""
+    with _tables_lock:
+        found = _tables.get(request)
+    if found is None:
+        found = (make or make_table)(request)
+        with _tables_lock:
+            _tables[request] = found
+    return found

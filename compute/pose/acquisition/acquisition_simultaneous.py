@@ -15,7 +15,7 @@ from compute.pose.filtering.association import (
     ToolObservation,
     associate,
     common_jacobian,
-    without_tools,
+    without_peaks,
 )
 from compute.pose.filtering.pose_filter import PoseState, initial_state
 from compute.pose.rigid_body import CentredMarkers, PoseStatus, RigidBody
@@ -111,7 +111,7 @@ def acquire_simultaneous(
         settings.gate_probability,
         settings.resolution_px,
     )
-    rest = without_tools(measurements, observations.values())
+    rest = without_peaks(measurements, [one.peaks for one in observations.values()])
     free = rest.usable.sum(axis=1)
 
     def acquire(index: int, tool: RigidBody) -> SimultaneousAcquisition:

@@ -42,19 +42,18 @@ MAX_EXCLUDED_NIS: Final = 25.0
 """Largest normalised square of an excluded reading: a single one may have any error."""
 
 
-def without_tools(
-    measurements: Measurements, observations: Iterable["ToolObservation"]
-) -> Measurements:
-    """Return the measurements without the peaks assigned to tools; the indices stay.
+def without_peaks(measurements: Measurements, taken: Iterable[NDArray[np.intp]]) -> Measurements:
+    """Return the measurements without the peaks that tools have taken; the indices stay.
 
     Args:
         measurements: the frame's peaks, shape (S, K).
-        observations: the tools, with the peaks associated to them.
+        taken: index of the peak that each marker of a tool took on each sensor, -1: none, shapes
+            (m, S).
     """
     free = measurements.usable.copy()
-    for observation in observations:
-        row, sensor = np.nonzero(observation.peaks >= 0)
-        free[sensor, observation.peaks[row, sensor]] = False
+    for peaks in taken:
+        row, sensor = np.nonzero(peaks >= 0)
+        free[sensor, peaks[row, sensor]] = False
     return measurements.only(free)
 
 
@@ -108,7 +107,7 @@ class ToolObservation:
         self.state, self.imm = self._predicted
         self.nis, self.readings, self.misfit = 0.0, 0, True
         self.whitened.clear()
-        self.peaks[:] = -1
+        self.peaks = np.full_like(self.peaks, -1)
 
     def excluded_nis(
         self, model: MeasurementModel, free: Measurements, gate_probability: float

@@ -9,7 +9,7 @@ from compute.measurement.measurement_model import MeasurementModel
 from compute.measurement.measurements import Measurements
 from compute.pose.acquisition.acquisition_simultaneous import acquire_simultaneous
 from compute.pose.acquisition.acquisition_strobed import MarkerExposure, acquire_strobed
-from compute.pose.filtering.association import MAX_EXCLUDED_NIS, ToolObservation, without_tools
+from compute.pose.filtering.association import MAX_EXCLUDED_NIS, ToolObservation, without_peaks
 from compute.pose.rigid_body import PoseStatus
 from compute.pose.settings import ToolTrackerSettings
 from compute.pose.tool_tracking.tool_track import (
@@ -132,7 +132,7 @@ class ToolSearch:
             [tool.body for tool in lost],
             [tool.common_errors for tool in lost],
             time_ns,
-            without_tools(measurements, tracked),
+            without_peaks(measurements, [one.peaks for one in tracked]),
             tracked,
             points,
             self._settings,

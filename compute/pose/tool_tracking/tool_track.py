@@ -1,7 +1,7 @@
 """ToolTrack: state of one tool between exposures, and the consistency of its readings."""
 
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import cos, sqrt
@@ -74,7 +74,7 @@ class ExposureResiduals:
 
 
 def chi2_test(
-    exposures: Sequence[ExposureResiduals], probability: float
+    exposures: Iterable[ExposureResiduals], probability: float
 ) -> tuple[float, int, float]:
     """Return the sum of squares of several exposures, the number of readings, and the limit.
 
@@ -85,8 +85,10 @@ def chi2_test(
         exposures: residuals of the exposures.
         probability: probability that correct readings are rejected.
     """
-    sum_of_squares = sum(one.sum_of_squares for one in exposures)
-    count = sum(one.count for one in exposures)
+    sum_of_squares, count = 0.0, 0
+    for one in exposures:
+        sum_of_squares += one.sum_of_squares
+        count += one.count
     limit = chi2_limit(count, probability)
     if sum_of_squares > limit:
         whitened = [one.whitened for one in exposures if one.whitened is not None]
@@ -142,6 +144,36 @@ class TrackReliability:
         return float(shift @ shift) <= radius_mm**2 and trace >= _SAME_ROTATION_TRACE
 
 
+Update = tuple[float, int, NDArray[np.bool_]]
+"""NIS and number of readings of an update, and which sensor read which marker, (M, S)."""
+
+
+@dataclass(frozen=True, eq=False)
+class UsedReadings:
+    """Readings of the last updates of a tool.
+
+    Args:
+        which: which sensor read which marker, shape (M, S).
+        readings: number of these.
+        markers: number of their markers.
+        residual_sigma: root of the mean NIS per reading; None without any reading.
+    """
+
+    which: NDArray[np.bool_]
+    readings: int
+    markers: int
+    residual_sigma: float | None
+
+    @classmethod
+    def of(cls, updates: Collection[Update]) -> "UsedReadings":
+        """Return those of the last updates."""
+        which: NDArray[np.bool_] = np.logical_or.reduce([sensors for _, _, sensors in updates])
+        count = sum(readings for _, readings, _ in updates)
+        residual_sigma = sqrt(sum(nis for nis, _, _ in updates) / count) if count else None
+        markers = int(which.any(axis=1).sum()) if which.ndim else 0
+        return cls(which, int(which.sum()), markers, residual_sigma)
+
+
 @dataclass(eq=False)
 class ToolTrack:
     """A tool and the state of its tracking.
@@ -182,7 +214,7 @@ class ToolTrack:
     state: PoseState | None = None
     imm: ImmState | None = None
     updated_ns: int = 0
-    recent_updates: deque[tuple[float, int, NDArray[np.bool_]]] = field(default_factory=deque)
+    recent_updates: deque[Update] = field(default_factory=deque)
     recent_used: deque[NDArray[np.bool_]] = field(default_factory=deque)
     use_count: NDArray[np.intp] | int = 0
     last_readings: dict[int, tuple[ToolObservation, Measurements]] = field(default_factory=dict)
@@ -198,7 +230,8 @@ class ToolTrack:
     lit_by_slot: dict[int | None, NDArray[np.intp]] = field(default_factory=dict)
     status: PoseStatus = PoseStatus.UNKNOWN
     reason: str = "no exposure could have shown it yet"
-    _counted: tuple[bytes, tuple[int, int]] | None = field(default=None, init=False)
+    _used: tuple[tuple[Update | None, int], UsedReadings] | None = field(default=None, init=False)
+    _tested: tuple[tuple[object, ...], str | None] | None = field(default=None, init=False)
 
     def begin(self, state: PoseState, time_ns: int, exposures_to_confirm: int) -> None:
         """Begin a track.
@@ -315,28 +348,14 @@ class ToolTrack:
         return np.zeros(len(self.body), dtype=np.intp)
 
     @property
-    def used(self) -> NDArray[np.bool_]:
-        """Readings that the pose is based on: which sensor read which marker, shape (M, S)."""
-        used: NDArray[np.bool_] = np.logical_or.reduce(
-            [sensors for _, _, sensors in self.recent_updates]
-        )
-        return used
-
-    def count_used(self, used: NDArray[np.bool_]) -> tuple[int, int]:
-        """Return the number of readings and of markers among ``used``, shape (M, S).
-
-        Most often they are those of the exposure before.
-        """
-        pattern = used.tobytes()
-        if self._counted is None or self._counted[0] != pattern:
-            self._counted = pattern, (int(used.sum()), int(used.any(axis=1).sum()))
-        return self._counted[1]
-
-    @property
-    def residual_sigma(self) -> float | None:
-        """Root of the mean NIS per reading of the last updates; None without any reading."""
-        count = sum(readings for _, readings, _ in self.recent_updates)
-        return sqrt(sum(nis for nis, _, _ in self.recent_updates) / count) if count else None
+    def used(self) -> UsedReadings:
+        """The readings that the pose is based on."""
+        updates = self.recent_updates
+        # Most exposures of a strobe light other tools.
+        of = updates[-1] if updates else None, len(updates)
+        if self._used is None or self._used[0][0] is not of[0] or self._used[0][1] != of[1]:
+            self._used = of, UsedReadings.of(updates)
+        return self._used[1]
 
     def check_consistency(
         self,
@@ -403,6 +422,15 @@ class ToolTrack:
         Args:
             probability: probability that correct readings are rejected.
         """
+        residuals = self.recent_residuals
+        newest = residuals[-1] if residuals else None
+        # Most exposures of a strobe light other tools.
+        of = newest, len(residuals), len(self.recent_updates), probability
+        if self._tested is None or self._tested[0] != of:
+            self._tested = of, self._test_consistency(probability)
+        return self._tested[1]
+
+    def _test_consistency(self, probability: float) -> str | None:
         often = [one.excluded > 0 for one in self.recent_residuals if one.any_excluded]
         exposures = np.sum(often, axis=0) if often else self._none_excluded
         one_cycle = len(self.recent_residuals) <= CONSISTENCY_CYCLES

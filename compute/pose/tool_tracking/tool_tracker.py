@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from copy import deepcopy
-from functools import partial
+from functools import cache, partial
 from math import sqrt
 from typing import Final
 
@@ -16,7 +16,7 @@ from compute.mapping.table import CorrectionTable
 from compute.measurement.measurement_model import MeasurementModel
 from compute.measurement.measurements import Measurements, check_sensors
 from compute.pose.estimation.observability import unobservable_motion
-from compute.pose.filtering.association import ToolObservation, associate, without_tools
+from compute.pose.filtering.association import ToolObservation, associate, without_peaks
 from compute.pose.filtering.imm import ImmModel
 from compute.pose.filtering.native.strobed_step import StrobedStepKernel, has_kernel
 from compute.pose.filtering.pose_filter import PoseState
@@ -164,8 +164,7 @@ class ToolTracker:
             measurements = measurements.only(~measurements.shared)
         observations = self._track(time_ns, marker, measurements)
         self._cycle.add_exposure(marker, time_ns)
-        starting = measurements.only(measurements.can_initiate)
-        self._acquire(time_ns, marker, starting, observations, points)
+        self._acquire(time_ns, marker, measurements, observations, points)
         of_frame = time_ns if exposure_ns is None else exposure_ns, sequence
         return tuple([self._report(tool, time_ns, of_frame) for tool in self._tools])
 
@@ -194,12 +193,9 @@ class ToolTracker:
             self.settings.resolution_px,
         )
         self._retry_manoeuvring(observations, time_ns, marker, measurements)
-        all_observations = list(observations.values())
-        # With several tools, before one of them rolls back; with one, only where it is needed.
-        rest = without_tools(measurements, all_observations) if len(all_observations) > 1 else None
-        free = (
-            partial(without_tools, measurements, all_observations) if rest is None else lambda: rest
-        )
+        # As it is before one of them rolls back; worked out only where it is needed.
+        taken = [observation.peaks for observation in observations.values()]
+        free = cache(partial(without_peaks, measurements, taken))
         for index, observation in observations.items():
             tool = self._tools[index]
             tool.check_consistency(
@@ -228,8 +224,8 @@ class ToolTracker:
         if not weak:
             return
         motion = self.settings.motion
-        others = [observation for index, observation in observations.items() if index not in weak]
-        free = without_tools(measurements, others)
+        others = [one.peaks for index, one in observations.items() if index not in weak]
+        free = without_peaks(measurements, others)
         trials = {
             index: self._tools[index].predict_observation(
                 time_ns, marker, motion, motion.manoeuvre_factor
@@ -294,9 +290,11 @@ class ToolTracker:
                 tracked.append(observation)
             elif len(lit := tool.lit(marker)):
                 cycle_ns = self._cycle.duration_ns(tool.body.strobe_markers)
-                self._search.strobed(tool, time_ns, int(lit[0]), measurements, cycle_ns)
+                starting = measurements.only(measurements.can_initiate)
+                self._search.strobed(tool, time_ns, int(lit[0]), starting, cycle_ns)
         if lost:
-            self._search.simultaneous(lost, time_ns, measurements, tracked, points)
+            starting = measurements.only(measurements.can_initiate)
+            self._search.simultaneous(lost, time_ns, starting, tracked, points)
 
     def _report(self, tool: ToolTrack, time_ns: int, of_frame: tuple[int, int]) -> ToolPose:
         """Return the pose of a tool, or the reason why there is none.
@@ -313,17 +311,16 @@ class ToolTracker:
         if missing is not None:
             return ToolPose(name, *missing, *of_frame)
         pose, used = state.reported_pose(tool.centred), tool.used
-        readings, markers = tool.count_used(used)
         tip_sd = sqrt(pose.tip_covariance_mm2.trace())
         limit = tool.body.max_tip_sd_mm
         if limit is None:
             limit = self.settings.max_tip_sd_mm
-        status, reason = PoseStatus.OK, self._outside_volume(tool, state, used)
+        status, reason = PoseStatus.OK, self._outside_volume(tool, state, used.which)
         if tip_sd > limit:
             status = PoseStatus.HIGH_ERROR
             reason = (
-                f"the tip's standard deviation is {tip_sd:.3g} mm, of {readings} readings of "
-                f"{markers} of {len(used)} markers; at most {limit:.3g} mm is allowed"
+                f"the tip's standard deviation is {tip_sd:.3g} mm, of {used.readings} readings of "
+                f"{used.markers} of {len(tool.body)} markers; at most {limit:.3g} mm is allowed"
             )
         elif reason is not None:
             status = PoseStatus.OUT_OF_VOLUME
@@ -343,9 +340,9 @@ class ToolTracker:
             pose.covariance,
             pose.tip_mm,
             pose.tip_covariance_mm2,
-            tool.residual_sigma,
-            markers,
-            readings,
+            used.residual_sigma,
+            used.markers,
+            used.readings,
             pose.velocity_mm_s,
             pose.angular_velocity_rad_s,
             time_ns - tool.updated_ns,
@@ -400,7 +397,7 @@ class ToolTracker:
         scaled = covariance * (radius[:, None] * radius)
         if np.linalg.eigvalsh(scaled)[-1] <= most:
             return None
-        reason = unobservable_motion(np.linalg.inv(scaled), centred, tool.used, fit)
+        reason = unobservable_motion(np.linalg.inv(scaled), centred, tool.used.which, fit)
         return reason or "the readings do not determine the pose"
 
     def _outside_volume(

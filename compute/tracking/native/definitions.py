@@ -1,4 +1,4 @@
-"""Records and constants of the association kernel, for NumPy and C++."""
+"""Records and constants of the association and prediction kernels, for NumPy and C++."""
 
 from typing import Final
 
@@ -74,9 +74,40 @@ JOB: Final = ASSOCIATION.dtype
 PARTIAL_BYTES: Final = 32 + 2 * MAX_TRACKS
 """Of a partial hypothesis."""
 
+PREDICTION: Final = Record(
+    "PredictionJob",
+    {
+        # Of the tracks: (T, M, 9), (T, M, 9, 9), (T, M, 9, S), (T, M), and (T,).
+        "mean": "const double*",
+        "covariance": "const double*",
+        "bias": "const double*",
+        "probability": "const double*",
+        "step_s": "const double*",
+        # Results, of the same shapes.
+        "predicted_mean": "double*",
+        "predicted_covariance": "double*",
+        "predicted_bias": "double*",
+        "predicted_probability": "double*",
+        # Their mixtures: (T, 9), (T, 9, 9), (T, 9, S); null: not wanted.
+        "mixed_mean": "double*",
+        "mixed_covariance": "double*",
+        "mixed_bias": "double*",
+        "tracks": "long long",
+        "models": "long long",
+        "sensors": "long long",
+        # The model whose acceleration others without one take when they mix; -1: none does.
+        "acceleration_source": "long long",
+        "has_acceleration": "long long[2]",
+        "noise_psd": "double[2]",
+        "mean_sojourn_s": "double",
+    },
+)
+"""Tracks that are predicted, each over its own time; 64-bit words only."""
+
 HEADER: Final = header(
     "lumiline::tracking",
     ASSOCIATION.source,
+    PREDICTION.source,
     constants(
         {
             "max_cluster_tracks": MAX_TRACKS,

@@ -196,6 +196,22 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/nominal-calibrations": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        post: operations["create-nominal-calibration"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/calibrations/{calibration_id}/report.html": {
         parameters: {
             query?: never;
@@ -2005,6 +2021,10 @@ export interface components {
              */
             kind: "butterworth";
         };
+        CalibratedProfile: {
+            profile_id: string;
+            content_hash: string;
+        };
         Calibration: {
             /** @enum {string} */
             method: "metric" | "self-calibration" | "update" | "dlt-iterative" | "bundle-11";
@@ -2037,6 +2057,7 @@ export interface components {
             note: string;
             point_count: number;
             content_hash: string;
+            profile?: components["schemas"]["CalibratedProfile"] | null;
             /** Format: date-time */
             created_at: string;
             retired_at: string | null;
@@ -2075,6 +2096,7 @@ export interface components {
             note: string;
             point_count: number;
             content_hash: string;
+            profile?: components["schemas"]["CalibratedProfile"] | null;
             /** Format: date-time */
             created_at: string;
             retired_at: string | null;
@@ -2383,6 +2405,7 @@ export interface components {
                 [key: string]: string;
             };
             toml: string;
+            content_hash: string;
         };
         DeviceProfileSummary: {
             id: string;
@@ -3507,6 +3530,10 @@ export interface components {
             /** @default  */
             note: string;
         };
+        NewNominalCalibration: {
+            id?: string | null;
+            device_id: string;
+        };
         NewPairedPoints: {
             id: string;
             device_id: string;
@@ -4450,6 +4477,8 @@ export interface components {
             exposure_ns: number;
             marker: number | null;
             points: components["schemas"]["RecordedPoint"][];
+            tracks: components["schemas"]["RecordedTrack"][] | null;
+            tools: components["schemas"]["RecordedToolPose"][] | null;
         };
         RecordedFrames: {
             recording_id: string;
@@ -4484,6 +4513,186 @@ export interface components {
             residual_sigma: number | null;
             sensors: string[];
             flags: string[];
+        };
+        RecordedToolPose: {
+            tool_id: string;
+            status: components["schemas"]["PoseStatus"];
+            reason: string | null;
+            translation_mm: [
+                number,
+                number,
+                number
+            ] | null;
+            rotation: [
+                [
+                    number,
+                    number,
+                    number
+                ],
+                [
+                    number,
+                    number,
+                    number
+                ],
+                [
+                    number,
+                    number,
+                    number
+                ]
+            ] | null;
+            quaternion_wxyz: [
+                number,
+                number,
+                number,
+                number
+            ] | null;
+            covariance: [
+                [
+                    number,
+                    number,
+                    number,
+                    number,
+                    number,
+                    number
+                ],
+                [
+                    number,
+                    number,
+                    number,
+                    number,
+                    number,
+                    number
+                ],
+                [
+                    number,
+                    number,
+                    number,
+                    number,
+                    number,
+                    number
+                ],
+                [
+                    number,
+                    number,
+                    number,
+                    number,
+                    number,
+                    number
+                ],
+                [
+                    number,
+                    number,
+                    number,
+                    number,
+                    number,
+                    number
+                ],
+                [
+                    number,
+                    number,
+                    number,
+                    number,
+                    number,
+                    number
+                ]
+            ] | null;
+            tip_mm: [
+                number,
+                number,
+                number
+            ] | null;
+            tip_covariance_mm2: [
+                [
+                    number,
+                    number,
+                    number
+                ],
+                [
+                    number,
+                    number,
+                    number
+                ],
+                [
+                    number,
+                    number,
+                    number
+                ]
+            ] | null;
+            residual_sigma: number | null;
+            markers_used: number;
+            readings_used: number;
+            velocity_mm_s: [
+                number,
+                number,
+                number
+            ] | null;
+            angular_velocity_rad_s: [
+                number,
+                number,
+                number
+            ] | null;
+            detectable_sigma: number | null;
+            external_tip_mm: number | null;
+            external_rotation_rad: number | null;
+        };
+        RecordedTrack: {
+            id: number;
+            marker: number | null;
+            /** @enum {string} */
+            state: "tentative" | "confirmed" | "coasting";
+            flags: string[];
+            position_mm: [
+                number,
+                number,
+                number
+            ];
+            covariance_mm2: [
+                [
+                    number,
+                    number,
+                    number
+                ],
+                [
+                    number,
+                    number,
+                    number
+                ],
+                [
+                    number,
+                    number,
+                    number
+                ]
+            ];
+            velocity_mm_s: [
+                number,
+                number,
+                number
+            ];
+            velocity_covariance_mm2_s2: [
+                [
+                    number,
+                    number,
+                    number
+                ],
+                [
+                    number,
+                    number,
+                    number
+                ],
+                [
+                    number,
+                    number,
+                    number
+                ]
+            ];
+            acceleration_mm_s2: [
+                number,
+                number,
+                number
+            ] | null;
+            peaks: (number | null)[];
+            nis: number | null;
+            dof: number;
         };
         RecordingDetail: {
             id: string;
@@ -6566,6 +6775,39 @@ export interface operations {
             };
         };
     };
+    "create-nominal-calibration": {
+        parameters: {
+            query?: never;
+            header?: {
+                "Idempotency-Key"?: string;
+            };
+            path?: never;
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["NewNominalCalibration"];
+            };
+        };
+        responses: {
+            201: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["CalibrationDocument"];
+                };
+            };
+            default: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
     "get-calibration-report": {
         parameters: {
             query?: {
@@ -8309,6 +8551,7 @@ export interface operations {
                 first?: number;
                 count?: number;
                 calibration_id?: string | null;
+                tracking?: boolean;
             };
             header?: {
                 "If-None-Match"?: string;

@@ -115,6 +115,7 @@ export const OPERATION_SCOPES = {
   "POST /api/v1/keys/{key_id}/revoke": "admin:keys",
   "POST /api/v1/line-scans": "read:stream",
   "POST /api/v1/line-scans.png": "read:stream",
+  "POST /api/v1/nominal-calibrations": "write:calibrations",
   "POST /api/v1/profile-plans": "admin:devices",
   "POST /api/v1/radiometric-calibrations": "write:calibrations",
   "POST /api/v1/radiometric-calibrations/{radiometric_id}/activate": "activate:calibrations",

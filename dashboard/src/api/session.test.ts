@@ -17,7 +17,7 @@ vi.mock("./client", () => ({
   },
 }));
 
-const { logIn, openSession, refusal, serverReached, session, trouble } = await import("./session");
+const { lacking, logIn, openSession, refusal, serverReached, session, trouble } = await import("./session");
 const { RequestFailed } = await import("./client");
 const { setKey } = await import("./key");
 const VIEWER = { kind: "key", scopes: ["read:stream"] };
@@ -62,4 +62,15 @@ test("a late answer to an older request changes nothing", async () => {
   late(new RequestFailed(401, null, "this server wants a key"));
   await older;
   expect([session.value, refusal.value]).toEqual([VIEWER, null]);
+});
+
+test.each([
+  [["write:calibrations"], "activate:calibrations"],
+  [["activate:calibrations"], "write:calibrations"],
+  [[], "write:calibrations, activate:calibrations"],
+  [["write:calibrations", "activate:calibrations"], null],
+])("of two operations the scopes that are lacking are named, with %j", async (scopes, missing) => {
+  answer.next = async () => ({ kind: "key", scopes });
+  await openSession();
+  expect(lacking(["POST /api/v1/nominal-calibrations", "POST /api/v1/calibrations/{calibration_id}/activate"])).toBe(missing);
 });

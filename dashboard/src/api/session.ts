@@ -27,6 +27,12 @@ export function allowed(operation: Operation): boolean {
   return scopes.value.has(OPERATION_SCOPES[operation]);
 }
 
+/** Return the scopes, as text, that a use of all these operations lacks; null: it is allowed. */
+export function lacking(operations: readonly Operation[]): string | null {
+  const missing = operations.filter((operation) => !allowed(operation)).map(scopeOf);
+  return missing.length ? [...new Set(missing)].join(", ") : null;
+}
+
 /** Return the scope that an operation needs. */
 export function scopeOf(operation: Operation): string {
   return OPERATION_SCOPES[operation];

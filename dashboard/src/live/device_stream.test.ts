@@ -1,5 +1,6 @@
 import { afterEach, beforeEach, describe, expect, test, vi } from "vitest";
 import { encode } from "@msgpack/msgpack";
+import type { Signal } from "@preact/signals";
 import type { DeviceStream } from "./device_stream";
 
 /** A socket whose other end is the test. */
@@ -32,6 +33,7 @@ class FakeSocket {
 
 const page = Object.assign(new EventTarget(), { visibilityState: "visible" });
 let stream: DeviceStream;
+let serverReached: Signal<boolean>;
 
 function newest(): FakeSocket {
   const socket = FakeSocket.made.at(-1);
@@ -61,8 +63,10 @@ beforeEach(async () => {
   FakeSocket.made = [];
   show("visible");
   const { DeviceStream } = await import("./device_stream");
+  serverReached = (await import("../api/session")).serverReached;
+  serverReached.value = true;
   stream = new DeviceStream("sim", ["points"], 30);
-});
+}, 60_000);
 
 afterEach(() => {
   stream.close();
@@ -120,6 +124,40 @@ describe("a stream", () => {
   test("of a device that does not run may be silent", () => {
     newest().greet("stopped");
     vi.advanceTimersByTime(60_000);
+    expect([stream.connection.value, stream.stale.value, FakeSocket.made.length]).toEqual(["open", false, 1]);
+  });
+
+  test("of a device that does not run is old while the server answers nothing, and until it greets again", () => {
+    newest().greet("stopped");
+    vi.advanceTimersByTime(1000);
+    serverReached.value = false;
+    vi.advanceTimersByTime(100);
+    expect([stream.connection.value, stream.stale.value]).toEqual(["lost", true]);
+    vi.advanceTimersByTime(400);
+    expect(FakeSocket.made).toHaveLength(2);
+    // The old connection may be dead: that the server is back does not make it alive.
+    serverReached.value = true;
+    vi.advanceTimersByTime(1000);
+    expect([stream.connection.value, stream.stale.value]).toEqual(["lost", true]);
+    newest().greet("stopped");
+    expect([stream.connection.value, stream.stale.value]).toEqual(["open", false]);
+  });
+
+  test("of a device that does not run is asked for less and less often where only streams are answered", () => {
+    newest().greet("stopped");
+    serverReached.value = false;
+    for (let seconds = 0; seconds < 60; seconds += 0.1) {
+      vi.advanceTimersByTime(100);
+      if (!newest().closed) newest().greet("stopped");
+      expect(stream.stale.value).toBe(true);
+    }
+    expect(FakeSocket.made.length).toBeLessThan(30);
+  });
+
+  test("of a device that runs is judged by its frames alone", () => {
+    newest().greet();
+    serverReached.value = false;
+    sendFrames(10_000);
     expect([stream.connection.value, stream.stale.value, FakeSocket.made.length]).toEqual(["open", false, 1]);
   });
 

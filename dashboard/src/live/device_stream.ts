@@ -3,6 +3,7 @@
 import { batch, effect, type Signal, signal } from "@preact/signals";
 import { useEffect, useRef } from "preact/hooks";
 import { key } from "../api/key";
+import { serverReached } from "../api/session";
 import { decodeMessage, type Frame, type Hello, type HoldSample, type Message } from "./messages";
 import { visible } from "./visibility";
 
@@ -30,7 +31,8 @@ export class DeviceStream {
   readonly state: Signal<string | null> = signal<string | null>(null);
   readonly reason: Signal<string | null> = signal<string | null>(null);
   readonly holds: Signal<ReadonlyMap<string, HoldSample>> = signal(new Map());
-  /** Whether frames ought to come and do not, or the connection is lost. */
+  /** Whether frames ought to come and do not, or the connection is lost, or may be: without frames, the server's answers to
+   * requests alone tell that it is there. */
   readonly stale: Signal<boolean> = signal(false);
   /** Frames that this page received. */
   received = 0;
@@ -133,8 +135,13 @@ export class DeviceStream {
   private watch(used: string | null): void {
     const open = this.connection.value === "open";
     this.stale.value = !open || this.late();
-    // A device that does not run has nothing to say.
-    if (this.socket === null || (open && !this.running())) return;
+    if (this.socket === null) return;
+    if (open && !this.running()) {
+      // A device that does not run has nothing to say. Where the server answers nothing else, the connection may be gone,
+      // too, and would not come back by itself with the server.
+      if (!serverReached.peek()) this.reconnect(used);
+      return;
+    }
     this.silentChecks += 1;
     if (this.silentChecks * CHECK_MS > Math.max(SILENT_MS, open ? this.exposureMs : 0)) this.reconnect(used);
   }
@@ -144,15 +151,16 @@ export class DeviceStream {
   }
 
   private late(): boolean {
-    return this.running() && performance.now() - this.lastFrameMs > Math.max(STALE_AFTER_MS, this.exposureMs);
+    if (!this.running()) return !serverReached.peek();
+    return performance.now() - this.lastFrameMs > Math.max(STALE_AFTER_MS, this.exposureMs);
   }
 
   private take(message: Message): void {
     // A greeting that comes again is no frame: what is silent stays so until there is one.
     if (message.type !== "hello" || this.hello.value === null) this.lastFrameMs = performance.now();
     this.silentChecks = 0;
-    // Only now: one who accepts connections and says nothing is not asked more often for that.
-    this.retryMs = FIRST_RETRY_MS;
+    // Only now: one who accepts connections and says nothing, here or to requests, is not asked more often for that.
+    if (serverReached.peek()) this.retryMs = FIRST_RETRY_MS;
     if ((message.type === "hello" || message.type === "state") && message.frame_rate_hz)
       this.exposureMs = (PATIENCE * 1000) / message.frame_rate_hz;
     batch(() => {

@@ -1,6 +1,6 @@
 /** Resources that are asked for again while they are shown, so that what others change appears. */
 
-import { useSignal, useSignalEffect } from "@preact/signals";
+import { useComputed, useSignal, useSignalEffect } from "@preact/signals";
 import { useCallback, useEffect, useRef } from "preact/hooks";
 import { RequestFailed } from "../api/client";
 import { RequestOrder } from "../api/request_order";
@@ -18,7 +18,10 @@ export interface Polled<T> {
   readonly refresh: () => Promise<void>;
 }
 
-/** Return what `load` gives, asked for at once, every `seconds` and when the page is seen again.
+/** What failed is asked for again after so long at most: what is hardly ever polled would else show its error for an hour. */
+const RETRY_S = 3;
+
+/** Return what `load` gives, asked for at once, every `seconds`, sooner after a failure, and when the page is seen again.
  *
  * `identity` names what is asked for: another one begins anew.
  */
@@ -57,12 +60,18 @@ export function usePolled<T>(identity: string, load: () => Promise<T>, seconds =
   }, []);
 
   useSignalEffect(() => {
+    if (visible.value) void refresh();
+  });
+  const failed = useComputed(() => error.value !== null);
+  useSignalEffect(() => {
     if (!visible.value) return undefined;
-    void refresh();
     // A server that is slower than that is not asked again meanwhile.
-    const timer = setInterval(() => {
-      if (waiting.current === 0) void refresh();
-    }, seconds * 1000);
+    const timer = setInterval(
+      () => {
+        if (waiting.current === 0) void refresh();
+      },
+      (failed.value ? Math.min(seconds, RETRY_S) : seconds) * 1000,
+    );
     return () => clearInterval(timer);
   });
   const first = useRef(true);

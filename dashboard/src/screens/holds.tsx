@@ -43,7 +43,8 @@ interface DeviceHoldsProps {
 
 function DeviceHolds({ device, holds, changed }: DeviceHoldsProps) {
   const stream = useDeviceStream(device, ["holds"], RATE_HZ);
-  // A board that does not know must not say that the beam may be on.
+  // A board that does not know must not say that the beam may be on. Where the device does not run, the stream is stale as
+  // soon as the server is not reached.
   const known = stream.connection.value === "open" && !stream.stale.value;
   return (
     <>

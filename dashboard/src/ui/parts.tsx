@@ -4,15 +4,29 @@ import { useSignal } from "@preact/signals";
 import type { ComponentChildren } from "preact";
 import { useEffect, useLayoutEffect, useRef } from "preact/hooks";
 import { RequestFailed } from "../api/client";
-import { allowed, type Operation, scopeOf } from "../api/session";
+import { lacking, type Operation } from "../api/session";
 import { text } from "../text";
 import { copyText } from "./clipboard";
 
-export function Panel(props: { title: string; actions?: ComponentChildren; children: ComponentChildren }) {
+interface PanelProps {
+  title: string;
+  actions?: ComponentChildren;
+  /** A person opened it: its heading takes the focus, so that what was opened is read next. */
+  focus?: boolean;
+  children: ComponentChildren;
+}
+
+export function Panel(props: PanelProps) {
+  const heading = useRef<HTMLHeadingElement>(null);
+  useLayoutEffect(() => {
+    if (props.focus) heading.current?.focus();
+  }, []);
   return (
     <section class="panel" aria-label={props.title}>
       <header class="panel-head">
-        <h2>{props.title}</h2>
+        <h2 ref={heading} tabIndex={props.focus ? -1 : undefined}>
+          {props.title}
+        </h2>
         <div class="row">{props.actions}</div>
       </header>
       {props.children}
@@ -40,7 +54,8 @@ export function Why({ reason }: { reason: string | null | undefined }) {
 
 interface ActionProps {
   label: string;
-  operation: Operation;
+  /** All of them are needed. */
+  operation: Operation | readonly Operation[];
   run: () => Promise<unknown>;
   /** A question that is asked before. */
   confirm?: string;
@@ -56,8 +71,9 @@ export function Action(props: ActionProps) {
   const working = useSignal(false);
   const asking = useSignal(false);
   const error = useSignal<string | null>(null);
-  const can = allowed(props.operation);
-  const refusal = can ? undefined : text.access.notAllowed(scopeOf(props.operation));
+  const scopes = lacking(typeof props.operation === "string" ? [props.operation] : props.operation);
+  const can = scopes === null;
+  const refusal = scopes === null ? undefined : text.access.notAllowed(scopes);
   const group = useRef<HTMLSpanElement>(null);
   const button = useRef<HTMLButtonElement>(null);
   const asked = useRef(false);

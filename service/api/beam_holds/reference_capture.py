@@ -68,7 +68,7 @@ class ReferenceTap(SingleCalibrationTap):
             self._sight = StrobedMarkerObserver(spec, np.iinfo(np.int64).max)
 
     def offer(self, batch: FrameBatch) -> None:
-        """Collect from a batch; called in the compute thread."""
+        """Collect from a batch; called where frames are processed."""
         if not self._goes_on(batch):
             return
         for index in range(len(batch.frames)):

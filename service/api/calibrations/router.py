@@ -146,6 +146,7 @@ def compare_calibrations(
     "POST /{calibration_id}/activate", "activate-calibration", "Activate a calibration"
 )
 @raises("unknown-calibration", "calibration-retired", "sensors-changed", "activation-conflict")
+@raises("nominal-calibration-mismatch")
 def activate_calibration(
     calibration_id: CalibrationPath,
     database: DatabaseDep,

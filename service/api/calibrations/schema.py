@@ -128,6 +128,17 @@ class NewCalibration(CalibrationOptions):
     note: Note = ""
 
 
+class NewNominalCalibration(RequestModel):
+    """The device whose profile gives a calibration."""
+
+    id: Slug | None = Field(
+        default=None,
+        description="Left out or null: `<device_id>-nominal`, or where it is used, with the first "
+        "free number: `-nominal-2`.",
+    )
+    device_id: Slug
+
+
 class PointErrors(ResponseModel):
     """Differences between given and reconstructed control points."""
 
@@ -180,6 +191,13 @@ class ParentCalibration(ResponseModel):
     content_hash: str
 
 
+class CalibratedProfile(ResponseModel):
+    """The device profile that a nominal calibration was computed from."""
+
+    profile_id: str = Field(description="The profile's name.")
+    content_hash: str = Field(description="SHA-256 of the profile's file, its `toml`.")
+
+
 class CalibrationSummary(ResponseModel):
     """A calibration without its numbers."""
 
@@ -196,8 +214,13 @@ class CalibrationSummary(ResponseModel):
     point_count: int
     content_hash: str = Field(
         description="SHA-256 of the canonical JSON (sorted keys, no spaces, UTF-8) of the object "
-        "of the members device, provenance, points, result and, of an updated one, parent, as a "
-        "GET of the calibration sends them."
+        "of the members device, provenance, points, result and, where they are not null, parent "
+        "and profile, as a GET of the calibration sends them."
+    )
+    profile: CalibratedProfile | None = Field(
+        default=None,
+        description="Of a nominal one of a device profile: it is activated only on a device that "
+        "is simulated from this profile. Null in those of earlier versions.",
     )
     created_at: Moment
     retired_at: Moment | None

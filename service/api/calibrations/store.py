@@ -2,21 +2,30 @@
 
 import secrets
 from datetime import UTC, datetime
-from typing import Any
+from itertools import count
+from typing import Any, Final
 
 import numpy as np
 from sqlalchemy import Select, select
 from sqlalchemy.orm import Session
 
+from compute.calibration.result import Calibration
 from service.api.base_models import from_attributes
 from service.api.calibrations.calibration_content import (
     CalibrationRecord,
+    calibration_content,
     observations,
     optional_rows,
     result_of,
 )
 from service.api.calibrations.comparison import CalibrationWithControlPoints
-from service.api.calibrations.schema import CalibrationSummary, ControlPoint, State
+from service.api.calibrations.schema import (
+    CalibratedProfile,
+    CalibrationSummary,
+    ControlPoint,
+    ControlPointErrors,
+    State,
+)
 from service.api.devices.schema import Sensor
 from service.api.devices.store import (
     Target,
@@ -42,6 +51,8 @@ from service.problems.errors import (
     CalibrationInUse,
     UnknownCalibration,
 )
+
+MAX_ID_CHARACTERS: Final = 63
 
 CALIBRATIONS = Resource(
     CalibrationRow,
@@ -94,6 +105,42 @@ def add_calibration(
         retired_at=None,
     )
     return CALIBRATIONS.insert(session, row)
+
+
+def unused_nominal_id(session: Session, device_id: str) -> str:
+    """Return an id for a nominal calibration of a device that no calibration has."""
+    for number in count(1):
+        tail = "-nominal" if number == 1 else f"-nominal-{number}"
+        found = device_id[: MAX_ID_CHARACTERS - len(tail)].rstrip("-") + tail
+        if session.get(CalibrationRow, found) is None:
+            return found
+    raise AssertionError("numbers do not end")
+
+
+def add_nominal(
+    session: Session,
+    device_id: str,
+    result: Calibration,
+    note: str,
+    calibration_id: str,
+    profile: CalibratedProfile | None = None,
+) -> CalibrationRow:
+    """Store a calibration that was not measured; as ``add_calibration``.
+
+    Args:
+        session: the session.
+        device_id: the device.
+        result: the calibration.
+        note: its note.
+        calibration_id: its id.
+        profile: the profile whose geometry it is of; None: the built-in simulator's.
+    """
+    content = calibration_content(device_id, "nominal", [], result)
+    if profile is not None:
+        content["profile"] = profile.model_dump(mode="json")
+    errors = ControlPointErrors(fitted=None, leave_one_out=None)
+    record = CalibrationRecord(result, content, errors.model_dump(mode="json"))
+    return add_calibration(session, device_id, record, note, calibration_id)
 
 
 def activate(session: Session, calibration_id: str) -> CalibrationRow:
@@ -183,7 +230,13 @@ def state_of(session: Session, row: CalibrationRow) -> State:
 
 def summary(session: Session, row: CalibrationRow) -> CalibrationSummary:
     """Return the calibration without its numbers."""
-    return from_attributes(CalibrationSummary, row, state=state_of(session, row))
+    profile = row.content.get("profile")
+    return from_attributes(
+        CalibrationSummary,
+        row,
+        state=state_of(session, row),
+        profile=None if profile is None else CalibratedProfile.model_validate(profile),
+    )
 
 
 def document(session: Session, row: CalibrationRow) -> dict[str, Any]:

@@ -59,7 +59,7 @@ class RecordedTargets(Protocol):
         ...
 
 
-RecordedTargetsDep = Annotated[RecordedTargets, of_application("recalculation")]
+RecordedTargetsDep = Annotated[RecordedTargets, of_application("target_extraction")]
 
 _capturing: set[str] = set()
 _guard = Lock()

@@ -158,7 +158,7 @@ def download_table(table_id: TablePath, database: DatabaseDep) -> Response:
     "POST /{table_id}/activate", "activate-correction-table", "Activate a correction table"
 )
 @raises("unknown-correction-table", "no-active-calibration", "foreign-correction-table")
-@raises("sensors-changed", "activation-conflict")
+@raises("sensors-changed", "activation-conflict", "nominal-calibration-mismatch")
 def activate_table(
     table_id: TablePath,
     database: DatabaseDep,
@@ -182,6 +182,7 @@ def activate_table(
     "POST /{table_id}/deactivate", "deactivate-correction-table", "Stop using a correction table"
 )
 @raises("unknown-correction-table", "sensors-changed", "activation-conflict")
+@raises("nominal-calibration-mismatch")
 def deactivate_table(
     table_id: TablePath, database: DatabaseDep, device_service: DeviceServiceDep
 ) -> CorrectionTableDocument:

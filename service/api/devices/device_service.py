@@ -14,10 +14,12 @@ from sqlalchemy.orm import Session
 from compute.errors import LumilineError
 from service.api.devices import store
 from service.api.devices.driver_factory import make_driver, sensors_of
+from service.api.devices.nominal_source import nominal_mismatch, same_simulation
 from service.api.devices.schema import (
     Device,
     DeviceChange,
     NewDevice,
+    Source,
     check_connected_sensors,
     check_sensors,
 )
@@ -37,7 +39,7 @@ from service.pipeline.active_calibration import ActiveCalibration, ActiveRadiome
 from service.pipeline.device_status import DeviceStatus
 from service.pipeline.interface import Pipeline
 from service.pipeline.tracking_config import TrackingConfig
-from service.problems.errors import ActivationConflict
+from service.problems.errors import ActivationConflict, DeviceInUse, NominalCalibrationMismatch
 from service.settings import DataFolders
 
 _log = logging.getLogger(__name__)
@@ -114,12 +116,31 @@ class DeviceService:
             with self._database.write() as session:
                 row = store.get_device(session, device_id, lock=True)
                 expected.check(store.document(session, row))
+                before = store.source_of(row)
                 row = store.change_device(session, device_id, change, sensors, running=running)
+                if sensors is not None and not same_simulation(before, change.source):
+                    self._refuse_if_nominal(session, device_id, change.source)
                 changed = store.document(session, row)
                 tracked = self._stored.tracking_config(session, row)
             if "tracking" in change.model_fields_set:
                 self._apply_tracking_config(device_id, tracked)
             return changed
+
+    def _refuse_if_nominal(self, session: Session, device_id: str, source: Source) -> None:
+        """Raise DeviceInUse where the active calibration is nominal and not of a new source.
+
+        As of calibrations of other sensors: a pointer that the server took away by itself would end
+        poses and beam holds.
+        """
+        found = self._stored.active_calibration(session, device_id)
+        why = nominal_mismatch(found.calibration_content, source, self._folders.profiles)
+        if why is not None:
+            raise DeviceInUse(
+                f'device "{device_id}" uses the nominal calibration "{found.calibration_id}": '
+                f"{why}; activate that one first, or create a device of its own for this source",
+                device_id=device_id,
+                calibration_id=found.calibration_id,
+            )
 
     def delete(self, device_id: str, expected: Precondition, *, cascade: bool) -> None:
         """Delete a device and stop it; raises UnknownDevice, DeviceInUse, PreconditionFailed."""
@@ -183,6 +204,7 @@ class DeviceService:
 
         Raises:
             SensorsChanged: the device has other sensors than the calibration.
+            NominalCalibrationMismatch: it is nominal, and not of the device's source.
             ActivationConflict: another calibration is active than expected, or another move came
                 first.
         """
@@ -197,7 +219,21 @@ class DeviceService:
                 if found.calibration is not None:
                     device = store.get_device(session, device_id)
                     check_sensors(device_id, store.sensors_of_row(device), found.calibration.models)
+                    self._check_nominal(found, device)
             self._activate(device_id, found)
+
+    def _check_nominal(self, found: ActiveCalibration, device: DeviceRow) -> None:
+        """Raise NominalCalibrationMismatch where a calibration is not of the device's source."""
+        if (found.calibration_content or {}).get("provenance") != "nominal":
+            return
+        source = store.source_of(device)
+        why = nominal_mismatch(found.calibration_content, source, self._folders.profiles)
+        if why is not None:
+            raise NominalCalibrationMismatch(
+                f'calibration "{found.calibration_id}" is nominal: {why}',
+                device_id=device.id,
+                calibration_id=found.calibration_id,
+            )
 
     @contextmanager
     def radiometric_move(self, device_id: str) -> Iterator[Session]:

@@ -2,6 +2,7 @@
 
 import logging
 import re
+from hashlib import sha256
 from importlib import resources
 from pathlib import Path
 from typing import Final
@@ -50,6 +51,11 @@ def profile_text(name: str, profiles_dir: Path) -> str:
         raise InvalidParameter(
             f'profile "{name}" cannot be read: {reason}', profile_id=name
         ) from None
+
+
+def profile_hash(name: str, profiles_dir: Path) -> str:
+    """Return the SHA-256 of a profile's file; raises as ``profile_text``."""
+    return sha256(profile_text(name, profiles_dir).encode()).hexdigest()
 
 
 def find_profile(name: str, profiles_dir: Path) -> DeviceProfile:

@@ -130,7 +130,8 @@ def change_device(
     expected: RequiredIfMatch,
 ) -> Device:
     """Change what is given. A new source works from the next start of the device; sensors that
-    calibrations refer to cannot change, nor can those of a running device.
+    calibrations refer to cannot change, nor can those of a running device. While a nominal
+    calibration is active, the source stays what it was computed from.
     """
     return device_service.change(device_id, request, expected)
 
@@ -185,7 +186,7 @@ def get_device_state(
     "POST /{device_id}/roll-back", "roll-back-device", "Go back to what was active before"
 )
 @raises("unknown-device", "nothing-to-roll-back", "calibration-retired", "sensors-changed")
-@raises("activation-conflict")
+@raises("activation-conflict", "nominal-calibration-mismatch")
 def roll_back_device(
     device_id: DevicePath, device_service: DeviceServiceDep, expected: ExpectedActive = None
 ) -> Device:

@@ -9,10 +9,11 @@ from service.api.devices.tracking_settings import Tracking
 from service.api.exports.motion_table import MotionTable
 from service.api.exports.table_builder import TableBuilder
 from service.api.recordings.recorded_peaks import reprocess_peaks
+from service.api.recordings.recorded_tracking import recorded_tracking
 from service.api.recordings.reprocessing import reprocess
 from service.pipeline.active_calibration import ActiveCalibration
+from service.pipeline.detection_stage import FindProfile, built_in_profile, expected_scans
 from service.pipeline.frame_processor import FrameProcessor
-from service.pipeline.tracking_config import TrackingConfig
 
 
 def table_from_recording(
@@ -21,6 +22,7 @@ def table_from_recording(
     given: ActiveCalibration | None = None,
     done: Callable[[int], None] = lambda _: None,
     tracking: Tracking | None = None,
+    find_profile: FindProfile = built_in_profile,
 ) -> MotionTable:
     """Return the results of a recording's frames, stored or computed now.
 
@@ -33,6 +35,7 @@ def table_from_recording(
         given: what to reconstruct with; None: the calibration that was active, frame by frame.
         done: called with the number of frames that are done.
         tracking: how markers and tools are followed; None: by default.
+        find_profile: returns the device profile that the recording names.
 
     Raises:
         InvalidRecording: it holds no calibration and none is given, or something is damaged.
@@ -44,13 +47,10 @@ def table_from_recording(
             "the recording holds no calibration; give one: `calibration_id`, or --calibration"
         )
     description = info.description
-    processor = FrameProcessor("export", description, "cpu")
+    model = expected_scans(description, find_profile)
+    processor = FrameProcessor("export", description, "cpu", model)
     how = Tracking() if tracking is None else tracking
-    # Tracks always, whether there were any live: they change neither points nor poses.
-    codes = None if how.blinking is None else how.blinking.codes()
-    processor.set_tracking_config(
-        TrackingConfig(True, tuple(tools), how.tracker(), how.tool_tracker(), codes)
-    )
+    processor.set_tracking_config(recorded_tracking(how, tools))
     builder = TableBuilder(
         description.name, description.frame_rate_hz, [tool.name for tool in tools]
     )

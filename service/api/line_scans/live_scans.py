@@ -70,7 +70,7 @@ class ScanTap:
         """Do nothing: scans and peaks do not depend on it."""
 
     def offer(self, batch: FrameBatch) -> None:
-        """Take the newest exposure that is wanted; called in the compute thread, never waits."""
+        """Take the newest exposure that is wanted; called where frames are processed."""
         if self.found is not None:
             return
         for index in range(len(batch.frames) - 1, -1, -1):

@@ -1,5 +1,6 @@
 """Device profiles and plans as clients receive them."""
 
+from hashlib import sha256
 from typing import Annotated, Any, TypeVar
 
 from fastapi import Path, Query
@@ -83,6 +84,9 @@ class DeviceProfileDocument(DeviceProfileSummary):
     toml: str = Field(
         description="The profile's file, its optics too: the start of one's own profile."
     )
+    content_hash: str = Field(
+        description="SHA-256 of this file; a nominal calibration names it in its `profile`."
+    )
 
 
 class NewDeviceProfile(RequestModel):
@@ -113,6 +117,7 @@ def document_of(profile: DeviceProfile, toml: str) -> DeviceProfileDocument:
         notes=profile.notes + profile.limitations,
         assumed=dict(profile.assumed),
         toml=toml,
+        content_hash=sha256(toml.encode()).hexdigest(),
     )
 
 

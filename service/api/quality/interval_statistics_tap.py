@@ -118,7 +118,7 @@ class IntervalStatisticsTap:
         return 0.0 if now is None else now.seconds
 
     def offer(self, batch: FrameBatch) -> None:
-        """Add a batch; called in the compute thread."""
+        """Add a batch; called where frames are processed."""
         if batch.calibration_id is None:
             return
         begin = batch.frames[0].exposure_device_ns

@@ -55,7 +55,7 @@ class PointTap(SingleCalibrationTap):
         self._taken = 0
 
     def offer(self, batch: FrameBatch) -> None:
-        """Collect from a batch; called in the compute thread."""
+        """Collect from a batch; called where frames are processed."""
         if not self._goes_on(batch) or self._taken >= MAX_POINTS:
             return
         marker = np.array(

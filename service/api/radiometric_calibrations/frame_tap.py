@@ -36,7 +36,7 @@ class FrameTap:
         """Do nothing: scans do not depend on it."""
 
     def offer(self, batch: FrameBatch) -> None:
-        """Take the scans of a batch; called in the compute thread, never waits."""
+        """Take the scans of a batch; called where frames are processed, never waits."""
         for frame in batch.frames:
             if self._left and frame.sequence > self._after:
                 self._waiting.append(frame.lines)

@@ -1,6 +1,8 @@
-"""Frames of a recording to look at: points as they were found, and scans with their peaks."""
+"""Frames of a recording to look at: points, recorded or worked out now; scans with their peaks."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -15,7 +17,6 @@ from compute.signal.centroid_reference import find_peaks_reference
 from compute.signal.centroid_settings import MAX_PIXELS, MIN_PIXELS
 from compute.signal.fit.fit_reference import fit_scans
 from compute.signal.peaks import PeakBatch, PeakFlag
-from hardware.driver import DeviceDescription
 from service.api.line_scans.live_scans import check_sensor, describe_scan
 from service.api.line_scans.peak_search import line_peaks
 from service.api.line_scans.schema import DeviceScans, LinePeak
@@ -29,8 +30,23 @@ if TYPE_CHECKING:
 MAX_FRAMES: Final = 256
 
 
-Solve = Callable[["FrameBlock", DeviceDescription], "NDArray[np.void]"]
-"""Works out the points of a block's frames from its peaks, as rows like a recording's own."""
+@dataclass(frozen=True, eq=False)
+class FrameResults:
+    """Results of one frame that were worked out now.
+
+    Args:
+        points: its points, N of them.
+        tracks: tracks as JSON values; None: markers and tools are not tracked.
+        tools: poses of tools as JSON values; None: likewise.
+    """
+
+    points: PointBatch
+    tracks: list[dict[str, Any]] | None = None
+    tools: list[dict[str, Any]] | None = None
+
+
+Recalculate = Callable[["RecordingReader", int, int], Sequence[FrameResults]]
+"""Works out the results of the frames from a number on, and before another."""
 
 
 def recorded_frames(
@@ -39,7 +55,7 @@ def recorded_frames(
     first: int,
     count: int,
     calibration_id: str | None = None,
-    solve: Solve | None = None,
+    recalculate: Recalculate | None = None,
 ) -> RecordedFrames:
     """Return frames of a recording with their points.
 
@@ -48,36 +64,41 @@ def recorded_frames(
         name: the recording.
         first: number of the first frame, from 0; behind the end there are none.
         count: how many, at most.
-        calibration_id: of another calibration that the points are worked out with; None: they
-            are those that were found live.
-        solve: works them out; None: as above.
+        calibration_id: of another calibration that results are worked out with; None: those of
+            the recording.
+        recalculate: works results out; None: they are those that were found live.
 
     Raises:
-        InvalidRecording: it cannot be read, is damaged, or has no peaks to work points out from.
+        InvalidRecording: it cannot be read, or is damaged.
+        InvalidParameter: as ``recalculate``.
     """
     with _reader(path) as reader:
         total = reader.info.frames
+        end = min(first + count, total)
         names = tuple(sensor.name for sensor in reader.info.description.sensors)
         frames: list[RecordedFrame] = []
-        if solve is not None and not reader.info.results:
-            raise InvalidRecording(
-                f'recording "{name}" holds scans only, and no peaks to work points out from; '
-                "replay it as a device with the other calibration"
+        if first < end:
+            block = reader.block(first, end)
+            frame_results = (
+                _live_results(block) if recalculate is None else recalculate(reader, first, end)
             )
-        if first < total:
-            block = reader.block(first, first + count)
-            rows = block.points if solve is None else solve(block, reader.info.description)
-            found = _points(block, rows, names)
-            frames = [
-                RecordedFrame(
-                    number=first + index,
-                    sequence=sequence,
-                    exposure_ns=host_ns,
-                    marker=_marker(marker),
-                    points=found[index],
+            for number, (row, results) in enumerate(
+                zip(block.rows.tolist(), frame_results, strict=True), first
+            ):
+                sequence, _, host_ns, marker, *_rest = row
+                frames.append(
+                    RecordedFrame.model_validate(
+                        {
+                            "number": number,
+                            "sequence": sequence,
+                            "exposure_ns": host_ns,
+                            "marker": _marker(marker),
+                            "points": _points(results.points, _marker(marker), names),
+                            "tracks": results.tracks,
+                            "tools": results.tools,
+                        }
+                    )
                 )
-                for index, (sequence, _, host_ns, marker, *_rest) in enumerate(block.rows.tolist())
-            ]
         return RecordedFrames(
             recording_id=name,
             calibration_id=calibration_id,
@@ -150,10 +171,9 @@ def _marker(number: int) -> int | None:
     return None if number < 0 else number
 
 
-def _points(
-    block: "FrameBlock", rows: "NDArray[np.void]", names: tuple[str, ...]
-) -> list[list[RecordedPoint]]:
-    """Return the points of each frame of a block."""
+def _live_results(block: "FrameBlock") -> list[FrameResults]:
+    """Return the points of each frame of a block as they were found live."""
+    rows = block.points
     none = np.full(len(rows), np.inf)  # what a point's reliability was is not recorded
     points = PointBatch(
         rows["position_mm"],
@@ -163,23 +183,26 @@ def _points(
         rows["used"].astype(np.bool_),
         rows["flags"],
     )
-    found: list[list[RecordedPoint]] = [[] for _ in block.rows]
-    markers = block.rows["marker"].tolist()
+    ends = rows["frame"].searchsorted(range(len(block.rows) + 1)).tolist()
+    return [FrameResults(points.part(low, high)) for low, high in pairwise(ends)]
+
+
+def _points(points: PointBatch, marker: int | None, names: tuple[str, ...]) -> list[RecordedPoint]:
+    """Return the points of a frame."""
     residuals = points.residual_sigma().tolist()
-    for row, (frame, one) in enumerate(
-        zip(rows["frame"].tolist(), points.estimates(names), strict=True)
-    ):
-        found[frame].append(
-            RecordedPoint(
-                marker=_marker(markers[frame]),
-                position_mm=one.position_mm,
-                covariance_mm2=one.covariance_mm2,
-                residual_sigma=residuals[row] if isfinite(residuals[row]) else None,
-                sensors=list(one.sensors),
-                flags=flag_names(PointFlag(int(rows["flags"][row]))),
-            )
+    return [
+        RecordedPoint(
+            marker=marker,
+            position_mm=one.position_mm,
+            covariance_mm2=one.covariance_mm2,
+            residual_sigma=residual if isfinite(residual) else None,
+            sensors=list(one.sensors),
+            flags=flag_names(PointFlag(flags)),
         )
-    return found
+        for one, residual, flags in zip(
+            points.estimates(names), residuals, points.flags.tolist(), strict=True
+        )
+    ]
 
 
 def _recorded_peaks(block: "FrameBlock", sensors: int) -> list[list[LinePeak]]:

@@ -1,52 +1,46 @@
-"""Results of recorded frames, worked out in a process of its own: points, captured targets."""
+"""Results of recorded frames, worked out in a process of its own: points, tracks, tool poses."""
 
-from collections.abc import Sequence
-from functools import lru_cache
+import pickle
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-import numpy as np
-from numpy.typing import NDArray
-
-from hardware.driver import DeviceDescription
-from service.api.captures.schema import CapturedTarget, CaptureSettings, NewCapture, Target
-from service.api.concurrency_limit import ConcurrencyLimit
-from service.api.devices.schema import Sensor, check_sensors
-from service.api.recordings.playback import recorded_frames
-from service.jobs.call_process import CallProcess
+from service.api.devices.schema import check_sensors
+from service.api.recordings.playback import FrameResults, recorded_frames
+from service.api.recordings.recording_process import RecordingProcess
 from service.pipeline.active_calibration import ActiveCalibration
-from service.pipeline.frame_processor import MAX_FRAMES, FrameProcessor
+from service.pipeline.tracking_config import NO_TRACKING, TrackingConfig
 
 if TYPE_CHECKING:
-    from hardware.recording.frame_block import FrameBlock
+    from hardware.recording.reader import RecordingReader
+    from service.api.recordings.recording_pipeline import RecordingPipelines
+    from service.pipeline.detection_stage import FindProfile
 
-TIMEOUT_S: Final = 60.0
-"""For a request; the first one starts the process and loads its kernels, in seconds."""
-MEMORY_BYTES: Final = 4 * 2**30
-PEAK_BYTES: Final = 2**30
-MAX_CONCURRENT: Final = 4
-MAX_DEVICES: Final = 2
-"""Devices whose kernels the process keeps."""
+MAX_PIPELINES: Final = 4
+"""Positions in recordings, each with a calibration, at which the process can continue."""
 
 
 class Recalculation:
     """Works results out from recordings, as the live pipeline would have.
 
-    Points with another calibration, and captures of targets. In a process: frames with many markers
-    lit together take long, and would keep the live pipeline waiting. It is started when needed,
-    keeps its kernels, and ends when idle.
+    Points with another calibration, tracks and tool poses.
+
+    Args:
+        find_profile: returns the device profiles that descriptions name; can be pickled.
     """
 
-    def __init__(self) -> None:
-        self._process = CallProcess(MEMORY_BYTES, PEAK_BYTES)
-        self._limit = ConcurrencyLimit(
-            MAX_CONCURRENT,
-            f"{MAX_CONCURRENT} requests wait for results of recordings; send this one "
-            "again in a second",
-        )
+    def __init__(self, find_profile: "FindProfile") -> None:
+        self._find_profile = find_profile
+        self._process = RecordingProcess("results")
 
     def frames(
-        self, path: Path, name: str, first: int, count: int, given: ActiveCalibration
+        self,
+        path: Path,
+        name: str,
+        first: int,
+        count: int,
+        calibration: ActiveCalibration | None,
+        tracking: TrackingConfig = NO_TRACKING,
     ) -> str:
         """Return RecordedFrames as JSON; the arguments are those of ``recorded_frames``.
 
@@ -55,80 +49,57 @@ class Recalculation:
             name: the recording.
             first: number of the first frame.
             count: how many, at most.
-            given: the calibration, without its content.
+            calibration: without its content; None: those of the recording.
+            tracking: markers and tools to track.
 
         Raises:
             Busy: too many such requests wait.
             SensorsChanged: the calibration is of other sensors than the recording.
             InvalidRecording: as ``recorded_frames``.
+            InvalidParameter: a calibration in the recording is of other sensors.
             WorkerEnded: it took too much time or memory.
         """
-        with self._limit:
-            found: str = self._process.call(
-                _frames, path, name, first, count, given, timeout_s=TIMEOUT_S
-            )
-        return found
-
-    def captured(
-        self, path: Path, request: NewCapture, sensors: Sequence[Sensor]
-    ) -> list[CapturedTarget]:
-        """Return what a recording has of a capture session's targets.
-
-        Args:
-            path: the recording.
-            request: the session to begin.
-            sensors: of its device.
-
-        Raises:
-            Busy: too many such requests wait.
-            WorkerEnded: it took too much time or memory.
-            LumilineError: as ``captured_targets``.
-        """
-        with self._limit:
-            found: list[CapturedTarget] = self._process.call(
-                _captured, path, request.device_id, list(sensors), request.targets,
-                request.settings, timeout_s=TIMEOUT_S,
-            )  # fmt: skip
-        return found
+        # Pickled here, so that equal configurations are the same bytes there.
+        config = pickle.dumps((calibration, tracking))
+        document: str = self._process.call(
+            _frames, path, name, first, count, config, self._find_profile
+        )
+        return document
 
     def close(self) -> None:
         """End the process."""
         self._process.close()
 
 
-def _frames(path: Path, name: str, first: int, count: int, given: ActiveCalibration) -> str:
+def _frames(
+    path: Path,
+    name: str,
+    first: int,
+    count: int,
+    config: bytes,
+    find_profile: "FindProfile",
+) -> str:
+    calibration: ActiveCalibration | None
+    tracking: TrackingConfig
+    calibration, tracking = pickle.loads(config)  # noqa: S301 - from the server itself
+
+    def recalculate(reader: "RecordingReader", first: int, end: int) -> list[FrameResults]:
+        description = reader.info.description
+        if calibration is not None:
+            assert calibration.calibration is not None
+            check_sensors(description.name, description.sensors, calibration.calibration.models)
+        # File systems use the inode of a deleted file again.
+        key = (path, path.stat().st_ino, reader.fingerprint(), config)
+        return _pipelines().results(key, reader, first, end, calibration, tracking, find_profile)
+
+    calibration_id = None if calibration is None else calibration.calibration_id
+    return recorded_frames(path, name, first, count, calibration_id, recalculate).model_dump_json()
+
+
+@cache
+def _pipelines() -> "RecordingPipelines":
+    """Return the pipelines of the process."""
     # The file library is loaded by the process alone.
-    from service.api.recordings.recorded_peaks import process_block
-    from service.api.recordings.result_rows import point_rows
+    from service.api.recordings.recording_pipeline import RecordingPipelines
 
-    def solve(block: "FrameBlock", description: DeviceDescription) -> NDArray[np.void]:
-        assert given.calibration is not None
-        check_sensors(description.name, description.sensors, given.calibration.models)
-        processor = _processor(description)
-        processor.set_calibration(given)
-        rows = []
-        for start in range(0, len(block.rows), MAX_FRAMES):
-            numbers = np.arange(len(block.rows))
-            part = block.select((numbers >= start) & (numbers < start + MAX_FRAMES))
-            made, _ = point_rows(process_block(part, processor, description))
-            made["frame"] += start
-            rows.append(made)
-        return np.concatenate(rows)
-
-    found = recorded_frames(path, name, first, count, given.calibration_id, solve)
-    return found.model_dump_json()
-
-
-def _captured(
-    path: Path, device_id: str, sensors: list[Sensor], targets: list[Target],
-    settings: CaptureSettings,
-) -> list[CapturedTarget]:  # fmt: skip
-    # The file library is loaded by the process alone.
-    from service.api.recordings.recorded_readings import captured_targets
-
-    return captured_targets(path, device_id, sensors, targets, settings)
-
-
-@lru_cache(maxsize=MAX_DEVICES)
-def _processor(description: DeviceDescription) -> FrameProcessor:
-    return FrameProcessor("recording", description, "cpu")
+    return RecordingPipelines(MAX_PIPELINES)

@@ -40,12 +40,22 @@ def reprocess_peaks(
 
 
 def process_block(
-    block: FrameBlock, processor: FrameProcessor, description: DeviceDescription
+    block: FrameBlock,
+    processor: FrameProcessor,
+    description: DeviceDescription,
+    *,
+    from_scans: bool = False,
 ) -> FrameBatch:
     """Run the stages behind detection over the recorded peaks of up to MAX_FRAMES frames.
 
+    Args:
+        block: the frames.
+        processor: of their device.
+        description: of the device.
+        from_scans: find the peaks now, in the scans.
+
     Raises:
-        InvalidRecording: the peaks are of sensors that there are not.
+        InvalidRecording: the peaks are of sensors that there are not, or there are no scans.
     """
     # Their lines are not needed any more.
     none = np.empty((0, 0), np.uint16)
@@ -61,7 +71,12 @@ def process_block(
         )
         for sequence, device_ns, host_ns, marker, flags, *_ in block.rows.tolist()
     ]
-    return processor.process_peaks(frames, peak_batch(block, len(description.sensors)))
+    if not from_scans:
+        return processor.process_peaks(frames, peak_batch(block, len(description.sensors)))
+    if block.lines is None:
+        raise InvalidRecording("the recording has neither peaks nor scans to find them in")
+    peaks = processor.detection.find(np.concatenate(block.lines))
+    return processor.process_peaks(frames, peaks)
 
 
 def peak_batch(block: FrameBlock, sensors: int) -> PeakBatch:

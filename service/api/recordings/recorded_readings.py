@@ -18,6 +18,7 @@ from service.problems.errors import NoObservation, TargetMoved
 
 if TYPE_CHECKING:
     from hardware.recording.reader import RecordingReader
+    from service.pipeline.detection_stage import FindProfile
 
 Array = NDArray[np.float64]
 
@@ -49,13 +50,16 @@ class StrobeCycles:
 
 
 def recorded_readings(
-    reader: "RecordingReader", report: Callable[[float], None]
+    reader: "RecordingReader",
+    report: Callable[[float], None],
+    find_profile: "FindProfile | None" = None,
 ) -> Iterator[tuple[int, int | None, Array, Array]]:
     """Yield of each exposure its device time [ns], lit marker, readings and sigmas (S,) [px].
 
     Args:
         reader: of the recording.
         report: called with the share of the frames processed.
+        find_profile: returns the device profile that the recording names; None: a built-in one.
 
     Raises:
         InvalidRecording: the file is damaged, or holds no scans.
@@ -63,11 +67,14 @@ def recorded_readings(
     # The kernels are loaded by who reads a recording.
     from service.api.recordings.reprocessing import reprocess
     from service.pipeline.active_calibration import NO_ACTIVE_CALIBRATION
+    from service.pipeline.detection_stage import built_in_profile, expected_scans
     from service.pipeline.frame_processor import FrameProcessor
     from service.pipeline.taps import clear_readings
 
-    sensors = len(reader.info.description.sensors)
-    processor = FrameProcessor("readings", reader.info.description, "cpu")
+    description = reader.info.description
+    sensors = len(description.sensors)
+    model = expected_scans(description, find_profile or built_in_profile)
+    processor = FrameProcessor("readings", description, "cpu", model)
     count = 0
     for batch in reprocess(reader, processor, given=NO_ACTIVE_CALIBRATION):
         for index, frame in enumerate(batch.frames):
@@ -78,8 +85,10 @@ def recorded_readings(
         report(count / max(reader.info.frames, 1))
 
 
-def read_cycles(path: Path, report: Callable[[float], None]) -> StrobeCycles:
-    """Return the readings of a recording by strobe cycle.
+def read_cycles(
+    path: Path, report: Callable[[float], None], find_profile: "FindProfile | None" = None
+) -> StrobeCycles:
+    """Return the readings of a recording by strobe cycle; the arguments as of recorded_readings.
 
     Raises:
         InvalidRecording: the file is damaged, or holds no scans.
@@ -91,7 +100,7 @@ def read_cycles(path: Path, report: Callable[[float], None]) -> StrobeCycles:
         shape = (2, max(1, description.markers), len(description.sensors))
         cycles: list[Array] = []
         filled: set[int] = set()
-        for _, lit, position, sigma in recorded_readings(reader, report):
+        for _, lit, position, sigma in recorded_readings(reader, report, find_profile):
             if description.markers and lit is None:
                 continue  # all are lit: nothing says which peak is whose
             marker = lit or 0
@@ -218,7 +227,7 @@ def target_readings(
 
 def captured_targets(
     path: Path, device_id: str, sensors: Sequence[SensorDescription], targets: Sequence[Target],
-    settings: CaptureSettings,
+    settings: CaptureSettings, find_profile: "FindProfile | None" = None,
 ) -> list[CapturedTarget]:  # fmt: skip
     """Return what a recording has of a capture session's targets.
 
@@ -228,13 +237,14 @@ def captured_targets(
         sensors: its sensors.
         targets: of the session.
         settings: of the session.
+        find_profile: returns the device profile that the recording names; None: a built-in one.
 
     Raises:
         InvalidRecording: the file is damaged, or holds no scans.
         SensorsChanged: it is of other sensors than the device's.
         LumilineError: what ``target_readings`` raises.
     """
-    cycles = read_cycles(path, lambda _share: None)
+    cycles = read_cycles(path, lambda _share: None, find_profile)
     check_sensors(device_id, sensors, cycles.sensors)
     marked = [
         one if one.marker is not None else one.model_copy(update={"marker": settings.marker})

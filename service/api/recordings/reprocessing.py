@@ -60,6 +60,26 @@ def recorded_calibration(reader: RecordingReader, row: int) -> ActiveCalibration
     return load_active_calibration(document, table, "the recording")
 
 
+def calibration_of_row(
+    reader: RecordingReader, row: int, given: ActiveCalibration | None
+) -> ActiveCalibration:
+    """Return what frames of a row are processed with.
+
+    Args:
+        reader: the recording.
+        row: of the active calibration; -1: none.
+        given: what takes its place, as of ``calibration_intervals``.
+
+    Raises:
+        InvalidRecording, InvalidTableFile: what is there is none, or was changed.
+    """
+    if given is None:
+        return recorded_calibration(reader, row)
+    document = b"" if row < 0 else reader.active_calibration(row)[0]
+    radiometric, bad_pixels = load_pixels(document, "the recording")
+    return replace(given, radiometric=radiometric or given.radiometric, bad_pixels=bad_pixels)
+
+
 def reprocess(
     reader: RecordingReader,
     processor: FrameProcessor,
@@ -108,17 +128,7 @@ def calibration_intervals(
     rows = reader.column("active_calibration")
     changes = np.flatnonzero(np.diff(rows, prepend=rows[:1] - 1)).tolist()
     for first, end in zip(changes, [*changes[1:], frames], strict=True):
-        row = int(rows[first])
-        if given is None:
-            yield first, end, recorded_calibration(reader, row)
-        else:
-            document = b"" if row < 0 else reader.active_calibration(row)[0]
-            radiometric, bad_pixels = load_pixels(document, "the recording")
-            yield (
-                first,
-                end,
-                replace(given, radiometric=radiometric or given.radiometric, bad_pixels=bad_pixels),
-            )
+        yield first, end, calibration_of_row(reader, int(rows[first]), given)
 
 
 def compare(

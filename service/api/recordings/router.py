@@ -24,6 +24,7 @@ from service.api.openapi import ResourceRouter, raises
 from service.api.paging import Page, PagingDep
 from service.api.recordings.playback import MAX_FRAMES, recorded_frames, recorded_scans
 from service.api.recordings.recalculation import Recalculation
+from service.api.recordings.recorded_tracking import recorded_tracking_of
 from service.api.recordings.recording_manager import RecordingsDep
 from service.api.recordings.repository import recording_referrers
 from service.api.recordings.retention import RetentionDep
@@ -35,6 +36,7 @@ from service.api.recordings.schema import (
     RetentionDocument,
 )
 from service.pipeline.active_calibration import ActiveCalibration
+from service.pipeline.tracking_config import NO_TRACKING
 
 MEDIA_TYPE: Final = "application/x-hdf5"
 
@@ -138,7 +140,8 @@ def download_recording(recording_id: FinishedPath, recordings: RecordingsDep) ->
     "Look at frames of a recording",
     response_model=RecordedFrames,
 )
-@raises("unknown-recording", "invalid-recording", "unknown-calibration", "sensors-changed", "busy")
+@raises("unknown-recording", "invalid-recording", "invalid-parameter", "unknown-calibration")
+@raises("sensors-changed", "busy")
 def get_recorded_frames(
     recording_id: FinishedPath,
     recordings: RecordingsDep,
@@ -153,23 +156,39 @@ def get_recorded_frames(
         Query(
             pattern=SLUG_PATTERN,
             description="A calibration of the same sensors: points are worked out with it from the "
-            "recorded peaks, without a correction table. Left out: they are as found live.",
+            "recorded peaks, without a correction table. Left out: those of the recording.",
         ),
     ] = None,
+    tracking: Annotated[
+        bool,
+        Query(
+            description="Also the tracks of markers and the poses of tools: of the tools that the "
+            "device has now, with its settings of tracking. They and the points are worked out "
+            "now, from the recorded peaks, or from the scans where there are none.",
+        ),
+    ] = False,
 ) -> Response:
-    """Consecutive frames with the points that were found in them live; a player asks for them.
+    """Consecutive frames with their points, for a player.
 
-    A recording without results has no points: a device that replays it finds them again.
+    The points are the recorded ones, which were found live; with `tracking` or `calibration_id`
+    all results are worked out now. Only so there are points of a recording without results.
+    Tracks and tools go on from the frames of earlier requests; after a jump they begin some hundred
+    frames before the first. Damaged frames before the first are left out.
     """
     path = recordings.library.path(recording_id)
-    if calibration_id is None:
-        found = recorded_frames(path, recording_id, first, count).model_dump_json()
+    if calibration_id is None and not tracking:
+        document = recorded_frames(path, recording_id, first, count).model_dump_json()
     else:
+        calibration, config = None, NO_TRACKING
+        device_id = recordings.library.document(recording_id).device_id
         with database.read() as session:
-            row = get_calibration(session, calibration_id)
-            given = ActiveCalibration(row.id, result_of(row.content))
-        found = recalculation.frames(path, recording_id, first, count, given)
-    return Response(found, media_type="application/json")
+            if calibration_id is not None:
+                row = get_calibration(session, calibration_id)
+                calibration = ActiveCalibration(row.id, result_of(row.content))
+            if tracking:
+                config = recorded_tracking_of(session, device_id)
+        document = recalculation.frames(path, recording_id, first, count, calibration, config)
+    return Response(document, media_type="application/json")
 
 
 @router.operation(

@@ -4,6 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, StringConstraints
 
+from compute.pose.rigid_body import PoseStatus
 from hardware.field_bounds import FIRST_ERROR_ONLY
 from service.api.base_models import Moment, RequestModel, ResponseModel
 
@@ -11,6 +12,10 @@ NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_-]*(\.[A-Za-z0-9_-]+)*\.h5$"
 """Of a recording that is begun here: a file of the folder itself."""
 
 Content = Literal["lines", "results"]
+Vector = tuple[float, float, float]
+Matrix = tuple[Vector, Vector, Vector]
+Row6 = tuple[float, float, float, float, float, float]
+Matrix6 = tuple[Row6, Row6, Row6, Row6, Row6, Row6]
 State = Literal["recording", "complete", "incomplete", "failed", "unreadable"]
 
 
@@ -84,19 +89,67 @@ class RecordingDocument(ResponseModel):
 
 
 class RecordedPoint(ResponseModel):
-    """A point as it was found while it was recorded, or is by another calibration."""
+    """A point: as it was found while it was recorded, or worked out now from the same frame."""
 
     marker: int | None = Field(description="The strobed marker; null: all were lit.")
-    position_mm: tuple[float, float, float] | None = Field(description="Null: it has none.")
-    covariance_mm2: (
-        tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
-        | None
-    ) = Field(description="Of the position.")
+    position_mm: Vector | None = Field(description="Null: it has none.")
+    covariance_mm2: Matrix | None = Field(description="Of the position.")
     residual_sigma: float | None = Field(
         description="Of its readings, in standard deviations; null: nothing checks them."
     )
     sensors: list[str] = Field(description="Those that it comes from.")
     flags: tuple[str, ...] = Field(description="As in the stream.")
+
+
+class RecordedTrack(ResponseModel):
+    """A track of a marker in a recorded frame, as in the stream."""
+
+    id: int = Field(description="Number of the track.")
+    marker: int | None = Field(description="Its strobe slot or blink code; null: not known.")
+    state: Literal["tentative", "confirmed", "coasting"]
+    flags: tuple[str, ...]
+    position_mm: Vector
+    covariance_mm2: Matrix = Field(description="Of the position.")
+    velocity_mm_s: Vector = Field(description="Of the marker.")
+    velocity_covariance_mm2_s2: Matrix = Field(description="Of the velocity.")
+    acceleration_mm_s2: Vector | None = Field(description="Null: the motion has none.")
+    peaks: tuple[int | None, ...] = Field(
+        description="By sensor, the number of its peak in the scan; null: none."
+    )
+    nis: float | None = Field(description="Normalised innovation squared; null: not detected.")
+    dof: int = Field(description="Its degrees of freedom.")
+
+
+class RecordedToolPose(ResponseModel):
+    """The pose of a tool in a recorded frame, in world coordinates, as in the stream."""
+
+    tool_id: str
+    status: PoseStatus = Field(description="Only a pose that is OK is one to use.")
+    reason: str | None = Field(description="Why the status is not OK, in words.")
+    translation_mm: Vector | None = Field(description="The tool's origin.")
+    rotation: Matrix | None = Field(description="R_world_tool, row by row.")
+    quaternion_wxyz: tuple[float, float, float, float] | None = Field(
+        description="The same turn as a unit quaternion, w >= 0."
+    )
+    covariance: Matrix6 | None = Field(
+        description="Of a small turn [rad] about the world's axes, on the left, and of the "
+        "translation [mm], in this order."
+    )
+    tip_mm: Vector | None = Field(description="The tip; None: the tool has none.")
+    tip_covariance_mm2: Matrix | None
+    residual_sigma: float | None
+    markers_used: int
+    readings_used: int
+    velocity_mm_s: Vector | None = Field(description="Of the tool's origin.")
+    angular_velocity_rad_s: Vector | None = Field(description="About the world's axes.")
+    detectable_sigma: float | None = Field(
+        description="Smallest error of a reading that the test would have found, in its standard "
+        "deviations."
+    )
+    external_tip_mm: float | None = Field(
+        description="How far a wrong reading that the test did not find may move the tip."
+    )
+    external_rotation_rad: float | None = Field(description="And how far it may turn the tool.")
 
 
 class RecordedFrame(ResponseModel):
@@ -107,6 +160,10 @@ class RecordedFrame(ResponseModel):
     exposure_ns: int = Field(description="Middle of the exposure on the host's clock then [ns].")
     marker: int | None = Field(description="The strobed marker; null: all were lit.")
     points: list[RecordedPoint]
+    tracks: list[RecordedTrack] | None = Field(description="Null: not asked for.")
+    tools: list[RecordedToolPose] | None = Field(
+        description="Of every tool that the device has now; null: not asked for."
+    )
 
 
 class RecordedFrames(ResponseModel):
@@ -114,8 +171,8 @@ class RecordedFrames(ResponseModel):
 
     recording_id: str = Field(description="File name below the folder `recordings`.")
     calibration_id: str | None = Field(
-        description="The calibration that the points were worked out with now; null: they are as "
-        "they were found live."
+        description="The calibration of the request, with which the results were worked out now; "
+        "null: those of the recording."
     )
     frames_written: int = Field(description="Frames in the file.")
     frames: list[RecordedFrame]

@@ -4,11 +4,14 @@ from collections import ChainMap
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from service.api.exports.repository import ExportRepository
 from service.api.runs.kinds import calibration, export, mapping, self_calibration, update
 from service.jobs.run_manager import RunKind
+
+if TYPE_CHECKING:
+    from service.pipeline.detection_stage import FindProfile
 
 KINDS: Final[dict[str, RunKind]] = {
     "calibration": RunKind(calibration.task, calibration.store, "/api/v1/calibrations"),
@@ -27,17 +30,20 @@ RESULTS: Final[Mapping[str, str]] = {
 """Paths of the resources that results are of, by the kind of run."""
 
 
-def kinds_with(exports: ExportRepository, recordings: Path) -> Mapping[str, RunKind]:
+def kinds_with(
+    exports: ExportRepository, recordings: Path, find_profile: "FindProfile"
+) -> Mapping[str, RunKind]:
     """Return all kinds.
 
     Args:
         exports: where export runs keep their files.
         recordings: the folder of what they export.
+        find_profile: returns the device profiles that recordings name; can be pickled.
     """
-    made = RunKind(
-        partial(export.task, exports, recordings),
+    export_kind = RunKind(
+        partial(export.task, exports, recordings, find_profile),
         partial(export.store, exports),
         _EXPORTS,
         exports.discard,
     )
-    return ChainMap({"export": made}, KINDS)
+    return ChainMap({"export": export_kind}, KINDS)

@@ -64,7 +64,7 @@ class MarkerTap(SingleCalibrationTap):
         self._left = MAX_OBSERVATIONS
 
     def offer(self, batch: FrameBatch) -> None:
-        """Collect from a batch; called in the compute thread."""
+        """Collect from a batch; called where frames are processed."""
         if not self._goes_on(batch):
             return
         good = np.isfinite(batch.points.position_mm[:, 0])

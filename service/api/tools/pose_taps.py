@@ -46,7 +46,7 @@ class PoseTap(_ToolTap):
         self._max_poses = max_poses
 
     def offer(self, batch: FrameBatch) -> None:
-        """Collect from a batch; called in the compute thread."""
+        """Collect from a batch; called where frames are processed."""
         for pose, reference in self._pairs(batch):
             if self._reference is not None:
                 if reference is None:
@@ -77,7 +77,7 @@ class TipTap(_ToolTap):
         self._kept: deque[Pair] = deque(maxlen=MAX_KEPT)
 
     def offer(self, batch: FrameBatch) -> None:
-        """Collect from a batch; called in the compute thread."""
+        """Collect from a batch; called where frames are processed."""
         for pose, reference in self._pairs(batch):
             if reference is None and self._reference is not None:
                 reference = ToolPose(

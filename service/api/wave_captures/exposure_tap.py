@@ -48,7 +48,7 @@ class ExposureTap:
         """Do nothing: readings do not depend on it."""
 
     def offer(self, batch: FrameBatch) -> None:
-        """Copy the readings of a batch; called in the compute thread, never waits."""
+        """Copy the readings of a batch; called where frames are processed, never waits."""
         wanted = [
             index
             for index, frame in enumerate(batch.frames)

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from compute.flags import flag_names
 from compute.reconstruction.point_batch import PointFlag
 from compute.signal.peaks import PeakFlag
-from compute.tracking.track_batch import TrackFlag, TrackState
 from hardware.driver import DeviceDescription
 from hardware.line_frame import FrameFlag
 from service.pipeline.detection_stage import peak_method
@@ -24,6 +23,7 @@ from service.pipeline.frame_batch import (
     BeamHoldState,
     FrameBatch,
     pose_members,
+    track_members,
 )
 
 Content = Literal["points", "peaks", "tracks", "tools", "holds"]
@@ -34,8 +34,6 @@ ENCODINGS: Final[tuple[Encoding, ...]] = get_args(Encoding)
 Payload = bytes | str
 Rows = list[dict[str, Any]]
 """The points, peaks, tracks, ... of one frame, as a message has them."""
-
-_TRACK_STATES: Final = {int(state): state.name.lower() for state in TrackState}
 
 
 class FrameHeader(NamedTuple):
@@ -242,51 +240,7 @@ class StreamBatch:
         if self._motion is None:
             return iter([[]] * count)
         starts, part = _parts(self._motion.track_owner, first, count)
-        tracks = self._motion.tracks
-        rows = [
-            {
-                "id": identity,
-                "marker": None if marker < 0 else marker,
-                "state": _TRACK_STATES[state],
-                "flags": _flag_names(TrackFlag, flags),
-                "position_mm": position,
-                "covariance_mm2": covariance,
-                "velocity_mm_s": velocity,
-                "velocity_covariance_mm2_s2": velocity_covariance,
-                "acceleration_mm_s2": acceleration if isfinite(acceleration[0]) else None,
-                "peaks": [None if peak < 0 else peak for peak in peaks],
-                "nis": nis if isfinite(nis) else None,
-                "dof": dof,
-            }
-            for (
-                identity,
-                marker,
-                state,
-                flags,
-                position,
-                covariance,
-                velocity,
-                velocity_covariance,
-                acceleration,
-                peaks,
-                nis,
-                dof,
-            ) in _zip_lists(
-                tracks.identity[part],
-                tracks.marker[part],
-                tracks.state[part],
-                tracks.flags[part],
-                tracks.position_mm[part],
-                tracks.covariance[part, :3, :3],
-                tracks.velocity_mm_s[part],
-                tracks.covariance[part, 3:6, 3:6],
-                tracks.acceleration_mm_s2[part],
-                tracks.peaks[part],
-                tracks.nis[part],
-                tracks.dof[part],
-            )
-        ]
-        return _split(rows, starts)
+        return _split(track_members(self._motion.tracks, part), starts)
 
     def _tool_rows(self, first: int, count: int) -> Iterator[Rows]:
         """Yield the tool poses; none where nothing is tracked."""
@@ -320,9 +274,7 @@ def _used(names: tuple[str, ...], used: tuple[bool, ...]) -> tuple[str, ...]:
 
 
 @lru_cache(maxsize=1024)
-def _flag_names(
-    kind: type[PointFlag] | type[PeakFlag] | type[TrackFlag], flags: int
-) -> tuple[str, ...]:
+def _flag_names(kind: type[PointFlag] | type[PeakFlag], flags: int) -> tuple[str, ...]:
     return flag_names(kind(flags))
 
 

@@ -109,6 +109,7 @@ def test_readings_of_points_that_were_not_reconstructed_do_not_count() -> None:
     assert count_readings(readings, differences) == 7
 
 
+@pytest.mark.slow
 def test_readings_of_other_points_stay_as_they_are() -> None:
     points, _, wrong, _ = exchanged()
     found = calibrate(points, wrong, geometry(rig()), settings=CalibrationSettings(labels="repair"))

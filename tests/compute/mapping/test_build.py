@@ -40,6 +40,7 @@ def built(control, calibration):
     return build_table(calibration.models, "hash", control)
 
 
+@pytest.mark.slow
 def test_the_table_takes_the_misfit_away(built, calibration):
     points = places(500, 2, share=0.85)
     errors, _, inside = correction_errors(built, calibration.models, points)
@@ -82,6 +83,7 @@ def test_variances_are_honest_where_noise_hides_the_misfit(monkeypatch):
     assert np.mean(most_probable) > 1.1 * np.mean(averaged)
 
 
+@pytest.mark.slow
 def test_deviations_that_are_too_small_are_noticed_and_no_map_follows_the_noise(calibration):
     points, new = places(100, 70), places(300, 71, share=0.9)
     readings = measure(points, 72)
@@ -116,6 +118,7 @@ def test_mapped_points_carry_the_covariance_they_should(built, calibration):
     assert (error**2).sum() < 0.1 * ((without.position_mm - points) ** 2).sum()
 
 
+@pytest.mark.slow
 def test_where_nothing_is_to_be_corrected_the_map_stays_empty():
     """A seven-parameter device: the correction is the calibration's own error and no more."""
     points = places(80, 1)

@@ -48,6 +48,7 @@ def test_no_holes_in_volumes_measured_throughout(points):
     assert Coverage.of(points).in_hole(positions).mean() < 0.02
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("points", [at_random(500, 11), jittered(8, 12)], ids=["random", "grid"])
 @pytest.mark.parametrize("radius", [30.0, 42.0])
 def test_a_ball_without_measurements_is_a_hole(points, radius):

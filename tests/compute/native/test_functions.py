@@ -47,6 +47,7 @@ def at(array: NDArray[np.generic]) -> c_void_p:
 # Rays.
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "shape"),
     [("quadric", Conic(80.0, -0.4)), ("toroid", Toroid(60.0, 45.0, -0.7))],

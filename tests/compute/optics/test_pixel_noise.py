@@ -111,6 +111,7 @@ def _beyond(distribution: CountDistribution, edge: float, side: int) -> float:
     return float(distribution.probabilities[side * counts >= side * edge].sum())
 
 
+@pytest.mark.slow
 @settings(max_examples=12, deadline=None)
 @given(
     seed=st.integers(0, 2**32 - 1),

@@ -329,6 +329,7 @@ def test_uncorrected_distortion_may_be_given_or_traced(usual: AccuracyBudget) ->
         with_error_sources(OPTOTRAK, ['uncorrected_distortion=["1 px", "2 px"]'])
 
 
+@pytest.mark.slow
 def test_retro_reflective_markers_have_a_size() -> None:
     values = {
         "illuminator_intensity_w_per_sr": 1.0,

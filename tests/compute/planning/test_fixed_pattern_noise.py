@@ -91,6 +91,7 @@ def test_it_grows_with_the_pixels_differences_and_light_does_not_help(
     assert error(1e8, 0.01) == pytest.approx(error(1e6, 0.01), rel=0.1)
 
 
+@pytest.mark.slow
 def test_a_bars_points_are_moved_so_much() -> None:
     """Readings of the traced lines on 400 sets of pixels, reconstructed with the noise's weights.
 
@@ -132,6 +133,7 @@ def test_a_bars_points_are_moved_so_much() -> None:
     )
 
 
+@pytest.mark.slow
 def test_without_differences_there_is_no_pattern_and_the_noise_stays() -> None:
     bar = load_profile("bar")
     alike = replace(bar.detector, response_nonuniformity=0.0, dark_nonuniformity=0.0)

@@ -92,6 +92,7 @@ def enumerated(
     return fits.reshape(frames, -1).sum(axis=1), np.array(doubts)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("box", [None, BOX], ids=["anywhere", "inside"])
 def test_four_sensors_make_as_many_ghosts_as_planned(box: Box | None) -> None:
     """Noise of a pixel, so that ghosts are frequent enough to be counted."""
@@ -111,6 +112,7 @@ def test_four_sensors_make_as_many_ghosts_as_planned(box: Box | None) -> None:
         assert (doubts == (counts > 0)).mean() > 0.99
 
 
+@pytest.mark.slow
 def test_the_limit_is_the_correspondence_s_and_may_be_chosen() -> None:
     cameras = CameraStack.of(rig(4))
 

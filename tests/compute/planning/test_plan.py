@@ -109,6 +109,7 @@ def exponent(x: list[float], y: list[float]) -> float:
     return float(np.log(y[1] / y[0]) / np.log(x[1] / x[0]))
 
 
+@pytest.mark.slow
 def test_depth_error_goes_with_distance_squared_over_baseline() -> None:
     """The four-sensor bar with its real lens, from 2.5 to 6 m and with 0.3 to 1 of its baseline.
 
@@ -153,6 +154,7 @@ def test_a_well_that_ambient_light_fills_is_saturated() -> None:
     assert gained[2] == pytest.approx(0.0, abs=100.0)
 
 
+@pytest.mark.slow
 def test_coded_windows_and_plates_are_planned_too() -> None:
     coda = plan(load_profile("coda-mpx30"), grid=3, markers=1)
     assert coda.coverage.all_sensors > 0.9
@@ -172,6 +174,7 @@ def test_coded_windows_and_plates_are_planned_too() -> None:
     assert planning_device(plate).pixels == 4096
 
 
+@pytest.mark.slow
 def test_what_no_three_sensors_see_has_no_position() -> None:
     """A volume far wider than the field of view."""
     box = Box((0.0, 0.0, 1500.0), (2000.0, 600.0, 600.0))

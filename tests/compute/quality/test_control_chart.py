@@ -68,6 +68,7 @@ def test_what_stays_changed_is_told(shift: float, values: int) -> None:
         assert not control_chart(back).is_sustained, "it was repaired"
 
 
+@pytest.mark.slow
 def test_a_small_shift_is_found_by_the_average_and_a_large_one_at_once() -> None:
     # Of one standard deviation: 10 values by the average (Lucas and Saccucci), 44 by single ones.
     assert 8 < np.mean(run_lengths(1.0, ControlChartAlarm.DRIFT)) < 12

@@ -93,6 +93,7 @@ def test_four_single_peaks_that_do_not_meet_are_still_reported() -> None:
     assert len(match(4, readings).readings_px) == 1
 
 
+@pytest.mark.slow
 def test_doubt_grows_with_what_is_missing() -> None:
     """Five markers; when a fifth of their lines is missed, wrong combinations fit now and then."""
     rng = np.random.default_rng(4)
@@ -156,6 +157,7 @@ def test_without_the_sensors_forward_too_many_combinations_are_not_tried() -> No
     assert len(group_peaks(solve, Measurements.of(position, sigma))) == 5
 
 
+@pytest.mark.slow
 def test_twenty_markers_on_eight_sensors() -> None:
     """With 5 % of the lines missed and as many false ones."""
     cameras = CameraStack.of(rig(8))

@@ -35,6 +35,7 @@ def all_sets(
     return found
 
 
+@pytest.mark.slow
 @given(problems())
 @settings(max_examples=300, deadline=None)
 def test_as_all_sets_written_down(

@@ -48,6 +48,7 @@ def check(lines, options, noise):
     assert_same(centroid_finder.find(lines), find_peaks_reference(lines, options, noise))
 
 
+@pytest.mark.slow
 @given(st.integers(64, 4096), st.integers(0, 2**32), centroid_settings, line_noise)
 @example(64, 0, CentroidSettings(), NOISE)
 @example(127, 1, CentroidSettings(), NOISE)

@@ -96,6 +96,7 @@ def test_flags_by_name():
     assert flag_names(PeakFlag.SATURATED | PeakFlag.MERGED) == ("saturated", "merged")
 
 
+@pytest.mark.slow
 def test_types_and_settings_load_no_warp():
     code = (
         "import sys, compute.signal, compute.signal.peaks, compute.signal.centroid_settings, "

@@ -11,7 +11,7 @@ from compute.measurement.measurement_model import MeasurementModel
 from compute.measurement.measurements import Measurements
 from compute.tracking.association import associate
 from compute.tracking.motion_model import MotionModels, mix_and_predict
-from compute.tracking.native.associator import Associator
+from compute.tracking.native.kernels import Associator
 from compute.tracking.settings import TrackerSettings
 from compute.tracking.state_initialisation import states_from_points
 from compute.tracking.tracks import AssociationResult

@@ -102,6 +102,7 @@ def test_covariance_and_innovations_are_honest(runs: int) -> None:
     assert low < nis < high
 
 
+@pytest.mark.slow
 def test_a_wrong_calibration_is_stated_and_not_filtered_away() -> None:
     """Each run has its own cameras, off by a draw of the covariance that the tracker is given."""
     models = ring()
@@ -196,6 +197,7 @@ def test_a_track_lives_on_two_sensors() -> None:
     assert off @ np.linalg.solve(batch.covariance[0, :3, :3], off) < chi2.ppf(0.9999, 3)
 
 
+@pytest.mark.slow
 def test_false_peaks_are_never_confirmed() -> None:
     """1,000 exposures of false peaks alone, two a sensor and exposure, each of them searched."""
     settings = TrackerSettings(clutter_density_per_px=2.0 / PIXELS, initiation_interval_s=0.0)

@@ -36,6 +36,7 @@ def write(path: Path, sizes: list[int], *, lines: bool = True) -> FrameBlock:
     return joined(blocks)
 
 
+@pytest.mark.slow
 @settings(max_examples=25, deadline=None)
 @given(
     sizes=st.lists(st.integers(1, 64), min_size=1, max_size=6),

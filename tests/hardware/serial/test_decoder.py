@@ -61,8 +61,23 @@ def test_mutated_messages_give_nothing_that_was_not_sent() -> None:
 def test_the_check_of_mutations_sees_a_decoder_that_takes_anything(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("hardware.serial.decoder.zlib.crc32", lambda _: 0x2144DF1C)
+    monkeypatch.setattr("hardware.serial.decoder._crc32", lambda _: 0x2144DF1C)
     assert decode_mutated(300, seed=7).wrong > 10
+
+
+@pytest.mark.parametrize("pixels", [1, 2560, 2561, 30000])
+def test_frames_of_any_length_are_checked_to_their_last_byte(pixels: int) -> None:
+    sent = lines(1, pixels)
+    line = encode(sent)
+    (received,) = Decoder().feed(b"\0" + line)
+    assert isinstance(received, Lines)
+    assert np.array_equal(received.counts, sent.counts)
+    for at in (0, len(line) // 2, len(line) - 2):
+        damaged = bytearray(line)
+        damaged[at] ^= 0x55 if damaged[at] != 0x55 else 0x54
+        decoder = Decoder()
+        assert decoder.feed(b"\0" + damaged) == []
+        assert decoder.counters.garbled == 1
 
 
 def test_a_stream_without_zeros_is_not_kept() -> None:

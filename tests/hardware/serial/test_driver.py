@@ -162,6 +162,7 @@ def test_the_link_has_the_rate_error_of_the_devices_clock_once_it_is_known(
     assert found.clock_uncertainty_us == pytest.approx(2.0)
 
 
+@pytest.mark.slow
 def test_it_comes_back_each_time_it_is_unplugged(bar: BenchDevice, watched: Watched) -> None:
     for _ in range(UNPLUGGED):
         watched.more(3)
@@ -561,12 +562,14 @@ def test_it_can_be_opened_again(bar: BenchDevice) -> None:
         driver.close()
 
 
+@pytest.mark.slow
 def test_what_the_device_says_of_its_temperature_is_kept(
     bar: BenchDevice, watched: Watched
 ) -> None:
     watched.wait(lambda: watched.driver.link().temperature_c == 25.0)
 
 
+@pytest.mark.slow
 def test_a_pseudo_terminal_is_a_port(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     # A host that does not read for a quarter of a second, as on a busy machine, loses data.
     monkeypatch.setattr(emulator, "_SEND_S", 240.0)

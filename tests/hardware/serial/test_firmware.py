@@ -195,6 +195,7 @@ def test_answers_are_the_reference_encoders_bytes(firmware: Firmware, message: A
 bounds = st.sampled_from([0.0, -1e9, 1e6, 1e9, -1.0, -1.1e9, 1.1e6, 1.1e9, math.inf, math.nan])
 
 
+@pytest.mark.slow
 @given(
     message=descriptions,
     changes=st.fixed_dictionaries(

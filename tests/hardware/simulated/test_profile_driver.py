@@ -1,18 +1,26 @@
 """ProfileDriver: reproducible frames for every readout."""
 
+import time
 from dataclasses import replace
+from threading import Event, Timer
 
 import numpy as np
 import pytest
 
 from compute.errors import InvalidParameter
 from compute.optics.profiles.profile_loader import load_profile, parse_profile, profile_names
+from compute.optics.profiles.profile_optics import profile_optics
 from compute.optics.profiles.profile_sections import LedMarkers
+from compute.optics.stripe_optics import tabulated_optics
+from compute.optics.stripe_optics.stripe_table import TableNodes
+from compute.optics.stripe_optics.tabulated_optics import TableRequest, make_table
+from hardware.driver import PreparingDriver
 from hardware.line_frame import FrameFlag
 from hardware.simulated.frame_batch import BATCH, Timing
 from hardware.simulated.profile_driver import ProfileDriver, ProfileRenderer, readout_of
 from hardware.simulated.profile_settings import ProfileSettings
 from hardware.simulated.scenes import StillPoints
+from hardware.simulated.tracing_process import TracingCancelled, table_in_process
 
 BAR = load_profile("bar")
 POINTS = ((-150.0, 40.0, 1400.0), (100.0, -60.0, 1600.0))
@@ -64,6 +72,7 @@ def test_readouts():
     assert kinds["coda-mpx30"] == "coded-window"
 
 
+@pytest.mark.slow
 def test_same_bits_in_whatever_order():
     numbers = [3, 0, 2, 0, 3]
     first, second = renderer(scene=STILL), renderer(scene=STILL)
@@ -75,6 +84,7 @@ def test_same_bits_in_whatever_order():
     assert (forward[0].lines != forward[1].lines).any()
 
 
+@pytest.mark.slow
 def test_seeds():
     still = {"scene": STILL, "illumination": "simultaneous"}
     same, other = renderer(**still, seed=5), renderer(**still, seed=6)
@@ -233,3 +243,73 @@ def test_how_its_peaks_are_measured():
         assert description.line_sigma_px is None
     with pytest.raises(InvalidParameter, match="peaks is 'median'; it must be one of fit"):
         settings_of(peaks="median")
+
+
+# Tracing in a process of its own
+
+
+@pytest.fixture
+def request_of_bar(monkeypatch) -> TableRequest:
+    """The table of the profile bar, coarse: made in tenths of a second."""
+    asked = []
+
+    def note(request):
+        asked.append(replace(request, nodes=TableNodes(7, 4, 4)))
+        raise InterruptedError
+
+    monkeypatch.setattr(tabulated_optics, "_tables", {})
+    with pytest.raises(InterruptedError):
+        profile_optics(BAR, "tabulated", note)
+    return asked[0]
+
+
+@pytest.mark.slow
+def test_table_of_another_process_is_the_same(request_of_bar):
+    other, own = table_in_process(request_of_bar, Event()), make_table(request_of_bar)
+    points = np.array([(0.0, 0.0, 1500.0), (50.0, -20.0, 1400.0)])
+    for one, two in zip(other(points), own(points), strict=True):
+        np.testing.assert_array_equal(one, two)
+
+
+def test_tracing_ends_when_the_device_is_closed(request_of_bar):
+    closed = Event()
+    Timer(0.3, closed.set).start()
+    began = time.monotonic()
+    with pytest.raises(TracingCancelled):
+        table_in_process(replace(request_of_bar, nodes=TableNodes(201, 201, 41)), closed)
+    assert time.monotonic() - began < 10.0
+
+
+def test_live_driver_says_that_it_traces_and_does_so_elsewhere(monkeypatch, request_of_bar):
+    traced = []
+
+    def elsewhere(request, cancelled):
+        traced.append(driver.preparation)
+        assert not cancelled.is_set()
+        return make_table(replace(request, nodes=request_of_bar.nodes))
+
+    monkeypatch.setattr("hardware.simulated.profile_driver.table_in_process", elsewhere)
+    settings = settings_of(optics="tabulated", realtime=True, frame_rate_hz=100, scene=STILL)
+    driver = ProfileDriver("one", BAR, settings)
+    assert isinstance(driver, PreparingDriver)
+    driver.open()
+    assert "are being traced" in driver.preparation
+    frame = next(driver.frames())
+    assert (frame.sequence, driver.preparation) == (0, None)
+    driver.close()
+    assert all("are being traced" in said for said in traced)
+    assert traced
+
+
+def test_driver_that_is_closed_while_it_traces_gives_no_frames(monkeypatch):
+    def closed(_request, cancelled):
+        driver.close()
+        assert cancelled.is_set()
+        raise TracingCancelled
+
+    monkeypatch.setattr(tabulated_optics, "_tables", {})
+    monkeypatch.setattr("hardware.simulated.profile_driver.table_in_process", closed)
+    driver = ProfileDriver("one", BAR, settings_of(optics="tabulated", realtime=True))
+    driver.open()
+    assert list(driver.frames()) == []
+    assert driver.preparation is None

@@ -259,6 +259,7 @@ def test_one_board_missing_holds_back_the_frame_and_is_named() -> None:
     assert marked(taken) == [(0, False), (2, True), (3, False)]
 
 
+@pytest.mark.slow
 def test_unplugged_and_connected_again_many_times(monkeypatch: pytest.MonkeyPatch) -> None:
     """Not only in an answer: cut before it, in the middle of it, and refused for a while."""
     monkeypatch.setattr("hardware.tcd1304.driver.RETRY_S", (0.01,))

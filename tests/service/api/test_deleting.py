@@ -38,6 +38,7 @@ def new_calibration(client: Any, name: str = "mistake") -> None:
     assert client.post(f"{API}/calibrations", json=body).status_code == 201
 
 
+@pytest.mark.slow
 def test_calibration_that_nothing_refers_to_is_deleted(client: Any) -> None:
     new_calibration(client)
     assert client.delete(f"{API}/calibrations/mistake").status_code == 204
@@ -45,6 +46,7 @@ def test_calibration_that_nothing_refers_to_is_deleted(client: Any) -> None:
     assert code(client.delete(f"{API}/calibrations/mistake")) == (404, "unknown-calibration")
 
 
+@pytest.mark.slow
 def test_calibration_that_was_active_is_kept(client: Any) -> None:
     new_calibration(client)
     client.post(f"{API}/calibrations/mistake/activate").raise_for_status()
@@ -54,6 +56,7 @@ def test_calibration_that_was_active_is_kept(client: Any) -> None:
     assert client.post(f"{API}/calibrations/mistake/retire").json()["state"] == "retired"
 
 
+@pytest.mark.slow
 def test_calibration_of_a_reconstruction_is_kept_until_that_is_deleted(client: Any) -> None:
     new_calibration(client)
     body = {**READINGS, "id": "walk", "calibration_id": "mistake"}
@@ -64,6 +67,7 @@ def test_calibration_of_a_reconstruction_is_kept_until_that_is_deleted(client: A
     assert client.delete(f"{API}/calibrations/mistake").status_code == 204
 
 
+@pytest.mark.slow
 def test_parent_of_an_updated_calibration_is_kept(client: Any) -> None:
     new_calibration(client, "parent")
     with client.app.state.database.write() as session:

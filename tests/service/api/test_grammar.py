@@ -44,12 +44,12 @@ NO_REFERENCE: Final = {
 STATES: Final = {
     "CalibrationSummary", "CalibrationDocument", "DeviceStateDocument", "LinkState", "Run",
     "RecordingDocument", "RecordingDetail", "ApiKey", "CreatedApiKey", "WebhookState",
-    "WaveCapture",
+    "WaveCapture", "RecordedTrack",
 }  # fmt: skip
 """What lives: schemas that have a ``state``."""
 JUDGED: Final = {
     "Pose", "FrameState", "FrameTransform", "DriftCheckSummary", "DriftCheckDocument", "Health",
-    "Readiness",
+    "Readiness", "RecordedToolPose",
 }  # fmt: skip
 """What is judged: schemas that have a ``status``."""
 HTTP_STATUS: Final = {"Problem", "ProblemType", "RunProblem"}

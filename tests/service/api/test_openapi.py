@@ -105,6 +105,9 @@ def prepare(client: Any) -> None:
                 created_at=now,
             )
         )
+    planned = {"kind": "profile", "profile_id": "bar"}
+    new = {"id": "planned", "title": "Planned", "source": planned}
+    client.post("/api/v1/devices", json=new).raise_for_status()
 
 
 def wait_for_run(client: Any, run_id: str) -> None:

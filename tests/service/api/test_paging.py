@@ -140,6 +140,7 @@ def test_a_cursor_with_other_values_is_refused(sqlite_client: Any) -> None:
         refusal(sqlite_client, KEYS, cursor_of(of, *values))
 
 
+@pytest.mark.slow
 def test_every_list_refuses_a_cursor_that_is_none(sqlite_client: Any) -> None:
     asked = 0
     for path, item in sqlite_client.get("/openapi.json").json()["paths"].items():

@@ -43,6 +43,7 @@ def test_a_device_that_cannot_start_keeps_the_server_up(
     assert "device sim was not started" in caplog.text
 
 
+@pytest.mark.slow
 def test_the_landing_pages_links_work(sqlite_client: Any):
     links = sqlite_client.get("/api/v1").json()["links"]
     for name, path in links.items():

@@ -46,6 +46,7 @@ def assert_one_line(result: Any, code: int, *words: str) -> None:
     assert SECRET not in line
 
 
+@pytest.mark.slow
 def test_what_can_start_is_prepared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     result = serve(tmp_path / "data", monkeypatch)
     assert (result.exit_code, result.output) == (0, "")

@@ -43,6 +43,7 @@ def test_head_where_there_is_no_get(sqlite_client: Any):
     assert (head.status_code, head.headers["allow"], head.content) == (405, "POST", b"")
 
 
+@pytest.mark.slow
 def test_the_contract_does_not_list_it(sqlite_client: Any):
     for item in sqlite_client.get("/openapi.json").json()["paths"].values():
         assert "head" not in item

@@ -1,5 +1,6 @@
 """Devices simulated from profiles over REST, and the one that the settings name."""
 
+import hashlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -12,19 +13,25 @@ from compute.errors import InvalidParameter, LumilineError
 from compute.optics.profiles.profile_loader import load_profile, parse_profile, profile_names
 from compute.optics.profiles.profile_optics import profile_optics
 from compute.planning.cramer_rao import centroids
+from hardware.simulated.profile_driver import readout_of
+from service.api.calibrations import nominal_router
 from service.api.calibrations import store as calibrations
-from service.api.calibrations.calibration_content import result_of
+from service.api.calibrations.calibration_content import content_hash, result_of
+from service.api.devices.nominal_calibration import nominal_calibration, nominal_in_process
+from service.api.devices.profiles import profile_text
 from service.api.devices.store import devices
 from service.application.app import create_app
 from service.application.bootstrap import prepare
-from service.application.profile_device import device_id, nominal_calibration
+from service.application.profile_device import device_id
 from service.database.engine import Database
+from service.database.models import DeviceRow
 from service.settings import Settings
 from tests.service.fake_pipeline import FakePipeline, TestClient
 from tests.service.renamed_profiles import LENS, WINDOW, renamed_profile
 
 DEVICES = "/api/v1/devices"
 PROFILES = "/api/v1/device-profiles"
+NOMINAL = "/api/v1/nominal-calibrations"
 
 
 def body(profile: str, identity: str = "made", **settings: Any) -> dict[str, Any]:
@@ -76,6 +83,7 @@ def test_ones_own_profile_in_the_data_directory(sqlite_client: Any, sqlite_setti
     assert (read.status_code, read.json()["toml"]) == (200, own)
 
 
+@pytest.mark.slow
 def test_a_plan_is_of_the_file_as_it_is_now(sqlite_client: Any, sqlite_settings: Settings) -> None:
     text = renamed_profile("mine")
     keep(sqlite_settings, "mine", text)
@@ -149,6 +157,7 @@ def window(tmp_path: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_the_device_is_calibrated_stored_and_started(
     settings: Settings, database: Database, live: FakePipeline
 ) -> None:
@@ -303,3 +312,197 @@ def test_the_ids_of_built_in_profiles_devices_differ() -> None:
     assert len(set(ids)) == len(ids)
     with pytest.raises(LumilineError):
         parse_profile("", "nothing")
+
+
+# Nominal calibrations over REST
+
+
+@pytest.mark.slow
+def test_a_simulated_profile_is_calibrated_by_its_geometry(sqlite_client: Any) -> None:
+    assert sqlite_client.post(DEVICES, json=body("bar")).status_code == 201
+    made = sqlite_client.post(NOMINAL, json={"device_id": "made"})
+    assert made.status_code == 201, made.text
+    found = made.json()
+    assert made.headers["Location"] == "/api/v1/calibrations/made-nominal"
+    assert (found["provenance"], found["state"], found["points"]) == ("nominal", "available", [])
+    assert "nothing was measured" in found["note"]
+    expected = nominal_calibration(load_profile("bar"))
+    fits = found["result"]["sensors"]
+    assert [one["model"]["name"] for one in fits] == [one.model.name for one in expected.sensors]
+    assert fits[0]["model"]["offset_x_mm"] == pytest.approx(expected.models[0].offset_x_mm)
+    # It is not active before somebody says so, and is not made twice.
+    assert sqlite_client.get(f"{DEVICES}/made").json()["active_calibration_id"] is None
+    taken = sqlite_client.post(NOMINAL, json={"device_id": "made", "id": "made-nominal"})
+    assert taken.status_code == 409
+    named = sqlite_client.post(NOMINAL, json={"device_id": "made", "id": "again"})
+    assert (named.status_code, named.json()["id"]) == (201, "again")
+    assert sqlite_client.post("/api/v1/calibrations/again/activate").status_code == 200
+
+
+def test_a_device_without_a_profile_has_no_nominal_calibration(sqlite_client: Any) -> None:
+    refused = sqlite_client.post(NOMINAL, json={"device_id": "sim", "id": "other"})
+    assert refused.status_code == 422
+    assert "only a device that is simulated from a profile" in refused.json()["detail"]
+    assert sqlite_client.post(NOMINAL, json={"device_id": "none"}).status_code == 404
+
+
+def test_gray_tracks_have_no_nominal_calibration(sqlite_client: Any) -> None:
+    profile = next(one for one in profile_names() if readout_of(load_profile(one)) == "gray-tracks")
+    assert sqlite_client.post(DEVICES, json=body(profile)).status_code == 201
+    refused = sqlite_client.post(NOMINAL, json={"device_id": "made"})
+    assert (refused.status_code, "Gray tracks" in refused.json()["detail"]) == (422, True)
+
+
+def nominal(client: Any, **members: Any) -> dict[str, Any]:
+    made = client.post(NOMINAL, json={"device_id": "made"} | members)
+    assert made.status_code == 201, made.text
+    found: dict[str, Any] = made.json()
+    return found
+
+
+def activation(client: Any, calibration_id: str) -> Any:
+    return client.post(f"/api/v1/calibrations/{calibration_id}/activate")
+
+
+HARDWARE = {"kind": "external"}
+
+
+def external_source(client: Any) -> dict[str, Any]:
+    return HARDWARE | {"sensors": client.get(f"{DEVICES}/made").json()["sensors"]}
+
+
+@pytest.mark.slow
+def test_a_nominal_calibration_names_its_profile_and_the_hash_of_its_file(sqlite_client: Any):
+    sqlite_client.post(DEVICES, json=body("bar"))
+    found = nominal(sqlite_client)
+    toml = sqlite_client.get(f"{PROFILES}/bar").json()["toml"]
+    digest = hashlib.sha256(toml.encode()).hexdigest()
+    assert found["profile"] == {"profile_id": "bar", "content_hash": digest}
+    assert f'"bar" (SHA-256 of its file {digest[:12]}...)' in found["note"]
+    # It is part of what is hashed.
+    hashed = {name: found[name] for name in ("provenance", "points", "result", "profile")}
+    assert content_hash(hashed | {"device": "made"}) == found["content_hash"]
+    listed = sqlite_client.get("/api/v1/calibrations", params={"device_id": "made"}).json()
+    assert [one["profile"] for one in listed["items"]] == [found["profile"]]
+
+
+@pytest.mark.slow
+def test_a_nominal_calibration_is_not_activated_on_a_real_device(sqlite_client: Any) -> None:
+    sqlite_client.post(DEVICES, json=body("bar"))
+    made = nominal(sqlite_client)["id"]
+    real = external_source(sqlite_client)
+    assert sqlite_client.patch(f"{DEVICES}/made", json={"source": real}).status_code == 200
+    refused = activation(sqlite_client, made)
+    assert (refused.status_code, refused.json()["type"]) == (
+        409, "/problems/nominal-calibration-mismatch",
+    )  # fmt: skip
+    for words in ('the profile "bar"', "external", "points that were measured"):
+        assert words in refused.json()["detail"]
+    assert sqlite_client.get(f"{DEVICES}/made").json()["active_calibration_id"] is None
+
+
+@pytest.mark.slow
+def test_the_source_stays_while_a_nominal_calibration_is_active(
+    sqlite_client: Any, sqlite_settings: Settings
+) -> None:
+    keep(sqlite_settings, "other", renamed_profile("other", "bar"))
+    sqlite_client.post(DEVICES, json=body("bar"))
+    made = nominal(sqlite_client)["id"]
+    assert activation(sqlite_client, made).status_code == 200
+    before = sqlite_client.get(f"{DEVICES}/made").json()
+    for source in (external_source(sqlite_client), body("other")["source"]):
+        refused = sqlite_client.patch(f"{DEVICES}/made", json={"source": source, "title": "New"})
+        assert (refused.status_code, refused.json()["type"]) == (409, "/problems/device-in-use")
+        assert f'the nominal calibration "{made}"' in refused.json()["detail"]
+        assert "a device of its own" in refused.json()["detail"]
+        assert sqlite_client.get(f"{DEVICES}/made").json() == before
+    # Another scene or rate of the same profile is the same geometry.
+    source = body("bar", frame_rate_hz=10)["source"]
+    assert sqlite_client.patch(f"{DEVICES}/made", json={"source": source}).status_code == 200
+
+
+@pytest.mark.slow
+def test_nothing_goes_back_to_a_nominal_calibration_of_another_profile(
+    sqlite_client: Any, sqlite_settings: Settings
+) -> None:
+    keep(sqlite_settings, "other", renamed_profile("other", "bar"))
+    sqlite_client.post(DEVICES, json=body("bar"))
+    first = nominal(sqlite_client)["id"]
+    assert activation(sqlite_client, first).status_code == 200
+    with sqlite_client.app.state.database.write() as session:
+        device = session.get_one(DeviceRow, "made")
+        device.source = device.source | {"profile_id": "other"}
+    second = nominal(sqlite_client)["id"]
+    assert activation(sqlite_client, second).status_code == 200
+    refused = sqlite_client.post(f"{DEVICES}/made/roll-back")
+    assert (refused.status_code, refused.json()["type"]) == (
+        409, "/problems/nominal-calibration-mismatch",
+    )  # fmt: skip
+    assert sqlite_client.get(f"{DEVICES}/made").json()["active_calibration_id"] == second
+
+
+@pytest.mark.slow
+def test_a_profile_whose_file_was_changed_needs_another_nominal_calibration(
+    sqlite_client: Any, sqlite_settings: Settings
+) -> None:
+    keep(sqlite_settings, "mine", renamed_profile("mine", "bar"))
+    sqlite_client.post(DEVICES, json=body("mine"))
+    made = nominal(sqlite_client)["id"]
+    keep(sqlite_settings, "mine", "# changed\n" + renamed_profile("mine", "bar"))
+    refused = activation(sqlite_client, made)
+    assert (refused.status_code, "before it was changed" in refused.json()["detail"]) == (409, True)
+    assert activation(sqlite_client, nominal(sqlite_client)["id"]).status_code == 200
+
+
+def test_the_simulators_calibration_is_of_all_that_simulate_the_same(sqlite_client: Any) -> None:
+    """`lumiline simulate-serial` is a device of hardware with the simulator's own cameras."""
+    sensors = sqlite_client.get(f"{DEVICES}/sim").json()["sensors"]
+    source = HARDWARE | {"sensors": sensors}
+    changed = sqlite_client.patch(f"{DEVICES}/sim", json={"source": source})
+    assert changed.status_code == 200
+    assert activation(sqlite_client, "sim-nominal").status_code == 200
+
+
+def test_the_source_is_checked_again_when_the_calibration_is_stored(
+    sqlite_client: Any, sqlite_settings: Settings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    keep(sqlite_settings, "other", renamed_profile("other", "bar"))
+    sqlite_client.post(DEVICES, json=body("bar"))
+    answers: list[int] = []
+
+    def and_change(name: str, toml: str) -> Any:
+        source = body("other")["source"]
+        changed = sqlite_client.patch(f"{DEVICES}/made", json={"source": source})
+        answers.append(changed.status_code)
+        return nominal_calibration(parse_profile(toml, name))
+
+    monkeypatch.setattr(nominal_router, "nominal_in_process", and_change)
+    refused = sqlite_client.post(NOMINAL, json={"device_id": "made"})
+    assert (answers, refused.status_code) == ([200], 409)
+    assert refused.json()["type"] == "/problems/nominal-calibration-mismatch"
+    page = sqlite_client.get("/api/v1/calibrations", params={"device_id": "made"}).json()
+    assert page["items"] == []
+
+
+@pytest.mark.slow
+def test_after_retiring_a_nominal_calibration_another_is_made(sqlite_client: Any) -> None:
+    sqlite_client.post(DEVICES, json=body("bar"))
+    first = nominal(sqlite_client)["id"]
+    assert sqlite_client.post(f"/api/v1/calibrations/{first}/retire").status_code == 200
+    second = nominal(sqlite_client)["id"]
+    assert (first, second) == ("made-nominal", "made-nominal-2")
+    assert activation(sqlite_client, second).status_code == 200
+
+
+@pytest.mark.slow
+def test_a_nominal_calibration_is_computed_in_a_process_of_its_own() -> None:
+    profile = load_profile("bar")
+    assert nominal_in_process("bar", profile_text("bar", Path())) == nominal_calibration(profile)
+
+
+def test_a_nominal_calibration_that_takes_too_long_is_ended(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("service.api.devices.nominal_calibration.TIMEOUT_S", 0.01)
+    with pytest.raises(InvalidParameter, match="could not be computed within"):
+        nominal_in_process("bar", profile_text("bar", Path()))

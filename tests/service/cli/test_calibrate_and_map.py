@@ -143,6 +143,7 @@ def test_calibrate_refuses_with_a_reason(frame_csv: Path, tmp_path: Path) -> Non
         assert reason in " ".join(wrong.stderr.split()), (option, value)
 
 
+@pytest.mark.slow
 def test_a_wide_field_is_calibrated_with_its_distortion(mapping_csv: Path, tmp_path: Path) -> None:
     output = tmp_path / "calibration.json"
     given = ("calibrate", mapping_csv, "--pixels", "2048", "--pitch-um", "10", "--output", output)

@@ -131,6 +131,7 @@ def test_record_of_a_profile_holds_its_calibration(tmp_path: Path) -> None:
     check_replay_and_export(recording)
 
 
+@pytest.mark.slow
 def test_an_interrupted_recording_is_a_recording(tmp_path: Path) -> None:
     path = tmp_path / "long.h5"
     process = subprocess.Popen(

@@ -30,6 +30,7 @@ def test_tables_and_a_picture(tmp_path: Path) -> None:
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
 def test_json_of_ones_own_file(tmp_path: Path) -> None:
     file = resources.files("compute.optics.profiles") / "devices" / "bar.toml"
     own = tmp_path / "own.toml"

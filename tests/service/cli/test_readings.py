@@ -53,6 +53,7 @@ def test_readings_of_targets_are_those_of_the_cameras(frame: Path, tmp_path: Pat
     assert np.nanmax(error) < 6.0
 
 
+@pytest.mark.slow
 def test_readings_of_still_markers_are_one_pose_of_a_wand(frame: Path, tmp_path: Path) -> None:
     still, every = tmp_path / "still.csv", tmp_path / "every.csv"
     here("readings", frame, "--still", "--output", still)

@@ -40,20 +40,21 @@ def test_a_built_in_profile(tmp_path: Path) -> None:
     assert result.stdout == ""
 
 
+@pytest.mark.slow
 def test_the_optics_are_ready_before_devices_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A device of lenses is calibrated and its optics traced, as its settings say, once each."""
-    from service.application import profile_device
+    from service.api.devices import nominal_calibration
 
     traced: list[tuple[str, str]] = []
-    optics = profile_device.profile_optics
+    optics = nominal_calibration.profile_optics
 
     def tells(profile: Any, mode: Any) -> Any:
         traced.append((profile.name, mode))
         return None if mode == "tabulated" else optics(profile, mode)
 
-    monkeypatch.setattr(profile_device, "profile_optics", tells)
+    monkeypatch.setattr(nominal_calibration, "profile_optics", tells)
     monkeypatch.setattr("compute.optics.profiles.profile_optics.profile_optics", tells)
     first = serve(tmp_path, "--profile", LENS)
     assert "fitting its calibration" in first.stderr
@@ -80,6 +81,7 @@ def test_ones_own_file_by_option_variable_and_configuration(
     assert sorted(file.name for file in kept) == ["one.toml", "three.toml", "two.toml"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "words"),
     [

@@ -62,6 +62,7 @@ def run(*arguments: object, code: int = 0) -> str:
     return " ".join((result.stderr if code else result.stdout).split())
 
 
+@pytest.mark.slow
 def test_a_waved_bar_gives_cameras_that_measure_its_length(
     waved: tuple[Path, Path], tmp_path: Path
 ) -> None:

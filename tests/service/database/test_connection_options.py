@@ -28,6 +28,7 @@ def sleep(database: Database, seconds: float) -> None:
         session.execute(text("SELECT pg_sleep(:seconds)"), {"seconds": seconds})
 
 
+@pytest.mark.slow
 def test_one_that_hangs(database_url: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(connection_options, "_STATEMENT_MS", 0)  # none, as of one that hangs
     served = Database(database_url, query_timeout=True)
@@ -41,6 +42,7 @@ def test_one_that_hangs(database_url: str, monkeypatch: pytest.MonkeyPatch) -> N
     served.close()
 
 
+@pytest.mark.slow
 def test_a_statement_that_takes_long(
     empty_database_url: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -121,6 +121,7 @@ def devices(database: Database) -> list[str]:
         return list(session.scalars(select(DeviceRow.id)))
 
 
+@pytest.mark.slow
 def test_a_first_start_that_was_cut_short_is_made_again(database: Database):
     def cut_short(session: Session) -> None:
         seed(session)

@@ -50,6 +50,7 @@ def test_each_revision_down_and_up_again(database: Database) -> None:
             assert rows[0].keys() == whole[name][0].keys()
 
 
+@pytest.mark.slow
 def test_to_nothing_and_up_again_at_once(database: Database) -> None:
     with database.engine.begin() as connection:
         fill(connection)

@@ -105,6 +105,7 @@ def test_documents_of_before_are_read_after_it_with_their_hashes(database: Datab
         assert find_inconsistencies(connection) == []
 
 
+@pytest.mark.slow
 def test_a_device_of_a_tracker_of_the_thesis_is_tracked_on_readings(database: Database) -> None:
     stored = {
         "tracks": "always",
@@ -154,6 +155,7 @@ def test_members_that_calibrations_had_before_are_removed(database: Database) ->
         assert row.content_hash == content_hash(row.content) == made.content_hash
 
 
+@pytest.mark.slow
 def test_a_beam_hold_of_before_is_read_after_it(database: Database) -> None:
     moment = "2026-03-01 12:00:00+00:00"
     limits = {"shift_mm": 2.0, "turn_rad": 0.02, "chance": 0.01, "release": 0.8}

@@ -49,6 +49,7 @@ def tell_and_wait(path: str) -> None:
     time.sleep(3600.0)
 
 
+@pytest.mark.slow
 def test_calls_are_answered_by_one_process(calls: CallProcess) -> None:
     first = calls.call(own_number, timeout_s=LONG_S)
     with pytest.raises(NoConvergence) as error:
@@ -57,6 +58,7 @@ def test_calls_are_answered_by_one_process(calls: CallProcess) -> None:
     assert calls.call(own_number, timeout_s=LONG_S) == first != os.getpid()
 
 
+@pytest.mark.slow
 def test_process_that_dies_is_told_and_replaced(calls: CallProcess) -> None:
     first = calls.call(own_number, timeout_s=LONG_S)
     with pytest.raises(WorkerEnded, match="ended without a result"):
@@ -64,6 +66,7 @@ def test_process_that_dies_is_told_and_replaced(calls: CallProcess) -> None:
     assert calls.call(own_number, timeout_s=LONG_S) != first
 
 
+@pytest.mark.slow
 def test_call_that_computes_too_long_is_ended(
     calls: CallProcess, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -75,6 +78,7 @@ def test_call_that_computes_too_long_is_ended(
     assert calls.call(own_number, timeout_s=LONG_S) != first
 
 
+@pytest.mark.slow
 def test_call_that_waits_for_others_may_take_longer_than_it_computes(
     calls: CallProcess, monkeypatch: pytest.MonkeyPatch
 ) -> None:

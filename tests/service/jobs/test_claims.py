@@ -83,6 +83,7 @@ def test_of_two_at_the_same_moment_one_is_refused(database: Database):
         assert session.scalars(select(RunRow.id)).all() == ["first"]
 
 
+@pytest.mark.slow
 def test_runs_of_before_keep_their_ids(database: Database):
     """The migration claims for runs that wait; of two that have one id, for the first."""
     with database.write() as session:

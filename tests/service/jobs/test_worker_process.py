@@ -69,6 +69,7 @@ def test_process_ends_by_the_signal_of_a_parent_that_exits(tmp_path: Path):
             worker.next(60.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("number", "goes_on"), [(signal.SIGTERM, True), (signal.SIGKILL, False)])
 def test_process_that_workers_are_forked_from_is_replaced_only_when_it_is_gone(
     number: signal.Signals, goes_on: bool
@@ -82,6 +83,7 @@ def test_process_that_workers_are_forked_from_is_replaced_only_when_it_is_gone(
     assert (call_in_process(slow_tasks.parent_of_process, **LIMITS) == first) is goes_on
 
 
+@pytest.mark.slow
 def test_a_process_ends_with_its_parent(tmp_path: Path):
     text = (
         "import os, sys\n"

@@ -151,6 +151,7 @@ def test_the_stream_switches_between_two_frames_and_loses_none(server: str, devi
     assert abs(corrected.mean() - shifted.mean()) > 2.0 * spread
 
 
+@pytest.mark.slow
 def test_a_target_is_captured_from_the_running_device(server: str, device: str):
     with httpx.Client(base_url=server, timeout=60.0) as client:
         body = {

@@ -107,6 +107,7 @@ def test_from_the_set_up_to_the_stop(client: Client) -> None:
         assert until(stream, held=True).reason == "the hold was deleted"
 
 
+@pytest.mark.slow
 def test_who_did_not_ask_for_holds_hears_nothing_of_them(client: Client, hold: str) -> None:
     wait_for(client, held=False)
     with (
@@ -182,6 +183,7 @@ def test_the_same_by_the_client_for_asyncio(client: Client, hold: str) -> None:
     asyncio.run(run())
 
 
+@pytest.mark.slow
 def test_the_program_of_the_guide(
     client: Client, hold: str, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -52,6 +52,7 @@ def test_tracks_of_blinking_markers_have_their_numbers() -> None:
         assert np.linalg.norm(place - true[marker]) < 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("blinking", "said"),
     [

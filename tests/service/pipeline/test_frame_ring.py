@@ -21,7 +21,7 @@ def frame(sequence: int) -> LineFrame:
 @given(st.integers(1, 8), st.lists(st.one_of(st.none(), st.integers(1, 6)), max_size=60))
 def test_behaves_as_a_bounded_queue(capacity: int, steps: list[int | None]) -> None:
     """None puts a frame, a number takes up to so many; compared with a deque."""
-    ring, model = FrameRing(capacity, lambda: None), deque[int]()
+    ring, model = FrameRing(capacity), deque[int]()
     put = dropped = 0
     for step in steps:
         if step is None:
@@ -39,7 +39,7 @@ def test_behaves_as_a_bounded_queue(capacity: int, steps: list[int | None]) -> N
 
 
 def test_take_chosen_leaves_frames_without_an_answer_in_the_ring() -> None:
-    ring = FrameRing(4, lambda: None)
+    ring = FrameRing(4)
     assert ring.take_chosen(3, lambda *_: [True]) == ([], [])
     for number in range(5):  # one too many
         ring.put(frame(number))
@@ -59,7 +59,7 @@ def test_take_chosen_leaves_frames_without_an_answer_in_the_ring() -> None:
 
 @given(st.lists(st.integers(1, 5), max_size=30))
 def test_counts_exposures_lost_before_it(gaps: list[int]) -> None:
-    ring = FrameRing(100, lambda: None)
+    ring = FrameRing(100)
     sequence = 7
     ring.put(frame(sequence))
     for gap in gaps:
@@ -70,12 +70,13 @@ def test_counts_exposures_lost_before_it(gaps: list[int]) -> None:
 
 def test_nothing_is_lost_or_doubled_between_threads() -> None:
     wake = threading.Event()
-    ring = FrameRing(100_000, wake.set)
+    ring = FrameRing(100_000)
     count = 20_000
 
     def produce() -> None:
         for sequence in range(count):
             ring.put(frame(sequence))
+            wake.set()
 
     producer = threading.Thread(target=produce)
     producer.start()

@@ -149,6 +149,7 @@ def test_a_change_of_the_motion_model_starts_new_tracks() -> None:
     assert last == ends_at(batches[-1:], SLOW)[0]
 
 
+@pytest.mark.slow
 def test_a_recording_is_tracked_again_with_the_settings_given(taken: Taken, tmp_path: Path) -> None:
     """As live, bit by bit; and otherwise than by default, or nothing would be shown."""
     how = Tracking(motion="velocity")

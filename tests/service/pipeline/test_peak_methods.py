@@ -26,7 +26,7 @@ from hardware.simulated.profile_driver import ProfileDriver
 from hardware.simulated.profile_settings import ProfileSettings
 from hardware.simulated.scenes import StillPoints
 from hardware.simulated.settings import SimulationSettings
-from service.application.profile_device import nominal_calibration
+from service.api.devices.nominal_calibration import nominal_calibration
 from service.pipeline.active_calibration import ActiveCalibration
 from service.pipeline.detection_stage import (
     FREE_WIDTH_FIT,

@@ -17,7 +17,7 @@ from hardware.simulated.profile_driver import ProfileDriver
 from hardware.simulated.profile_settings import ProfileSettings
 from hardware.simulated.scenes import StillPoints
 from hardware.simulated.settings import SimulationSettings
-from service.application.profile_device import nominal_calibration
+from service.api.devices.nominal_calibration import nominal_calibration
 from service.pipeline.active_calibration import ActiveCalibration
 from service.pipeline.detection_stage import DetectionStage, ExpectedScans
 from service.pipeline.frame_processor import FrameProcessor
@@ -110,6 +110,7 @@ def test_a_hot_pixel_is_no_line(known: float | None) -> None:
     check_errors(peaks.position_px[:, :1] - true, peaks.sigma_px[:, :1])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["thesis-5.9", "optotrak"])
 def test_a_hot_pixel_is_no_marker(name: str) -> None:
     """Of a strobed marker whose lines are the faintest of the volume, on one of the sensors."""

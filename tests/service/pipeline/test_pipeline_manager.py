@@ -22,8 +22,15 @@ from hardware.simulated.driver import SimulatedDriver
 from hardware.simulated.scenes import RotatingBar, StillPoints
 from hardware.simulated.settings import SimulationSettings
 from hardware.simulated.simulated_rig import simulated_rig
+from service.pipeline import pipeline_manager
 from service.pipeline.active_calibration import ActiveCalibration
-from service.pipeline.device_session import BATCH_SECONDS, DeviceSession
+from service.pipeline.device_session import (
+    BATCH_SECONDS,
+    ENTER_SHARE,
+    LEAVE_SHARE,
+    DeviceSession,
+    RunToCompletion,
+)
 from service.pipeline.device_status import DeviceStatus
 from service.pipeline.frame_batch import FrameBatch
 from service.pipeline.frame_processor import FrameProcessor
@@ -402,11 +409,11 @@ def test_a_failure_of_the_processing_ends_the_device(
     process = FrameProcessor.process
 
     def fail_after_20(
-        self: FrameProcessor, frames: Sequence[LineFrame], *, track: bool
+        self: FrameProcessor, frames: Sequence[LineFrame], **members: Any
     ) -> FrameBatch:
         if frames[-1].sequence > 20:
             raise ArithmeticError("singular")
-        return process(self, frames, track=track)
+        return process(self, frames, **members)
 
     monkeypatch.setattr(FrameProcessor, "process", fail_after_20)
     driver = SimulatedDriver("sim", SimulationSettings())
@@ -432,9 +439,9 @@ def test_a_device_with_slow_frames_takes_few_at_a_time(
     assert isinstance(hub, RecordingHub)
     process = FrameProcessor.process
 
-    def slow(self: FrameProcessor, frames: Sequence[LineFrame], *, track: bool) -> FrameBatch:
+    def slow(self: FrameProcessor, frames: Sequence[LineFrame], **members: Any) -> FrameBatch:
         time.sleep(2.0 * BATCH_SECONDS * len(frames))
-        return process(self, frames, track=track)
+        return process(self, frames, **members)
 
     monkeypatch.setattr(FrameProcessor, "process", slow)
     live.start_device(
@@ -502,6 +509,173 @@ def test_worker_that_a_job_removes_is_not_called_again_in_the_same_round() -> No
     assert set(calls) == {"first"}
 
 
+class Working:
+    """A compute thread with a worker that says where it took a frame, and waits if told to."""
+
+    def __init__(self) -> None:
+        self.compute = ComputeThread()
+        self.frames = 0
+        self.threads: list[str] = []
+        self.go_on, self.began = threading.Event(), threading.Event()
+        self.go_on.set()
+        self.compute.submit(lambda: self.compute.add("sim", self.work)).result(WAIT_S)
+
+    def work(self) -> bool:
+        if not self.frames:
+            return False
+        self.frames -= 1
+        self.threads.append(threading.current_thread().name)
+        self.began.set()
+        self.go_on.wait(WAIT_S)
+        return True
+
+
+@pytest.fixture
+def working() -> Iterator[Working]:
+    working = Working()
+    yield working
+    working.go_on.set()
+    working.compute.close()
+
+
+def test_frame_is_processed_where_it_was_read(working: Working) -> None:
+    # Not while the thread is still busy with how the worker was added.
+    wait_for(lambda: working.compute.busy_s == 0.0)
+    working.frames = 1
+    working.compute.work_now("sim")
+    assert len(working.threads) == 1
+    assert working.compute.busy_s == 0.0
+
+
+def test_worker_is_never_called_twice_at_a_time(working: Working) -> None:
+    working.go_on.clear()
+    working.frames = 2
+    working.compute.wake()
+    assert working.began.wait(WAIT_S)
+    working.compute.work_now("sim")  # leaves it to the thread that is busy
+    assert working.threads == ["compute"]
+    working.go_on.set()
+    wait_for(lambda: working.threads == ["compute"] * 2)
+
+
+def test_job_waits_for_a_worker_in_another_thread_and_then_goes_first(working: Working) -> None:
+    working.go_on.clear()
+    wait_for(lambda: working.compute.busy_s == 0.0)
+    working.frames = 1
+    reader = threading.Thread(target=working.compute.work_now, args=("sim",), name="reader")
+    reader.start()
+    assert working.began.wait(WAIT_S)
+    order: list[str] = []
+    job = working.compute.submit(lambda: order.extend(working.threads))
+    assert not job.done()
+    assert working.compute.busy_s > 0.0
+    wait_for(lambda: working.compute._waits)
+    working.frames = 1
+    working.compute.work_now("sim")  # not before the job
+    working.go_on.set()
+    job.result(WAIT_S)
+    reader.join(WAIT_S)
+    assert order[:1] == working.threads[:1]
+    assert len(order) == 1
+
+
+def test_removed_and_failed_workers_are_not_called_where_frames_are_read(working: Working) -> None:
+    working.compute.submit(lambda: working.compute.remove("sim")).result(WAIT_S)
+    working.frames = 1
+    working.compute.work_now("sim")
+    assert working.threads == []
+    calls: list[str] = []
+
+    def fail() -> bool:
+        calls.append("failed")
+        raise ArithmeticError("singular")
+
+    working.compute.submit(lambda: working.compute.add("other", fail))
+    wait_for(lambda: bool(calls))
+    working.compute.work_now("other")
+    assert calls == ["failed"]
+
+
+def test_nothing_is_called_in_a_closed_thread(working: Working) -> None:
+    working.compute.close()
+    working.frames = 1
+    working.compute.work_now("sim")
+    assert working.threads == []
+
+
+def counted(
+    decision: RunToCompletion,
+    share: float,
+    cycle: float = 1.0,
+    frames: int = 300,
+    begin_s: float = 0.0,
+) -> RunToCompletion:
+    """Let frames of a device of 1 kHz be processed, so many periods apart; return the decision."""
+    for number in range(frames):
+        decision.count(begin_s + 1e-3 * cycle * number, 1e-3 * share)
+    return decision
+
+
+@pytest.mark.parametrize(("share", "alone"), [(0.3, True), (0.9, False)])
+def test_frames_that_take_a_small_part_of_their_period_run_to_completion(
+    share: float, alone: bool
+) -> None:
+    decision = RunToCompletion(1000.0)
+    assert not decision.is_due
+    assert counted(decision, share).is_due is alone
+    # Between the two limits it stays as it is; a single long frame changes it for a while only.
+    between = (ENTER_SHARE + LEAVE_SHARE) / 2.0
+    assert counted(decision, between, begin_s=0.3).is_due is alone
+    decision.count(0.601, 0.05)
+    assert not decision.is_due
+    assert counted(decision, share, begin_s=0.7).is_due is alone
+
+
+@pytest.mark.parametrize("cycle", [0.25, 1.2])
+def test_frames_of_another_rate_than_the_devices_do_not_run_to_completion(cycle: float) -> None:
+    """A replay at four times the speed; a machine for which reading and processing is too much."""
+    decision = counted(RunToCompletion(1000.0), 0.4)
+    assert decision.is_due
+    assert not counted(decision, 0.4, cycle, begin_s=0.3).is_due
+    assert counted(decision, 0.4, begin_s=1.0).is_due
+
+
+def test_pause_of_a_device_changes_little() -> None:
+    decision = counted(RunToCompletion(1000.0), 0.3)
+    assert counted(decision, 0.3, frames=100, begin_s=60.0).is_due
+
+
+@pytest.mark.parametrize("rate_hz", [0.0, 30.0])
+def test_frames_of_an_unknown_or_a_low_rate_do_not_run_to_completion(rate_hz: float) -> None:
+    decision = RunToCompletion(rate_hz)
+    for number in range(200):
+        decision.count(number / 30.0, 1e-6)
+    assert not decision.is_due
+
+
+def test_device_runs_to_completion_while_its_source_cannot_wait(live: PipelineManager) -> None:
+    """By the session of a real device: not of a replay, and not of frames that wait already."""
+    live.start_device("sim", SimulatedDriver("sim", SimulationSettings()), ActiveCalibration())
+    session = live.known_session("sim")
+    assert session is not None
+    assert session.reader is not None
+    live.stop_device("sim")
+    session.ring.take(1000)
+    frame = LineFrame("sim", 10**9, 0, 0, None, np.zeros((4, 8), np.uint16))
+    session._run_to_completion.is_due = True
+    assert not session.runs_to_completion
+    session.ring.put(frame)
+    assert session.runs_to_completion
+    session.reader.lossless = True
+    assert not session.runs_to_completion
+    session.reader.lossless = False
+    session.processor.uses_gpu = True
+    assert not session.runs_to_completion
+    session.processor.uses_gpu = False
+    session.ring.put(replace(frame, sequence=10**9 + 1))
+    assert not session.runs_to_completion
+
+
 class BrokenDriver(SimulatedDriver):
     """Has a fault of its own."""
 
@@ -536,3 +710,90 @@ def test_change_of_a_link_leaves_frames_that_come_meanwhile_to_the_next_round() 
     session.work = work
     DeviceSession.publish_change(session)
     assert session._accounted == 3
+
+
+class TracingDriver(SimulatedDriver):
+    """Says that it prepares itself, until it is let go on."""
+
+    def __init__(self, go_on: threading.Event) -> None:
+        super().__init__("one", SimulationSettings(frame_rate_hz=200.0))
+        self.preparation: str | None = "it prepares itself"
+        self._go_on = go_on
+
+    def _prepare(self, closed: threading.Event) -> None:
+        self._go_on.wait(WAIT_S)
+        self.preparation = None
+
+
+def test_what_a_driver_does_before_its_first_frame_is_told(live: PipelineManager) -> None:
+    go_on = threading.Event()
+    live.start_device("one", TracingDriver(go_on))
+    status = live.status("one")
+    assert (status.state, status.reason, status.frames_received) == (
+        "running", "it prepares itself", 0,
+    )  # fmt: skip
+    go_on.set()
+    wait_for(lambda: live.status("one").reason is None)
+    # Clients are told when it begins and when it is over.
+    streams = live.streams
+    assert isinstance(streams, RecordingHub)
+    wait_for(lambda: streams.messages[-1].get("reason") is None)
+    told = [one.get("reason") for one in streams.messages if one.get("state") == "running"]
+    assert told == ["it prepares itself", None]
+
+
+def test_running_device_says_that_its_calibration_is_a_profiles_nominal_one(
+    live: PipelineManager,
+) -> None:
+    content = {"provenance": "nominal", "profile": {"profile_id": "bar", "content_hash": "0" * 64}}
+    active = ActiveCalibration("n", nominal(), calibration_content=content)
+    settings = SimulationSettings(frame_rate_hz=200.0)
+    live.start_device("one", SimulatedDriver("one", settings), active)
+    assert 'nominal: computed from the profile "bar"' in (live.status("one").reason or "")
+    live.set_calibration("one", ActiveCalibration("measured", nominal()))
+    wait_for(lambda: live.status("one").reason is None)
+
+
+class HangingDriver(SimulatedDriver):
+    """Opening it takes until it is let go on."""
+
+    def __init__(self, go_on: threading.Event) -> None:
+        super().__init__("hanging", SimulationSettings(frame_rate_hz=200.0))
+        self._go_on = go_on
+
+    def open(self) -> None:
+        self._go_on.wait(WAIT_S)
+        super().open()
+
+
+@pytest.fixture
+def hanging(live: PipelineManager, monkeypatch: pytest.MonkeyPatch) -> threading.Event:
+    """What the driver of the device "hanging" waits for, which was started."""
+    go_on = threading.Event()
+    with monkeypatch.context() as patch:
+        patch.setattr(pipeline_manager, "OPEN_S", 0.01)
+        assert live.start_device("hanging", HangingDriver(go_on)) is None
+    return go_on
+
+
+def test_driver_that_hangs_while_it_is_opened_keeps_no_other_device_waiting(
+    live: PipelineManager, hanging: threading.Event
+) -> None:
+    assert live.status("hanging").state == "starting"
+    live.start_device("one", SimulatedDriver("one", SimulationSettings(frame_rate_hz=200.0)))
+    assert live.status("one").state == "running"
+    live.stop_device("hanging")
+    assert live.status("hanging").state == "stopped"
+    hanging.set()
+    # Once it can be opened, it stays as it was told to be.
+    live.start_device("hanging", HangingDriver(hanging))
+    wait_for(lambda: live.status("hanging").frames_received > 0)
+    live.stop_device("hanging")
+    assert live.status("hanging").state == "stopped"
+
+
+def test_driver_that_is_opened_late_runs_then(
+    live: PipelineManager, hanging: threading.Event
+) -> None:
+    hanging.set()
+    wait_for(lambda: live.status("hanging").state == "running")

@@ -17,8 +17,8 @@ from hardware.replay import ReplayDriver
 from hardware.simulated.profile_driver import ProfileDriver
 from hardware.simulated.profile_settings import ProfileSettings
 from hardware.simulated.scenes import StillPoints
+from service.api.devices.nominal_calibration import nominal_calibration
 from service.application.bootstrap import prepare
-from service.application.profile_device import nominal_calibration
 from service.cli import app
 from service.cli.json_files import DOCUMENT
 from service.database.engine import Database
@@ -54,13 +54,16 @@ def messages(api: httpx.Client, device: str, frames: int) -> list[dict[str, Any]
     with connect(f"{url}/api/v1/stream?{query}", compression=None) as stream:
         found = [json.loads(stream.recv(timeout=240.0)) for _ in range(frames + 1)]
     status = api.get(f"{path}/state").json()
-    assert (status["state"], status["reason"]) == ("running", None)
+    assert status["state"] == "running"
+    nominal = status["calibration_id"] is not None
+    assert ("its calibration is nominal" in (status["reason"] or "")) == nominal
     assert status["frames_received"] >= frames
     api.post(f"{path}/stop").raise_for_status()
     assert [message["type"] for message in found] == ["hello", *["frame"] * frames]
     return found
 
 
+@pytest.mark.slow
 def test_points_are_where_the_markers_are(api: httpx.Client) -> None:
     settings = {"scene": SCENE, "optics": "exact", "frame_rate_hz": 20}
     source = {"kind": "profile", "profile_id": LENS, "settings": settings}
@@ -86,6 +89,7 @@ def away(point: dict[str, Any], truth: tuple[float, ...]) -> Any:
     return np.subtract(point["position_mm"], truth)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("profile", "readout", "method"),
     [(WINDOW, "coded-window", "shadow"), ("mitchelson-1971", "gray-tracks", None)],
@@ -153,6 +157,7 @@ def test_a_recording_has_the_devices_bits(tmp_path: Path, name: str) -> None:
         replayed.close()
 
 
+@pytest.mark.slow
 def test_a_recording_is_reconstructed(tmp_path: Path) -> None:
     """`lumiline replay` of a recording gives points near the truth, the same each time."""
     recording, calibration = tmp_path / "device.h5", tmp_path / "calibration.json"

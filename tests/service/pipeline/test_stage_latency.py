@@ -19,7 +19,7 @@ def frame(sequence: int, exposure_ns: int) -> LineFrame:
 
 @pytest.fixture
 def ring() -> FrameRing:
-    return FrameRing(10, lambda: None)
+    return FrameRing(10)
 
 
 def test_the_first_frame_put_in_after_the_request_is_timed(

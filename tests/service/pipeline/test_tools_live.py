@@ -3,32 +3,44 @@
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from typing import Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal, cast
 
 import numpy as np
 import pytest
 from scipy.stats import chi2
 
 from compute.calibration.result import Calibration
+from compute.pose.beam_hold import BeamHoldLimits
 from compute.pose.rigid_body import RigidBody, ToolPose
 from compute.pose.settings import MotionSettings, ToolTrackerSettings
+from compute.pose.tool_tracking.tool_tracker import ToolTracker
 from compute.tracking.track_batch import TrackState
+from compute.tracking.tracker import Tracker
 from compute.transform import rotation_vector
 from hardware.line_frame import LineFrame
 from hardware.simulated.driver import SimulatedDriver
 from hardware.simulated.scenes import MovingTool, MovingTools
 from hardware.simulated.settings import SimulationSettings
 from service.application.initial_content import nominal_calibration
-from service.pipeline import device_session
+from service.pipeline import device_session, frame_processor
 from service.pipeline.active_calibration import ActiveCalibration
 from service.pipeline.device_session import DeviceSession, LoadShedding
 from service.pipeline.frame_batch import FrameBatch, PoseEntry, TrackingResult
-from service.pipeline.frame_processor import FrameProcessor
+from service.pipeline.frame_processor import FrameProcessor, TakePoses, solve_points
 from service.pipeline.pipeline_manager import PipelineManager
 from service.pipeline.threads import FrameRing, ReaderThread
-from service.pipeline.tracking_config import NO_TRACKING, TrackingConfig
+from service.pipeline.tracking_config import (
+    NO_TRACKING,
+    BeamHoldConfig,
+    TrackingConfig,
+    WatchedStrobedMarkers,
+    WatchedTool,
+)
 from service.pipeline.tracking_stage import FRAME_SKIPPED
 from service.protocols.stream.hub import Hub
+
+if TYPE_CHECKING:
+    from service.pipeline.beam_hold_registry import BeamHoldRegistry
 
 POINTER = ((0.0, 0.0, 0.0), (80.0, 0.0, 0.0), (0.0, 60.0, 0.0), (20.0, 15.0, 40.0))
 PATIENT = ((0.0, 0.0, 0.0), (110.0, 0.0, 0.0), (0.0, 70.0, 0.0), (45.0, 50.0, 30.0))
@@ -104,6 +116,7 @@ def nees(pose: ToolPose, tool: int, time_s: float) -> tuple[float, float]:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("illumination", ["strobed", "simultaneous"])
 def test_poses_agree_with_the_truth_within_their_covariance(illumination: Illumination):
     squares: list[tuple[float, float]] = []
@@ -141,6 +154,56 @@ def test_markers_that_are_lit_together_are_tracked():
     apart = np.linalg.norm(found.tracks.position_mm[known][:, None] - points, axis=2)
     assert sorted(apart.argmin(axis=1).tolist()) == list(range(SCENE.markers))
     assert apart.min(axis=1).max() < 1.0
+
+
+@pytest.mark.parametrize("illumination", ["strobed", "simultaneous"])
+def test_poses_are_given_out_before_all_that_they_do_not_need(
+    illumination: Illumination, monkeypatch: pytest.MonkeyPatch
+):
+    driver = SimulatedDriver("sim", simulation(illumination, 0.06))
+    driver.open()
+    processor = FrameProcessor("sim", driver.description, "cpu")
+    processor.set_tracking_config(TrackingConfig(True, tools(illumination)))
+    processor.set_calibration(ActiveCalibration("nominal", exact()))
+    order: list[str] = []
+
+    def noting(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        def call(*args: Any) -> Any:
+            order.append(name)
+            return function(*args)
+
+        return call
+
+    monkeypatch.setattr(frame_processor, "solve_points", noting("points", solve_points))
+    monkeypatch.setattr(Tracker, "step", noting("tracks", Tracker.step))
+    monkeypatch.setattr(ToolTracker, "step", noting("tools", ToolTracker.step))
+    early: list[FrameBatch] = []
+
+    def take_poses(batch: FrameBatch) -> None:
+        order.append("given out")
+        early.append(batch)
+
+    frames = list(driver.frames())
+    for first in range(0, len(frames), 2):
+        order.clear()
+        batch = processor.process(frames[first : first + 2], take_poses=take_poses)
+        if illumination == "strobed":
+            assert order == ["tools", "tools", "given out", "points", "tracks", "tracks"]
+        else:
+            assert order == ["points", "tools", "tools", "given out", "tracks", "tracks"]
+        assert motion(early[-1]).poses == motion(batch).poses
+        assert early[-1].frames == batch.frames
+    assert any(pose.valid for pose in motion(early[-1]).poses)
+
+
+def test_no_poses_are_given_out_where_there_are_no_tools():
+    driver = SimulatedDriver("sim", simulation("strobed", 0.01))
+    driver.open()
+    processor = FrameProcessor("sim", driver.description, "cpu")
+    processor.set_calibration(ActiveCalibration("nominal", exact()))
+    for tracked in (NO_TRACKING, TrackingConfig(True)):
+        processor.set_tracking_config(tracked)
+        processor.process(list(driver.frames()), take_poses=lambda _: pytest.fail("no tools"))
 
 
 def test_a_tool_goes_on_when_another_is_added():
@@ -264,9 +327,9 @@ class Bench:
         processor = FrameProcessor("sim", driver.description, "cpu")
         processor.set_tracking_config(TrackingConfig(True, tools("strobed")))
         processor.set_calibration(ActiveCalibration("nominal", exact()))
-        self.ring = FrameRing(1000, lambda: None)
+        self.ring = FrameRing(1000)
         self.device_session = DeviceSession("sim", driver.description, processor, self.ring, Hub())
-        self.reader = ReaderThread("sim", driver, self.ring, lambda: None)
+        self.reader = ReaderThread("sim", driver, self.ring, lambda: None, lambda: None)
         self.device_session.reader = self.reader
         self.device_session.load_shedding = self.costs = Costs(driver.description.frame_rate_hz)
         self.device_session.attach(self)
@@ -295,6 +358,33 @@ class Bench:
     @property
     def not_followed(self) -> int:
         return self.device_session.status().frames_not_tracked
+
+
+class HoldTimes:
+    """Stands for the registry of beam holds: notes what was known when the holds were stepped."""
+
+    def __init__(self) -> None:
+        self.points: list[int] = []
+
+    def take(self, batch: FrameBatch) -> tuple[tuple[()], ...]:
+        self.points.append(len(batch.points))
+        return ((),) * len(batch.frames)
+
+
+def hold(spec: WatchedTool | WatchedStrobedMarkers) -> BeamHoldConfig:
+    return BeamHoldConfig("hold", "sim", "key", spec, BeamHoldLimits(shift_mm=1.0))
+
+
+@pytest.mark.parametrize("others", [(), (hold(WatchedStrobedMarkers((0, 1, 2), 3)),)])
+def test_holds_of_tools_alone_do_not_wait_for_points(others: tuple[BeamHoldConfig, ...]):
+    bench, times = Bench(0.02), HoldTimes()
+    bench.device_session.holds = cast("BeamHoldRegistry", times)
+    holds = (hold(WatchedTool("pointer")), *others)
+    bench.device_session.set_tracking_config(TrackingConfig(True, tools("strobed"), holds=holds))
+    batches = bench.work(0, 20)
+    assert all(batch.holds == ((),) * len(batch.frames) for batch in batches)
+    # Once a batch, and with what it needs: the points where a hold watches markers.
+    assert times.points == [len(batch.frames) if others else 0 for batch in batches]
 
 
 def passed_over(batch: FrameBatch) -> list[bool]:
@@ -327,6 +417,7 @@ def test_of_frames_that_waited_too_long_there_are_no_poses():
     assert not any(over for batch in bench.work(400, 600) for over in passed_over(batch))
 
 
+@pytest.mark.slow
 def test_who_is_too_slow_for_all_frames_follows_some_and_keeps_the_tools(
     monkeypatch: pytest.MonkeyPatch,
 ):
@@ -369,11 +460,15 @@ class Costly(FrameProcessor):
     follow_s = rest_s = 0.0
 
     def process(
-        self, frames: Sequence[LineFrame], *, track: Sequence[bool] | None = None
+        self,
+        frames: Sequence[LineFrame],
+        *,
+        track: Sequence[bool] | None = None,
+        take_poses: TakePoses | None = None,
     ) -> FrameBatch:
         spent_s = self.follow_s * sum((True,) * len(frames) if track is None else track)
         self.clock.now_s += spent_s + self.rest_s * len(frames)
-        batch = super().process(frames, track=track)
+        batch = super().process(frames, track=track, take_poses=take_poses)
         self.tracking_s = spent_s
         return batch
 

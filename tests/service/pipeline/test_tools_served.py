@@ -109,6 +109,7 @@ def lumiline(server: str, *arguments: str, code: int | None = 0) -> str:
     return run.output
 
 
+@pytest.mark.slow
 def test_tools_on_the_command_line(server: str):
     assert "there are no tools" in lumiline(server, "watch", code=2)
     sent("POST", f"{server}/api/v1/tools", json=TOOL | {"tip_mm": TIP})

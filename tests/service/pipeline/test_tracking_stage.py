@@ -1,7 +1,10 @@
 """Tracks and poses of a batch: who is called with what, and what happens when they fail."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from compute.measurement.flag_policy import STANDARD_POLICY
 from compute.measurement.measurements import Measurements
@@ -47,9 +50,21 @@ def peaks(count: int, visible: int = 2) -> Measurements:
     return Measurements.weigh(position, sigma, flags, np.ones_like(position), STANDARD_POLICY)
 
 
+def find(
+    finding: TrackingStage,
+    given: Sequence[LineFrame],
+    measurements: Measurements | None,
+    points: PointBatch,
+    owner: NDArray[np.intp],
+    track: Sequence[bool] | None = None,
+) -> TrackingResult:
+    poses = finding.find_poses(given, measurements, points, owner, track)
+    return TrackingResult.of(finding.find_tracks(given, measurements, track), poses)
+
+
 def found(finding: TrackingStage, given: tuple[LineFrame, ...], visible: int = 2) -> TrackingResult:
     nothing = np.empty(0, np.intp)
-    return finding.find(given, peaks(len(given), visible), PointBatch.empty(SENSORS), nothing)
+    return find(finding, given, peaks(len(given), visible), PointBatch.empty(SENSORS), nothing)
 
 
 def following(making: Making, active: PreparedCalibration | None, *names: str) -> TrackingStage:
@@ -87,7 +102,7 @@ def test_frames_that_are_not_followed_show_nothing_and_reach_no_tracker(
     finding = following(making, active, "a", "b")
     nothing = np.empty(0, np.intp)
     given = peaks(4), PointBatch.empty(SENSORS), nothing
-    motion = finding.find(frames(4), *given, track=(True, False, False, True))
+    motion = find(finding, frames(4), *given, track=(True, False, False, True))
     assert [step[0] for step in making.made_markers[0].steps] == [0, 3000]
     assert [step[1] for step in making.made_tools[0].steps] == [0, 3]
     assert motion.track_owner.tolist() == [0, 0, 3, 3]
@@ -104,9 +119,9 @@ def test_a_clock_that_goes_back_in_a_frame_that_is_not_followed_is_noticed(
     making = Making()
     finding = following(making, active, "a")
     given = peaks(2), PointBatch.empty(SENSORS), np.empty(0, np.intp)
-    finding.find(frames(2, start_ns=10**6), *given)
-    finding.find(frames(2), *given, track=(False, False))
-    finding.find(frames(2, start_ns=10**6), *given)
+    find(finding, frames(2, start_ns=10**6), *given)
+    find(finding, frames(2), *given, track=(False, False))
+    find(finding, frames(2, start_ns=10**6), *given)
     assert making.made_tools[0].resets == making.made_markers[0].resets == 1
 
 
@@ -125,7 +140,7 @@ def test_without_a_calibration_poses_say_so(active: PreparedCalibration):
     making = Making()
     finding = following(making, None, "a")
     nothing = PointBatch.empty(SENSORS), np.empty(0, np.intp)
-    motion = finding.find(frames(2), None, *nothing)
+    motion = find(finding, frames(2), None, *nothing)
     assert statuses(motion, 1) == {
         "a": (PoseStatus.UNKNOWN, "the device has no active calibration")
     }
@@ -133,7 +148,7 @@ def test_without_a_calibration_poses_say_so(active: PreparedCalibration):
     unread = TrackingStage("sim", SENSORS, reads=False, make=making)
     unread.set_tracking_config(TrackingConfig(True, (tool("a"),)))
     unread.set_calibration(active)
-    reason = statuses(unread.find(frames(1), None, *nothing), 0)["a"][1]
+    reason = statuses(find(unread, frames(1), None, *nothing), 0)["a"][1]
     assert reason is not None
     assert "read the lines" in reason
     finding.set_calibration(active)

@@ -16,6 +16,7 @@ from tests.openapi_document import openapi_document
 from tests.service.fake_pipeline import FakePipeline, TestClient
 
 
+@pytest.mark.slow
 def test_every_problem_type_has_a_page_for_programs_and_for_people(sqlite_client: Any):
     listed = sqlite_client.get("/problems", params={"limit": 200}).json()["items"]
     assert {item["code"] for item in listed} == set(PROBLEM_TYPES)
@@ -47,6 +48,7 @@ def test_a_wrong_method_says_which_are_right(
     assert answer.headers["content-type"] == "application/problem+json"
 
 
+@pytest.mark.slow
 def test_a_wrong_method_is_told_those_of_the_contract_without_making_it(sqlite_client: Any):
     """For every path, names in the place of its parameters; the document takes seconds to make.
 
@@ -117,6 +119,7 @@ def test_a_body_without_declared_length_is_limited_too(tmp_path: Any):
     assert "2000 bytes" in answer.json()["detail"]
 
 
+@pytest.mark.slow
 def test_ready_only_with_database_and_live_pipeline(
     sqlite_client: Any, live: FakePipeline, monkeypatch: pytest.MonkeyPatch
 ):

@@ -83,6 +83,7 @@ def test_a_device_is_stopped_without_the_database(server: Secured, lost: Any) ->
         assert (answer.status_code, answer.json()["type"]) == (503, "/problems/not-ready")
 
 
+@pytest.mark.slow
 def test_a_key_that_was_taken_back_or_ended_is_not_known(server: Secured, lost: Any) -> None:
     admin = server.key("admin:keys")
     revoked, ended = server.key("operate:devices"), server.key("operate:devices")

@@ -1,5 +1,6 @@
 """Failed log-ins: so many for each address, then a wait; never more memory than is set."""
 
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -57,6 +58,7 @@ def test_memory_is_bounded_whatever_the_addresses(addresses: list[str]) -> None:
     assert all(len(network(address)) <= 64 for address in addresses)
 
 
+@pytest.mark.slow
 def test_a_server_lets_an_address_wait(tmp_path) -> None:
     given_settings = Settings(data_dir=tmp_path, failed_logins_per_minute=3)
     with TestClient(create_app(given_settings, FakePipeline())) as client:

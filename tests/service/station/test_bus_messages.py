@@ -26,6 +26,7 @@ from service.pipeline.frame_batch import (
     BeamEnableToken,
     BeamHoldState,
     FrameBatch,
+    PoseEntry,
     TrackingResult,
 )
 from service.station.bus_messages import (
@@ -38,10 +39,12 @@ from service.station.bus_messages import (
     calibration_message,
     figures_message,
     hold_message,
+    poses_message,
     read_bad_pixels,
     read_description,
     read_figures,
     read_hold,
+    read_poses,
     split_message,
     state_message,
 )
@@ -188,6 +191,25 @@ def test_any_batch_comes_back_to_the_bit(data: st.DataObject) -> None:
     assert [now.revision for now in tokens.ended] == [now.revision for now in held]
 
 
+@settings(deadline=None, max_examples=40)
+@given(st.data())
+def test_newest_poses_come_back_to_the_bit(data: st.DataObject) -> None:
+    poses = {one.tool: one for one in (pose(data) for _ in range(data.draw(st.integers(0, 3))))}
+    entry = PoseEntry(
+        "sim", data.draw(st.integers(0, 2**40)), data.draw(st.integers(0, 2**63 - 1)), poses,
+        data.draw(REASONS), data.draw(st.floats(0.0, 1e5)), data.draw(REASONS),
+    )  # fmt: skip
+    kind, header, _ = split_message(poses_message(entry))
+    assert kind is MessageKind.POSES
+    read_back = read_poses(header)
+    assert list(read_back.poses) == list(poses)
+    for name, one in poses.items():
+        assert_same(read_back.poses[name], one)
+    for member in fields(entry):
+        if member.name not in ("poses", "arrived_s"):
+            assert_same(getattr(read_back, member.name), getattr(entry, member.name))
+
+
 @pytest.mark.parametrize("dropped", ["at the station", "before it is read", "after"])
 @settings(deadline=None, max_examples=20)
 @given(data=st.data())
@@ -197,7 +219,6 @@ def test_without_pixels_all_else_comes_back(dropped: str, data: st.DataObject) -
     assert (message.device_id, message.count) == (batch.device_id, len(batch.frames))
     assert message.first_sequence == batch.frames[0].sequence
     assert message.last_sequence == batch.frames[-1].sequence
-    assert message.has_poses == bool(batch.motion and batch.motion.poses)
     if dropped == "after":
         assert_same(message.read(), batch)  # shared by all who want the newest
         _read_batch.cache_clear()

@@ -173,6 +173,7 @@ def refuse(description: DeviceDescription) -> None:
     raise InvalidParameter(f"not {description.name}", name=description.name)
 
 
+@pytest.mark.slow
 def test_errors_of_the_station_are_those_of_the_pipeline(
     pipeline: RemotePipeline, event_loop_thread: asyncio.AbstractEventLoop
 ) -> None:
@@ -202,6 +203,22 @@ def test_what_was_asked_for_has_happened(pipeline: RemotePipeline) -> None:
     assert messages(pipeline.streams, "sim")[-1]["state"] == "stopped"  # type: ignore[arg-type]
 
 
+def test_state_is_not_waited_for_where_the_station_is_busy(
+    pipeline: RemotePipeline, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pipeline.start_device("sim", SimulatedDriver("sim", LIVE), CALIBRATED)
+    monkeypatch.setattr("service.station.remote_pipeline.REFRESH_S", 0.2)
+    process_id = pipeline.station.process_id
+    os.kill(process_id, signal.SIGSTOP)
+    try:
+        began = time.monotonic()
+        pipeline.refresh()
+        assert time.monotonic() - began < 5.0
+        assert pipeline.status("sim").state == "running"
+    finally:
+        os.kill(process_id, signal.SIGCONT)
+
+
 def test_call_in_the_event_loop_is_refused(
     pipeline: RemotePipeline, event_loop_thread: asyncio.AbstractEventLoop
 ) -> None:
@@ -212,6 +229,7 @@ def test_call_in_the_event_loop_is_refused(
         asyncio.run_coroutine_threadsafe(call(), event_loop_thread).result(WAIT_S)
 
 
+@pytest.mark.slow
 def test_a_source_that_can_wait_waits_for_a_slow_gateway(
     make_pipeline: MakePipeline, recording: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -262,6 +280,7 @@ def kept_log(caplog: pytest.LogCaptureFixture) -> Iterator[pytest.LogCaptureFixt
         yield caplog
 
 
+@pytest.mark.slow
 def test_lost_station_is_replaced_with_all_it_had(
     make_pipeline: MakePipeline, kept_log: pytest.LogCaptureFixture
 ) -> None:
@@ -304,6 +323,7 @@ def test_lost_station_is_replaced_with_all_it_had(
     assert any(record.levelno == logging.CRITICAL for record in kept_log.records)
 
 
+@pytest.mark.slow
 def test_device_that_did_not_start_is_not_started_again(pipeline: RemotePipeline) -> None:
     with pytest.raises(InvalidParameter):
         pipeline.start_device("sim", SimulatedDriver("sim", LIVE), CALIBRATED, refuse)
@@ -313,6 +333,7 @@ def test_device_that_did_not_start_is_not_started_again(pipeline: RemotePipeline
     assert pipeline.status("sim").state == "stopped"
 
 
+@pytest.mark.slow
 def test_devices_of_a_lost_station_are_never_told_to_be_stopped(pipeline: RemotePipeline) -> None:
     for name in ("one", "two", "three"):
         pipeline.start_device(name, SimulatedDriver(name, LIVE), CALIBRATED)
@@ -391,6 +412,7 @@ def test_changes_without_a_station_reach_the_next_one(
     assert pipeline.tracked("sim").tracks
 
 
+@pytest.mark.slow
 def test_station_that_cannot_be_started_is_tried_again(
     pipeline: RemotePipeline, monkeypatch: pytest.MonkeyPatch, kept_log: pytest.LogCaptureFixture
 ) -> None:
@@ -544,7 +566,7 @@ def test_tap_that_is_detached_before_it_is_prepared_again_holds_up_no_other(
     wait_for(lambda: len(taps[0].batches) > count)
 
 
-@pytest.mark.parametrize("times", [2, 4])
+@pytest.mark.parametrize("times", [2, pytest.param(4, marks=pytest.mark.slow)])
 def test_station_comes_back_when_what_forks_stations_ends_again_and_again(
     pipeline: RemotePipeline, monkeypatch: pytest.MonkeyPatch, times: int
 ) -> None:

@@ -80,6 +80,7 @@ def test_the_pure_camera_is_the_calibrations() -> None:
     assert rms(rest) == pytest.approx(fitted(assembly, known, CAMERA).rms_px, rel=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("width", "place"), [(WIDTH_MM, "on the plane face"), (4.0, "4 mm behind")]
 )
@@ -119,6 +120,7 @@ def test_the_effective_index_is_the_tracers() -> None:
     assert index == sorted(index)
 
 
+@pytest.mark.slow
 def test_the_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     case = ALL_CASES["skew-effect"]
     assert isinstance(case, TablesCase)

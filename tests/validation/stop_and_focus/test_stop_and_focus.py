@@ -23,6 +23,8 @@ from validation.stop_and_focus.stripe_quality import (
     root_mean_square,
 )
 
+pytestmark = pytest.mark.slow  # published figures, ray by ray
+
 
 def gaussian_line(sigma_px: float, position_px: float, electrons: float) -> StripeProfiles:
     edges = -0.5 + np.arange(64 * CELLS + 1) / CELLS

@@ -41,6 +41,7 @@ def test_a_resolution_that_is_an_accuracy_elsewhere_is_compared_as_that() -> Non
     assert found == {0.15: "accuracy", 0.1: "accuracy", 0.01: "resolution"}
 
 
+@pytest.mark.slow
 def test_the_optotrak() -> None:
     found = {(row["figure"], row["axis"]): row for row in table("optotrak")}
     assert set(found) == {

@@ -39,6 +39,7 @@ def test_it_is_a_case() -> None:
     assert set(WORDS) <= set(HEADINGS)
 
 
+@pytest.mark.slow
 def test_half_a_pixel_makes_macellaris_figures() -> None:
     """0.6 mm across at 5 m, which section 2.3 takes from half a pixel; 4.4 mm in depth with it."""
     rows = [row for row in table("macellari-1983") if row["figure"] == "resolution"]
@@ -136,6 +137,7 @@ def test_a_largest_error_is_compared_with_the_worst_place() -> None:
         assert number(worst[column]) > number(middle[column])
 
 
+@pytest.mark.slow
 def test_remarks_say_the_figures() -> None:
     owen = remark(load_profile("owen-1995"), planned("owen-1995", 1500.0))
     x, y, z = planned("owen-1995", 1500.0).dilution.centre or (0.0, 0.0, 0.0)

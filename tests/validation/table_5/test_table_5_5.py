@@ -19,6 +19,7 @@ FIGURES = np.array(list(PUBLISHED.values()))
 ROWS = list(PUBLISHED)
 
 
+@pytest.mark.slow
 def test_it_is_a_case_with_a_row_for_each_row() -> None:
     result = ALL_CASES["table-5.5"].run()
     for axis in range(3):

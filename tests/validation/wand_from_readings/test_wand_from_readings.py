@@ -8,7 +8,7 @@ from compute.calibration.self_calibration.self_calibrate import self_calibrate
 from compute.calibration.self_calibration.targets import Recording, Wand
 from compute.camera.stack import CameraStack
 from validation.all_cases import ALL_CASES
-from validation.wand_from_readings.scene import random_bar
+from validation.wand_from_readings.scene import Directions, random_bar
 
 
 def test_scene_agrees_with_the_camera_model() -> None:
@@ -41,6 +41,7 @@ def test_marker_error_notices_a_mirror() -> None:
     assert not mirrored
 
 
+@pytest.mark.slow
 def test_adjustment_ends_at_a_minimum_where_steps_round_to_no_decrease() -> None:
     wave = case.draw_wave(case.ROWS[0], 90002, 70)
     sigma = np.full(wave.readings_px.shape, wave.sigma_px)
@@ -62,6 +63,25 @@ def test_rigs_reach_the_cameras_of_a_start_from_the_truth(row: case.Row) -> None
 def test_degenerate_waves_are_refused_by_name() -> None:
     for _, trials, refused, named in case.degenerate_waves(5, 1).rows:
         assert trials == refused == named == 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("kind", "trial"), [("all in one plane", 20), ("flat cloud", 19)])
+def test_degenerate_wave_is_refused_where_the_first_cameras_hide_it(
+    kind: Directions, trial: int
+) -> None:
+    """The first cameras turn the plane into a volume; or all poses come to be ambiguous."""
+    outcome = case.judge(case.draw_degenerate_wave(kind, 93001, trial))
+    assert outcome.verdict == "refused"
+    assert case.DEGENERATE[kind] in outcome.reason
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("trial", [64, 124])
+def test_search_that_leaves_the_true_cameras_is_not_the_last_word(trial: int) -> None:
+    row = next(one for one in case.ROWS if one.always)
+    outcome = case.judge(case.draw_wave(row, 93001, trial))
+    assert outcome.verdict == "same", outcome
 
 
 def test_case_is_registered() -> None:

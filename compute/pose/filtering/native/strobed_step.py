@@ -211,8 +211,6 @@ class StrobedStepKernel:
         common_errors: int,
         gate_probability: float,
     ) -> None:
-        import warp as wp
-
         self._imm_model, self._centred = imm, centred
         self._common_errors = common_errors
         self._sensors = sensors = len(model)
@@ -251,16 +249,8 @@ class StrobedStepKernel:
             step[name] = value
         self._words = step.view(np.uint64)[:FRAME_WORDS]
         self._numbers = step.view(np.float64)[FRAME_WORDS : FRAME_WORDS + FRAME_NUMBERS]
-        # Loads the kernel now, not at the first frame.
-        self._launch = PackedLaunch(
-            wp.launch(
-                step_kernel(sensors, term_capacity(model.cameras)),
-                dim=1,
-                inputs=[address(step)],
-                device="cpu",
-                record_cmd=True,
-            )
-        )
+        kernel = step_kernel(sensors, term_capacity(model.cameras))
+        self._launch = PackedLaunch.of_record(kernel, step)
 
     def take(
         self,

@@ -9,9 +9,11 @@ import { text } from "../../text";
 import { attempt } from "../../ui/attempt";
 import { time } from "../../ui/format";
 import { keptSignal } from "../../ui/kept";
+import { NoDevice } from "../../ui/no_device";
+import { useOpener } from "../../ui/opener";
 import { Action, Badge, Failure, Panel, Table } from "../../ui/parts";
 import { parseTargets } from "../../ui/targets";
-import { readText } from "../../ui/text_file";
+import { takeText } from "../../ui/text_file";
 import { type Capture, CaptureRun, CaptureSession } from "./capture_session";
 import { DriftCheckOf } from "./drift_wizard";
 import { FormerTargets } from "./former_targets";
@@ -26,7 +28,7 @@ type Summary = Schemas["CalibrationSummary"];
 
 export function Calibrate() {
   const shown = device.value;
-  return shown ? <DeviceCalibration key={shown.id} device={shown} /> : <p class="muted">{text.device.none}</p>;
+  return shown ? <DeviceCalibration key={shown.id} device={shown} /> : <NoDevice />;
 }
 
 function DeviceCalibration({ device: shown }: { device: Device }) {
@@ -34,10 +36,29 @@ function DeviceCalibration({ device: shown }: { device: Device }) {
   const way = keptSignal("way");
   const chosen = WAYS.find((one) => one === way.value) ?? "frame";
   const table = useSignal<string | null>(null);
-  const calibrated = (id: string) => (calibration.value = id);
+  /** Of the table; one that is shown since it was computed has none. */
+  const tableOpener = useOpener();
+  /** Of the calibration; one that is shown since it was computed has none. */
+  const opener = useOpener();
+  const calibrated = (id: string) => {
+    opener.forget();
+    calibration.value = id;
+  };
+  const open = (id: string) => {
+    opener.note();
+    calibration.value = id;
+  };
+  const close = () => {
+    calibration.value = null;
+    opener.giveFocusBack();
+  };
+  const mapped = (id: string) => {
+    tableOpener.forget();
+    table.value = id;
+  };
   const purposes: Record<Exclude<Way, "wand">, (capture: Capture) => ComponentChildren> = {
     frame: (capture) => <CaptureRun capture={capture} calibrated={calibrated} />,
-    mapping: (capture) => <MappingRun capture={capture} mapped={(id) => (table.value = id)} />,
+    mapping: (capture) => <MappingRun capture={capture} mapped={mapped} />,
     drift: (capture) => <DriftCheckOf capture={capture} device={shown} updated={calibrated} />,
   };
   return (
@@ -49,11 +70,22 @@ function DeviceCalibration({ device: shown }: { device: Device }) {
       ) : (
         <Captures device={shown} purpose={purposes[chosen]} />
       )}
-      {chosen === "mapping" ? <CorrectionTables device={shown} table={table} /> : null}
+      {chosen === "mapping" ? <CorrectionTables device={shown} table={table} opener={tableOpener} /> : null}
       {calibration.value ? (
-        <CalibrationResult key={calibration.value} id={calibration.value} device={shown} open={calibrated} />
+        <CalibrationResult
+          key={calibration.value}
+          id={calibration.value}
+          device={shown}
+          focus={opener.known()}
+          // From within it, where the button goes with it: who closes the next one is led back to the row.
+          open={(id) => {
+            if (!opener.known()) opener.note();
+            calibration.value = id;
+          }}
+          close={close}
+        />
       ) : null}
-      <Calibrations device={shown} open={calibrated} />
+      <Calibrations device={shown} open={open} />
     </>
   );
 }
@@ -122,8 +154,8 @@ function NewSession({ device: shown, begun }: { device: Device; begun: (id: stri
             type="file"
             accept=".csv,.tsv,.txt,text/csv"
             onChange={async (event) => {
-              const file = event.currentTarget.files?.[0];
-              if (file) table.value = await readText(file);
+              const content = await takeText(event.currentTarget);
+              if (content !== null) table.value = content;
             }}
           />
         </label>

@@ -252,6 +252,7 @@ export function CaptureRun({ capture, calibrated }: { capture: Capture; calibrat
       <RunAction
         label={text.calibrate.computeAction}
         operation="POST /api/v1/runs/calibration"
+        session={capture.id}
         disabled={capture.captured.length === 0}
         start={() => {
           const body = {

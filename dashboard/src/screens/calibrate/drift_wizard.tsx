@@ -1,12 +1,14 @@
 /** Drift check by captured still markers: the verdict, what to do, and the calibration brought up to date. */
 
-import { useSignal } from "@preact/signals";
+import { type Signal, useSignal } from "@preact/signals";
 import { api, type Schemas, sent } from "../../api/client";
 import type { Device } from "../../devices";
 import { usePolled } from "../../live/polling";
 import { text } from "../../text";
 import { significant } from "../../ui/format";
-import { Action, Badge, Panel, Table } from "../../ui/parts";
+import { keptSignal } from "../../ui/kept";
+import { whileKnown } from "../../ui/kept_document";
+import { Action, Badge, Failure, Panel, Table } from "../../ui/parts";
 import { RunAction } from "../../ui/run_action";
 import { type Against, AgainstSelect } from "../quality/against_select";
 import type { Capture } from "./capture_session";
@@ -26,7 +28,8 @@ export function DriftCheckOf({ capture, device, updated }: DriftCheckProps) {
   const against = useSignal<Against>("positions");
   const earlier = useSignal("");
   const sigma = useSignal(0);
-  const check = useSignal<Check | null>(null);
+  const checked = keptSignal(`drift check ${capture.id}`);
+  const check = useCheck(checked);
   const query = { device_id: device.id, limit: 20 };
   const captures = usePolled(`captures ${device.id}`, () => sent(api.GET("/api/v1/captures", { params: { query } })), 10);
   const others = (captures.value?.items ?? []).filter(({ id }) => id !== capture.id);
@@ -58,7 +61,7 @@ export function DriftCheckOf({ capture, device, updated }: DriftCheckProps) {
           disabled={calibration === null || capture.captured.length === 0 || (against.value === "capture" && !compared)}
           run={async () => {
             if (calibration === null) return;
-            check.value = await sent(
+            const { id } = await sent(
               api.POST("/api/v1/calibrations/{calibration_id}/drift-checks", {
                 params: { path: { calibration_id: calibration } },
                 body: {
@@ -71,11 +74,22 @@ export function DriftCheckOf({ capture, device, updated }: DriftCheckProps) {
                 },
               }),
             );
+            checked.value = id;
           }}
         />
       </div>
+      <Failure message={check.error} />
       {found ? <Verdict key={found.id} check={found} table={device.active_table_id} updated={updated} /> : null}
     </Panel>
+  );
+}
+
+/** The last check of a capture, by its id: who leaves finds it again, and the run that brings the calibration up to date. */
+function useCheck(id: Signal<string | null>) {
+  return usePolled<Check | null>(
+    `drift check ${id.value}`,
+    () => whileKnown(id, (asked) => sent(api.GET("/api/v1/drift-checks/{drift_check_id}", { params: { path: { drift_check_id: asked } } }))),
+    60,
   );
 }
 
@@ -112,6 +126,7 @@ function Verdict({ check, table, updated }: VerdictProps) {
           <RunAction
             label={text.drift.update(check.moved.join(", "))}
             operation="POST /api/v1/runs/update"
+            session={check.id}
             start={() => {
               const body = {
                 device_id: check.device_id,

@@ -1,11 +1,11 @@
 /** Readings and labels that look wrong: each is judged by a person, then the device is calibrated again. */
 
 import { useSignal } from "@preact/signals";
-import { useRef } from "preact/hooks";
 import { api, type Schemas, sent } from "../../api/client";
 import { usePolled } from "../../live/polling";
 import { text } from "../../text";
 import { significant } from "../../ui/format";
+import { keptSignal } from "../../ui/kept";
 import { Failure, Table } from "../../ui/parts";
 import { RunAction } from "../../ui/run_action";
 import { comparedRows } from "./former_result";
@@ -22,8 +22,8 @@ interface LabelsProps {
 export function Labels({ calibration, open }: LabelsProps) {
   const findings = calibration.result.labels;
   const judgements = useSignal<readonly Judgement[]>([]);
-  /** The points changed in the run that was posted, whatever is judged meanwhile. */
-  const posted = useRef<ReadonlySet<number>>(new Set());
+  /** The points changed in the run that was posted, whatever is judged meanwhile; kept as long as the run is. */
+  const posted = keptSignal(`points judged ${calibration.id}`);
   const again = useSignal<string | null>(null);
   if (!findings.length) return <p>{text.calibrate.labelsGood}</p>;
   // Others are made from no readings of control points, or from those of an earlier calibration.
@@ -63,16 +63,17 @@ export function Labels({ calibration, open }: LabelsProps) {
         <RunAction
           label={text.labels.again}
           operation="POST /api/v1/runs/calibration"
+          session={calibration.id}
           disabled={changed.size === 0}
           start={() => {
-            posted.current = changed;
+            posted.value = JSON.stringify([...changed]);
             return sent(api.POST("/api/v1/runs/calibration", { body: requestOf(calibration, judged, judgements.value) }));
           }}
           done={(id) => (again.value = id)}
         />
       ) : null}
       {again.value ? (
-        <BesideFormer key={again.value} former={calibration} id={again.value} changed={posted.current} open={open} />
+        <BesideFormer key={again.value} former={calibration} id={again.value} changed={new Set<number>(JSON.parse(posted.value ?? "[]"))} open={open} />
       ) : null}
     </>
   );

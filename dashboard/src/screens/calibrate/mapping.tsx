@@ -1,11 +1,13 @@
 /** Correction tables: made from captured targets, judged by measurements that they never saw, activated. */
 
 import { type Signal, useSignal } from "@preact/signals";
+import { useEffect } from "preact/hooks";
 import { api, type Schemas, sent } from "../../api/client";
 import { type Device, loadDevices } from "../../devices";
 import { usePolled } from "../../live/polling";
 import { text } from "../../text";
 import { significant, time } from "../../ui/format";
+import type { Opener } from "../../ui/opener";
 import { Action, Badge, Failure, Panel, Table } from "../../ui/parts";
 import { RunAction } from "../../ui/run_action";
 import type { Capture } from "./capture_session";
@@ -22,6 +24,7 @@ export function MappingRun({ capture, mapped }: { capture: Capture; mapped: (tab
       <RunAction
         label={text.mapping.computeAction}
         operation="POST /api/v1/runs/mapping"
+        session={capture.id}
         disabled={capture.captured.length === 0}
         start={() => {
           const body = {
@@ -60,20 +63,35 @@ export function SigmaInput({ sigma }: { sigma: Signal<number> }) {
 }
 
 /** The tables of the device, and the one that is looked at. */
-export function CorrectionTables({ device, table }: { device: Device; table: Signal<string | null> }) {
+interface CorrectionTablesProps {
+  device: Device;
+  /** That whose result is shown. */
+  table: Signal<string | null>;
+  opener: Opener;
+}
+
+export function CorrectionTables({ device, table, opener }: CorrectionTablesProps) {
   const query = { device_id: device.id, limit: 50 };
-  const tables = usePolled(`tables ${device.id} ${device.active_table_id} ${table.value}`, () =>
+  const tables = usePolled(`tables ${device.id}`, () =>
     sent(api.GET("/api/v1/correction-tables", { params: { query } })),
   );
   const items = tables.value?.items ?? [];
   const shown = items.find(({ id }) => id === table.value);
+  // One that was just computed is not among them.
+  useEffect(() => {
+    if (table.value !== null && !shown) void tables.refresh();
+  }, [table.value]);
+  const close = () => {
+    table.value = null;
+    opener.giveFocusBack();
+  };
   const changed = async () => {
     await loadDevices();
     await tables.refresh();
   };
   return (
     <>
-      {shown ? <TableResult key={shown.id} table={shown} device={device} changed={changed} /> : null}
+      {shown ? <TableResult key={shown.id} table={shown} device={device} focus={opener.known()} changed={changed} close={close} /> : null}
       <Panel title={text.mapping.tables}>
         <Failure message={tables.error} />
         <Table
@@ -83,7 +101,10 @@ export function CorrectionTables({ device, table }: { device: Device; table: Sig
           identity={({ id }) => id}
           empty={tables.value ? text.mapping.none : text.loading}
           selected={table.value}
-          select={(id) => (table.value = String(id))}
+          select={(id) => {
+            opener.note();
+            table.value = String(id);
+          }}
           row={(one) => [
             one.id,
             <Badge kind={one.active ? "good" : "idle"}>{one.active ? text.mapping.active : text.mapping.inactive}</Badge>,
@@ -104,12 +125,15 @@ function percent(share: number): string {
 interface TableResultProps {
   table: CorrectionTable;
   device: Device;
+  /** A person opened it. */
+  focus: boolean;
   changed: () => Promise<void>;
+  close: () => void;
 }
 
 const KINDS = { better: "good", mixed: "warn", worse: "bad", unknown: "idle" } as const;
 
-function TableResult({ table, device, changed }: TableResultProps) {
+function TableResult({ table, device, focus, changed, close }: TableResultProps) {
   const sensors = mappedSensors(table);
   const verdict = mappingVerdict(sensors);
   const path = { params: { path: { table_id: table.id } } };
@@ -118,27 +142,33 @@ function TableResult({ table, device, changed }: TableResultProps) {
   return (
     <Panel
       title={text.mapping.resultOf(table.id)}
+      focus={focus}
       actions={
-        table.active ? (
-          <>
-            <Badge kind="good">{text.mapping.active}</Badge>
+        <>
+          {table.active ? (
+            <>
+              <Badge kind="good">{text.mapping.active}</Badge>
+              <Action
+                label={text.mapping.deactivate}
+                operation="POST /api/v1/correction-tables/{table_id}/deactivate"
+                run={() => sent(api.POST("/api/v1/correction-tables/{table_id}/deactivate", path))}
+                done={changed}
+              />
+            </>
+          ) : (
             <Action
-              label={text.mapping.deactivate}
-              operation="POST /api/v1/correction-tables/{table_id}/deactivate"
-              run={() => sent(api.POST("/api/v1/correction-tables/{table_id}/deactivate", path))}
+              label={text.mapping.activate}
+              kind="primary"
+              operation="POST /api/v1/correction-tables/{table_id}/activate"
+              disabled={foreign}
+              run={() => sent(api.POST("/api/v1/correction-tables/{table_id}/activate", path))}
               done={changed}
             />
-          </>
-        ) : (
-          <Action
-            label={text.mapping.activate}
-            kind="primary"
-            operation="POST /api/v1/correction-tables/{table_id}/activate"
-            disabled={foreign}
-            run={() => sent(api.POST("/api/v1/correction-tables/{table_id}/activate", path))}
-            done={changed}
-          />
-        )
+          )}
+          <button type="button" onClick={close}>
+            {text.close}
+          </button>
+        </>
       }
     >
       <p class="verdict">

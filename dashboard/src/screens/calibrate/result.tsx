@@ -15,11 +15,14 @@ type Errors = Schemas["PointErrors"] | null | undefined;
 interface ResultProps {
   id: string;
   device: Device;
+  /** A person opened it. */
+  focus: boolean;
   /** Shows another calibration. */
   open: (id: string) => void;
+  close: () => void;
 }
 
-export function CalibrationResult({ id, device, open }: ResultProps) {
+export function CalibrationResult({ id, device, focus, open, close }: ResultProps) {
   const calibration = usePolled(
     `calibration ${id}`,
     () => sent(api.GET("/api/v1/calibrations/{calibration_id}", { params: { path: { calibration_id: id } } })),
@@ -31,21 +34,27 @@ export function CalibrationResult({ id, device, open }: ResultProps) {
   return (
     <Panel
       title={text.calibrate.resultOf(id)}
+      focus={focus}
       actions={
-        active ? (
-          <Badge kind="good">{text.calibrate.active}</Badge>
-        ) : (
-          <Action
-            label={text.calibrate.activate}
-            kind="primary"
-            operation="POST /api/v1/calibrations/{calibration_id}/activate"
-            run={() => sent(api.POST("/api/v1/calibrations/{calibration_id}/activate", path))}
-            done={async () => {
-              await loadDevices();
-              await calibration.refresh();
-            }}
-          />
-        )
+        <>
+          {active ? (
+            <Badge kind="good">{text.calibrate.active}</Badge>
+          ) : (
+            <Action
+              label={text.calibrate.activate}
+              kind="primary"
+              operation="POST /api/v1/calibrations/{calibration_id}/activate"
+              run={() => sent(api.POST("/api/v1/calibrations/{calibration_id}/activate", path))}
+              done={async () => {
+                await loadDevices();
+                await calibration.refresh();
+              }}
+            />
+          )}
+          <button type="button" onClick={close}>
+            {text.close}
+          </button>
+        </>
       }
     >
       <Failure message={calibration.error} />

@@ -353,6 +353,7 @@ function WandRun({ wave, device, calibrated }: { wave: Wave } & WandProps) {
       <RunAction
         label={text.calibrate.computeAction}
         operation="POST /api/v1/runs/self-calibration"
+        session={wave.id}
         disabled={wave.state === "capturing" || wave.progress.exposures.taken === 0 || typeof given === "string"}
         start={() => {
           const body = {

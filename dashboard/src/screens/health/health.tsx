@@ -32,14 +32,16 @@ export function Health() {
 
 function ServerState() {
   const ready = usePolled("readyz", () => sent(api.GET("/readyz")), 3);
+  // While it fails, the last answer is of before.
+  const now = ready.error === null ? ready.value : null;
   return (
     <Panel title={text.health.server}>
-      {ready.value ? <Badge kind="good">{text.health.ready}</Badge> : null}
-      {ready.error ? <Badge kind="bad">{text.health.notReady}</Badge> : null}
+      {now ? <Badge kind="good">{text.health.ready}</Badge> : null}
+      {ready.error === null ? null : <Badge kind="bad">{text.health.notReady}</Badge>}
       <Failure message={ready.error} />
-      {ready.value?.limits.length ? (
+      {now?.limits.length ? (
         <ul>
-          {ready.value.limits.map((limit) => (
+          {now.limits.map((limit) => (
             <li key={limit}>{limit}</li>
           ))}
         </ul>
@@ -50,7 +52,9 @@ function ServerState() {
 
 const last = new Map<string, { frames: number; at: number }>();
 
-async function statuses(): Promise<readonly Row[]> {
+/** Null: it is not known yet which devices there are. */
+async function statuses(): Promise<readonly Row[] | null> {
+  if (devices.value === null) return null;
   return Promise.all(
     devices.value.map(async ({ id }) => {
       const status = await sent(
@@ -66,7 +70,7 @@ async function statuses(): Promise<readonly Row[]> {
 }
 
 function Devices() {
-  const rows = usePolled(`statuses ${devices.value.map(({ id }) => id).join()}`, statuses, 2);
+  const rows = usePolled(`statuses ${devices.value?.map(({ id }) => id).join()}`, statuses, 2);
   return (
     <Panel title={text.health.devices}>
       <Failure message={rows.error} />

@@ -46,7 +46,7 @@ export function Load() {
         <Failure message={polled.error} />
         <p class="muted">{text.health.latencyHelp(significant(seconds, 2))}</p>
         <div class="charts">
-          {devices.value.map(({ id }) => (
+          {devices.value?.map(({ id }) => (
             <div key={id}>
               <Latency device={id} classes={latencies(first.metrics, last.metrics, id)} />
               <Waterfall device={id} stages={stages(first.metrics, last.metrics, id)} />
@@ -136,7 +136,7 @@ const LOSSES = [
 
 /** Where frames are lost: since the device started, and now. */
 function Losses({ before, after, seconds }: BetweenProps) {
-  const shown = devices.value.filter(({ id }) => valueOf(after, "lumiline_frames_received_total", { device: id }) !== null);
+  const shown = (devices.value ?? []).filter(({ id }) => valueOf(after, "lumiline_frames_received_total", { device: id }) !== null);
   return (
     <Panel title={text.health.losses}>
       <p class="muted">{text.health.lossesHelp}</p>
@@ -145,7 +145,7 @@ function Losses({ before, after, seconds }: BetweenProps) {
         columns={[text.column.device, ...LOSSES.map((name) => text.health.loss[name])]}
         rows={shown}
         identity={({ id }) => id}
-        empty={text.device.none}
+        empty={devices.value === null ? text.loading : text.device.none}
         row={({ id }) => [
           id,
           ...LOSSES.map((name) => {
@@ -171,9 +171,9 @@ function Clients({ before, after, seconds }: BetweenProps) {
       <Table
         caption={text.health.clients}
         columns={[text.column.device, text.column.subscribers, text.health.messages, text.health.missed]}
-        rows={devices.value.filter(({ id }) => valueOf(after, "lumiline_stream_clients", { device: id }) !== null)}
+        rows={(devices.value ?? []).filter(({ id }) => valueOf(after, "lumiline_stream_clients", { device: id }) !== null)}
         identity={({ id }) => id}
-        empty={text.device.none}
+        empty={devices.value === null ? text.loading : text.device.none}
         row={({ id }) => {
           const missed = grown(before, after, "lumiline_stream_messages_missed_total", { device: id }) / seconds;
           return [

@@ -2,13 +2,17 @@
 
 import { batch, type ReadonlySignal, useComputed, useSignal } from "@preact/signals";
 import { useEffect, useRef } from "preact/hooks";
+import { whenFree } from "../../api/busy_server";
 import { api, RequestFailed, sent } from "../../api/client";
-import { allowed, scopeOf } from "../../api/session";
+import { allowed, lacking, scopeOf } from "../../api/session";
 import { choose, loadDevices } from "../../devices";
 import { usePolled } from "../../live/polling";
 import { text } from "../../text";
 import { newDeviceId } from "../../ui/device_id";
+import { NOMINAL_OPERATIONS, tryNominal } from "../../ui/nominal_calibration";
 import { Action, Failure, Panel } from "../../ui/parts";
+import { startUnlessRunning } from "../../ui/start_device";
+import { takeText } from "../../ui/text_file";
 import type { Plan } from "./plan_figures";
 import { PlanResult } from "./plan_result";
 import { changedProfile, type Geometry, keptAs, nameOf, renamed, type StoredProfile, UNCHANGED } from "./profile_text";
@@ -75,8 +79,7 @@ export function PlanScreen() {
               type="file"
               accept=".toml"
               onChange={({ currentTarget }) => {
-                const file = currentTarget.files?.[0];
-                if (file) void show(FILE, () => file.text());
+                if (currentTarget.files?.length) void show(FILE, async () => (await takeText(currentTarget)) ?? "");
               }}
             />
           </label>
@@ -161,17 +164,20 @@ function usePlans(profile: Profile, toml: ReadonlySignal<string>) {
   const planned = useSignal<string | null>(null);
   const error = useSignal<string | null>(null);
   const busy = useSignal(false);
-  const alive = useRef(true);
-  useEffect(() => () => void (alive.current = false), []);
+  const shownNoMore = useRef(new AbortController()).current;
+  const { signal } = shownNoMore;
+  useEffect(() => () => shownNoMore.abort(), []);
   const planOf = async (asked: string): Promise<Plan | null> => {
     error.value = null;
     try {
-      if (allowed(PLAN)) return await sent(api.POST("/api/v1/profile-plans", { body: { toml: asked, grid: GRID } }));
+      // Others plan, too, and the server computes few at once.
+      if (allowed(PLAN)) return await whenFree(() => sent(api.POST("/api/v1/profile-plans", { body: { toml: asked, grid: GRID }, signal })), signal);
       // Who may only look may see the plan of what is stored, and so of nothing else.
       if (profile.name === null || asked !== profile.toml) return null;
       const params = { path: { profile_id: profile.name }, query: { grid: GRID } };
-      return await sent(api.GET("/api/v1/device-profiles/{profile_id}/plan", { params }));
+      return await whenFree(() => sent(api.GET("/api/v1/device-profiles/{profile_id}/plan", { params, signal })), signal);
     } catch (failure) {
+      if (signal.aborted) return null;
       if (!(failure instanceof RequestFailed)) throw failure;
       error.value = failure.message;
       return null;
@@ -185,11 +191,12 @@ function usePlans(profile: Profile, toml: ReadonlySignal<string>) {
       do {
         asked = toml.value;
         base.value ??= await planOf(profile.toml);
+        if (signal.aborted) return;
         const found = asked === profile.toml ? base.value : await planOf(asked);
         if (!found) continue;
         plan.value = found;
         planned.value = asked;
-      } while (alive.current && asked !== toml.value);
+      } while (!signal.aborted && asked !== toml.value);
     } finally {
       busy.value = false;
     }
@@ -212,6 +219,11 @@ function Keep({ profile, toml, kept }: KeepProps) {
   /** What the server has, the newest first: devices are simulated from that. */
   const stored = useSignal<readonly StoredProfile[]>(profile.name === null ? [] : [{ name: profile.name, toml: profile.toml }]);
   const simulated = keptAs(toml, stored.value);
+  const nominal = useSignal(true);
+  const lacks = lacking(NOMINAL_OPERATIONS);
+  const can = lacks === null;
+  /** Why the device that was started has no nominal calibration. */
+  const uncalibrated = useSignal<string | null>(null);
   return (
     <>
       <div class="row controls">
@@ -230,26 +242,48 @@ function Keep({ profile, toml, kept }: KeepProps) {
         />
         <Action
           label={text.plan.simulate}
-          operation="POST /api/v1/devices"
+          operation={["POST /api/v1/devices", "POST /api/v1/devices/{device_id}/start"]}
           disabled={simulated === null}
-          run={async () => (simulated === null ? undefined : await simulate(simulated))}
+          run={async () => {
+            uncalibrated.value = null;
+            if (simulated !== null) uncalibrated.value = await simulate(simulated, nominal.value && can);
+          }}
         />
+        <label>
+          <input type="checkbox" disabled={!can} checked={nominal.value && can} onChange={({ currentTarget }) => (nominal.value = currentTarget.checked)} />{" "}
+          {text.plan.nominal}
+        </label>
       </div>
       <p class="muted">{simulated === null ? text.plan.keepFirst : text.plan.simulates(simulated)}</p>
+      <p class="muted">{lacks === null ? text.plan.nominalHelp : text.access.notAllowed(lacks)}</p>
+      <Failure message={uncalibrated.value === null ? null : text.plan.uncalibrated(uncalibrated.value)} />
     </>
   );
 }
 
-/** Start a simulated device of a stored profile, and show its scans. */
-async function simulate(profile: string): Promise<void> {
+/** What a small computer simulates and measures beside another device, and the eye sees as motion. */
+const RATE_HZ = 50;
+
+/**
+ * Start a simulated device of a stored profile, and show it: with a calibration its points, else its scans.
+ *
+ * Return why it has no nominal calibration, where it should have one; then nothing is shown yet.
+ */
+async function simulate(profile: string, nominal: boolean): Promise<string | null> {
   const known = await loadDevices();
   const before = known.find(({ source }) => source.kind === "profile" && source.profile_id === profile);
   const id = before?.id ?? newDeviceId(profile, new Set(known.map((one) => one.id)));
-  if (!before)
-    await sent(api.POST("/api/v1/devices", { body: { id, title: profile, source: { kind: "profile", profile_id: profile } } } as never));
-  await sent(api.POST("/api/v1/devices/{device_id}/start", { params: { path: { device_id: id } } }));
+  if (!before) {
+    const { rates } = await sent(api.GET("/api/v1/device-profiles/{profile_id}", { params: { path: { profile_id: profile } } }));
+    const settings = { frame_rate_hz: Math.min(rates.line_rate_hz, RATE_HZ) };
+    await sent(api.POST("/api/v1/devices", { body: { id, title: profile, source: { kind: "profile", profile_id: profile, settings } } } as never));
+  }
+  // One that is measured stays.
+  const measured = (before?.active_calibration_id ?? null) !== null;
+  const refusal = nominal && !measured ? await tryNominal(id, profile) : null;
+  await startUnlessRunning(id);
   await loadDevices();
   choose(id);
-  // It has no calibration yet, and so no points: what it has are scans.
-  location.hash = "#/scans";
+  if (refusal === null) location.hash = measured || nominal ? "#/scene" : "#/scans";
+  return refusal;
 }

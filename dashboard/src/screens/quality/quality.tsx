@@ -7,6 +7,7 @@ import { device, type Device } from "../../devices";
 import { usePolled } from "../../live/polling";
 import { text } from "../../text";
 import { significant } from "../../ui/format";
+import { NoDevice } from "../../ui/no_device";
 import { Badge, Failure, Panel } from "../../ui/parts";
 import { type Chart, ControlChartPlot } from "./control_chart_plot";
 import { DriftChecks } from "./drift_checks";
@@ -18,7 +19,7 @@ const OPERATION = "GET /api/v1/devices/{device_id}/quality";
 
 export function QualityScreen() {
   const shown = device.value;
-  if (!shown) return <p class="muted">{text.device.none}</p>;
+  if (!shown) return <NoDevice />;
   if (!allowed(OPERATION)) return <p class="muted">{text.access.notAllowed(scopeOf(OPERATION))}</p>;
   return <DeviceQuality key={shown.id} shown={shown} />;
 }

@@ -1,10 +1,15 @@
 import { describe, expect, test } from "vitest";
 import { SceneState } from "../scene/scene_state";
-import { advanced, calibrationOf, frameRate, kept, toFrame } from "./playback";
+import { calibrationOf, frameRate, kept, nextPosition, toFrame } from "./playback";
 
 describe("position", () => {
   test("goes on by the recording's own rate and the chosen speed", () => {
-    expect(advanced(100, 10_000, 500, 2, 1000)).toBe(1100);
+    expect(nextPosition(100, 10_000, 100, 2, 1000)).toBe(300);
+  });
+  test("behind a late answer goes on by no more than the server need begin anew for", () => {
+    expect(nextPosition(100, 10_000, 200, 1, 1000)).toBe(300);
+    expect(nextPosition(100, 10_000, 5000, 1, 1000)).toBe(356);
+    expect(nextPosition(100, 10_000, 5000, 10, 1000)).toBe(1100);
   });
   test.each([
     [-5, 0],
@@ -47,10 +52,22 @@ test("strobed frames of one span show all their markers in the scene", () => {
           points: [
             { marker: number, position_mm: [number, 0, 0], covariance_mm2: null, residual_sigma: null, sensors: [], flags: [] },
           ],
+          tracks: null,
+          tools: null,
         },
         "sim",
         null,
       ),
     );
   expect(state.markers.map(({ id }) => id).sort()).toEqual(["marker 0", "marker 1", "marker 2"]);
+});
+
+test("tracks and tools that were asked for are shown in the scene", () => {
+  const state = new SceneState();
+  const track = { id: 7, state: "confirmed", flags: [], position_mm: [1, 2, 3], covariance_mm2: null };
+  const tool = { tool_id: "pointer", status: "OK", reason: null, translation_mm: [1, 2, 3], rotation: [[1, 0, 0], [0, 1, 0], [0, 0, 1]] };
+  const recorded = { number: 0, sequence: 0, exposure_ns: 0, marker: null, points: [], tracks: [track], tools: [tool] } as never;
+  state.take(toFrame(recorded, "sim", null));
+  expect(state.markers.map(({ id }) => id)).toEqual(["track 7"]);
+  expect(state.tools.map(({ id, ghost }) => [id, ghost])).toEqual([["pointer", false]]);
 });

@@ -10,6 +10,10 @@ type Detail = Schemas["RecordingDetail"];
 export const SPEEDS = [0.01, 0.1, 0.25, 0.5, 1, 2, 5, 10] as const;
 /** Frames that make one picture: a strobed frame shows one marker only. */
 export const SPAN = 32;
+/** Time from one picture to the next of a playing recording. */
+export const PICTURE_MS = 100;
+/** Frames from one picture to the next where the server is slow. */
+const MAX_STEP = 256;
 
 /** Return the mean rate of a recording's frames [Hz]; 1 where it is not known. */
 export function frameRate(recording: Pick<Recording, "frames_written" | "duration_s">): number {
@@ -17,9 +21,14 @@ export function frameRate(recording: Pick<Recording, "frames_written" | "duratio
   return recording.duration_s && gaps > 0 ? gaps / recording.duration_s : 1;
 }
 
-/** Return the frame that is due, kept inside the recording. */
-export function advanced(position: number, frames: number, passedMs: number, speed: number, rateHz: number): number {
-  return kept(position + (passedMs / 1000) * speed * rateHz, frames);
+/** Return the next position of a playing recording, inside of it.
+ *
+ * Where the server is slow the recording is played more slowly: it works frames out behind those of before, and begins
+ * anew, which is more work, behind too large a step.
+ */
+export function nextPosition(position: number, frames: number, passedMs: number, speed: number, rateHz: number): number {
+  const perMs = (speed * rateHz) / 1000;
+  return kept(position + Math.min(passedMs * perMs, Math.max(PICTURE_MS * perMs, MAX_STEP)), frames);
 }
 
 /** Return a frame's number that is inside the recording. */
@@ -34,7 +43,7 @@ export function calibrationOf(detail: Pick<Detail, "calibrations">, number: numb
   return before.sort((a, b) => (a.from_frame ?? 0) - (b.from_frame ?? 0)).at(-1)?.calibration_id ?? null;
 }
 
-/** Return a recorded frame as the stream would have sent it; it has neither tracks nor tools. */
+/** Return a recorded frame as the stream would have sent it; without tracks and tools where they were not asked for. */
 export function toFrame(recorded: RecordedFrame, device: string, calibration: string | null): Frame {
   return {
     type: "frame",
@@ -50,8 +59,8 @@ export function toFrame(recorded: RecordedFrame, device: string, calibration: st
     flags: [],
     points: recorded.points.map((point) => ({ ...point, external_reliability_mm: null })),
     peaks: null,
-    tracks: null,
-    tools: null,
+    tracks: recorded.tracks,
+    tools: recorded.tools,
     holds: null,
   } as unknown as Frame;
 }

@@ -8,12 +8,24 @@ import { text } from "../../text";
 import { newDeviceId } from "../../ui/device_id";
 import { download } from "../../ui/download";
 import { bytes, significant, time } from "../../ui/format";
+import { useOpener } from "../../ui/opener";
 import { Action, Badge, Failure, Panel, Table, Why } from "../../ui/parts";
+import { startUnlessRunning } from "../../ui/start_device";
 import type { Recording } from "./playback";
 import { Player } from "./player";
 
 export function Recordings() {
   const opened = useSignal<Recording | null>(null);
+  /** Of the player, which stands above it. */
+  const opener = useOpener();
+  const open = (recording: Recording) => {
+    opener.note();
+    opened.value = recording;
+  };
+  const close = () => {
+    opened.value = null;
+    opener.giveFocusBack();
+  };
   const recordings = usePolled("recordings", () =>
     sent(api.GET("/api/v1/recordings", { params: { query: { limit: 100 } } })),
   );
@@ -21,7 +33,7 @@ export function Recordings() {
   const player = opened.value;
   return (
     <>
-    {player ? <Player key={player.id} recording={player} close={() => (opened.value = null)} /> : null}
+    {player ? <Player key={player.id} recording={player} close={close} /> : null}
     <Panel
       title={text.screens.recordings}
       actions={
@@ -63,7 +75,7 @@ export function Recordings() {
           significant(recording.duration_s, 3),
           bytes(recording.size_bytes),
           time(recording.started_at),
-          <Actions recording={recording} refresh={recordings.refresh} open={() => (opened.value = recording)} />,
+          <Actions recording={recording} refresh={recordings.refresh} open={() => open(recording)} />,
         ]}
       />
     </Panel>
@@ -100,7 +112,7 @@ function Actions({ recording, refresh, open }: ActionsProps) {
       />
       <Action
         label={text.recordings.play}
-        operation="POST /api/v1/devices"
+        operation={["POST /api/v1/devices", "POST /api/v1/devices/{device_id}/start"]}
         disabled={recording.state === "unreadable"}
         run={() => play(recording)}
       />
@@ -132,7 +144,7 @@ async function play(recording: Recording): Promise<void> {
         body: { id, title: recording.id, source: { kind: "replay", recording_id: recording.id } },
       } as never),
     );
-  await sent(api.POST("/api/v1/devices/{device_id}/start", { params: { path: { device_id: id } } }));
+  await startUnlessRunning(id);
   await loadDevices();
   choose(id);
   location.hash = "#/scene";

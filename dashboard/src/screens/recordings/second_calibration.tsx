@@ -1,8 +1,10 @@
-/** A recording by a second calibration beside what was found live: the choice, and the differences. */
+/** A recording by a second calibration beside its own: the choice, and the differences. */
 
 import { type ReadonlySignal, type Signal, useSignal } from "@preact/signals";
 import { useEffect, useRef } from "preact/hooks";
+import { whenFree } from "../../api/busy_server";
 import { api, RequestFailed, sent } from "../../api/client";
+import { allowed, scopeOf } from "../../api/session";
 import { usePolled } from "../../live/polling";
 import { text } from "../../text";
 import { significant } from "../../ui/format";
@@ -19,7 +21,14 @@ interface ChoiceProps {
   second: Signal<string>;
 }
 
-export function SecondCalibrationChoice({ recording, second }: ChoiceProps) {
+const CALIBRATIONS = "GET /api/v1/calibrations";
+
+export function SecondCalibrationChoice(props: ChoiceProps) {
+  if (!allowed(CALIBRATIONS)) return <span class="muted">{`${text.beside.second}: ${text.access.notAllowed(scopeOf(CALIBRATIONS))}`}</span>;
+  return <AllowedChoice {...props} />;
+}
+
+function AllowedChoice({ recording, second }: ChoiceProps) {
   const device = recording.device_id;
   const query = { ...(device === null ? {} : { device_id: device }), limit: 100 };
   const calibrations = usePolled(`calibrations ${device}`, () => sent(api.GET("/api/v1/calibrations", { params: { query } })), 30);
@@ -34,6 +43,7 @@ export function SecondCalibrationChoice({ recording, second }: ChoiceProps) {
           </option>
         ))}
       </select>
+      <Failure message={calibrations.error} />
     </label>
   );
 }
@@ -45,31 +55,38 @@ interface DifferencesProps {
   second: string;
   /** Of the frames that are shown. */
   shown: ReadonlySignal<readonly Difference[]>;
+  /** Whether those are worked out now, as tracks and tools are. */
+  tracking: boolean;
 }
 
 /** Begins anew for each second calibration: give that as its key. */
-export function Differences({ recording, frames, first, second, shown }: DifferencesProps) {
+export function Differences({ recording, frames, first, second, shown, tracking }: DifferencesProps) {
   const whole = useSignal<readonly Difference[] | null>(null);
   const share = useSignal(0);
   const error = useSignal<string | null>(null);
-  const alive = useRef(true);
-  useEffect(() => () => void (alive.current = false), []);
+  const shownNoMore = useRef(new AbortController()).current;
+  useEffect(() => () => shownNoMore.abort(), []);
+  const results = recording.contents.includes("results");
   const compare = async () => {
     const pages = samplePages(frames, PAGES, PAGE_FRAMES);
-    const found: Difference[] = [];
+    const compared: Difference[] = [];
     error.value = null;
     try {
       for (const [index, page] of pages.entries()) {
-        if (!alive.current) return;
         share.value = index / pages.length;
         const path = { recording_id: recording.id };
-        const of = (query: object) =>
-          sent(api.GET("/api/v1/recordings/{recording_id}/frames", { params: { path, query: { first: page, count: PAGE_FRAMES, ...query } } }));
-        const [live, other] = [await of({}), await of({ calibration_id: second })];
-        found.push(...differences(live.frames, other.frames));
+        const framesOf = async (query: { calibration_id?: string; tracking?: boolean }) => {
+          const { signal } = shownNoMore;
+          const send = () =>
+            sent(api.GET("/api/v1/recordings/{recording_id}/frames", { params: { path, query: { first: page, count: PAGE_FRAMES, ...query } }, signal }));
+          return (await whenFree(send, signal)).frames;
+        };
+        // Without results its own points, too, are worked out now.
+        compared.push(...differences(await framesOf(results ? {} : { tracking: true }), await framesOf({ calibration_id: second })));
       }
-      whole.value = found;
+      whole.value = compared;
     } catch (failure) {
+      if (shownNoMore.signal.aborted) return;
       if (!(failure instanceof RequestFailed)) throw failure;
       error.value = failure.message;
     } finally {
@@ -77,11 +94,12 @@ export function Differences({ recording, frames, first, second, shown }: Differe
     }
   };
   const used = whole.value ?? shown.value;
+  const live = whole.value ? results : !tracking;
   return (
     <section class="panel" aria-label={text.beside.title}>
       <h3>{text.beside.title}</h3>
       <p>
-        <span class="swatch first" /> {text.beside.live(first ?? text.missing)} <span class="swatch second" />{" "}
+        <span class="swatch first" /> {(live ? text.beside.live : text.beside.now)(first ?? text.missing)} <span class="swatch second" />{" "}
         {text.beside.by(second)}
       </p>
       <p class="muted">{whole.value ? text.beside.ofWhole(used.length) : text.beside.ofShown(used.length)}</p>

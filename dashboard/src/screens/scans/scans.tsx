@@ -7,6 +7,7 @@ import { device, type Device } from "../../devices";
 import { text } from "../../text";
 import { download, toCsv } from "../../ui/download";
 import { significant, timeOfDay, withSigma } from "../../ui/format";
+import { NoDevice } from "../../ui/no_device";
 import { Badge, Panel, Table } from "../../ui/parts";
 import { useLiveScans } from "./live_scans";
 import { aroundPeak, csvRows, fileName, type Scan, type Scans, type Vertical, zoomed } from "./scan_data";
@@ -18,7 +19,7 @@ const OPERATION = "GET /api/v1/devices/{device_id}/scans";
 
 export function ScansScreen() {
   const shown = device.value;
-  if (!shown) return <p class="muted">{text.device.none}</p>;
+  if (!shown) return <NoDevice />;
   if (!allowed(OPERATION)) return <p class="muted">{text.access.notAllowed(scopeOf(OPERATION))}</p>;
   return <DeviceScans key={shown.id} shown={shown} />;
 }

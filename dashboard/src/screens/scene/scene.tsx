@@ -5,13 +5,15 @@ import type { ComponentChildren } from "preact";
 import { useEffect, useRef } from "preact/hooks";
 import { api, type Schemas, sent } from "../../api/client";
 import { allowed } from "../../api/session";
-import { device } from "../../devices";
+import { device, loadDevices } from "../../devices";
 import { type DeviceStream, useDeviceStream } from "../../live/device_stream";
 import type { Frame, ToolPose, Track } from "../../live/messages";
 import { usePolled } from "../../live/polling";
 import { text } from "../../text";
 import { meanSigma, position, significant, withSigma } from "../../ui/format";
-import { Badge, Copy, Failure, Panel, Table, useThrottled } from "../../ui/parts";
+import { NoDevice } from "../../ui/no_device";
+import { NOMINAL_OPERATIONS, useNominal } from "../../ui/nominal_calibration";
+import { Action, Badge, Copy, Failure, Panel, Table, useThrottled } from "../../ui/parts";
 import { centreOf, type SensorModel, sensorPose, type Vector } from "./geometry";
 import { SceneState } from "./scene_state";
 import { type Picked, SceneView, type ToolShape, type View } from "./scene_view";
@@ -26,12 +28,13 @@ const VIEWS = Object.keys(text.scene.views) as View[];
 
 export function Scene() {
   const shown = device.value;
-  return shown ? <DeviceScene key={shown.id} device={shown} /> : <p class="muted">{text.device.none}</p>;
+  return shown ? <DeviceScene key={shown.id} device={shown} /> : <NoDevice />;
 }
 
 function DeviceScene({ device: shown }: { device: Schemas["Device"] }) {
   const stream = useDeviceStream(shown.id, ["points", "tracks", "tools"], RATE_HZ);
   const active = shown.active_calibration_id;
+  const profile = shown.source.kind === "profile" ? shown.source.profile_id : null;
   const may = allowed("GET /api/v1/tools");
   const tools = usePolled(
     `tools ${shown.id} ${may}`,
@@ -51,6 +54,12 @@ function DeviceScene({ device: shown }: { device: Schemas["Device"] }) {
         <StreamBanner stream={stream} />
       </ScenePicture>
       {active === null ? <p class="muted">{text.scene.noCalibration}</p> : null}
+      {active === null && profile !== null ? (
+        <div class="row">
+          <Action label={text.scene.useNominal} operation={NOMINAL_OPERATIONS} run={() => useNominal(shown.id, profile)} done={async () => void (await loadDevices())} />
+          <span class="muted">{text.scene.useNominalHelp}</span>
+        </div>
+      ) : null}
     </>
   );
 }
@@ -140,7 +149,7 @@ export function ScenePicture(props: ScenePictureProps) {
         taken.current = frame;
         const markers = frame ? state.markers : [];
         const others = (frame && props.second?.markers) || [];
-        picture.current?.setMarkers([...markers, ...others.map((one) => ({ ...one, id: `${one.id} (2)`, kind: "second" as const }))], factor.value, chosen?.id ?? null);
+        picture.current?.setMarkers([...markers, ...others.map((one) => ({ ...one, id: one.id + SECOND, kind: "second" as const }))], factor.value, chosen?.id ?? null);
         picture.current?.setTools(frame ? state.tools : [], shapesOf(tools, chosen));
         const marker = planes.value ? markers.find(({ id }) => id === chosen?.id) : undefined;
         picture.current?.setPlanes(marker?.position ?? null);
@@ -192,9 +201,10 @@ export function ScenePicture(props: ScenePictureProps) {
         </div>
       </div>
       <Failure message={calibration.error} />
+      {calibration.value?.provenance === "nominal" ? <p class="muted">{text.scene.nominal}</p> : null}
       {volume ? <p class="muted">{text.scene.volume(...boxRanges(volume))}</p> : null}
       <div class={props.old ? "stale" : undefined}>
-        <Selected frame={frame} state={state} picked={selected.value} />
+        <Selected frame={frame} state={state} second={props.second ?? null} picked={selected.value} />
         <Tables
           frame={frame}
           state={state}
@@ -252,6 +262,8 @@ export function StreamBanner({ stream }: { stream: DeviceStream }) {
     return stream.hello.value ? <Banner>{text.connection.connectingAgain}</Banner> : <Banner role="status">{text.connection.connecting}</Banner>;
   if (connection === "lost") return <Banner>{text.connection.lost}</Banner>;
   if (connection === "refused") return <Banner>{stream.reason.value ?? text.connection.refused}</Banner>;
+  // Nothing is shown that could be old.
+  if (stream.stale.value && connection === "open" && stream.received === 0) return <Banner role="status">{[text.connection.noFrameYet, stream.reason.value].filter(Boolean).join(" ")}</Banner>;
   if (stream.stale.value && connection === "open") return <Banner>{text.connection.silent}</Banner>;
   if (connection === "open" && state !== null && state !== "running")
     return <Banner>{[text.connection.notRunning(state), stream.reason.value].filter(Boolean).join(" ")}</Banner>;
@@ -266,6 +278,9 @@ function Banner({ children, role = "alert" }: { children: string; role?: "alert"
   );
 }
 
+/** Behind the name of what a second calibration gives. */
+const SECOND = " (2)";
+
 function markerName(track: Track): string {
   return `track ${track.id}`;
 }
@@ -278,8 +293,15 @@ function shortened(value: unknown): string {
   return String(value);
 }
 
-function Selected({ frame, state, picked }: { frame: Frame | null; state: SceneState; picked: Picked | null }) {
-  const numbers = frame && picked ? numbersOf(frame, state, picked) : null;
+interface SelectedProps {
+  frame: Frame | null;
+  state: SceneState;
+  second: SceneState | null;
+  picked: Picked | null;
+}
+
+function Selected({ frame, state, second, picked }: SelectedProps) {
+  const numbers = frame && picked ? numbersOf(frame, state, second, picked) : null;
   return (
     <Panel title={text.scene.selected} actions={numbers ? <Copy value={JSON.stringify(numbers)} /> : null}>
       {numbers ? (
@@ -298,7 +320,11 @@ function Selected({ frame, state, picked }: { frame: Frame | null; state: SceneS
   );
 }
 
-function numbersOf(frame: Frame, state: SceneState, picked: Picked): object | null {
+function numbersOf(frame: Frame, state: SceneState, second: SceneState | null, picked: Picked): object | null {
+  if (picked.kind === "marker" && picked.id.endsWith(SECOND)) {
+    const marker = second?.markers.find(({ id }) => id + SECOND === picked.id);
+    return marker ? { id: picked.id, position_mm: marker.position, covariance_mm2: marker.covariance } : null;
+  }
   if (picked.kind === "tool") return frame.tools?.find(({ tool_id }) => tool_id === picked.id) ?? null;
   return (
     frame.tracks?.find((track) => markerName(track) === picked.id) ??
@@ -317,7 +343,7 @@ interface TablesProps {
 function Tables({ frame, state, selected, select }: TablesProps) {
   return (
     <>
-      {/* Recorded frames have points only. */}
+      {/* Recorded frames may have points only. */}
       {frame?.tools === null ? null : (
       <Panel title={text.scene.tools}>
         <Table

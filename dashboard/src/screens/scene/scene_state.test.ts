@@ -49,6 +49,16 @@ describe("SceneState", () => {
     expect(state.markers.map(({ id, kind }) => [id, kind])).toEqual([["marker 1", "point"], ["marker 2", "suspect"]]);
   });
 
+  test("a track that no sensor detects now is suspect only where something else is wrong with it", () => {
+    const state = new SceneState();
+    const kinds = (tracks: readonly (readonly [string, string[]])[]) => {
+      const rows = tracks.map(([name, flags], id) => ({ id, position_mm: [0, 0, 0], covariance_mm2: null, state: name, flags }));
+      state.take(frameOf({ tracks: rows }));
+      return state.markers.map(({ kind }) => kind);
+    };
+    expect(kinds([["coasting", ["few-sensors"]], ["coasting", ["few-sensors", "ambiguous"]], ["confirmed", ["few-sensors"]]])).toEqual(["coasting", "suspect", "suspect"]);
+  });
+
   test("a track's tail grows to a limit and ends with the track", () => {
     const state = new SceneState();
     const track = { id: 7, position_mm: [0, 0, 0], covariance_mm2: null, state: "confirmed", flags: [] };
@@ -97,5 +107,21 @@ describe("SceneState", () => {
     state.take(frameOf({ points: [point(null, 4)] }, 1));
     state.take(frameOf({ points: [] }, 1.01));
     expect(state.markers).toEqual([]);
+  });
+
+  test("frames of a recording that come again are taken once", () => {
+    const state = new SceneState();
+    const track = (x: number) => ({ id: 7, position_mm: [x, 0, 0], covariance_mm2: null, state: "confirmed", flags: [] });
+    const span = (first: number, last: number) =>
+      Array.from({ length: last - first + 1 }, (_, index) => frameOf({ tracks: [track(first + index)] }, first + index));
+    state.follow(span(0, 3), 0);
+    // A player asks for some frames before each that it shows.
+    state.follow(span(2, 5), 2);
+    state.follow(span(2, 5), 2);
+    expect(state.markers[0]?.tail.map(([x]) => x)).toEqual([0, 1, 2, 3, 4, 5]);
+    state.clear();
+    // The last one is taken by who draws it.
+    state.follow(span(1, 3), 1, 1);
+    expect(state.markers[0]?.tail.map(([x]) => x)).toEqual([1, 2]);
   });
 });

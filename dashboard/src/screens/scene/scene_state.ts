@@ -22,13 +22,28 @@ export class SceneState {
   private readonly strobed = new Map<number, { points: readonly Point[]; since: number }>();
   private readonly tails = new Map<string, (readonly number[])[]>();
   private readonly lastPoses = new Map<string, { pose: ToolPose; at: number }>();
+  /** Number of the newest frame of a recording. */
+  private newest = -1;
 
   /** Forget what came before: the next frame does not follow it. */
   clear(): void {
     this.markers = [];
     this.tools = [];
     this.points = [];
+    this.newest = -1;
     for (const known of [this.strobed, this.tails, this.lastPoses]) known.clear();
+  }
+
+  /** Take those frames of a recording that were not taken yet.
+   *
+   * `first` is the number of the first frame. The last `left` are taken by others, who draw them.
+   */
+  follow(frames: readonly Frame[], first: number, left = 0): void {
+    const before = this.newest;
+    frames.forEach((frame, index) => {
+      if (first + index > before && index < frames.length - left) this.take(frame);
+    });
+    this.newest = Math.max(before, first + frames.length - 1);
   }
 
   /** Take a frame. */
@@ -89,7 +104,8 @@ function trackMarkers(frame: Frame): Omit<Marker, "tail">[] {
     id: `track ${track.id}`,
     position: track.position_mm,
     covariance: track.covariance_mm2,
-    kind: track.flags.length
+    // A track that coasts is detected by no sensor now, which is no fault: strobed markers do so in most frames.
+    kind: track.flags.some((flag) => flag !== "few-sensors" || track.state !== "coasting")
       ? "suspect"
       : track.state === "confirmed" || track.state === "coasting"
         ? track.state

@@ -64,6 +64,14 @@ export interface ToolShape {
   readonly named: boolean;
 }
 
+interface ToolBody {
+  readonly group: Group;
+  /** What it was made from. */
+  readonly made: string;
+  /** From the tool's origin to its tip; null: it has none. */
+  readonly tipLine: LineSegments | null;
+}
+
 const COLOURS = { point: 0x3aa0ff, confirmed: 0x35c46b, tentative: 0xd0d0d0, coasting: 0xf0a030, suspect: 0xff6050, second: 0xd65fc8 };
 const TOOL_COLOUR = 0xffd24a;
 const GHOST_COLOUR = 0x888888;
@@ -80,7 +88,7 @@ export class SceneView {
   private readonly controls: OrbitControls;
   private readonly fixed = new Group();
   private readonly planes = new Group();
-  private readonly tools = new Map<string, { group: Group; made: string }>();
+  private readonly tools = new Map<string, ToolBody>();
   private readonly tails = new LineSegments(
     new BufferGeometry(),
     new LineBasicMaterial({ vertexColors: true, transparent: true, opacity: 0.7 }),
@@ -132,6 +140,9 @@ export class SceneView {
   theme(): void {
     const style = getComputedStyle(this.canvas);
     this.scene.background = new Color(style.getPropertyValue("--scene").trim() || "#101820");
+    this.scene.traverse((object) => {
+      if (object instanceof Sprite) paintLabel(object);
+    });
     this.request();
   }
 
@@ -216,9 +227,15 @@ export class SceneView {
         m(2, 0), m(2, 1), m(2, 2), t[2] ?? 0,
         0, 0, 0, 1,
       );
-      const group = this.toolBody(tool, shapes.get(tool.id), matrix);
+      const { group, tipLine } = this.toolBody(tool, shapes.get(tool.id));
       group.matrix.copy(matrix);
       group.matrixWorldNeedsUpdate = true;
+      const [x = 0, y = 0, z = 0] = tool.pose.tip_mm ?? [];
+      // With each pose: where the tip is on the tool changes when it is pivoted.
+      if (tipLine) {
+        tipLine.geometry.setFromPoints([new Vector3(), new Vector3(x, y, z).applyMatrix4(matrix.invert())]);
+        tipLine.geometry.computeBoundingSphere();
+      }
     }
     this.request();
   }
@@ -353,10 +370,11 @@ export class SceneView {
     return group;
   }
 
-  private toolBody(tool: DrawnTool, shape: ToolShape | undefined, matrix: Matrix4): Group {
+  private toolBody(tool: DrawnTool, shape: ToolShape | undefined): ToolBody {
     const existing = this.tools.get(tool.id);
-    const made = JSON.stringify([tool.ghost, tool.label, shape, this.extent]);
-    if (existing?.made === made) return existing.group;
+    const tipped = Boolean(tool.pose.tip_mm);
+    const made = JSON.stringify([tool.ghost, tool.label, tipped, shape, this.extent]);
+    if (existing?.made === made) return existing;
     if (existing) {
       this.scene.remove(existing.group);
       existing.group.traverse(release);
@@ -375,15 +393,12 @@ export class SceneView {
     group.add(axes, sprite(tool.label, size));
     if (shape) group.add(toolMarkers(shape.markers_mm, 0.7 * this.smallRadius(), colour));
     if (shape?.named) group.add(...axisNames(size));
-    if (tool.pose.tip_mm) {
-      const inverse = matrix.clone().invert();
-      const [x = 0, y = 0, z = 0] = tool.pose.tip_mm;
-      const geometry = new BufferGeometry().setFromPoints([new Vector3(), new Vector3(x, y, z).applyMatrix4(inverse)]);
-      group.add(new LineSegments(geometry, new LineBasicMaterial({ color: colour })));
-    }
+    const tipLine = tipped ? new LineSegments(new BufferGeometry(), new LineBasicMaterial({ color: colour })) : null;
+    if (tipLine) group.add(tipLine);
     this.scene.add(group);
-    this.tools.set(tool.id, { group, made });
-    return group;
+    const body = { group, made, tipLine };
+    this.tools.set(tool.id, body);
+    return body;
   }
 
   private readonly clicked = (event: MouseEvent): void => {
@@ -430,21 +445,30 @@ function sprite(label: string, size: number): Sprite {
   const canvas = document.createElement("canvas");
   canvas.width = 512;
   canvas.height = 64;
-  const context = canvas.getContext("2d");
-  if (context) {
-    context.font = "44px sans-serif";
-    context.textAlign = "center";
-    context.fillStyle = getComputedStyle(document.documentElement).color;
-    const shown = label.length > 40 ? `${label.slice(0, 39)}…` : label;
-    context.fillText(shown, 256, 42);
-  }
   // As large on the screen whatever the distance.
   const map = new CanvasTexture(canvas);
   map.colorSpace = SRGBColorSpace;
   const made = new Sprite(new SpriteMaterial({ map, depthTest: false, sizeAttenuation: false }));
   made.scale.set(0.24, 0.03, 1);
   made.position.y = size * 0.6;
+  made.userData["label"] = label;
+  paintLabel(made);
   return made;
+}
+
+/** Write a sprite's label onto it, in the page's colour of text now. */
+function paintLabel({ material, userData }: Sprite): void {
+  const { map } = material;
+  const label = userData["label"] as string;
+  const canvas = map?.image as HTMLCanvasElement | undefined;
+  const context = canvas?.getContext("2d");
+  if (!map || !canvas || !context) return;
+  context.clearRect(0, 0, canvas.width, canvas.height);
+  context.font = "44px sans-serif";
+  context.textAlign = "center";
+  context.fillStyle = getComputedStyle(document.documentElement).color;
+  context.fillText(label.length > 40 ? `${label.slice(0, 39)}…` : label, 256, 42);
+  map.needsUpdate = true;
 }
 
 /** Return the edges of a box, dashed. */

@@ -5,7 +5,7 @@ import { api, sent } from "../../api/client";
 import { text } from "../../text";
 import { attempt } from "../../ui/attempt";
 import { Action, Failure, Panel } from "../../ui/parts";
-import { readText } from "../../ui/text_file";
+import { takeText } from "../../ui/text_file";
 import { MIN_MARKERS, slotsOf } from "./entries";
 import { parseTools } from "./tool_file";
 
@@ -93,8 +93,8 @@ function ToolFromFile({ device, done, id }: DefineToolProps & { id: string }) {
           type="file"
           accept=".json,.csv,.tsv,.txt"
           onChange={async ({ currentTarget }) => {
-            const file = currentTarget.files?.[0];
-            if (file) content.value = await readText(file);
+            const taken = await takeText(currentTarget);
+            if (taken !== null) content.value = taken;
           }}
         />
       </label>

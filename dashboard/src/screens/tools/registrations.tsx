@@ -2,6 +2,7 @@
 
 import { useSignal } from "@preact/signals";
 import { api, type Schemas, sent } from "../../api/client";
+import type { Device } from "../../devices";
 import { type Polled, usePolled } from "../../live/polling";
 import { text } from "../../text";
 import { attempt } from "../../ui/attempt";
@@ -9,18 +10,19 @@ import { position, significant } from "../../ui/format";
 import { IdChoice } from "../../ui/id_choice";
 import { Action, Failure, Panel, Table } from "../../ui/parts";
 import { parseTargets } from "../../ui/targets";
-import { readText } from "../../ui/text_file";
-import { type MeasuredPoint, measurePoint, pointers } from "./digitise";
+import { takeText } from "../../ui/text_file";
+import { measurePoint, pointers } from "./digitise";
 import { keptByDevice } from "./kept";
+import { measuredFor, type MeasuredRow, remeasured, type Row, TRACKER } from "./registration_points";
 
 type Tool = Schemas["Tool"];
 type Registration = Schemas["Registration"];
 
 const MIN_POINTS = 3;
 
-export function Registrations({ device, tools }: { device: string; tools: readonly Tool[] }) {
-  const polled = usePolled(`registrations ${device}`, () =>
-    sent(api.GET("/api/v1/registrations", { params: { query: { device_id: device, limit: 100 } } })),
+export function Registrations({ device, tools }: { device: Device; tools: readonly Tool[] }) {
+  const polled = usePolled(`registrations ${device.id}`, () =>
+    sent(api.GET("/api/v1/registrations", { params: { query: { device_id: device.id, limit: 100 } } })),
   );
   const chosen = useSignal<string | null>(null);
   const found = polled.value?.items ?? [];
@@ -72,7 +74,7 @@ export function Registrations({ device, tools }: { device: string; tools: readon
 }
 
 interface NewRegistrationProps {
-  device: string;
+  device: Device;
   tools: readonly Tool[];
   registered: Polled<{ items: Registration[] }>;
 }
@@ -80,21 +82,28 @@ interface NewRegistrationProps {
 const idOf = keptByDevice(() => "");
 const tableOf = keptByDevice(() => "");
 const referenceOf = keptByDevice(() => "");
-/** By name of the point. */
-const measuredOf = keptByDevice<ReadonlyMap<string, MeasuredPoint>>(() => new Map());
+const measuredOf = keptByDevice<readonly MeasuredRow[]>(() => []);
+/** How often the measured points were emptied: what is being measured meanwhile is not added. */
+const emptiedOf = keptByDevice(() => 0);
 
 function NewRegistration({ device, tools, registered }: NewRegistrationProps) {
-  const id = idOf(device);
-  const table = tableOf(device);
-  const reference = referenceOf(device);
-  const measured = measuredOf(device);
+  const id = idOf(device.id);
+  const table = tableOf(device.id);
+  const reference = referenceOf(device.id);
+  const measured = measuredOf(device.id);
+  const emptied = emptiedOf(device.id);
+  const clear = () => {
+    measured.value = [];
+    emptied.value += 1;
+  };
+  const pointOf = (row: Row) => measuredFor(measured.value, row, device, reference.value || TRACKER);
   const chosen = useSignal("");
   const able = pointers(tools);
   const tool = able.find((one) => one.id === chosen.value) ?? able[0];
   const read = attempt(() => parseTargets(table.value));
   const points = typeof read === "string" ? [] : read;
   const fiducials = points.flatMap(({ name, position_mm }) => {
-    const point = measured.value.get(name);
+    const point = pointOf({ name, position_mm });
     return point ? [{ name, frame_mm: position_mm, measured_mm: point.position_mm, measured_covariance_mm2: point.covariance_mm2 }] : [];
   });
   if (!tool)
@@ -104,7 +113,14 @@ function NewRegistration({ device, tools, registered }: NewRegistrationProps) {
       </Panel>
     );
   return (
-    <Panel title={text.registrations.make}>
+    <Panel
+      title={text.registrations.make}
+      actions={
+        <button type="button" disabled={!measured.value.length} onClick={clear}>
+          {text.registrations.clear}
+        </button>
+      }
+    >
       <p>{text.registrations.help}</p>
       <div class="row">
         <label>
@@ -116,11 +132,7 @@ function NewRegistration({ device, tools, registered }: NewRegistrationProps) {
           among={tools}
           none={text.tools.tracker}
           without={tool.id}
-          choose={(id) => {
-            reference.value = id;
-            // What was measured is in another frame.
-            measured.value = new Map();
-          }}
+          choose={(id) => (reference.value = id)}
         />
         <IdChoice label={text.points.tool} value={tool.id} among={able} choose={(id) => (chosen.value = id)} />
         <label>
@@ -129,8 +141,11 @@ function NewRegistration({ device, tools, registered }: NewRegistrationProps) {
             type="file"
             accept=".csv,.tsv,.txt,text/csv"
             onChange={async ({ currentTarget }) => {
-              const file = currentTarget.files?.[0];
-              if (file) table.value = await readText(file);
+              const content = await takeText(currentTarget);
+              if (content === null) return;
+              table.value = content;
+              // Another file is another object, even where its points have the same names and positions.
+              clear();
             }}
           />
         </label>
@@ -148,7 +163,7 @@ function NewRegistration({ device, tools, registered }: NewRegistrationProps) {
           identity={({ name }) => name}
           empty={text.missing}
           row={({ name, position_mm }) => {
-            const point = measured.value.get(name);
+            const point = pointOf({ name, position_mm });
             return [
               name,
               position(position_mm),
@@ -157,9 +172,9 @@ function NewRegistration({ device, tools, registered }: NewRegistrationProps) {
                 label={point ? text.registrations.again(name) : text.registrations.measure(name)}
                 operation="POST /api/v1/tools/{tool_id}/points"
                 run={async () => {
-                  const asked = reference.value;
-                  const point = await measurePoint(tool.id, asked || "tracker", name);
-                  if (asked === reference.value) measured.value = new Map(measured.value).set(name, point);
+                  const asked = emptied.value;
+                  const point = await measurePoint(tool.id, reference.value || TRACKER, name);
+                  if (asked === emptied.value) measured.value = remeasured(measured.value, { name, position_mm }, point);
                 }}
               />,
             ];
@@ -176,7 +191,7 @@ function NewRegistration({ device, tools, registered }: NewRegistrationProps) {
           const body = {
             kind: "paired-points" as const,
             id: id.value,
-            device_id: device,
+            device_id: device.id,
             reference_id: reference.value || null,
             fiducials,
             targets: points.map(({ name, position_mm }) => ({ name, frame_mm: position_mm })),
@@ -184,7 +199,10 @@ function NewRegistration({ device, tools, registered }: NewRegistrationProps) {
           };
           return sent(api.POST("/api/v1/registrations", { body }));
         }}
-        done={registered.refresh}
+        done={async () => {
+          clear();
+          await registered.refresh();
+        }}
       />
     </Panel>
   );

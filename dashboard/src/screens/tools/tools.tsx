@@ -2,11 +2,12 @@
 
 import { useSignal } from "@preact/signals";
 import { api, type Schemas, sent } from "../../api/client";
-import { device } from "../../devices";
+import { device, type Device } from "../../devices";
 import { useDeviceStream } from "../../live/device_stream";
 import { usePolled } from "../../live/polling";
 import { text } from "../../text";
 import { meanSigma, position, significant } from "../../ui/format";
+import { NoDevice } from "../../ui/no_device";
 import { Badge, Failure, Panel, Table, useThrottled } from "../../ui/parts";
 import { StreamBanner } from "../scene/scene";
 import { DefineTool } from "./define_tool";
@@ -22,10 +23,11 @@ const TABLE_HZ = 4;
 
 export function Tools() {
   const shown = device.value;
-  return shown ? <DeviceTools key={shown.id} id={shown.id} /> : <p class="muted">{text.device.none}</p>;
+  return shown ? <DeviceTools key={shown.id} device={shown} /> : <NoDevice />;
 }
 
-function DeviceTools({ id }: { id: string }) {
+function DeviceTools({ device: shown }: { device: Device }) {
+  const { id } = shown;
   const stream = useDeviceStream(id, ["tools"], RATE_HZ);
   const polled = usePolled(`tools ${id}`, () =>
     sent(api.GET("/api/v1/tools", { params: { query: { device_id: id, limit: 100 } } })),
@@ -71,7 +73,7 @@ function DeviceTools({ id }: { id: string }) {
       ) : null}
       <DefineTool device={id} done={polled.refresh} />
       <DigitisePoints device={id} tools={tools} frames={frames.value?.frames ?? []} />
-      <Registrations device={id} tools={tools} />
+      <Registrations device={shown} tools={tools} />
       <Frames device={id} polled={frames} />
     </>
   );

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from sqlalchemy.orm import Session
 
     from service.database.models import DeviceRow, RunRow, ToolRow
+    from service.pipeline.detection_stage import FindProfile
 
 MAX_FRAMES: Final = 1_000_000
 """They are held in memory, about half a kilobyte for each point and track in each frame."""
@@ -82,13 +83,18 @@ def request_of(session: "Session", device: "DeviceRow", request: NewExportRun) -
 
 
 def task(
-    exports: ExportRepository, recordings: Path, session: "Session", row: "RunRow"
+    exports: ExportRepository,
+    recordings: Path,
+    find_profile: "FindProfile",
+    session: "Session",
+    row: "RunRow",
 ) -> tuple[Callable[..., Any], tuple[Any, ...]]:
     """Return what the run's process calls, with its arguments.
 
     Args:
         exports: where the file is to lie.
         recordings: the folder of recordings.
+        find_profile: returns the device profiles that recordings name; can be pickled.
         session: the session.
         row: of the run.
 
@@ -99,7 +105,7 @@ def task(
     recording = recording_path(request.recording_id, recordings)
     output = exports.partial_path(row.id, request.format)
     given = _given(session, request)
-    return compute, (request, recording, output, given, exports.free_bytes)
+    return compute, (request, recording, output, given, exports.free_bytes, find_profile)
 
 
 def store(exports: ExportRepository, _session: "Session", row: "RunRow", _result: None) -> str:
@@ -180,6 +186,7 @@ def compute(
     output: Path,
     given: ActiveCalibration | None,
     free_bytes: int,
+    find_profile: "FindProfile",
 ) -> None:
     """Follow markers and tools through a recording and write the file.
 
@@ -205,7 +212,7 @@ def compute(
                 report_progress(_WRITING * count / max(frames, 1), f"frame {count} of {frames}")
 
         tools = [tool.body() for tool in request.tools]
-        table = table_from_recording(reader, tools, given, done, request.tracking)
+        table = table_from_recording(reader, tools, given, done, request.tracking, find_profile)
     report_progress(_WRITING, "writes the file")
     check_space(output.parent, free_bytes)
     output.unlink(missing_ok=True)

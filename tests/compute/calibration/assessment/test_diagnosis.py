@@ -141,3 +141,14 @@ def test_a_robust_run_leaves_its_outliers_out_of_the_checks() -> None:
     found = calibrate(*given, settings=CalibrationSettings(loss="robust"))
     checked = cross_validate(found, *given, scheme="points")
     assert all(rms is not None and rms < 0.5 for rms in checked.reading_rms_px)
+
+
+@pytest.mark.parametrize(("count", "said"), [(15, True), (24, False)])
+def test_too_few_readings_for_a_robust_loss_with_terms_are_named(count: int, said: bool) -> None:
+    models, points = rig(), control_points(count)
+    noise = 0.1 * np.random.default_rng(2).standard_normal((count, 4))
+    readings = project(models, points) + noise
+    settings = CalibrationSettings(distortion="symmetric-3", loss="robust")
+    found = calibrate(points, readings, geometry(models), settings=settings)
+    remarks = " ".join(diagnose(found, points, readings).remarks)
+    assert ("cannot always tell wrong readings" in remarks) == said

@@ -313,6 +313,7 @@ def test_approach_comes_near_and_says_nothing() -> None:
     assert squares < 1.1 * solution.chi2
 
 
+@pytest.mark.slow
 def test_points_without_a_length_are_refused_by_name() -> None:
     """Free points and free cameras: any projective change fits as well."""
     rng = np.random.default_rng(14)

@@ -24,6 +24,7 @@ def parameter_error(found: SensorModel, true: SensorModel) -> list[float]:
     ]
 
 
+@pytest.mark.slow
 def test_the_joint_covariance_is_honest_and_joint() -> None:
     """All 28 parameters' errors squared over the joint covariance average 28.
 

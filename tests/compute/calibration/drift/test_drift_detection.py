@@ -143,6 +143,7 @@ def _error(calibration: Calibration, models: tuple[SensorModel, ...]) -> float:
     return float(np.sqrt(((found.position_mm - points) ** 2).sum(axis=1).mean()))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("places", [True, False])
 def test_update_takes_the_drift_away(places: bool) -> None:
     before, after, own = [], [], []
@@ -162,6 +163,7 @@ def test_update_takes_the_drift_away(places: bool) -> None:
     assert left < 0.1 * (np.mean(np.square(before)) - np.mean(np.square(own)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("places", [True, False])
 def test_covariance_of_an_update_is_honest(places: bool) -> None:
     """The changed parameter of the changed sensor: off by what its deviation says."""

@@ -50,12 +50,14 @@ def test_exchanged_points_are_named_as_such() -> None:
         assert ask(question, 1, 92).exact == 1, question
 
 
+@pytest.mark.slow
 def test_what_is_missed_is_less_likely_than_what_is_found() -> None:
     """Errors of just ten deviations: a search can do no better than the likeliest."""
     outcome = ask(BESIDE[-2], 4, 93)
     assert 0 < outcome.likelier == outcome.frames - outcome.exact
 
 
+@pytest.mark.slow
 def test_measured_frame_at_3_m() -> None:
     test = load_test("5.3")
     readings = np.column_stack([s.to_px(test.readings_mm[:, k]) for k, s in enumerate(DFW_V500)])
@@ -193,6 +195,7 @@ def test_findings_of_other_data_are_refused() -> None:
         exclude(findings, two[:1], readings[:, :1])
 
 
+@pytest.mark.slow
 def test_a_lens_with_distortion_is_no_label_error() -> None:
     """Without its columns a distortion of tenths of a pixel names readings at the field's edge."""
     bent = tuple(

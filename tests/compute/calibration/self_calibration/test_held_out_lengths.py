@@ -33,6 +33,7 @@ def _by_true_cameras(poses: int = 4000) -> float:
     return float(np.sqrt(np.mean((np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) - WAND_MM) ** 2)))
 
 
+@pytest.mark.slow
 def test_lengths_held_out_are_as_wrong_as_noise_and_cameras_make_them() -> None:
     recording = _recording(150, 4)
     found = self_calibrate(rig(), [recording])
@@ -45,6 +46,7 @@ def test_lengths_held_out_are_as_wrong_as_noise_and_cameras_make_them() -> None:
     assert held_out.rms_mm < held_out.max_mm < 6.0 * held_out.rms_mm
 
 
+@pytest.mark.slow
 def test_few_poses_fit_better_than_they_measure() -> None:
     """What was fitted is too good; what was held out says so."""
     ratio = []
@@ -59,6 +61,7 @@ def test_few_poses_fit_better_than_they_measure() -> None:
     assert np.median(ratio) > 1.15
 
 
+@pytest.mark.slow
 def test_a_reading_that_was_rejected_is_not_measured_with() -> None:
     clean = _recording(100, 7)
     readings = clean.readings_px.copy()

@@ -196,6 +196,7 @@ def test_frame_at_four_unknown_places() -> None:
     assert rms < 1.3 * _known_cameras_rms(54)
 
 
+@pytest.mark.slow
 def test_uncertain_length_makes_the_scale_uncertain() -> None:
     """The covariance moves points that are reconstructed apart by the length's own deviation."""
     read = _recording(9).readings_px
@@ -233,6 +234,7 @@ def test_wand_and_body_together() -> None:
     assert found.dof == 50 * 3 + 20 * 10 - 22
 
 
+@pytest.mark.slow
 def test_sensors_with_distortion_get_theirs_adjusted() -> None:
     lens = FieldDistortion(((3, 0), (1, 2)), (-0.4, -0.6))
 
@@ -371,6 +373,7 @@ def test_bad_recordings_are_refused() -> None:
         self_calibrate(rig(), [Recording(WAND, np.full((40, 2, 4), np.nan))])
 
 
+@pytest.mark.slow
 def test_readings_of_nothing_are_refused() -> None:
     """Random readings fit no wand: an error, whichever notices first, and no calibration."""
     rng = np.random.default_rng(20)

@@ -1,16 +1,25 @@
 """Cameras from readings alone: projective steps, mirror image, exchanged ends, warnings."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import compute.calibration.self_calibration.self_calibrate as module
+import validation.wand_from_readings.case as case
 from compute.calibration.bundle_adjustment.solver import adjust
 from compute.calibration.self_calibration.initial_poses import start_poses
-from compute.calibration.self_calibration.pose_screening import find_exchanges
+from compute.calibration.self_calibration.metric_upgrade import metric_upgrades
+from compute.calibration.self_calibration.pose_screening import (
+    check_poses_left,
+    find_exchanges,
+    pose_curvature,
+    screen_poses,
+)
 from compute.calibration.self_calibration.projective_reconstruction import (
     SEED,
+    ProjectiveReconstruction,
     adjust_projective,
     affine_start,
     dual,
@@ -18,6 +27,7 @@ from compute.calibration.self_calibration.projective_reconstruction import (
 from compute.calibration.self_calibration.recording_checks import (
     check_certainty,
     check_flat_readings,
+    check_scale,
     check_volume_coverage,
     check_wave,
 )
@@ -32,11 +42,13 @@ from compute.calibration.self_calibration.uncalibrated_start import (
     settle_handedness,
     uncalibrated_start,
 )
-from compute.camera.model import SensorGeometry
+from compute.camera.model import SensorGeometry, SensorModel
 from compute.camera.stack import CameraStack
 from compute.errors import (
     DegeneratePoints,
     InvalidParameter,
+    LumilineError,
+    NoConvergence,
     TooFewPoints,
     UndeterminedParameters,
 )
@@ -240,6 +252,50 @@ def test_a_flat_cloud_is_known_from_its_readings_alone() -> None:
         check_flat_readings([Recording(WAND, read)])
 
 
+def test_a_short_bar_far_from_a_volume_does_not_make_it_flat() -> None:
+    """Depth changes its readings by 2 % of what the other directions do."""
+    wave = case.draw_wave(next(row for row in case.ROWS if row.always), 18001, 5)
+    sigma = np.full(wave.readings_px.shape, wave.sigma_px)
+    wand = Wand((0.0, wave.bar.wand_mm))
+    check_flat_readings([Recording(wand, wave.readings_px, sigma)])
+    flat = wave.bar.read(wave.markers_mm * [1.0, 1.0, 0.0] + [0.0, 0.0, wave.bar.centre_mm[2]])
+    with pytest.raises(DegeneratePoints, match="all in one plane"):
+        check_flat_readings([Recording(wand, flat, sigma)])
+
+
+def test_markers_of_unnoticed_wrong_readings_may_lie_beyond_infinity() -> None:
+    rng = np.random.default_rng(14)
+    models, markers = rig(), wand_markers(50, rng).reshape(-1, 3)
+    forward = np.array([np.append(one.rotation[2], one.offset_z_mm) for one in models])
+    right = np.array([np.append(one.rotation[0], one.offset_x_mm) for one in models])
+    inner = np.array([(one.principal_distance_px, one.principal_point_px) for one in models])
+    first = inner[:, :1] * right + inner[:, 1:] * forward
+    cameras, readings = np.stack([first, forward], axis=1), CameraStack.of(models).project(markers)
+    points, pairs = np.column_stack([markers, np.ones(100)]), np.arange(100).reshape(-1, 2)
+    wrong = points.copy()
+    wrong[[10, 30, 50, 70], 2:] = (3000.0, -1.0)
+    distances = []
+    for one in (points, wrong):
+        reconstruction = ProjectiveReconstruction(cameras, one, readings)
+        found = metric_upgrades(reconstruction, pairs, np.full(50, WAND_MM), _geometry())
+        distances.append([model.principal_distance_px for model in found[0][1]])
+    np.testing.assert_allclose(distances[1], distances[0], rtol=0.1)
+
+
+def test_a_pose_between_two_solutions_does_not_stop_the_adjustment() -> None:
+    """With it 2000 steps were too few, from the true cameras, too."""
+    wave = case.draw_wave(next(row for row in case.ROWS if row.always), 93001, 31)
+    sigma = np.full(wave.readings_px.shape, wave.sigma_px)
+    recording = Recording(Wand((0.0, wave.bar.wand_mm)), wave.readings_px, sigma)
+    found = self_calibrate(case.true_models(wave.bar), [recording])
+    assert found.chi2_per_dof < 1.5
+    start = start_poses(found.calibration.models, recording, sigma)
+    fitted = screen_poses(found.calibration.models, start).consistent.poses
+    curvature = pose_curvature(found.calibration.models, fitted)
+    assert (curvature > 1.0).sum() == 1
+    assert np.median(curvature) < 0.01
+
+
 def test_uncertain_cameras_are_explained_by_directions_on_a_cone() -> None:
     rng = np.random.default_rng(12)
     models = rig()
@@ -247,8 +303,11 @@ def test_uncertain_cameras_are_explained_by_directions_on_a_cone() -> None:
     recording = Recording(WAND, noisy(models, bars(MIDDLE + middles, along), rng))
     start = start_poses(models, recording, np.full(recording.readings_px.shape, 1.0)).poses
     adjusted = adjust(models, [start], free_datum=True)
-    check_certainty(adjusted, [recording], [start])
+    assert check_certainty(adjusted, [recording], [start]) == ""
     count = len(adjusted.global_covariance)
+    hardly = replace(adjusted, global_covariance=1e5 * np.eye(count))
+    warning = check_certainty(hardly, [recording], [start])
+    assert re.search(r"principal distance of sensor s\d to 1\d % only", warning)
     unknown = replace(adjusted, global_covariance=1e8 * np.eye(count))
     with pytest.raises(UndeterminedParameters, match=r"of sensor s\d open: .* 33\d %"):
         check_certainty(unknown, [recording], [start])
@@ -263,11 +322,47 @@ def test_uncertain_cameras_are_explained_by_directions_on_a_cone() -> None:
         check_certainty(uncertain, [cone], [start])
 
 
+def test_size_that_the_start_sees_right_is_the_searchs_fault() -> None:
+    models = rig()
+    small = [scaled(model, 0.1) for model in models]
+    check_scale(models, models, [1.0])
+    with pytest.raises(NoConvergence, match=r"0\.1 times as large .* sees the known lengths right"):
+        check_scale(models, small, [1.05])
+    with pytest.raises(InvalidParameter, match="were they given in cm"):
+        check_scale(models, small, [10.2])
+
+
+def test_recording_without_a_pose_that_agrees_is_named() -> None:
+    recording = _recording(14)
+    sigma = np.full(recording.readings_px.shape, SIGMA_PX)
+    start = start_poses(rig(), recording, sigma)
+    none = start.select(np.zeros(len(start.poses), dtype=np.bool_))
+    check_poses_left([start, start])
+    with pytest.raises(NoConvergence, match="no pose of recording 2 agrees"):
+        check_poses_left([start, none])
+
+
+@pytest.mark.slow
+def test_readings_of_no_wand_are_refused() -> None:
+    rng = np.random.default_rng(14)
+    recording = _recording(14)
+    shuffled = rng.permuted(recording.readings_px.reshape(-1, 4), axis=0)
+    shuffled = shuffled.reshape(recording.readings_px.shape)
+    with pytest.raises(LumilineError):
+        self_calibrate(rig(), [replace(recording, readings_px=shuffled)])
+
+
+def scaled(model: SensorModel, scale: float) -> SensorModel:
+    return replace(
+        model, offset_x_mm=scale * model.offset_x_mm, offset_z_mm=scale * model.offset_z_mm
+    )
+
+
 def test_flat_wave_and_directions_on_a_cone_are_both_named() -> None:
     rng = np.random.default_rng(13)
     models, flat = rig(), [1.0, 1.0, 0.0]
     middles, along = rng.uniform(-150.0, 150.0, (80, 3)), rng.standard_normal((80, 3))
     recording = Recording(WAND, noisy(models, bars(MIDDLE + middles * flat, along * flat), rng))
     start = start_poses(models, recording, np.full(recording.readings_px.shape, 1.0)).poses
-    with pytest.raises(DegeneratePoints, match=r"two dimensions .*; or the 80 known"):
+    with pytest.raises(DegeneratePoints, match=r"all in one plane: .*; or the 80 known"):
         check_wave([recording], [start])

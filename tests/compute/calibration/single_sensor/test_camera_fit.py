@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from compute.calibration.single_sensor.camera_fit import LensPrior, minimise
+from compute.calibration.single_sensor.camera_fit import minimise
+from compute.calibration.single_sensor.lens_prior import LensPrior
 from compute.camera.stack import CameraStack
 from tests.compute.distorted_rig import distorted_rig, field_points, seen_readings
 from tests.compute.rig import control_points, project, rig

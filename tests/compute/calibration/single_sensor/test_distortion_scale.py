@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from compute.calibration.single_sensor.distortion_scale import STRENGTHS, fit_distortion_scale
-from compute.calibration.single_sensor.sensor_fits import ControlObservations, fit_undistorted
+from compute.calibration.single_sensor.sensor_fits import ControlObservations
+from compute.calibration.single_sensor.undistorted_fit import fit_undistorted
 from compute.camera.model import SensorGeometry
 from tests.compute.rig import control_points, geometry, project, rig
 
@@ -32,6 +33,7 @@ def test_copies_of_a_lens_count_as_the_root_of_their_number() -> None:
     assert flat > one > four > sixteen > 0.3 * one
 
 
+@pytest.mark.slow
 def test_noise_of_few_readings_is_not_taken_for_distortion() -> None:
     """Each scale has noise of its own: with one noise for all, small noise and large scale win."""
     sensors = geometry(rig())

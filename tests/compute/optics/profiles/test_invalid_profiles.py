@@ -387,6 +387,7 @@ def test_a_file_that_is_not_text_is_refused(tmp_path: Path) -> None:
         load_profile(file)
 
 
+@pytest.mark.slow
 def test_pint_is_imported_when_a_profile_is_loaded_and_not_before() -> None:
     code = (
         "import sys; "

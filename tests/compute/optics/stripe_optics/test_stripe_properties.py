@@ -86,6 +86,7 @@ def test_light_falls_with_the_square_of_the_distance(u, v, z):
     assert found.total_sr[0] / found.total_sr[1] == pytest.approx(4.0, rel=100.0 / z)
 
 
+@pytest.mark.slow
 @FEW
 @given(st.sampled_from(["bar", "toroid", "tilted"]), u_angle, v_angle, distances)
 def test_lines_are_continuous(name, u, v, z):
@@ -189,6 +190,7 @@ def test_far_beside_the_row_is_dark_without_nan():
     assert np.isnan(found.centroid_px[dark]).all()
 
 
+@pytest.mark.slow
 @FEW
 @given(u_angle, v_angle, st.floats(1.0, 6.0))
 def test_emitter_widens_the_line_by_its_image(u, v, width):

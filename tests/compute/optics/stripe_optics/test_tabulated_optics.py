@@ -98,6 +98,7 @@ def beside(optics_field, nodes, ends, count, seed):
     )
 
 
+@pytest.mark.slow
 def test_tables_of_tilted_optics():
     field = FieldOfView((0.0, 0.1), (-0.04, 0.04), (1200.0, 1500.0))
     ends = (field.u, field.v, field.distance_mm)
@@ -107,6 +108,7 @@ def test_tables_of_tilted_optics():
     np.testing.assert_allclose(light, traced_light, rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_cells_at_the_edge_of_the_light():
     """Beyond the row's end lines go dark: what the table cannot say there is traced."""
     field = FieldOfView((0.3, 0.45), (-0.04, 0.04), (1200.0, 1500.0))

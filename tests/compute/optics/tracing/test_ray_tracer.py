@@ -72,6 +72,7 @@ def test_matches_numpy(stack, seed):
     assert_same_rays(RayTracer(stack, "cpu").trace(*rays), expected)
 
 
+@pytest.mark.slow
 def test_every_outcome_occurs_and_is_the_same():
     seen = np.zeros(len(RayStatus), np.int64)
     for seed in range(20):

@@ -178,6 +178,7 @@ def test_two_faces_at_normal_incidence():
     np.testing.assert_allclose(rays.path_mm, 9.0 + 4.0 * 1.52 + 6.0, rtol=1e-15)
 
 
+@pytest.mark.slow
 @settings(max_examples=20, deadline=None)
 @given(SEEDS)
 def test_polarisations_by_components_at_every_surface(seed):

@@ -85,6 +85,7 @@ def test_two_sensors_a_marker_are_enough_and_the_covariance_is_right() -> None:
     assert np.mean(tips) == pytest.approx(3.0, abs=0.9)
 
 
+@pytest.mark.slow
 def test_the_calibrations_covariance_is_common_to_all_markers() -> None:
     rng = np.random.default_rng(2)
     model = MeasurementModel.of(CAMERAS, CALIBRATION)
@@ -296,6 +297,7 @@ def test_shapes_are_checked() -> None:
         fit_pose(CAMERAS, pointer(), np.zeros((4, 4)), np.ones(3))
 
 
+@pytest.mark.slow
 def test_reliability_says_from_where_on_an_error_is_found_and_what_a_smaller_one_does() -> None:
     """By errors of that size, whatever the formulae are."""
     true = body(pointer(), 9)

@@ -413,6 +413,7 @@ def test_long_runs_are_the_same(covariance: Array | None, with_table: bool) -> N
     assert sum(pose.valid for pose in wanted) > 200
 
 
+@pytest.mark.slow
 def test_the_same_input_gives_the_same_bits() -> None:
     first, second = (follow(True, CALIBRATION, False, 3) for _ in range(2))
     for one, other in zip(first, second, strict=True):

@@ -66,6 +66,7 @@ def squared_distance(point: Array, corners: Array) -> float:
     return min(found)
 
 
+@pytest.mark.slow
 @settings(max_examples=30)
 @given(st.integers(0, 10_000), st.integers(1, 60))
 def test_the_nearest_place_is_the_nearest_of_all_triangles(seed: int, scale: int) -> None:

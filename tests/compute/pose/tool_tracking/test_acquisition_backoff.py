@@ -109,6 +109,7 @@ def off(scene: Scene) -> str | None:
     return tool.reason
 
 
+@pytest.mark.slow
 def test_readings_that_never_fit_cost_few_searches_and_the_reason_stays(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -121,6 +122,7 @@ def test_readings_that_never_fit_cost_few_searches_and_the_reason_stays(
     assert any(scene.strobed()[0].valid for _ in turns)
 
 
+@pytest.mark.slow
 def test_a_tool_that_comes_back_is_looked_for_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = lost()
     counted = Counted(monkeypatch)
@@ -167,6 +169,7 @@ def test_a_tool_that_is_found_where_it_is_not_is_not_looked_for_all_the_time(
     assert 1 <= number - before <= 2 + np.log(3.0) / np.log(1.0 + MAX_DELAY_FRACTION)
 
 
+@pytest.mark.slow
 def test_a_tool_that_was_confirmed_is_looked_for_at_once_when_it_is_lost(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -14,6 +14,7 @@ from tests.compute.signal.coded_aperture.coded_aperture_scenes import woven
 CODA = load_profile("coda-mpx30")
 
 
+@pytest.mark.slow
 def test_the_volume_of_a_device() -> None:
     """Prints the errors of noiseless shadows over the volume, by distance and method.
 

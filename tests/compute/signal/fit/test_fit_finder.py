@@ -133,6 +133,7 @@ def test_single_peaks_are_at_the_bound_and_honest(width_px, electrons, read):
     assert abs(chi2 - 1.0) < 0.02
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "options", [FitSettings(width_px=2.0), FitSettings(width_px=2.0, width_log_sigma=0.0)]
 )
@@ -247,6 +248,7 @@ def test_a_batch_smaller_than_the_room_leaves_nothing_behind():
             np.testing.assert_array_equal(values, getattr(expected, name)[:count], name)
 
 
+@pytest.mark.slow
 def test_threads_and_batches_change_nothing():
     """By a batch that is large enough for two threads, whose parts begin with sensor 0."""
     lines = np.tile(varied_lines(60, 1024, np.random.default_rng(6)), (6, 1))

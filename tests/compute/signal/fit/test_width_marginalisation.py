@@ -151,6 +151,7 @@ def test_faint_lines_alone_and_in_pairs_agree_with_the_kernel():
         assert ((expected.flags & PeakFlag.JOINT) != 0).any(axis=1).sum() > 10
 
 
+@pytest.mark.slow
 def test_widths_below_a_third_of_a_pixel_are_improbable():
     assert FitSettings(width_log_sigma=np.inf, width_px=0.3).narrow_width_px == NARROW_PX
     assert FitSettings(width_log_sigma=2.0).narrow_width_px == NARROW_PX

@@ -103,6 +103,7 @@ client.feed_at_random(feed, 60.0, np.random.default_rng(1))
 """
 
 
+@pytest.mark.slow
 def test_a_program_that_is_killed_leaves_all_that_it_handed_over(tmp_path: Path) -> None:
     path = tmp_path / "r.h5"
     with subprocess.Popen(

@@ -55,6 +55,7 @@ def test_a_calibration_recovers_the_simulators_cameras(client: Any):
             assert sigma < 1e-3 * true.principal_distance_px
 
 
+@pytest.mark.slow
 def test_control_point_errors_are_those_of_the_reconstructed_points(client: Any):
     errors = client.post(URL, json=body()).json()["errors"]
     for kind in ("fitted", "leave_one_out"):
@@ -102,6 +103,7 @@ def test_errors_rest_on_the_readings_that_the_calibration_used(
         assert max(found["statistics"]["max_absolute_mm"]) < 0.5
 
 
+@pytest.mark.slow
 def test_distortion_of_few_points_is_estimated_with_a_reason(sqlite_client: Any):
     corners = np.array(np.meshgrid(*[[-150.0, 150.0]] * 3)).reshape(3, 8).T
     points = simulated_points(corners)
@@ -139,6 +141,7 @@ def hash_by_the_recipe(document: dict[str, Any]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
+@pytest.mark.slow
 def test_the_hash_can_be_recomputed_from_the_document(client: Any):
     first = client.post(URL, json=body(note="first")).json()
     second = client.post(URL, json=body(note="second")).json()
@@ -232,6 +235,7 @@ def test_activating_the_active_one_writes_no_history(client: Any):
     assert len(client.get("/api/v1/devices/sim/activations").json()["items"]) == 1
 
 
+@pytest.mark.slow
 def test_retiring(client: Any):
     client.post(URL, json=body(id="second"))
     refused = client.post(f"{URL}/sim-nominal/retire")
@@ -244,6 +248,7 @@ def test_retiring(client: Any):
     assert client.get("/api/v1/devices/sim").json()["active_calibration_id"] == "sim-nominal"
 
 
+@pytest.mark.slow
 def test_filters_and_pages(client: Any):
     for name in ("a", "b", "c"):
         client.post(URL, json=body(id=name))

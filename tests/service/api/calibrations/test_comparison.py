@@ -93,6 +93,7 @@ def test_the_better_one_is_named_by_points_that_neither_was_fitted_to():
     assert on_check.one_rms_mm < 0.5 * on_check.other_rms_mm
 
 
+@pytest.mark.slow
 def test_stored_calibrations_are_compared(client: Any):
     for example in NEW_CALIBRATIONS.values():
         assert client.post("/api/v1/calibrations", json=example["value"]).status_code == 201

@@ -24,6 +24,7 @@ def place(live: FakePipeline, target: Any) -> None:
     live.seen_px = stack.project(np.array([target["position_mm"]]))[0]
 
 
+@pytest.mark.slow
 def test_a_session_is_captured_target_by_target_and_calibrates(
     settings: Settings, monkeypatch: pytest.MonkeyPatch
 ):
@@ -104,6 +105,7 @@ def test_a_marker_that_was_not_moved_is_told(sqlite_client: Any, live: FakePipel
     assert done["instruction"].startswith("All targets are captured")
 
 
+@pytest.mark.slow
 def test_captures_of_all_kinds_have_one_base(client: Any):
     """What they share has one name and one meaning, also in kinds that come later."""
     schemas = client.app.openapi()["components"]["schemas"]

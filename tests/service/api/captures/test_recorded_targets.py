@@ -1,6 +1,7 @@
 """Captures of targets from a recording: the readings that `lumiline readings` writes, over REST."""
 
 import shutil
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from service.api.captures.examples import NEW_CAPTURES
 from service.api.captures.schema import CaptureSettings, Target
 from service.api.devices.schema import Sensor
 from service.api.recordings.recorded_readings import captured_targets
+from service.api.recordings.recording_process import MAX_CONCURRENT
 from service.application.app import create_app
 from service.jobs.call_process import CallProcess
 from service.problems.errors import SensorsChanged
@@ -122,3 +124,11 @@ def test_captured_targets_of_another_device_is_refused(frame: Path) -> None:
     targets = [Target(name="P1", position_mm=(0.0, 0.0, 1500.0), marker=0)]
     with pytest.raises(SensorsChanged, match="other"):
         captured_targets(frame, "other", SENSORS[:3], targets, CaptureSettings())
+
+
+def test_create_capture_does_not_wait_for_players(client: Any) -> None:
+    """Not even where as many of these wait as may."""
+    with ExitStack() as stack:
+        for _ in range(MAX_CONCURRENT):
+            stack.enter_context(client.app.state.recalculation._process._limit)
+        assert client.post(URL, json=BODY).status_code == 201

@@ -115,6 +115,7 @@ def test_a_table_is_used_with_its_calibration_and_no_other(
     ]
 
 
+@pytest.mark.slow
 def test_a_table_works_with_a_calibration_of_the_same_content(client: Any, quickly: None):
     wanted = made_calibration(client, "first")
     assert made_calibration(client, "second") == wanted
@@ -157,6 +158,7 @@ def test_rolling_back_goes_back_step_by_step(client: Any, live: FakePipeline, qu
     ]  # fmt: skip
 
 
+@pytest.mark.slow
 def test_rolling_back_to_a_retired_calibration_is_refused(sqlite_client: Any):
     made_calibration(sqlite_client, "other")
     sqlite_client.post("/api/v1/calibrations/other/activate")
@@ -166,6 +168,7 @@ def test_rolling_back_to_a_retired_calibration_is_refused(sqlite_client: Any):
     assert sqlite_client.get("/api/v1/devices/sim").json()["active_calibration_id"] == "other"
 
 
+@pytest.mark.slow
 def test_a_device_starts_with_its_table(sqlite_client: Any, live: FakePipeline, quickly: None):
     send(sqlite_client, content(nominal_hash(sqlite_client)), id="map")
     sqlite_client.post(f"{URL}/map/activate")

@@ -43,6 +43,7 @@ def activations(client: Any) -> list[str]:
     return [item["calibration_id"] for item in items]
 
 
+@pytest.mark.slow
 def test_of_two_at_the_same_moment_one_wins_and_the_log_tells_both(with_two: Any):
     with ThreadPoolExecutor(2) as pool:
         with with_two.app.state.database.write() as session:
@@ -68,6 +69,7 @@ def test_of_two_at_the_same_moment_one_wins_and_the_log_tells_both(with_two: Any
     assert refused["detail"] == lost["detail"]
 
 
+@pytest.mark.slow
 def test_of_two_servers_with_one_database_one_wins(with_two: Any, settings: Settings):
     # Each has locks of its own; what decides is the database's.
     others = [Database(settings.effective_database_url) for _ in range(2)]
@@ -96,6 +98,7 @@ def test_of_two_servers_with_one_database_one_wins(with_two: Any, settings: Sett
     assert len(activations(with_two)) == 2
 
 
+@pytest.mark.slow
 def test_two_roll_backs_at_once_go_back_once(with_two: Any):
     for name in ("a", "b"):
         assert with_two.post(f"/api/v1/calibrations/{name}/activate").status_code == 200
@@ -111,6 +114,7 @@ def test_two_roll_backs_at_once_go_back_once(with_two: Any):
     assert activations(with_two) == ["a", "b", "a", "sim-nominal"]
 
 
+@pytest.mark.slow
 def test_a_client_says_what_it_believes_to_be_active(with_two: Any):
     path = "/api/v1/calibrations/{}/activate?expected={}"
     assert with_two.post(path.format("a", "sim-nominal")).status_code == 200

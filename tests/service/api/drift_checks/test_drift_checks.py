@@ -130,6 +130,7 @@ def finished(client: Any, run: str) -> Any:
         time.sleep(0.02)
 
 
+@pytest.mark.slow
 def test_a_device_that_did_not_move_is_good(client: Any):
     found = client.get("/api/v1/drift-checks/before").json()
     assert (found["status"], found["moved"]) == ("good", [])
@@ -186,6 +187,7 @@ def test_the_history_of_a_device_is_listed(client: Any):
     assert client.get(url, params={"calibration_id": "sim-nominal"}).json()["items"] == []
 
 
+@pytest.mark.slow
 def test_an_update_run_makes_a_calibration_that_holds_again(client: Any):
     points = read(moved_models(), PLACES[:8], 20)
     client.post(URL, json={"id": "drifted", "points": points, "position_sigma_mm": 0.01})

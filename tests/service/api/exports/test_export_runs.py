@@ -57,6 +57,7 @@ def code(answer: Any) -> tuple[int, str]:
     return answer.status_code, answer.json()["type"].rpartition("/")[2]
 
 
+@pytest.mark.slow
 def test_it_makes_what_the_command_line_makes(
     sqlite_client: Any, walk: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ):
@@ -98,6 +99,7 @@ def test_it_makes_what_the_command_line_makes(
     ]
 
 
+@pytest.mark.slow
 def test_every_format(sqlite_client: Any, walk: Path, monkeypatch: pytest.MonkeyPatch):
     use_in_process_worker(monkeypatch)
     for kind, media_type, begins in (
@@ -195,6 +197,7 @@ def test_of_a_run_that_is_cancelled_nothing_is_left(
     assert sqlite_client.get(f"{API}/exports").json()["items"] == []
 
 
+@pytest.mark.slow
 def test_what_fails_says_why_and_leaves_nothing(
     sqlite_client: Any, walk: Path, monkeypatch: pytest.MonkeyPatch
 ):

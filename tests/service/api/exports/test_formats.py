@@ -145,6 +145,7 @@ def test_csv(tmp_path: Path) -> None:
     assert (np.diff(expected["frame"]) >= 0).all()
 
 
+@pytest.mark.slow
 def test_parquet(tmp_path: Path) -> None:
     parquet = pytest.importorskip("pyarrow.parquet")
     given = table()

@@ -123,6 +123,7 @@ def test_a_recording_gives_what_was_live(
     assert (found.poses.status == "OK").sum() > FRAMES // 2
 
 
+@pytest.mark.slow
 def test_tracking_and_limits_that_are_not_the_defaults(taken: Taken, tmp_path: Path) -> None:
     """As live, bit by bit; and otherwise than by default, or nothing would be shown."""
     tracking = Tracking(tracks="always", tool_coast_s=0.02, volume_mm=((0, 0, 0), (1, 1, 1)))
@@ -256,6 +257,7 @@ def test_streams_without_frames(tmp_path: Path, content: bytes) -> None:
         table_from_stream(path)
 
 
+@pytest.mark.slow
 def test_command_line(taken: Taken, tmp_path: Path) -> None:
     source = recording(tmp_path / "r.h5", taken, lines=False, results=True)
     tools = tmp_path / "tools.json"

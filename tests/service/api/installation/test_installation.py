@@ -24,6 +24,7 @@ def settings_of(client: Any) -> dict[str, Any]:
     return found
 
 
+@pytest.mark.slow
 def test_all_settings_are_listed_with_what_is_in_force(tmp_path: Path) -> None:
     given = Settings(data_dir=tmp_path, compute_device="cpu", recording_max_age_days=30)
     with TestClient(create_app(given)) as client:
@@ -51,6 +52,7 @@ def test_the_password_of_a_database_is_hidden(
     assert shown == "postgresql+psycopg://me:***@host/lumiline"
 
 
+@pytest.mark.slow
 def test_backups_are_listed_newest_first(tmp_path: Path) -> None:
     given = Settings(data_dir=tmp_path / "data", compute_device="cpu")
     folder = tmp_path / "backups"

@@ -106,6 +106,7 @@ def test_a_shape_by_place() -> None:
     assert any("poor-fit" in peak.flags for peak in one[1:])
 
 
+@pytest.mark.slow
 def test_windows_and_pictures_have_the_shape() -> None:
     values = line({100.3: 2.0})
     method = FitMethod(shape=Shape(**shape(2.0)))

@@ -241,6 +241,7 @@ def test_pictures(sqlite_client: Any) -> None:
     assert Image.open(io.BytesIO(png)).format == "PNG"
 
 
+@pytest.mark.slow
 @given(st.integers(0, 2**32 - 1), st.sampled_from([64, 300]), st.sampled_from(["fit", "scale"]))
 @settings(max_examples=25, deadline=None)
 def test_any_line_gives_an_answer(seed: int, pixels: int, how: str) -> None:

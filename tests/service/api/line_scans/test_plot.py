@@ -57,6 +57,7 @@ def test_lines_are_drawn_over_http(sqlite_client: Any) -> None:
     assert "scan is 2" in refused.json()["detail"]
 
 
+@pytest.mark.slow
 def test_an_averaged_line_is_drawn_with_its_others(sqlite_client: Any) -> None:
     lines = np.stack([scenes(seed)[0] for seed in range(4)])
     for line, first in ((0, 0), (1, 0), (2, 2), (3, 2)):
@@ -173,6 +174,7 @@ def test_any_line_has_a_picture(seed: int, name: str, pixels: int) -> None:
     assert image(draw_scan(line, found, METHODS[name], "line 0")).format == "PNG"
 
 
+@pytest.mark.slow
 def test_a_fit_that_was_not_possible_is_shown_as_such() -> None:
     """All of a peak saturated: no pixel is left to fit."""
     line = np.full(128, 100, np.uint16)

@@ -36,6 +36,7 @@ def test_a_profile_is_what_its_file_says(sqlite_client: Any, name: str) -> None:
     assert found["error_sources"]["distortion"] == profile.error_sources.distortion
 
 
+@pytest.mark.slow
 def test_a_plan_is_the_library_s(sqlite_client: Any) -> None:
     found = sqlite_client.get(f"{PROFILES}/bar/plan?grid=3").json()
     ours = plan(load_profile("bar"), grid=3)

@@ -12,6 +12,7 @@ PROFILES = "/api/v1/device-profiles"
 PLANS = "/api/v1/profile-plans"
 
 
+@pytest.mark.slow
 def test_plan_of_a_sent_profile_is_that_of_its_own_geometry(sqlite_client: TestClient) -> None:
     near = sqlite_client.post(PLANS, json={"toml": EXAMPLE}).json()
     farther = EXAMPLE.replace('"1500 mm"]\nsize', '"2500 mm"]\nsize')
@@ -53,6 +54,7 @@ def test_kept_profile_is_not_overwritten(sqlite_client: TestClient) -> None:
     assert sqlite_client.post(PROFILES, json={"toml": EXAMPLE + "\n"}).status_code == 422
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", [PROFILES, PLANS])
 @pytest.mark.parametrize(
     "toml",

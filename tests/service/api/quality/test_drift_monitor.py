@@ -201,6 +201,7 @@ def test_little_is_known_at_first(sqlite_client: Any) -> None:
     assert "3 of 20 values" in reasons
 
 
+@pytest.mark.slow
 def test_the_picture_is_one(sqlite_client: Any) -> None:
     url = "/api/v1/devices/sim/quality.png"
     empty = sqlite_client.get(url)

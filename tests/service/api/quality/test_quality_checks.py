@@ -22,6 +22,7 @@ def live() -> FakePipeline:
     return found
 
 
+@pytest.mark.slow
 def test_a_known_distance(client: Any) -> None:
     answer = client.post(URL, json=BAR | {"id": "bar", "tolerance_mm": 0.1, "note": "cold"})
     assert answer.status_code == 201, answer.text
@@ -81,6 +82,7 @@ def test_a_still_marker(sqlite_client: Any) -> None:
     assert made["passed"] is False
 
 
+@pytest.mark.slow
 def test_markers_that_are_lit_together(sqlite_client: Any, live: FakePipeline) -> None:
     live.records = SimulatedDriver(
         "sim", SimulationSettings(illumination="simultaneous")

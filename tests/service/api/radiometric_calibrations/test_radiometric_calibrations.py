@@ -52,6 +52,7 @@ def activate(client: Any, name: str, **query: str) -> Any:
     return client.post(f"{URL}/{name}/activate", params=query)
 
 
+@pytest.mark.slow
 def test_guided_captures_become_an_active_calibration(client: Any, live: FakePipeline) -> None:
     made = client.post(CAPTURES, json=CAPTURE_BODY)
     assert made.status_code == 201, made.text
@@ -140,6 +141,7 @@ def test_moves_are_a_history_that_is_in_the_audit_log(client: Any, live: FakePip
     assert "2 radiometric calibrations" in refused["detail"]
 
 
+@pytest.mark.slow
 def test_bad_captures_are_refused_with_the_reason(sqlite_client: Any, live: FakePipeline) -> None:
     client = sqlite_client
     client.post(CAPTURES, json=CAPTURE_BODY)
@@ -196,6 +198,7 @@ def test_bad_captures_are_refused_with_the_reason(sqlite_client: Any, live: Fake
     assert stopped["type"] == "/problems/device-not-running"
 
 
+@pytest.mark.slow
 def test_a_capture_is_taken_again_and_a_new_dark_one_begins_anew(
     sqlite_client: Any, live: FakePipeline
 ) -> None:

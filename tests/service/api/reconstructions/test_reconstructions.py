@@ -67,6 +67,7 @@ def test_three_sensors_say_that_there_is_no_redundancy_and_two_make_no_point(cli
         assert missing["covariance_mm2"] is None
 
 
+@pytest.mark.slow
 def test_reliability_says_what_four_sensors_check_and_three_do_not(client: Any):
     given = points(0.05)
     given[1]["readings"]["horizontal"]["position_px"] += 40.0
@@ -82,6 +83,7 @@ def test_reliability_says_what_four_sensors_check_and_three_do_not(client: Any):
     assert three["external_reliability_mm"] is None
 
 
+@pytest.mark.slow
 def test_the_active_calibration_is_used_unless_one_is_named(client: Any):
     frame = 2.0 * calibration_target_points_mm()[::2]
     for name in ("first", "second"):
@@ -123,6 +125,7 @@ def test_an_id_is_unique(client: Any):
     assert (refused.status_code, refused.json()["type"]) == (409, "/problems/reconstruction-exists")
 
 
+@pytest.mark.slow
 def test_differences_are_reconstructed_minus_given(sqlite_client: TestClient) -> None:
     """The published sign, and the same reconstruction as for posted readings."""
     examples = Path(__file__).parents[4] / "docs" / "examples"

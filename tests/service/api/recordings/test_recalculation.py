@@ -12,15 +12,19 @@ from compute.calibration.result import Calibration
 from compute.errors import InvalidRecording
 from hardware.line_frame import LineFrame
 from hardware.recording.frame_block import FrameBlock, frame_rows
+from hardware.recording.reader import RecordingReader
 from hardware.recording.writer import RecordingWriter
 from hardware.simulated.driver import SimulatedDriver
 from hardware.simulated.scenes import MovingTool, MovingTools
 from hardware.simulated.settings import SimulationSettings
 from service.api.recordings.playback import recorded_frames
-from service.api.recordings.recalculation import MAX_CONCURRENT, Recalculation
+from service.api.recordings.recalculation import Recalculation
+from service.api.recordings.recorded_peaks import process_block
+from service.api.recordings.recording_process import MAX_CONCURRENT
 from service.api.recordings.result_rows import peak_rows, point_rows
 from service.api.recordings.schema import RecordedFrames
 from service.pipeline.active_calibration import ActiveCalibration
+from service.pipeline.detection_stage import built_in_profile
 from service.pipeline.frame_batch import FrameBatch
 from service.pipeline.frame_processor import MAX_FRAMES, FrameProcessor
 from service.problems.errors import Busy, SensorsChanged
@@ -34,9 +38,9 @@ MARKERS = ((0.0, 0.0, 0.0), (60.0, 0.0, 0.0), (0.0, 80.0, 10.0))
 
 @pytest.fixture(scope="module")
 def recalculation() -> Iterator[Recalculation]:
-    made = Recalculation()
-    yield made
-    made.close()
+    recalculation = Recalculation(built_in_profile)
+    yield recalculation
+    recalculation.close()
 
 
 @pytest.fixture(scope="module", params=["strobed", "simultaneous"])
@@ -70,7 +74,7 @@ def processed(
 
 def block_of(frames: list[LineFrame], batch: FrameBatch) -> FrameBlock:
     """Return frames with their results as a recording keeps them."""
-    peaks, peak_counts = peak_rows(batch.peaks, 4)
+    peaks, peak_counts = peak_rows(batch.peaks, len(batch.sensor_names))
     points, point_counts = point_rows(batch)
     rows = frame_rows(frames)
     rows["peaks"], rows["points"] = peak_counts, point_counts
@@ -99,6 +103,7 @@ def ask(recalculation: Recalculation, path: Path, calibration: Calibration) -> R
     return RecordedFrames.model_validate_json(found)
 
 
+@pytest.mark.slow
 def test_the_same_calibration_gives_the_same_bits(
     recalculation: Recalculation, recording: Path
 ) -> None:
@@ -132,17 +137,29 @@ def test_a_calibration_of_other_sensors_is_refused(
         ask(recalculation, recording, replace(calibration, sensors=(other, *fits[1:])))
 
 
-def test_a_recording_of_lines_is_refused_with_what_to_do(
-    recalculation: Recalculation, tmp_path: Path
+def test_points_of_a_recording_of_lines_are_worked_out_from_them(
+    recalculation: Recalculation, recording: Path, tmp_path: Path
 ) -> None:
-    driver = SimulatedDriver("sim", SimulationSettings(duration_s=5e-3, realtime=False))
-    driver.open()
     path = tmp_path / "lines.h5"
-    with RecordingWriter(path, driver.description) as writer:
-        for frame in driver.frames():
+    with (
+        RecordingReader(recording) as reader,
+        RecordingWriter(path, reader.info.description) as writer,
+    ):
+        for frame in reader.frames():
             writer.append(frame)
-    with pytest.raises(InvalidRecording, match="replay it as a device"):
-        ask(recalculation, path, nominal())
+    found = ask(recalculation, path, nominal())
+    assert found.frames == ask(recalculation, recording, nominal()).frames
+
+
+def test_a_recording_without_peaks_and_lines_is_refused(
+    recording: Path,
+) -> None:
+    with RecordingReader(recording) as reader:
+        description = reader.info.description
+        block = replace(reader.block(0, 3), lines=None)
+    processor = FrameProcessor("sim", description, "cpu")
+    with pytest.raises(InvalidRecording, match="neither"):
+        process_block(block, processor, description, from_scans=True)
 
 
 def test_more_requests_than_may_wait_are_refused(
@@ -150,11 +167,12 @@ def test_more_requests_than_may_wait_are_refused(
 ) -> None:
     with ExitStack() as stack:
         for _ in range(MAX_CONCURRENT):
-            stack.enter_context(recalculation._limit)
+            stack.enter_context(recalculation._process._limit)
         with pytest.raises(Busy, match="wait for results of recordings"):
             ask(recalculation, recording, nominal())
 
 
+@pytest.mark.slow
 def test_frames_by_another_calibration_over_rest(
     recording: Path, sqlite_client: TestClient
 ) -> None:

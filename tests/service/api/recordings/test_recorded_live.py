@@ -168,6 +168,7 @@ def test_a_recording_gives_the_same_bits_again(
         assert made.tobytes() != points.tobytes()
 
 
+@pytest.mark.slow
 def test_a_changed_recording_does_not_compare(
     live: PipelineManager, recordings: RecordingManager
 ) -> None:

@@ -191,6 +191,7 @@ def test_what_is_known_of_a_file_is_read_again_when_it_changes(
     assert len(opened) == 1
 
 
+@pytest.mark.slow
 def test_too_little_free_space_refuses_a_recording(tmp_path: Path) -> None:
     live = FakePipeline()
     live.records = described()

@@ -60,6 +60,7 @@ def test_check_age_older_ones_are_deleted_and_audited(client: TestClient, tmp_pa
     assert not young.exists()
 
 
+@pytest.mark.slow
 def test_check_size_oldest_go_first_until_it_fits(client: TestClient, tmp_path: Path) -> None:
     paths = [put(client, tmp_path, f"{age}.h5", age * DAY) for age in (4, 3, 2, 1)]
     size = paths[0].stat().st_size

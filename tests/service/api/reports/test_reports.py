@@ -113,6 +113,7 @@ def read(page: str) -> Tags:
     return found
 
 
+@pytest.mark.slow
 def test_nothing_is_loaded_from_elsewhere_and_no_script_runs(page: str):
     found = read(page)
     names = {tag for tag, _ in found.tags}
@@ -127,6 +128,7 @@ def test_nothing_is_loaded_from_elsewhere_and_no_script_runs(page: str):
     assert "@import" not in page
 
 
+@pytest.mark.slow
 def test_every_figure_is_in_it(page: str):
     images = [attributes for tag, attributes in read(page).tags if tag == "img"]
     assert len(images) == len(FIGURES)
@@ -240,6 +242,7 @@ def test_figures_keep_their_size_on_a_small_screen(page: str):
     assert re.search(r"figure img\{min-width:0\}", printed)
 
 
+@pytest.mark.slow
 def test_a_report_is_drawn_once(sqlite_client: Any, monkeypatch: pytest.MonkeyPatch):
     drawn: list[str] = []
 
@@ -335,6 +338,7 @@ def test_what_it_is_compared_with_is_said(
     assert f"The other is it, {sentence}." in text
 
 
+@pytest.mark.slow
 def test_which_calibration_a_stored_one_is_compared_with(sqlite_client: Any):
     example = NEW_CALIBRATIONS["frame"]["value"]
     for name in ("one", "two"):

@@ -214,6 +214,7 @@ def test_runs_wait_for_their_turn(sqlite_client: Any, computing: Any, tmp_path: 
     wait(sqlite_client, "third", started)
 
 
+@pytest.mark.slow
 def test_more_runs_than_may_wait_are_refused(sqlite_settings: Settings, computing: Any, tmp_path):
     computing(slow_tasks.wait_for_end, str(tmp_path / "pid"))
     settings = sqlite_settings.model_copy(update={"runs_waiting": 1})
@@ -299,6 +300,7 @@ def test_a_deleted_device_ends_its_runs(sqlite_client: Any, computing: Any, tmp_
     wait_until(lambda: not running(pid))
 
 
+@pytest.mark.slow
 def test_a_result_id_taken_meanwhile_fails_the_run(
     sqlite_client: Any, monkeypatch: pytest.MonkeyPatch
 ):

@@ -22,6 +22,7 @@ URL = "/api/v1/runs/self-calibration"
 BODY = NEW_SELF_CALIBRATION_RUNS["wand"]["value"]
 
 
+@pytest.mark.slow
 def test_a_wand_calibrates_the_device(client: Any, monkeypatch: pytest.MonkeyPatch):
     use_in_process_worker(monkeypatch)
     monkeypatch.setattr(router, "render_page", report_page)

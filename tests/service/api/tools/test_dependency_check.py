@@ -149,6 +149,7 @@ POINTERS: list[tuple[str | None, Do, tuple[int, str] | None]] = [
 ]
 
 
+@pytest.mark.slow
 def test_a_point_is_of_the_pointer_and_the_frame_that_it_was_begun_with(
     tools: Any, live: FakePipeline, monkeypatch: pytest.MonkeyPatch
 ):

@@ -91,6 +91,7 @@ def test_it_waits_until_the_tip_rests(pointer: Any, running: FakePipeline):
     assert found["first_ns"] > 280_000_000
 
 
+@pytest.mark.slow
 def test_relative_to_the_patient_who_moves(pointer: Any, running: FakePipeline):
     tip, patient = [], []
     for n, one in enumerate(resting("pointer", 700)):
@@ -121,6 +122,7 @@ def test_relative_to_the_patient_who_moves(pointer: Any, running: FakePipeline):
     assert "0.05 s" in refused.json()["detail"]
 
 
+@pytest.mark.slow
 def test_points_make_a_registration_as_they_stand(pointer: Any, running: FakePipeline):
     turn, at = rotation_matrix(np.array([0.2, -0.3, 1.0])), np.array([50.0, 60.0, 1500.0])
     fiducials = []
@@ -177,6 +179,7 @@ NO_POINTS: list[tuple[Any, ...]] = [
 ]
 
 
+@pytest.mark.slow
 def test_why_there_is_no_point(pointer: Any, running: FakePipeline):
     for poses, problem, words in NO_POINTS:
         running.batches = [
@@ -221,6 +224,7 @@ def test_not_with_another_calibration(pointer: Any, running: FakePipeline):
     assert code(none) == (409, "no-active-calibration"), none.text
 
 
+@pytest.mark.slow
 def test_no_more_wait_at_once_than_may(pointer: Any, running: FakePipeline):
     running.batches = [tool_batch([resting("pointer", 700)])]
     with ExitStack() as others:

@@ -75,6 +75,7 @@ def check_lengths(calibration: dict[str, Any]) -> None:
     assert np.abs(apart - LENGTH_MM).max() < 0.5
 
 
+@pytest.mark.slow
 def test_a_wave_is_taken_until_it_is_enough_and_calibrates(
     client: Any, live: FakePipeline, monkeypatch: pytest.MonkeyPatch
 ):
@@ -127,7 +128,7 @@ def test_a_wave_calibrates_a_device_without_any_calibration(
     showing(live, waved(40.0))
     source = {"kind": "simulated"}
     client.post("/api/v1/devices", json={"id": "bench", "title": "Bench", "source": source})
-    body = BODY | {"device_id": "bench", "settings": {"duration_s": 60.0}}
+    body = BODY | {"device_id": "bench", "settings": {"duration_s": 600.0}}
     assert client.post(URL, json=body).status_code == 201
     assert client.post(f"{SESSION}/start").status_code == 200
     found = ended(client)
@@ -194,6 +195,7 @@ def test_a_session_survives_a_restart_and_keeps_its_poses(sqlite_settings: Setti
         assert progress["poses"] == progress["exposures"]["taken"] > kept + 40
 
 
+@pytest.mark.slow
 def test_wave_whose_measurement_the_servers_end_stops_keeps_its_poses_and_says_so(
     sqlite_client: Any, live: FakePipeline
 ):

@@ -54,6 +54,7 @@ def state(client: TestClient, webhook_id: str = "alarm") -> dict[str, Any]:
     return found
 
 
+@pytest.mark.slow
 def test_delivery_to_a_name_goes_to_the_address_where_somebody_listens(
     client: TestClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -72,6 +73,7 @@ def emit(client: Any, *arguments: Any) -> None:
     client.app.state.webhooks.emit(*arguments)
 
 
+@pytest.mark.slow
 def test_event_is_signed_and_has_type_time_and_data(client: TestClient) -> None:
     with receiving() as receiver:
         made = make(client, receiver.url, "device.lost")
@@ -91,6 +93,7 @@ def test_event_is_signed_and_has_type_time_and_data(client: TestClient) -> None:
     assert abs(time.time() - int(lower["webhook-timestamp"])) < 60
 
 
+@pytest.mark.slow
 def test_failed_attempts_are_repeated_with_the_same_id_in_order(client: TestClient) -> None:
     with receiving(statuses=[500, 429, 302]) as receiver:
         make(client, receiver.url, "device.lost")
@@ -104,6 +107,7 @@ def test_failed_attempts_are_repeated_with_the_same_id_in_order(client: TestClie
     assert ids[4] != ids[0]
 
 
+@pytest.mark.slow
 def test_given_up_after_last_attempt_and_state_says_why(
     client: TestClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -121,6 +125,7 @@ def test_given_up_after_last_attempt_and_state_says_why(
     assert 'lumiline_webhook_events_failed_total{webhook="alarm"} 1.0' in text
 
 
+@pytest.mark.slow
 def test_stalled_receiver_holds_up_nobody(
     client: TestClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -140,6 +145,7 @@ def test_stalled_receiver_holds_up_nobody(
         assert client.delete(f"{API}/stalled").status_code == 204
 
 
+@pytest.mark.slow
 def test_server_ends_while_receiver_stalls(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     # The end of the request that stalls would come an hour after the end of the server.
     monkeypatch.setattr(delivery, "REQUEST_S", 3600.0)
@@ -160,6 +166,7 @@ def test_unreachable_receiver_is_told_in_state(client: TestClient) -> None:
     assert "ConnectError" in state(client)["reason"]
 
 
+@pytest.mark.slow
 def test_disabled_webhook_gets_nothing_until_enabled(client: TestClient) -> None:
     with receiving() as receiver:
         make(client, receiver.url, "device.lost", enabled=False)
@@ -212,6 +219,7 @@ def test_wrong_webhook_is_refused(client: TestClient, change: dict[str, Any], wo
         assert client.patch(f"{API}/alarm", json=change).json()["type"] == refused.json()["type"]
 
 
+@pytest.mark.slow
 def test_conditional_changes_and_too_many(client: TestClient) -> None:
     make(client, "https://example.org/", "hold.held")
     tag = client.get(f"{API}/alarm").headers["etag"]
@@ -256,6 +264,7 @@ def test_device_events_lost_and_recovered_once_each() -> None:
     assert told("disconnected") == []
 
 
+@pytest.mark.slow
 def test_hold_events_changes_only_and_not_how_it_is_at_the_start(client: Any) -> None:
     """Through the registry of a running server, to the receiver."""
     registry = client.app.state.live.holds

@@ -25,6 +25,7 @@ def ask(connection: socket.socket, command: str) -> str:
     return reply[:-5].decode()
 
 
+@pytest.mark.slow
 def test_it_runs_where_settings_say_so(tmp_path: Path):
     settings = Settings(data_dir=tmp_path, compute_device="cpu", ndi_port=0, ndi_model="Model")
     app = create_app(settings)
@@ -98,6 +99,7 @@ def until_given(connection: socket.socket, live: Any, given: bool) -> None:
     pytest.fail(told)
 
 
+@pytest.mark.slow
 def test_it_does_not_unless_they_do(tmp_path: Path):
     app = create_app(Settings(data_dir=tmp_path, compute_device="cpu"))
     with TestClient(app):

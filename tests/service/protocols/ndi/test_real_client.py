@@ -106,6 +106,7 @@ TOOLS = {
 }
 
 
+@pytest.mark.slow
 def test_two_tools_as_rest_has_them(tmp_path: Path):
     """A whole service, its tools made over REST, their poses asked for in both ways."""
     app = create_app(Settings(data_dir=tmp_path, compute_device="cpu", ndi_port=0))

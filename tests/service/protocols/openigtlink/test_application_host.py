@@ -99,6 +99,7 @@ def test_tools_of_the_database_are_sent(service: tuple[TestClient, FakePipeline,
     assert "lumiline_openigtlink_frames_sent_total" in text
 
 
+@pytest.mark.slow
 def test_limits_of_the_database_hold_relative_to_the_reference(
     service: tuple[TestClient, FakePipeline, Socket],
 ):

@@ -68,6 +68,7 @@ def test_it_is_served_to_everyone(sqlite_client: Any) -> None:
     assert (answer.status_code, answer.json()) == (200, document())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bundle", ["", "&bundle_ms=50"])
 def test_real_messages_fit_it(server: str, bundle: str) -> None:
     query = f"device_id=sim&encoding=json&content=points,peaks,tracks,tools,holds{bundle}"

@@ -241,6 +241,7 @@ def test_a_client_that_comes_back_goes_on_where_it_was() -> None:
     run(scenario())
 
 
+@pytest.mark.slow
 def test_at_a_rate_the_newest_frame_and_every_status_at_once() -> None:
     async def scenario() -> None:
         hub = Hub()

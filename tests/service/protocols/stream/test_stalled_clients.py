@@ -85,6 +85,7 @@ def greet_once(server: str) -> None:
     wait_for_turns()
 
 
+@pytest.mark.slow
 def test_opened_streams_give_their_turn_to_the_next(server: str) -> None:
     greetings(server, 3 * websocket_limits.OPENING)
     with pytest.raises(InvalidStatus):
@@ -95,6 +96,7 @@ def test_opened_streams_give_their_turn_to_the_next(server: str) -> None:
     assert set(turns) == {websocket_limits.OPENING}
 
 
+@pytest.mark.slow
 def test_streams_are_opened_one_after_another_with_a_rest(
     server: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

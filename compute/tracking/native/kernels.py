@@ -1,4 +1,4 @@
-"""Associator: association and filter update by one native kernel on the CPU."""
+"""Predictor and Associator: the tracks' prediction, association and update by native kernels."""
 
 from typing import Any, Final
 
@@ -10,8 +10,8 @@ from compute.measurement.measurements import Measurements
 from compute.reconstruction.native.definitions import fill_cameras, row_length
 from compute.reconstruction.solver import term_capacity
 from compute.tracking.association import associate
-from compute.tracking.motion_model import ImmStates, MotionModels
-from compute.tracking.native.definitions import JOB, MAX_OPTIONS, PARTIAL_BYTES
+from compute.tracking.motion_model import STATE_SIZE, CombinedState, ImmStates, MotionModels
+from compute.tracking.native.definitions import JOB, MAX_OPTIONS, PARTIAL_BYTES, PREDICTION
 from compute.tracking.settings import TrackerSettings
 from compute.tracking.tracks import AssociationResult
 from compute.warp_host import PackedLaunch, address
@@ -20,6 +20,75 @@ Array = NDArray[np.float64]
 
 _GROWN: Final = 64
 """Partial hypotheses that there is room for, in parts of those that are kept."""
+_PREDICTION_ARRAYS: Final = 12
+"""Addresses at the head of the record of a prediction."""
+_NO_MIXTURES: Final = (0, 0, 0)
+
+
+class Predictor:
+    """``mix_and_predict`` and ``combine_modes`` by the kernel, to rounding.
+
+    Warp is not thread-safe: one thread makes it and calls it. The kernel is compiled when it is
+    first made (seconds), and is cached on disk.
+
+    Args:
+        motion: M motion models.
+        sensors: number of sensors S.
+    """
+
+    def __init__(self, motion: MotionModels, sensors: int) -> None:
+        # Here and not above: it loads Warp, which takes a second.
+        from compute.native.native_kernel import native_kernel
+
+        self._job = job = np.zeros(1, dtype=PREDICTION.dtype)
+        self._words = job.view(np.uint64)
+        job["models"], job["sensors"] = len(motion), sensors
+        has = motion.has_acceleration
+        job["acceleration_source"] = has.index(True) if len(set(has)) > 1 else -1
+        job["has_acceleration"][0, : len(motion)] = has
+        job["noise_psd"][0, : len(motion)] = motion.noise_psd
+        job["mean_sojourn_s"] = motion.mean_sojourn_s
+        self._tracks = job["tracks"]
+        kernel = native_kernel(
+            "compute/tracking/native/prediction.h", "lumiline::tracking::predict_tracks(address);"
+        )
+        self._launch = PackedLaunch.of_record(kernel, job)
+
+    def predict(self, states: ImmStates, step_s: Array) -> ImmStates:
+        """Return what ``mix_and_predict`` returns.
+
+        Args:
+            states: of T tracks.
+            step_s: time step of each track, shape (T,) [s].
+        """
+        return self._run(states, step_s, None)
+
+    def combined(self, states: ImmStates, step_s: Array) -> CombinedState:
+        """Return what ``combine_modes`` returns of the states after ``mix_and_predict``.
+
+        Args:
+            states: of T tracks.
+            step_s: time step of each track, 0: as it is, shape (T,) [s].
+        """
+        count, sensors = len(states), states.bias_cross_covariance.shape[-1]
+        mixed = CombinedState(
+            np.empty((count, STATE_SIZE)),
+            np.empty((count, STATE_SIZE, STATE_SIZE)),
+            np.empty((count, STATE_SIZE, sensors)),
+        )
+        self._run(states, step_s, mixed)
+        return mixed
+
+    def _run(self, states: ImmStates, step_s: Array, mixed: CombinedState | None) -> ImmStates:
+        before = [np.ascontiguousarray(values) for values in vars(states).values()]
+        step = np.ascontiguousarray(step_s)
+        after = [np.empty_like(values) for values in before]
+        arrays: list[NDArray[Any]] = [*before, step, *after]
+        mixtures = _NO_MIXTURES if mixed is None else map(address, vars(mixed).values())
+        self._words[:_PREDICTION_ARRAYS] = [*map(address, arrays), *mixtures]
+        self._tracks[0] = len(step)
+        self._launch.run()
+        return ImmStates(*after)
 
 
 class Associator:
@@ -37,9 +106,7 @@ class Associator:
     def __init__(
         self, model: MeasurementModel, motion: MotionModels, settings: TrackerSettings
     ) -> None:
-        # Here and not above: Warp takes a second to load.
-        import warp as wp
-
+        # Here and not above: it loads Warp, which takes a second.
         from compute.native.native_kernel import native_kernel
 
         self.model, self.motion, self.settings = model, motion, settings
@@ -69,18 +136,11 @@ class Associator:
         self._tracks = self._room = 0
         self._work: list[NDArray[Any]] = []
         sizes = f"{len(cameras)}, {term_capacity(cameras)}"
-        self._launch = PackedLaunch(
-            wp.launch(
-                native_kernel(
-                    "compute/tracking/native/association.h",
-                    f"lumiline::tracking::associate_frame<{sizes}>(address);",
-                ),
-                dim=1,
-                inputs=[address(job)],
-                device="cpu",
-                record_cmd=True,
-            )
+        kernel = native_kernel(
+            "compute/tracking/native/association.h",
+            f"lumiline::tracking::associate_frame<{sizes}>(address);",
         )
+        self._launch = PackedLaunch.of_record(kernel, job)
 
     def associate(self, states: ImmStates, bias: Array, peaks: Measurements) -> AssociationResult:
         """Return what ``compute.tracking.association.associate`` returns, by the native kernel.

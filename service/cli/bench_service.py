@@ -1,5 +1,8 @@
 """Common parts of the benchmarks that run a service."""
 
+import json
+import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -66,6 +69,20 @@ def service_of_simulated_device(
         client.stop_device(DEVICE)
         client.request("PATCH", f"/api/v1/devices/{DEVICE}", body={"source": source})
         yield service, client
+
+
+def run_client(module: str, *arguments: str) -> Any:
+    """Run a client in a process of its own, and return what it prints as JSON.
+
+    Raises:
+        RuntimeError: it failed.
+    """
+    done = subprocess.run(  # noqa: S603 - our own module
+        [sys.executable, "-m", module, *arguments], stdout=subprocess.PIPE, check=False
+    )
+    if done.returncode != 0:
+        raise RuntimeError(f"the client {module} failed; see above")
+    return json.loads(done.stdout)
 
 
 def device_counts(client: Client) -> dict[str, Any]:

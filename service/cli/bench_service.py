@@ -1,6 +1,7 @@
 """Common parts of the benchmarks that run a service."""
 
 import json
+import signal
 import subprocess
 import sys
 import tempfile
@@ -30,7 +31,7 @@ def run_benchmark(
     measure: Callable[[Path], Figures], show: Callable[[Figures], None], *, as_json: bool
 ) -> None:
     """Measure in a folder that is removed afterwards, and print the figures."""
-    with tempfile.TemporaryDirectory() as folder:
+    with _ended_by_sigterm(), tempfile.TemporaryDirectory() as folder:
         try:
             figures = measure(Path(folder))
         except RuntimeError as error:
@@ -39,6 +40,16 @@ def run_benchmark(
         print_json(figures)
     else:
         show(figures)
+
+
+@contextmanager
+def _ended_by_sigterm() -> Iterator[None]:
+    """Let SIGTERM end a benchmark as Ctrl+C does: with the processes that it has started."""
+    before = signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 @contextmanager

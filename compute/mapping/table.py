@@ -144,9 +144,9 @@ class CorrectionTable:
 
 
 def variance_growth(beyond: Array) -> Array:
-    """Return the factor of the variances beyond the box, shape (N,): ``(1 + r^2 / 2)^4`` at r cells.
+    """Return the factor of variances beyond the box, ``(1 + r^2 / 2)^4`` at r cells, shape (N,).
 
-    It was chosen by ``lumiline reproduce map-outside`` and is that of MAX_GROWTH_CELLS further out.
+    It was chosen by ``lumiline reproduce map-outside``; r is at most MAX_GROWTH_CELLS.
 
     Args:
         beyond: distance to the box along each axis, in cells, shape (N, 3).

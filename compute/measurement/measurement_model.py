@@ -239,7 +239,7 @@ class MeasurementModel:
         return inside
 
     def in_box(self, points_mm: Array) -> NDArray[np.bool_]:
-        """Return at which points (N, 3) covariances can be stated, shape (N,): in the table's box."""
+        """Return at which points (N, 3) covariances are known, shape (N,): in the table's box."""
         if self.corrections is None:
             return np.ones(len(points_mm), dtype=np.bool_)
         return self.corrections.grid.contains(points_mm)

@@ -189,8 +189,8 @@ class PointBatch(Batch):
 
     Args:
         position_mm: shape (N, 3) [mm].
-        covariance_mm2: shape (N, 3, 3) [mm^2]. With NO_COVARIANCE it serves gates and weights alone;
-            see ``published``.
+        covariance_mm2: shape (N, 3, 3) [mm^2]. With NO_COVARIANCE it is for gates and weights alone
+            (see ``published``).
         chi2: weighted sum of squared residuals, shape (N,).
         external_reliability_mm: Baarda's external reliability: largest shift of the point by a
             minimal detectable error of one reading, shape (N,) [mm]; infinite where nothing checks

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -32,6 +33,8 @@ DISTANCES_MM: Final = (0.0, 15.0, 30.0, 60.0, 100.0, 150.0, 250.0)
 MIN_POINTS: Final = 10
 """Fewest points of a rig that count as a class."""
 MAX_NEES: Final = 5.0
+FAR_MM: Final = 150.0
+"""The corners of a valid cell, whose centre lies in the hull, are nearer."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +65,7 @@ class Trial:
         beyond: points beyond the table.
         stated_beyond: those of them with a covariance.
         lost: share of the points up to 100 mm outside that have no position.
-        misplaced: points more than 60 mm outside that the table vouches for, of all these.
+        misplaced: points more than FAR_MM outside that the table vouches for, of all these.
     """
 
     kind: Kind
@@ -76,10 +79,7 @@ class Trial:
 
 def class_names() -> tuple[str, ...]:
     """Return the names of the classes in order."""
-    outside = [
-        f"{low:g} to {high:g} mm outside"
-        for low, high in zip(DISTANCES_MM[:-1], DISTANCES_MM[1:], strict=True)
-    ]
+    outside = [f"{low:g} to {high:g} mm outside" for low, high in pairwise(DISTANCES_MM)]
     return ("inside, valid", "inside, not valid", "outside, valid", *outside)
 
 
@@ -101,7 +101,7 @@ def run_trial(scene: Scene) -> Trial:
     valid = stated & ((found.flags & int(PointFlag.OUTSIDE_MAP)) == 0)
     distance, outside = scene.distance_mm, scene.distance_mm >= 0.0
     masks = [valid & ~outside, stated & ~valid & ~outside, valid & outside]
-    for low, high in zip(DISTANCES_MM[:-1], DISTANCES_MM[1:], strict=True):
+    for low, high in pairwise(DISTANCES_MM):
         masks.append(stated & ~valid & (distance >= low) & (distance < high))
     classes = {
         name: _summarise(found, error, mask)
@@ -109,7 +109,7 @@ def run_trial(scene: Scene) -> Trial:
         if np.count_nonzero(mask) >= MIN_POINTS
     }
     beyond = (found.flags & int(PointFlag.NO_COVARIANCE)) != 0
-    near, far = outside & (distance < 100.0), distance > 60.0
+    near, far = outside & (distance < 100.0), distance > FAR_MM
     return Trial(
         scene.kind,
         scene.region,
@@ -213,25 +213,24 @@ def _row(label: str, trials: Sequence[Trial], names: Sequence[str]) -> tuple[Cel
 
 
 def _findings(trials: Sequence[Trial], refused: int) -> tuple[str, ...]:
-    beyond = [one.beyond for one in trials if one.beyond.count >= MIN_POINTS]
+    beyond = [one.beyond.nees for one in trials if one.beyond.count >= MIN_POINTS]
+    growth = _rounded(float(np.median(beyond))) if beyond else "not known"
     far = np.array([one.misplaced for one in trials]).reshape(-1, 2).sum(axis=0)
     return (
         (
-            f"{len(trials)} rigs of four to six sensors, {refused} refused; a table from 120 to 300 "
-            "measurements with noise of 0.02 to 0.2 px. Of a rig the mean over a class counts; "
+            f"{len(trials)} rigs of four to six sensors, {refused} refused; a table from 120 to "
+            "300 measurements with noise of 0.02 to 0.2 px. Of a rig the mean over a class counts; "
             "errors and stated deviations are in space, medians of the rigs' RMS."
         ),
         (
             f"Beyond the table: {sum(one.beyond.count for one in trials)} points, of which "
-            f"{sum(one.stated_beyond for one in trials)} have a covariance. Within, for gates and "
-            "weights alone, their normalised squared error is "
-            f"{_rounded(float(np.median([one.nees for one in beyond]))) if beyond else 'not known'} "
-            "(median of rigs)."
+            f"{sum(one.stated_beyond for one in trials)} have a covariance. By the one "
+            f"that gates and weights take, their normalised squared error is {growth} (median)."
         ),
         (
             f"{100.0 * max(one.lost for one in trials):.2g} % of the points up to 100 mm outside "
-            f"have no position in the worst rig. {far[0]} of {far[1]} points more than 60 mm "
-            "outside are found at a place that the table vouches for."
+            f"have no position in the worst rig. {far[0]} of {far[1]} points more than "
+            f"{FAR_MM:g} mm outside are found at a place that the table vouches for."
         ),
     )
 

@@ -43,8 +43,8 @@ def pose_in_frame(
             HIGH_ERROR [mm]; None: only the two poses are judged, each by itself.
 
     Returns:
-        The pose, without covariances unless both poses have them, and without velocities, which are the tracker's; of one that is not known, or whose
-        reference is not, the reason.
+        The pose, without velocities, which are the tracker's, and without covariances unless both
+        poses have them; of one that is not known, or whose reference is not, the reason.
     """
     moved = replace(pose, velocity_mm_s=None, angular_velocity_rad_s=None)
     known = pose.covariance is not None

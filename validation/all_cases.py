@@ -17,6 +17,7 @@ from validation.labels.case import CASE as LABELS
 from validation.labels.heavy_tails import CASE as LABEL_TAILS
 from validation.map_bound.case import CASE as MAP_BOUND
 from validation.map_holes.case import CASE as MAP_HOLES
+from validation.map_outside.case import CASE as MAP_OUTSIDE
 from validation.marker_capacity.case import CASE as MARKER_CAPACITY
 from validation.partial_view.case import CASE as PARTIAL_VIEW
 from validation.passive_detection.case import CASE as PASSIVE_DETECTION
@@ -100,6 +101,7 @@ _TABLES: Final[tuple[TablesCase, ...]] = (
     _with_picture(CLOSE_PEAKS, "close_peaks.picture"),
     MAP_BOUND,
     MAP_HOLES,
+    MAP_OUTSIDE,
     _with_picture(MARKER_CAPACITY, "marker_capacity.picture"),
     _with_picture(INTERPOLATORS, "interpolators.picture"),
     TABLES_3_1_3_2,

@@ -12,7 +12,6 @@ from compute.camera.model import SensorModel
 from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter
 from compute.mapping.cell_support import (
-    cell_corners,
     check_supported,
     corner_values,
     find_supported_cells,
@@ -22,6 +21,7 @@ from compute.mapping.diagonalised_basis import DiagonalisedBasis
 from compute.mapping.grid import VoxelGrid
 from compute.mapping.measurements import (
     MappingMeasurements,
+    add_margin,
     check_measurements,
     grid_for_points,
     point_spacing,
@@ -108,9 +108,11 @@ def build_table(
         )
     spacing = point_spacing(measured)
     if settings.method == "b-spline":
-        grid = grid_for_points(measured, spacing, settings)
+        box = grid_for_points(measured, spacing, settings)
+        _check_in_front(cameras, models, box.corners_mm)
+        grid = add_margin(box, spacing, cameras)
         parts = _fit_p_splines(
-            models, cameras, measured, samples, parameter_covariance, settings, grid, progress
+            models, cameras, measured, samples, parameter_covariance, settings, grid, box, progress
         )
     else:
         sample_grid = SampleGrid.of(measured.points_mm)
@@ -140,10 +142,10 @@ def _fit_p_splines(
     parameter_covariance: Array | None,
     settings: MappingSettings,
     grid: VoxelGrid,
+    box: VoxelGrid,
     progress: Progress,
 ) -> list[_SensorPart]:
     """Fit penalised splines, sensor by sensor."""
-    _check_in_front(cameras, models, cell_corners(grid))
     spacing = point_spacing(measured)
     max_functions = int(np.clip(FUNCTIONS_PER_POINT * len(samples), MIN_FUNCTIONS, MAX_FUNCTIONS))
     functions = DiagonalisedBasis.of(grid, max_functions)
@@ -178,7 +180,7 @@ def _fit_p_splines(
                 fitted.coefficients_px,
                 corner_values(grid, fitted.variance_px2),
                 valid,
-                summarise_fit(data, fitted, float(valid.mean()), coverage),
+                summarise_fit(data, fitted, float(valid.sum() / np.prod(box.cells)), coverage),
             )
         )
     return parts

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from compute.camera.model import Vector3
+from compute.camera.model import Vector3, vector3
 from compute.errors import InvalidParameter
 
 Array = NDArray[np.float64]
@@ -42,6 +42,30 @@ class VoxelGrid:
         """The corner opposite to the origin, shape (3,) [mm]."""
         end: Array = np.asarray(self.origin_mm) + np.asarray(self.pitch_mm) * np.asarray(self.cells)
         return end
+
+    @property
+    def corners_mm(self) -> Array:
+        """The eight corners of the box, shape (8, 3) [mm]."""
+        return mesh_points(tuple(np.stack([np.asarray(self.origin_mm), self.end_mm], axis=1)))
+
+    def extended(self, axis: int, low: int, high: int) -> "VoxelGrid":
+        """Return the grid with more cells along an axis.
+
+        Args:
+            axis: 0 to 2.
+            low: how many before the first.
+            high: how many after the last.
+        """
+        along = np.eye(3, dtype=int)[axis]
+        origin = np.asarray(self.origin_mm) - low * along * np.asarray(self.pitch_mm)
+        x, y, z = (np.asarray(self.cells) + (low + high) * along).tolist()
+        return VoxelGrid(vector3(origin), self.pitch_mm, (x, y, z))
+
+    def contains(self, points_mm: Array) -> NDArray[np.bool_]:
+        """Return which points (N, 3) [mm] lie in the box, shape (N,); none that is NaN."""
+        steps = (points_mm - np.asarray(self.origin_mm)) / np.asarray(self.pitch_mm)
+        inside: NDArray[np.bool_] = ((steps >= 0.0) & (steps <= np.asarray(self.cells))).all(axis=1)
+        return inside
 
     def locate(self, points_mm: Array) -> tuple[NDArray[np.intp], Array, NDArray[np.bool_]]:
         """Locate points in the cells.

@@ -25,6 +25,10 @@ MAX_CELLS: Final = 200_000
 """Largest number of cells of a grid."""
 MAX_ALONG: Final = 256
 """Largest number of cells along an axis."""
+MARGIN_SPACINGS: Final = 2.0
+"""Distance to which the grid reaches beyond the measurements, in distances between neighbours. So
+far the field's extrapolation and its variance were found to be right; the blocks by which the
+penalty is selected are one distance wide."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,3 +162,28 @@ def grid_for_points(
     origin = 0.5 * (low + high) - 0.5 * pitch * counts
     x, y, z = (int(count) for count in counts)
     return VoxelGrid(vector3(origin), vector3(pitch), (x, y, z))
+
+
+def add_margin(grid: VoxelGrid, spacing: float, cameras: CameraStack) -> VoxelGrid:
+    """Return the grid with cells beyond the measurements, over which the field is extrapolated.
+
+    On each side MARGIN_SPACINGS distances between neighbours; fewer where a grid would have more
+    than MAX_CELLS, or where twice as many would reach behind the lens of a sensor.
+
+    Args:
+        grid: over the box of the measurements.
+        spacing: mean distance between neighbours [mm].
+        cameras: the S cameras.
+    """
+    steps = np.rint(MARGIN_SPACINGS * spacing / np.asarray(grid.pitch_mm)).astype(int)
+    cells = np.asarray(grid.cells)
+    while (cells + 2 * steps).max() > MAX_ALONG or (cells + 2 * steps).prod() > MAX_CELLS:
+        steps = np.maximum(steps - 1, 0)
+    for axis in range(3):
+        for low, high in ((1, 0), (0, 1)):
+            for step in range(steps[axis], 0, -1):
+                doubled = grid.extended(axis, 2 * step * low, 2 * step * high)
+                if np.isfinite(cameras.project(doubled.corners_mm)).all():
+                    grid = grid.extended(axis, step * low, step * high)
+                    break
+    return grid

@@ -14,6 +14,9 @@ Array = NDArray[np.float64]
 
 Degree = Literal[1, 3]
 
+MAX_GROWTH_CELLS = 4.0
+"""Distance from the box in which variances grow, in cells: to 81 times the standard deviation."""
+
 
 @dataclass(frozen=True, eq=False)
 class Corrections:
@@ -24,12 +27,15 @@ class Corrections:
         gradient_px_per_mm: their derivatives by the point, shape (N, S, 3) [px/mm].
         variance_px2: their variances, shape (N, S) [px^2].
         inside: whether measurements support them, shape (N, S).
+        in_box: whether the point lies in the table's box, beyond which nothing says what the
+            variances are, shape (N,).
     """
 
     value_px: Array
     gradient_px_per_mm: Array
     variance_px2: Array
     inside: NDArray[np.bool_]
+    in_box: NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,8 +50,9 @@ class CorrectionTable:
     Between the nodes it is a tensor product of B-splines with equal knots: of degree 1 the
     coefficients are the corrections at the cells' corners (trilinear interpolation), of degree 3
     each cell has 4 x 4 x 4 of them (C. de Boor, A Practical Guide to Splines, 1978,
-    doi:10.1007/978-1-4612-6333-3). Beyond the box the value at its nearest place is taken and
-    marked as not inside.
+    doi:10.1007/978-1-4612-6333-3). Beyond the box the splines go on as straight lines from its
+    surface and are marked as not inside; the variance there is that of the surface times
+    ``variance_growth``, which suffices for gates and weights and is no statement (``in_box``).
 
     Args:
         sensors: names of the sensors, in the calibration's order.
@@ -101,24 +108,30 @@ class CorrectionTable:
     def at(self, points_mm: Array) -> Corrections:
         """Return the corrections at points (N, 3) [mm]; NaN points have none and are outside."""
         known = np.asarray(np.isfinite(points_mm).all(axis=1))
-        cell, cell_coordinate, inside = self.grid.locate(np.where(known[:, None], points_mm, 0.0))
-        value, gradient = self._evaluate_splines(cell, cell_coordinate)
-        # Beyond the box the correction does not change along the axes that are clamped.
-        clamped: NDArray[np.bool_] = np.logical_or(
-            points_mm < np.asarray(self.grid.origin_mm), points_mm > self.grid.end_mm
-        )
-        gradient[np.broadcast_to(clamped[:, None, :], gradient.shape)] = 0.0
+        at_mm = np.where(known[:, None], points_mm, 0.0)
+        cell, cell_coordinate, inside = self.grid.locate(at_mm)
+        steps = (at_mm - np.asarray(self.grid.origin_mm)) / np.asarray(self.grid.pitch_mm)
+        beyond = steps - np.clip(steps, 0.0, self.grid.cells)
+        value, gradient = self._evaluate_splines(cell, cell_coordinate, beyond)
         corner, _ = b_spline_basis(cell_coordinate, 1)
-        variance = _tensor(self.variance_px2, cell, corner)
-        valid = self.valid[:, cell[:, 0], cell[:, 1], cell[:, 2]].T & (inside & known)[:, None]
+        variance = _tensor(self.variance_px2, cell, corner) * variance_growth(beyond)[:, None]
+        in_box = inside & known
+        valid = self.valid[:, cell[:, 0], cell[:, 1], cell[:, 2]].T & in_box[:, None]
         value[~known], gradient[~known], variance[~known] = np.nan, np.nan, np.nan
-        return Corrections(value, gradient, variance, valid)
+        return Corrections(value, gradient, variance, valid, in_box)
 
     def _evaluate_splines(
-        self, cell: NDArray[np.intp], cell_coordinate: Array
+        self, cell: NDArray[np.intp], cell_coordinate: Array, beyond: Array
     ) -> tuple[Array, Array]:
-        """Return the splines' values (N, S) and derivatives by the point (N, S, 3)."""
+        """Return the splines' values (N, S) and derivatives by the point (N, S, 3).
+
+        Args:
+            cell: indices of the cells, shape (N, 3).
+            cell_coordinate: in the cell, from 0 to 1, shape (N, 3).
+            beyond: what lies beyond the box along each axis, in cells, shape (N, 3).
+        """
         weights, derivative_weights = b_spline_basis(cell_coordinate, self.degree)
+        weights += derivative_weights * beyond[..., None]
         value = _tensor(self.coefficients_px, cell, weights)
         gradient = np.empty((*value.shape, 3))
         for axis in range(3):
@@ -128,6 +141,18 @@ class CorrectionTable:
                 _tensor(self.coefficients_px, cell, one) / self.grid.pitch_mm[axis]
             )
         return value, gradient
+
+
+def variance_growth(beyond: Array) -> Array:
+    """Return the factor of variances beyond the box, ``(1 + r^2 / 2)^4`` at r cells, shape (N,).
+
+    It was chosen by ``lumiline reproduce map-outside``; r is at most MAX_GROWTH_CELLS.
+
+    Args:
+        beyond: distance to the box along each axis, in cells, shape (N, 3).
+    """
+    growth: Array = (1.0 + 0.5 * np.minimum((beyond**2).sum(axis=1), MAX_GROWTH_CELLS**2)) ** 4
+    return growth
 
 
 def _tensor(values: Array, cell: NDArray[np.intp], weights: Array) -> Array:

@@ -238,6 +238,12 @@ class MeasurementModel:
         inside: NDArray[np.bool_] = self.corrections.at(points_mm).inside
         return inside
 
+    def in_box(self, points_mm: Array) -> NDArray[np.bool_]:
+        """Return at which points (N, 3) covariances are known, shape (N,): in the table's box."""
+        if self.corrections is None:
+            return np.ones(len(points_mm), dtype=np.bool_)
+        return self.corrections.grid.contains(points_mm)
+
     def residuals(self, readings_px: Array, points_mm: Array) -> tuple[Array, Array]:
         """Return residuals of raw readings in corrected pixels, and their negative Jacobian.
 

@@ -157,9 +157,10 @@ class ToolPose:
         rotation: R_world_tool, shape (3, 3); None without a pose.
         translation_mm: the tool's origin in the world, shape (3,) [mm]; None without a pose.
         covariance: covariance of a small rotation [rad] about the world's axes, on the left, and
-            of the translation [mm], in this order, shape (6, 6); None without a pose.
+            of the translation [mm], in this order, shape (6, 6); None without a pose, and with
+            markers beyond the correction table.
         tip_mm: tip in the world, shape (3,) [mm]; None without a pose.
-        tip_covariance_mm2: its covariance, shape (3, 3) [mm^2]; None without a pose.
+        tip_covariance_mm2: its covariance, shape (3, 3) [mm^2]; None likewise.
         residual_sigma: root of chi2 per degree of freedom of the readings; None without any.
         markers_used: number of markers that the pose comes from.
         readings_used: number of readings that it comes from.

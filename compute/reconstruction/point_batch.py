@@ -1,7 +1,7 @@
 """Batch: items as arrays, one row each; PointBatch: reconstructed points, PointEstimate: one."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import IntFlag
 from functools import cache
 from itertools import compress
@@ -156,6 +156,8 @@ class PointFlag(IntFlag):
     NOT_IDENTIFIABLE = 512
     """A reading is wrong, and the others do not tell which: the position may be off by any amount.
     With four sensors this is always so."""
+    NO_COVARIANCE = 1024
+    """It lies beyond the correction table, and nothing says how certain it is."""
 
 
 @dataclass(frozen=True)
@@ -164,7 +166,8 @@ class PointEstimate:
 
     Args:
         position_mm: X, Y, Z in the world frame [mm]; None where there is no position.
-        covariance_mm2: its covariance [mm^2], the calibration's own included.
+        covariance_mm2: its covariance [mm^2], the calibration's own included; None also beyond the
+            correction table.
         residual_sigma: root of chi2 per degree of freedom; None without redundancy.
         sensors: names of the sensors used.
         flags: names of the flags that hold, in lower case with hyphens.
@@ -186,7 +189,8 @@ class PointBatch(Batch):
 
     Args:
         position_mm: shape (N, 3) [mm].
-        covariance_mm2: shape (N, 3, 3) [mm^2].
+        covariance_mm2: shape (N, 3, 3) [mm^2]. With NO_COVARIANCE it is for gates and weights alone
+            (see ``published``).
         chi2: weighted sum of squared residuals, shape (N,).
         external_reliability_mm: Baarda's external reliability: largest shift of the point by a
             minimal detectable error of one reading, shape (N,) [mm]; infinite where nothing checks
@@ -202,6 +206,15 @@ class PointBatch(Batch):
     used: Annotated[NDArray[np.bool_], "S"]
     flags: NDArray[np.int32]
 
+    def published(self) -> "PointBatch":
+        """Return the points with NaN for what NO_COVARIANCE says is not known of them."""
+        unknown = (self.flags & int(PointFlag.NO_COVARIANCE)) != 0
+        if not unknown.any():
+            return self
+        covariance, reliability = self.covariance_mm2.copy(), self.external_reliability_mm.copy()
+        covariance[unknown], reliability[unknown] = np.nan, np.nan
+        return replace(self, covariance_mm2=covariance, external_reliability_mm=reliability)
+
     def residual_sigma(self) -> Array:
         """Root of chi2 per degree of freedom, shape (N,); NaN without redundancy."""
         dof = self.used.sum(axis=1) - 3.0
@@ -211,13 +224,13 @@ class PointBatch(Batch):
 
     def estimates(self, names: tuple[str, ...]) -> list[PointEstimate]:
         """Return the points as values; ``names`` are the sensors' names in order."""
-        columns = vars(self) | {"chi2": self.residual_sigma()}
+        columns = vars(self.published()) | {"chi2": self.residual_sigma()}
         rows = zip(*(column.tolist() for column in columns.values()), strict=True)
         return [
             PointEstimate(
                 tuple(position) if isfinite(position[0]) else None,
                 (tuple(covariance[0]), tuple(covariance[1]), tuple(covariance[2]))
-                if isfinite(position[0])
+                if isfinite(covariance[0][0])
                 else None,
                 sigma if isfinite(sigma) else None,
                 tuple(compress(names, used)),

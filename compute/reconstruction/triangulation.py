@@ -121,6 +121,7 @@ def reconstruct(
     if corrections is not None:
         foreign = (used & ~model.inside_hull(position)).any(axis=1)
         flags[~missing & foreign] |= PointFlag.OUTSIDE_MAP
+        flags[~missing & ~model.in_box(position)] |= PointFlag.NO_COVARIANCE
     position[missing], covariance[missing], chi2[missing] = np.nan, np.nan, np.nan
     return PointBatch(position, covariance, chi2, shift, used, flags)
 
@@ -288,7 +289,8 @@ def detectable_errors(
     """Return the minimal detectable bias of each reading of N points, shape (N, S) [px].
 
     W. Baarda's internal reliability (1968): the error that the chi-square test finds with a
-    probability of 0.8; infinite where the other readings do not check it, NaN where it is not used.
+    probability of 0.8; infinite where the other readings do not check it, NaN where it is not used
+    or the point has no covariance.
 
     Args:
         model: the cameras, their covariance and the correction table.
@@ -298,6 +300,7 @@ def detectable_errors(
     """
     detectable = np.full(points.used.shape, np.nan)
     finite = np.isfinite(points.position_mm[:, 0])
+    finite &= (points.flags & int(PointFlag.NO_COVARIANCE)) == 0
     if not finite.any():
         return detectable
     position, used = points.position_mm[finite], points.used[finite]

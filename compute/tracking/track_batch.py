@@ -37,6 +37,9 @@ class TrackFlag(IntFlag):
     """One of its peaks is suspect by the flag policy."""
     OUTSIDE_MAP = 16
     """It lies where the correction table is not valid for some used sensor."""
+    NO_COVARIANCE = 32
+    """It lies beyond the correction table, and nothing says how certain it is: the covariance is
+    NaN."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -245,7 +245,9 @@ class AssociationResult:
 
 # As arrays' own numbers: an enumeration's operations take as long as an array's. TENTATIVE is 0.
 _CONFIRMED, _COASTING = np.int8(TrackState.CONFIRMED), np.int8(TrackState.COASTING)
-_MERGED, _AMBIGUOUS, _FEW_SENSORS, _SUSPECT_PEAK, _OUTSIDE_MAP = map(np.int32, TrackFlag)
+_MERGED, _AMBIGUOUS, _FEW_SENSORS, _SUSPECT_PEAK, _OUTSIDE_MAP, _NO_COVARIANCE = map(
+    np.int32, TrackFlag
+)
 
 
 def to_track_batch(
@@ -287,6 +289,9 @@ def to_track_batch(
     if model.corrections is not None:
         outside = (used & ~model.inside_hull(mean[:, :3])).any(axis=1)
         flags |= outside * _OUTSIDE_MAP
+        beyond = ~model.in_box(mean[:, :3])
+        flags |= beyond * _NO_COVARIANCE
+        covariance[beyond] = np.nan
     return TrackBatch(
         tracks.identity.copy(),
         tracks.marker.copy(),

@@ -127,16 +127,19 @@ class Peak:
 
 @dataclass(frozen=True, slots=True)
 class Track:
-    """A marker over time; ``state`` is tentative, confirmed or coasting (predicted)."""
+    """A marker over time; ``state`` is tentative, confirmed or coasting (predicted).
+
+    Without covariances where ``flags`` hold ``no-covariance``.
+    """
 
     id: int
     marker: int | None
     state: str
     flags: tuple[str, ...]
     position_mm: Vector
-    covariance_mm2: Matrix
+    covariance_mm2: Matrix | None
     velocity_mm_s: Vector
-    velocity_covariance_mm2_s2: Matrix
+    velocity_covariance_mm2_s2: Matrix | None
     acceleration_mm_s2: Vector | None
     peaks: tuple[int | None, ...]
     nis: float | None

@@ -1222,13 +1222,15 @@ class RecordedTrack(ResponseModel):
     state: str
     flags: tuple[str, ...]
     position_mm: tuple[float, float, float]
-    covariance_mm2: tuple[
-        tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]
-    ]
+    covariance_mm2: (
+        tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
+        | None
+    )
     velocity_mm_s: tuple[float, float, float]
-    velocity_covariance_mm2_s2: tuple[
-        tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]
-    ]
+    velocity_covariance_mm2_s2: (
+        tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
+        | None
+    )
     acceleration_mm_s2: tuple[float, float, float] | None
     peaks: tuple[int | None, ...]
     nis: float | None

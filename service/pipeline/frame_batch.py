@@ -239,9 +239,11 @@ def track_members(tracks: TrackBatch, part: slice) -> list[dict[str, Any]]:
             "state": _TRACK_STATES[state],
             "flags": _track_flag_names(flags),
             "position_mm": position,
-            "covariance_mm2": covariance,
+            "covariance_mm2": covariance if isfinite(covariance[0][0]) else None,
             "velocity_mm_s": velocity,
-            "velocity_covariance_mm2_s2": velocity_covariance,
+            "velocity_covariance_mm2_s2": (
+                velocity_covariance if isfinite(velocity_covariance[0][0]) else None
+            ),
             "acceleration_mm_s2": acceleration if isfinite(acceleration[0]) else None,
             "peaks": [None if peak < 0 else peak for peak in peaks],
             "nis": nis if isfinite(nis) else None,

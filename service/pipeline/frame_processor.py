@@ -308,7 +308,7 @@ def solve_points(
     strobed = [index for index, frame in enumerate(frames) if frame.marker is not None]
     parts: list[tuple[int, PointBatch]] = []
     if len(strobed) == len(frames):
-        points = _solve_strobed(active, measurements)
+        points = _solve_strobed(active, measurements).published()
         return points, np.arange(len(frames), dtype=np.intp)
     if strobed:
         points = _solve_strobed(active, measurements.exposure(np.array(strobed)))
@@ -318,7 +318,8 @@ def solve_points(
             parts.append((index, _solve_simultaneous(active, measurements.exposure(index))))
     parts.sort(key=lambda part: part[0])
     owner = np.repeat([index for index, _ in parts], [len(points) for _, points in parts])
-    return PointBatch.concatenate([points for _, points in parts]), owner.astype(np.intp)
+    points = PointBatch.concatenate([points for _, points in parts])
+    return points.published(), owner.astype(np.intp)
 
 
 def _solve_strobed(active: PreparedCalibration, measurements: Measurements) -> PointBatch:

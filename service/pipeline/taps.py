@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.measurement.flag_policy import STANDARD_POLICY
+from compute.reconstruction.point_batch import PointFlag
 from service.pipeline.active_calibration import ActiveCalibration
 from service.pipeline.frame_batch import FrameBatch
 from service.problems.errors import CalibrationSwitched, NoActiveCalibration
@@ -17,6 +18,9 @@ from service.problems.errors import CalibrationSwitched, NoActiveCalibration
 _log = logging.getLogger(__name__)
 
 Array = NDArray[np.float64]
+
+UNFIT_POINT: Final = PointFlag.AMBIGUOUS | PointFlag.NO_COVARIANCE
+"""Flags of points that are no sample of where a marker is."""
 
 
 class Tap(Protocol):

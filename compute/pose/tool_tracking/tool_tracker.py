@@ -316,7 +316,10 @@ class ToolTracker:
         if limit is None:
             limit = self.settings.max_tip_sd_mm
         status, reason = PoseStatus.OK, self._outside_volume(tool, state, used.which)
-        if tip_sd > limit:
+        unknown = self._beyond_table(tool, state, used.which)
+        if unknown is not None:
+            status, reason = PoseStatus.OUT_OF_VOLUME, unknown
+        elif tip_sd > limit:
             status = PoseStatus.HIGH_ERROR
             reason = (
                 f"the tip's standard deviation is {tip_sd:.3g} mm, of {used.readings} readings of "
@@ -337,9 +340,9 @@ class ToolTracker:
             *of_frame,
             pose.rotation,
             pose.translation_mm,
-            pose.covariance,
+            pose.covariance if unknown is None else None,
             pose.tip_mm,
-            pose.tip_covariance_mm2,
+            pose.tip_covariance_mm2 if unknown is None else None,
             used.residual_sigma,
             used.markers,
             used.readings,
@@ -399,6 +402,26 @@ class ToolTracker:
             return None
         reason = unobservable_motion(np.linalg.inv(scaled), centred, tool.used.which, fit)
         return reason or "the readings do not determine the pose"
+
+    def _beyond_table(
+        self, tool: ToolTrack, state: PoseState, used: NDArray[np.bool_]
+    ) -> str | None:
+        """Return why a pose has no covariance: markers beyond the correction table; None: it has.
+
+        A pose that is predicted counts by all markers.
+        """
+        if self.model.corrections is None:
+            return None
+        beyond = ~self.model.in_box(state.marker_positions(tool.centred))
+        if used.any():
+            beyond &= used.any(axis=1)
+        if not beyond.any():
+            return None
+        names = [f"marker {index + 1}" for index in range(len(beyond))]
+        return (
+            f"{_listed(names, np.flatnonzero(beyond))} beyond the correction table: how certain "
+            "the pose is is not known"
+        )
 
     def _outside_volume(
         self, tool: ToolTrack, state: PoseState, used: NDArray[np.bool_]

@@ -29,10 +29,11 @@ LUMILINE_FN void spline_basis(double t, double* weight, double* derivative) {
     }
 }
 
+// A point's cell, its coordinates there from 0 to 1, and how far it lies beyond the box, in cells.
 struct GridCell {
     int cell[3];
-    double t[3];
-    bool inside, clamped[3];
+    double t[3], beyond[3];
+    bool inside;
 };
 
 // The table of S sensors; a degree of 0: there is none.
@@ -56,9 +57,9 @@ struct CorrectionTable {
             double at = (x[axis] - origin) / pitch;
             const double end = cells[axis];
             grid_cell.inside = grid_cell.inside && at >= 0.0 && at <= end;
-            // Beyond the box the correction does not change along the axes that are clamped.
-            grid_cell.clamped[axis] = x[axis] < origin || x[axis] > origin + pitch * end;
-            at = smaller(larger(at, 0.0), end);
+            const double nearest = smaller(larger(at, 0.0), end);
+            grid_cell.beyond[axis] = at - nearest;
+            at = nearest;
             int cell = (int)at;
             cell = cell < cells[axis] ? cell : cells[axis] - 1;
             grid_cell.cell[axis] = cell;
@@ -67,15 +68,18 @@ struct CorrectionTable {
         return grid_cell;
     }
 
-    // Values of all sensors and their derivatives by the point: along z, then y, then x.
+    // Values of all sensors and their derivatives by the point: along z, then y, then x. Beyond the
+    // box the splines go on as straight lines.
     template <int degree>
     LUMILINE_FN void splines(const GridCell& grid_cell, Lanes* value, Lanes (*by)[V]) const {
         const int count = degree + 1;
         double weight[3][count], derivative[3][count];
         for (int axis = 0; axis < 3; ++axis) {
             spline_basis<degree>(grid_cell.t[axis], weight[axis], derivative[axis]);
-            const double scale = grid_cell.clamped[axis] ? 0.0 : 1.0 / record.pitch_mm[axis];
-            for (int i = 0; i < count; ++i) derivative[axis][i] *= scale;
+            for (int i = 0; i < count; ++i) {
+                weight[axis][i] += derivative[axis][i] * grid_cell.beyond[axis];
+                derivative[axis][i] *= 1.0 / record.pitch_mm[axis];
+            }
         }
         const int ny = cells[1] + count - 1, nz = cells[2] + count - 1;
         const double* corner =
@@ -122,9 +126,16 @@ struct CorrectionTable {
                                   double* variance) const {
         const GridCell grid_cell = locate(x);
         const int ny = cells[1] + 1, nz = cells[2] + 1;
+        // compute.mapping.table.variance_growth; 1 within the box.
+        double distance2 = 0.0;
+        for (int axis = 0; axis < 3; ++axis)
+            distance2 += grid_cell.beyond[axis] * grid_cell.beyond[axis];
+        double growth = 1.0 + 0.5 * smaller(distance2, max_growth_cells * max_growth_cells);
+        growth *= growth;
+        growth *= growth;
         for (int corner = 0; corner < 8; ++corner) {
             const int i = corner >> 2, j = corner >> 1 & 1, k = corner & 1;
-            const double weight = (i ? grid_cell.t[0] : 1.0 - grid_cell.t[0])
+            const double weight = growth * (i ? grid_cell.t[0] : 1.0 - grid_cell.t[0])
                                   * (j ? grid_cell.t[1] : 1.0 - grid_cell.t[1])
                                   * (k ? grid_cell.t[2] : 1.0 - grid_cell.t[2]);
             const double* node =
@@ -136,6 +147,9 @@ struct CorrectionTable {
                 variance[s] += used[s] ? weight * node[s] * derivative[s] * derivative[s] : 0.0;
         }
     }
+
+    // Whether the table says how certain the readings of a point are.
+    LUMILINE_FN bool in_box(const double* x) const { return locate(x).inside; }
 
     LUMILINE_FN bool is_valid(const double* x, const bool* used) const {
         const GridCell grid_cell = locate(x);

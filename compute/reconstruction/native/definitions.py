@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.camera.stack import CameraStack
-from compute.mapping.table import CorrectionTable
+from compute.mapping.table import MAX_GROWTH_CELLS, CorrectionTable
 from compute.native.records import Record, constants, header
 from compute.reconstruction.point_batch import PointFlag
 from compute.reconstruction.triangulation import (
@@ -93,6 +93,8 @@ HEADER: Final = header(
             "flag_no_redundancy": PointFlag.NO_REDUNDANCY,
             "flag_inconsistent": PointFlag.INCONSISTENT,
             "flag_outside_map": PointFlag.OUTSIDE_MAP,
+            "flag_no_covariance": PointFlag.NO_COVARIANCE,
+            "max_growth_cells": MAX_GROWTH_CELLS,
             "max_initial_iterations": WEIGHTING_ITERATIONS,
             "max_iterations": MAX_ITERATIONS,
             "initial_damping": INITIAL_DAMPING,

@@ -327,6 +327,7 @@ struct Triangulation {
         int flags = count == 3 ? flag_no_redundancy : 0;
         if (gram[9] > job.chi2_limits[count]) flags |= flag_inconsistent;
         if (table.exists() && !table.is_valid(x, used)) flags |= flag_outside_map;
+        if (table.exists() && !table.in_box(x)) flags |= flag_no_covariance;
         job.chi2[number] = gram[9];
         job.external_reliability[number] = external_reliability(C);
         job.flags[number] = flags;

@@ -4662,7 +4662,7 @@ export interface components {
                     number,
                     number
                 ]
-            ];
+            ] | null;
             velocity_mm_s: [
                 number,
                 number,
@@ -4684,7 +4684,7 @@ export interface components {
                     number,
                     number
                 ]
-            ];
+            ] | null;
             acceleration_mm_s2: [
                 number,
                 number,
@@ -6155,9 +6155,9 @@ export interface components {
             state: string;
             flags: string[];
             position_mm: number[];
-            covariance_mm2: number[][];
+            covariance_mm2: number[][] | null;
             velocity_mm_s: number[];
-            velocity_covariance_mm2_s2: number[][];
+            velocity_covariance_mm2_s2: number[][] | null;
             acceleration_mm_s2: number[] | null;
             peaks: (number | null)[];
             nis: number | null;

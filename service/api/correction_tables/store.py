@@ -70,7 +70,8 @@ class CorrectionTableDocument(ResponseModel):
     grid: Grid
     degree: Literal[1, 3] = Field(description="Of the splines; 1: trilinear.")
     valid_share: list[float] = Field(
-        description="Share of cells that measurements support, by sensor."
+        description="Share of cells that measurements support, by sensor, within the box of those "
+        "that any sensor's do."
     )
     max_correction_px: list[float] = Field(description="Largest coefficient there, by sensor.")
     settings: dict[str, Any] = Field(description="How it was asked to be made.")
@@ -166,8 +167,10 @@ def _figures(content: TableContent) -> dict[str, list[float]]:
         np.abs(values[_valid_nodes(valid, table.degree)])
         for values, valid in zip(table.coefficients_px, table.valid, strict=True)
     ]
+    # The margin beyond the measurements is valid for no sensor and does not count.
+    reach = np.array([np.ptp(index) + 1 for index in np.nonzero(table.valid.any(axis=0))])
     return {
-        "valid_share": [float(valid.mean()) for valid in table.valid],
+        "valid_share": [float(valid.sum() / reach.prod()) for valid in table.valid],
         "max_correction_px": [float(values.max()) for values in inside],
     }
 

@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 
 from compute.errors import InvalidParameter
 from compute.quality.accuracy import MarkerTrack
-from compute.reconstruction.point_batch import PointFlag
 from service.pipeline.frame_batch import FrameBatch
-from service.pipeline.taps import SingleCalibrationTap
+from service.pipeline.taps import UNFIT_POINT, SingleCalibrationTap
 
 Array = NDArray[np.float64]
 
@@ -63,7 +62,7 @@ class PointTap(SingleCalibrationTap):
         )
         time_ns = np.array([frame.exposure_device_ns for frame in batch.frames], dtype=np.int64)
         good = np.isfinite(batch.points.position_mm[:, 0])
-        good &= (batch.points.flags & int(PointFlag.AMBIGUOUS)) == 0
+        good &= (batch.points.flags & int(UNFIT_POINT)) == 0
         if self._markers is None:
             self._together(batch, marker, time_ns, good)
         else:

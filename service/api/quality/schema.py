@@ -76,7 +76,7 @@ class QualityCheck(ResponseModel):
     result: SinglePoint | PointToPoint
     passed: bool | None = Field(description="Against `tolerance_mm`; null without one.")
     points: int = Field(description="Points, or pairs, that were used.")
-    left_out: int = Field(description="Those without a position, or ambiguous.")
+    left_out: int = Field(description="Those without a position or covariance, or ambiguous.")
     temperature_c: float | None = Field(description="Of the device, where it reports one.")
     note: str
     created_at: Moment

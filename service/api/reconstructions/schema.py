@@ -73,7 +73,8 @@ class Reconstruction(ReconstructionSummary):
     estimates: list[NamedEstimate] = Field(
         description="`position_mm` is null where there is none; `flags` say why: "
         "`too-few-sensors` (three are needed), `degenerate`, `no-convergence`. `outside-map`: the "
-        "correction table does not support a reading there. `reading-excluded`: one or two "
+        "correction table does not support a reading there. `no-covariance`: it lies beyond the "
+        "table, and `covariance_mm2` is null. `reading-excluded`: one or two "
         "readings contradicted the others and were left out. `inconsistent` with "
         "`not-identifiable`: a reading is wrong, and the others do not tell which."
     )

@@ -93,7 +93,9 @@ class RecordedPoint(ResponseModel):
 
     marker: int | None = Field(description="The strobed marker; null: all were lit.")
     position_mm: Vector | None = Field(description="Null: it has none.")
-    covariance_mm2: Matrix | None = Field(description="Of the position.")
+    covariance_mm2: Matrix | None = Field(
+        description="Of the position; null also where `no-covariance` is among the flags."
+    )
     residual_sigma: float | None = Field(
         description="Of its readings, in standard deviations; null: nothing checks them."
     )
@@ -109,9 +111,11 @@ class RecordedTrack(ResponseModel):
     state: Literal["tentative", "confirmed", "coasting"]
     flags: tuple[str, ...]
     position_mm: Vector
-    covariance_mm2: Matrix = Field(description="Of the position.")
+    covariance_mm2: Matrix | None = Field(
+        description="Of the position; null: beyond the correction table, not known."
+    )
     velocity_mm_s: Vector = Field(description="Of the marker.")
-    velocity_covariance_mm2_s2: Matrix = Field(description="Of the velocity.")
+    velocity_covariance_mm2_s2: Matrix | None = Field(description="Of the velocity; null likewise.")
     acceleration_mm_s2: Vector | None = Field(description="Null: the motion has none.")
     peaks: tuple[int | None, ...] = Field(
         description="By sensor, the number of its peak in the scan; null: none."

@@ -43,10 +43,13 @@ def pose_in_frame(
             HIGH_ERROR [mm]; None: only the two poses are judged, each by itself.
 
     Returns:
-        The pose, without velocities, which are the tracker's; of one that is not known, or whose
-        reference is not, the reason.
+        The pose, without velocities, which are the tracker's, and without covariances unless both
+        poses have them; of one that is not known, or whose reference is not, the reason.
     """
     moved = replace(pose, velocity_mm_s=None, angular_velocity_rad_s=None)
+    known = pose.covariance is not None
+    if reference is not None:
+        known &= reference.covariance is not None
     if pose.rotation is None or pose.translation_mm is None:
         return moved
     if reference is not None and reference.rotation is None:
@@ -64,7 +67,7 @@ def pose_in_frame(
     tip = spread = None
     if pose.tip_mm is not None:
         tip = own.rotation.T @ (pose.tip_mm - own.translation_mm)
-        if found.covariance is not None:
+        if known:
             spread = found.point_covariance(tip, tip_covariance_mm2)
     if spread is not None and max_tip_sd_mm is not None and status in POSE_STATUSES[:-1]:
         above = exceeded_reason(float(np.sqrt(np.trace(spread))), max_tip_sd_mm)
@@ -76,7 +79,7 @@ def pose_in_frame(
         reason=reason,
         rotation=found.rotation,
         translation_mm=found.translation_mm,
-        covariance=found.covariance,
+        covariance=found.covariance if known else None,
         tip_mm=None if tip is None else found.apply(tip),
         tip_covariance_mm2=spread,
     )

@@ -7,9 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from compute.pose.rigid_body import ToolPose
-from compute.reconstruction.point_batch import PointFlag
 from service.pipeline.frame_batch import FrameBatch
-from service.pipeline.taps import SingleCalibrationTap
+from service.pipeline.taps import UNFIT_POINT, SingleCalibrationTap
 
 Array = NDArray[np.float64]
 
@@ -68,7 +67,7 @@ class MarkerTap(SingleCalibrationTap):
         if not self._goes_on(batch):
             return
         good = np.isfinite(batch.points.position_mm[:, 0])
-        good &= (batch.points.flags & int(PointFlag.AMBIGUOUS)) == 0
+        good &= (batch.points.flags & int(UNFIT_POINT)) == 0
         # Of two points in one exposure of one marker nobody knows which it is.
         alone = np.bincount(batch.owner, minlength=len(batch.frames)) == 1
         for row in np.flatnonzero(good & alone[batch.owner]).tolist():

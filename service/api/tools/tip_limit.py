@@ -68,17 +68,17 @@ def tip_sd_mm(
         tip_covariance_mm2: of the tip in the tool's coordinates, shape (3, 3) [mm^2]; None: exact.
 
     Returns:
-        None if neither pose tells its covariance, or the tip is not known.
+        None unless all poses tell their covariances, and the tip is known.
     """
     if pose.tip_mm is None:
         return None
-    known = [
-        _variance(one.covariance, pose.tip_mm - one.translation_mm)
-        for one in (pose, reference)
-        if one is not None and one.covariance is not None and one.translation_mm is not None
-    ]
-    if not known:
-        return None
+    known = []
+    for one in (pose, reference):
+        if one is None:
+            continue
+        if one.covariance is None or one.translation_mm is None:
+            return None
+        known.append(_variance(one.covariance, pose.tip_mm - one.translation_mm))
     if tip_covariance_mm2 is not None:
         known.append(float(tip_covariance_mm2.trace()))
     # A sum of squares, but for rounding; what is not finite stays, and is above every limit.

@@ -217,7 +217,7 @@ class StreamBatch:
             {
                 "marker": self.frames[frame].marker,
                 "position_mm": position if isfinite(position[0]) else None,
-                "covariance_mm2": covariance if isfinite(position[0]) else None,
+                "covariance_mm2": covariance if isfinite(covariance[0][0]) else None,
                 "residual_sigma": residual if isfinite(residual) else None,
                 "external_reliability_mm": shift if isfinite(shift) else None,
                 "sensors": _used(names, tuple(used)),

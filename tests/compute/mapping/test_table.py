@@ -12,7 +12,7 @@ from scipy.interpolate import NdBSpline, RegularGridInterpolator
 from compute.errors import InvalidParameter, NonFiniteValue
 from compute.mapping.b_splines import b_spline_basis
 from compute.mapping.grid import VoxelGrid
-from compute.mapping.table import CorrectionTable, Degree
+from compute.mapping.table import MAX_GROWTH_CELLS, CorrectionTable, Degree
 
 GRID = VoxelGrid((-100.0, 20.0, 1500.0), (50.0, 40.0, 25.0), (4, 3, 5))
 
@@ -88,16 +88,36 @@ def test_weights_add_up_to_one(degree: int) -> None:
 
 
 @pytest.mark.parametrize("degree", [1, 3])
-def test_beyond_the_box_the_nearest_place_is_taken_and_marked(degree: Degree) -> None:
+def test_beyond_the_box_the_splines_go_on_straight_and_are_marked(degree: Degree) -> None:
     made = table(degree, valid=np.ones((2, 4, 3, 5), dtype=np.bool_))
     beyond = np.array([[-130.0, 60.0, 1540.0], [0.0, 60.0, 1540.0], [120.0, 500.0, 1.0]])
     nearest = np.clip(beyond, GRID.origin_mm, GRID.end_mm)
     found, expected = made.at(beyond), made.at(nearest)
-    assert found.value_px == pytest.approx(expected.value_px)
+    straight = expected.value_px + np.einsum(
+        "nsx,nx->ns", expected.gradient_px_per_mm, beyond - nearest
+    )
+    # Along one axis; at edges the product of the axes' straight lines is no plane.
+    assert found.value_px[:2] == pytest.approx(straight[:2])
     assert found.inside.tolist() == [[False] * 2, [True] * 2, [False] * 2]
-    assert (found.gradient_px_per_mm[0, :, 0] == 0.0).all()
-    assert (found.gradient_px_per_mm[0, :, 1] != 0.0).all()
-    assert (found.gradient_px_per_mm[2] == 0.0).all()
+    assert found.in_box.tolist() == [False, True, False]
+    steps = np.linalg.norm((beyond - nearest) / GRID.pitch_mm, axis=1)
+    growth = (1.0 + 0.5 * np.minimum(steps, MAX_GROWTH_CELLS) ** 2) ** 4
+    assert found.variance_px2 == pytest.approx(expected.variance_px2 * growth[:, None])
+
+
+@pytest.mark.parametrize("degree", [1, 3])
+def test_beyond_the_box_gradients_are_those_of_the_values(degree: Degree) -> None:
+    made, step = table(degree), 1e-4
+    low, high = np.asarray(GRID.origin_mm), GRID.end_mm
+    anywhere = np.random.default_rng(7).uniform(low - 200.0, high + 200.0, (200, 3))
+    # A step across a face between two cells, where splines of degree 1 bend.
+    nodes = (anywhere - low) / GRID.pitch_mm
+    anywhere = anywhere[(np.abs(nodes - np.rint(nodes)) > 1e-4).all(axis=1)]
+    found = made.at(anywhere).gradient_px_per_mm
+    for axis in range(3):
+        off = step * np.eye(3)[axis]
+        numeric = (made.at(anywhere + off).value_px - made.at(anywhere - off).value_px) / (2 * step)
+        assert found[..., axis] == pytest.approx(numeric, rel=1e-5, abs=1e-7 * np.abs(found).max())
 
 
 def test_a_cell_without_measurements_is_not_inside() -> None:

@@ -11,8 +11,13 @@ from numpy.typing import NDArray
 from compute.camera.stack import CameraStack
 from compute.errors import InvalidParameter
 from compute.mapping.table import CorrectionTable, Degree
+from compute.measurement.measurement_model import MeasurementModel
 from compute.reconstruction.point_batch import PointBatch, PointFlag
-from compute.reconstruction.triangulation import reconstruct, triangulate_linear
+from compute.reconstruction.triangulation import (
+    detectable_errors,
+    reconstruct,
+    triangulate_linear,
+)
 from tests.compute.reconstruction.distorted_rig import GRID, distorted_rig, field_points, table
 from tests.compute.reconstruction.matching import match_peaks
 from tests.compute.rig import rig
@@ -176,8 +181,21 @@ def test_outside_the_map_is_flagged_by_the_sensors_used() -> None:
     batch = reconstruct(cameras, readings, np.full(4, 0.05), corrections=corrections)
     outside = batch.flags & PointFlag.OUTSIDE_MAP > 0
     assert outside.tolist() == [True, True, False, False]
-    # Beyond the box the nearest correction is taken: not silently, and not wildly.
     assert np.abs(batch.position_mm - points).max() < 1e-9
+    # Beyond the box nothing says how certain it is.
+    unknown = batch.flags & PointFlag.NO_COVARIANCE > 0
+    assert unknown.tolist() == [False, True, False, False]
+    published = batch.published()
+    assert np.isnan(published.covariance_mm2[:, 0, 0]).tolist() == unknown.tolist()
+    assert np.isnan(published.external_reliability_mm).tolist() == unknown.tolist()
+    assert np.isfinite(batch.covariance_mm2).all()
+    estimates = batch.estimates(corrections.sensors)
+    assert [one.covariance_mm2 is None for one in estimates] == unknown.tolist()
+    assert all(one.position_mm is not None for one in estimates)
+    sigma = np.full(readings.shape, 0.05)
+    model = MeasurementModel.of(cameras, None, corrections)
+    detectable = detectable_errors(model, batch, readings, sigma)
+    assert np.isnan(detectable).all(axis=1).tolist() == unknown.tolist()
     assert "outside-map" in batch.estimates(corrections.sensors)[0].flags
 
 

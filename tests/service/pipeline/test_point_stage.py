@@ -161,6 +161,9 @@ def test_points_outside_the_table_are_flagged() -> None:
     peaks = peaks_of(active.calibration.models, points, seed=5)
     found, _ = points_of(active, frames_of(2, True), peaks)
     assert (found.flags & PointFlag.OUTSIDE_MAP > 0).tolist() == [False, True]
+    assert (found.flags & PointFlag.NO_COVARIANCE > 0).tolist() == [False, True]
+    assert np.isfinite(found.position_mm).all()
+    assert np.isnan(found.covariance_mm2[:, 0, 0]).tolist() == [False, True]
 
 
 def processor() -> tuple[FrameProcessor, list[LineFrame], DeviceDescription]:

@@ -375,6 +375,16 @@ def test_beyond_the_correction_table_is_out_of_volume_and_its_doubt_stays() -> N
     (pose,) = Scene([far], tracker).together()
     assert pose.status is PoseStatus.OUT_OF_VOLUME
     assert "correction table is not valid" in str(pose.reason)
+    assert pose.covariance is not None
+    # Beyond the table itself nothing says how certain the pose is.
+    far = body(pointer(), 0, MIDDLE_MM + np.array([420.0, 0.0, 0.0]))
+    tracker = ToolTracker(CAMERAS, [pointer()], corrections=tables[0])
+    (pose,) = Scene([far], tracker).together()
+    assert pose.status is PoseStatus.OUT_OF_VOLUME
+    assert "beyond the correction table" in str(pose.reason)
+    assert pose.translation_mm is not None
+    assert pose.covariance is None
+    assert pose.tip_covariance_mm2 is None
 
 
 def test_readings_of_a_bent_tool_are_invalid() -> None:

@@ -89,6 +89,8 @@ class ToolObservation:
     whitened: list[Array] = field(default_factory=list)
     misfit: bool = False
 
+    _excluded_nis: Array | None = field(default=None, init=False)
+
     def __post_init__(self) -> None:
         self._predicted = self.state, self.imm
 
@@ -98,6 +100,7 @@ class ToolObservation:
         assert step is not None
         assert step.imm is not None
         self.peaks, self.readings, self.nis = step.peaks, step.readings, step.nis
+        self.misfit, self._excluded_nis = step.misfit, step.excluded
         if step.readings:
             self.imm, self.state = step.imm, step.imm.widest_state
             self.whitened.append(step.whitened)
@@ -122,6 +125,8 @@ class ToolObservation:
             free: the peaks that no tool has taken.
             gate_probability: probability that a correct reading is outside the gate.
         """
+        if self._excluded_nis is not None:
+            return self._excluded_nis
         off = np.zeros(self.peaks.shape)
         unassociated = (self.peaks < 0) & ~self.merged & free.usable.any(axis=1)
         if not unassociated.any():

@@ -228,7 +228,7 @@ class ToolTracker:
         free = without_peaks(measurements, others)
         trials = {
             index: self._tools[index].predict_observation(
-                time_ns, marker, motion, motion.manoeuvre_factor
+                time_ns, marker, motion, motion.manoeuvre_factor, free
             )
             for index in weak
         }

@@ -3,6 +3,7 @@
 from typing import Final
 
 from compute.native.records import Record, constants, header
+from compute.pose.filtering.association import MAX_EXCLUDED_NIS, NEAR_MISS_PX
 from compute.pose.filtering.imm import IMM_STATES
 from compute.pose.filtering.second_order import CUBATURE_RADIUS, CURVATURE_SIGMA_FRACTION
 from compute.reconstruction.native.definitions import CAMERAS
@@ -62,18 +63,17 @@ FRAME_NUMBERS: Final = len(_NUMBERS_OF_FRAMES)
 POSE: Final = 18
 """Number of values of rotation, centroid, velocity and angular velocity. In an ImmState the mode
 probabilities, offsets and covariances follow."""
-HEAD: Final = 4
-"""Number of values at the head of a result: outcome, number of readings, their NIS, and that of the
-widest model."""
+HEAD: Final = 3
+"""Number of values at the head of a result: outcome, number of readings, and their NIS."""
 UPDATED: Final = 0
 """Outcome: readings were used, or there were none within the gates."""
+MISFIT: Final = 1
+"""Outcome: readings within the gates do not fit one another, and none was used."""
 _PREDICTION_ONLY: Final = {
-    # Second-order terms matter, or the covariance has no Cholesky factor.
-    "status_curved": 1,
+    # A covariance has no Cholesky factor.
+    "status_indefinite": 2,
     # A sensor has several peaks within the gate.
-    "status_contested": 2,
-    # The readings do not fit one another.
-    "status_misfit": 3,
+    "status_contested": 3,
 }
 """Outcomes that set only the prediction."""
 
@@ -86,9 +86,12 @@ HEADER: Final = header(
             "pose_size": POSE,
             "head_size": HEAD,
             "status_updated": UPDATED,
+            "status_misfit": MISFIT,
             **_PREDICTION_ONLY,
             "max_curvature_fraction": CURVATURE_SIGMA_FRACTION,
             "sigma_point_reach": CUBATURE_RADIUS,
+            "near_miss_px": NEAR_MISS_PX,
+            "max_excluded_nis": MAX_EXCLUDED_NIS,
         }
     ),
     includes=("compute/reconstruction/native/definitions.gen.h",),

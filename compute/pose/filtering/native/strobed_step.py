@@ -15,6 +15,7 @@ from compute.pose.filtering.native.definitions import (
     FRAME_NUMBERS,
     FRAME_WORDS,
     HEAD,
+    MISFIT,
     POSE,
     STEP,
     UPDATED,
@@ -175,6 +176,9 @@ class Step:
         peaks: index of each sensor's peak, -1: none, shape (1, S).
         readings: number of readings that were used.
         nis: their normalised innovation squared.
+        misfit: readings within the gates do not fit one another: none was used.
+        excluded: normalised squares of peaks that are near and were not used, as
+            ``ToolObservation.excluded_nis``, shape (1, S).
         whitened: their whitened innovations and Jacobian, as in ImmUpdate, shape (n, 1 + E).
     """
 
@@ -183,14 +187,16 @@ class Step:
     peaks: NDArray[np.intp]
     readings: int
     nis: float
+    misfit: bool
+    excluded: Array
     whitened: Array
 
 
 class StrobedStepKernel:
     """ImmState and ``associate`` for one lit marker with unambiguous readings, in one launch.
 
-    They are unambiguous where each sensor has at most one peak within the marker's gate, and these
-    fit one another. Otherwise no reading is used, and the caller associates step by step.
+    They are unambiguous where each sensor has at most one peak within the marker's gate. Otherwise
+    no reading is used, and the caller associates step by step.
 
     Warp is not thread-safe: the thread that makes the kernel calls it. Making it loads Warp, and
     compiles the kernel for this number of sensors unless an earlier process has (seconds).
@@ -289,32 +295,42 @@ class StrobedStepKernel:
         )
         self._run(before, time_ns, manoeuvre_factor)
         after = 2 * size
-        outcome, count, nis, _ = block[after : after + HEAD].tolist()
-        peak, mixture = after + HEAD, after + HEAD + sensors
-        peaks = block[peak:mixture].astype(np.intp)[None]
-        updated, readings = outcome == UPDATED, int(count)
+        outcome, count, nis = block[after : after + HEAD].tolist()
+        peak = after + HEAD
+        excluded, mixture = peak + sensors, peak + 2 * sensors
+        peaks = block[peak:excluded].astype(np.intp)[None]
+        readings, known = int(count), outcome in (UPDATED, MISFIT)
         combined = None
-        if updated:
+        if known:
             combined = PackedPose.within(
                 time_ns, block[mixture:], POSE, 0, common_errors, (self._centred, reported_pose)
             )
-        if not updated or not readings:
-            predicted = PackedImmState.within(
-                self._imm_model, time_ns, block[:size], common_errors, combined
+        predicted = PackedImmState.within(
+            self._imm_model,
+            time_ns,
+            block[:size],
+            common_errors,
+            None if readings else combined,
+        )
+        imm = predicted
+        if readings:
+            imm = PackedImmState.within(
+                self._imm_model, time_ns, block[size:after], common_errors, combined
             )
-            nothing = np.empty((0, 1 + common_errors))
-            imm = predicted if updated else None
-            return Step(predicted, imm, np.full_like(peaks, -1), 0, 0.0, nothing)
-        predicted = PackedImmState.within(self._imm_model, time_ns, block[:size], common_errors)
-        imm = PackedImmState.within(
-            self._imm_model, time_ns, block[size:after], common_errors, combined
-        )
         white = mixture + POSE + STATES * (STATES + common_errors)
-        # A copy: it is kept for some exposures, the rest of the block is not.
-        whitened = (
-            block[white : white + readings * (1 + common_errors)].reshape(readings, -1).copy()
+        return Step(
+            predicted,
+            imm if known else None,
+            peaks,
+            readings,
+            nis,
+            outcome == MISFIT,
+            block[None, excluded:mixture],
+            # A copy: it is kept for some exposures, the rest of the block is not.
+            block[white : white + readings * (1 + common_errors)]
+            .reshape(readings, 1 + common_errors)
+            .copy(),
         )
-        return Step(predicted, imm, peaks, readings, nis, whitened)
 
     def predict_combined(self, before: ImmState, time_ns: int) -> PoseState:
         """Return the combined state predicted to a time, as ``ImmState.predict_combined``.
@@ -337,7 +353,7 @@ class StrobedStepKernel:
             _NONE_LIT,
         )
         self._run(before, time_ns, 1.0)
-        mixture = block[HEAD + self._sensors :]
+        mixture = block[HEAD + 2 * self._sensors :]
         return PackedPose.within(
             time_ns, mixture, POSE, 0, self._common_errors, (self._centred, reported_pose)
         )
@@ -414,14 +430,14 @@ def imm_state_size(modes: int, errors: int) -> int:
 def result_size(sensors: int, errors: int) -> int:
     """Return the number of float64 of a result.
 
-    A result holds the head; the index of each sensor's peak, -1: none; the combined state; the
-    whitened innovations, (n, 1 + E).
+    A result holds the head; the index of each sensor's peak, -1: none; the excluded squares; the
+    combined state; the whitened innovations, (n, 1 + E).
 
     Args:
         sensors: number of sensors.
         errors: number E of common errors.
     """
-    return HEAD + sensors + POSE + STATES * (STATES + errors) + sensors * (1 + errors)
+    return HEAD + 2 * sensors + POSE + STATES * (STATES + errors) + sensors * (1 + errors)
 
 
 def scratch_size(sensors: int, modes: int, errors: int) -> int:

@@ -2,10 +2,8 @@
 
 import ctypes
 import os
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache, partial
-from operator import attrgetter
 from typing import Any, Self
 
 from numpy.typing import NDArray
@@ -46,8 +44,14 @@ def host_memory(array: Any) -> NDArray[Any]:
     return view
 
 
-address: Callable[[NDArray[Any]], int] = attrgetter("ctypes.data")
-"""Returns the memory address of an array."""
+def address(array: NDArray[Any]) -> int:
+    """Return the memory address of an array."""
+    memory: Any = array
+    try:
+        # In a third of the time that ``array.ctypes`` takes: some fifty addresses a frame.
+        return ctypes.addressof(ctypes.c_char.from_buffer(memory))
+    except (TypeError, ValueError):  # read-only, empty, or not contiguous
+        return array.ctypes.data
 
 
 class PackedLaunch:

@@ -6,7 +6,9 @@ from compute.native.records import Record, constants, header
 from compute.pose.filtering.association import MAX_EXCLUDED_NIS, NEAR_MISS_PX
 from compute.pose.filtering.imm import IMM_STATES
 from compute.pose.filtering.second_order import CUBATURE_RADIUS, CURVATURE_SIGMA_FRACTION
+from compute.pose.settings import POSE_PARAMETERS
 from compute.reconstruction.native.definitions import CAMERAS
+from compute.reliability import REDUNDANCY_FLOOR
 
 _OF_FRAMES: Final = {
     # States before, predicted and after, results and reported pose; then the frame's peaks,
@@ -56,9 +58,40 @@ STEP_RECORD: Final = Record("StepRecord", {**_OF_FRAMES, **_NUMBERS_OF_FRAMES, *
 """Argument record of one step of one tool; 64-bit words only. Members that change from frame to
 frame come first."""
 STEP: Final = STEP_RECORD.dtype
-FRAME_WORDS: Final = len(_OF_FRAMES)
-"""Number of addresses and counts of a frame; its numbers follow."""
-FRAME_NUMBERS: Final = len(_NUMBERS_OF_FRAMES)
+FRAME_RECORD: Final = Record(
+    "FrameRecord", {"steps": "const unsigned long long*", "count": "long long"}
+)
+"""Argument record of a launch: addresses of the tools' records, and their number."""
+FRAME: Final = FRAME_RECORD.dtype
+RELIABILITY_RECORD: Final = Record(
+    "ReliabilityRecord",
+    {
+        "step": "StepRecord*",
+        # Which sensor's reading of which marker the pose rests on, and sigmas, (M, S).
+        "used": "const unsigned char*",
+        "sigma": "const double*",
+        "scratch": "double*",
+        "markers": "long long",
+        "readings": "long long",
+        "noncentrality": "double",
+        # Rotation and centroid.
+        "pose": "double[12]",
+        # Results: whether there are any; the index of the reading with the largest detectable
+        # error in (M, S).
+        "solved": "long long",
+        "worst": "long long",
+        "detectable_sigma": "double",
+        "external_tip_mm": "double",
+        "external_rotation_rad": "double",
+    },
+)
+"""Argument record of the reliability of one pose."""
+RELIABILITY: Final = RELIABILITY_RECORD.dtype
+FRAME_FORMAT: Final = "=" + "".join(
+    {"double": "d", "long long": "q"}.get(kind, "Q")
+    for kind in (_OF_FRAMES | _NUMBERS_OF_FRAMES).values()
+)
+"""Members of a STEP that change from frame to frame, as ``struct`` packs them."""
 
 POSE: Final = 18
 """Number of values of rotation, centroid, velocity and angular velocity. In an ImmState the mode
@@ -80,10 +113,14 @@ _PREDICTION_ONLY: Final = {
 HEADER: Final = header(
     "lumiline::pose",
     STEP_RECORD.source,
+    FRAME_RECORD.source,
+    RELIABILITY_RECORD.source,
     constants(
         {
             "D": IMM_STATES,
             "pose_size": POSE,
+            "pose_parameters": POSE_PARAMETERS,
+            "redundancy_floor": REDUNDANCY_FLOOR,
             "head_size": HEAD,
             "status_updated": UPDATED,
             "status_misfit": MISFIT,

@@ -349,11 +349,14 @@ struct StrobedStepKernel {
     }
 };
 
-// Takes the step of a StepRecord; CPU only.
+// Takes the steps of a FrameRecord, one after another; CPU only.
 template <int S, int TERMS>
-LUMILINE_FN void take_step(unsigned long long step_address) {
-    StrobedStepKernel<S, TERMS> step(*(const StepRecord*)step_address);
-    step.solve();
+LUMILINE_FN void take_steps(unsigned long long frame_address) {
+    const FrameRecord& frame = *(const FrameRecord*)frame_address;
+    for (long long i = 0; i < frame.count; ++i) {
+        StrobedStepKernel<S, TERMS> step(*(const StepRecord*)frame.steps[i]);
+        step.solve();
+    }
 }
 
 }  // namespace lumiline::pose

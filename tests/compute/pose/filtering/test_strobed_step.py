@@ -11,12 +11,16 @@ from compute.camera.stack import CameraStack
 from compute.mapping.table import CorrectionTable, Degree
 from compute.measurement.measurement_model import MeasurementModel
 from compute.measurement.measurements import Measurements
+from compute.pose.estimation.pose_equations import PoseEquations
+from compute.pose.estimation.pose_reliability import pose_reliability
 from compute.pose.filtering import association
 from compute.pose.filtering.association import ToolObservation, associate, without_peaks
 from compute.pose.filtering.imm import ImmModel, ImmState
 from compute.pose.filtering.native.strobed_step import (
+    FrameSteps,
     Step,
     StrobedStepKernel,
+    ToolStep,
     load_kernels,
     step_kernel,
 )
@@ -214,6 +218,72 @@ def test_what_is_expected_without_readings_is_as_by_numpy(made: Made, after_ns: 
         assert getattr(known, name) == pytest.approx(value, rel=1e-9, abs=1e-9 * size)
 
 
+@pytest.mark.slow
+@settings(deadline=None, max_examples=30)
+@given(st.integers(0, 10**6), st.integers(1, 4), st.booleans())
+def test_tools_of_one_frame_are_as_each_by_itself_to_the_bit(seed: int, tools: int, lit: bool):
+    cases = [Case(KINDS[seed % 3], 4, False, None, seed + 3 * number) for number in range(tools)]
+    time_ns = max(case.before.widest_state.time_ns for case in cases) + 1_000_000
+    marker = seed % 3 if lit else None
+    measurements = cases[0].measurements(seed % 3)
+    steps = [
+        ToolStep(case.step, case.before, marker if number == 0 else None)
+        for number, case in enumerate(cases)
+    ]
+    kernel = cases[0].step
+    found = FrameSteps(kernel.sensors, kernel.capacity).take(steps, time_ns, measurements)
+    for number, (case, one) in enumerate(zip(cases, found, strict=True)):
+        if number or not lit:
+            alone: PoseState = case.step.predict_combined(case.before, time_ns)
+        else:
+            step = case.step.take(case.before, time_ns, seed % 3, measurements)
+            assert isinstance(one, Step)
+            assert (one.peaks == step.peaks).all()
+            assert (one.nis, one.readings, one.misfit) == (step.nis, step.readings, step.misfit)
+            assert (one.imm is None) == (step.imm is None)
+            if one.imm is None or step.imm is None:
+                continue
+            assert (one.imm.packed == step.imm.packed).all()
+            one, alone = one.imm.combined, step.imm.combined
+        assert isinstance(one, PoseState)
+        for name in (*PARTS, "covariance", "common"):
+            assert (getattr(one, name) == getattr(alone, name)).all()
+        report, same = (vars(pose.reported_pose(case.centred)) for pose in (one, alone))
+        assert all(np.array_equal(report[name], same[name]) for name in report)
+
+
+@pytest.mark.slow
+@settings(deadline=None, max_examples=60)
+@given(cases, st.sampled_from([0.0, 0.2, 0.6]))
+def test_the_reliability_of_any_pose_is_as_by_numpy(made: Made, missing: float) -> None:
+    case = Case(*made)
+    state, shape = case.before.combined, (len(case.centred.markers_mm), len(case.model))
+    used = case.rng.random(shape) >= missing
+    sigma = case.rng.uniform(0.03, 0.1, shape)
+    pose = state.rotation, state.centroid_mm
+    equations = PoseEquations(case.model, case.centred, np.where(used, 0.0, np.nan), sigma)
+    wanted = pose_reliability(equations, *pose, 1e-4)
+    found = case.step.reliability.of(used, sigma, *pose, 1e-4)
+    if np.count_nonzero(used) <= 6:
+        assert found is None
+        return
+    assert found is not None
+    for name in ("detectable_sigma", "external_tip_mm", "external_rotation_rad"):
+        assert getattr(found, name) == pytest.approx(getattr(wanted, name), rel=1e-6)
+    if np.isfinite(wanted.detectable_sigma):
+        assert (found.marker, found.sensor) == (wanted.marker, wanted.sensor)
+
+
+def test_the_reliability_of_too_many_readings_is_left_to_numpy() -> None:
+    case = plain()
+    used = np.ones((4, 4), dtype=np.bool_)
+    pose = case.before.combined.rotation, case.before.combined.centroid_mm
+    kernel = case.step.reliability
+    assert kernel.of(used[:3], np.full((3, 4), 0.05), *pose, 1e-4) is not None
+    nothing = kernel.of(used[:3] & False, np.full((3, 4), 0.05), *pose, 1e-4)
+    assert nothing is None
+
+
 def plain(seed: int = 1) -> Case:
     """One of which every reading can be taken."""
     return Case(MANY, 4, False, None, seed)
@@ -358,7 +428,7 @@ def test_exposures_of_all_markers_between_those_of_one_are_as_by_numpy(
         tool = pointer(strobed=True)
         tracker = ToolTracker(CAMERAS, [tool], None, CALIBRATION)
         if not kernel:
-            tracker._tools[0].step = None
+            tracker._tools[0].kernel = None
         scene = Scene([body(tool, 3)], tracker, seed=3)
         poses = [pose for _ in range(60) for pose in scene.strobed()]
         shown = scene.bodies[0]
@@ -390,7 +460,7 @@ def follow(kernel: bool, covariance: Array | None, with_table: bool, seed: int) 
     known = corrections(seed) if with_table else None
     tracker = ToolTracker(CAMERAS, [tool], None, covariance, known)
     if not kernel:
-        tracker._tools[0].step = None
+        tracker._tools[0].kernel = None
     one = Scene([body(tool, seed)], tracker, seed=seed)
     rng = np.random.default_rng(seed)
     moving = one.bodies[0]
@@ -486,4 +556,4 @@ def test_what_has_no_regimes_has_no_step() -> None:
         (pointer(strobed=True), False, single),
     ):
         tracker = ToolTracker(CAMERAS, [tool], given_)
-        assert (tracker._tools[0].step is not None) is wanted
+        assert (tracker._tools[0].kernel is not None) is wanted

@@ -18,11 +18,11 @@ from compute.measurement.measurements import Measurements, check_sensors
 from compute.pose.estimation.observability import unobservable_motion
 from compute.pose.filtering.association import ToolObservation, associate, without_peaks
 from compute.pose.filtering.imm import ImmModel
+from compute.pose.filtering.native.kernel_arguments import has_kernel
 from compute.pose.filtering.native.strobed_step import (
     FrameSteps,
     Step,
     StrobedStepKernel,
-    has_kernel,
 )
 from compute.pose.filtering.pose_filter import PoseState, ReportedPose
 from compute.pose.rigid_body import CentredMarkers, PoseStatus, RigidBody, ToolPose

@@ -1,9 +1,11 @@
 """FrameSteps: prediction, gating and update of all strobed tools of a frame in one launch."""
 
 from collections.abc import Sequence
+from ctypes import addressof, c_char
 from dataclasses import dataclass
-from functools import cache, lru_cache
+from functools import lru_cache
 from itertools import accumulate
+from math import prod
 from struct import Struct
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -18,23 +20,18 @@ from compute.pose.filtering.native.definitions import (
     HEAD,
     MISFIT,
     POSE,
-    STEP,
     UPDATED,
 )
-from compute.pose.filtering.native.packed_states import (
-    REPORTED_SIZE,
-    PackedImmState,
-    PackedPose,
+from compute.pose.filtering.native.kernel_arguments import (
+    imm_state_size,
+    result_size,
+    step_kernel,
+    tool_record,
 )
-from compute.pose.filtering.native.pose_reliability import (
-    PoseReliabilityKernel,
-    reliability_kernel,
-)
-from compute.pose.filtering.pose_filter import STATES, PoseState
+from compute.pose.filtering.native.pose_reliability import PoseReliabilityKernel
+from compute.pose.filtering.pose_filter import STATES, PoseState, ReportedPose
 from compute.pose.rigid_body import CentredMarkers
-from compute.reconstruction.native.definitions import MAX_POWER, fill_cameras, row_length
-from compute.reconstruction.solver import MAX_SENSORS, MIN_CAPACITY, term_capacity
-from compute.reconstruction.triangulation import chi2_limit
+from compute.reconstruction.solver import term_capacity
 from compute.warp_host import PackedLaunch, address
 
 if TYPE_CHECKING:
@@ -44,6 +41,160 @@ Array = NDArray[np.float64]
 
 _OF_FRAME: Final = Struct(FRAME_FORMAT)
 """Members of a STEP that change from frame to frame."""
+_POSE_VIEWS: Final[dict[str, tuple[tuple[int, ...], int]]] = {
+    "rotation": ((3, 3), 0),
+    "centroid_mm": ((3,), 9),
+    "velocity_mm_s": ((3,), 12),
+    "angular_velocity_rad_s": ((3,), 15),
+}
+"""Members of PoseState: shape, and offset in memory."""
+_REPORTED_SHAPES: Final = ((3, 3), (3,), (3,), (6, 6), (3,), (3, 3), (3,))
+"""Shapes of the arrays of ReportedPose, in their order in memory; its numbers follow."""
+_ENDS: Final = tuple(accumulate(map(prod, _REPORTED_SHAPES)))
+_REPORTED_VIEWS: Final = tuple(
+    (8 * first, shape) for first, shape in zip((0, *_ENDS), _REPORTED_SHAPES, strict=False)
+)
+REPORTED_SIZE: Final = _ENDS[-1] + 2
+"""Number of float64 of a ReportedPose."""
+
+
+class PackedPose(PoseState):
+    """PoseState whose arrays are views, made at first use, of memory that stays as it is."""
+
+    @classmethod
+    def within(
+        cls,
+        time_ns: int,
+        block: Array,
+        covariances: int,
+        row: int,
+        common_errors: int,
+        reported: tuple[CentredMarkers, Array] | None = None,
+    ) -> "PackedPose":
+        """Return the state in a block of memory.
+
+        Args:
+            time_ns: time of the state [ns].
+            block: memory that begins with rotation, centroid, velocity and angular velocity.
+            covariances: index of the covariances in the block, row by row.
+            row: length of a row of the covariances, which then also has the columns of
+                accelerations and common errors; 0: the covariance with the common errors follows
+                the state's.
+            common_errors: number of common errors.
+            reported: the markers and the values of the reported pose, in the order of its members;
+                None: not computed yet.
+        """
+        state = object.__new__(cls)
+        members = state.__dict__
+        members["time_ns"], members["_block"], members["_reported"] = time_ns, block, reported
+        members["_at"] = covariances, row, common_errors
+        return state
+
+    def __getattr__(self, name: str) -> Array:
+        """Return a member of PoseState, and keep it.
+
+        Raises:
+            AttributeError: PoseState has no such member.
+        """
+        if name not in PoseState.__dataclass_fields__:
+            raise AttributeError(name)
+        first, row, common_errors = self.__dict__["_at"]
+        if name in _POSE_VIEWS:
+            view = self._view(*_POSE_VIEWS[name])
+        elif name == "covariance":
+            view = self._view((STATES, row or STATES), first)[:, :STATES]
+        elif row:
+            view = self._view((STATES, row), first)[:, IMM_STATES:]
+        else:
+            view = self._view((STATES, common_errors), first + STATES * STATES)
+        self.__dict__[name] = view
+        return view
+
+    def _view(self, shape: tuple[int, ...], first: int) -> Array:
+        return np.ndarray(shape, np.float64, self.__dict__["_block"], 8 * first)
+
+    def reported_pose(self, centred: CentredMarkers) -> ReportedPose:
+        """Return the reported pose, by the kernel where its values are of these markers."""
+        reported = self.__dict__["_reported"]
+        if reported is None or reported[0] is not centred:
+            return super().reported_pose(centred)
+        values = reported[1]
+        rotation, rate, translation, covariance, tip, tip_covariance, velocity = [
+            np.ndarray(shape, np.float64, values, first) for first, shape in _REPORTED_VIEWS
+        ]
+        tip_variance, pose_variance = values[_ENDS[-1] :].tolist()
+        return ReportedPose(
+            rotation,
+            rate,
+            translation,
+            covariance,
+            tip,
+            tip_covariance,
+            velocity,
+            tip_variance,
+            pose_variance,
+        )
+
+
+class PackedImmState(ImmState):
+    """ImmState whose arrays are views, made at first use, of memory that stays as it is."""
+
+    @classmethod
+    def within(
+        cls,
+        model: ImmModel,
+        time_ns: int,
+        block: Array,
+        packed_address: int,
+        common_errors: int,
+        combined: PoseState | None = None,
+    ) -> "PackedImmState":
+        """Return the states in a block of memory.
+
+        Args:
+            model: the motion models.
+            time_ns: time of the states [ns].
+            block: memory in the order of ``ImmState.packed``.
+            packed_address: its address.
+            common_errors: number of common errors.
+            combined: the combined state, if known.
+        """
+        state = object.__new__(cls)
+        members = state.__dict__
+        members["model"], members["packed"], members["packed_address"] = (
+            model,
+            block,
+            packed_address,
+        )
+        members["_at"] = time_ns, common_errors
+        if combined is not None:
+            members["combined"] = combined
+        return state
+
+    def __getattr__(self, name: str) -> Any:
+        """Return a member of ImmState, and keep it.
+
+        Raises:
+            AttributeError: ImmState has no such member.
+        """
+        if name not in ImmState.__dataclass_fields__:
+            raise AttributeError(name)
+        time_ns, common_errors = self.__dict__["_at"]
+        count, wide = len(self.model), IMM_STATES + common_errors
+        offsets = POSE + count
+        covariances = offsets + count * IMM_STATES
+        member: object
+        if name == "widest_state":
+            last = covariances + (count - 1) * IMM_STATES * wide
+            member = PackedPose.within(time_ns, self.packed, last, wide, common_errors)
+        elif name == "offsets":
+            member = self.packed[offsets:covariances].reshape(count, IMM_STATES)
+        elif name == "covariances":
+            member = self.packed[covariances:].reshape(count, IMM_STATES, wide)
+        else:
+            member = self.packed[POSE:offsets]
+        self.__dict__[name] = member
+        return member
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,40 +271,16 @@ class StrobedStepKernel:
         self.state_size = imm_state_size(len(imm), common_errors)
         self.result_size = result_size(sensors, common_errors)
         self._switch_probability = lru_cache(maxsize=1)(imm.switch_probability)
-        step = np.zeros(1, dtype=STEP)
-        columns = model.covariance_factor * model.cameras.parameter_mask[..., None]
-        limits = [chi2_limit(count, gate_probability) for count in range(sensors + 1)]
-        # Kept alive: the records hold their addresses.
-        self._buffers: list[Any] = [step]
-        for name, values in (
-            ("columns", columns),
-            ("persistence", imm.state_mask),
-            ("initial_covariance", imm.initial_covariance),
-            ("renewal", imm.constant_velocity),
-            ("terms", imm.noise_terms),
-            ("markers", centred.markers_mm),
-            ("chi2_limits", np.array(limits)),
-            ("scratch", np.empty(scratch_size(sensors, len(imm), common_errors))),
-        ):
-            step[name] = self._keep(values)
-        row = row_length(sensors, cuda=False)
-        fill_cameras(step["cameras"], self._keep, model.cameras, model.corrections, row)
-        for name, value in (
-            ("modes", len(imm)),
-            ("errors", common_errors),
-            ("calibration_errors", columns.shape[2]),
-            ("gate", chi2_limit(1, gate_probability)),
-            ("radius_mm", centred.radius_mm),
-            ("principal_distance_px", model.cameras.principal_distance_px.min()),
-            ("centroid", centred.centroid_mm),
-            ("tip", centred.tip_mm),
-        ):
-            step[name] = value
+        step, self._buffers = tool_record(model, imm, centred, common_errors, gate_probability)
         self._memory: Any = step.view(np.uint8)
         self.address = address(step)
         """Address of its record."""
         self.reliability = PoseReliabilityKernel(
-            self.address, len(centred.markers_mm), sensors, self.capacity, columns.shape[2]
+            self.address,
+            len(centred.markers_mm),
+            sensors,
+            self.capacity,
+            model.covariance_factor.shape[2],
         )
         """Reliability of its pose."""
         self._alone = FrameSteps(sensors, self.capacity)
@@ -284,11 +411,6 @@ class StrobedStepKernel:
         assert isinstance(found, PoseState)
         return found
 
-    def _keep(self, values: NDArray[Any]) -> int:
-        array = np.ascontiguousarray(values)
-        self._buffers.append(array)
-        return address(array)
-
 
 class FrameSteps:
     """Steps of several strobed tools to one exposure, in one launch.
@@ -318,7 +440,7 @@ class FrameSteps:
         # Where the results of each tool end [values].
         ends = list(accumulate([job.kernel.block_size(job.lit) for job in jobs], initial=0))
         block, reported = np.empty(ends[-1]), np.empty((len(jobs), REPORTED_SIZE))
-        first, reported_at = address(block), address(reported)
+        first, reported_at = _address_of_new(block), _address_of_new(reported)
         inputs = (0, 0, 0, 0) if measurements is None else self._copy(measurements)
         if len(jobs) > len(self._steps):
             self._steps = np.empty(len(jobs), dtype=np.uint64)
@@ -355,75 +477,6 @@ class FrameSteps:
         return *at, peaks
 
 
-@cache
-def step_kernel(sensors: int, capacity: int) -> Any:
-    """Return the strobed-step kernel; it takes the address of a FRAME.
-
-    Loads Warp. Launch it with one thread, on the CPU.
-
-    Args:
-        sensors: number of sensors.
-        capacity: largest number of distortion terms.
-    """
-    from compute.native.native_kernel import native_kernel
-
-    return native_kernel(
-        "compute/pose/filtering/native/strobed_step.h",
-        f"lumiline::pose::take_steps<{sensors}, {capacity}>(address);",
-    )
-
-
-def has_kernel(model: MeasurementModel, imm: ImmModel) -> bool:
-    """Return whether there is a kernel for these cameras and motion models.
-
-    Args:
-        model: the cameras.
-        imm: the motion models.
-    """
-    cameras = model.cameras
-    powers = max((max(term) for term in cameras.terms), default=0)
-    return len(imm) > 1 and 1 <= len(cameras) <= MAX_SENSORS and powers <= MAX_POWER
-
-
-def load_kernels(sensors: int) -> None:
-    """Load the kernels for a number of sensors, with up to MIN_CAPACITY terms of distortion."""
-    for capacity in (0, MIN_CAPACITY):
-        for kernel in (step_kernel, reliability_kernel):
-            kernel(sensors, capacity).module.load("cpu", block_dim=1)
-
-
-def imm_state_size(modes: int, errors: int) -> int:
-    """Return the number of float64 of an ImmState.
-
-    Args:
-        modes: number K of motion models.
-        errors: number E of common errors.
-    """
-    return POSE + modes * (1 + IMM_STATES + IMM_STATES * (IMM_STATES + errors))
-
-
-def result_size(sensors: int, errors: int) -> int:
-    """Return the number of float64 of a result.
-
-    A result holds the head; the index of each sensor's peak, -1: none; the excluded squares; the
-    combined state; the whitened innovations, (n, 1 + E).
-
-    Args:
-        sensors: number of sensors.
-        errors: number E of common errors.
-    """
-    return HEAD + 2 * sensors + POSE + STATES * (STATES + errors) + sensors * (1 + errors)
-
-
-def scratch_size(sensors: int, modes: int, errors: int) -> int:
-    """Return the number of float64 of the kernel's scratch memory.
-
-    Args:
-        sensors: number of sensors.
-        modes: number K of motion models.
-        errors: number E of common errors.
-    """
-    wide = IMM_STATES + errors
-    mixing = modes * modes + IMM_STATES * IMM_STATES + IMM_STATES
-    readings = sensors * (errors + wide) + modes * (sensors * (1 + wide) + 2)
-    return mixing + readings + IMM_STATES * wide
+def _address_of_new(array: Any) -> int:
+    """Return the address of a writable array in a third of the time that ``address`` takes."""
+    return addressof(c_char.from_buffer(array))

@@ -16,13 +16,12 @@ from compute.pose.estimation.pose_reliability import pose_reliability
 from compute.pose.filtering import association
 from compute.pose.filtering.association import ToolObservation, associate, without_peaks
 from compute.pose.filtering.imm import ImmModel, ImmState
+from compute.pose.filtering.native.kernel_arguments import load_kernels, step_kernel
 from compute.pose.filtering.native.strobed_step import (
     FrameSteps,
     Step,
     StrobedStepKernel,
     ToolStep,
-    load_kernels,
-    step_kernel,
 )
 from compute.pose.filtering.pose_filter import STATES, PoseState, predict_measurement
 from compute.pose.filtering.second_order import second_order_prediction

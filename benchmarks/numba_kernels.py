@@ -25,7 +25,7 @@ from benchmarks.numba_kernel_peers import ERRORS, STEP_S
 from compute.native.headers import module_options
 from compute.pose.filtering.imm import IMM_STATES, ImmModel
 from compute.pose.filtering.native.definitions import POSE, STEP
-from compute.pose.filtering.native.strobed_step import imm_state_size, scratch_size
+from compute.pose.filtering.native.kernel_arguments import imm_state_size, scratch_size
 from compute.pose.settings import ImmSettings, MotionSettings
 from compute.tracking.native.definitions import JOB, MAX_OPTIONS, PARTIAL_BYTES
 from compute.tracking.settings import TrackerSettings

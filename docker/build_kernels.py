@@ -20,7 +20,8 @@ def modules() -> Iterator[tuple[Any, int]]:
     """
     from compute.optics.tracing.ray_kernel import ray_kernel
     from compute.optics.tracing.ray_tracer import THREADS_PER_BLOCK as RAYS
-    from compute.pose.filtering.native.strobed_step import step_kernel
+    from compute.pose.filtering.native.kernel_arguments import step_kernel
+    from compute.pose.filtering.native.pose_reliability import reliability_kernel
     from compute.reconstruction.native.cuda_launch import THREADS_PER_BLOCK as POINTS
     from compute.reconstruction.solver import MIN_CAPACITY, point_kernel
     from compute.signal.native.definitions import BLOCK_THREADS
@@ -35,6 +36,7 @@ def modules() -> Iterator[tuple[Any, int]]:
         for room in (0, MIN_CAPACITY):
             yield point_kernel(sensors, room).module, POINTS
             yield step_kernel(sensors, room).module, 0
+            yield reliability_kernel(sensors, room).module, 0
 
 
 def build(number: int, architectures: tuple[int, ...]) -> str:

@@ -115,7 +115,7 @@ class FrameProcessor:
             import warp as wp
 
             # Here: what tracks tools loads only where frames are processed.
-            from compute.pose.filtering.native.strobed_step import load_kernels as load_steps
+            from compute.pose.filtering.native.kernel_arguments import load_kernels as load_steps
 
             load_kernels(len(self._names), compute_device)
             load_steps(len(self._names))

@@ -89,6 +89,8 @@ class ToolObservation:
     whitened: list[Array] = field(default_factory=list)
     misfit: bool = False
 
+    _excluded_nis: Array | None = field(default=None, init=False)
+
     def __post_init__(self) -> None:
         self._predicted = self.state, self.imm
 
@@ -98,6 +100,7 @@ class ToolObservation:
         assert step is not None
         assert step.imm is not None
         self.peaks, self.readings, self.nis = step.peaks, step.readings, step.nis
+        self.misfit, self._excluded_nis = step.misfit, step.excluded
         if step.readings:
             self.imm, self.state = step.imm, step.imm.widest_state
             self.whitened.append(step.whitened)
@@ -122,6 +125,8 @@ class ToolObservation:
             free: the peaks that no tool has taken.
             gate_probability: probability that a correct reading is outside the gate.
         """
+        if self._excluded_nis is not None:
+            return self._excluded_nis
         off = np.zeros(self.peaks.shape)
         unassociated = (self.peaks < 0) & ~self.merged & free.usable.any(axis=1)
         if not unassociated.any():
@@ -152,13 +157,28 @@ class ToolObservation:
 
     def readings_px(self, measurements: Measurements) -> tuple[Array, Array]:
         """Return the associated readings and sigmas of all markers, shapes (M, S)."""
-        shape = (len(self.centred.markers_mm), len(measurements.position_px))
-        readings, sigma = np.full(shape, np.nan), np.full(shape, np.nan)
-        row, sensor = np.nonzero(self.peaks >= 0)
-        peak = self.peaks[row, sensor]
-        readings[self.lit[row], sensor] = measurements.position_px[sensor, peak]
-        sigma[self.lit[row], sensor] = np.sqrt(measurements.variance_px2[sensor, peak])
-        return readings, sigma
+        markers = len(self.centred.markers_mm)
+        return marker_readings(markers, self.lit, self.peaks, measurements)
+
+
+def marker_readings(
+    markers: int, lit: NDArray[np.intp], peaks: NDArray[np.intp], measurements: Measurements
+) -> tuple[Array, Array]:
+    """Return readings and sigmas of all markers of a tool, shapes (M, S) [px]; NaN: none.
+
+    Args:
+        markers: number M of its markers.
+        lit: indices of the markers that the exposure lit, shape (m,).
+        peaks: index of each one's peak on each sensor, -1: none, shape (m, S).
+        measurements: the frame's peaks.
+    """
+    readings = np.full((markers, peaks.shape[1]), np.nan)
+    sigma = readings.copy()
+    row, sensor = np.nonzero(peaks >= 0)
+    peak = peaks[row, sensor]
+    readings[lit[row], sensor] = measurements.position_px[sensor, peak]
+    sigma[lit[row], sensor] = np.sqrt(measurements.variance_px2[sensor, peak])
+    return readings, sigma
 
 
 def associate(

@@ -45,6 +45,9 @@ class ReportedPose:
         tip_mm: tip in the world, shape (3,) [mm].
         tip_covariance_mm2: shape (3, 3) [mm^2].
         velocity_mm_s: velocity of the tool's origin, shape (3,) [mm/s].
+        tip_variance_mm2: variance of the tip in 3D, the trace of its covariance [mm^2].
+        pose_variance_mm2: trace of the covariance of (rotation times the markers' radius,
+            centroid); no motion's variance is larger [mm^2].
     """
 
     rotation: Array
@@ -54,6 +57,8 @@ class ReportedPose:
     tip_mm: Array
     tip_covariance_mm2: Array
     velocity_mm_s: Array
+    tip_variance_mm2: float
+    pose_variance_mm2: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,14 +95,18 @@ class PoseState:
         wx, wy, wz = self.angular_velocity_rad_s.tolist()
         x, y, z = (self.rotation @ centred.centroid_mm).tolist()
         origin, tip = centred.origin_jacobian(self.rotation), centred.tip_jacobian(self.rotation)
+        tip_covariance = tip @ here @ tip.T
+        variance = here.diagonal()
         return ReportedPose(
             self.rotation,
             self.angular_velocity_rad_s,
             centred.translation(self.rotation, self.centroid_mm),
             origin @ here @ origin.T,
             self.centroid_mm + self.rotation @ centred.tip_mm,
-            tip @ here @ tip.T,
+            tip_covariance,
             self.velocity_mm_s - np.array([wy * z - wz * y, wz * x - wx * z, wx * y - wy * x]),
+            float(tip_covariance.trace()),
+            float(centred.radius_mm**2 * variance[:3].sum() + variance[3:].sum()),
         )
 
 

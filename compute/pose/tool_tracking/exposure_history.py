@@ -37,7 +37,7 @@ class StaleDataDetector:
         self._last: dict[int | None, tuple[tuple[int, ...], Array, Array]] = {}
         """By slot: number of peaks of each sensor, positions and variances of the last exposure."""
         self._same: dict[int | None, int] = {}
-        """By slot: number of consecutive repeated readings."""
+        """By slot: number of consecutive repeated readings, where the last ones repeated."""
         self._run = 0
         """The same over all slots: a loop of images repeats every slot."""
         self._equal, self._compared = _PRIOR_REPEATS, _PRIOR_COMPARED
@@ -64,7 +64,8 @@ class StaleDataDetector:
         before = self._last.get(marker)
         self._last[marker] = counts, positions, variances
         if before is None or before[0] != counts:
-            self._same[marker] = self._run = 0
+            self._same.pop(marker, None)
+            self._run = 0
             return
         moved = positions - before[1]
         same = moved == 0.0
@@ -77,13 +78,16 @@ class StaleDataDetector:
         if self._run < self.repeat_limit:
             # They were equal by chance.
             self._learn(self._run, self._run)
-        self._same[marker] = self._run = 0
+        self._same.pop(marker, None)
+        self._run = 0
         rests = moved**2 <= _REST_SIGMAS**2 * (variances + before[2])
         both = int(np.count_nonzero(same & rests)) if repeated else 0
         self._learn(both, int(np.count_nonzero(rests)))
 
     def is_stale(self, slots: tuple[int, ...] | None) -> bool:
         """Return whether the exposures of a tool's slots are frozen; None: markers lit together."""
+        if not self._same:
+            return False
         repeat_limit = self.repeat_limit
         if self._run >= repeat_limit:
             return True

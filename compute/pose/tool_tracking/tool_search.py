@@ -18,6 +18,7 @@ from compute.pose.tool_tracking.tool_track import (
     CONSISTENCY_CYCLES,
     ExposureResiduals,
     ToolTrack,
+    pack_mask,
 )
 from compute.reconstruction.point_batch import PointBatch
 
@@ -103,12 +104,10 @@ class ToolSearch:
             used[one.marker] = np.isfinite(one.readings_px)
             sigma[one.marker] = np.where(used[one.marker], one.sigma_px, np.nan)
         tool.keep_sigma(sigma)
-        tool.record_used(used, CONSISTENCY_CYCLES * markers)
-        tool.recent_updates.append((acquisition.nis, acquisition.readings, used))
-        nothing = np.zeros(markers, dtype=np.intp)
-        tool.recent_residuals.append(
-            ExposureResiduals(acquisition.nis, acquisition.readings, nothing)
-        )
+        tool.record_used(pack_mask(used), CONSISTENCY_CYCLES * markers)
+        update = acquisition.nis, acquisition.readings
+        tool.recent_updates.append((*update, pack_mask(used)))
+        tool.recent_residuals.append(ExposureResiduals(*update))
 
     def simultaneous(
         self,
@@ -141,12 +140,14 @@ class ToolSearch:
             if one.state is not None:
                 tool.begin(one.state, time_ns, exposures_to_confirm=0)
                 tool.keep_sigma(one.sigma_px)
-                tool.record_used(one.sensors, CONSISTENCY_CYCLES)
+                tool.record_used(pack_mask(one.sensors), CONSISTENCY_CYCLES)
                 readings, excluded = int(one.sensors.sum()), int(one.excluded.sum())
-                tool.recent_updates.append((one.nis, readings, one.sensors))
+                tool.recent_updates.append((one.nis, readings, pack_mask(one.sensors)))
                 square = one.nis + MAX_EXCLUDED_NIS * excluded
                 tool.recent_residuals.append(
-                    ExposureResiduals(square, readings + excluded, one.excluded)
+                    ExposureResiduals(
+                        square, readings + excluded, one.excluded if excluded else None
+                    )
                 )
             elif tool.state is None and (
                 one.point_count or tool.status is not PoseStatus.OUT_OF_VIEW

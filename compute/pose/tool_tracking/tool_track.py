@@ -3,8 +3,9 @@
 from collections import deque
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, reduce
 from math import cos, sqrt
+from operator import or_
 from typing import Final, TypeVar
 
 import numpy as np
@@ -15,9 +16,17 @@ from compute.measurement.measurements import Measurements
 from compute.pose.acquisition.acquisition_strobed import AcquisitionBackoff, MarkerExposure
 from compute.pose.estimation.pose_equations import PoseEquations
 from compute.pose.estimation.pose_reliability import PoseReliability, pose_reliability
-from compute.pose.filtering.association import MAX_EXCLUDED_NIS, ToolObservation
+from compute.pose.filtering.association import (
+    MAX_EXCLUDED_NIS,
+    ToolObservation,
+    marker_readings,
+)
 from compute.pose.filtering.imm import ImmModel, ImmState
-from compute.pose.filtering.native.strobed_step import StrobedStepKernel
+from compute.pose.filtering.native.strobed_step import (
+    Step,
+    StrobedStepKernel,
+    ToolStep,
+)
 from compute.pose.filtering.pose_filter import PoseState, predict
 from compute.pose.rigid_body import CentredMarkers, PoseStatus, RigidBody
 from compute.pose.settings import MotionSettings
@@ -57,20 +66,15 @@ class ExposureResiduals:
     Args:
         sum_of_squares: sum of their normalised squares, excluded readings included.
         count: number of readings.
-        excluded: number of excluded readings of each marker, shape (M,).
+        excluded: number of excluded readings of each marker, shape (M,); None: none was.
         whitened: whitened innovations of the readings that were used, and their Jacobian with
             respect to the common errors, shape (n, 1 + E); None: unknown.
     """
 
     sum_of_squares: float
     count: int
-    excluded: NDArray[np.intp]
+    excluded: NDArray[np.intp] | None = None
     whitened: Array | None = None
-
-    @cached_property
-    def any_excluded(self) -> bool:
-        """Whether any reading was excluded."""
-        return bool(np.count_nonzero(self.excluded))
 
 
 def chi2_test(
@@ -119,33 +123,47 @@ class TrackReliability:
 
     Args:
         value: the reliability.
-        used: which readings: bytes of a mask of shape (M, S).
+        used: which readings, as ``pack_mask`` packs a mask of shape (M, S).
         rotation: R_world_tool, shape (3, 3).
         centroid_mm: centroid of the markers, shape (3,) [mm].
     """
 
     value: PoseReliability
-    used: bytes
+    used: int
     rotation: Array
     centroid_mm: Array
 
-    def holds(self, state: PoseState, used: NDArray[np.bool_], radius_mm: float) -> bool:
+    def holds(self, state: PoseState, used: int, radius_mm: float) -> bool:
         """Return whether it is still that of a state, to a few per cent.
 
         Args:
             state: the tool's state.
-            used: which readings its pose is based on, shape (M, S).
+            used: which readings its pose is based on, packed.
             radius_mm: RMS distance of the markers from their centroid.
         """
-        if used.tobytes() != self.used:
+        if used != self.used:
             return False
         shift = state.centroid_mm - self.centroid_mm
         trace = float(np.vdot(self.rotation, state.rotation))
         return float(shift @ shift) <= radius_mm**2 and trace >= _SAME_ROTATION_TRACE
 
 
-Update = tuple[float, int, NDArray[np.bool_]]
-"""NIS and number of readings of an update, and which sensor read which marker, (M, S)."""
+ExposureReadings = tuple[NDArray[np.intp], NDArray[np.intp], Measurements]
+"""Lit markers (m,), index of each one's peak on each sensor (m, S), and the peaks."""
+Update = tuple[float, int, int]
+"""NIS and number of readings of an update, and which sensor read which marker, packed."""
+
+
+def pack_mask(mask: NDArray[np.bool_]) -> int:
+    """Return a mask as an integer: one bit for each member, in their order in memory."""
+    return int.from_bytes(np.packbits(mask, bitorder="little").tobytes(), "little")
+
+
+def unpack_mask(packed: int, shape: tuple[int, int]) -> NDArray[np.bool_]:
+    """Return the mask of a shape that ``pack_mask`` packed."""
+    count = shape[0] * shape[1]
+    words = np.frombuffer(packed.to_bytes((count + 7) // 8, "little"), dtype=np.uint8)
+    return np.unpackbits(words, count=count, bitorder="little").astype(np.bool_).reshape(shape)
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,25 +171,31 @@ class UsedReadings:
     """Readings of the last updates of a tool.
 
     Args:
-        which: which sensor read which marker, shape (M, S).
+        which: which sensor read which marker, packed.
         readings: number of these.
         markers: number of their markers.
         residual_sigma: root of the mean NIS per reading; None without any reading.
     """
 
-    which: NDArray[np.bool_]
+    which: int
     readings: int
     markers: int
     residual_sigma: float | None
 
     @classmethod
-    def of(cls, updates: Collection[Update]) -> "UsedReadings":
-        """Return those of the last updates."""
-        which: NDArray[np.bool_] = np.logical_or.reduce([sensors for _, _, sensors in updates])
-        count = sum(readings for _, readings, _ in updates)
-        residual_sigma = sqrt(sum(nis for nis, _, _ in updates) / count) if count else None
-        markers = int(which.any(axis=1).sum()) if which.ndim else 0
-        return cls(which, int(which.sum()), markers, residual_sigma)
+    def of(cls, updates: Collection[Update], sensors: int) -> "UsedReadings":
+        """Return those of the last updates, by a number of sensors."""
+        which, count, square = 0, 0, 0.0
+        for nis, readings, sensors_of in updates:
+            which |= sensors_of
+            count += readings
+            square += nis
+        markers, rest, one_marker = 0, which, (1 << sensors) - 1
+        while rest:
+            markers += rest & one_marker != 0
+            rest >>= sensors
+        residual_sigma = sqrt(square / count) if count else None
+        return cls(which, which.bit_count(), markers, residual_sigma)
 
 
 @dataclass(eq=False)
@@ -180,17 +204,17 @@ class ToolTrack:
 
     Args:
         body: its markers.
+        sensors: number S of sensors.
         common_errors: number of common errors of its filter.
         imm_model: motion models of a strobed tool; None: one motion model. Markers that are lit
             together determine the pose in every frame: motion models add little.
-        step: kernel for unambiguous exposures; None: one motion model, or no kernel.
+        kernel: for unambiguous exposures; None: one motion model, or there is none.
         state: state of its filter at the last frame; None: it is lost.
         imm: states of a strobed tool's motion models at its last exposure; None: there is one.
         updated_ns: time of the last readings [ns].
-        recent_updates: its last updates: NIS, number of readings, markers and sensors (M, S).
-        recent_used: readings of its updates over CONSISTENCY_CYCLES, (M, S) each.
-        use_count: how often each reading is among them, shape (M, S); 0: there is none.
-        last_readings: the last observation with the frame's peaks, by the first marker it lit.
+        recent_updates: its last updates: NIS, number of readings, markers and sensors.
+        recent_used: readings of its updates over CONSISTENCY_CYCLES, packed.
+        last_readings: readings by the first marker that an exposure lit.
         sigma_px: standard deviations of its readings when they were last needed, shape (M, S)
             [px]; NaN where unknown.
         reliability: that of its pose, and what it was computed for; None: not computed yet.
@@ -208,16 +232,16 @@ class ToolTrack:
     """
 
     body: RigidBody
+    sensors: int
     common_errors: int
     imm_model: ImmModel | None = None
-    step: StrobedStepKernel | None = None
+    kernel: StrobedStepKernel | None = None
     state: PoseState | None = None
     imm: ImmState | None = None
     updated_ns: int = 0
     recent_updates: deque[Update] = field(default_factory=deque)
-    recent_used: deque[NDArray[np.bool_]] = field(default_factory=deque)
-    use_count: NDArray[np.intp] | int = 0
-    last_readings: dict[int, tuple[ToolObservation, Measurements]] = field(default_factory=dict)
+    recent_used: deque[int] = field(default_factory=deque)
+    last_readings: dict[int, ExposureReadings] = field(default_factory=dict)
     sigma_px: Array | float = np.nan
     reliability: TrackReliability | None = None
     exposures_to_reliability: int = 0
@@ -254,7 +278,7 @@ class ToolTrack:
             before,
             body=self.body,
             imm_model=self.imm_model,
-            step=self.step,
+            kernel=self.kernel,
             backoff=self.backoff,
         )
         for name in _HISTORIES:
@@ -267,7 +291,7 @@ class ToolTrack:
     def _initial_imm(self, state: PoseState) -> ImmState | None:
         return None if self.imm_model is None else ImmState.of(state, self.imm_model)
 
-    @property
+    @cached_property
     def centred(self) -> CentredMarkers:
         """The markers relative to their centroid."""
         return CentredMarkers.of(self.body)
@@ -286,7 +310,7 @@ class ToolTrack:
         marker: int | None,
         motion: MotionSettings,
         manoeuvre_factor: float = 1.0,
-        measurements: Measurements | None = None,
+        step: Step | None = None,
     ) -> ToolObservation:
         """Return the predicted tool in an exposure, without associated peaks.
 
@@ -295,27 +319,29 @@ class ToolTrack:
             marker: strobe slot that is lit; None: all markers.
             motion: RMS accelerations.
             manoeuvre_factor: factor on the accelerations.
-            measurements: the peaks, for association by the kernel; None: without the kernel.
+            step: result of the kernel, with these accelerations; None: without the kernel.
         """
         assert self.state is not None
         lit = self.lit(marker)
         if self.imm is None:
             state = predict(self.state, time_ns, motion, manoeuvre_factor)
             return ToolObservation(self.centred, lit, state)
-        kernel = None if measurements is None else self.step
         if len(lit) == 0:
-            state = (
-                self.imm.predict_combined(time_ns)
-                if kernel is None
-                else kernel.predict_combined(self.imm, time_ns)
-            )
-            return ToolObservation(self.centred, lit, state)
-        if kernel is not None and measurements is not None and len(lit) == 1:
-            step = kernel.take(self.imm, time_ns, int(lit[0]), measurements, manoeuvre_factor)
-            imm = step.predicted
-        else:
-            step, imm = None, self.imm.predict(time_ns, manoeuvre_factor)
+            return ToolObservation(self.centred, lit, self.imm.predict_combined(time_ns))
+        imm = self.imm.predict(time_ns, manoeuvre_factor) if step is None else step.predicted
         return ToolObservation(self.centred, lit, imm.widest_state, imm, step)
+
+    def step_to(self, marker: int, manoeuvre_factor: float = 1.0) -> ToolStep | None:
+        """Return what takes the tool to an exposure by the kernel; None: it has none, or is lost.
+
+        Args:
+            marker: strobe slot that is lit.
+            manoeuvre_factor: factor on the accelerations.
+        """
+        if self.kernel is None or self.imm is None:
+            return None
+        lit = self.lit(marker)
+        return ToolStep(self.kernel, self.imm, int(lit[0]) if len(lit) else None, manoeuvre_factor)
 
     def commit(self, observation: ToolObservation) -> None:
         """Continue from the state after an exposure."""
@@ -342,11 +368,6 @@ class ToolTrack:
         self.exposures_since_search = self.exposures_to_confirm = 0
         self.status, self.reason = status, reason
 
-    @cached_property
-    def _none_excluded(self) -> NDArray[np.intp]:
-        """No excluded reading of any marker, shape (M,); not to be written to."""
-        return np.zeros(len(self.body), dtype=np.intp)
-
     @property
     def used(self) -> UsedReadings:
         """The readings that the pose is based on."""
@@ -354,8 +375,13 @@ class ToolTrack:
         # Most exposures of a strobe light other tools.
         of = updates[-1] if updates else None, len(updates)
         if self._used is None or self._used[0][0] is not of[0] or self._used[0][1] != of[1]:
-            self._used = of, UsedReadings.of(updates)
+            self._used = of, UsedReadings.of(updates, self.sensors)
         return self._used[1]
+
+    @property
+    def used_mask(self) -> NDArray[np.bool_]:
+        """Which sensor read which marker in these, shape (M, S)."""
+        return unpack_mask(self.used.which, (len(self.body), self.sensors))
 
     def check_consistency(
         self,
@@ -381,7 +407,7 @@ class ToolTrack:
         if len(observation.lit) == 0:
             return
         square, count = 0.0, 0
-        excluded = self._none_excluded
+        excluded: NDArray[np.intp] | None = None
         missed = observation.readings < observation.peaks.size
         if missed:
             off = observation.excluded_nis(model, free(), gate_probability)
@@ -395,14 +421,17 @@ class ToolTrack:
             if against and against >= observation.readings > 0:
                 square, count = MAX_EXCLUDED_NIS * against, against
                 observation.roll_back()
-        elif observation.readings < WEAK_FRACTION * measurements.usable.any(axis=1).sum():
+        elif missed and observation.readings < WEAK_FRACTION * (
+            measurements.usable.any(axis=1).sum()
+        ):
             # Only this marker was lit, and most peaks are not where it must be: the few that fit
             # do so by chance. The misfit is recorded, so no residuals are needed.
             square, count = 0.0, 0
             observation.roll_back()
         markers = len(self.body)
         if observation.readings + count:
-            whitened = np.concatenate(observation.whitened) if observation.whitened else None
+            parts = observation.whitened
+            whitened = np.concatenate(parts) if len(parts) > 1 else parts[0] if parts else None
             residuals = ExposureResiduals(
                 observation.nis + square, observation.readings + count, excluded, whitened
             )
@@ -431,16 +460,17 @@ class ToolTrack:
         return self._tested[1]
 
     def _test_consistency(self, probability: float) -> str | None:
-        often = [one.excluded > 0 for one in self.recent_residuals if one.any_excluded]
-        exposures = np.sum(often, axis=0) if often else self._none_excluded
-        one_cycle = len(self.recent_residuals) <= CONSISTENCY_CYCLES
-        times = len(often) if one_cycle else exposures.max()
-        if times >= EXCLUSION_COUNT_THRESHOLD:
-            return (
-                f"marker {exposures.argmax() + 1} does not fit the tool's geometry, or another "
-                f"does not: in {times} of its last {CONSISTENCY_CYCLES} exposures readings were "
-                "left out of the pose"
-            )
+        often = [one.excluded > 0 for one in self.recent_residuals if one.excluded is not None]
+        if len(often) >= EXCLUSION_COUNT_THRESHOLD:
+            exposures = np.sum(often, axis=0)
+            one_cycle = len(self.recent_residuals) <= CONSISTENCY_CYCLES
+            times = len(often) if one_cycle else exposures.max()
+            if times >= EXCLUSION_COUNT_THRESHOLD:
+                return (
+                    f"marker {exposures.argmax() + 1} does not fit the tool's geometry, or another "
+                    f"does not: in {times} of its last {CONSISTENCY_CYCLES} exposures readings "
+                    "were left out of the pose"
+                )
         cycle = list(self.recent_residuals)[-max(1, len(self.recent_updates)) :]
         # The calibration error is the same in all exposures: it does not average out.
         for of in (cycle,) if self.common_errors else (cycle, self.recent_residuals):
@@ -485,40 +515,41 @@ class ToolTrack:
             self.exposures_to_reliability -= 1
             return reliability.value
         self.exposures_to_reliability = len(self.body) - 1
-        used: NDArray[np.bool_] = np.greater(self.use_count, 0)
-        if reliability is not None and reliability.holds(state, used, self.centred.radius_mm):
+        which = reduce(or_, self.recent_used, 0)
+        if reliability is not None and reliability.holds(state, which, self.centred.radius_mm):
             return reliability.value
-        for observation, measurements in self.last_readings.values():
-            self.keep_sigma(observation.readings_px(measurements)[1])
+        for readings in self.last_readings.values():
+            self.keep_sigma(marker_readings(len(self.body), *readings)[1])
+        used = unpack_mask(which, (len(self.body), self.sensors))
         sigma = np.where(np.isfinite(self.sigma_px), self.sigma_px, 1.0)
-        equations = PoseEquations(model, self.centred, np.where(used, 0.0, np.nan), sigma)
-        value = pose_reliability(equations, state.rotation, state.centroid_mm, significance)
-        self.reliability = TrackReliability(
-            value, used.tobytes(), state.rotation, state.centroid_mm
-        )
+        pose = state.rotation, state.centroid_mm
+        value = None
+        if self.kernel is not None:
+            value = self.kernel.reliability.of(used, sigma, *pose, significance)
+        if value is None:
+            equations = PoseEquations(model, self.centred, np.where(used, 0.0, np.nan), sigma)
+            value = pose_reliability(equations, *pose, significance)
+        self.reliability = TrackReliability(value, which, *pose)
         return value
 
     def keep_sigma(self, sigma_px: Array) -> None:
         """Keep the standard deviations of new readings, shape (M, S); NaN where there is none."""
         self.sigma_px = np.where(np.isfinite(sigma_px), sigma_px, self.sigma_px)
 
-    def record_used(self, used: NDArray[np.bool_], most: int) -> None:
+    def record_used(self, used: int, most: int) -> None:
         """Count the readings of an update among those of the last ones.
 
         Args:
-            used: which sensor read which marker, shape (M, S).
+            used: which sensor read which marker, packed.
             most: number of updates that count.
         """
-        self.recent_used.append(used)
-        self.use_count = self.use_count + used
-        while len(self.recent_used) > most:
-            self.use_count -= self.recent_used.popleft()
+        _append(self.recent_used, used, most)
 
     def _forget_readings(self) -> None:
         self.recent_updates.clear()
         self.recent_used.clear()
         self.last_readings = {}
-        self.use_count, self.sigma_px = 0, np.nan
+        self.sigma_px = np.nan
 
     def record_update(
         self, observation: ToolObservation, time_ns: int, measurements: Measurements
@@ -530,12 +561,17 @@ class ToolTrack:
             time_ns: time of the exposure [ns].
             measurements: the frame's peaks.
         """
-        sensors = np.zeros((len(self.body), observation.peaks.shape[1]), dtype=np.bool_)
-        sensors[observation.lit] = observation.peaks >= 0
-        most = 1 if len(observation.lit) == len(self.body) else len(self.body)
-        _append(self.recent_updates, (observation.nis, observation.readings, sensors), most)
-        self.record_used(sensors, CONSISTENCY_CYCLES * most)
-        self.last_readings[int(observation.lit[0])] = observation, measurements
+        lit, peaks = observation.lit, observation.peaks
+        most, used = len(self.body), 0
+        for row in range(len(lit)):
+            first = self.sensors * int(lit[row])
+            for sensor, peak in enumerate(peaks[row].tolist(), first):
+                used |= (peak >= 0) << sensor
+        if len(lit) == most:
+            most = 1
+        _append(self.recent_updates, (observation.nis, observation.readings, used), most)
+        self.record_used(used, CONSISTENCY_CYCLES * most)
+        self.last_readings[int(lit[0])] = lit, peaks, measurements
         self.updated_ns = time_ns
 
 

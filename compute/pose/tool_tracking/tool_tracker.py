@@ -18,14 +18,20 @@ from compute.measurement.measurements import Measurements, check_sensors
 from compute.pose.estimation.observability import unobservable_motion
 from compute.pose.filtering.association import ToolObservation, associate, without_peaks
 from compute.pose.filtering.imm import ImmModel
-from compute.pose.filtering.native.strobed_step import StrobedStepKernel, has_kernel
-from compute.pose.filtering.pose_filter import PoseState
+from compute.pose.filtering.native.kernel_arguments import has_kernel
+from compute.pose.filtering.native.strobed_step import (
+    FrameSteps,
+    Step,
+    StrobedStepKernel,
+)
+from compute.pose.filtering.pose_filter import PoseState, ReportedPose
 from compute.pose.rigid_body import CentredMarkers, PoseStatus, RigidBody, ToolPose
 from compute.pose.settings import ToolTrackerSettings
 from compute.pose.tool_tracking.exposure_history import StaleDataDetector, StrobeCycle
 from compute.pose.tool_tracking.tool_search import ToolSearch
 from compute.pose.tool_tracking.tool_track import COAST_CYCLES, ToolTrack
 from compute.reconstruction.point_batch import PointBatch
+from compute.reconstruction.solver import term_capacity
 
 Array = NDArray[np.float64]
 
@@ -77,6 +83,9 @@ class ToolTracker:
         table = 0 if corrections is None else len(self.model)
         self._imm_model = ImmModel.of(self.settings.motion, self.settings.imm)
         self._tools = [self._untracked(body, common + table * len(body)) for body in tools]
+        self._frame_steps: FrameSteps | None = None
+        if any(tool.kernel is not None for tool in self._tools):
+            self._frame_steps = FrameSteps(len(self.model), term_capacity(self.model.cameras))
         self._search = ToolSearch(self.model, self.settings)
         self._time_ns: int | None = None
         self._stale_data = StaleDataDetector()
@@ -90,7 +99,7 @@ class ToolTracker:
     def reset(self) -> None:
         """End all tracks; needed where time goes back."""
         self._tools = [
-            ToolTrack(tool.body, tool.common_errors, tool.imm_model, tool.step)
+            ToolTrack(tool.body, tool.sensors, tool.common_errors, tool.imm_model, tool.kernel)
             for tool in self._tools
         ]
         self._time_ns = None
@@ -115,7 +124,7 @@ class ToolTracker:
     def _untracked(self, body: RigidBody, common_errors: int) -> ToolTrack:
         """Return the track of a lost tool."""
         if body.strobe_markers is None or len(self._imm_model) == 1:
-            return ToolTrack(body, common_errors)
+            return ToolTrack(body, len(self.model), common_errors)
         kernel = None
         if has_kernel(self.model, self._imm_model):
             kernel = StrobedStepKernel(
@@ -125,7 +134,7 @@ class ToolTracker:
                 common_errors,
                 self.settings.gate_probability,
             )
-        return ToolTrack(body, common_errors, self._imm_model, kernel)
+        return ToolTrack(body, len(self.model), common_errors, self._imm_model, kernel)
 
     def step(
         self,
@@ -173,18 +182,27 @@ class ToolTracker:
     ) -> dict[int, ToolObservation]:
         """Predict and update the tracked tools; end tracks without readings for too long."""
         observations: dict[int, ToolObservation] = {}
+        steps = self._take_steps(time_ns, marker, measurements)
         for index, tool in enumerate(self._tools):
             if tool.state is None:
                 continue
-            observation = tool.predict_observation(
-                time_ns, marker, self.settings.motion, measurements=measurements
-            )
+            step = steps.get(index)
+            if isinstance(step, PoseState):
+                observation, state = None, step
+            else:
+                observation = tool.predict_observation(
+                    time_ns, marker, self.settings.motion, step=step
+                )
+                state = observation.state
             unseen_ns = time_ns - tool.updated_ns
             if unseen_ns > 1e9 * self.settings.coast_s and unseen_ns > self._coast_ns(tool):
                 # No frame, or none with readings of it, for too long: it must be acquired again.
-                self._drop(tool, observation.state)
-                continue
-            observations[index] = observation
+                self._drop(tool, state)
+            elif observation is None:
+                # Most exposures of a strobe light other tools.
+                tool.state = state
+            else:
+                observations[index] = observation
         associate(
             self.model,
             observations.values(),
@@ -208,6 +226,19 @@ class ToolTracker:
                 tool.drop(PoseStatus.INVALID, MISFIT)
         return observations
 
+    def _take_steps(
+        self, time_ns: int, marker: int | None, measurements: Measurements
+    ) -> dict[int, Step | PoseState]:
+        """Take the strobed tools to an exposure, in one launch: those that have a kernel."""
+        if marker is None or self._frame_steps is None:
+            return {}
+        jobs = {index: tool.step_to(marker) for index, tool in enumerate(self._tools)}
+        found = {index: job for index, job in jobs.items() if job is not None}
+        if not found:
+            return {}
+        steps = self._frame_steps.take(tuple(found.values()), time_ns, measurements)
+        return dict(zip(found, steps, strict=True))
+
     def _retry_manoeuvring(
         self,
         observations: dict[int, ToolObservation],
@@ -226,12 +257,15 @@ class ToolTracker:
         motion = self.settings.motion
         others = [one.peaks for index, one in observations.items() if index not in weak]
         free = without_peaks(measurements, others)
-        trials = {
-            index: self._tools[index].predict_observation(
-                time_ns, marker, motion, motion.manoeuvre_factor
-            )
-            for index in weak
-        }
+        factor = motion.manoeuvre_factor
+        trials = {}
+        for index in weak:
+            tool, step = self._tools[index], None
+            job = None if marker is None else tool.step_to(marker, factor)
+            if job is not None and self._frame_steps is not None:
+                (step,) = self._frame_steps.take((job,), time_ns, free)
+            assert not isinstance(step, PoseState)
+            trials[index] = tool.predict_observation(time_ns, marker, motion, factor, step)
         associate(
             self.model,
             trials.values(),
@@ -307,16 +341,16 @@ class ToolTracker:
         name, state = tool.body.name, tool.state
         if state is None:
             return ToolPose(name, tool.status, tool.reason, *of_frame)
-        missing = self._missing(tool, state, time_ns)
+        pose, used = state.reported_pose(tool.centred), tool.used
+        missing = self._missing(tool, state, pose, time_ns)
         if missing is not None:
             return ToolPose(name, *missing, *of_frame)
-        pose, used = state.reported_pose(tool.centred), tool.used
-        tip_sd = sqrt(pose.tip_covariance_mm2.trace())
+        tip_sd = sqrt(pose.tip_variance_mm2)
         limit = tool.body.max_tip_sd_mm
         if limit is None:
             limit = self.settings.max_tip_sd_mm
-        status, reason = PoseStatus.OK, self._outside_volume(tool, state, used.which)
-        unknown = self._beyond_table(tool, state, used.which)
+        status, reason = PoseStatus.OK, self._outside_volume(tool, state)
+        unknown = self._beyond_table(tool, state)
         if unknown is not None:
             status, reason = PoseStatus.OUT_OF_VOLUME, unknown
         elif tip_sd > limit:
@@ -355,12 +389,12 @@ class ToolTracker:
         )
 
     def _missing(
-        self, tool: ToolTrack, state: PoseState, time_ns: int
+        self, tool: ToolTrack, state: PoseState, pose: ReportedPose, time_ns: int
     ) -> tuple[PoseStatus, str] | None:
         """Return status and reason of a tracked tool without a usable pose; None: it has one."""
         if self._stale_data.is_stale(tool.body.strobe_markers):
             return PoseStatus.INVALID, STALE_DATA_MESSAGE
-        if not all(list(tool.fit_history)[-len(tool.body) :]):
+        if False in tool.fit_history and not all(list(tool.fit_history)[-len(tool.body) :]):
             return PoseStatus.INVALID, MISFIT
         unseen_ms = 1e-6 * (time_ns - tool.updated_ns)
         if unseen_ms > 1e3 * self.settings.coast_s:
@@ -379,7 +413,7 @@ class ToolTracker:
         inconsistency = tool.inconsistency(self.settings.fit.false_rejection_probability)
         if inconsistency is not None:
             return PoseStatus.INVALID, inconsistency
-        unobservable = self._unobservable(tool, state)
+        unobservable = self._unobservable(tool, state, pose)
         if unobservable is None:
             return None
         departure = self._departure_reason(tool, state)
@@ -387,32 +421,29 @@ class ToolTracker:
             return PoseStatus.OUT_OF_VIEW, departure
         return PoseStatus.MISSING, unobservable
 
-    def _unobservable(self, tool: ToolTrack, state: PoseState) -> str | None:
+    def _unobservable(self, tool: ToolTrack, state: PoseState, pose: ReportedPose) -> str | None:
         """Return which motion the readings do not determine; None: they determine all."""
         centred, fit = tool.centred, self.settings.fit
-        covariance = state.covariance[:6, :6]
         most = (fit.max_sigma_fraction * centred.radius_mm) ** 2
-        a, b, c, x, y, z = covariance.diagonal().tolist()
         # The trace bounds the largest eigenvalue and is much cheaper: it is checked first.
-        if centred.radius_mm**2 * (a + b + c) + (x + y + z) <= most:
+        if pose.pose_variance_mm2 <= most:
             return None
+        covariance = state.covariance[:6, :6]
         radius = np.array([centred.radius_mm] * 3 + [1.0] * 3)
         scaled = covariance * (radius[:, None] * radius)
         if np.linalg.eigvalsh(scaled)[-1] <= most:
             return None
-        reason = unobservable_motion(np.linalg.inv(scaled), centred, tool.used.which, fit)
+        reason = unobservable_motion(np.linalg.inv(scaled), centred, tool.used_mask, fit)
         return reason or "the readings do not determine the pose"
 
-    def _beyond_table(
-        self, tool: ToolTrack, state: PoseState, used: NDArray[np.bool_]
-    ) -> str | None:
+    def _beyond_table(self, tool: ToolTrack, state: PoseState) -> str | None:
         """Return why a pose has no covariance: markers beyond the correction table; None: it has.
 
         A pose that is predicted counts by all markers.
         """
         if self.model.corrections is None:
             return None
-        beyond = ~self.model.in_box(state.marker_positions(tool.centred))
+        beyond, used = ~self.model.in_box(state.marker_positions(tool.centred)), tool.used_mask
         if used.any():
             beyond &= used.any(axis=1)
         if not beyond.any():
@@ -423,9 +454,7 @@ class ToolTracker:
             "the pose is is not known"
         )
 
-    def _outside_volume(
-        self, tool: ToolTrack, state: PoseState, used: NDArray[np.bool_]
-    ) -> str | None:
+    def _outside_volume(self, tool: ToolTrack, state: PoseState) -> str | None:
         """Return which part of a tool is outside the calibrated volume or the table's hull."""
         if self.settings.volume_mm is None and self.model.corrections is None:
             return None
@@ -443,6 +472,7 @@ class ToolTracker:
                     f"{_position(low)} to {_position(high)}"
                 )
         if self.model.corrections is not None:
+            used = tool.used_mask
             outside = np.flatnonzero((used & ~self.model.inside_hull(markers)).any(axis=1))
             if len(outside):
                 return f"{_listed(names, outside)} where the correction table is not valid"

@@ -1,6 +1,7 @@
 // Functions of the kernels' headers for a host compiler: called one by one by the tests, and all
 // kernels instantiated, so that the linter sees their templates.
 #include "compute/optics/tracing/native/ray_tracing.h"
+#include "compute/pose/filtering/native/pose_reliability.h"
 #include "compute/pose/filtering/native/strobed_step.h"
 #include "compute/reconstruction/native/triangulation.h"
 #include "compute/signal/fit/native/fit_peaks.h"
@@ -19,8 +20,10 @@ template void solve_point<3, 0>(int, unsigned long long);
 template void solve_point<4, 8>(int, unsigned long long);
 template void tracking::associate_frame<3, 0>(unsigned long long);
 template void tracking::associate_frame<4, 8>(unsigned long long);
-template void pose::take_step<3, 0>(unsigned long long);
-template void pose::take_step<4, 8>(unsigned long long);
+template void pose::take_steps<3, 0>(unsigned long long);
+template void pose::take_steps<4, 8>(unsigned long long);
+template void pose::pose_reliability<3, 0>(unsigned long long);
+template void pose::pose_reliability<4, 8>(unsigned long long);
 template void signal::find_peaks<4, signal::Length::block, false>(const signal::Search&, int);
 template void signal::find_peaks<4, signal::Length::block, true>(const signal::Search&, int);
 

@@ -44,6 +44,9 @@ LUMILINE_FN void pose_outputs(const StepRecord& step, const double* pose, double
     }
     at(origin, 1.0, 0, to + 15);
     at(tip, -1.0, 3, to + 54);
+    to[66] = to[54] + to[58] + to[62];
+    const double *c = covariance, radius = step.radius_mm;
+    to[67] = radius * radius * (c[0] + c[13] + c[26]) + (c[39] + c[52] + c[65]);
 }
 
 }  // namespace lumiline::pose

@@ -1,10 +1,13 @@
-"""StrobedStepKernel: prediction, gating and update of a strobed tool in one launch."""
+"""FrameSteps: prediction, gating and update of all strobed tools of a frame in one launch."""
 
+from collections.abc import Sequence
+from ctypes import addressof, c_char
 from dataclasses import dataclass
-from functools import cache, lru_cache
+from functools import lru_cache
 from itertools import accumulate
 from math import prod
-from typing import TYPE_CHECKING, Any, Final
+from struct import Struct
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,18 +15,23 @@ from numpy.typing import NDArray
 from compute.measurement.measurement_model import MeasurementModel
 from compute.pose.filtering.imm import IMM_STATES, ImmModel, ImmState
 from compute.pose.filtering.native.definitions import (
-    FRAME_NUMBERS,
-    FRAME_WORDS,
+    FRAME,
+    FRAME_FORMAT,
     HEAD,
+    MISFIT,
     POSE,
-    STEP,
     UPDATED,
 )
+from compute.pose.filtering.native.kernel_arguments import (
+    imm_state_size,
+    result_size,
+    step_kernel,
+    tool_record,
+)
+from compute.pose.filtering.native.pose_reliability import PoseReliabilityKernel
 from compute.pose.filtering.pose_filter import STATES, PoseState, ReportedPose
 from compute.pose.rigid_body import CentredMarkers
-from compute.reconstruction.native.definitions import MAX_POWER, fill_cameras, row_length
-from compute.reconstruction.solver import MAX_SENSORS, MIN_CAPACITY, term_capacity
-from compute.reconstruction.triangulation import chi2_limit
+from compute.reconstruction.solver import term_capacity
 from compute.warp_host import PackedLaunch, address
 
 if TYPE_CHECKING:
@@ -31,8 +39,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-_NONE_LIT: Final = 2**64 - 1
-"""-1, as the unsigned words that a record is written in."""
+_OF_FRAME: Final = Struct(FRAME_FORMAT)
+"""Members of a STEP that change from frame to frame."""
 _POSE_VIEWS: Final[dict[str, tuple[tuple[int, ...], int]]] = {
     "rotation": ((3, 3), 0),
     "centroid_mm": ((3,), 9),
@@ -41,9 +49,13 @@ _POSE_VIEWS: Final[dict[str, tuple[tuple[int, ...], int]]] = {
 }
 """Members of PoseState: shape, and offset in memory."""
 _REPORTED_SHAPES: Final = ((3, 3), (3,), (3,), (6, 6), (3,), (3, 3), (3,))
-"""Shapes of the members of ReportedPose, in their order in memory."""
+"""Shapes of the arrays of ReportedPose, in their order in memory; its numbers follow."""
 _ENDS: Final = tuple(accumulate(map(prod, _REPORTED_SHAPES)))
-_REPORTED_VIEWS: Final = tuple(zip((0, *_ENDS), _ENDS, _REPORTED_SHAPES, strict=False))
+_REPORTED_VIEWS: Final = tuple(
+    (8 * first, shape) for first, shape in zip((0, *_ENDS), _REPORTED_SHAPES, strict=False)
+)
+REPORTED_SIZE: Final = _ENDS[-1] + 2
+"""Number of float64 of a ReportedPose."""
 
 
 class PackedPose(PoseState):
@@ -73,9 +85,9 @@ class PackedPose(PoseState):
                 None: not computed yet.
         """
         state = object.__new__(cls)
-        state.__dict__.update(
-            time_ns=time_ns, _block=block, _at=(covariances, row, common_errors), _reported=reported
-        )
+        members = state.__dict__
+        members["time_ns"], members["_block"], members["_reported"] = time_ns, block, reported
+        members["_at"] = covariances, row, common_errors
         return state
 
     def __getattr__(self, name: str) -> Array:
@@ -106,8 +118,21 @@ class PackedPose(PoseState):
         reported = self.__dict__["_reported"]
         if reported is None or reported[0] is not centred:
             return super().reported_pose(centred)
+        values = reported[1]
+        rotation, rate, translation, covariance, tip, tip_covariance, velocity = [
+            np.ndarray(shape, np.float64, values, first) for first, shape in _REPORTED_VIEWS
+        ]
+        tip_variance, pose_variance = values[_ENDS[-1] :].tolist()
         return ReportedPose(
-            *(reported[1][first:last].reshape(shape) for first, last, shape in _REPORTED_VIEWS)
+            rotation,
+            rate,
+            translation,
+            covariance,
+            tip,
+            tip_covariance,
+            velocity,
+            tip_variance,
+            pose_variance,
         )
 
 
@@ -120,6 +145,7 @@ class PackedImmState(ImmState):
         model: ImmModel,
         time_ns: int,
         block: Array,
+        packed_address: int,
         common_errors: int,
         combined: PoseState | None = None,
     ) -> "PackedImmState":
@@ -129,14 +155,20 @@ class PackedImmState(ImmState):
             model: the motion models.
             time_ns: time of the states [ns].
             block: memory in the order of ``ImmState.packed``.
+            packed_address: its address.
             common_errors: number of common errors.
             combined: the combined state, if known.
         """
         state = object.__new__(cls)
-        members: dict[str, Any] = {"model": model, "packed": block, "_at": (time_ns, common_errors)}
+        members = state.__dict__
+        members["model"], members["packed"], members["packed_address"] = (
+            model,
+            block,
+            packed_address,
+        )
+        members["_at"] = time_ns, common_errors
         if combined is not None:
             members["combined"] = combined
-        state.__dict__.update(members)
         return state
 
     def __getattr__(self, name: str) -> Any:
@@ -175,6 +207,9 @@ class Step:
         peaks: index of each sensor's peak, -1: none, shape (1, S).
         readings: number of readings that were used.
         nis: their normalised innovation squared.
+        misfit: readings within the gates do not fit one another: none was used.
+        excluded: normalised squares of peaks that are near and were not used, as
+            ``ToolObservation.excluded_nis``, shape (1, S).
         whitened: their whitened innovations and Jacobian, as in ImmUpdate, shape (n, 1 + E).
     """
 
@@ -183,14 +218,32 @@ class Step:
     peaks: NDArray[np.intp]
     readings: int
     nis: float
+    misfit: bool
+    excluded: Array
     whitened: Array
 
 
-class StrobedStepKernel:
-    """ImmState and ``associate`` for one lit marker with unambiguous readings, in one launch.
+class ToolStep(NamedTuple):
+    """A tool to be taken to the next exposure.
 
-    They are unambiguous where each sensor has at most one peak within the marker's gate, and these
-    fit one another. Otherwise no reading is used, and the caller associates step by step.
+    Args:
+        kernel: the tool.
+        before: the states at its last exposure.
+        lit: index of the marker that is lit; None: none of it, prediction only.
+        manoeuvre_factor: factor on the accelerations of all models.
+    """
+
+    kernel: "StrobedStepKernel"
+    before: ImmState
+    lit: int | None = None
+    manoeuvre_factor: float = 1.0
+
+
+class StrobedStepKernel:
+    """A tool of ``FrameSteps``: ImmState and ``associate`` for one lit marker.
+
+    Its readings are unambiguous where each sensor has at most one peak within the marker's gate.
+    Otherwise none is used, and the caller associates step by step.
 
     Warp is not thread-safe: the thread that makes the kernel calls it. Making it loads Warp, and
     compiles the kernel for this number of sensors unless an earlier process has (seconds).
@@ -211,46 +264,119 @@ class StrobedStepKernel:
         common_errors: int,
         gate_probability: float,
     ) -> None:
-        self._imm_model, self._centred = imm, centred
-        self._common_errors = common_errors
-        self._sensors = sensors = len(model)
-        self._size = imm_state_size(len(imm), common_errors)
-        self._result_size = result_size(sensors, common_errors)
-        self._inputs: dict[int, tuple[Array, Array, NDArray[np.bool_], tuple[int, int, int]]] = {}
+        self.imm_model, self.centred = imm, centred
+        self.common_errors = common_errors
+        self.sensors = sensors = len(model)
+        self.capacity = term_capacity(model.cameras)
+        self.state_size = imm_state_size(len(imm), common_errors)
+        self.result_size = result_size(sensors, common_errors)
         self._switch_probability = lru_cache(maxsize=1)(imm.switch_probability)
-        step = np.zeros(1, dtype=STEP)
-        columns = model.covariance_factor * model.cameras.parameter_mask[..., None]
-        limits = [chi2_limit(count, gate_probability) for count in range(sensors + 1)]
-        # Kept alive: the records hold their addresses.
-        self._buffers: list[Any] = [step]
-        for name, values in (
-            ("columns", columns),
-            ("persistence", imm.state_mask),
-            ("initial_covariance", imm.initial_covariance),
-            ("renewal", imm.constant_velocity),
-            ("terms", imm.noise_terms),
-            ("markers", centred.markers_mm),
-            ("chi2_limits", np.array(limits)),
-            ("scratch", np.empty(scratch_size(sensors, len(imm), common_errors))),
-        ):
-            step[name] = self._keep(values)
-        row = row_length(sensors, cuda=False)
-        fill_cameras(step["cameras"], self._keep, model.cameras, model.corrections, row)
-        for name, value in (
-            ("modes", len(imm)),
-            ("errors", common_errors),
-            ("calibration_errors", columns.shape[2]),
-            ("gate", chi2_limit(1, gate_probability)),
-            ("radius_mm", centred.radius_mm),
-            ("principal_distance_px", model.cameras.principal_distance_px.min()),
-            ("centroid", centred.centroid_mm),
-            ("tip", centred.tip_mm),
-        ):
-            step[name] = value
-        self._words = step.view(np.uint64)[:FRAME_WORDS]
-        self._numbers = step.view(np.float64)[FRAME_WORDS : FRAME_WORDS + FRAME_NUMBERS]
-        kernel = step_kernel(sensors, term_capacity(model.cameras))
-        self._launch = PackedLaunch.of_record(kernel, step)
+        step, self._buffers = tool_record(model, imm, centred, common_errors, gate_probability)
+        self._memory: Any = step.view(np.uint8)
+        self.address = address(step)
+        """Address of its record."""
+        self.reliability = PoseReliabilityKernel(
+            self.address,
+            len(centred.markers_mm),
+            sensors,
+            self.capacity,
+            model.covariance_factor.shape[2],
+        )
+        """Reliability of its pose."""
+        self._alone = FrameSteps(sensors, self.capacity)
+
+    def prepare(
+        self,
+        job: ToolStep,
+        time_ns: int,
+        block: int,
+        reported: int,
+        inputs: tuple[int, int, int, int],
+    ) -> None:
+        """Write what is of a frame into the record.
+
+        Args:
+            job: the step.
+            time_ns: time of the exposure [ns].
+            block: address of the memory for its results, of ``block_size`` values.
+            reported: address of the memory for the reported pose.
+            inputs: addresses of positions, variances and usable peaks, and peaks of each sensor.
+        """
+        before, lit = job.before, job.lit
+        after = block if lit is None else block + 8 * self.state_size
+        result = block if lit is None else after + 8 * self.state_size
+        step_s = 1e-9 * (time_ns - before.widest_state.time_ns)
+        _OF_FRAME.pack_into(
+            self._memory,
+            0,
+            before.packed_address,
+            block,
+            after,
+            result,
+            reported,
+            *inputs,
+            -1 if lit is None else lit,
+            step_s,
+            self._switch_probability(step_s),
+            job.manoeuvre_factor,
+        )
+
+    def block_size(self, lit: int | None) -> int:
+        """Return the number of float64 of the results."""
+        return self.result_size + (0 if lit is None else 2 * self.state_size)
+
+    def predicted_pose(self, time_ns: int, block: Array, reported_pose: Array) -> PackedPose:
+        """Return the combined state of a tool of which no marker was lit."""
+        return PackedPose.within(
+            time_ns,
+            block[HEAD + 2 * self.sensors :],
+            POSE,
+            0,
+            self.common_errors,
+            (self.centred, reported_pose),
+        )
+
+    def updated(self, time_ns: int, block: Array, at: int, reported_pose: Array) -> Step:
+        """Return the step to an exposure that lit a marker."""
+        size, sensors, common_errors = self.state_size, self.sensors, self.common_errors
+        after = 2 * size
+        outcome, count, nis = block[after : after + HEAD].tolist()
+        peak = after + HEAD
+        excluded, mixture = peak + sensors, peak + 2 * sensors
+        peaks = block[peak:excluded].astype(np.intp)[None]
+        readings, known = int(count), outcome in (UPDATED, MISFIT)
+        combined = None
+        if known:
+            combined = PackedPose.within(
+                time_ns, block[mixture:], POSE, 0, common_errors, (self.centred, reported_pose)
+            )
+        predicted = PackedImmState.within(
+            self.imm_model,
+            time_ns,
+            block[:size],
+            at,
+            common_errors,
+            None if readings else combined,
+        )
+        imm = predicted
+        if readings:
+            imm = PackedImmState.within(
+                self.imm_model, time_ns, block[size:after], at + 8 * size, common_errors, combined
+            )
+        white = mixture + POSE + STATES * (STATES + common_errors)
+        return Step(
+            predicted,
+            imm if known else None,
+            peaks,
+            readings,
+            nis,
+            outcome == MISFIT,
+            block[None, excluded:mixture],
+            # A copy: it is kept for some exposures, the rest of the block is not.
+            block[white : white + readings * (1 + common_errors)]
+            .reshape(readings, 1 + common_errors)
+            .copy(),
+        )
 
     def take(
         self,
@@ -269,52 +395,10 @@ class StrobedStepKernel:
             measurements: the frame's peaks.
             manoeuvre_factor: factor on the accelerations of all models.
         """
-        size, sensors, common_errors = self._size, self._sensors, self._common_errors
-        block, reported_pose = np.empty(2 * size + self._result_size), np.empty(_ENDS[-1])
-        first = address(block)
-        peaks_each = measurements.position_px.shape[1]
-        position, variance, usable, at = self._input_arrays(peaks_each)
-        position[:] = measurements.position_px
-        variance[:] = measurements.variance_px2
-        usable[:] = measurements.usable
-        self._words[:] = (
-            before.packed_address,
-            first,
-            first + 8 * size,
-            first + 16 * size,
-            address(reported_pose),
-            *at,
-            peaks_each,
-            lit,
-        )
-        self._run(before, time_ns, manoeuvre_factor)
-        after = 2 * size
-        outcome, count, nis, _ = block[after : after + HEAD].tolist()
-        peak, mixture = after + HEAD, after + HEAD + sensors
-        peaks = block[peak:mixture].astype(np.intp)[None]
-        updated, readings = outcome == UPDATED, int(count)
-        combined = None
-        if updated:
-            combined = PackedPose.within(
-                time_ns, block[mixture:], POSE, 0, common_errors, (self._centred, reported_pose)
-            )
-        if not updated or not readings:
-            predicted = PackedImmState.within(
-                self._imm_model, time_ns, block[:size], common_errors, combined
-            )
-            nothing = np.empty((0, 1 + common_errors))
-            imm = predicted if updated else None
-            return Step(predicted, imm, np.full_like(peaks, -1), 0, 0.0, nothing)
-        predicted = PackedImmState.within(self._imm_model, time_ns, block[:size], common_errors)
-        imm = PackedImmState.within(
-            self._imm_model, time_ns, block[size:after], common_errors, combined
-        )
-        white = mixture + POSE + STATES * (STATES + common_errors)
-        # A copy: it is kept for some exposures, the rest of the block is not.
-        whitened = (
-            block[white : white + readings * (1 + common_errors)].reshape(readings, -1).copy()
-        )
-        return Step(predicted, imm, peaks, readings, nis, whitened)
+        job = ToolStep(self, before, lit, manoeuvre_factor)
+        (found,) = self._alone.take([job], time_ns, measurements)
+        assert isinstance(found, Step)
+        return found
 
     def predict_combined(self, before: ImmState, time_ns: int) -> PoseState:
         """Return the combined state predicted to a time, as ``ImmState.predict_combined``.
@@ -323,116 +407,76 @@ class StrobedStepKernel:
             before: the states at the tool's last exposure.
             time_ns: the time, not earlier [ns].
         """
-        if time_ns == before.widest_state.time_ns:
-            return before.combined
-        block, reported_pose = np.empty(self._result_size), np.empty(_ENDS[-1])
-        no_inputs = (0, 0, 0, 0)
-        self._words[:] = (
-            before.packed_address,
-            0,
-            0,
-            address(block),
-            address(reported_pose),
-            *no_inputs,
-            _NONE_LIT,
-        )
-        self._run(before, time_ns, 1.0)
-        mixture = block[HEAD + self._sensors :]
-        return PackedPose.within(
-            time_ns, mixture, POSE, 0, self._common_errors, (self._centred, reported_pose)
-        )
-
-    def _run(self, before: ImmState, time_ns: int, manoeuvre_factor: float) -> None:
-        step_s = 1e-9 * (time_ns - before.widest_state.time_ns)
-        self._numbers[:] = step_s, self._switch_probability(step_s), manoeuvre_factor
-        self._launch.run()
-
-    def _keep(self, values: NDArray[Any]) -> int:
-        array = np.ascontiguousarray(values)
-        self._buffers.append(array)
-        return address(array)
-
-    def _input_arrays(
-        self, peaks: int
-    ) -> tuple[Array, Array, NDArray[np.bool_], tuple[int, int, int]]:
-        """Return input arrays for a number of peaks per sensor, and their addresses."""
-        if peaks not in self._inputs:
-            shape = self._sensors, peaks
-            position, variance = np.empty(shape), np.empty(shape)
-            usable = np.empty(shape, dtype=np.bool_)
-            at = address(position), address(variance), address(usable)
-            self._inputs[peaks] = position, variance, usable, at
-        return self._inputs[peaks]
+        (found,) = self._alone.take([ToolStep(self, before)], time_ns, None)
+        assert isinstance(found, PoseState)
+        return found
 
 
-@cache
-def step_kernel(sensors: int, capacity: int) -> Any:
-    """Return the strobed-step kernel; it takes the address of a STEP.
-
-    Loads Warp. Launch it with one thread, on the CPU.
+class FrameSteps:
+    """Steps of several strobed tools to one exposure, in one launch.
 
     Args:
         sensors: number of sensors.
         capacity: largest number of distortion terms.
     """
-    from compute.native.native_kernel import native_kernel
 
-    return native_kernel(
-        "compute/pose/filtering/native/strobed_step.h",
-        f"lumiline::pose::take_step<{sensors}, {capacity}>(address);",
-    )
+    def __init__(self, sensors: int, capacity: int) -> None:
+        self._sensors = sensors
+        self._inputs: dict[int, tuple[Array, Array, NDArray[np.bool_], tuple[int, int, int]]] = {}
+        self._steps = np.empty(0, dtype=np.uint64)
+        self._record = np.zeros(1, dtype=FRAME)
+        self._launch = PackedLaunch.of_record(step_kernel(sensors, capacity), self._record)
+
+    def take(
+        self, jobs: Sequence[ToolStep], time_ns: int, measurements: "Measurements | None"
+    ) -> list[Step | PoseState]:
+        """Return each tool's step where a marker of it is lit, else its predicted combined state.
+
+        Args:
+            jobs: the tools, each once.
+            time_ns: time of the exposure, not before those of the tools [ns].
+            measurements: the frame's peaks; None: nothing is lit.
+        """
+        # Where the results of each tool end [values].
+        ends = list(accumulate([job.kernel.block_size(job.lit) for job in jobs], initial=0))
+        block, reported = np.empty(ends[-1]), np.empty((len(jobs), REPORTED_SIZE))
+        first, reported_at = _address_of_new(block), _address_of_new(reported)
+        inputs = (0, 0, 0, 0) if measurements is None else self._copy(measurements)
+        if len(jobs) > len(self._steps):
+            self._steps = np.empty(len(jobs), dtype=np.uint64)
+            self._record["steps"] = address(self._steps)
+        for index, job in enumerate(jobs):
+            reported_pose = reported_at + 8 * REPORTED_SIZE * index
+            job.kernel.prepare(job, time_ns, first + 8 * ends[index], reported_pose, inputs)
+        self._steps[: len(jobs)] = [job.kernel.address for job in jobs]
+        self._record["count"] = len(jobs)
+        self._launch.run()
+        found: list[Step | PoseState] = []
+        for index, job in enumerate(jobs):
+            kernel, part = job.kernel, block[ends[index] : ends[index + 1]]
+            if job.lit is not None:
+                at = first + 8 * ends[index]
+                found.append(kernel.updated(time_ns, part, at, reported[index]))
+            elif time_ns == job.before.widest_state.time_ns:
+                found.append(job.before.combined)
+            else:
+                found.append(kernel.predicted_pose(time_ns, part, reported[index]))
+        return found
+
+    def _copy(self, measurements: "Measurements") -> tuple[int, int, int, int]:
+        """Copy the peaks; return the addresses, and the number of peaks of each sensor."""
+        peaks = measurements.position_px.shape[1]
+        if peaks not in self._inputs:
+            shape = self._sensors, peaks
+            new = np.empty(shape), np.empty(shape), np.empty(shape, dtype=np.bool_)
+            self._inputs[peaks] = *new, (address(new[0]), address(new[1]), address(new[2]))
+        position, variance, usable, at = self._inputs[peaks]
+        position[:] = measurements.position_px
+        variance[:] = measurements.variance_px2
+        usable[:] = measurements.usable
+        return *at, peaks
 
 
-def has_kernel(model: MeasurementModel, imm: ImmModel) -> bool:
-    """Return whether there is a kernel for these cameras and motion models.
-
-    Args:
-        model: the cameras.
-        imm: the motion models.
-    """
-    cameras = model.cameras
-    powers = max((max(term) for term in cameras.terms), default=0)
-    return len(imm) > 1 and 1 <= len(cameras) <= MAX_SENSORS and powers <= MAX_POWER
-
-
-def load_kernels(sensors: int) -> None:
-    """Load the kernels for a number of sensors, with up to MIN_CAPACITY terms of distortion."""
-    for capacity in (0, MIN_CAPACITY):
-        step_kernel(sensors, capacity).module.load("cpu", block_dim=1)
-
-
-def imm_state_size(modes: int, errors: int) -> int:
-    """Return the number of float64 of an ImmState.
-
-    Args:
-        modes: number K of motion models.
-        errors: number E of common errors.
-    """
-    return POSE + modes * (1 + IMM_STATES + IMM_STATES * (IMM_STATES + errors))
-
-
-def result_size(sensors: int, errors: int) -> int:
-    """Return the number of float64 of a result.
-
-    A result holds the head; the index of each sensor's peak, -1: none; the combined state; the
-    whitened innovations, (n, 1 + E).
-
-    Args:
-        sensors: number of sensors.
-        errors: number E of common errors.
-    """
-    return HEAD + sensors + POSE + STATES * (STATES + errors) + sensors * (1 + errors)
-
-
-def scratch_size(sensors: int, modes: int, errors: int) -> int:
-    """Return the number of float64 of the kernel's scratch memory.
-
-    Args:
-        sensors: number of sensors.
-        modes: number K of motion models.
-        errors: number E of common errors.
-    """
-    wide = IMM_STATES + errors
-    mixing = modes * modes + IMM_STATES * IMM_STATES + IMM_STATES
-    readings = sensors * (errors + wide) + modes * (sensors * (1 + wide) + 2)
-    return mixing + readings + IMM_STATES * wide
+def _address_of_new(array: Any) -> int:
+    """Return the address of a writable array in a third of the time that ``address`` takes."""
+    return addressof(c_char.from_buffer(array))

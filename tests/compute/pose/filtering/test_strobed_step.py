@@ -11,14 +11,17 @@ from compute.camera.stack import CameraStack
 from compute.mapping.table import CorrectionTable, Degree
 from compute.measurement.measurement_model import MeasurementModel
 from compute.measurement.measurements import Measurements
+from compute.pose.estimation.pose_equations import PoseEquations
+from compute.pose.estimation.pose_reliability import pose_reliability
 from compute.pose.filtering import association
-from compute.pose.filtering.association import ToolObservation, associate
+from compute.pose.filtering.association import ToolObservation, associate, without_peaks
 from compute.pose.filtering.imm import ImmModel, ImmState
+from compute.pose.filtering.native.kernel_arguments import load_kernels, step_kernel
 from compute.pose.filtering.native.strobed_step import (
+    FrameSteps,
     Step,
     StrobedStepKernel,
-    load_kernels,
-    step_kernel,
+    ToolStep,
 )
 from compute.pose.filtering.pose_filter import STATES, PoseState, predict_measurement
 from compute.pose.filtering.second_order import second_order_prediction
@@ -89,11 +92,19 @@ class Case:
         place = MIDDLE_MM + rng.uniform(-150.0, 150.0, 3)
         return PoseState(7, random_rotation(rng), place, speed, rate, covariances, common)
 
-    def measurements(self, lit: int, peaks: int = 1, missing: float = 0.0) -> Measurements:
-        """What a frame shows of a marker: near where it must be, some missing, some in doubt."""
+    def measurements(
+        self, lit: int, peaks: int = 1, missing: float = 0.0, off: float = 0.0
+    ) -> Measurements:
+        """What a frame shows of a marker: near where it must be, some missing, some in doubt.
+
+        Of those with a probability ``off`` each is some standard deviations away.
+        """
         rng, sensors = self.rng, len(self.model)
         place = self.before.widest_state.marker_positions(self.centred)[lit][None]
         where = self.model.linearise(place)[0][0] + 0.1 * rng.standard_normal(sensors)
+        if off:
+            away = rng.choice([-1.0, 1.0], sensors) * rng.choice([0.3, 1.0, 4.0, 20.0], sensors)
+            where = where + np.where(rng.random(sensors) < off, away, 0.0)
         position = np.full((sensors, peaks), np.nan)
         position[:, 0] = np.where(rng.random(sensors) < missing, np.nan, where)
         position[:, 1:] = rng.uniform(0.0, PIXELS, (sensors, peaks - 1))
@@ -151,11 +162,18 @@ cases = st.tuples(
 
 @pytest.mark.slow
 @settings(deadline=None, max_examples=80)
-@given(cases, st.sampled_from([0, 1_000_000, 12_345_678]), st.sampled_from([0.0, 0.3, 1.0]))
-def test_any_step_is_taken_as_by_numpy(made: Made, after_ns: int, missing: float) -> None:
+@given(
+    cases,
+    st.sampled_from([0, 1_000_000, 12_345_678]),
+    st.sampled_from([0.0, 0.3, 1.0]),
+    st.sampled_from([0.0, 0.3, 0.8]),
+)
+def test_any_step_is_taken_as_by_numpy(
+    made: Made, after_ns: int, missing: float, off: float
+) -> None:
     case = Case(*made)
     lit = int(case.rng.integers(len(case.centred.markers_mm)))
-    measurements = case.measurements(lit, int(case.rng.integers(1, 4)), missing)
+    measurements = case.measurements(lit, int(case.rng.integers(1, 4)), missing, off)
     wanted = case.by_hand(case.before, after_ns, lit, measurements)
     found = case.by_kernel(after_ns, lit, measurements)
     predicted = case.before.predict(case.before.widest_state.time_ns + after_ns)
@@ -163,14 +181,24 @@ def test_any_step_is_taken_as_by_numpy(made: Made, after_ns: int, missing: float
     if found.imm is None:
         # Not plain: it is left to NumPy, which may find one reading after the other.
         return
+    assert_same_step(case, found, wanted, measurements)
+
+
+def assert_same_step(
+    case: Case, found: Step, wanted: ToolObservation, measurements: Measurements
+) -> None:
+    assert found.imm is not None
     assert wanted.imm is not None
-    assert not wanted.misfit
+    assert found.misfit == wanted.misfit
     assert (found.peaks == wanted.peaks).all()
     assert found.readings == wanted.readings
     assert found.nis == pytest.approx(wanted.nis, rel=1e-7, abs=1e-12)
     assert_same_regimes(found.imm, wanted.imm)
     if found.readings:
         assert found.whitened == pytest.approx(wanted.whitened[0], rel=1e-6, abs=1e-8)
+    free = without_peaks(measurements, [wanted.peaks])
+    excluded = wanted.excluded_nis(case.model, free, GATE)
+    assert found.excluded == pytest.approx(excluded, rel=1e-6, abs=1e-9)
 
 
 @settings(deadline=None, max_examples=40)
@@ -187,6 +215,72 @@ def test_what_is_expected_without_readings_is_as_by_numpy(made: Made, after_ns: 
     for name, value in vars(same).items():
         size = np.abs(value).max()
         assert getattr(known, name) == pytest.approx(value, rel=1e-9, abs=1e-9 * size)
+
+
+@pytest.mark.slow
+@settings(deadline=None, max_examples=30)
+@given(st.integers(0, 10**6), st.integers(1, 4), st.booleans())
+def test_tools_of_one_frame_are_as_each_by_itself_to_the_bit(seed: int, tools: int, lit: bool):
+    cases = [Case(KINDS[seed % 3], 4, False, None, seed + 3 * number) for number in range(tools)]
+    time_ns = max(case.before.widest_state.time_ns for case in cases) + 1_000_000
+    marker = seed % 3 if lit else None
+    measurements = cases[0].measurements(seed % 3)
+    steps = [
+        ToolStep(case.step, case.before, marker if number == 0 else None)
+        for number, case in enumerate(cases)
+    ]
+    kernel = cases[0].step
+    found = FrameSteps(kernel.sensors, kernel.capacity).take(steps, time_ns, measurements)
+    for number, (case, one) in enumerate(zip(cases, found, strict=True)):
+        if number or not lit:
+            alone: PoseState = case.step.predict_combined(case.before, time_ns)
+        else:
+            step = case.step.take(case.before, time_ns, seed % 3, measurements)
+            assert isinstance(one, Step)
+            assert (one.peaks == step.peaks).all()
+            assert (one.nis, one.readings, one.misfit) == (step.nis, step.readings, step.misfit)
+            assert (one.imm is None) == (step.imm is None)
+            if one.imm is None or step.imm is None:
+                continue
+            assert (one.imm.packed == step.imm.packed).all()
+            one, alone = one.imm.combined, step.imm.combined
+        assert isinstance(one, PoseState)
+        for name in (*PARTS, "covariance", "common"):
+            assert (getattr(one, name) == getattr(alone, name)).all()
+        report, same = (vars(pose.reported_pose(case.centred)) for pose in (one, alone))
+        assert all(np.array_equal(report[name], same[name]) for name in report)
+
+
+@pytest.mark.slow
+@settings(deadline=None, max_examples=60)
+@given(cases, st.sampled_from([0.0, 0.2, 0.6]))
+def test_the_reliability_of_any_pose_is_as_by_numpy(made: Made, missing: float) -> None:
+    case = Case(*made)
+    state, shape = case.before.combined, (len(case.centred.markers_mm), len(case.model))
+    used = case.rng.random(shape) >= missing
+    sigma = case.rng.uniform(0.03, 0.1, shape)
+    pose = state.rotation, state.centroid_mm
+    equations = PoseEquations(case.model, case.centred, np.where(used, 0.0, np.nan), sigma)
+    wanted = pose_reliability(equations, *pose, 1e-4)
+    found = case.step.reliability.of(used, sigma, *pose, 1e-4)
+    if np.count_nonzero(used) <= 6:
+        assert found is None
+        return
+    assert found is not None
+    for name in ("detectable_sigma", "external_tip_mm", "external_rotation_rad"):
+        assert getattr(found, name) == pytest.approx(getattr(wanted, name), rel=1e-6)
+    if np.isfinite(wanted.detectable_sigma):
+        assert (found.marker, found.sensor) == (wanted.marker, wanted.sensor)
+
+
+def test_the_reliability_of_too_many_readings_is_left_to_numpy() -> None:
+    case = plain()
+    used = np.ones((4, 4), dtype=np.bool_)
+    pose = case.before.combined.rotation, case.before.combined.centroid_mm
+    kernel = case.step.reliability
+    assert kernel.of(used[:3], np.full((3, 4), 0.05), *pose, 1e-4) is not None
+    nothing = kernel.of(used[:3] & False, np.full((3, 4), 0.05), *pose, 1e-4)
+    assert nothing is None
 
 
 def plain(seed: int = 1) -> Case:
@@ -221,7 +315,12 @@ def test_two_peaks_within_the_gate_are_left_to_numpy() -> None:
     assert case.by_kernel(0, 0, far).readings == 4
 
 
-def test_readings_that_do_not_fit_one_another_are_left_to_numpy() -> None:
+@pytest.mark.parametrize(
+    ("signs", "readings"), [((1.0, 1.0, 1.0, -1.0), 3), ((1.0, -1.0, 1.0, -1.0), 0)]
+)
+def test_readings_that_contradict_one_another_are_left_out_or_all_refused(
+    signs: tuple[float, ...], readings: int
+) -> None:
     case = plain(4)  # of exactly known cameras
     lit, widest_state = 1, case.before.widest_state
     arms = (case.centred.markers_mm @ widest_state.rotation.T)[[lit]]
@@ -233,12 +332,12 @@ def test_readings_that_do_not_fit_one_another_are_left_to_numpy() -> None:
     )
     sigma, flags = np.full((4, 1), 0.05), np.zeros((4, 1), np.int32)
     # Each by itself is within its gate, as the tool is uncertain; together they contradict.
-    apart = 3.0 * deviation * [1.0, -1.0, 1.0, -1.0]
+    apart = 3.0 * deviation * signs if readings == 0 else np.array([0.0, 0.0, 0.0, 3.0]) * deviation
     told = expected.reading_px.T
     wrong = Measurements.of(told + apart[:, None], sigma, flags)
-    observation = case.by_hand(case.before, 0, lit, wrong)
-    assert observation.misfit or 0 < observation.readings < 4
-    assert case.by_kernel(0, lit, wrong).imm is None
+    wanted = case.by_hand(case.before, 0, lit, wrong)
+    assert (wanted.readings, wanted.misfit) == (readings, readings == 0)
+    assert_same_step(case, case.by_kernel(0, lit, wrong), wanted, wrong)
     assert case.by_kernel(0, lit, Measurements.of(told, sigma, flags)).readings == 4
 
 
@@ -265,9 +364,7 @@ def test_where_the_curvature_matters_it_is_taken_as_by_numpy(
     measurements = case.measurements(2)
     wanted = case.by_hand(case.before, 1_000_000, 2, measurements)
     found = case.by_kernel(1_000_000, 2, measurements)
-    if found.imm is None:
-        assert wanted.misfit or wanted.readings < np.count_nonzero(measurements.usable)
-        return
+    assert found.imm is not None
     assert asked
     assert wanted.imm is not None
     assert (found.peaks == wanted.peaks).all()
@@ -330,7 +427,7 @@ def test_exposures_of_all_markers_between_those_of_one_are_as_by_numpy(
         tool = pointer(strobed=True)
         tracker = ToolTracker(CAMERAS, [tool], None, CALIBRATION)
         if not kernel:
-            tracker._tools[0].step = None
+            tracker._tools[0].kernel = None
         scene = Scene([body(tool, 3)], tracker, seed=3)
         poses = [pose for _ in range(60) for pose in scene.strobed()]
         shown = scene.bodies[0]
@@ -362,7 +459,7 @@ def follow(kernel: bool, covariance: Array | None, with_table: bool, seed: int) 
     known = corrections(seed) if with_table else None
     tracker = ToolTracker(CAMERAS, [tool], None, covariance, known)
     if not kernel:
-        tracker._tools[0].step = None
+        tracker._tools[0].kernel = None
     one = Scene([body(tool, seed)], tracker, seed=seed)
     rng = np.random.default_rng(seed)
     moving = one.bodies[0]
@@ -458,4 +555,4 @@ def test_what_has_no_regimes_has_no_step() -> None:
         (pointer(strobed=True), False, single),
     ):
         tracker = ToolTracker(CAMERAS, [tool], given_)
-        assert (tracker._tools[0].step is not None) is wanted
+        assert (tracker._tools[0].kernel is not None) is wanted

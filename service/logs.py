@@ -67,8 +67,9 @@ def request_record(scope: Scope) -> RequestRecord:
 
 
 _HIDDEN: Final = (
-    # What begins like a key, also one that is cut or mistyped.
-    (re.compile(r"lumi_[A-Za-z0-9]++_[A-Za-z0-9]++"), "lumi_***"),
+    # What begins like a key, also one that is cut or mistyped, with all parts that follow: a whole
+    # key may stand behind "lumi_".
+    (re.compile(r"lumi(?:_[A-Za-z0-9]++){2,}+"), "lumi_***"),
     # JSON web tokens: the first part is an object in base64. Of what stands directly before, only
     # the first place in a word where one could begin is tried.
     (

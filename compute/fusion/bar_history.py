@@ -72,7 +72,7 @@ class BarHistory(Generic[T]):
     def is_ready(self, time_ns: int, slot: int | None) -> bool:
         """Whether waiting longer brings nothing: the exposure behind the nearest one is there."""
         kept = self._slots.get(slot)
-        return bool(kept) and self._nearest(kept, time_ns) < len(kept) - 1
+        return kept is not None and self._nearest(kept, time_ns) < len(kept) - 1
 
     def at(
         self, time_ns: int, slot: int | None, shift_ns: int = 0

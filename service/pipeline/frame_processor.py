@@ -47,6 +47,7 @@ from service.pipeline.tracking_stage import TrackingStage
 
 if TYPE_CHECKING:
     from compute.pose.rigid_body import ToolPose
+    from service.pipeline.fusion.clock_stage import ClockStage
 
 MAX_FRAMES = 64
 """Most frames that are processed together."""
@@ -109,8 +110,13 @@ class FrameProcessor:
         """Whether markers or tools are tracked."""
         self.tracking_s = 0.0
         """Time that tracking took in the newest batch [s]."""
+        self._clocks: ClockStage | None = None  # of a fused device
         self.uses_gpu = False
         """Whether frames are processed on a GPU, whose contexts belong to threads."""
+        if self.detection.method == "fused":
+            from service.pipeline.fusion import clock_stage
+
+            self._clocks = clock_stage.ClockStage()
         if reads:
             import warp as wp
 
@@ -190,6 +196,12 @@ class FrameProcessor:
             take_poses: called as soon as the poses of tools are known, with what is known then: a
                 batch without tracks, and without points of strobed frames.
         """
+        if self._clocks is not None:
+            from service.pipeline.fusion.fused_frame import join_peaks
+
+            return self.process_peaks(
+                frames, join_peaks(frames), track=track, take_poses=take_poses
+            )
         one = len(frames) == 1
         lines = frames[0].lines if one else np.concatenate([frame.lines for frame in frames])
         peaks = self.detection.find(lines)
@@ -208,12 +220,18 @@ class FrameProcessor:
         measurements = None
         if active is not None:
             measurements = weigh_peaks(active, frames, peaks, self.detection.flag_policy)
+            if self._clocks is not None:
+                measurements = self._clocks.correct(frames, measurements)
         lit = any(frame.marker is None for frame in frames)
         points = self._solve(frames, measurements) if lit else self._no_points
         poses: Sequence[Sequence[ToolPose]] = ()
         if self.is_tracking:
             begin = time.perf_counter()
             poses = self._tracking.find_poses(frames, measurements, *points, track)
+            if self._clocks is not None and active is not None:
+                poses = self._clocks.add_to_poses(
+                    frames, active, poses, *self._tracking.pose_limits()
+                )
             self.tracking_s = time.perf_counter() - begin
             if take_poses is not None and poses[-1]:
                 early = TrackingResult.of([self._tracking.no_tracks] * len(frames), poses)
@@ -224,6 +242,8 @@ class FrameProcessor:
         if self.is_tracking:
             begin = time.perf_counter()
             tracks = self._tracking.find_tracks(frames, measurements, track)
+            if self._clocks is not None and active is not None:
+                tracks = self._clocks.add_to_tracks(frames, active, tracks)
             motion = TrackingResult.of(tracks, poses)
             self.tracking_s += time.perf_counter() - begin
         return self._batch(frames, peaks, points, motion)
@@ -235,7 +255,10 @@ class FrameProcessor:
         assert self._prepared is not None
         if len(self._names) == 3:
             self.remark = _three_sensor_remark(frames, measurements)
-        return solve_points(self._prepared, frames, measurements)
+        points, owner = solve_points(self._prepared, frames, measurements)
+        if self._clocks is not None:
+            points = self._clocks.add_to_points(frames, measurements, self._prepared, points, owner)
+        return points, owner
 
     def _batch(
         self,

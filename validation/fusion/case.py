@@ -161,7 +161,6 @@ def score_points(run: HallRun, points: PointBatch) -> Scores:
 
 
 def track(
-    run: HallRun,
     calibration: Calibration,
     times_s: Array,
     slots: NDArray[np.intp],
@@ -171,7 +170,7 @@ def track(
     """Return the tool's pose after each exposure."""
     cameras = CameraStack.of(calibration.models)
     tracker = ToolTracker(cameras, [TOOL], None, np.array(calibration.covariance))
-    poses = []
+    poses: list[ToolPose] = []
     for k, (time_s, slot) in enumerate(zip(times_s.tolist(), slots.tolist(), strict=True)):
         sigma = np.where(np.isfinite(sigma_px[k]), sigma_px[k], 1.0)
         measurements = Measurements.of(position_px[k][:, None], sigma[:, None])
@@ -208,7 +207,7 @@ def _alternating(run: HallRun, calibration: Calibration) -> tuple[Array, list[To
     ]
     slots = np.concatenate([run.slot, run.slot])[order]
     sigma = np.full(position.shape, SIGMA_PX)
-    poses = track(run, calibration, times[order], slots, position, sigma)
+    poses = track(calibration, times[order], slots, position, sigma)
     of_first = np.flatnonzero(order < len(run.time_s))
     return run.time_s, [poses[index] for index in of_first]
 
@@ -239,7 +238,7 @@ def compare(
         model = MeasurementModel.of(calibration.models, covariance)
         run = draw_run(true, speed_mm_s, seconds, error_s, rng)
         sigma = np.full(run.together_px.shape, SIGMA_PX)
-        together = reconstruct(model.cameras, run.together_px, SIGMA_PX, covariance)
+        together = reconstruct(model.cameras, run.together_px, sigma, covariance)
         plain = fuse(run, model, clock_sigma_s, refined=False)
         learned = fuse(run, model, clock_sigma_s, refined=True)
         waited.append(np.nanmean(plain.waited_s))
@@ -252,14 +251,14 @@ def compare(
             points.setdefault(name, []).append(score_points(run, found))
         tracked = {
             "one clock": track(
-                run, calibration, run.time_s, run.slot, run.together_px, sigma
+                calibration, run.time_s, run.slot, run.together_px, sigma
             ),
             "left out": track(
-                run, calibration, run.time_s, run.slot, plain.readings.position_px,
+                calibration, run.time_s, run.slot, plain.readings.position_px,
                 plain.readings.sigma_px,
             ),
             "refined": track(
-                run, calibration, run.time_s, run.slot, learned.readings.position_px,
+                calibration, run.time_s, run.slot, learned.readings.position_px,
                 learned.readings.sigma_px,
             ),
             "each bar's exposures": _alternating(run, calibration)[1],

@@ -41,7 +41,7 @@ CONTROL_MM: Final = 450.0
 
 def hall() -> tuple[SensorModel, ...]:
     """Return the true cameras, bar by bar."""
-    models = []
+    models: list[SensorModel] = []
     for number, (middle, along) in enumerate(BARS):
         view = CENTRE_MM - np.array(middle)
         view /= np.linalg.norm(view)

@@ -197,10 +197,9 @@ class FrameProcessor:
                 batch without tracks, and without points of strobed frames.
         """
         if self._clocks is not None:
-            from service.pipeline.fusion.fused_frame import join_peaks
-
+            peaks = self._clocks.correct(frames)
             return self.process_peaks(
-                frames, join_peaks(frames), track=track, take_poses=take_poses
+                frames, peaks, track=track, take_poses=take_poses, clocks=self._clocks
             )
         one = len(frames) == 1
         lines = frames[0].lines if one else np.concatenate([frame.lines for frame in frames])
@@ -214,41 +213,46 @@ class FrameProcessor:
         *,
         track: Sequence[bool] | None = None,
         take_poses: TakePoses | None = None,
+        clocks: "ClockStage | None" = None,
     ) -> FrameBatch:
-        """Run the stages behind detection; arguments as of ``process``, with the frames' peaks."""
+        """Run the stages behind detection; arguments as of ``process``, with the frames' peaks.
+
+        Of fused frames ``clocks`` adds what is not known of their times.
+        """
         active = self._prepared if self.detection.reads else None
         measurements = None
         if active is not None:
             measurements = weigh_peaks(active, frames, peaks, self.detection.flag_policy)
-            if self._clocks is not None:
-                measurements = self._clocks.correct(frames, measurements)
         lit = any(frame.marker is None for frame in frames)
-        points = self._solve(frames, measurements) if lit else self._no_points
+        points = self._solve(frames, measurements, clocks) if lit else self._no_points
         poses: Sequence[Sequence[ToolPose]] = ()
         if self.is_tracking:
             begin = time.perf_counter()
             poses = self._tracking.find_poses(frames, measurements, *points, track)
-            if self._clocks is not None and active is not None:
-                poses = self._clocks.add_to_poses(
-                    frames, active, poses, *self._tracking.pose_limits()
-                )
+            if clocks is not None and active is not None:
+                poses = clocks.add_to_poses(frames, active, poses, *self._tracking.pose_limits())
             self.tracking_s = time.perf_counter() - begin
             if take_poses is not None and poses[-1]:
                 early = TrackingResult.of([self._tracking.no_tracks] * len(frames), poses)
                 take_poses(self._batch(frames, peaks, points, early))
         if not lit:
-            points = self._solve(frames, measurements)
+            points = self._solve(frames, measurements, clocks)
         motion = None
         if self.is_tracking:
             begin = time.perf_counter()
             tracks = self._tracking.find_tracks(frames, measurements, track)
-            if self._clocks is not None and active is not None:
-                tracks = self._clocks.add_to_tracks(frames, active, tracks)
+            if clocks is not None and active is not None:
+                tracks = clocks.add_to_tracks(frames, active, tracks)
             motion = TrackingResult.of(tracks, poses)
             self.tracking_s += time.perf_counter() - begin
         return self._batch(frames, peaks, points, motion)
 
-    def _solve(self, frames: Sequence[LineFrame], measurements: Measurements | None) -> Points:
+    def _solve(
+        self,
+        frames: Sequence[LineFrame],
+        measurements: Measurements | None,
+        clocks: "ClockStage | None",
+    ) -> Points:
         """Return the points of the frames; none where there are no measurements."""
         if measurements is None:
             return self._no_points
@@ -256,8 +260,8 @@ class FrameProcessor:
         if len(self._names) == 3:
             self.remark = _three_sensor_remark(frames, measurements)
         points, owner = solve_points(self._prepared, frames, measurements)
-        if self._clocks is not None:
-            points = self._clocks.add_to_points(frames, measurements, self._prepared, points, owner)
+        if clocks is not None:
+            points = clocks.add_to_points(frames, measurements, self._prepared, points, owner)
         return points, owner
 
     def _batch(

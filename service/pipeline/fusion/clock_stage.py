@@ -1,6 +1,6 @@
 """ClockStage: the errors of the bars' clocks in the measurements, points, tracks and poses.
 
-Behind detection, and around the other stages: measurements are freed of the clock errors that are
+In place of detection, and around the other stages: peaks are freed of the clock errors that are
 known; what is not known of them goes into the covariances of the results; and points of markers
 that move refine what is known.
 """
@@ -27,10 +27,11 @@ from compute.measurement.measurement_model import MeasurementModel
 from compute.measurement.measurements import Measurements
 from compute.pose.rigid_body import RigidBody, ToolPose
 from compute.reconstruction.point_batch import PointBatch, PointFlag
+from compute.signal.peaks import PeakBatch
 from compute.tracking.track_batch import TrackBatch
 from hardware.line_frame import LineFrame
 from service.pipeline.active_calibration import PreparedCalibration
-from service.pipeline.fusion.fused_frame import FusedFrame, rates_of
+from service.pipeline.fusion.fused_frame import FusedFrame, join_peaks, rates_of
 
 Array = NDArray[np.float64]
 
@@ -62,7 +63,7 @@ class ClockStage:
 
     @property
     def estimate(self) -> ClockEstimate:
-        """The clock errors that measurements are freed of."""
+        """The clock errors that peaks are freed of."""
         return self._estimate
 
     def _begin(self, frames: Sequence[LineFrame]) -> None:
@@ -93,24 +94,26 @@ class ClockStage:
         columns = zip(*(vars(one).values() for one in self._learned), strict=True)
         return [ClockSensitivity(*(np.concatenate(column) for column in columns))]
 
-    def correct(self, frames: Sequence[LineFrame], measurements: Measurements) -> Measurements:
-        """Begin a batch; return its measurements (F, S, K) without the clock errors known by then.
+    def correct(self, frames: Sequence[LineFrame]) -> PeakBatch:
+        """Begin a batch; return its peaks without the clock errors that are known by then.
 
         Args:
-            frames: F fused frames.
-            measurements: of these.
+            frames: fused frames, one or more.
         """
         self._begin(frames)
+        peaks = join_peaks(frames)
         error = self._estimate.error_s
         if not error.any():
-            return measurements
-        position = measurements.position_px.copy()
-        for index, frame in enumerate(frames):
+            return peaks
+        position = peaks.position_px.copy()
+        first = 0
+        for frame in frames:
             fused = _fused(frame)
+            last = first + len(fused.peaks)
             late_s = np.append(error, 0.0)[fused.bar_of_sensor]
-            rates = rates_of(fused, position.shape[2]).rate_px_s
-            position[index] += rates * late_s[:, None]
-        return replace(measurements, position_px=position)
+            position[first:last] += rates_of(fused, position.shape[1]).rate_px_s * late_s[:, None]
+            first = last
+        return replace(peaks, position_px=position)
 
     def add_to_points(
         self,

@@ -198,6 +198,7 @@ class FrameProcessor:
         """
         if self._clocks is not None:
             peaks = self._clocks.correct(frames)
+            self.remark = self._clocks.remark(frames[-1], self._names)
             return self.process_peaks(
                 frames, peaks, track=track, take_poses=take_poses, clocks=self._clocks
             )

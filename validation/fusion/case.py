@@ -35,7 +35,7 @@ from validation.result_tables import Cell, ResultTable, TablesCase
 
 Array = NDArray[np.float64]
 
-RUNS: Final = 12
+RUNS: Final = 10
 SECONDS: Final = 1.6
 LEARNING_S: Final = 0.8
 """Of a run, before it counts: the tool is found, and the clock refined."""

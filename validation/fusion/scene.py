@@ -102,7 +102,8 @@ class HallRun:
         first_px: readings of the first bar, shape (N, 4).
         second_time_s: of the second bar's exposures, as its corrected clock states them, (N,) [s].
         second_px: its readings, shape (N, 4).
-        together_px: all eight sensors, exposed with the first bar, shape (N, 8).
+        together_px: all eight sensors, exposed with the first bar, with the same noise, shape
+            (N, 8).
     """
 
     time_s: Array
@@ -139,15 +140,15 @@ def draw_run(
     marker = lit_markers(time_s, slot, speed_mm_s)
     then = lit_markers(second_s, slot, speed_mm_s)
 
-    def noisy(readings: Array) -> Array:
-        return readings + SIGMA_PX * rng.standard_normal(readings.shape)
-
+    # The same noise in both, so that their difference is not that of noise.
+    noise = SIGMA_PX * rng.standard_normal((count, len(true)))
+    together = true.project(marker) + noise
     return HallRun(
         time_s,
         slot,
         marker,
-        noisy(true.project(marker)[:, :4]),
+        together[:, :4],
         second_s + clock_error_s,
-        noisy(true.project(then)[:, 4:]),
-        noisy(true.project(marker)),
+        true.project(then)[:, 4:] + noise[:, 4:],
+        together,
     )

@@ -9,6 +9,7 @@ from pathlib import Path
 from threading import Event, Lock, Thread
 from typing import Annotated, Final
 
+from compute.errors import InvalidParameter
 from service.api.inputs import of_application
 from service.api.paging import Page, Paging, page_of_sequence
 from service.api.recordings.recorder import Recorder, WriteCounters, writer_job

@@ -66,6 +66,26 @@ class ClockStage:
         """The clock errors that peaks are freed of."""
         return self._estimate
 
+    def remark(self, frame: LineFrame, sensor_names: Sequence[str]) -> str | None:
+        """Return which clock's error contradicts what is stated of it; None: none does.
+
+        Args:
+            frame: a fused frame.
+            sensor_names: names of its sensors, the bar's before the first point.
+        """
+        clocks = np.flatnonzero(self._estimate.contradicted)
+        sensors = np.flatnonzero(np.isin(_fused(frame).bar_of_sensor, clocks))
+        if not len(sensors):
+            return None
+        clock = _fused(frame).bar_of_sensor[sensors[0]]
+        bar = sensor_names[sensors[0]].partition(".")[0]
+        return (
+            f'by the motion of markers the clock of "{bar}" is off by '
+            f"{1e6 * self._estimate.error_s[clock]:.0f} us, which contradicts its uncertainty of "
+            f"{1e6 * self._sigma_s[clock]:.0f} us: state a larger clock_uncertainty_us, or find "
+            "what delays its times"
+        )
+
     def _begin(self, frames: Sequence[LineFrame]) -> None:
         """Refine the clocks by what was seen before a batch."""
         first = _fused(frames[0])

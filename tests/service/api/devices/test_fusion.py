@@ -124,6 +124,24 @@ def of_sensors(count: int) -> Any:
     return lambda frame: any(len(point["sensors"]) == count for point in frame["points"])
 
 
+def check_recording(api: str, recordings: str) -> None:
+    """Points of a recording of results are those that were made, worked out again too."""
+    made = sent("POST", recordings, json={"id": "hall.h5", "contents": ["results"]})
+    end = time.monotonic() + 120.0
+    while sent("GET", f"{api}/recordings/hall.h5")["frames_written"] < 50:
+        assert time.monotonic() < end, made
+        time.sleep(0.1)
+    sent("POST", f"{api}/recordings/hall.h5/stop")
+    url = f"{api}/recordings/hall.h5/frames?count=20"
+    recorded, again = (
+        [frame["points"] for frame in sent("GET", asked)["frames"]]
+        for asked in (url, f"{url}&calibration_id=joint")
+    )
+    assert sum(map(len, recorded)) > 0
+    for points, others in zip(recorded, again, strict=True):
+        assert [one["position_mm"] for one in points] == [one["position_mm"] for one in others]
+
+
 def test_a_hall_of_two_bars(server: str) -> None:
     """Calibrated together, started, streamed; a bar goes and comes."""
     api = f"{server}/api/v1"
@@ -157,8 +175,12 @@ def test_a_hall_of_two_bars(server: str) -> None:
         sent("POST", f"{api}/devices/right/start")
         next_frame(socket, of_sensors(8))
         wait_for_state(api, "running", "")
-    recording = f"{api}/devices/hall/recordings"
-    refused = httpx.post(f"{api}/recordings", json={"device_id": "hall"}, timeout=60.0)
-    assert refused.status_code in (404, 405, 422), recording
+    recordings = f"{api}/devices/hall/recordings"
+    refused = httpx.post(recordings, json={"contents": ["lines"]}, timeout=60.0)
+    assert (refused.status_code, refused.json()["type"]) == (422, "/problems/invalid-parameter")
+    assert "has no scans" in refused.json()["detail"]
+    scans = httpx.get(f"{api}/devices/hall/scans", timeout=60.0)
+    assert (scans.status_code, scans.json()["type"]) == (422, "/problems/invalid-parameter")
+    check_recording(api, recordings)
     for name in ("hall", *PLACEMENTS):
         sent("POST", f"{api}/devices/{name}/stop")

@@ -67,6 +67,19 @@ def test_a_clock_that_is_late_is_found_and_its_points_are_right(active) -> None:
     assert not (last.points.flags & int(PointFlag.INCONSISTENT)).any()
 
 
+def test_a_clock_that_contradicts_what_is_stated_is_named(active) -> None:
+    frames = fused_frames(500, 3 * LATE_NS, 10e-6, SPEED_MM_S)
+    processor = FrameProcessor("hall", DESCRIPTION, "cpu")
+    processor.set_calibration(active)
+    remarks = []
+    for n in range(0, 480, 20):
+        processor.process(frames[n : n + 20])
+        remarks.append(processor.remark)
+    assert remarks[0] is None
+    assert '"right" is off by' in str(remarks[-1])
+    assert "clock_uncertainty_us" in str(remarks[-1])
+
+
 def test_without_an_uncertainty_clocks_are_taken_as_they_are(active) -> None:
     frames = fused_frames(60, LATE_NS, 0.0, SPEED_MM_S)
     processor = FrameProcessor("hall", DESCRIPTION, "cpu")

@@ -141,6 +141,7 @@ def check_recording(api: str, recordings: str) -> None:
         assert [one["position_mm"] for one in points] == [one["position_mm"] for one in others]
 
 
+@pytest.mark.slow
 def test_a_hall_of_two_bars(server: str) -> None:
     """Calibrated together, started, streamed; a bar goes and comes."""
     api = f"{server}/api/v1"

@@ -184,25 +184,55 @@ class DeviceClock:
         self._offset_ns = min(self._offset_ns, beyond)
 
     def _fit_hull_edge(self) -> None:
-        """Fit the line below the kept arrivals with the smallest weighted sum of distances."""
+        """Fit the line below the kept arrivals."""
         points = self._points
         now = points[-1][0]
-        weights = [math.exp((x - now) / DECAY_NS) for x, _ in points]
-        centre_ns = sum(w * x for w, (x, _) in zip(weights, points, strict=True)) / sum(weights)
-        left, right = _edge_below(list(points), centre_ns)
-        rate = (right[1] - left[1]) / (right[0] - left[0]) if right[0] > left[0] else self._rate
-        offset = min(y - rate * x for x, y in points)
-        above = _median([y - rate * x - offset for x, y in points], weights)
-        sigma = max(1.5 * above * (1.0 + 2.0 / len(points)), MIN_UNCERTAINTY_NS)
-        # Weight of the fitted rate against the prior: both arrivals may be off by sigma.
-        rate_sigma = 2.0 * sigma / max(right[0] - left[0], 1)
-        weight = RATE_PRIOR**2 / (RATE_PRIOR**2 + rate_sigma**2)
-        self._rate = self._nominal_rate + weight * (rate - self._nominal_rate)
+        edge = fit_lower_edge(list(points), self._rate, self._nominal_rate)
+        self._rate = edge.rate
         self._offset_ns = min(y - self._rate * x for x, y in points)
         # A clock that lost ticks, or became slower: all that comes now is above the line.
         recent = (x_y for x_y in reversed(points) if x_y[0] > now - RECENT_NS)
         beyond = min(y - self._rate * x for x, y in recent) - self._offset_ns
-        self._uncertainty_ns = max(sigma, beyond)
+        self._uncertainty_ns = max(edge.sigma_ns, beyond)
+
+
+@dataclass(frozen=True, slots=True)
+class LowerEdge:
+    """Line below arrivals, of times and their excess delays.
+
+    Args:
+        rate: its slope, weighed with the nominal one.
+        sigma_ns: standard deviation of its height [ns].
+        rate_sigma: standard deviation of the slope by the arrivals alone.
+    """
+
+    rate: float
+    sigma_ns: float
+    rate_sigma: float
+
+
+def fit_lower_edge(
+    points: list[tuple[int, int]], last_rate: float, nominal_rate: float
+) -> LowerEdge:
+    """Fit the line below points with the smallest weighted sum of distances.
+
+    Args:
+        points: times and excess delays, one or more, by ascending time [ns].
+        last_rate: slope where there is one point only.
+        nominal_rate: slope before any is known, good to RATE_PRIOR.
+    """
+    now = points[-1][0]
+    weights = [math.exp((x - now) / DECAY_NS) for x, _ in points]
+    centre_ns = sum(w * x for w, (x, _) in zip(weights, points, strict=True)) / sum(weights)
+    left, right = _edge_below(points, centre_ns)
+    rate = (right[1] - left[1]) / (right[0] - left[0]) if right[0] > left[0] else last_rate
+    offset = min(y - rate * x for x, y in points)
+    above = _median([y - rate * x - offset for x, y in points], weights)
+    sigma = max(1.5 * above * (1.0 + 2.0 / len(points)), MIN_UNCERTAINTY_NS)
+    # Weight of the fitted rate against the prior: both arrivals may be off by sigma.
+    rate_sigma = 2.0 * sigma / max(right[0] - left[0], 1)
+    weight = RATE_PRIOR**2 / (RATE_PRIOR**2 + rate_sigma**2)
+    return LowerEdge(nominal_rate + weight * (rate - nominal_rate), sigma, rate_sigma)
 
 
 def _edge_below(

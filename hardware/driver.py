@@ -7,9 +7,10 @@ from typing import Any, Generic, Literal, Protocol, Self, TypeVar, runtime_check
 
 from hardware.line_frame import LineFrame
 
-Readout = Literal["lines", "coded-window", "gray-tracks"]
+Readout = Literal["lines", "coded-window", "gray-tracks", "bar-peaks"]
 """Content of a scan: stripe images of the markers, the shadow of a coded window, or the outputs of
-the detectors behind a plate's Gray tracks."""
+the detectors behind a plate's Gray tracks. ``bar-peaks``: there are no scans, but the peaks that
+other devices have found."""
 
 
 PeakMethod = Literal["fit", "centroid"]

@@ -30,6 +30,9 @@ class LineFrame:
         lines: counts, uint16, shape (sensors, pixels); the driver does not write to it again;
             empty: exposed while nobody looked (``IdlingDriver``).
         flags: status of the frame.
+        host_sigma_ns: standard deviation of ``exposure_host_ns``, one error of all frames, beyond
+            the link's shortest delay [ns]; infinite while it is not known. 0: the device has the
+            host's clock, or the frame comes from a recording.
     """
 
     device: str
@@ -39,3 +42,4 @@ class LineFrame:
     marker: int | None
     lines: NDArray[np.uint16]
     flags: FrameFlag = FrameFlag.NONE
+    host_sigma_ns: float = 0.0

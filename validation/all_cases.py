@@ -12,6 +12,7 @@ from validation.attenuation.case import CASE as ATTENUATION
 from validation.bad_inputs.case import CASE as BAD_INPUTS
 from validation.calibration_convergence.case import CASE as CONVERGENCE
 from validation.close_peaks.case import CASE as CLOSE_PEAKS
+from validation.fusion.case import CASE as FUSION
 from validation.interpolators.case import CASE as INTERPOLATORS
 from validation.labels.case import CASE as LABELS
 from validation.labels.heavy_tails import CASE as LABEL_TAILS
@@ -121,6 +122,7 @@ _TABLES: Final[tuple[TablesCase, ...]] = (
     PARTIAL_VIEW,
     POINTER_TIP,
     STROBED_TOOLS,
+    FUSION,
 )
 
 ALL_CASES: Final[dict[str, Case | TablesCase]] = {

@@ -167,4 +167,5 @@ class FrameBuilder:
             marker,
             exposed.counts,
             flags,
+            self.clock.uncertainty_ns,
         )

@@ -18,6 +18,7 @@ from hardware.driver import DeviceDescription, SensorDescription
 from hardware.line_frame import FrameFlag, LineFrame
 from hardware.simulated.frame_batch import BATCH, Renderer, Timing
 from hardware.simulated.pixel_defects import DefectiveDetector
+from hardware.simulated.placement import DAY_NS, BarPlacement
 from hardware.simulated.scenes import EvenLight
 from hardware.simulated.settings import SimulationSettings
 from hardware.simulated.simulated_rig import PIXELS, WORKING_CENTRE_MM, simulated_rig
@@ -42,11 +43,19 @@ class RenderedDriver:
         description: the device's properties.
         renderer: renders its exposures.
         timing: when it makes them.
+        placement: of the bar in a hall, by whose time it exposes; None: by its own.
     """
 
     lossless = False
 
-    def __init__(self, description: DeviceDescription, renderer: Renderer, timing: Timing) -> None:
+    def __init__(
+        self,
+        description: DeviceDescription,
+        renderer: Renderer,
+        timing: Timing,
+        placement: BarPlacement | None = None,
+    ) -> None:
+        self._placement = placement
         self._description = description
         self._renderer = renderer
         self._timing = timing
@@ -90,8 +99,10 @@ class RenderedDriver:
             return
         number = 0
         batch = self._renderer.batch(number)  # before the first exposure, which is then in time
-        start_host_ns = time.time_ns()
-        start_ns = time.monotonic_ns()
+        start_host_ns, start_ns = self._begin()
+        if self._placement is not None:
+            self._renderer.begin_s = 1e-9 * (start_host_ns % DAY_NS)
+            batch = self._renderer.batch(number)
         host_clock = HostClock()
         sequence, end = 0, self._timing.frames
         burst = max(1, round(IDLE_BURST_S * self._timing.frame_rate_hz))
@@ -129,6 +140,14 @@ class RenderedDriver:
             )
             sequence += 1
 
+    def _begin(self) -> tuple[int, int]:
+        """Return when the exposures begin, on the host's clock and on the monotonic one [ns]."""
+        if self._placement is None:
+            return time.time_ns(), time.monotonic_ns()
+        timing = self._timing
+        slots = len(timing.schedule) or max(timing.strobed_markers, 1)
+        return self._placement.begin(slots / timing.frame_rate_hz)
+
     def _exposed(self, elapsed_ns: int) -> int:
         """Return the number of exposures made in a time since the start."""
         exposed = math.floor(elapsed_ns * 1e-9 * self._timing.frame_rate_hz + 0.5)
@@ -160,7 +179,7 @@ class SimulatedDriver(RenderedDriver):
             peaks=settings.peaks,
             line_sigma_px=settings.spot_sigma_px,
         )
-        super().__init__(description, FrameRenderer(settings), settings.timing)
+        super().__init__(description, FrameRenderer(settings), settings.timing, settings.placement)
 
 
 class FrameRenderer(Renderer):
@@ -206,7 +225,10 @@ class FrameRenderer(Renderer):
         timing = self._settings.timing
         if isinstance(self._settings.scene, EvenLight):
             return np.zeros((len(sequence), len(simulated_rig()), PIXELS))
-        points = timing.lit(self._settings.scene.points(timing.time_s(sequence)), sequence)
+        time_s = timing.time_s(sequence) + self.begin_s
+        points = timing.lit(self._settings.scene.points(time_s), sequence)
+        if self._settings.placement is not None:
+            points = self._settings.placement.in_bar(points)
         frames, markers, _ = points.shape
         spots = self._optics.stripes(points.reshape(-1, 3))
         sensors = spots.position_px.shape[1]

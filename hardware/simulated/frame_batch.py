@@ -100,6 +100,8 @@ class Renderer(ABC):
         self._detector = detector
         self._full_counts = full_counts
         self._seed = seed
+        self.begin_s = 0.0
+        """Time of the scene when the device's clock begins [s]."""
 
     @abstractmethod
     def signal_electrons(self, sequence: NDArray[np.int64]) -> NDArray[np.float64]:

@@ -201,7 +201,7 @@ class MovingTool(CheckedSettings):
         # Within the period, so that hours later it is as exact as at the start.
         at = (np.asarray(time_s, dtype=np.float64) / self.period_s + self.phase) % 1.0
         swing = np.asarray(self.turn_rad) * _swings(at, _ROTATION_RATES, _ROTATION_PHASES)
-        rotation = _rotation(swing) @ _rotation(np.asarray(self.rest_rad))
+        rotation = rotation_of(swing) @ rotation_of(np.asarray(self.rest_rad))
         path = np.asarray(self.swing_mm) * _swings(at, _PATH_RATES, _PATH_PHASES)
         return rotation, np.asarray(self.centre_mm) + path - rotation @ np.asarray(self.held_mm)
 
@@ -333,7 +333,7 @@ def _swings(at: Array, rates: tuple[float, ...], phases: tuple[float, ...]) -> A
     return values
 
 
-def _rotation(vector_rad: Array) -> Array:
+def rotation_of(vector_rad: Array) -> Array:
     """Return rotation matrices of rotation vectors (..., 3), shape (..., 3, 3) (Rodrigues)."""
     angle = np.linalg.norm(vector_rad, axis=-1)[..., None, None]
     x, y, z = np.moveaxis(vector_rad, -1, 0)

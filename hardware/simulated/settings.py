@@ -11,6 +11,7 @@ from hardware.driver import PeakMethod
 from hardware.field_bounds import CheckedSettings
 from hardware.simulated.frame_batch import Timing
 from hardware.simulated.pixel_defects import PixelDefects
+from hardware.simulated.placement import BarPlacement
 from hardware.simulated.scenes import RotatingBar, Scene
 from hardware.strobe_schedule import StrobeSchedule
 
@@ -39,6 +40,8 @@ class SimulationSettings(CheckedSettings):
         seed: seed of the noise; the same settings and seed give the same frames, bit by bit.
         peaks: "fit" measures the lines' peaks by a fit of their shape, "centroid" by threshold and
             centre of gravity.
+        placement: where the bar stands in a hall; None: the scene is in the bar's coordinates, and
+            begins when it is started.
         duration_s: length of the scene [s], at least one exposure; None: endless.
         realtime: True: a frame is delivered when it is exposed; False: as soon as it is asked
             for. The lines are the same.
@@ -64,6 +67,7 @@ class SimulationSettings(CheckedSettings):
     pixels: PixelDefects | None = None
     seed: Annotated[int, Field(ge=0, le=2**32 - 1)] = 1
     peaks: PeakMethod = "fit"
+    placement: BarPlacement | None = None
     duration_s: Annotated[float, Field(gt=0.0, le=1e7)] | None = None
     realtime: bool = True
 

@@ -160,6 +160,7 @@ class Tcd1304Driver(ReportingDriver["_Run"]):
             marker=None,
             lines=lines,
             flags=flags,
+            host_sigma_ns=float(run.uncertainty_ns),
         )
 
 

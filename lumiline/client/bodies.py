@@ -108,6 +108,14 @@ class PixelDefects(TypedDict):
     seed: NotRequired[int]
 
 
+class BarPlacement(TypedDict):
+    """Place and rotation of a bar in a hall, whose time is the host's."""
+
+    position_mm: NotRequired[Sequence[float]]
+    rotation_rad: NotRequired[Sequence[float]]
+    delay_ms: NotRequired[float]
+
+
 class SimulationSettings(TypedDict):
     """What the simulated device shows, and how its sensors see it."""
 
@@ -136,6 +144,7 @@ class SimulationSettings(TypedDict):
     pixels: NotRequired[PixelDefects | None]
     seed: NotRequired[int]
     peaks: NotRequired[Literal["fit", "centroid"]]
+    placement: NotRequired[BarPlacement | None]
     duration_s: NotRequired[float | None]
     realtime: NotRequired[bool]
 
@@ -288,6 +297,21 @@ class GenicamSource(TypedDict):
     settings: GenicamSettings
 
 
+class FusionSettings(TypedDict):
+    """How the frames of several bars are put together."""
+
+    max_wait_ms: NotRequired[float]
+    clock_uncertainty_us: NotRequired[float]
+
+
+class FusionSource(TypedDict):
+    """The peaks of two bars or more that see one volume (docs/how-to/fusion.md)."""
+
+    kind: Literal["fusion"]
+    bars: Sequence[str]
+    settings: NotRequired[FusionSettings]
+
+
 class Sensor(TypedDict):
     """One line sensor: name, number of pixels, pixel pitch [um]."""
 
@@ -340,6 +364,7 @@ class NewDevice(TypedDict):
         | SerialSource
         | Tcd1304Source
         | GenicamSource
+        | FusionSource
         | ExternalSource
     )
     autostart: NotRequired[bool]
@@ -357,6 +382,7 @@ class DeviceChange(TypedDict):
         | SerialSource
         | Tcd1304Source
         | GenicamSource
+        | FusionSource
         | ExternalSource
     ]
     autostart: NotRequired[bool]

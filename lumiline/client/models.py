@@ -115,6 +115,14 @@ class PixelDefects(ResponseModel):
     seed: int = 1
 
 
+class BarPlacement(ResponseModel):
+    """Place and rotation of a bar in a hall, whose time is the host's."""
+
+    position_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    rotation_rad: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    delay_ms: float = 0.0
+
+
 class SimulationSettings(ResponseModel):
     """What the simulated device shows, and how its sensors see it."""
 
@@ -144,6 +152,7 @@ class SimulationSettings(ResponseModel):
     pixels: PixelDefects | None = None
     seed: int = 1
     peaks: str = "fit"
+    placement: BarPlacement | None = None
     duration_s: float | None = None
     realtime: bool = True
 
@@ -284,6 +293,21 @@ class GenicamSource(ResponseModel):
     settings: GenicamSettings
 
 
+class FusionSettings(ResponseModel):
+    """How the frames of several bars are put together."""
+
+    max_wait_ms: float = 50.0
+    clock_uncertainty_us: float = 50.0
+
+
+class FusionSource(ResponseModel):
+    """The peaks of two bars or more that see one volume (docs/how-to/fusion.md)."""
+
+    kind: Literal["fusion"]
+    bars: tuple[str, ...]
+    settings: FusionSettings | None = None
+
+
 class Sensor(ResponseModel):
     """One line sensor: name, number of pixels, pixel pitch [um]."""
 
@@ -336,6 +360,7 @@ class Device(ResponseModel):
         | SerialSource
         | Tcd1304Source
         | GenicamSource
+        | FusionSource
         | ExternalSource
     )
     sensors: tuple[Sensor, ...]

@@ -152,7 +152,8 @@ class PreparedCalibration:
     solver: PointSolver
     table: CorrectionTable | None = None
     model: MeasurementModel | None = None
-    """The measurement model, for frames with many markers; None: only small ones are grouped."""
+    """The measurement model, for frames with many markers and for fused ones; None: only small
+    ones are grouped."""
 
     @classmethod
     def of(cls, active: ActiveCalibration, compute_device: str | None) -> Self | None:

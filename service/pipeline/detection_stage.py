@@ -71,7 +71,7 @@ def expected_scans(
 
     They are empty for a profile that is gone, or of another device meanwhile; the log says so.
     """
-    if description.profile is None or description.readout == "gray-tracks":
+    if description.profile is None or description.readout in ("gray-tracks", "bar-peaks"):
         return ExpectedScans()
     try:
         profile = find_profile(description.profile)
@@ -96,7 +96,7 @@ def _is_of(profile: DeviceProfile, description: DeviceDescription) -> bool:
 
 Array = NDArray[np.float64]
 
-Method = Literal["fit", "centroid", "shadow"]
+Method = Literal["fit", "centroid", "shadow", "fused"]
 
 _SEARCH: Final = CentroidSettings(threshold_fraction=0.1, min_width_px=2)
 """How lines to fit are found. At a tenth of its height a line is two pixels wide, unless nearly all
@@ -142,6 +142,8 @@ def peak_method(description: DeviceDescription) -> Method | None:
     """
     if description.readout == "gray-tracks":
         return None
+    if description.readout == "bar-peaks":
+        return "fused"
     if description.readout == "coded-window":
         return "shadow"
     low, high = WIDTH_LIMITS_PX
@@ -205,6 +207,9 @@ class DetectionStage:
         self.flag_policy = (
             STANDARD_POLICY
             if self.method is None
+            # The bars' method, whose errors by shape are in their peaks' standard deviations.
+            else FlagPolicy.of_method(description.peaks, known_shape=False)
+            if self.method == "fused"
             else FlagPolicy.of_method(self.method, known_shape=self.error_px is not None)
         )
         """What the peaks' flags mean for points, tracks and tools."""
@@ -255,8 +260,8 @@ class DetectionStage:
 
     @property
     def reads(self) -> bool:
-        """Whether a method reads the scans of this device."""
-        return self._find is not None
+        """Whether a method reads the scans of this device, or its peaks come without scans."""
+        return self._find is not None or self.method == "fused"
 
     def settings(self) -> dict[str, Any]:
         """Return the method and its errors as a JSON object, for recordings."""

@@ -313,6 +313,7 @@ class DeviceSession:
         sensors, pixels = len(description.sensors), description.sensors[0].pixels
         self._max_frames = max(1, min(MAX_FRAMES, MAX_BATCH_BYTES // (2 * sensors * pixels)))
         self._batch = self._max_frames
+        self._has_scans = description.readout != "bar-peaks"
         self._watches_holds = self._watches_tools_alone = False
         self._hold_states: tuple[tuple[BeamHoldState, ...], ...] | None = None
         """States of the holds after each frame of the batch in hand, once they are known."""
@@ -355,7 +356,7 @@ class DeviceSession:
             frames, track = self._take_frames()
             if not frames:
                 return False
-            if any(frame.lines.size == 0 for frame in frames):
+            if self._has_scans and any(frame.lines.size == 0 for frame in frames):
                 # Exposed while nobody looked; the next ones have pixels.
                 rendered = [index for index, frame in enumerate(frames) if frame.lines.size]
                 self._skipped += len(frames) - len(rendered)

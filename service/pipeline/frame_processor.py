@@ -47,6 +47,7 @@ from service.pipeline.tracking_stage import TrackingStage
 
 if TYPE_CHECKING:
     from compute.pose.rigid_body import ToolPose
+    from service.pipeline.fusion.clock_stage import ClockStage
 
 MAX_FRAMES = 64
 """Most frames that are processed together."""
@@ -109,8 +110,13 @@ class FrameProcessor:
         """Whether markers or tools are tracked."""
         self.tracking_s = 0.0
         """Time that tracking took in the newest batch [s]."""
+        self._clocks: ClockStage | None = None  # of a fused device
         self.uses_gpu = False
         """Whether frames are processed on a GPU, whose contexts belong to threads."""
+        if self.detection.method == "fused":
+            from service.pipeline.fusion import clock_stage
+
+            self._clocks = clock_stage.ClockStage()
         if reads:
             import warp as wp
 
@@ -190,6 +196,12 @@ class FrameProcessor:
             take_poses: called as soon as the poses of tools are known, with what is known then: a
                 batch without tracks, and without points of strobed frames.
         """
+        if self._clocks is not None:
+            peaks = self._clocks.correct(frames)
+            self.remark = self._clocks.remark(frames[-1], self._names)
+            return self.process_peaks(
+                frames, peaks, track=track, take_poses=take_poses, clocks=self._clocks
+            )
         one = len(frames) == 1
         lines = frames[0].lines if one else np.concatenate([frame.lines for frame in frames])
         peaks = self.detection.find(lines)
@@ -202,40 +214,56 @@ class FrameProcessor:
         *,
         track: Sequence[bool] | None = None,
         take_poses: TakePoses | None = None,
+        clocks: "ClockStage | None" = None,
     ) -> FrameBatch:
-        """Run the stages behind detection; arguments as of ``process``, with the frames' peaks."""
+        """Run the stages behind detection; arguments as of ``process``, with the frames' peaks.
+
+        Of fused frames ``clocks`` adds what is not known of their times.
+        """
         active = self._prepared if self.detection.reads else None
         measurements = None
         if active is not None:
             measurements = weigh_peaks(active, frames, peaks, self.detection.flag_policy)
         lit = any(frame.marker is None for frame in frames)
-        points = self._solve(frames, measurements) if lit else self._no_points
+        points = self._solve(frames, measurements, clocks) if lit else self._no_points
         poses: Sequence[Sequence[ToolPose]] = ()
         if self.is_tracking:
             begin = time.perf_counter()
             poses = self._tracking.find_poses(frames, measurements, *points, track)
+            if clocks is not None and active is not None:
+                poses = clocks.add_to_poses(frames, active, poses, *self._tracking.pose_limits())
             self.tracking_s = time.perf_counter() - begin
             if take_poses is not None and poses[-1]:
                 early = TrackingResult.of([self._tracking.no_tracks] * len(frames), poses)
                 take_poses(self._batch(frames, peaks, points, early))
         if not lit:
-            points = self._solve(frames, measurements)
+            points = self._solve(frames, measurements, clocks)
         motion = None
         if self.is_tracking:
             begin = time.perf_counter()
             tracks = self._tracking.find_tracks(frames, measurements, track)
+            if clocks is not None and active is not None:
+                tracks = clocks.add_to_tracks(frames, active, tracks)
             motion = TrackingResult.of(tracks, poses)
             self.tracking_s += time.perf_counter() - begin
         return self._batch(frames, peaks, points, motion)
 
-    def _solve(self, frames: Sequence[LineFrame], measurements: Measurements | None) -> Points:
+    def _solve(
+        self,
+        frames: Sequence[LineFrame],
+        measurements: Measurements | None,
+        clocks: "ClockStage | None",
+    ) -> Points:
         """Return the points of the frames; none where there are no measurements."""
         if measurements is None:
             return self._no_points
         assert self._prepared is not None
         if len(self._names) == 3:
             self.remark = _three_sensor_remark(frames, measurements)
-        return solve_points(self._prepared, frames, measurements)
+        points, owner = solve_points(self._prepared, frames, measurements)
+        if clocks is not None:
+            points = clocks.add_to_points(frames, measurements, self._prepared, points, owner)
+        return points, owner
 
     def _batch(
         self,

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -107,6 +107,23 @@ class RunningDevice(Protocol):
 
     def detach(self, tap: Tap) -> None:
         """Give a tap no more batches; what it was being given, it has when this returns."""
+        ...
+
+
+class KnownDevices(Protocol):
+    """The devices of a pipeline, for a driver whose frames come from others of them."""
+
+    def known_session(self, device_id: str) -> RunningDevice | None:
+        """Return the session of a device that was started, running or not; None: it was not."""
+        ...
+
+
+@runtime_checkable
+class DeviceUser(Protocol):
+    """A driver whose frames come from other devices of its pipeline."""
+
+    def bind(self, devices: KnownDevices) -> None:
+        """Take the devices; called before ``open``."""
         ...
 
 

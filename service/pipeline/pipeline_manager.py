@@ -27,7 +27,7 @@ from service.pipeline.device_session import (
 from service.pipeline.device_status import DeviceStatus
 from service.pipeline.frame_batch import LatestPoses
 from service.pipeline.frame_processor import FrameProcessor
-from service.pipeline.interface import Accept, any_device
+from service.pipeline.interface import Accept, DeviceUser, any_device
 from service.pipeline.stage_latency import Stage
 from service.pipeline.tap_collection import collect_readings, not_running
 from service.pipeline.threads import ComputeThread, FrameRing, ReaderThread
@@ -110,6 +110,8 @@ class PipelineManager:
         takes longer than OPEN_S. ``accept`` checks the description before anything is made of it.
         The first start in a process takes the time to load the kernels.
         """
+        if isinstance(driver, DeviceUser):
+            driver.bind(self)
         previous = self._openings.get(device_id)
         with self._lock:
             self.stop_device(device_id)

@@ -181,6 +181,13 @@ class TrackingStage:
         tracked, self._tracked = self._tracked, NO_TRACKING
         self.set_tracking_config(tracked)
 
+    def pose_limits(self) -> tuple[Sequence[RigidBody], float]:
+        """Return the tools, and the limit of the tip's standard deviation of those without [mm]."""
+        from compute.pose.settings import ToolTrackerSettings
+
+        settings = self._tracked.tool_tracker or ToolTrackerSettings()
+        return self._tracked.tools, settings.max_tip_sd_mm
+
     def find_poses(
         self,
         frames: Sequence[LineFrame],

@@ -1897,6 +1897,34 @@ export interface components {
             path: string;
             database_bytes: number;
         };
+        BarPlacement: {
+            /**
+             * @default [
+             *       0,
+             *       0,
+             *       0
+             *     ]
+             */
+            position_mm: [
+                number,
+                number,
+                number
+            ];
+            /**
+             * @default [
+             *       0,
+             *       0,
+             *       0
+             *     ]
+             */
+            rotation_rad: [
+                number,
+                number,
+                number
+            ];
+            /** @default 0 */
+            delay_ms: number;
+        };
         BeamHold: {
             id: string;
             device_id: string;
@@ -2366,7 +2394,7 @@ export interface components {
         Device: {
             id: string;
             title: string;
-            source: components["schemas"]["SimulatedSource"] | components["schemas"]["ProfileSource"] | components["schemas"]["ReplaySource"] | components["schemas"]["SerialSource"] | components["schemas"]["Tcd1304Source"] | components["schemas"]["GenicamSource"] | components["schemas"]["ExternalSource"];
+            source: components["schemas"]["SimulatedSource"] | components["schemas"]["ProfileSource"] | components["schemas"]["ReplaySource"] | components["schemas"]["SerialSource"] | components["schemas"]["Tcd1304Source"] | components["schemas"]["GenicamSource"] | components["schemas"]["FusionSource"] | components["schemas"]["ExternalSource"];
             sensors: components["schemas"]["Sensor"][];
             autostart: boolean;
             tracking: components["schemas"]["Tracking"];
@@ -2380,7 +2408,7 @@ export interface components {
         };
         DeviceChange: {
             title?: string;
-            source?: components["schemas"]["SimulatedSource"] | components["schemas"]["ProfileSource"] | components["schemas"]["ReplaySource"] | components["schemas"]["SerialSource"] | components["schemas"]["Tcd1304Source"] | components["schemas"]["GenicamSource"] | components["schemas"]["ExternalSource"];
+            source?: components["schemas"]["SimulatedSource"] | components["schemas"]["ProfileSource"] | components["schemas"]["ReplaySource"] | components["schemas"]["SerialSource"] | components["schemas"]["Tcd1304Source"] | components["schemas"]["GenicamSource"] | components["schemas"]["FusionSource"] | components["schemas"]["ExternalSource"];
             autostart?: boolean;
             tracking?: components["schemas"]["Tracking"];
         };
@@ -2918,6 +2946,21 @@ export interface components {
             full_scale_counts: number;
             relative_light?: number[] | null;
             temperature_c?: number | null;
+        };
+        FusionSettings: {
+            /** @default 50 */
+            max_wait_ms: number;
+            /** @default 50 */
+            clock_uncertainty_us: number;
+        };
+        FusionSource: {
+            /**
+             * @description discriminator enum property added by openapi-typescript
+             * @enum {string}
+             */
+            kind: "fusion";
+            bars: string[];
+            settings?: components["schemas"]["FusionSettings"];
         };
         GenicamCamera: {
             name: string;
@@ -3463,7 +3506,7 @@ export interface components {
         NewDevice: {
             id: string;
             title: string;
-            source: components["schemas"]["SimulatedSource"] | components["schemas"]["ProfileSource"] | components["schemas"]["ReplaySource"] | components["schemas"]["SerialSource"] | components["schemas"]["Tcd1304Source"] | components["schemas"]["GenicamSource"] | components["schemas"]["ExternalSource"];
+            source: components["schemas"]["SimulatedSource"] | components["schemas"]["ProfileSource"] | components["schemas"]["ReplaySource"] | components["schemas"]["SerialSource"] | components["schemas"]["Tcd1304Source"] | components["schemas"]["GenicamSource"] | components["schemas"]["FusionSource"] | components["schemas"]["ExternalSource"];
             /** @default false */
             autostart: boolean;
             tracking?: components["schemas"]["Tracking"];
@@ -5344,6 +5387,7 @@ export interface components {
              * @enum {string}
              */
             peaks: "fit" | "centroid";
+            placement?: components["schemas"]["BarPlacement"] | null;
             duration_s?: number | null;
             /** @default true */
             realtime: boolean;

@@ -11,13 +11,14 @@ from typing import Annotated, Final
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
-from compute.errors import LumilineError
+from compute.errors import InvalidParameter, LumilineError
 from service.api.devices import store
-from service.api.devices.driver_factory import make_driver, sensors_of
+from service.api.devices.driver_factory import Bars, make_driver, sensors_of
 from service.api.devices.nominal_source import nominal_mismatch, same_simulation
 from service.api.devices.schema import (
     Device,
     DeviceChange,
+    FusionSource,
     NewDevice,
     Source,
     check_connected_sensors,
@@ -94,9 +95,27 @@ class DeviceService:
         Raises:
             DeviceExists, or what the driver raises when it is opened.
         """
-        sensors = sensors_of(request.id, request.source, self._folders)
+        sensors = sensors_of(request.id, request.source, self._folders, self._bars(request.source))
         with self._exclusive(request.id), self._database.write() as session:
             return store.document(session, store.add_device(session, request, sensors))
+
+    def _bars(self, source: Source) -> Bars:
+        """Return the sensors of the devices that a fused one is made of.
+
+        Raises:
+            UnknownDevice: one of them is not there.
+            InvalidParameter: one of them is fused itself.
+        """
+        if not isinstance(source, FusionSource):
+            return {}
+        with self._database.read() as session:
+            rows = [store.get_device(session, bar) for bar in source.bars]
+            fused = [row.id for row in rows if isinstance(store.source_of(row), FusionSource)]
+            if fused:
+                raise InvalidParameter(
+                    f'"{fused[0]}" is fused itself; name the bars that it is made of', bars=fused
+                )
+            return {row.id: store.sensors_of_row(row) for row in rows}
 
     def change(self, device_id: str, change: DeviceChange, expected: Precondition) -> Device:
         """Change a device; a new source works from the device's next start.
@@ -109,7 +128,7 @@ class DeviceService:
             store.get_device(session, device_id)
         sensors = None
         if "source" in change.model_fields_set:
-            sensors = sensors_of(device_id, change.source, self._folders)
+            sensors = sensors_of(device_id, change.source, self._folders, self._bars(change.source))
         with self._exclusive(device_id):
             # Before the transaction: the live side may be busy starting another device.
             running = self._live.status(device_id).state in _RUNS
@@ -166,7 +185,7 @@ class DeviceService:
                 stored = store.sensors_of_row(row)
                 tracked = self._stored.tracking_config(session, row)
             self._live.set_tracking_config(device_id, tracked)
-            driver = make_driver(device_id, source, self._folders)
+            driver = make_driver(device_id, source, self._folders, self._bars(source))
             self._live.start_device(
                 device_id, driver, found, partial(check_connected_sensors, device_id, stored)
             )

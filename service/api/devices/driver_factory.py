@@ -1,6 +1,6 @@
 """Makes the driver that a device's source describes; drivers' libraries load only here."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
@@ -10,6 +10,7 @@ from compute.errors import InvalidParameter
 from hardware.driver import Driver, SensorDescription
 from service.api.devices.schema import (
     ExternalSource,
+    FusionSource,
     GenicamSource,
     ProfileSource,
     ReplaySource,
@@ -24,7 +25,11 @@ from service.settings import DataFolders
 _SENSORS = TypeAdapter(list[Sensor])
 
 
-def make_driver(device_id: str, source: Source, folders: DataFolders) -> Driver:
+Bars = Mapping[str, Sequence[SensorDescription]]
+"""Sensors of the devices that a fused one is made of, by their ids; empty for other sources."""
+
+
+def make_driver(device_id: str, source: Source, folders: DataFolders, bars: Bars) -> Driver:
     """Return the device's driver, not opened.
 
     Raises:
@@ -39,6 +44,12 @@ def make_driver(device_id: str, source: Source, folders: DataFolders) -> Driver:
             "/api/v1/reconstructions",
             device_id=device_id,
         )
+    if isinstance(source, FusionSource):
+        from service.pipeline.fusion.driver import FusionDriver
+        from service.pipeline.fusion.settings import FusedBar
+
+        parts = [FusedBar(bar, tuple(bars[bar])) for bar in source.bars]
+        return FusionDriver(device_id, parts, source.settings)
     if isinstance(source, ReplaySource):
         from hardware.replay import ReplayDriver
 
@@ -85,7 +96,7 @@ def recording_path(name: str, recordings_dir: Path) -> Path:
     return path
 
 
-def sensors_of(device_id: str, source: Source, folders: DataFolders) -> list[Sensor]:
+def sensors_of(device_id: str, source: Source, folders: DataFolders, bars: Bars) -> list[Sensor]:
     """Return the sensors that a source has: given with an external one, else its driver's.
 
     Raises:
@@ -94,8 +105,13 @@ def sensors_of(device_id: str, source: Source, folders: DataFolders) -> list[Sen
     """
     if isinstance(source, ExternalSource):
         sensors = source.sensors
+    elif isinstance(source, FusionSource):
+        # Known without its bars, which need not run.
+        sensors = validated_sensors(
+            make_driver(device_id, source, folders, bars).description.sensors
+        )
     else:
-        driver = make_driver(device_id, source, folders)
+        driver = make_driver(device_id, source, folders, bars)
         try:
             driver.open()
             sensors = validated_sensors(driver.description.sensors)

@@ -56,6 +56,14 @@ NEW_DEVICES: Final[dict[str, Any]] = {
             },
         },
     },
+    "fusion": {
+        "summary": "Two bars as one device; the second is that of the first example",
+        "value": {
+            "id": "hall",
+            "title": "Both bars",
+            "source": {"kind": "fusion", "bars": ["sim", "bench"]},
+        },
+    },
     "external": {
         "summary": "Four sensors that a program of yours reads",
         "value": {
@@ -97,13 +105,15 @@ def list_devices(database: DatabaseDep, paging: PagingDep) -> Page[Device]:
 
 @router.operation("POST", "create-device", "Create a device", status_code=201)
 @raises("device-exists", "device-not-connected", "unknown-recording", "unknown-device-profile")
+@raises("unknown-device")
 @raises("invalid-parameter", "invalid-recording", "missing-library")
 def create_device(
     request: NewDeviceBody, device_service: DeviceServiceDep, response: Response
 ) -> Device:
     """Create a device. It is not started; sensors are given for an external one only.
 
-    A device on a port has to be connected, because it says itself which sensors it has.
+    A device on a port has to be connected, because it says itself which sensors it has. Those of a
+    fused device are those of its bars, which exist.
     """
     device = device_service.create(request)
     response.headers["Location"] = f"/api/v1/devices/{device.id}"

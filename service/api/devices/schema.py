@@ -18,6 +18,7 @@ from hardware.tcd1304.settings import Tcd1304Settings
 from service.api.base_models import Moment, Name, RequestModel, ResponseModel, Slug, Text200, absent
 from service.api.devices.tracking_settings import Tracking
 from service.pipeline.device_status import DeviceStatus
+from service.pipeline.fusion.settings import FusionSettings
 from service.problems.errors import SensorsChanged
 
 RECORDING_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_-]*(\.[A-Za-z0-9_-]+)*(/[A-Za-z0-9][A-Za-z0-9_.-]*)*$"
@@ -87,6 +88,23 @@ class GenicamSource(RequestModel):
     settings: GenicamSettings
 
 
+class FusionSource(RequestModel):
+    """The peaks of two bars or more that see one volume (docs/how-to/fusion.md)."""
+
+    kind: Literal["fusion"]
+    bars: Annotated[
+        list[Slug],
+        Field(
+            min_length=2,
+            max_length=8,
+            description="Their devices, which run beside this one. The first that is there gives "
+            "the times of frames.",
+        ),
+        FIRST_ERROR_ONLY,
+    ]
+    settings: FusionSettings = Field(default_factory=FusionSettings)
+
+
 class ExternalSource(RequestModel):
     """No driver: a program of yours reads the sensors and posts peak positions."""
 
@@ -101,6 +119,7 @@ Source = Annotated[
     | SerialSource
     | Tcd1304Source
     | GenicamSource
+    | FusionSource
     | ExternalSource,
     Field(discriminator="kind"),
 ]

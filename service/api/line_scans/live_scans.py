@@ -96,10 +96,15 @@ def live_scans(
 
     Raises:
         DeviceNotRunning: it does not run, ends meanwhile, or made no such exposure in TIMEOUT_S.
-        InvalidParameter: it has no such sensor.
+        InvalidParameter: it has no such sensor, or is fused and has no scans.
         Busy: too many wait already.
     """
     session = live.session(device_id)
+    if session.description.readout == "bar-peaks":
+        raise InvalidParameter(
+            f'device "{device_id}" is fused, and has no scans; look at those of its bars',
+            device_id=device_id,
+        )
     names = [sensor.name for sensor in session.description.sensors]
     check_sensor(detail_sensor, names)
     tap = ScanTap(after, marker)

@@ -9,6 +9,7 @@ from pathlib import Path
 from threading import Event, Lock, Thread
 from typing import Annotated, Final
 
+from compute.errors import InvalidParameter
 from service.api.inputs import of_application
 from service.api.paging import Page, Paging, page_of_sequence
 from service.api.recordings.recorder import Recorder, WriteCounters, writer_job
@@ -68,8 +69,15 @@ class RecordingManager:
             RecordingExists: there is a file of the name.
             RecordingInProgress: the device has a recording already.
             InsufficientStorage: there is too little free space, or none can be written to.
+            InvalidParameter: scans are asked for, and the device has none.
         """
         session = self._live.session(device_id)
+        if session.description.readout == "bar-peaks" and "lines" in request.contents:
+            raise InvalidParameter(
+                f'device "{device_id}" is fused, and has no scans to record; ask for contents '
+                '["results"], and record the scans of its bars',
+                device_id=device_id,
+            )
         begin = datetime.now(UTC)
         name = request.id or f"{device_id}-{begin:%Y%m%dT%H%M%S-%f}.h5"
         folder = self.library.folder

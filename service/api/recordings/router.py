@@ -70,7 +70,7 @@ FinishedPath = Annotated[str, _name_in_path("earlier.h5", "finished", "one in th
     "POST /devices/{device_id}/recordings", "start-recording", "Record a device", status_code=201
 )
 @raises("unknown-device", "device-not-running", "recording-exists", "recording-in-progress")
-@raises("insufficient-storage")
+@raises("insufficient-storage", "invalid-parameter")
 def start_recording(
     device_id: DevicePath,
     request: NewRecordingBody,

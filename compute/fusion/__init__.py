@@ -1,0 +1,1 @@
+"""Fusion of several bars: readings at one time, and the errors of their clocks."""

@@ -1,0 +1,1 @@
+"""Tests of fusion: readings at one time, and the errors of clocks."""

@@ -559,7 +559,7 @@ def test_tap_that_is_detached_before_it_is_prepared_again_holds_up_no_other(
     wait_for(lambda: all(tap.batches for tap in taps))
     with device._lock:
         device.interrupt()
-        numbers = {one.tap: number for number, one in device._taps.items()}
+        numbers = {one.tap: number for number, one in device.taps.items()}
         device.prepare(numbers[taps[0]], CALIBRATED)
         device.detach(taps[1])
         count = len(taps[0].batches)

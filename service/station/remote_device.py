@@ -198,12 +198,19 @@ class RemoteDevice:
             for one in self.taps.values():
                 one.prepared = False
 
+    def switch(self) -> None:
+        """Note that batches come another way from now on: none twice, and a gap is counted."""
+        with self._lock:
+            self._resumes = bool(self.taps)
+
     def offer(self, message: BatchMessage) -> None:
         """Offer a batch to the taps that know what it was processed with."""
         with self._lock:
             if self._interrupted or not self.taps:
                 return
             if self._resumes and self._newest is not None:
+                if message.last_sequence <= self._newest:
+                    return  # it came another way
                 self._missed += max(0, message.first_sequence - self._newest - 1)
             self._newest, self._resumes = message.last_sequence, False
             if all(isinstance(one.tap, CalibrationListener) for one in self.taps.values()):

@@ -108,7 +108,8 @@ class RemotePipeline(StationMirror):
         self._closing = False
         self._starter = starter
         self._restarts = self._failures = 0
-        self._began_s = time.monotonic()
+        self._began_s, self._since_ns = time.monotonic(), time.time_ns()
+        self._why_lost: str | None = None
         self._replacing = Lock()
         """Held while another station takes a lost one's place."""
         self._reading: StationProcess | None = None
@@ -118,16 +119,21 @@ class RemotePipeline(StationMirror):
         streams.on_clients(lambda device_id, number: self.notify("set_clients", device_id, number))
 
     @property
-    def station(self) -> StationState:
+    def stations(self) -> tuple[StationState, ...]:
         """The process that devices belong to."""
         figures = self._figures
-        return StationState(
+        state = StationState(
             self._station.process_id,
             self._restarts,
             self._messages_missed,
             figures.memory_bytes,
             figures.cpu_s,
+            state="running" if self.ready else "starting",
+            reason=None if self.ready else self._why_lost,
+            since_ns=self._since_ns,
+            devices=len(figures.devices),
         )
+        return (state,)
 
     def call(self, method: str, *args: Any, **members: Any) -> Any:
         """Call a method of the station; returns when all that it caused has come by the bus.
@@ -382,7 +388,7 @@ class RemotePipeline(StationMirror):
         with self._replacing:
             if self._closing:
                 return False
-            self._began_s = time.monotonic()
+            self._began_s, self._since_ns = time.monotonic(), time.time_ns()
             try:
                 self._station = StationProcess(self._starter, self._start, self._lost)
             except OSError as error:
@@ -413,6 +419,7 @@ class RemotePipeline(StationMirror):
             while self._due:
                 self._read()
             reason = f"the process that owns the devices has ended ({why}) and is started again"
+            self._why_lost, self._since_ns = reason, time.time_ns()
             self._tell_lost("starting", reason)
         finally:
             self._release(station)

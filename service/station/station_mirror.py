@@ -211,9 +211,10 @@ class StationMirror(ABC):
             known = self._devices.get(device_id)
             if known is not None and known.generation == one.generation:
                 known.update(one)
-            elif one.running:
-                if known is not None:
-                    known.end()
+                continue
+            if known is not None:
+                self._devices.pop(device_id).end()
+            if one.running:
                 self._devices[device_id] = RemoteDevice(self, device_id, one)
         for device_id in self._devices.keys() - figures.devices.keys():
             self._devices.pop(device_id).end()

@@ -29,7 +29,7 @@ class ClockBound:
         self._bounds.clear()
 
     def add(self, asked_s: float, station_s: float) -> None:
-        """Take a question that was asked at ``asked_s`` here and answered at ``station_s`` there."""
+        """Take a question: when it was asked here, and answered there [s]."""
         self._bounds.append((asked_s, station_s - asked_s))
 
     def ahead_s(self, now_s: float) -> float:

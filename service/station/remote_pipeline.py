@@ -327,12 +327,23 @@ class RemotePipeline(StationMirror):
                 _log.exception("a message of the station was not understood")
         # Less than were rung for: some were overwritten.
         self._due = self._due - count_read if count_read == min(self._due, TURN) else 0
+        if self._unoffered:
+            # Behind the clients, which are awake now.
+            self._loop.call_soon(self._end_turn, station)
+        else:
+            self._end_turn(station)
+        if self._due:
+            self._loop.call_soon(self._read_on, station)
+
+    def _end_turn(self, station: StationProcess) -> None:
+        """Offer the taps what was read, and tell those who wait for it."""
+        if self._reading is not station:
+            return
+        self._offer()
         station.reader.report_progress()
         with self._passed:
             self._read_to = station.reader.position
             self._passed.notify_all()
-        if self._due:
-            self._loop.call_soon(self._read_on, station)
 
     def _resynchronise(self, missed: int) -> None:
         """Ask for what may be among the messages that were missed."""
@@ -404,6 +415,7 @@ class RemotePipeline(StationMirror):
     def _release(self, station: StationProcess) -> None:
         """Read a station's messages no more; one that was lost is released already."""
         if self._reading is station:
+            self._offer()
             self._reading, self._due = None, 0
             self._loop.remove_reader(station.doorbell.descriptor)
             station.release()
@@ -418,6 +430,7 @@ class RemotePipeline(StationMirror):
             self._due = 1 << 30
             while self._due:
                 self._read()
+            self._offer()
             reason = f"the process that owns the devices has ended ({why}) and is started again"
             self._why_lost, self._since_ns = reason, time.time_ns()
             self._tell_lost("starting", reason)

@@ -79,6 +79,8 @@ class StationMirror(ABC):
         self._devices: dict[str, RemoteDevice] = {}
         self._away: dict[str, DeviceFigures] = {}
         """Devices of a lost station that are not back yet."""
+        self._unoffered: list[tuple[RemoteDevice, BatchMessage]] = []
+        """Batches that clients were told of, and taps were not yet."""
         self._tap_numbers = count(1)
         self._messages_missed = 0
 
@@ -170,9 +172,13 @@ class StationMirror(ABC):
     def _take_split(self, kind: MessageKind, header: Sequence[Any], end: int, data: bytes) -> None:
         if kind is MessageKind.BATCH:
             self._take_batch(BatchMessage(data, header, end, self._tokens))
-        elif kind is MessageKind.POSES:
+            return
+        if kind is MessageKind.POSES:
             self.poses.put(read_poses(header))
-        elif kind is MessageKind.HOLD:
+            return
+        # All others say something of what came before them.
+        self._offer()
+        if kind is MessageKind.HOLD:
             device_id, row, last = header
             self.holds.change(device_id, read_hold(row, self._tokens), last=last)
         elif kind is MessageKind.FIGURES:
@@ -192,11 +198,19 @@ class StationMirror(ABC):
         device_id = message.device_id
         if message.holds:
             self.holds.take(device_id, message.holds[-1])
+        self.streams.publish_message(message)
         device = self._devices.get(device_id)
         if device is not None and device.taps:
+            self._unoffered.append((device, message))
+        else:
+            message.drop_pixels()
+
+    def _offer(self) -> None:
+        """Offer the taps what the clients were told of: they can wait for those."""
+        unoffered, self._unoffered = self._unoffered, []
+        for device, message in unoffered:
             device.offer(message)
-        message.drop_pixels()
-        self.streams.publish_message(message)
+            message.drop_pixels()
 
     def _take_figures(self, figures: StationFigures) -> None:
         away = {name: one for name, one in self._away.items() if name not in figures.devices}
@@ -221,6 +235,7 @@ class StationMirror(ABC):
 
     def _interrupt(self) -> None:
         """Offer no batches until it is known again what they are processed with."""
+        self._offer()
         for device in self._devices.values():
             device.interrupt()
 

@@ -13,6 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
+import msgpack
 import pytest
 
 from compute.errors import InvalidParameter
@@ -29,7 +30,7 @@ from service.pipeline.interface import Pipeline
 from service.pipeline.pipeline_manager import PipelineManager
 from service.pipeline.tracking_config import TrackingConfig
 from service.problems.errors import DeviceNotRunning, NotReady
-from service.protocols.stream.hub import Hub
+from service.protocols.stream.hub import Hub, StreamRequest
 from service.protocols.stream.messages import CONTENTS
 from service.station import station_process
 from service.station.bus_messages import BatchMessage
@@ -329,7 +330,9 @@ def test_device_that_did_not_start_is_not_started_again(pipeline: RemotePipeline
         pipeline.start_device("sim", SimulatedDriver("sim", LIVE), CALIBRATED, refuse)
     pipeline.start_device("other", SimulatedDriver("other", LIVE), CALIBRATED)
     os.kill(pipeline.stations[0].process_id, signal.SIGKILL)
-    wait_for(lambda: pipeline.stations[0].restarts == 1 and pipeline.status("other").state == "running")
+    wait_for(
+        lambda: pipeline.stations[0].restarts == 1 and pipeline.status("other").state == "running"
+    )
     assert pipeline.status("sim").state == "stopped"
 
 
@@ -427,7 +430,9 @@ def test_station_that_cannot_be_started_is_tried_again(
 
     monkeypatch.setattr(StationStarter, "start", refuse_once)
     os.kill(pipeline.stations[0].process_id, signal.SIGKILL)
-    wait_for(lambda: pipeline.stations[0].restarts == 1 and pipeline.status("sim").state == "running")
+    wait_for(
+        lambda: pipeline.stations[0].restarts == 1 and pipeline.status("sim").state == "running"
+    )
     assert refused
     assert "no other station can be started now: no memory" in kept_log.text
 
@@ -545,7 +550,9 @@ def test_configuration_that_is_refused_keeps_no_device_from_its_restart(
 
     monkeypatch.setattr(RemotePipeline, "call", refuse_configuration)
     os.kill(pipeline.stations[0].process_id, signal.SIGKILL)
-    wait_for(lambda: pipeline.stations[0].restarts == 1 and pipeline.status("sim").state == "running")
+    wait_for(
+        lambda: pipeline.stations[0].restarts == 1 and pipeline.status("sim").state == "running"
+    )
     assert "does not follow its tools as before" in kept_log.text
 
 
@@ -581,7 +588,9 @@ def test_station_comes_back_when_what_forks_stations_ends_again_and_again(
 
     monkeypatch.setattr(StationStarter, "_start", fail_first)
     os.kill(pipeline.stations[0].process_id, signal.SIGKILL)
-    wait_for(lambda: pipeline.stations[0].restarts == 1 and pipeline.status("sim").state == "running")
+    wait_for(
+        lambda: pipeline.stations[0].restarts == 1 and pipeline.status("sim").state == "running"
+    )
     assert len(failed) == times
 
 
@@ -660,7 +669,7 @@ class HangingDriver(SimulatedDriver):
 _GATEWAY = """
 import asyncio, signal, sys, threading, time
 from service.pipeline.detection_stage import built_in_profile
-from service.protocols.stream.hub import Hub
+from service.protocols.stream.hub import Hub, StreamRequest
 from service.station.bus_messages import BatchMessage
 from service.station.remote_pipeline import RemotePipeline
 from service.station.station_process import StationProcess
@@ -720,3 +729,37 @@ def test_station_ends_with_its_gateway(how: signal.Signals, device: str) -> None
         gateway.kill()
         gateway.wait(WAIT_S)
         gateway.stdout.close()
+
+
+def test_clients_have_a_batch_before_taps_do(
+    make_pipeline: MakePipeline, event_loop_thread: asyncio.AbstractEventLoop
+) -> None:
+    """What is recorded or summed up can wait: at a tap's turn the client has the same frames."""
+    hub = Hub()
+    pipeline = make_pipeline(hub)
+    received: list[int] = [-1]
+    behind: list[int] = []
+
+    async def receive() -> None:
+        client = hub.subscribe(StreamRequest("sim", frozenset({"points"}), "msgpack"))
+        while True:
+            message = msgpack.unpackb(await client.next())
+            if message["type"] == "frame":
+                received.append(message["sequence"])
+
+    class Comparing(KeepingTap):
+        def offer(self, batch: FrameBatch) -> None:
+            super().offer(batch)
+            behind.append(batch.frames[-1].sequence - received[-1])
+
+    receiving = asyncio.run_coroutine_threadsafe(receive(), event_loop_thread)
+    try:
+        pipeline.start_device("sim", SimulatedDriver("sim", LIVE), CALIBRATED)
+        device, tap = pipeline.session("sim"), Comparing()
+        wait_for(lambda: len(received) > 1)
+        device.attach(tap)
+        wait_for(lambda: len(behind) > 20)
+        device.detach(tap)
+    finally:
+        receiving.cancel()
+    assert max(behind) <= 0
